@@ -1,0 +1,73 @@
+#!/usr/bin/env bash
+# Brings a machine to where the packages are built: system packages, Python environment, colcon build.
+# Safe to repeat; what is already there is left alone. `setup.sh dev` adds what the tests need.
+set -euo pipefail
+cd "$(dirname "$0")"
+. ./env.sh
+
+say() { printf '\033[1m%s\033[0m\n' "$*"; }
+
+# --- System packages ------------------------------------------------------------------------------
+packages=(cmake g++ make pkg-config python3-dev python3-venv libepoxy-dev libgl1-mesa-dri libgtest-dev
+  xauth xvfb)
+if [ ! -d "${ROSPLAT_RVIZ_OGRE:-/nonexistent}" ] && ! command -v rviz2 >/dev/null; then
+  packages+=(libogre-1.12-dev)
+fi
+missing=()
+for package in "${packages[@]}"; do
+  dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
+done
+if [ ${#missing[@]} -gt 0 ]; then
+  install="apt-get install -y --no-install-recommends ${missing[*]}"
+  if [ "$(id -u)" = 0 ]; then as_root=; elif sudo -n true 2>/dev/null; then as_root='sudo -n'; else
+    echo "These system packages are missing, and only root can install them. Run:" >&2
+    echo "  sudo apt-get update && sudo $install" >&2
+    exit 1
+  fi
+  say "Installing system packages: ${missing[*]}"
+  $as_root apt-get update -qq
+  DEBIAN_FRONTEND=noninteractive $as_root $install -qq >/dev/null
+fi
+
+# --- Python environment ---------------------------------------------------------------------------
+requirements=(requirements/runtime.txt)
+[ "$ROSPLAT_ROS" = wheels ] && requirements+=(requirements/ros.txt)
+[ "${1:-}" = dev ] && requirements+=(requirements/dev.txt)
+if [ "$(cat .venv/ros 2>/dev/null)" != "$ROSPLAT_ROS" ]; then
+  say "Creating .venv (ROS 2: $ROSPLAT_ROS)"
+  rm -rf .venv build install log
+  system_packages=$([ "$ROSPLAT_ROS" = wheels ] || echo --system-site-packages)
+  python3 -m venv $system_packages .venv
+  echo "$ROSPLAT_ROS" >.venv/ros
+fi
+. ./env.sh
+for file in "${requirements[@]}"; do
+  stamp=.venv/installed-$(basename "$file")
+  if ! cmp -s "$file" "$stamp"; then
+    say "Installing $file into .venv"
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check -r "$file" 2> >(grep -v '^WARNING' >&2)
+    cp "$file" "$stamp"
+  fi
+done
+if [ "$ROSPLAT_ROS" = wheels ] && [ ! -f .venv/exports-rewritten ]; then
+  # The wheels' CMake exports name the include folders of the machine that built them.
+  read -r python_include numpy_include < <(.venv/bin/python -c \
+    'import numpy, sysconfig; print(sysconfig.get_paths()["include"], numpy.get_include())')
+  grep -rlE '/opt/python/cp3' .venv/share --include='*.cmake' | xargs -r sed -E -i \
+    -e "s#/opt/python/cp[0-9]+-cp[0-9]+/include/python[0-9.]+#$python_include#g" \
+    -e "s#/opt/python/cp[0-9]+-cp[0-9]+/lib/[^;\"]*/numpy/(_core|core)/include#$numpy_include#g"
+  touch .venv/exports-rewritten
+fi
+
+# --- Packages -------------------------------------------------------------------------------------
+say "Building the packages (log/latest_build)"
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+if ! colcon build --executor sequential --event-handlers console_direct+ --base-paths rosplat_msgs \
+  rosplat_sorter rosplat_tools rviz_gaussian_plugin --cmake-args -DCMAKE_BUILD_TYPE=Release \
+  -DPython3_EXECUTABLE="$PWD/.venv/bin/python" -DBUILD_TESTING=$([ "${1:-}" = dev ] && echo ON || echo OFF) \
+  --no-warn-unused-cli >"$log" 2>&1; then
+  grep -E 'error|Error|ERROR' -A5 "$log" | tail -n 60 >&2 || tail -n 60 "$log" >&2
+  exit 1
+fi
+grep -E '^Summary|^rosplat:|^-- rosplat:' "$log" || true
