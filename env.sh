@@ -1,5 +1,6 @@
 # Sourced by bash: puts ROS 2, the project's Python and its built packages on the paths.
-# A sourced ROS 2 wins, then the newest in /opt/ros, then the wheels that setup.sh puts into .venv.
+# A sourced ROS 2 wins, then the newest in /opt/ros, then the wheels that setup.sh puts into .venv
+# (at once with ROSPLAT_ROS=wheels).
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 
@@ -11,12 +12,11 @@ source_unset_ok() { # ROS's own setup files read variables that may not be set
   case $flags in *u*) set -u ;; esac
 }
 
-if [ -z "${ROS_DISTRO:-}" ]; then
+if [ -z "${ROS_DISTRO:-}" ] && [ "${ROSPLAT_ROS:-}" != wheels ]; then
   ros_setup=$(ls -d /opt/ros/*/setup.bash 2>/dev/null | tail -n 1)
   if [ -n "$ros_setup" ]; then source_unset_ok "$ros_setup"; fi
 fi
-if [ -n "${ROS_DISTRO:-}" ] && [ -z "${ROSPLAT_ROS:-}" ]; then export ROSPLAT_ROS=$ROS_DISTRO; fi
-export ROSPLAT_ROS=${ROSPLAT_ROS:-wheels}
+export ROSPLAT_ROS=${ROSPLAT_ROS:-${ROS_DISTRO:-wheels}}
 
 if [ -f "$root/.venv/bin/activate" ]; then source_unset_ok "$root/.venv/bin/activate"; fi
 if [ "$ROSPLAT_ROS" = wheels ]; then
