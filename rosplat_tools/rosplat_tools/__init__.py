@@ -1,0 +1,1 @@
+"""Scenes of 3D Gaussians: formats, publishers, a reference renderer, and the tools around them."""

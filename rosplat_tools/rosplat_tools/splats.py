@@ -1,0 +1,141 @@
+"""The one in-memory form of a map of 3D Gaussians. Knows no ROS and no file format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_SH_DEGREE = 3
+
+# float32 holds half a millimetre at this distance from zero; farther out, an origin is needed.
+FAR_FROM_ZERO = 1e4
+
+
+class SceneError(ValueError):
+    """A scene, camera or option that can't be used; its text is meant for the user."""
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """A set of n 3D Gaussians with view-dependent colour (Kerbl et al. 2023).
+
+    Arrays of another dtype are converted; a wrong shape raises ValueError. Units and conventions
+    are those of rosplat_msgs/GaussianArray.
+    """
+
+    positions: NDArray[np.float32]
+    """(n, 3) means, relative to origin. [m]"""
+    orientations: NDArray[np.float32]
+    """(n, 4) quaternions x, y, z, w of unit length."""
+    scales: NDArray[np.float32]
+    """(n, 3) standard deviations along the Gaussian's own axes, linear. [m]"""
+    opacities: NDArray[np.float32]
+    """(n,) peak opacities, 0 to 1."""
+    sh: NDArray[np.float32]
+    """(n, k, 3) spherical harmonics, k = (degree + 1)^2, RGB last."""
+    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    """(3,) added to each position in float64. [m]"""
+    antialiased: bool = False
+    """Trained with opacity compensation for the 2D low-pass filter (Mip-Splatting)."""
+
+    def __post_init__(self) -> None:
+        """Converts each array to its dtype and checks its shape."""
+        n = len(self.positions)
+        shapes: dict[str, tuple[int, ...]] = {
+            "positions": (n, 3),
+            "orientations": (n, 4),
+            "scales": (n, 3),
+            "opacities": (n,),
+            "sh": (n, sh_coefficients(self.sh_degree), 3),
+            "origin": (3,),
+        }
+        for name, shape in shapes.items():
+            dtype = np.float64 if name == "origin" else np.float32
+            array = np.ascontiguousarray(getattr(self, name), dtype)
+            if array.shape != shape:
+                raise ValueError(f"Splats.{name}: expected shape {shape}, got {array.shape}")
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __getitem__(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> Splats:
+        """The splats that a slice, an index array or a mask picks."""
+        return replace(
+            self,
+            positions=self.positions[index],
+            orientations=self.orientations[index],
+            scales=self.scales[index],
+            opacities=self.opacities[index],
+            sh=self.sh[index],
+        )
+
+    @property
+    def sh_degree(self) -> int:
+        """Highest band of spherical harmonics, 0 to 3."""
+        k = np.shape(self.sh)[1] if np.ndim(self.sh) == 3 else 0
+        for degree in range(MAX_SH_DEGREE + 1):
+            if k == sh_coefficients(degree):
+                return degree
+        raise ValueError(f"Splats.sh: expected shape (n, 1|4|9|16, 3), got {np.shape(self.sh)}")
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the arrays take. [bytes]"""
+        arrays = (self.positions, self.orientations, self.scales, self.opacities, self.sh)
+        return sum(array.nbytes for array in arrays)
+
+    def with_sh_degree(self, degree: int) -> Splats:
+        """The same splats with bands cut off, or zero bands added, to a degree of 0 to 3."""
+        k = sh_coefficients(degree)
+        missing = max(0, k - self.sh.shape[1])
+        return replace(self, sh=np.pad(self.sh[:, :k], ((0, 0), (0, missing), (0, 0))))
+
+    def without_empty_bands(self) -> Splats:
+        """The same splats without the top bands that are zero in all of them."""
+        degree = self.sh_degree
+        while degree > 0 and not self.sh[:, sh_coefficients(degree - 1) :].any():
+            degree -= 1
+        return self if degree == self.sh_degree else self.with_sh_degree(degree)
+
+
+def sh_coefficients(degree: int) -> int:
+    """Number of spherical harmonics up to a degree."""
+    return (degree + 1) ** 2
+
+
+def rebase(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Splits (n, 3) positions into float32 offsets and a float64 origin (3,). [m]
+
+    The origin is zero unless a position lies so far out that float32 would lose it: then it is the
+    middle of the bounds, in whole metres.
+    """
+    origin = np.zeros(3)
+    if len(positions) and np.abs(positions).max() > FAR_FROM_ZERO:
+        origin = np.round((positions.min(axis=0) + positions.max(axis=0)) / 2)
+        positions = positions - origin
+    return positions.astype(np.float32), origin
+
+
+def concatenate(parts: Sequence[Splats]) -> Splats:
+    """Joins sets of splats, in order; the result has the first one's origin and the highest degree.
+
+    Raises ValueError when there are none, or when only some are antialiased.
+    """
+    if not parts:
+        raise ValueError("nothing to concatenate")
+    if len({part.antialiased for part in parts}) > 1:
+        raise ValueError("can't join antialiased splats with others: they are drawn differently")
+    first = parts[0]
+    degree = max(part.sh_degree for part in parts)
+    return replace(
+        first,
+        positions=np.concatenate([p.positions + (p.origin - first.origin) for p in parts]),
+        orientations=np.concatenate([p.orientations for p in parts]),
+        scales=np.concatenate([p.scales for p in parts]),
+        opacities=np.concatenate([p.opacities for p in parts]),
+        sh=np.concatenate([p.with_sh_degree(degree).sh for p in parts]),
+    )

@@ -1,0 +1,82 @@
+"""The in-memory map: its checks, its cuts and joins, and the origin that keeps it precise."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rosplat_tools.splats import Splats, concatenate, rebase
+
+
+def splats(n: int, degree: int = 1, **changes: Any) -> Splats:
+    rng = np.random.default_rng(n)
+    arrays: dict[str, Any] = {
+        "positions": rng.normal(size=(n, 3)),
+        "orientations": np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)),
+        "scales": rng.uniform(0.01, 0.1, (n, 3)),
+        "opacities": rng.uniform(0, 1, n),
+        "sh": rng.normal(size=(n, (degree + 1) ** 2, 3)),
+    }
+    return Splats(**(arrays | changes))
+
+
+def test_arrays_become_contiguous_float32() -> None:
+    some = splats(5)
+    for array in (some.positions, some.orientations, some.scales, some.opacities, some.sh):
+        assert array.dtype == np.float32
+        assert array.flags.c_contiguous
+    assert some.origin.dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [("orientations", (5, 3)), ("scales", (4, 3)), ("opacities", (5, 1)), ("sh", (5, 2, 3))],
+)
+def test_a_wrong_shape_is_refused_by_name(name: str, shape: tuple[int, ...]) -> None:
+    wrong: dict[str, Any] = {name: np.zeros(shape)}
+    with pytest.raises(ValueError, match=name):
+        splats(5, **wrong)
+
+
+def test_slices_masks_and_indices_pick_the_same_splats() -> None:
+    some = splats(10)
+    mask = np.zeros(10, bool)
+    mask[3:6] = True
+    for picked in (some[3:6], some[np.array([3, 4, 5])], some[mask]):
+        np.testing.assert_array_equal(picked.sh, some.sh[3:6])
+        np.testing.assert_array_equal(picked.positions, some.positions[3:6])
+
+
+@pytest.mark.parametrize("used", [0, 1, 2, 3])
+def test_only_empty_top_bands_go(used: int) -> None:
+    some = splats(4, used).with_sh_degree(3)
+    assert some.sh_degree == 3
+    slim = some.without_empty_bands()
+    assert slim.sh_degree == used
+    np.testing.assert_array_equal(slim.with_sh_degree(3).sh, some.sh)
+
+
+def test_far_positions_keep_their_millimetres() -> None:
+    positions = np.array([4.5e6, 5e5, 100.0]) + np.random.default_rng(0).uniform(-50, 50, (100, 3))
+    near, origin = rebase(positions)
+    np.testing.assert_allclose(near + origin, positions, atol=1e-5, rtol=0)
+    np.testing.assert_array_equal(origin, np.round(origin))
+
+
+def test_near_positions_need_no_origin() -> None:
+    assert not rebase(np.full((3, 3), 20.0))[1].any()
+
+
+def test_concatenate_keeps_world_positions_and_bands() -> None:
+    a, b = splats(3, 0, origin=np.array([1e6, 0, 0])), splats(4, 2, origin=np.array([1e6, 5, 0]))
+    both = concatenate([a, b])
+    assert (len(both), both.sh_degree) == (7, 2)
+    np.testing.assert_allclose(
+        both.positions[3:] + both.origin, b.positions + b.origin, atol=1e-6, rtol=0
+    )
+    assert not both.sh[:3, 1:].any()
+
+
+def test_concatenate_refuses_mixed_filters() -> None:
+    with pytest.raises(ValueError, match="antialiased"):
+        concatenate([splats(1), splats(1, antialiased=True)])
