@@ -1,0 +1,164 @@
+"""PLY in the layout of the INRIA code (Kerbl et al. 2023), as trainers and viewers exchange it.
+
+x y z, f_dc_0..2, f_rest_* (channel-major), opacity as logit, scale_* as logarithm, rot_0..3 with w
+first. Read in any order of properties, of any numeric type, in text or binary of either byte order.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement, PlyElementParseError, PlyParseError
+
+from rosplat_tools.formats.decoded import Floats, Progress, Warn, decoded
+from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
+
+NAME = "PLY"
+SUFFIX = ".ply"
+
+POSITION = ["x", "y", "z"]
+NORMAL = ["nx", "ny", "nz"]
+COLOR = ["f_dc_0", "f_dc_1", "f_dc_2"]
+SCALE = ["scale_0", "scale_1", "scale_2"]
+ROTATION = ["rot_0", "rot_1", "rot_2", "rot_3"]
+
+# Brush's spelling for models trained as Mip-Splatting; splat-transform reads and writes it too.
+ANTIALIASED = "SplatRenderMode: mip"
+
+# Rows decoded at a time: their columns are gathered while the rows are still in the cache.
+BLOCK = 1 << 14
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Whether a file begins like a PLY."""
+    return head[:4] in (b"ply\n", b"ply\r")
+
+
+def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+    """Reads the vertices of a PLY as splats; without scale_2 (2D Gaussians) they are flat."""
+    file = _parse(path)
+    if "vertex" not in file:
+        raise SceneError(f"{path}: not a Gaussian splat: no element vertex")
+    rows = file["vertex"].data
+    has_third_scale = SCALE[2] in rows.dtype.names
+    scale = SCALE if has_third_scale else SCALE[:2]
+    rest = _rest(path, rows)
+    _require_numbers(path, rows, [*POSITION, "opacity", *COLOR, *scale, *ROTATION, *rest])
+
+    n, k = len(rows), 1 + len(rest) // 3
+    positions = np.empty((n, 3))
+    orientations = np.empty((n, 4), np.float32)
+    scales = np.zeros((n, 3), np.float32)
+    opacities = np.empty(n, np.float32)
+    sh = np.empty((n, k, 3), np.float32)
+    for start in range(0, n, BLOCK):
+        part = slice(start, start + BLOCK)
+        block = rows[part]
+        positions[part] = _columns(block, POSITION, np.float64)
+        orientations[part] = np.roll(_columns(block, ROTATION), -1, axis=1)  # w first -> last
+        with np.errstate(over="ignore"):  # an infinite scale is dropped with its splat
+            scales[part, : len(scale)] = np.exp(_columns(block, scale))
+        opacities[part] = _sigmoid(_columns(block, ["opacity"])[:, 0])
+        sh[part, 0] = _columns(block, COLOR)
+        if rest:
+            by_channel = _columns(block, rest).reshape(len(block), 3, k - 1)
+            sh[part, 1:] = by_channel.transpose(0, 2, 1)
+        progress(start / n)
+    return decoded(
+        path,
+        warn,
+        positions=positions,
+        orientations=orientations,
+        scales=scales,
+        opacities=opacities,
+        sh=sh,
+        antialiased=any(line.strip() == ANTIALIASED for line in file.comments),
+    )
+
+
+def write(path: Path, splats: Splats) -> None:
+    """Writes splats as binary little-endian PLY, with the zero normals that old viewers expect.
+
+    Positions become doubles where the splats have an origin, so that none of it is lost.
+    """
+    k = splats.sh.shape[1]
+    rest = [f"f_rest_{i}" for i in range(3 * (k - 1))]
+    position_type = "<f8" if splats.origin.any() else "<f4"
+    names = [*NORMAL, *COLOR, *rest, "opacity", *SCALE, *ROTATION]
+    rows = np.zeros(
+        len(splats),
+        [(name, position_type) for name in POSITION] + [(name, "<f4") for name in names],
+    )
+    _fill(rows, POSITION, splats.positions + splats.origin)
+    _fill(rows, COLOR, splats.sh[:, 0])
+    _fill(rows, rest, splats.sh[:, 1:].transpose(0, 2, 1).reshape(len(splats), len(rest)))
+    _fill(rows, ["opacity"], _logit(splats.opacities)[:, None])
+    # A flat Gaussian's zero scale has no logarithm; the smallest float stands for it.
+    _fill(rows, SCALE, np.log(np.maximum(splats.scales, np.finfo(np.float32).tiny)))
+    _fill(rows, ROTATION, np.roll(splats.orientations, 1, axis=1))
+    comments = [ANTIALIASED] if splats.antialiased else []
+    vertex = PlyElement.describe(rows, "vertex")
+    with path.open("wb") as stream:
+        PlyData([vertex], byte_order="<", comments=comments).write(stream)
+
+
+def _parse(path: Path) -> PlyData:
+    """The PLY's elements, mapped from the file where it is binary."""
+    try:
+        return PlyData.read(str(path))
+    except PlyElementParseError as error:
+        if error.message == "early end-of-file":
+            element = error.element
+            raise SceneError(
+                f"{path}: truncated: the header promises {element.count:,} rows of element "
+                f"{element.name}, the file's {path.stat().st_size:,} bytes hold {error.row:,}"
+            ) from error
+        raise SceneError(f"{path}: broken PLY: {error}") from error
+    except (PlyParseError, ValueError, OverflowError) as error:
+        raise SceneError(f"{path}: broken PLY: {error}") from error
+
+
+def _rest(path: Path, rows: NDArray[np.void]) -> list[str]:
+    """Names of the f_rest properties in order of their number."""
+    count = sum(name.startswith("f_rest_") for name in rows.dtype.names or ())
+    counts = [3 * (sh_coefficients(degree) - 1) for degree in range(MAX_SH_DEGREE + 1)]
+    if count not in counts:
+        raise SceneError(f"{path}: {count} properties f_rest_*, expected one of {counts}")
+    return [f"f_rest_{i}" for i in range(count)]
+
+
+def _require_numbers(path: Path, rows: NDArray[np.void], names: list[str]) -> None:
+    have = rows.dtype.names or ()
+    missing = [name for name in names if name not in have]
+    if missing:
+        raise SceneError(f"{path}: not a Gaussian splat: no property {', '.join(missing)}")
+    lists = [name for name in names if rows.dtype[name].kind == "O"]
+    if lists:
+        raise SceneError(f"{path}: property {', '.join(lists)} is a list, expected a number")
+
+
+def _columns(
+    rows: NDArray[np.void], names: list[str], dtype: type[np.floating[Any]] = np.float32
+) -> Floats:
+    """(rows, names) array of the named properties."""
+    return np.stack([rows[name].astype(dtype) for name in names], axis=1)
+
+
+def _fill(rows: NDArray[np.void], names: list[str], values: Floats) -> None:
+    for i, name in enumerate(names):
+        rows[name] = values[:, i]
+
+
+def _sigmoid(x: Floats) -> Floats:
+    """1 / (1 + exp(-x)), without overflow."""
+    return 0.5 + 0.5 * np.tanh(0.5 * x)
+
+
+def _logit(p: Floats) -> Floats:
+    """log(p / (1 - p)), finite for the 0 and 1 that quantised formats hold."""
+    inside = np.clip(p.astype(np.float64), 1e-8, 1 - 1e-8)
+    logit: Floats = np.log(inside) - np.log1p(-inside)
+    return logit
