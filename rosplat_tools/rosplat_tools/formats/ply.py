@@ -154,7 +154,8 @@ def _fill(rows: NDArray[np.void], names: list[str], values: Floats) -> None:
 
 def _sigmoid(x: Floats) -> Floats:
     """1 / (1 + exp(-x)), without overflow."""
-    return 0.5 + 0.5 * np.tanh(0.5 * x)
+    p: Floats = 0.5 + 0.5 * np.tanh(0.5 * x)
+    return p
 
 
 def _logit(p: Floats) -> Floats:

@@ -1,0 +1,231 @@
+"""PLY: every layout that trainers write comes back as the same splats, and broken files say why."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.lib.recfunctions as structured
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement
+
+from rosplat_tools.formats import SceneError, load, save
+from rosplat_tools.splats import Splats
+
+Make = Callable[..., Splats]
+
+
+def assert_same(a: Splats, b: Splats, tolerance: float = 1e-6) -> None:
+    np.testing.assert_allclose(a.positions + a.origin, b.positions + b.origin, atol=1e-6)
+    np.testing.assert_allclose(a.orientations, b.orientations, atol=tolerance)
+    np.testing.assert_allclose(a.scales, b.scales, rtol=tolerance, atol=1e-30)
+    np.testing.assert_allclose(a.opacities, b.opacities, atol=tolerance)
+    np.testing.assert_array_equal(a.sh, b.sh)
+    assert a.antialiased == b.antialiased
+
+
+def rows_of(path: Path) -> NDArray[np.void]:
+    return np.array(PlyData.read(path)["vertex"].data)
+
+
+def without(rows: NDArray[np.void], name: str) -> NDArray[np.void]:
+    return structured.drop_fields(rows, name)
+
+
+def write_rows(path: Path, rows: NDArray[np.void], **form: object) -> None:
+    PlyData([PlyElement.describe(rows, "vertex")], **form).write(path)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_round_trip(random_splats: Make, tmp_path: Path, degree: int, antialiased: bool) -> None:
+    splats = random_splats(50, degree, antialiased=antialiased)
+    save(tmp_path / "a.ply", splats)
+    assert_same(load(tmp_path / "a.ply"), splats)
+
+
+def test_no_splats(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(0))
+    assert len(load(tmp_path / "a.ply")) == 0
+
+
+def test_more_splats_than_a_block(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(40_000, 0)
+    save(tmp_path / "a.ply", splats)
+    fractions: list[float] = []
+    assert_same(load(tmp_path / "a.ply", progress=fractions.append), splats)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1
+
+
+@given(opacity=st.floats(0, 1, width=32), scale=st.floats(0, 100, width=32))
+@settings(deadline=None, max_examples=50)
+def test_limits_survive(
+    tmp_path_factory: pytest.TempPathFactory, opacity: float, scale: float
+) -> None:
+    path = tmp_path_factory.mktemp("limits") / "a.ply"
+    splats = Splats(np.zeros((1, 3)), [[0, 0, 0, 1]], [[scale] * 3], [opacity], np.zeros((1, 1, 3)))  # type: ignore[arg-type]
+    save(path, splats)
+    assert_same(load(path), splats, tolerance=1e-5)
+
+
+def test_layout_is_that_of_the_inria_code(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(3)
+    save(tmp_path / "a.ply", splats)
+    rows = rows_of(tmp_path / "a.ply")
+    assert rows.dtype.names is not None
+    assert rows.dtype.names[:9] == ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2")
+    assert rows.dtype.names[-8:-4] == ("opacity", "scale_0", "scale_1", "scale_2")
+    np.testing.assert_array_equal(rows["rot_0"], splats.orientations[:, 3])
+    np.testing.assert_array_equal(rows["f_rest_0"], splats.sh[:, 1, 0])
+    np.testing.assert_array_equal(rows["f_rest_1"], splats.sh[:, 2, 0])
+    np.testing.assert_array_equal(rows["f_rest_15"], splats.sh[:, 1, 1])
+    np.testing.assert_allclose(np.exp(rows["scale_1"]), splats.scales[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-rows["opacity"])), splats.opacities, rtol=1e-5)
+
+
+@pytest.mark.parametrize("form", [{"text": True}, {"byte_order": ">"}, {"byte_order": "<"}])
+def test_text_and_byte_orders(random_splats: Make, tmp_path: Path, form: dict[str, object]) -> None:
+    splats = random_splats(20, 1)
+    save(tmp_path / "a.ply", splats)
+    write_rows(tmp_path / "b.ply", rows_of(tmp_path / "a.ply"), **form)
+    assert_same(load(tmp_path / "b.ply"), splats)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=10)
+def test_any_order_of_properties_and_types(
+    random_splats: Make, tmp_path_factory: pytest.TempPathFactory, seed: int
+) -> None:
+    folder = tmp_path_factory.mktemp("order")
+    splats = random_splats(10, 2)
+    save(folder / "a.ply", splats)
+    rows = rows_of(folder / "a.ply")
+    rng = np.random.default_rng(seed)
+    names = [*rng.permutation(rows.dtype.names or ()), "label"]
+    shuffled = np.zeros(10, [(str(name), rng.choice(["f4", "f8"])) for name in names])
+    for name in rows.dtype.names or ():
+        shuffled[name] = rows[name]
+    write_rows(folder / "b.ply", shuffled)
+    assert_same(load(folder / "b.ply"), splats)
+
+
+def test_far_doubles_keep_their_millimetres(random_splats: Make, tmp_path: Path) -> None:
+    splats = replace(random_splats(20), origin=np.array([4.5e6, 5e5, 300.0]))
+    save(tmp_path / "a.ply", splats)
+    back = load(tmp_path / "a.ply")
+    np.testing.assert_allclose(
+        back.positions + back.origin, splats.positions + splats.origin, rtol=0, atol=1e-5
+    )
+    assert np.abs(back.positions).max() < 10
+
+
+def test_2d_gaussians_are_flat(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(5))
+    rows = rows_of(tmp_path / "a.ply")
+    write_rows(
+        tmp_path / "b.ply",
+        without(rows, "scale_2"),
+    )
+    flat = load(tmp_path / "b.ply")
+    assert not flat.scales[:, 2].any()
+    assert flat.scales[:, :2].all()
+
+
+def test_unusable_splats_are_dropped_and_counted(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(10))
+    rows = rows_of(tmp_path / "a.ply")
+    rows["x"][1] = np.nan
+    rows["f_rest_7"][3] = -np.inf
+    rows["scale_0"][4] = 200  # beyond float32 once it is no longer a logarithm
+    for name in ("rot_0", "rot_1", "rot_2", "rot_3"):
+        rows[name][6] = 0
+    write_rows(tmp_path / "b.ply", rows)
+    warnings: list[str] = []
+    splats = load(tmp_path / "b.ply", warn=warnings.append)
+    assert_same(splats, load(tmp_path / "a.ply")[np.array([0, 2, 5, 7, 8, 9])])
+    assert len(warnings) == 1
+    assert "b.ply: dropped 4 of 10" in warnings[0]
+
+
+def test_a_point_cloud_is_told_from_a_scene(tmp_path: Path) -> None:
+    write_rows(tmp_path / "cloud.ply", np.zeros(5, [("x", "f4"), ("y", "f4"), ("z", "f4")]))
+    with pytest.raises(
+        SceneError, match=r"cloud\.ply: not a Gaussian splat: no property opacity, f_dc_0"
+    ):
+        load(tmp_path / "cloud.ply")
+
+
+def test_a_truncated_file_names_what_is_missing(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(10))
+    whole = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "b.ply").write_bytes(whole[:-300])
+    with pytest.raises(
+        SceneError, match=rf"b\.ply: truncated.* 10 rows .*{len(whole) - 300:,} bytes hold 8"
+    ):
+        load(tmp_path / "b.ply")
+
+
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        ("format ascii 2.0|end_header|", "expected version"),
+        ("format binary_little_endian 1.0|element vertex 5|", "end-of-file"),
+        ("format ascii 1.0|element face 0|property float x|end_header|", "no element vertex"),
+        ("format ascii 1.0|element vertex 2|property float x|end_header|1|oops|", "malformed"),
+        ("format ascii 1.0|element vertex 2|property float x|end_header|1|", "truncated"),
+        ("format ascii 1.0|element vertex -2|property float x|end_header|", "broken"),
+        (f"format ascii 1.0|element vertex {10**14}|property float x|end_header|1|", "memory"),
+        (
+            f"format binary_big_endian 1.0|element vertex {10**14}|property float x|end_header|",
+            "truncated",
+        ),
+        (
+            "format ascii 1.0|element vertex 0|property float x|property float x|end_header|",
+            "broken",
+        ),
+        ("format ascii 1.0|element vertex 0|property quaternion x|end_header|", "broken"),
+        ("form\xe9t", "broken"),
+    ],
+)
+def test_broken_headers(tmp_path: Path, lines: str, reason: str) -> None:
+    text = "ply\n" + lines.replace("|", "\n")
+    (tmp_path / "broken.ply").write_bytes(text.encode("latin-1"))
+    with pytest.raises(SceneError, match=rf"broken\.ply: .*{reason}"):
+        load(tmp_path / "broken.ply")
+
+
+def test_lists_and_odd_counts_are_refused(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(2, 1))
+    rows = rows_of(tmp_path / "a.ply")
+    names = rows.dtype.names or ()
+    write_rows(tmp_path / "odd.ply", without(rows, "f_rest_8"))
+    with pytest.raises(SceneError, match=r"8 properties f_rest_\*"):
+        load(tmp_path / "odd.ply")
+    listed = np.empty(2, [(name, "O" if name == "opacity" else "f4") for name in names])
+    for name in names:
+        for i in range(2):
+            listed[name][i] = np.zeros(1, "f4") if name == "opacity" else 0
+    write_rows(tmp_path / "list.ply", listed)
+    with pytest.raises(SceneError, match="opacity is a list"):
+        load(tmp_path / "list.ply")
+
+
+def test_a_failed_save_leaves_the_old_file(random_splats: Make, tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"a\.spz: can't write"):
+        save(tmp_path / "a.spz", random_splats(1))
+    with pytest.raises(SceneError, match="nowhere"):
+        save(tmp_path / "nowhere" / "a.ply", random_splats(1))
+    save(tmp_path / "a.ply", random_splats(1))
+    save(tmp_path / "a.ply", random_splats(2))
+    assert len(load(tmp_path / "a.ply")) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_a_trained_scene(scene: Callable[[str], Path]) -> None:
+    splats = load(scene("train-1000.ply"))
+    assert (len(splats), splats.sh_degree) == (1000, 3)
+    np.testing.assert_allclose(np.linalg.norm(splats.orientations, axis=1), 1, rtol=1e-5)
