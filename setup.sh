@@ -41,14 +41,11 @@ if [ "$(cat .venv/ros 2>/dev/null)" != "$ROSPLAT_ROS" ]; then
   echo "$ROSPLAT_ROS" >.venv/ros
 fi
 . ./env.sh
-for file in "${requirements[@]}"; do
-  stamp=.venv/installed-$(basename "$file")
-  if ! cmp -s "$file" "$stamp"; then
-    say "Installing $file into .venv"
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check -r "$file" 2> >(grep -v '^WARNING' >&2)
-    cp "$file" "$stamp"
-  fi
-done
+if ! cat "${requirements[@]}" | cmp -s - .venv/installed; then
+  say "Installing ${requirements[*]} into .venv"
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check "${requirements[@]/#/--requirement=}"
+  cat "${requirements[@]}" >.venv/installed
+fi
 if [ "$ROSPLAT_ROS" = wheels ] && [ ! -f .venv/exports-rewritten ]; then
   # The wheels' CMake exports name the include folders of the machine that built them.
   read -r python_include numpy_include < <(.venv/bin/python -c \

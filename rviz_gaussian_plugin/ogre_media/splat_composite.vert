@@ -1,0 +1,6 @@
+#version 430
+// A triangle that covers the viewport.
+
+void main() {
+  gl_Position = vec4(float(gl_VertexID & 1) * 4.0 - 1.0, float(gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
+}

@@ -1,0 +1,1 @@
+"""The splat renderer of the rviz2 Display, for Python."""

@@ -1,0 +1,70 @@
+"""The renderer without rviz: draws a map into memory, on the GPU or in software."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from rviz_gaussian_plugin import _offscreen
+from rviz_gaussian_plugin._config import OGRE_PLUGINS
+
+BatchError = _offscreen.BatchError
+
+
+class Renderer(_offscreen.Renderer):  # type: ignore[misc]
+    """An Ogre scene that holds one map and draws it into a texture.
+
+    One in a process; every call but `apply` and `set_order` from the thread that made it. Needs an X
+    display (`ensure_display`) with OpenGL 4.3; raises RuntimeError where it finds none.
+    """
+
+    def __init__(self) -> None:
+        if not os.environ.get("DISPLAY"):
+            raise RuntimeError("the renderer needs an X display: DISPLAY is not set")
+        super().__init__(str(_media_folder()), OGRE_PLUGINS)
+
+
+def _media_folder() -> Path:
+    """Where the shaders are installed: beside the packages of the same prefix."""
+    for parent in Path(__file__).resolve().parents:
+        media = parent / "share" / "rviz_gaussian_plugin" / "ogre_media"
+        if media.is_dir():
+            return media
+    raise RuntimeError("the shaders of rviz_gaussian_plugin are not installed")
+
+
+@contextlib.contextmanager
+def ensure_display(width: int = 1920, height: int = 1080) -> Iterator[str]:
+    """Give the process an X display: the one in DISPLAY, else an Xvfb that lives as long as the block.
+
+    Raises RuntimeError where there is neither a display nor Xvfb.
+    """
+    if os.environ.get("DISPLAY"):
+        yield os.environ["DISPLAY"]
+        return
+    if not shutil.which("Xvfb"):
+        raise RuntimeError("there is no X display and no Xvfb to make one: install xvfb")
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24", "-nolisten", "tcp"],
+        pass_fds=[write],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C ends the program first, then its display
+    )
+    os.close(write)
+    try:
+        with os.fdopen(read) as pipe:
+            number = pipe.readline().strip()
+        if not number:
+            raise RuntimeError("Xvfb did not start")
+        os.environ["DISPLAY"] = f":{number}"
+        yield os.environ["DISPLAY"]
+    finally:
+        os.environ.pop("DISPLAY", None)
+        server.terminate()
+        server.wait()

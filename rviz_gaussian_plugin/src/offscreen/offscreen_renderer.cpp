@@ -1,0 +1,169 @@
+#include "offscreen_renderer.hpp"
+
+#include <OgreCamera.h>
+#include <OgreHardwarePixelBuffer.h>
+#include <OgreLogManager.h>
+#include <OgreManualObject.h>
+#include <OgreMaterialManager.h>
+#include <OgreRenderTexture.h>
+#include <OgreRenderWindow.h>
+#include <OgreResourceGroupManager.h>
+#include <OgreSceneManager.h>
+#include <OgreSceneNode.h>
+#include <OgreTechnique.h>
+#include <OgreTextureManager.h>
+#include <OgreViewport.h>
+#include <epoxy/gl.h>
+
+#include <algorithm>
+#include <stdexcept>
+
+namespace rosplat {
+
+namespace {
+constexpr const char* kResourceGroup = "rosplat";
+
+// The far plane of the depth buffer that hides splats behind opaque objects. [m]
+double depthRange(const SplatCamera& camera) {
+  return std::min(camera.far_clip, camera.near_clip + 1e4);
+}
+}  // namespace
+
+OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string& plugins) {
+  auto* log = new Ogre::LogManager();  // the root takes it over
+  log->createLog("", true, false, true)->setLogDetail(Ogre::LL_LOW);
+  try {
+    root_ = std::make_unique<Ogre::Root>("", "", "");
+    root_->loadPlugin(plugins + "/RenderSystem_GL");
+    root_->setRenderSystem(root_->getAvailableRenderers().front());
+    root_->initialise(false);
+    Ogre::NameValuePairList hidden{{"hidden", "true"}};
+    root_->createRenderWindow("rosplat", 16, 16, false, &hidden);
+  } catch (const Ogre::Exception& error) {
+    throw std::runtime_error("no OpenGL window can be opened: " + error.getDescription());
+  }
+  graphics_ = std::string(reinterpret_cast<const char*>(glGetString(GL_RENDERER))) + ", OpenGL " +
+              reinterpret_cast<const char*>(glGetString(GL_VERSION));
+  if (const std::string reason = gl::unsupported(); !reason.empty()) {
+    throw std::runtime_error(reason);
+  }
+  auto& resources = Ogre::ResourceGroupManager::getSingleton();
+  resources.addResourceLocation(media, "FileSystem", kResourceGroup);
+  resources.initialiseResourceGroup(kResourceGroup);
+  manager_ = root_->createSceneManager();
+  camera_ = manager_->createCamera("camera");
+  manager_->getRootSceneNode()->createChildSceneNode("camera")->attachObject(camera_);
+  cloud_ = std::make_unique<SplatCloud>(
+      "map", kResourceGroup, [this](Ogre::Viewport*, const SplatCamera&) { return view_id_; });
+  manager_->getRootSceneNode()->createChildSceneNode("map")->attachObject(cloud_.get());
+}
+
+OffscreenRenderer::~OffscreenRenderer() {
+  if (cloud_) cloud_->detachFromParent();
+  cloud_.reset();  // while its context is there
+  if (texture_) {
+    Ogre::TextureManager::getSingleton().remove(texture_);
+    texture_.reset();
+  }
+}
+
+void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequence,
+                                  const SplatCamera& camera) {
+  SplatCamera& mine = cameras_[view_id] = camera;
+  const double near = camera.near_clip, far = depthRange(camera);
+  mine.ndc_scale = camera.orthographic ? 2 / (far - near) : (far + near) / (far - near);
+  mine.ndc_offset =
+      camera.orthographic ? -(far + near) / (far - near) : -2 * far * near / (far - near);
+  cloud_->scene().setCamera(view_id, sequence, mine);
+}
+
+void OffscreenRenderer::resize(int width, int height) {
+  if (texture_ && this->width() == width && this->height() == height) return;
+  if (texture_) Ogre::TextureManager::getSingleton().remove(texture_);
+  texture_ = Ogre::TextureManager::getSingleton().createManual(
+      "picture", kResourceGroup, Ogre::TEX_TYPE_2D, Ogre::uint(width), Ogre::uint(height), 0,
+      Ogre::PF_BYTE_RGBA, Ogre::TU_RENDERTARGET);
+  Ogre::RenderTexture* target = texture_->getBuffer()->getRenderTarget();
+  target->setAutoUpdated(false);
+  Ogre::Viewport* viewport = target->addViewport(camera_);
+  viewport->setOverlaysEnabled(false);
+}
+
+FrameReport OffscreenRenderer::draw(const std::string& view_id, bool built_in) {
+  const SplatCamera& camera = cameras_.at(view_id);
+  resize(camera.width, camera.height);
+  view_id_ = view_id;
+  cloud_->setBuiltIn(built_in);
+
+  // Ogre's camera for the opaque objects; the splats are drawn with the exact one.
+  Ogre::Matrix4 view = Ogre::Matrix4::IDENTITY, projection = Ogre::Matrix4::ZERO;
+  for (int i = 0; i < 3; ++i) {
+    const double sign = i == 0 ? 1.0 : -1.0;
+    for (int k = 0; k < 3; ++k) view[i][k] = Ogre::Real(sign * camera.rotation[3 * i + k]);
+    view[i][3] = Ogre::Real(sign * camera.translation[i]);
+  }
+  projection[0][0] = Ogre::Real(2 * camera.fx / camera.width);
+  projection[1][1] = Ogre::Real(2 * camera.fy / camera.height);
+  const double offset_x = 1 - 2 * camera.cx / camera.width;
+  const double offset_y = 2 * camera.cy / camera.height - 1;
+  if (camera.orthographic) {
+    projection[0][3] = Ogre::Real(-offset_x);
+    projection[1][3] = Ogre::Real(-offset_y);
+    projection[3][3] = 1;
+  } else {
+    projection[0][2] = Ogre::Real(offset_x);
+    projection[1][2] = Ogre::Real(offset_y);
+    projection[3][2] = -1;
+  }
+  projection[2][2] = Ogre::Real(-camera.ndc_scale);
+  projection[2][3] = Ogre::Real(camera.ndc_offset);
+  camera_->setProjectionType(camera.orthographic ? Ogre::PT_ORTHOGRAPHIC : Ogre::PT_PERSPECTIVE);
+  camera_->setCustomProjectionMatrix(true, projection);
+  camera_->setCustomViewMatrix(true, Ogre::Affine3(view));
+  update();
+  return cloud_->report();
+}
+
+void OffscreenRenderer::setBox(const std::array<float, 3>& centre,
+                               const std::array<float, 3>& size) {
+  if (manager_->hasManualObject("box")) manager_->destroyManualObject("box");
+  Ogre::ManualObject* box = manager_->createManualObject("box");
+  const auto material = Ogre::MaterialManager::getSingleton().getDefaultMaterial(false);
+  box->begin(material->getName(), Ogre::RenderOperation::OT_TRIANGLE_LIST, material->getGroup());
+  for (int corner = 0; corner < 8; ++corner) {
+    Ogre::Vector3 position;
+    for (int axis = 0; axis < 3; ++axis) {
+      position[axis] = centre[axis] + (corner >> axis & 1 ? 0.5f : -0.5f) * size[axis];
+    }
+    box->position(position);
+    box->colour(Ogre::ColourValue::White);
+  }
+  for (const std::array<Ogre::uint32, 4>& q :
+       {std::array<Ogre::uint32, 4>{0, 2, 3, 1}, {4, 5, 7, 6}, {0, 1, 5, 4}, {2, 6, 7, 3},
+        {0, 4, 6, 2}, {1, 3, 7, 5}}) {
+    box->quad(q[0], q[1], q[2], q[3]);
+  }
+  box->end();
+  manager_->getRootSceneNode()->attachObject(box);
+}
+
+std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float, 3>& background) {
+  Ogre::RenderTexture* target = texture_->getBuffer()->getRenderTarget();
+  target->getViewport(0)->setBackgroundColour(
+      Ogre::ColourValue(background[0], background[1], background[2]));
+  update();
+  std::vector<std::uint8_t> pixels(3 * std::size_t(width()) * std::size_t(height()));
+  texture_->getBuffer()->blitToMemory(Ogre::PixelBox(
+      Ogre::uint32(width()), Ogre::uint32(height()), 1, Ogre::PF_BYTE_RGB, pixels.data()));
+  return pixels;
+}
+
+void OffscreenRenderer::update() {
+  cloud_->clearError();
+  root_->_fireFrameStarted();
+  texture_->getBuffer()->getRenderTarget()->update();
+  root_->_fireFrameEnded();
+  if (!cloud_->error().empty()) throw std::runtime_error(cloud_->error());
+}
+
+}  // namespace rosplat

@@ -1,0 +1,58 @@
+#pragma once
+
+#include <OgreRoot.h>
+#include <OgreTexture.h>
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "../splats/splat_cloud.hpp"
+
+namespace rosplat {
+
+// The renderer in an Ogre of its own, drawing into a texture: for programs without rviz. Needs an X
+// display; one at a time in a process; all calls but apply() and offer() from the thread that made it.
+class OffscreenRenderer {
+ public:
+  // media: the folder of the shaders; plugins: the folder of Ogre's RenderSystem_GL.
+  // Throws std::runtime_error with a sentence for the user.
+  OffscreenRenderer(const std::string& media, const std::string& plugins);
+  ~OffscreenRenderer();
+
+  SplatScene& scene() { return cloud_->scene(); }
+  void setSettings(const RenderSettings& settings) { cloud_->setSettings(settings); }
+
+  void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
+  // Draws the scene as a view's camera sees it, sorted here if built_in. Throws std::runtime_error.
+  FrameReport draw(const std::string& view_id, bool built_in);
+
+  // An opaque box to hide splats behind and before, in the map's frame [m].
+  void setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size);
+
+  std::vector<float> readColor() { return cloud_->scene().readColor(); }
+  std::vector<float> readDepth() { return cloud_->scene().readDepth(); }
+  // The whole picture, opaque objects included: width * height * 3, top row first.
+  std::vector<std::uint8_t> readPicture(const std::array<float, 3>& background);
+
+  int width() const { return texture_ ? int(texture_->getWidth()) : 0; }
+  int height() const { return texture_ ? int(texture_->getHeight()) : 0; }
+  const std::string& graphics() const { return graphics_; }
+
+ private:
+  void resize(int width, int height);
+  void update();
+
+  std::unique_ptr<Ogre::Root> root_;
+  Ogre::SceneManager* manager_ = nullptr;
+  Ogre::Camera* camera_ = nullptr;
+  Ogre::TexturePtr texture_;
+  std::unique_ptr<SplatCloud> cloud_;
+  std::map<std::string, SplatCamera> cameras_;
+  std::string view_id_;
+  std::string graphics_;
+};
+
+}  // namespace rosplat

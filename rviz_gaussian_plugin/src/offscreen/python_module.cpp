@@ -1,0 +1,168 @@
+// Python's door to the renderer: rviz_gaussian_plugin._offscreen.
+
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include "offscreen_renderer.hpp"
+
+namespace py = pybind11;
+using namespace py::literals;
+using namespace rosplat;
+
+namespace {
+
+template <typename T>
+using Array = py::array_t<T, py::array::c_style>;
+
+template <typename T>
+ArrayView<T> view(const Array<T>& array) {
+  return {array.data(), static_cast<std::size_t>(array.size())};
+}
+
+template <typename T>
+Array<T> toArray(std::vector<T> values, std::vector<py::ssize_t> shape) {
+  auto* owner = new std::vector<T>(std::move(values));
+  const py::capsule capsule(owner, [](void* p) { delete static_cast<std::vector<T>*>(p); });
+  return Array<T>(std::move(shape), owner->data(), capsule);
+}
+
+py::dict apply(OffscreenRenderer& renderer, std::uint8_t operation, std::uint32_t first_slot,
+               std::uint32_t count, const Array<std::uint32_t>& slots, std::uint8_t sh_degree,
+               bool antialiased, const std::array<double, 3>& origin, const Array<float>& positions,
+               const Array<float>& orientations, const Array<float>& scales,
+               const Array<float>& opacities, const Array<float>& sh, const std::string& map_id,
+               std::uint64_t revision, std::uint32_t expected_slots, std::uint8_t encoding) {
+  GaussianBatch batch;
+  batch.operation = operation;
+  batch.first_slot = first_slot;
+  batch.count = count;
+  batch.slots = view(slots);
+  batch.sh_degree = sh_degree;
+  batch.antialiased = antialiased;
+  batch.origin = origin;
+  batch.positions = view(positions);
+  batch.orientations = view(orientations);
+  batch.scales = view(scales);
+  batch.opacities = view(opacities);
+  batch.sh = view(sh);
+  batch.map_id = map_id;
+  batch.revision = revision;
+  batch.expected_slots = expected_slots;
+  batch.encoding = encoding;
+  BatchReport report;
+  {
+    const py::gil_scoped_release release;
+    report = renderer.scene().apply(batch);
+  }
+  return py::dict("duplicate"_a = report.duplicate, "missed"_a = report.missed,
+                  "dropped"_a = report.dropped);
+}
+
+void setCamera(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
+               const std::array<double, 3>& position, const std::array<double, 4>& orientation,
+               int projection, double fx, double fy, double cx, double cy, int width, int height,
+               double near_clip, double far_clip) {
+  const auto& [x, y, z, w] = orientation;
+  const double n = x * x + y * y + z * z + w * w;
+  if (!(n > 0) || width < 1 || height < 1 || width > 16384 || height > 16384 || !(fx > 0) ||
+      !(fy > 0) || !(near_clip < far_clip) || !(near_clip > 0 || projection == 1)) {
+    throw py::value_error("the camera has no orientation, size, focal length or depth range");
+  }
+  SplatCamera camera;
+  // The transpose of the pose's rotation matrix: map -> camera.
+  camera.rotation = {1 - 2 * (y * y + z * z) / n, 2 * (x * y + w * z) / n,
+                     2 * (x * z - w * y) / n,     2 * (x * y - w * z) / n,
+                     1 - 2 * (x * x + z * z) / n, 2 * (y * z + w * x) / n,
+                     2 * (x * z + w * y) / n,     2 * (y * z - w * x) / n,
+                     1 - 2 * (x * x + y * y) / n};
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) camera.translation[i] -= camera.rotation[3 * i + k] * position[k];
+  }
+  camera.orthographic = projection == 1;
+  camera.fx = fx;
+  camera.fy = fy;
+  camera.cx = cx;
+  camera.cy = cy;
+  camera.width = width;
+  camera.height = height;
+  camera.near_clip = near_clip;
+  camera.far_clip = far_clip;
+  renderer.setCamera(view_id, sequence, camera);
+}
+
+void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
+              const std::string& map_id, std::uint64_t revision, const std::string& backend,
+              double sort_time, const Array<std::uint32_t>& slots) {
+  auto order = std::make_shared<Order>();
+  order->view_id = view_id;
+  order->sequence = sequence;
+  order->map_id = map_id;
+  order->revision = revision;
+  order->source = backend;
+  order->sort_time = sort_time;
+  order->slots.assign(slots.data(), slots.data() + slots.size());
+  renderer.scene().offer(std::move(order));
+}
+
+py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool built_in) {
+  const FrameReport report = renderer.draw(view_id, built_in);
+  return py::dict("splats"_a = report.splats, "order_source"_a = report.order_source,
+                  "order_fresh"_a = report.order_fresh, "order_age"_a = report.order_age,
+                  "sort_time"_a = report.sort_time, "draw_time"_a = report.draw_time,
+                  "gpu_bytes"_a = renderer.scene().gpuBytes());
+}
+
+}  // namespace
+
+PYBIND11_MODULE(_offscreen, module) {
+  py::register_exception<BatchError>(module, "BatchError", PyExc_ValueError);
+  py::class_<OffscreenRenderer>(module, "Renderer")
+      .def(py::init<const std::string&, const std::string&>(), "media"_a, "plugins"_a)
+      .def("apply", &apply, "operation"_a, "first_slot"_a, "count"_a, "slots"_a, "sh_degree"_a,
+           "antialiased"_a, "origin"_a, "positions"_a, "orientations"_a, "scales"_a, "opacities"_a,
+           "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0, "encoding"_a = 0)
+      .def("set_camera", &setCamera, "view_id"_a, "sequence"_a, "position"_a, "orientation"_a,
+           "projection"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "width"_a, "height"_a, "near"_a = 0.01,
+           "far"_a = 1e10)
+      .def("set_order", &setOrder, "view_id"_a, "sequence"_a, "map_id"_a, "revision"_a, "backend"_a,
+           "sort_time"_a, "slots"_a)
+      .def("set_box", &OffscreenRenderer::setBox, "centre"_a, "size"_a)
+      .def(
+          "set_max_alpha",
+          [](OffscreenRenderer& r, float max_alpha) {
+            RenderSettings settings;
+            settings.max_alpha = max_alpha;
+            r.setSettings(settings);
+          },
+          "max_alpha"_a)
+      .def(
+          "has_order",
+          [](OffscreenRenderer& r, const std::string& id) { return r.scene().answered(id); },
+          "view_id"_a)
+      .def("draw", &draw, "view_id"_a, "built_in"_a = false)
+      .def("read_color",
+           [](OffscreenRenderer& r) { return toArray(r.readColor(), {r.height(), r.width(), 4}); })
+      .def("read_depth",
+           [](OffscreenRenderer& r) { return toArray(r.readDepth(), {r.height(), r.width()}); })
+      .def(
+          "read_color8",
+          [](OffscreenRenderer& r, const std::array<float, 3>& background) {
+            return toArray(r.readPicture(background), {r.height(), r.width(), 3});
+          },
+          "background"_a = std::array<float, 3>{0, 0, 0})
+      .def_property_readonly("map_id", [](OffscreenRenderer& r) { return r.scene().state().id; })
+      .def_property_readonly("revision",
+                             [](OffscreenRenderer& r) { return r.scene().state().revision; })
+      .def_property_readonly("splats",
+                             [](OffscreenRenderer& r) { return r.scene().state().splats; })
+      .def_property_readonly("expected",
+                             [](OffscreenRenderer& r) { return r.scene().state().expected; })
+      .def_property_readonly("capacity",
+                             [](OffscreenRenderer& r) { return r.scene().state().capacity; })
+      .def_property_readonly("dropped",
+                             [](OffscreenRenderer& r) { return r.scene().state().dropped; })
+      .def_property_readonly("missed",
+                             [](OffscreenRenderer& r) { return r.scene().state().missed; })
+      .def_property_readonly("renderer_info", &OffscreenRenderer::graphics);
+}

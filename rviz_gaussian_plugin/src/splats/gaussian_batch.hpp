@@ -1,0 +1,42 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+namespace rosplat {
+
+// A contiguous array owned by someone else.
+template <typename T>
+struct ArrayView {
+  const T* data = nullptr;
+  std::size_t size = 0;
+
+  const T& operator[](std::size_t i) const { return data[i]; }
+  bool empty() const { return size == 0; }
+};
+
+// One batch of edits as it arrives, not yet checked: the fields of rosplat_msgs/GaussianArray.
+struct GaussianBatch {
+  enum Operation : std::uint8_t { REPLACE = 0, UPSERT = 1, DELETE = 2 };
+
+  std::string map_id;
+  std::uint64_t revision = 0;
+  std::uint8_t operation = REPLACE;
+  std::uint32_t expected_slots = 0;
+  std::uint32_t first_slot = 0;
+  std::uint32_t count = 0;
+  ArrayView<std::uint32_t> slots;
+  std::uint8_t sh_degree = 0;
+  std::uint8_t encoding = 0;
+  bool antialiased = false;
+  std::array<double, 3> origin{};
+  ArrayView<float> positions;     // 3 a splat [m]
+  ArrayView<float> orientations;  // 4 a splat, x y z w
+  ArrayView<float> scales;        // 3 a splat [m]
+  ArrayView<float> opacities;     // 1 a splat
+  ArrayView<float> sh;            // 3 (sh_degree + 1)^2 a splat
+};
+
+}  // namespace rosplat

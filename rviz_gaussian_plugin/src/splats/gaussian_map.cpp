@@ -1,0 +1,171 @@
+#include "gaussian_map.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+namespace rosplat {
+
+namespace {
+
+void checkLength(const char* field, std::size_t size, std::size_t expected) {
+  if (size != expected) {
+    throw BatchError(std::string(field) + " holds " + std::to_string(size) + " values, not the " +
+                     std::to_string(expected) + " that count and sh_degree ask for");
+  }
+}
+
+void check(const GaussianBatch& batch) {
+  if (batch.operation > GaussianBatch::DELETE) {
+    throw BatchError("operation " + std::to_string(batch.operation) + " is unknown");
+  }
+  if (batch.encoding != 0) {
+    throw BatchError("encoding " + std::to_string(batch.encoding) + " is unknown");
+  }
+  if (batch.sh_degree > kMaxShDegree) {
+    throw BatchError("sh_degree " + std::to_string(batch.sh_degree) + " is beyond 3");
+  }
+  for (double v : batch.origin) {
+    if (!std::isfinite(v)) throw BatchError("origin is not finite");
+  }
+  const std::size_t n = batch.count;
+  if (!batch.slots.empty()) {
+    checkLength("slots", batch.slots.size, n);
+    for (std::size_t i = 0; i < n; ++i) {
+      if (batch.slots[i] >= kMaxSlots) {
+        throw BatchError("slots names slot " + std::to_string(batch.slots[i]) + ", beyond the " +
+                         std::to_string(kMaxSlots) + " that a map may have");
+      }
+    }
+  } else if (batch.first_slot > kMaxSlots || n > kMaxSlots - batch.first_slot) {
+    throw BatchError("first_slot + count is beyond the " + std::to_string(kMaxSlots) +
+                     " slots that a map may have");
+  }
+  const bool values = batch.operation != GaussianBatch::DELETE;
+  const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
+  checkLength("positions", batch.positions.size, values ? 3 * n : 0);
+  checkLength("orientations", batch.orientations.size, values ? 4 * n : 0);
+  checkLength("scales", batch.scales.size, values ? 3 * n : 0);
+  checkLength("opacities", batch.opacities.size, values ? n : 0);
+  checkLength("sh", batch.sh.size, values ? coefficients * n : 0);
+}
+
+bool allFinite(const float* values, std::size_t count) {
+  // A sum of zero times each value is NaN as soon as one value is not finite; it vectorises.
+  float sum = 0.0f;
+  for (std::size_t i = 0; i < count; ++i) sum += 0.0f * values[i];
+  return sum == 0.0f;
+}
+
+// Radius of the ellipsoid on which alpha falls to 1/255, -1 for a splat that never reaches that.
+float extent(const float* scale, float opacity) {
+  if (!(opacity >= 1.0f / 255.0f)) return -1.0f;
+  const float sigmas = std::min(3.33f, std::sqrt(2.0f * std::log(255.0f * opacity)));
+  return sigmas * std::max({scale[0], scale[1], scale[2]});
+}
+
+}  // namespace
+
+std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
+                                                       BatchReport& report) {
+  check(batch);
+  const bool new_map = batch.map_id != state_.id;
+  if (!new_map && batch.revision <= state_.revision) {
+    report.duplicate = true;
+    return nullptr;
+  }
+  const bool replace = batch.operation == GaussianBatch::REPLACE;
+
+  auto edit = std::make_shared<GaussianEdit>();
+  edit->clear = new_map || replace;
+  edit->revision = batch.revision;
+  if (edit->clear) {
+    state_ = {};
+    state_.origin = batch.origin;
+    state_.antialiased = batch.antialiased;
+    used_.clear();
+  }
+  // A REPLACE makes whatever came before it unimportant.
+  if (!replace) report.missed = batch.revision - state_.revision - 1;
+  state_.id = batch.map_id;
+  state_.revision = batch.revision;
+  state_.expected = batch.expected_slots;
+
+  const std::size_t n = batch.count;
+  if (batch.slots.empty()) {
+    if (n > 0) edit->runs.emplace_back(batch.first_slot, batch.count);
+  } else {
+    for (std::size_t i = 0; i < n; ++i) {
+      if (!edit->runs.empty() &&
+          edit->runs.back().first + edit->runs.back().second == batch.slots[i]) {
+        ++edit->runs.back().second;
+      } else {
+        edit->runs.emplace_back(batch.slots[i], 1);
+      }
+    }
+  }
+
+  const bool values = batch.operation != GaussianBatch::DELETE;
+  edit->geometry.assign(kGeometryFloats * n, 0.0f);
+  edit->positions.assign(3 * n, 0.0f);
+  edit->extents.assign(n, -1.0f);
+  std::vector<bool> kept(n, false);
+  if (values) {
+    edit->sh_degree = batch.sh_degree;
+    state_.sh_degree = std::max<int>(state_.sh_degree, batch.sh_degree);
+    for (int band = 0; band <= batch.sh_degree; ++band) {
+      edit->bands[band].resize(kBandFloats[band] * n);
+    }
+    const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
+    const bool rebase = batch.origin != state_.origin;
+    for (std::size_t i = 0; i < n; ++i) {
+      const float* q = &batch.orientations.data[4 * i];
+      const float* scale = &batch.scales.data[3 * i];
+      const float* sh = batch.sh.data + coefficients * i;
+      const float norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+      float position[3];
+      for (int k = 0; k < 3; ++k) {
+        position[k] = rebase ? static_cast<float>(double(batch.positions[3 * i + k]) +
+                                                  batch.origin[k] - state_.origin[k])
+                             : batch.positions[3 * i + k];
+      }
+      kept[i] = allFinite(position, 3) && allFinite(scale, 3) && std::isnormal(norm) &&
+                scale[0] >= 0.0f && scale[1] >= 0.0f && scale[2] >= 0.0f &&
+                std::isfinite(batch.opacities[i]) && allFinite(sh, coefficients);
+      if (!kept[i]) {
+        ++report.dropped;
+        continue;
+      }
+      const float opacity = std::clamp(batch.opacities[i], 0.0f, 1.0f);
+      float* geometry = &edit->geometry[kGeometryFloats * i];
+      std::copy_n(position, 3, geometry);
+      geometry[3] = opacity;
+      std::copy_n(q, 4, geometry + 4);
+      std::copy_n(scale, 3, geometry + 8);
+      std::copy_n(position, 3, &edit->positions[3 * i]);
+      edit->extents[i] = extent(scale, opacity);
+      for (int band = 0; band <= batch.sh_degree; ++band) {
+        const std::size_t floats = kBandFloats[band];
+        std::copy_n(sh, floats, &edit->bands[band][floats * i]);
+        sh += floats;
+      }
+    }
+  }
+
+  std::size_t i = 0;
+  for (const auto& [first, count] : edit->runs) {
+    state_.capacity = values ? std::max(state_.capacity, first + count) : state_.capacity;
+    if (used_.size() < state_.capacity) used_.resize(state_.capacity);
+    for (std::uint32_t slot = first; slot < first + count; ++slot, ++i) {
+      if (slot >= used_.size()) continue;  // a DELETE of slots never used
+      state_.splats += int(kept[i]) - int(used_[slot]);
+      used_[slot] = kept[i];
+    }
+  }
+  edit->capacity = state_.capacity;
+  state_.missed += report.missed;
+  state_.dropped += report.dropped;
+  return edit;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,74 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "gaussian_batch.hpp"
+
+namespace rosplat {
+
+constexpr int kMaxShDegree = 3;
+constexpr int kGeometryFloats = 12;                              // a slot, see splat_project.comp
+constexpr std::array<int, kMaxShDegree + 1> kBandFloats{3, 9, 15, 21};  // a slot, by band
+constexpr std::uint32_t kMaxSlots = 1u << 25;
+
+// A checked batch, laid out for the GPU and for sorting. Emptied slots have opacity 0 and extent -1.
+struct GaussianEdit {
+  bool clear = false;                // empty the map first
+  std::uint64_t revision = 0;        // of the map afterwards
+  std::uint32_t capacity = 0;        // one past the highest slot in use afterwards
+  int sh_degree = -1;                // bands present, -1 where only slots are emptied
+  // Runs of consecutive slots {first, count}; the arrays hold the runs one after the other.
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;
+  std::vector<float> geometry;                              // kGeometryFloats a slot
+  std::array<std::vector<float>, kMaxShDegree + 1> bands;   // kBandFloats[band] a slot
+  std::vector<float> positions;                             // 3 a slot [m], relative to the map's origin
+  std::vector<float> extents;  // radius of the 1/255 ellipsoid along its longest axis [m], or -1
+};
+
+// What became of a batch.
+struct BatchReport {
+  bool duplicate = false;      // seen before, ignored
+  std::uint64_t missed = 0;    // batches lost before this one
+  std::uint64_t dropped = 0;   // splats with values that mean nothing; their slots are empty
+};
+
+// A batch that contradicts itself; the map is unchanged. what() names the field.
+struct BatchError : std::invalid_argument {
+  using std::invalid_argument::invalid_argument;
+};
+
+// What is known of a map after a batch.
+struct MapState {
+  std::string id;
+  std::uint64_t revision = 0;
+  std::uint32_t splats = 0;
+  std::uint32_t expected = 0;  // what the publisher announced, 0 where it didn't
+  std::uint32_t capacity = 0;  // one past the highest slot in use
+  int sh_degree = 0;
+  bool antialiased = false;
+  std::array<double, 3> origin{};  // added to every position [m]
+  std::uint64_t missed = 0;        // batches, since the last clear
+  std::uint64_t dropped = 0;       // splats, since the last clear
+};
+
+// Keeps the books of a map: which slots are in use, which revision this is, what is still missing.
+// Knows no GPU; holds no splats.
+class GaussianMap {
+ public:
+  // Checks a batch and turns it into an edit; null for a duplicate. Throws BatchError.
+  std::shared_ptr<const GaussianEdit> apply(const GaussianBatch& batch, BatchReport& report);
+
+  const MapState& state() const { return state_; }
+
+ private:
+  MapState state_;
+  std::vector<bool> used_;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,172 @@
+#include "gl_objects.hpp"
+
+#include <vector>
+
+namespace rosplat::gl {
+
+Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
+  while (glGetError() != GL_NO_ERROR) {
+  }
+  glGenBuffers(1, &id_);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glBufferData(GL_COPY_WRITE_BUFFER, static_cast<GLsizeiptr>(bytes), nullptr, usage);
+  if (glGetError() != GL_NO_ERROR) {
+    glDeleteBuffers(1, &id_);
+    throw Error("the graphics driver has no " + std::to_string(bytes >> 20) + " MiB left");
+  }
+}
+
+Buffer& Buffer::operator=(Buffer&& other) noexcept {
+  std::swap(id_, other.id_);
+  std::swap(bytes_, other.bytes_);
+  return *this;
+}
+
+Buffer::~Buffer() {
+  if (id_) glDeleteBuffers(1, &id_);
+}
+
+void Buffer::write(std::size_t offset, const void* data, std::size_t bytes) {
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glBufferSubData(GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
+                  static_cast<GLsizeiptr>(bytes), data);
+}
+
+void Buffer::zero() {
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
+}
+
+Program& Program::operator=(Program&& other) noexcept {
+  std::swap(id_, other.id_);
+  return *this;
+}
+
+Program::~Program() {
+  if (id_) glDeleteProgram(id_);
+}
+
+void Program::attach(GLenum stage, const std::string& name, const std::string& source) {
+  if (!id_) id_ = glCreateProgram();
+  const GLuint shader = glCreateShader(stage);
+  const char* text = source.c_str();
+  glShaderSource(shader, 1, &text, nullptr);
+  glCompileShader(shader);
+  GLint ok = 0, length = 0;
+  glGetShaderiv(shader, GL_COMPILE_STATUS, &ok);
+  if (!ok) {
+    glGetShaderiv(shader, GL_INFO_LOG_LENGTH, &length);
+    std::vector<char> log(static_cast<std::size_t>(length) + 1);
+    glGetShaderInfoLog(shader, length, nullptr, log.data());
+    glDeleteShader(shader);
+    throw Error(name + " does not compile: " + log.data());
+  }
+  glAttachShader(id_, shader);
+  glDeleteShader(shader);  // lives as long as the program
+}
+
+void Program::link(const std::string& name) {
+  glLinkProgram(id_);
+  GLint ok = 0, length = 0;
+  glGetProgramiv(id_, GL_LINK_STATUS, &ok);
+  if (!ok) {
+    glGetProgramiv(id_, GL_INFO_LOG_LENGTH, &length);
+    std::vector<char> log(static_cast<std::size_t>(length) + 1);
+    glGetProgramInfoLog(id_, length, nullptr, log.data());
+    throw Error(name + " does not link: " + log.data());
+  }
+}
+
+Target::Target(GLenum color_format, int width, int height) : width_(width), height_(height) {
+  const std::size_t pixel = color_format == GL_RGBA32F ? 16 : 8;
+  bytes_ = (pixel + 4) * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
+  glGenTextures(1, &color_);
+  glBindTexture(GL_TEXTURE_2D, color_);
+  glTexStorage2D(GL_TEXTURE_2D, 1, color_format, width, height);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_NEAREST);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
+  glGenRenderbuffers(1, &depth_);
+  glBindRenderbuffer(GL_RENDERBUFFER, depth_);
+  glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH24_STENCIL8, width, height);
+  glBindRenderbuffer(GL_RENDERBUFFER, 0);
+}
+
+Target& Target::operator=(Target&& other) noexcept {
+  std::swap(color_, other.color_);
+  std::swap(depth_, other.depth_);
+  std::swap(width_, other.width_);
+  std::swap(height_, other.height_);
+  std::swap(bytes_, other.bytes_);
+  return *this;
+}
+
+Target::~Target() {
+  if (color_) glDeleteTextures(1, &color_);
+  if (depth_) glDeleteRenderbuffers(1, &depth_);
+}
+
+DrawScope::DrawScope(const Target& target) {
+  glGenFramebuffers(1, &framebuffer_);
+  glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
+  glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, target.color(), 0);
+  glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_STENCIL_ATTACHMENT, GL_RENDERBUFFER,
+                            target.depth());
+  if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
+    glDeleteFramebuffers(1, &framebuffer_);
+    throw Error("the graphics driver can't blend into a floating-point picture of " +
+                std::to_string(target.width()) + "x" + std::to_string(target.height()) + " pixels");
+  }
+  glGenVertexArrays(1, &vertex_array_);
+  glBindVertexArray(vertex_array_);
+}
+
+DrawScope::~DrawScope() {
+  glDeleteVertexArrays(1, &vertex_array_);
+  glDeleteFramebuffers(1, &framebuffer_);
+}
+
+StateGuard::StateGuard() {
+  GLint draw = 0, read = 0;
+  glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &draw);
+  glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read);
+  draw_framebuffer_ = static_cast<GLuint>(draw);
+  read_framebuffer_ = static_cast<GLuint>(read);
+  glGetIntegerv(GL_CURRENT_PROGRAM, &program_);
+  glGetIntegerv(GL_VERTEX_ARRAY_BINDING, &vertex_array_);
+  glGetIntegerv(GL_ARRAY_BUFFER_BINDING, &array_buffer_);
+  glGetIntegerv(GL_ACTIVE_TEXTURE, &active_texture_);
+  glActiveTexture(GL_TEXTURE0);
+  glGetIntegerv(GL_TEXTURE_BINDING_2D, &texture_);
+  // rviz's context is a compatibility profile: the attribute stack holds the rest.
+  glPushAttrib(GL_ALL_ATTRIB_BITS);
+}
+
+StateGuard::~StateGuard() {
+  glPopAttrib();
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, static_cast<GLuint>(texture_));
+  glActiveTexture(static_cast<GLenum>(active_texture_));
+  glBindVertexArray(static_cast<GLuint>(vertex_array_));
+  glBindBuffer(GL_ARRAY_BUFFER, static_cast<GLuint>(array_buffer_));
+  glUseProgram(static_cast<GLuint>(program_));
+  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, draw_framebuffer_);
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, read_framebuffer_);
+}
+
+std::string unsupported() {
+  const int version = epoxy_gl_version();
+  const auto* renderer = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
+  const std::string driver = std::string(" (driver: ") + (renderer ? renderer : "unknown") + ")";
+  if (!epoxy_is_desktop_gl() || version < 43) {
+    return "OpenGL 4.3 is needed to draw splats, this is " + std::to_string(version / 10) + "." +
+           std::to_string(version % 10) + driver + "; update the graphics driver";
+  }
+  GLint vertex_buffers = 0;
+  glGetIntegerv(GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS, &vertex_buffers);
+  if (vertex_buffers < 5) {
+    return "the graphics driver reads no storage buffers in vertex shaders" + driver;
+  }
+  return {};
+}
+
+}  // namespace rosplat::gl

@@ -1,0 +1,111 @@
+#pragma once
+
+#include <epoxy/gl.h>
+
+#include <cstddef>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+// Owners of OpenGL objects. All of this needs the context current and runs in the render thread.
+namespace rosplat::gl {
+
+// What the driver refuses: a shader, memory, a framebuffer.
+struct Error : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// A buffer object with immutable size.
+class Buffer {
+ public:
+  Buffer() = default;
+  // Throws Error where the driver has no memory for it.
+  Buffer(std::size_t bytes, GLenum usage);
+  Buffer(Buffer&& other) noexcept { *this = std::move(other); }
+  Buffer& operator=(Buffer&& other) noexcept;
+  ~Buffer();
+
+  GLuint id() const { return id_; }
+  std::size_t bytes() const { return bytes_; }
+  void write(std::size_t offset, const void* data, std::size_t bytes);
+  void zero();
+
+ private:
+  GLuint id_ = 0;
+  std::size_t bytes_ = 0;
+};
+
+// A linked program; uniforms are set by name.
+class Program {
+ public:
+  Program() = default;
+  Program(Program&& other) noexcept { *this = std::move(other); }
+  Program& operator=(Program&& other) noexcept;
+  ~Program();
+
+  // Throws Error with the driver's log.
+  void attach(GLenum stage, const std::string& name, const std::string& source);
+  void link(const std::string& name);
+
+  void use() const { glUseProgram(id_); }
+  GLint at(const char* uniform) const { return glGetUniformLocation(id_, uniform); }
+
+ private:
+  GLuint id_ = 0;
+};
+
+// A single-sample colour texture with a depth-stencil renderbuffer.
+class Target {
+ public:
+  Target() = default;
+  Target(GLenum color_format, int width, int height);
+  Target(Target&& other) noexcept { *this = std::move(other); }
+  Target& operator=(Target&& other) noexcept;
+  ~Target();
+
+  GLuint color() const { return color_; }
+  GLuint depth() const { return depth_; }
+  int width() const { return width_; }
+  int height() const { return height_; }
+  std::size_t bytes() const { return bytes_; }
+
+ private:
+  GLuint color_ = 0, depth_ = 0;
+  int width_ = 0, height_ = 0;
+  std::size_t bytes_ = 0;
+};
+
+// A framebuffer and a vertex array for the duration of a scope: contexts share textures and buffers,
+// but neither of these, and rviz has a context for each window.
+class DrawScope {
+ public:
+  explicit DrawScope(const Target& target);
+  ~DrawScope();
+  DrawScope(const DrawScope&) = delete;
+  DrawScope& operator=(const DrawScope&) = delete;
+
+  GLuint framebuffer() const { return framebuffer_; }
+
+ private:
+  GLuint framebuffer_ = 0, vertex_array_ = 0;
+};
+
+// Puts back, at the end of its scope, the state that Ogre believes is set.
+class StateGuard {
+ public:
+  StateGuard();
+  ~StateGuard();
+  StateGuard(const StateGuard&) = delete;
+  StateGuard& operator=(const StateGuard&) = delete;
+
+  GLuint drawFramebuffer() const { return draw_framebuffer_; }
+
+ private:
+  GLint program_ = 0, vertex_array_ = 0, active_texture_ = 0, texture_ = 0, array_buffer_ = 0;
+  GLuint draw_framebuffer_ = 0, read_framebuffer_ = 0;
+};
+
+// An empty string where the current context can draw splats, else a sentence for the user.
+std::string unsupported();
+
+}  // namespace rosplat::gl

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <array>
+#include <limits>
+
+namespace rosplat {
+
+// A camera in the map's frame, in double precision so that maps far from their frame's origin stay
+// sharp. Optical axes: x right, y down, z forward (REP-103). Pixels: the top left one's centre is at
+// (0.5, 0.5).
+struct SplatCamera {
+  std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // map -> camera, rows
+  std::array<double, 3> translation{};                        // map -> camera [m]
+  bool orthographic = false;
+  double fx = 1, fy = 1, cx = 0, cy = 0;  // [px], orthographic fx, fy [px/m]
+  int width = 1, height = 1;              // [px]
+  double near_clip = 0.01;                // [m]
+  double far_clip = std::numeric_limits<float>::max();
+  // How the scene's depth buffer sees it: ndc.z = (ndc_scale z + ndc_offset) / w, w = z or 1.
+  double ndc_scale = 0, ndc_offset = 0;
+
+  bool operator==(const SplatCamera& o) const {
+    return rotation == o.rotation && translation == o.translation &&
+           orthographic == o.orthographic && fx == o.fx && fy == o.fy && cx == o.cx &&
+           cy == o.cy && width == o.width && height == o.height && near_clip == o.near_clip &&
+           far_clip == o.far_clip;
+  }
+};
+
+}  // namespace rosplat

@@ -1,0 +1,121 @@
+#include "splat_cloud.hpp"
+
+#include <OgreCamera.h>
+#include <OgreMaterialManager.h>
+#include <OgreRenderQueue.h>
+#include <OgreRenderTarget.h>
+#include <OgreResourceGroupManager.h>
+#include <OgreSceneManager.h>
+#include <OgreSceneNode.h>
+#include <OgreViewport.h>
+
+namespace rosplat {
+
+namespace {
+
+// After the opaque and the transparent objects of the scene, before overlays.
+constexpr Ogre::uint8 kRenderQueue = Ogre::RENDER_QUEUE_7;
+
+// What an Ogre camera sees of a map in the frame of a node, in the optical convention.
+SplatCamera cameraOf(const Ogre::Camera& ogre, const Ogre::Affine3& node, int width, int height) {
+  SplatCamera camera;
+  const Ogre::Matrix4 view = ogre.getViewMatrix();
+  const Ogre::Matrix4 projection = ogre.getProjectionMatrix();
+  for (int i = 0; i < 3; ++i) {
+    const double sign = i == 0 ? 1.0 : -1.0;  // OpenGL's y up, z backward to y down, z forward
+    for (int k = 0; k < 3; ++k) {
+      double sum = 0;
+      for (int j = 0; j < 3; ++j) sum += double(view[i][j]) * double(node[j][k]);
+      camera.rotation[3 * i + k] = sign * sum;
+    }
+    double sum = view[i][3];
+    for (int j = 0; j < 3; ++j) sum += double(view[i][j]) * double(node[j][3]);
+    camera.translation[i] = sign * sum;
+  }
+  camera.orthographic = ogre.getProjectionType() == Ogre::PT_ORTHOGRAPHIC;
+  camera.width = width;
+  camera.height = height;
+  camera.fx = 0.5 * width * projection[0][0];
+  camera.fy = 0.5 * height * projection[1][1];
+  if (camera.orthographic) {
+    camera.cx = 0.5 * width * (1.0 + projection[0][3]);
+    camera.cy = 0.5 * height * (1.0 - projection[1][3]);
+  } else {
+    camera.cx = 0.5 * width * (1.0 - projection[0][2]);
+    camera.cy = 0.5 * height * (1.0 + projection[1][2]);
+  }
+  camera.near_clip = ogre.getNearClipDistance();
+  if (ogre.getFarClipDistance() > 0) camera.far_clip = ogre.getFarClipDistance();  // 0: infinite
+  camera.ndc_scale = -projection[2][2];
+  camera.ndc_offset = projection[2][3];
+  return camera;
+}
+
+}  // namespace
+
+SplatCloud::SplatCloud(const std::string& name, const std::string& resource_group,
+                       ViewCallback on_view)
+    : Ogre::MovableObject(name),
+      scene_(std::make_unique<SplatScene>([resource_group](const std::string& shader) {
+        return Ogre::ResourceGroupManager::getSingleton()
+            .openResource(shader, resource_group)
+            ->getAsString();
+      })),
+      on_view_(std::move(on_view)),
+      material_(Ogre::MaterialManager::getSingleton().getDefaultMaterial(false)) {
+  setRenderQueueGroup(kRenderQueue);
+  setCastShadows(false);
+}
+
+const Ogre::String& SplatCloud::getMovableType() const {
+  static const Ogre::String type = "SplatCloud";
+  return type;
+}
+
+const Ogre::AxisAlignedBox& SplatCloud::getBoundingBox() const { return box_; }
+
+Ogre::Real SplatCloud::getBoundingRadius() const { return 0; }
+
+void SplatCloud::_notifyCurrentCamera(Ogre::Camera* camera) {
+  MovableObject::_notifyCurrentCamera(camera);
+  camera_ = camera;
+}
+
+void SplatCloud::_updateRenderQueue(Ogre::RenderQueue* queue) {
+  queue->addRenderable(this, mRenderQueueID, mRenderQueuePriority);
+}
+
+void SplatCloud::visitRenderables(Ogre::Renderable::Visitor* visitor, bool) {
+  visitor->visit(this, 0, false);
+}
+
+void SplatCloud::getRenderOperation(Ogre::RenderOperation& operation) {
+  operation.vertexData = nullptr;  // preRender() draws
+}
+
+void SplatCloud::getWorldTransforms(Ogre::Matrix4* transform) const {
+  *transform = _getParentNodeFullTransform();
+}
+
+Ogre::Real SplatCloud::getSquaredViewDepth(const Ogre::Camera* camera) const {
+  return getParentNode()->getSquaredViewDepth(camera);
+}
+
+bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
+  Ogre::Viewport* viewport = manager->getCurrentViewport();
+  // rviz selects objects by drawing them in schemes of their own.
+  if (viewport->getMaterialScheme() != Ogre::MaterialManager::DEFAULT_SCHEME_NAME) return false;
+  if (!error_.empty() || !camera_) return false;
+  const SplatCamera camera =
+      cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
+               viewport->getActualWidth(), viewport->getActualHeight());
+  try {
+    report_ = scene_->draw(on_view_(viewport, camera), settings_,
+                           viewport->getTarget()->requiresTextureFlipping(), built_in_);
+  } catch (const std::exception& error) {
+    error_ = error.what();
+  }
+  return false;
+}
+
+}  // namespace rosplat

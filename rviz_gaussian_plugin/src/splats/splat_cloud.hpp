@@ -1,0 +1,63 @@
+#pragma once
+
+#include <OgreMovableObject.h>
+#include <OgreRenderable.h>
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "splat_scene.hpp"
+
+namespace rosplat {
+
+// A map as a part of an Ogre scene: drawn after everything opaque, hidden by it, in the frame of the
+// scene node it is attached to (which must not scale or mirror).
+class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
+ public:
+  // Names the view that a viewport shows and registers its camera with the scene; called in the
+  // render thread before each draw. `camera` is what the viewport's Ogre camera sees of the map.
+  using ViewCallback = std::function<std::string(Ogre::Viewport*, const SplatCamera& camera)>;
+
+  // Shaders are read from the Ogre resource group that holds ogre_media.
+  SplatCloud(const std::string& name, const std::string& resource_group, ViewCallback on_view);
+
+  SplatScene& scene() { return *scene_; }
+  void setSettings(const RenderSettings& settings) { settings_ = settings; }
+  // Sort in the next draws, and wait for it, rather than take what order there is.
+  void setBuiltIn(bool built_in) { built_in_ = built_in; }
+
+  // The last frame; an error is a sentence for the user, and ends drawing until clearError().
+  const FrameReport& report() const { return report_; }
+  const std::string& error() const { return error_; }
+  void clearError() { error_.clear(); }
+
+  // Ogre::MovableObject
+  const Ogre::String& getMovableType() const override;
+  const Ogre::AxisAlignedBox& getBoundingBox() const override;
+  Ogre::Real getBoundingRadius() const override;
+  void _notifyCurrentCamera(Ogre::Camera* camera) override;
+  void _updateRenderQueue(Ogre::RenderQueue* queue) override;
+  void visitRenderables(Ogre::Renderable::Visitor* visitor, bool debug) override;
+
+  // Ogre::Renderable
+  const Ogre::MaterialPtr& getMaterial() const override { return material_; }
+  void getRenderOperation(Ogre::RenderOperation& operation) override;
+  void getWorldTransforms(Ogre::Matrix4* transform) const override;
+  Ogre::Real getSquaredViewDepth(const Ogre::Camera* camera) const override;
+  const Ogre::LightList& getLights() const override { return queryLights(); }
+  bool preRender(Ogre::SceneManager* manager, Ogre::RenderSystem* system) override;
+
+ private:
+  std::unique_ptr<SplatScene> scene_;
+  ViewCallback on_view_;
+  RenderSettings settings_;
+  bool built_in_ = false;
+  FrameReport report_;
+  std::string error_;
+  Ogre::MaterialPtr material_;
+  Ogre::AxisAlignedBox box_ = Ogre::AxisAlignedBox::BOX_INFINITE;
+  Ogre::Camera* camera_ = nullptr;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,304 @@
+#include "splat_renderer.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace rosplat {
+
+namespace {
+
+// A map grows by pages: nothing is ever copied or doubled, and an unused range costs nothing.
+constexpr std::uint32_t kPageSlots = 1u << 16;
+constexpr std::size_t kProjectedBytes = 3 * 4 * sizeof(float);
+constexpr std::size_t kProjectedParts = 4;  // as in splat_quad.vert
+
+std::size_t bandBytes(int band) { return kBandFloats[band] * sizeof(float); }
+
+}  // namespace
+
+SplatRenderer::SplatRenderer(const ShaderSource& source) {
+  if (const std::string reason = gl::unsupported(); !reason.empty()) throw gl::Error(reason);
+  const gl::StateGuard guard;
+  const auto add = [&](gl::Program& program, GLenum stage, const char* name) {
+    program.attach(stage, name, source(name));
+  };
+  add(project_, GL_COMPUTE_SHADER, "splat_project.comp");
+  project_.link("splat_project");
+  add(quads_, GL_VERTEX_SHADER, "splat_quad.vert");
+  add(quads_, GL_FRAGMENT_SHADER, "splat_quad.frag");
+  quads_.link("splat_quad");
+  add(composite_, GL_VERTEX_SHADER, "splat_composite.vert");
+  add(composite_, GL_FRAGMENT_SHADER, "splat_composite.frag");
+  composite_.link("splat_composite");
+
+  GLint64 largest = 0;
+  glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &largest);
+  part_slots_ = static_cast<std::size_t>(largest) / kProjectedBytes / kPageSlots * kPageSlots;
+  part_slots_ = std::min<std::size_t>(part_slots_, kMaxSlots);
+}
+
+SplatRenderer::Page& SplatRenderer::page(std::uint32_t index) {
+  const auto found = pages_.find(index);
+  if (found != pages_.end()) return found->second;
+  Page fresh;
+  fresh.geometry = gl::Buffer(kPageSlots * kGeometryFloats * sizeof(float), GL_DYNAMIC_DRAW);
+  fresh.geometry.zero();  // opacity 0: an empty slot
+  for (int band = 0; band <= sh_degree_; ++band) {
+    fresh.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
+    fresh.bands[band].zero();
+  }
+  return pages_.emplace(index, std::move(fresh)).first->second;
+}
+
+void SplatRenderer::addBands(int degree) {
+  for (auto& [index, page] : pages_) {
+    for (int band = sh_degree_ + 1; band <= degree; ++band) {
+      page.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
+      page.bands[band].zero();
+    }
+  }
+  sh_degree_ = std::max(sh_degree_, degree);
+}
+
+void SplatRenderer::apply(const GaussianEdit& edit) {
+  if (edit.clear) {
+    pages_.clear();
+    projected_.clear();
+    sh_degree_ = 0;
+    capacity_ = 0;
+    order_count_ = 0;
+  }
+  addBands(edit.sh_degree);
+  capacity_ = std::max(capacity_, edit.capacity);
+
+  std::vector<float> zeros;
+  std::size_t source = 0;
+  for (const auto& [run_first, run_count] : edit.runs) {
+    std::uint32_t first = run_first, left = run_count;
+    while (left > 0) {
+      const std::uint32_t index = first / kPageSlots, offset = first % kPageSlots;
+      const std::uint32_t count = std::min(left, kPageSlots - offset);
+      if (edit.sh_degree >= 0 || pages_.count(index)) {
+        Page& target = page(index);
+        target.geometry.write(offset * kGeometryFloats * sizeof(float),
+                              &edit.geometry[kGeometryFloats * source],
+                              count * kGeometryFloats * sizeof(float));
+        if (edit.sh_degree >= 0) {
+          for (int band = 0; band <= sh_degree_; ++band) {
+            const float* values = nullptr;
+            if (band <= edit.sh_degree) {
+              values = &edit.bands[band][kBandFloats[band] * source];
+            } else {
+              zeros.resize(std::max<std::size_t>(zeros.size(), kBandFloats[band] * count), 0.0f);
+              values = zeros.data();
+            }
+            target.bands[band].write(offset * bandBytes(band), values, count * bandBytes(band));
+          }
+        }
+      }
+      first += count;
+      left -= count;
+      source += count;
+    }
+  }
+}
+
+void SplatRenderer::reserveProjected() {
+  const std::size_t slots = (capacity_ + kPageSlots - 1) / kPageSlots * kPageSlots;
+  std::size_t have = 0;
+  for (const gl::Buffer& part : projected_) have += part.bytes() / kProjectedBytes;
+  if (have >= slots) return;
+  if (slots > kProjectedParts * part_slots_) {
+    throw gl::Error("the graphics driver's buffers hold " +
+                    std::to_string(kProjectedParts * part_slots_) + " splats, the map has " +
+                    std::to_string(capacity_));
+  }
+  projected_.clear();  // written anew each frame: nothing to keep
+  // Half as much again, so that a growing map seldom comes here.
+  std::size_t want = std::min(slots + slots / 2, kProjectedParts * part_slots_);
+  want = want / kPageSlots * kPageSlots;
+  for (std::size_t first = 0; first < want; first += part_slots_) {
+    projected_.emplace_back(std::min(part_slots_, want - first) * kProjectedBytes,
+                            GL_DYNAMIC_COPY);
+    projected_.back().zero();
+  }
+}
+
+void SplatRenderer::setOrder(const std::uint32_t* slots, std::size_t count) {
+  const std::size_t bytes = count * sizeof(std::uint32_t);
+  if (order_.bytes() < bytes) order_ = gl::Buffer(bytes + bytes / 2, GL_STREAM_DRAW);
+  if (count > 0) order_.write(0, slots, bytes);
+  order_count_ = count;
+}
+
+void SplatRenderer::project(const SplatCamera& camera, const MapState& map,
+                            const RenderSettings& settings) {
+  // Rebased in double precision: neither the map's origin nor the camera's position reaches float32.
+  const auto& r = camera.rotation;
+  std::array<double, 3> t{};
+  for (int i = 0; i < 3; ++i) {
+    t[i] = camera.translation[i];
+    for (int k = 0; k < 3; ++k) t[i] += r[3 * i + k] * map.origin[k];
+  }
+  std::array<float, 16> model_view{};  // column-major
+  std::array<float, 3> eye{};
+  for (int i = 0; i < 3; ++i) {
+    double position = 0;
+    for (int k = 0; k < 3; ++k) {
+      model_view[4 * k + i] = static_cast<float>(r[3 * i + k]);
+      position -= r[3 * k + i] * t[k];
+    }
+    model_view[12 + i] = static_cast<float>(t[i]);
+    eye[i] = static_cast<float>(camera.orthographic ? r[6 + i] : position);
+  }
+  model_view[15] = 1.0f;
+
+  project_.use();
+  glUniformMatrix4fv(project_.at("model_view"), 1, GL_FALSE, model_view.data());
+  glUniform3fv(project_.at("eye"), 1, eye.data());
+  glUniform1i(project_.at("orthographic"), camera.orthographic);
+  glUniform2f(project_.at("focal"), float(camera.fx), float(camera.fy));
+  glUniform2f(project_.at("principal_point"), float(camera.cx), float(camera.cy));
+  glUniform2f(project_.at("picture"), float(camera.width), float(camera.height));
+  glUniform2f(project_.at("clip"), float(camera.near_clip), float(camera.far_clip));
+  glUniform2f(project_.at("ndc_depth"), float(camera.ndc_scale), float(camera.ndc_offset));
+  glUniform1i(project_.at("sh_degree"), std::min(sh_degree_, settings.max_sh_degree));
+  glUniform1i(project_.at("antialiased"), map.antialiased);
+  const GLint first_slot = project_.at("first_slot"), slot_count = project_.at("slot_count");
+  for (const auto& [index, page] : pages_) {
+    const std::size_t first = std::size_t{index} * kPageSlots;
+    const std::size_t count = std::min<std::size_t>(kPageSlots, capacity_ - first);
+    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, page.geometry.id());
+    for (int band = 0; band <= kMaxShDegree; ++band) {
+      glBindBufferBase(GL_SHADER_STORAGE_BUFFER, static_cast<GLuint>(1 + band),
+                       page.bands[std::min(band, sh_degree_)].id());
+    }
+    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 5, projected_[first / part_slots_].id());
+    glUniform1ui(first_slot, static_cast<GLuint>(first % part_slots_));
+    glUniform1ui(slot_count, static_cast<GLuint>(count));
+    glDispatchCompute(static_cast<GLuint>((count + 255) / 256), 1, 1);
+  }
+  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT);
+}
+
+void SplatRenderer::drawQuads(const gl::Target& target, bool depth_mode) const {
+  glViewport(0, 0, target.width(), target.height());
+  const std::array<float, 4> nothing{};
+  glClearBufferfv(GL_COLOR, 0, nothing.data());
+  if (order_count_ == 0 || projected_.empty()) return;
+  glEnable(GL_BLEND);
+  glBlendEquation(GL_FUNC_ADD);
+  glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
+  glEnable(GL_DEPTH_TEST);
+  glDepthFunc(GL_LEQUAL);
+  glDepthMask(GL_FALSE);
+  quads_.use();
+  glUniform1ui(quads_.at("part_slots"), static_cast<GLuint>(part_slots_));
+  glUniform1ui(quads_.at("capacity"), capacity_);
+  glUniform2f(quads_.at("picture"), float(target.width()), float(target.height()));
+  glUniform1f(quads_.at("up"), flipped_ ? -1.0f : 1.0f);
+  glUniform1i(quads_.at("depth_mode"), depth_mode);
+  glUniform1f(quads_.at("max_alpha"), max_alpha_);
+  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, order_.id());
+  for (std::size_t part = 0; part < kProjectedParts; ++part) {
+    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, static_cast<GLuint>(1 + part),
+                     projected_[std::min(part, projected_.size() - 1)].id());
+  }
+  glDrawArraysInstanced(GL_TRIANGLE_STRIP, 0, 4, static_cast<GLsizei>(order_count_));
+}
+
+void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
+                         const RenderSettings& settings, bool flipped) {
+  const gl::StateGuard guard;
+  std::array<GLint, 4> viewport{};
+  glGetIntegerv(GL_VIEWPORT, viewport.data());
+  const GLint x = viewport[0], y = viewport[1];
+  if (color_.width() != camera.width || color_.height() != camera.height) {
+    color_ = gl::Target(GL_RGBA16F, camera.width, camera.height);
+    depth_ = {};
+  }
+  flipped_ = flipped;
+  max_alpha_ = settings.max_alpha;
+  reserveProjected();
+  project(camera, map, settings);
+
+  // The opaque scene's depth, resolved to one sample a pixel.
+  for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
+                           GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
+    glDisable(off);
+  }
+  glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
+  glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
+  const gl::DrawScope scope(color_);
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, guard.drawFramebuffer());
+  glBlitFramebuffer(x, y, x + camera.width, y + camera.height, 0, 0, camera.width, camera.height,
+                    GL_DEPTH_BUFFER_BIT, GL_NEAREST);
+
+  drawQuads(color_, false);
+
+  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, guard.drawFramebuffer());
+  glViewport(x, y, camera.width, camera.height);
+  glDisable(GL_DEPTH_TEST);
+  glEnable(GL_BLEND);
+  glBlendEquation(GL_FUNC_ADD);
+  glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
+  composite_.use();
+  glUniform2i(composite_.at("corner"), x, y);
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, color_.color());
+  glDrawArrays(GL_TRIANGLES, 0, 3);
+}
+
+std::vector<float> SplatRenderer::readColor() const {
+  const std::size_t row = 4 * static_cast<std::size_t>(color_.width());
+  std::vector<float> pixels(row * static_cast<std::size_t>(color_.height()));
+  const gl::StateGuard guard;
+  const gl::DrawScope scope(color_);
+  glReadPixels(0, 0, color_.width(), color_.height(), GL_RGBA, GL_FLOAT, pixels.data());
+  if (!flipped_) {
+    for (std::size_t top = 0, bottom = pixels.size() - row; top < bottom;
+         top += row, bottom -= row) {
+      std::swap_ranges(&pixels[top], &pixels[top] + row, &pixels[bottom]);
+    }
+  }
+  return pixels;
+}
+
+std::vector<float> SplatRenderer::readDepth() {
+  const gl::StateGuard guard;
+  if (!depth_.color()) depth_ = gl::Target(GL_RGBA32F, color_.width(), color_.height());
+  const int width = depth_.width(), height = depth_.height();
+  glDisable(GL_ALPHA_TEST);
+  glDisable(GL_SCISSOR_TEST);
+  glDisable(GL_CULL_FACE);
+  const gl::DrawScope color(color_);
+  const gl::DrawScope scope(depth_);
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, color.framebuffer());
+  glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT, GL_NEAREST);
+  drawQuads(depth_, true);
+  const std::size_t columns = static_cast<std::size_t>(width), rows = static_cast<std::size_t>(height);
+  std::vector<float> blended(4 * columns * rows), depths(columns * rows);
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
+  glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, blended.data());
+  for (std::size_t row = 0; row < rows; ++row) {
+    const float* source = &blended[4 * columns * (flipped_ ? row : rows - 1 - row)];
+    for (std::size_t column = 0; column < columns; ++column, source += 4) {
+      depths[columns * row + column] =
+          source[3] > 0.0f ? source[0] / source[3] : std::numeric_limits<float>::quiet_NaN();
+    }
+  }
+  return depths;
+}
+
+std::size_t SplatRenderer::gpuBytes() const {
+  std::size_t bytes = order_.bytes() + color_.bytes() + depth_.bytes();
+  for (const gl::Buffer& part : projected_) bytes += part.bytes();
+  for (const auto& [index, page] : pages_) {
+    bytes += page.geometry.bytes();
+    for (const gl::Buffer& band : page.bands) bytes += band.bytes();
+  }
+  return bytes;
+}
+
+}  // namespace rosplat

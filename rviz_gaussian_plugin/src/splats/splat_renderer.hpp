@@ -1,0 +1,79 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "gaussian_map.hpp"
+#include "gl_objects.hpp"
+#include "splat_camera.hpp"
+
+namespace rosplat {
+
+struct RenderSettings {
+  // INRIA's rasteriser stops at 0.99, gsplat 1.5 at 0.999.
+  float max_alpha = 0.99f;
+  int max_sh_degree = kMaxShDegree;
+};
+
+// Draws a map with OpenGL 4.3: splats in storage buffers by slot, projected once a frame by a compute
+// pass, then drawn as quads in a given order. Knows no Ogre; runs in the render thread only.
+class SplatRenderer {
+ public:
+  // Reads a shader's source by file name.
+  using ShaderSource = std::function<std::string(const std::string& name)>;
+
+  // Throws gl::Error where the driver can't do it.
+  explicit SplatRenderer(const ShaderSource& source);
+
+  // Uploads what the edit changes. Throws gl::Error when the driver has no memory left.
+  void apply(const GaussianEdit& edit);
+
+  // Makes slots[0..count) what draw() draws, farthest first.
+  void setOrder(const std::uint32_t* slots, std::size_t count);
+
+  // Blends the splats of the order, hidden where the current framebuffer and viewport have something
+  // nearer, into a target of its own; then over that viewport, which has the camera's size.
+  // `flipped`: the framebuffer's first row is the picture's top.
+  void draw(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
+            bool flipped);
+
+  // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
+  std::vector<float> readColor() const;
+  // Draws the mean depth of the splats as draw() saw them: width * height [m], NaN where nothing is.
+  std::vector<float> readDepth();
+
+  std::size_t drawn() const { return order_count_; }
+  std::size_t gpuBytes() const;
+
+ private:
+  struct Page {
+    gl::Buffer geometry;
+    std::array<gl::Buffer, kMaxShDegree + 1> bands;
+  };
+
+  Page& page(std::uint32_t index);
+  void addBands(int degree);
+  void reserveProjected();
+  void project(const SplatCamera& camera, const MapState& map, const RenderSettings& settings);
+  void drawQuads(const gl::Target& target, bool depth_mode) const;
+
+  gl::Program project_, quads_, composite_;
+  std::size_t part_slots_ = 0;  // slots in one part of the projected buffer
+
+  std::unordered_map<std::uint32_t, Page> pages_;  // by slot / kPageSlots
+  int sh_degree_ = 0;
+  std::uint32_t capacity_ = 0;
+  std::vector<gl::Buffer> projected_;
+  gl::Buffer order_;
+  std::size_t order_count_ = 0;
+  gl::Target color_, depth_;
+  bool flipped_ = false;
+  float max_alpha_ = 0.0f;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,116 @@
+#include "splat_scene.hpp"
+
+#include <chrono>
+#include <limits>
+
+namespace rosplat {
+
+namespace {
+
+// What one frame uploads at most, so that a map that streams in doesn't stop the picture.
+constexpr std::size_t kUploadBytesPerFrame = 32u << 20;
+constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
+
+double now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+std::size_t bytes(const GaussianEdit& edit) {
+  std::size_t floats = edit.geometry.size();
+  for (const auto& band : edit.bands) floats += band.size();
+  return floats * sizeof(float);
+}
+
+}  // namespace
+
+BatchReport SplatScene::apply(const GaussianBatch& batch) {
+  BatchReport report;
+  const std::lock_guard lock(map_mutex_);
+  auto edit = map_.apply(batch, report);
+  if (edit) {
+    sorter_.apply(edit, map_.state().id);
+    const std::lock_guard queue_lock(queue_mutex_);
+    if (edit->clear) arrivals_.clear();  // never to be seen
+    arrivals_.push_back({std::move(edit), map_.state()});
+  }
+  return report;
+}
+
+void SplatScene::offer(OrderPtr order) {
+  const std::lock_guard lock(queue_mutex_);
+  OrderPtr& newest = orders_[order->view_id];
+  newest = std::move(order);
+}
+
+MapState SplatScene::state() const {
+  const std::lock_guard lock(map_mutex_);
+  return map_.state();
+}
+
+void SplatScene::takeArrivals(std::size_t budget) {
+  std::size_t uploaded = 0;
+  while (uploaded < budget) {
+    Arrival arrival;
+    {
+      const std::lock_guard lock(queue_mutex_);
+      if (arrivals_.empty()) break;
+      arrival = std::move(arrivals_.front());
+      arrivals_.pop_front();
+    }
+    if (arrival.edit->clear) uploaded_order_ = nullptr;
+    renderer_->apply(*arrival.edit);
+    uploaded += bytes(*arrival.edit);
+    drawn_map_ = std::move(arrival.state);
+    book_.mapChanged(drawn_map_, now());
+  }
+  std::map<std::string, OrderPtr> orders;
+  {
+    const std::lock_guard lock(queue_mutex_);
+    orders.swap(orders_);
+  }
+  for (const auto& [view_id, order] : orders) book_.offer(order, now());
+}
+
+void SplatScene::setCamera(const std::string& view_id, std::uint64_t sequence,
+                           const SplatCamera& camera) {
+  cameras_[view_id] = camera;
+  book_.setCamera(view_id, sequence, camera, now());
+}
+
+bool SplatScene::answered(const std::string& view_id) {
+  if (renderer_) takeArrivals(kEverything);
+  const std::lock_guard lock(queue_mutex_);
+  return arrivals_.empty() && book_.answered(view_id);
+}
+
+FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
+                             bool flipped, bool built_in) {
+  const double start = now();
+  if (!renderer_) renderer_.emplace(shaders_);
+  takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
+  const OrderBook::Choice choice =
+      built_in ? book_.sortNow(view_id) : book_.choose(view_id, start);
+  if (choice.order && choice.order != uploaded_order_) {
+    renderer_->setOrder(choice.order->slots.data(), choice.order->slots.size());
+    uploaded_order_ = choice.order;
+  }
+  renderer_->draw(cameras_.at(view_id), drawn_map_, settings, flipped);
+
+  FrameReport report;
+  if (choice.order) {
+    report.splats = choice.order->slots.size();
+    report.order_source = choice.order->source;
+    report.order_fresh = choice.fresh;
+    report.order_age = choice.age;
+    report.sort_time = choice.order->sort_time;
+  }
+  report.draw_time = now() - start;
+  return report;
+}
+
+void SplatScene::forget(const std::string& view_id) {
+  cameras_.erase(view_id);
+  book_.forget(view_id);
+}
+
+}  // namespace rosplat

@@ -1,0 +1,85 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "built_in_sorter.hpp"
+#include "gaussian_map.hpp"
+#include "order_book.hpp"
+#include "splat_camera.hpp"
+#include "splat_renderer.hpp"
+
+namespace rosplat {
+
+// What a frame drew.
+struct FrameReport {
+  std::size_t splats = 0;      // drawn
+  std::string order_source;    // who sorted, empty where nothing is sorted yet
+  bool order_fresh = false;    // for this very camera and map
+  double order_age = 0;        // [s]
+  double sort_time = 0;        // [s]
+  double draw_time = 0;        // of the render thread [s]
+};
+
+// A map with everything that draws it. apply() and offer() may be called from any thread; whatever
+// touches OpenGL happens in the render thread, in draw() and the reads.
+class SplatScene {
+ public:
+  explicit SplatScene(SplatRenderer::ShaderSource shaders) : shaders_(std::move(shaders)) {}
+
+  // Any thread: checks a batch and queues it for the next frame. Throws BatchError.
+  BatchReport apply(const GaussianBatch& batch);
+  // Any thread: a sidecar's order.
+  void offer(OrderPtr order);
+  // Any thread: the map as queued so far.
+  MapState state() const;
+
+  // Render thread: the camera of a view; sequence grows by one with each.
+  void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
+  // Render thread: an order of the sidecar is there for the view's newest camera and map.
+  bool answered(const std::string& view_id);
+  // Render thread: uploads what waits, chooses an order and draws into the current framebuffer.
+  // With built_in the order is sorted here, and waited for. Throws gl::Error.
+  FrameReport draw(const std::string& view_id, const RenderSettings& settings, bool flipped,
+                   bool built_in = false);
+  void forget(const std::string& view_id);
+
+  // Render thread: what draw() drew last; see SplatRenderer.
+  std::vector<float> readColor() const { return renderer_->readColor(); }
+  std::vector<float> readDepth() { return renderer_->readDepth(); }
+
+  std::size_t gpuBytes() const { return renderer_ ? renderer_->gpuBytes() : 0; }
+  std::size_t hostBytes() const { return sorter_.bytes(); }
+
+ private:
+  struct Arrival {
+    std::shared_ptr<const GaussianEdit> edit;
+    MapState state;
+  };
+
+  void takeArrivals(std::size_t budget);
+
+  mutable std::mutex map_mutex_;    // map_
+  mutable std::mutex queue_mutex_;  // arrivals_, orders_
+  GaussianMap map_;
+  std::deque<Arrival> arrivals_;
+  std::map<std::string, OrderPtr> orders_;  // newest by view
+
+  // Render thread only.
+  SplatRenderer::ShaderSource shaders_;
+  std::optional<SplatRenderer> renderer_;
+  BuiltInSorter sorter_;
+  OrderBook book_{sorter_};
+  std::map<std::string, SplatCamera> cameras_;
+  MapState drawn_map_;
+  OrderPtr uploaded_order_;
+};
+
+}  // namespace rosplat
