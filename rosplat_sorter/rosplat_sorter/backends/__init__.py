@@ -1,0 +1,124 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""What sorts: interchangeable backends, each a file of its own, equal to the bit.
+
+A backend is found by name in BACKENDS; one whose file or library is missing is not available, and
+`choose` says why.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_sorter.edits import Slots
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.view import View
+
+
+class Backend(Protocol):
+    """Orders the splats of one map."""
+
+    name: str
+    """As in BACKENDS."""
+
+    device: str
+    """What it runs on, for people."""
+
+    def update(self, splats: SplatMap, changed: Slots) -> None:
+        """Takes over what changed in the map since the last call, and what the map grew by.
+
+        A backend on the CPU may keep the map's arrays, they change only between calls.
+        """
+
+    def order(self, view: View) -> NDArray[np.uint32]:
+        """The visible slots back to front, uint32 (m,), exactly as depth.order.
+
+        Valid until the next call.
+        """
+
+
+class Unavailable(Exception):
+    """A backend that can't run here; the text says why."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Where a backend is, and when it is chosen without being asked for."""
+
+    module: str
+    factory: str
+    gpu: bool = False
+    automatic: bool = True
+
+
+AUTO = "auto"
+
+# In the order of preference.
+BACKENDS = {
+    "cupy": Entry("cupy_backend", "CupyBackend", gpu=True),
+    "torch": Entry("torch_backend", "TorchBackend", gpu=True),
+    "native": Entry("native_backend", "NativeBackend"),
+    "numpy": Entry("numpy_backend", "NumpyBackend"),
+    "numpy-reference": Entry("numpy_backend", "NumpyReferenceBackend", automatic=False),
+}
+
+
+def open_backend(name: str, threads: int = 0, gpu_only: bool = False) -> Backend:
+    """Opens a backend by name.
+
+    threads: for those that run on the CPU, 0 for as many as there are. gpu_only: not where it would
+    run on the CPU. Raises Unavailable.
+    """
+    entry = BACKENDS[name]
+    try:
+        module = importlib.import_module(f"{__name__}.{entry.module}")
+        factory: Callable[[int, bool], Backend] = getattr(module, entry.factory)
+        return factory(threads, gpu_only)
+    except Unavailable:
+        raise
+    except Exception as error:  # whatever a library's import or a GPU's driver may come up with
+        raise Unavailable(_one_line(error)) from error
+
+
+def choose(
+    name: str = AUTO, threads: int = 0, without: frozenset[str] = frozenset()
+) -> tuple[Backend, dict[str, str]]:
+    """Opens a backend by name, or else the best one present; also says why others were not taken.
+
+    without: names that are out of the question. Raises Unavailable where none is left.
+    """
+    reasons: dict[str, str] = {}
+    if name != AUTO and name not in without:
+        try:
+            return open_backend(name, threads), reasons
+        except Unavailable as error:
+            reasons[name] = str(error)
+    for candidate, entry in BACKENDS.items():
+        if candidate in without or candidate in reasons or not entry.automatic:
+            continue
+        try:
+            if entry.gpu and not _has_nvidia_driver():  # spares the seconds that an import takes
+                raise Unavailable("no NVIDIA driver")
+            return open_backend(candidate, threads, gpu_only=entry.gpu), reasons
+        except Unavailable as error:
+            reasons[candidate] = str(error)
+    raise Unavailable("; ".join(f"{name}: {reason}" for name, reason in reasons.items()))
+
+
+def _has_nvidia_driver() -> bool:
+    try:
+        ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return False
+    return True
+
+
+def _one_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -1,0 +1,142 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""CuPy: one kernel that culls and packs, then a radix sort on the GPU."""
+
+from __future__ import annotations
+
+import cupy
+import cupyx
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_sorter.edits import Slots
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.view import View
+
+_THREADS = 256
+
+# Visible splats are appended in any order: key << 32 | slot is unique, so sorting makes it exact.
+_KERNEL = r"""
+struct View {
+  float rotation[9], translation[3];
+  float fx, fy, offset_x, offset_y, half_width, half_height, slope_x, slope_y;
+  float near_clip, far_clip;
+};
+
+__device__ float transform(const View& view, int axis, const float* p) {
+  const float* r = view.rotation + 3 * axis;
+  return ((r[0] * p[0] + r[1] * p[1]) + r[2] * p[2]) + view.translation[axis];
+}
+
+extern "C" __global__ void cull(const View view, const bool orthographic, const float* positions,
+                                const float* extents, const unsigned count,
+                                unsigned long long* entries, unsigned* total) {
+  const unsigned slot = blockIdx.x * blockDim.x + threadIdx.x;
+  bool visible = false;
+  float z = 0;
+  if (slot < count) {
+    const float* p = positions + 3ull * slot;
+    const float extent = extents[slot];
+    const float x = transform(view, 0, p), y = transform(view, 1, p);
+    z = transform(view, 2, p);
+    const float w = orthographic ? 1.0f : z;
+    visible = extent >= 0 && z > view.near_clip && z < view.far_clip &&
+              fabsf(view.fx * x + view.offset_x * w) <=
+                  view.half_width * w + view.slope_x * extent &&
+              fabsf(view.fy * y + view.offset_y * w) <=
+                  view.half_height * w + view.slope_y * extent;
+  }
+  // One atomic addition a block.
+  __shared__ unsigned block_total, block_first;
+  if (threadIdx.x == 0) block_total = 0;
+  __syncthreads();
+  const unsigned place = visible ? atomicAdd(&block_total, 1u) : 0;
+  __syncthreads();
+  if (threadIdx.x == 0) block_first = atomicAdd(total, block_total);
+  __syncthreads();
+  if (visible) {
+    const unsigned bits = __float_as_uint(z + 0.0f);  // the sum makes one depth of -0 and 0
+    const unsigned key = bits ^ ((bits >> 31) ? 0xffffffffu : 0x80000000u);
+    entries[block_first + place] = (unsigned long long)key << 32 | slot;
+  }
+}
+"""
+
+_VIEW = np.dtype(
+    [
+        ("rotation", np.float32, (9,)),
+        ("translation", np.float32, (3,)),
+        *(
+            (name, np.float32)
+            for name in (
+                "fx",
+                "fy",
+                "offset_x",
+                "offset_y",
+                "half_width",
+                "half_height",
+                "slope_x",
+                "slope_y",
+                "near_clip",
+                "far_clip",
+            )
+        ),
+    ]
+)
+
+
+class CupyBackend:
+    """Keeps the map on the GPU and returns orders through pinned memory."""
+
+    name = "cupy"
+
+    def __init__(self, threads: int = 0, gpu_only: bool = False) -> None:
+        properties = cupy.cuda.runtime.getDeviceProperties(cupy.cuda.Device().id)
+        self.device = properties["name"].decode()
+        self._cull = cupy.RawKernel(_KERNEL, "cull", options=("--fmad=false",))
+        self._cull.compile()
+        self._positions = cupy.empty((0, 3), cupy.float32)
+        self._extents = cupy.empty(0, cupy.float32)
+        self._entries = cupy.empty(0, cupy.uint64)
+        self._count = 0
+        self._result = cupyx.empty_pinned(0, np.uint32)
+
+    def update(self, splats: SplatMap, changed: Slots) -> None:
+        if len(splats) > len(self._extents):
+            capacity = len(splats) + len(splats) // 2
+            self._positions = cupy.empty((capacity, 3), cupy.float32)
+            self._extents = cupy.empty(capacity, cupy.float32)
+            self._entries = cupy.empty(capacity, cupy.uint64)
+            self._count = 0
+        for slots in (changed, slice(self._count, len(splats))):  # what changed, what is new
+            index = slots if isinstance(slots, slice) else cupy.asarray(slots)
+            self._positions[index] = cupy.asarray(splats.positions[slots])
+            self._extents[index] = cupy.asarray(splats.extents[slots])
+        self._count = len(splats)
+
+    def order(self, view: View) -> NDArray[np.uint32]:
+        parameters = np.zeros((), _VIEW)
+        for name in _VIEW.names or ():
+            parameters[name] = np.ravel(getattr(view, name)).squeeze()
+        total = cupy.zeros(1, cupy.uint32)
+        self._cull(
+            (max(1, -(-self._count // _THREADS)),),
+            (_THREADS,),
+            (
+                parameters,
+                np.bool_(view.orthographic),
+                self._positions,
+                self._extents,
+                np.uint32(self._count),
+                self._entries,
+                total,
+            ),
+        )
+        entries = self._entries[: int(total[0])]
+        entries.sort()
+        slots = entries[::-1].astype(cupy.uint32)
+        if len(self._result) < len(slots):
+            self._result = cupyx.empty_pinned(len(slots) + len(slots) // 4, np.uint32)
+        result: NDArray[np.uint32] = self._result[: len(slots)]
+        slots.get(out=result)
+        return result

@@ -1,0 +1,30 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""C++: the radix sort of depth_order.hpp, which the rviz display falls back on as well."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_sorter import _native
+from rosplat_sorter.edits import Slots
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.view import View
+
+
+class NativeBackend:
+    """Culls and sorts on the CPU with several threads."""
+
+    name = "native"
+
+    def __init__(self, threads: int = 0, gpu_only: bool = False) -> None:
+        self._splats = SplatMap()
+        self._sort = _native.DepthOrder(threads)
+        self.device = f"{self._sort.threads} thread{'s' * (self._sort.threads > 1)}"
+
+    def update(self, splats: SplatMap, changed: Slots) -> None:
+        self._splats = splats
+
+    def order(self, view: View) -> NDArray[np.uint32]:
+        return self._sort.sort(view, self._splats.positions, self._splats.extents)

@@ -1,0 +1,93 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""PyTorch: on an NVIDIA GPU where there is one, else on the CPU."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from rosplat_sorter.backends import Unavailable
+from rosplat_sorter.edits import Slots
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.view import View
+
+
+class TorchBackend:
+    """Keeps the map on the device and returns orders through pinned memory.
+
+    Eager operations round one by one, as the order's definition asks.
+    """
+
+    name = "torch"
+
+    def __init__(self, threads: int = 0, gpu_only: bool = False) -> None:
+        gpu = torch.cuda.is_available()
+        if gpu_only and not gpu:
+            raise Unavailable("torch finds no GPU")
+        if threads and not gpu:
+            torch.set_num_threads(threads)
+        self._device = torch.device("cuda" if gpu else "cpu")
+        self.device = torch.cuda.get_device_name() if gpu else "CPU"
+        self._positions = torch.empty((0, 3), device=self._device)
+        self._extents = torch.empty(0, device=self._device)
+        self._count = 0
+        self._result = torch.empty(0, dtype=torch.int32)
+
+    @torch.inference_mode()
+    def update(self, splats: SplatMap, changed: Slots) -> None:
+        if len(splats) > len(self._extents):
+            capacity = len(splats) + len(splats) // 2
+            self._positions = torch.empty((capacity, 3), device=self._device)
+            self._extents = torch.empty(capacity, device=self._device)
+            self._count = 0
+        for slots in (changed, slice(self._count, len(splats))):  # what changed, what is new
+            index = slots if isinstance(slots, slice) else self._upload(slots.astype(np.int64))
+            self._positions[index] = self._upload(splats.positions[slots])
+            self._extents[index] = self._upload(splats.extents[slots])
+        self._count = len(splats)
+
+    @torch.inference_mode()
+    def order(self, view: View) -> NDArray[np.uint32]:
+        positions, extents = self._positions[: self._count], self._extents[: self._count]
+        x, y, z = (_transform(view, positions, axis) for axis in range(3))
+        slots = _visible(view, x, y, z, extents).nonzero()[:, 0]
+        bits = (z[slots] + 0.0).view(torch.int32)  # the sum makes one depth of -0 and 0
+        keys = bits ^ ((bits >> 31) & 0x7FFFFFFF)  # integers that compare as the depths do
+        ascending = torch.sort(keys, stable=True).indices
+        return self._download(slots[ascending].flip(0).to(torch.int32))
+
+    def _upload(self, array: NDArray[np.generic]) -> Tensor:
+        return torch.from_numpy(array).to(self._device)
+
+    def _download(self, slots: Tensor) -> NDArray[np.uint32]:
+        if self._device.type == "cpu":
+            return slots.numpy().view(np.uint32)
+        if len(self._result) < len(slots):
+            self._result = torch.empty(
+                len(slots) + len(slots) // 4, dtype=torch.int32, pin_memory=True
+            )
+        result = self._result[: len(slots)]
+        result.copy_(slots)
+        return result.numpy().view(np.uint32)
+
+
+def _transform(view: View, positions: Tensor, axis: int) -> Tensor:
+    r0, r1, r2 = view.rotation[axis].tolist()
+    px, py, pz = positions.unbind(1)
+    result: Tensor = ((px * r0 + py * r1) + pz * r2) + float(view.translation[axis])
+    return result
+
+
+def _visible(view: View, x: Tensor, y: Tensor, z: Tensor, extents: Tensor) -> Tensor:
+    w = torch.ones_like(z) if view.orthographic else z
+    in_depth = (extents >= 0) & (z > float(view.near_clip)) & (z < float(view.far_clip))
+    in_width = (x * float(view.fx) + w * float(view.offset_x)).abs() <= (
+        w * float(view.half_width) + extents * float(view.slope_x)
+    )
+    in_height = (y * float(view.fy) + w * float(view.offset_y)).abs() <= (
+        w * float(view.half_height) + extents * float(view.slope_y)
+    )
+    return in_depth & in_width & in_height

@@ -1,0 +1,134 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""The sorter as a ROS 2 node: topics and parameters, wired to the worker."""
+
+from __future__ import annotations
+
+import time
+
+import rclpy
+from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy
+
+from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_sorter import qos
+from rosplat_sorter.backends import AUTO, BACKENDS
+from rosplat_sorter.worker import Answer, Worker
+
+THROTTLE = 5.0  # least time between two warnings of one kind [s]
+CHOICES = (AUTO, *BACKENDS)
+
+
+class SorterNode(Node):
+    """Subscribes to `gaussians` and `gaussians/view`, publishes `gaussians/order`."""
+
+    def __init__(self) -> None:
+        super().__init__("rosplat_sorter")
+        self._warned: dict[str, float] = {}
+        self.declare_parameter(
+            "backend",
+            AUTO,
+            ParameterDescriptor(
+                description="What sorts; auto takes the best one present.",
+                additional_constraints="One of " + ", ".join(CHOICES),
+            ),
+        )
+        self.declare_parameter(
+            "threads",
+            0,
+            ParameterDescriptor(
+                description="Threads of a backend on the CPU, 0 for as many as there are.",
+                integer_range=[IntegerRange(from_value=0, to_value=256, step=1)],
+            ),
+        )
+        backend: str = self.get_parameter("backend").value
+        if backend not in CHOICES:
+            self.get_logger().error(f"{_unknown(backend)}; taking '{AUTO}'")
+            backend = AUTO
+            self.set_parameters([Parameter("backend", value=backend)])
+        self._order = self.create_publisher(SplatOrder, "gaussians/order", qos.ORDER)
+        self._worker = Worker(self, backend, self.get_parameter("threads").value)
+        self.add_on_set_parameters_callback(self._on_parameters)
+
+        self._map = self.create_subscription(GaussianArray, "gaussians", self._worker.edit, qos.MAP)
+        self._volatile_map = None
+        self.create_subscription(ViewCamera, "gaussians/view", self._worker.look, qos.VIEW)
+        self.create_timer(1.0, self._meet_publishers)
+
+    def destroy_node(self) -> None:
+        self._worker.close()
+        super().destroy_node()
+
+    # --- What the worker calls, from its own thread -----------------------------------------------
+
+    def publish(self, answer: Answer) -> None:
+        message = SplatOrder(
+            header=answer.header,
+            view_id=answer.view_id,
+            sequence=answer.sequence,
+            map_id=answer.map_id,
+            revision=answer.revision,
+            backend=answer.backend,
+            sort_time=answer.sort_time,
+        )
+        message.slots = answer.slots
+        if self.context.ok():
+            self._order.publish(message)
+
+    def inform(self, text: str) -> None:
+        self.get_logger().info(text)
+
+    def warn(self, subject: str, text: str) -> None:
+        now = time.monotonic()
+        if now - self._warned.get(subject, -THROTTLE) >= THROTTLE:
+            self._warned[subject] = now
+            self.get_logger().warning(text)
+
+    # --- What ROS calls ---------------------------------------------------------------------------
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        values = {parameter.name: parameter.value for parameter in parameters}
+        if values.get("backend", AUTO) not in CHOICES:
+            return SetParametersResult(successful=False, reason=_unknown(values["backend"]))
+        if values.keys() & {"backend", "threads"}:
+            self._worker.use(
+                values.get("backend", self.get_parameter("backend").value),
+                values.get("threads", self.get_parameter("threads").value),
+            )
+        return SetParametersResult(successful=True)
+
+    def _meet_publishers(self) -> None:
+        """A subscription that asks for latched edits doesn't match a publisher that has none."""
+        volatile = any(
+            publisher.qos_profile.durability == DurabilityPolicy.VOLATILE
+            for publisher in self.get_publishers_info_by_topic(self._map.topic_name)
+        )
+        if volatile and self._volatile_map is None:
+            self._volatile_map = self.create_subscription(
+                GaussianArray, "gaussians", self._worker.edit, qos.MAP_VOLATILE
+            )
+        elif not volatile and self._volatile_map is not None:
+            self.destroy_subscription(self._volatile_map)
+            self._volatile_map = None
+
+
+def _unknown(backend: str) -> str:
+    return f"unknown backend '{backend}', known are {', '.join(CHOICES)}"
+
+
+def main() -> None:
+    """Runs the node until it is told to end."""
+    try:
+        rclpy.init()
+        node = SorterNode()
+        try:
+            rclpy.spin(node)
+        finally:
+            node.destroy_node()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()

@@ -1,0 +1,304 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""The thread that applies edits and sorts, so that the node only passes messages on."""
+
+from __future__ import annotations
+
+import threading
+import time
+from array import array
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from rosplat_sorter import backends, camera, edits
+from rosplat_sorter.backends import AUTO, Backend
+from rosplat_sorter.camera import Camera, CameraError
+from rosplat_sorter.edits import EditError
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.view import View
+
+if TYPE_CHECKING:
+    from std_msgs.msg import Header
+
+    from rosplat_msgs.msg import GaussianArray, ViewCamera
+
+# Viewers show their cameras at least each second; who is silent for so long is gone. [s]
+FORGET_AFTER = 10.0
+MAX_VIEWS = 32
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An order for a view, field by field as in SplatOrder; slots: array('I')."""
+
+    header: Header
+    view_id: str
+    sequence: int
+    map_id: str
+    revision: int
+    backend: str
+    sort_time: float
+    slots: array[int]
+
+
+class Host(Protocol):
+    """What the worker talks to, from its own thread."""
+
+    def publish(self, answer: Answer) -> None: ...
+
+    def inform(self, text: str) -> None: ...
+
+    def warn(self, subject: str, text: str) -> None:
+        """May be called often; to be throttled by subject."""
+
+
+@dataclass
+class _Inbox:
+    edits: list[GaussianArray] = field(default_factory=list)
+    views: dict[str, ViewCamera] = field(default_factory=dict)  # the newest of each view
+    backend: tuple[str, int] | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.edits or self.views or self.backend)
+
+
+@dataclass
+class _Viewer:
+    message: ViewCamera
+    camera: Camera
+    seen: float
+    answer: Answer | None = None
+    answered: Camera | None = None  # the camera that the answer was sorted for
+
+
+class Worker:
+    """Keeps one map and answers each view with an order, the newest camera first and only.
+
+    A view is answered when it shows a camera with a new sequence, and when the map changed; what
+    hasn't changed isn't sorted again.
+    """
+
+    def __init__(self, host: Host, backend: str = AUTO, threads: int = 0) -> None:
+        self._host = host
+        self._map = SplatMap()
+        self._viewers: dict[str, _Viewer] = {}  # the one seen longest ago first
+        self._due: dict[str, None] = {}  # views to answer, in turn
+        self._backend: Backend
+        self._wanted = (backend, threads)
+        self._failed: frozenset[str] = frozenset()
+        self._dropped_batches = 0
+        self._dropped_splats = 0
+        self._dropped_views = 0
+        self._introduced: tuple[str, str] | None = None
+
+        self._wake = threading.Condition()
+        self._inbox = _Inbox(backend=(backend, threads))
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="sorter", daemon=True)
+        self._thread.start()
+
+    def edit(self, message: GaussianArray) -> None:
+        """Takes an edit of the map."""
+        with self._wake:
+            self._inbox.edits.append(message)
+            self._wake.notify()
+
+    def look(self, message: ViewCamera) -> None:
+        """Takes a camera; one of the same view that still waits is forgotten."""
+        with self._wake:
+            self._inbox.views[message.view_id] = message
+            self._wake.notify()
+
+    def use(self, backend: str, threads: int) -> None:
+        """Sorts with another backend from now on; one that failed gets another chance."""
+        with self._wake:
+            self._inbox.backend = (backend, threads)
+            self._wake.notify()
+
+    def close(self) -> None:
+        """Ends the thread after the sort it is at."""
+        with self._wake:
+            self._closing = True
+            self._wake.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._closing or self._inbox or self._due)
+                if self._closing:
+                    return
+                inbox, self._inbox = self._inbox, _Inbox()
+            try:
+                self._take(inbox)
+                if self._due:
+                    self._answer(next(iter(self._due)))
+            except Exception as error:  # no message and no device may end the node
+                self._host.warn("sort", f"could not sort: {type(error).__name__}: {error}")
+
+    def _take(self, inbox: _Inbox) -> None:
+        if inbox.backend is not None:
+            self._wanted = inbox.backend
+            self._failed = frozenset()
+            self._open_backend()
+        for batch in inbox.edits:
+            self._apply(batch)
+        for message in inbox.views.values():
+            self._see(message)
+        now = time.monotonic()
+        for view_id, viewer in list(self._viewers.items()):
+            if viewer.seen < now - FORGET_AFTER or len(self._viewers) > MAX_VIEWS:
+                del self._viewers[view_id]
+                self._due.pop(view_id, None)
+
+    # --- Edits ------------------------------------------------------------------------------------
+
+    def _apply(self, message: GaussianArray) -> None:
+        known_map, known_missed = self._map.map_id, self._map.missed
+        try:
+            edit = edits.decode(message)
+            changed = self._map.apply(edit)
+        except (EditError, MemoryError) as error:
+            self._dropped_batches += 1
+            self._host.warn(
+                "batch",
+                f"gaussians: batch {message.revision} of map '{message.map_id}' dropped: "
+                f"{error or 'out of memory'} ({self._dropped_batches} dropped so far)",
+            )
+            return
+        if changed is None:
+            return
+        if edit.map_id != known_map:
+            known_missed = 0
+            self._host.inform(f"map '{edit.map_id}' begins, in frame '{edit.frame_id}'")
+        if self._map.missed > known_missed:
+            self._host.warn(
+                "gap",
+                f"gaussians: missed {self._map.missed - known_missed} batches before "
+                f"{edit.revision} of map '{edit.map_id}'; the map may be incomplete "
+                f"({self._map.missed} missed so far)",
+            )
+        if edit.rejected:
+            self._dropped_splats += edit.rejected
+            self._host.warn(
+                "splats",
+                f"gaussians: {edit.rejected} splats of batch {edit.revision} dropped: position, "
+                "orientation, scale or opacity is not finite, or a quaternion is zero, or a scale "
+                f"negative ({self._dropped_splats} dropped so far)",
+            )
+        self._due.update(dict.fromkeys(self._viewers))
+        try:
+            self._backend.update(self._map, changed)
+        except Exception as error:
+            self._fall_back(error)
+
+    # --- Views ------------------------------------------------------------------------------------
+
+    def _see(self, message: ViewCamera) -> None:
+        try:
+            seen = camera.decode(message)
+        except CameraError as error:
+            self._drop_view(message, error)
+            return
+        viewer = self._viewers.pop(message.view_id, None)  # to the end of the row
+        if viewer is None:
+            viewer = _Viewer(message, seen, time.monotonic())
+            self._due[message.view_id] = None
+        elif viewer.message.sequence != message.sequence or viewer.camera != seen:
+            self._due[message.view_id] = None
+        viewer.message, viewer.camera, viewer.seen = message, seen, time.monotonic()
+        self._viewers[message.view_id] = viewer
+
+    def _drop_view(self, message: ViewCamera, reason: object) -> None:
+        self._dropped_views += 1
+        self._host.warn(
+            "view",
+            f"gaussians/view: camera {message.sequence} of view '{message.view_id}' dropped: "
+            f"{reason} ({self._dropped_views} dropped so far)",
+        )
+
+    def _answer(self, view_id: str) -> None:
+        del self._due[view_id]
+        viewer = self._viewers[view_id]
+        header, splats = viewer.message.header, self._map
+        if splats.revision == 0:
+            return  # answered when a map begins
+        if header.frame_id not in ("", splats.frame_id):
+            self._drop_view(
+                viewer.message,
+                f"header.frame_id is '{header.frame_id}', the map's '{splats.frame_id}'",
+            )
+            return
+        last = viewer.answer
+        if (
+            last is None
+            or viewer.answered != viewer.camera
+            or (last.map_id, last.revision) != (splats.map_id, splats.revision)
+        ):
+            try:
+                view = View.of(viewer.camera, splats.origin)
+            except CameraError as error:
+                self._drop_view(viewer.message, error)
+                return
+            last = self._sort(viewer, view)
+        viewer.answer = replace(
+            last, header=header, view_id=view_id, sequence=viewer.message.sequence
+        )
+        viewer.answered = viewer.camera
+        self._host.publish(viewer.answer)
+
+    def _sort(self, viewer: _Viewer, view: View) -> Answer:
+        begin = time.perf_counter()
+        try:
+            order = self._backend.order(view)
+        except Exception as error:
+            self._fall_back(error)
+            begin = time.perf_counter()
+            order = self._backend.order(view)
+        sort_time = time.perf_counter() - begin
+        slots = array("I")
+        slots.frombytes(order.view(np.uint8).data)  # of an own: the backend reuses its array
+        if self._introduced != (self._map.map_id, self._backend.name):
+            self._introduced = (self._map.map_id, self._backend.name)
+            self._host.inform(
+                f"map '{self._map.map_id}': {len(slots)} of {len(self._map)} splats in view, "
+                f"sorted in {1000 * sort_time:.1f} ms with {_describe(self._backend)}"
+            )
+        return Answer(
+            header=viewer.message.header,
+            view_id=viewer.message.view_id,
+            sequence=viewer.message.sequence,
+            map_id=self._map.map_id,
+            revision=self._map.revision,
+            backend=self._backend.name,
+            sort_time=sort_time,
+            slots=slots,
+        )
+
+    # --- Backends ---------------------------------------------------------------------------------
+
+    def _open_backend(self) -> None:
+        wanted, threads = self._wanted
+        self._backend, reasons = backends.choose(wanted, threads, self._failed)
+        choice = f"sorting with {_describe(self._backend)}"
+        if wanted in reasons:
+            self._host.warn(
+                "backend", f"backend '{wanted}' is not available: {reasons.pop(wanted)}; {choice}"
+            )
+        else:
+            others = "".join(f"; no {name}: {reason}" for name, reason in reasons.items())
+            self._host.inform(choice + others)
+        self._backend.update(self._map, slice(0, len(self._map)))
+
+    def _fall_back(self, error: Exception) -> None:
+        """Leaves a backend that failed; what is left runs on the CPU."""
+        name = self._backend.name
+        self._host.warn("backend", f"backend '{name}' failed: {str(error) or type(error).__name__}")
+        self._failed |= {name}
+        self._open_backend()
+
+
+def _describe(backend: Backend) -> str:
+    return f"{backend.name} ({backend.device})"

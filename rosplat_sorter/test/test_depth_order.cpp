@@ -1,0 +1,132 @@
+// Copyright 2025 ROSplat developers
+// SPDX-License-Identifier: Apache-2.0
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+#include <vector>
+
+#include "rosplat_sorter/depth_order.hpp"
+
+namespace rosplat_sorter {
+namespace {
+
+using Slots = std::vector<std::uint32_t>;
+
+constexpr double kIdentity[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+constexpr double kHere[3] = {0, 0, 0};
+
+View lookAhead(bool orthographic = false, double near_clip = 0.1, double far_clip = 100) {
+  const double focal = orthographic ? 10 : 500;
+  return makeView(kIdentity, kHere, focal, focal, 320, 240, 640, 480, near_clip, far_clip,
+                  orthographic);
+}
+
+// Splats on the optical axis, at the given depths.
+struct Row {
+  explicit Row(const std::vector<float>& depths) : extents(depths.size(), 0.1f) {
+    for (const float depth : depths) positions.insert(positions.end(), {0.0f, 0.0f, depth});
+  }
+  Slots sort(const View& view, unsigned threads = 1) const {
+    return DepthOrder(threads).sort(view, positions.data(), extents.data(), extents.size());
+  }
+  std::vector<float> positions;
+  std::vector<float> extents;
+};
+
+// A cloud large enough to be shared among threads, some of it empty, many depths alike.
+Row cloud(std::size_t count, float step) {
+  std::mt19937 random(1);
+  std::uniform_real_distribution<float> uniform(-1.0f, 1.0f);
+  Row row(std::vector<float>(count, 0.0f));
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      row.positions[3 * i + axis] = std::floor(uniform(random) * 20 / step) * step;
+    }
+    row.extents[i] = uniform(random) < -0.8f ? -1.0f : 0.05f;
+  }
+  return row;
+}
+
+TEST(DepthOrder, IsBackToFrontWithTheHigherSlotFirstInTies) {
+  EXPECT_EQ(Row({3, 1, 2, 1}).sort(lookAhead()), (Slots{0, 2, 3, 1}));
+}
+
+TEST(DepthOrder, OrdersNegativeDepthsAndBothZerosOfOrthographicViews) {
+  EXPECT_EQ(Row({-1, 2, -3, 0.0f, -0.0f}).sort(lookAhead(true, -10, 10)), (Slots{1, 4, 3, 0, 2}));
+}
+
+TEST(DepthOrder, LeavesOutWhatIsEmptyBeyondTheClipsOrNotANumber) {
+  Row row({5, 5, 0.1f, 100, 200, -5, std::numeric_limits<float>::quiet_NaN(), 5});
+  row.extents[0] = -1;
+  EXPECT_EQ(row.sort(lookAhead()), (Slots{7, 1}));
+}
+
+TEST(DepthOrder, KeepsSplatsWhoseFootprintReachesIntoThePicture) {
+  Row row({10, 10, 10});
+  row.positions[0] = 6.3f;  // half the picture is 6.4 m wide there
+  row.positions[3] = 6.5f;  // 5 px outside, 0.1 m are 6 px and more
+  row.positions[6] = 8.0f;
+  EXPECT_EQ(row.sort(lookAhead()), (Slots{1, 0}));
+}
+
+TEST(DepthOrder, OfNothingIsEmpty) { EXPECT_TRUE(Row({}).sort(lookAhead(), 2).empty()); }
+
+TEST(DepthOrder, EqualsAStableSortWithAnyNumberOfThreads) {
+  for (const float step : {1.0f, 1e-4f}) {
+    const Row row = cloud(200000, step);
+    for (const bool orthographic : {false, true}) {
+      const View view = lookAhead(orthographic, orthographic ? -15 : 0.1, 15);
+      const auto depth = [&](std::uint32_t slot) {
+        return DepthOrder::depth(view, &row.positions[3 * slot]);
+      };
+      const Slots one = row.sort(view);
+      ASSERT_GT(one.size(), 1000u);
+      Slots expected = one;
+      std::sort(expected.begin(), expected.end());
+      std::stable_sort(expected.begin(), expected.end(),
+                       [&](std::uint32_t a, std::uint32_t b) { return depth(a) < depth(b); });
+      std::reverse(expected.begin(), expected.end());
+      EXPECT_EQ(one, expected);
+      for (const unsigned threads : {2u, 3u, 8u}) EXPECT_EQ(row.sort(view, threads), expected);
+    }
+  }
+}
+
+TEST(DepthOrder, OfSomeSlotsIsThatOfAllWithoutTheOthers) {
+  const Row row = cloud(100000, 0.5f);
+  const View view = lookAhead();
+  Slots some;
+  for (std::uint32_t slot = 0; slot < row.extents.size(); slot += 3) some.push_back(slot);
+  Slots expected = row.sort(view);
+  expected.erase(std::remove_if(expected.begin(), expected.end(),
+                                [](std::uint32_t slot) { return slot % 3 != 0; }),
+                 expected.end());
+  EXPECT_EQ(
+      DepthOrder(2).sort(view, row.positions.data(), row.extents.data(), some.data(), some.size()),
+      expected);
+}
+
+TEST(DepthOrder, CanBeUsedAgainForSmallerAndLargerMaps) {
+  DepthOrder sorter(2);
+  for (const std::size_t count : {70000u, 10u, 300000u, 0u}) {
+    const Row row = cloud(count, 0.01f);
+    EXPECT_EQ(sorter.sort(lookAhead(), row.positions.data(), row.extents.data(), count),
+              row.sort(lookAhead()));
+  }
+}
+
+TEST(ThreadTeam, RunsEachMemberOnceARound) {
+  ThreadTeam team(4);
+  std::vector<int> runs(4, 0);
+  for (int round = 0; round < 1000; ++round) {
+    team.run(1 + round % 4, [&](unsigned member) { ++runs[member]; });
+  }
+  EXPECT_EQ(runs, (std::vector<int>{1000, 750, 500, 250}));
+}
+
+}  // namespace
+}  // namespace rosplat_sorter
