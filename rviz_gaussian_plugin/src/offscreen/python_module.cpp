@@ -63,32 +63,9 @@ void setCamera(OffscreenRenderer& renderer, const std::string& view_id, std::uin
                const std::array<double, 3>& position, const std::array<double, 4>& orientation,
                int projection, double fx, double fy, double cx, double cy, int width, int height,
                double near_clip, double far_clip) {
-  const auto& [x, y, z, w] = orientation;
-  const double n = x * x + y * y + z * z + w * w;
-  if (!(n > 0) || width < 1 || height < 1 || width > 16384 || height > 16384 || !(fx > 0) ||
-      !(fy > 0) || !(near_clip < far_clip) || !(near_clip > 0 || projection == 1)) {
-    throw py::value_error("the camera has no orientation, size, focal length or depth range");
-  }
-  SplatCamera camera;
-  // The transpose of the pose's rotation matrix: map -> camera.
-  camera.rotation = {1 - 2 * (y * y + z * z) / n, 2 * (x * y + w * z) / n,
-                     2 * (x * z - w * y) / n,     2 * (x * y - w * z) / n,
-                     1 - 2 * (x * x + z * z) / n, 2 * (y * z + w * x) / n,
-                     2 * (x * z + w * y) / n,     2 * (y * z - w * x) / n,
-                     1 - 2 * (x * x + y * y) / n};
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) camera.translation[i] -= camera.rotation[3 * i + k] * position[k];
-  }
-  camera.orthographic = projection == 1;
-  camera.fx = fx;
-  camera.fy = fy;
-  camera.cx = cx;
-  camera.cy = cy;
-  camera.width = width;
-  camera.height = height;
-  camera.near_clip = near_clip;
-  camera.far_clip = far_clip;
-  renderer.setCamera(view_id, sequence, camera);
+  renderer.setCamera(view_id, sequence,
+                     makeCamera(position, orientation, projection == 1, fx, fy, cx, cy, width,
+                                height, near_clip, far_clip));
 }
 
 void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
@@ -129,13 +106,13 @@ PYBIND11_MODULE(_offscreen, module) {
            "sort_time"_a, "slots"_a)
       .def("set_box", &OffscreenRenderer::setBox, "centre"_a, "size"_a)
       .def(
-          "set_max_alpha",
-          [](OffscreenRenderer& r, float max_alpha) {
+          "set_float_blending",
+          [](OffscreenRenderer& r, bool on) {
             RenderSettings settings;
-            settings.max_alpha = max_alpha;
+            settings.float_blending = on;
             r.setSettings(settings);
           },
-          "max_alpha"_a)
+          "on"_a)
       .def(
           "has_order",
           [](OffscreenRenderer& r, const std::string& id) { return r.scene().answered(id); },

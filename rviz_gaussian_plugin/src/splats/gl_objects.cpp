@@ -77,7 +77,8 @@ void Program::link(const std::string& name) {
   }
 }
 
-Target::Target(GLenum color_format, int width, int height) : width_(width), height_(height) {
+Target::Target(GLenum color_format, int width, int height)
+    : format_(color_format), width_(width), height_(height) {
   const std::size_t pixel = color_format == GL_RGBA32F ? 16 : 8;
   bytes_ = (pixel + 4) * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
   glGenTextures(1, &color_);
@@ -94,6 +95,7 @@ Target::Target(GLenum color_format, int width, int height) : width_(width), heig
 Target& Target::operator=(Target&& other) noexcept {
   std::swap(color_, other.color_);
   std::swap(depth_, other.depth_);
+  std::swap(format_, other.format_);
   std::swap(width_, other.width_);
   std::swap(height_, other.height_);
   std::swap(bytes_, other.bytes_);

@@ -65,12 +65,14 @@ class Target {
 
   GLuint color() const { return color_; }
   GLuint depth() const { return depth_; }
+  GLenum format() const { return format_; }
   int width() const { return width_; }
   int height() const { return height_; }
   std::size_t bytes() const { return bytes_; }
 
  private:
   GLuint color_ = 0, depth_ = 0;
+  GLenum format_ = 0;
   int width_ = 0, height_ = 0;
   std::size_t bytes_ = 0;
 };

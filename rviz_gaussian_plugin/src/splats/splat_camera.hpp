@@ -27,4 +27,11 @@ struct SplatCamera {
   }
 };
 
+// A camera at the pose of its optical frame in the map's frame: position [m], quaternion x y z w of any
+// length but zero. Throws std::invalid_argument, naming the field, for a camera that can't see.
+SplatCamera makeCamera(const std::array<double, 3>& position,
+                       const std::array<double, 4>& orientation, bool orthographic, double fx,
+                       double fy, double cx, double cy, double width, double height,
+                       double near_clip, double far_clip);
+
 }  // namespace rosplat

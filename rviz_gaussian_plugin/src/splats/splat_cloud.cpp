@@ -110,8 +110,9 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
       cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
                viewport->getActualWidth(), viewport->getActualHeight());
   try {
-    report_ = scene_->draw(on_view_(viewport, camera), settings_,
-                           viewport->getTarget()->requiresTextureFlipping(), built_in_);
+    const Canvas canvas =
+        viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
+    report_ = scene_->draw(on_view_(viewport, camera), settings_, canvas, built_in_);
   } catch (const std::exception& error) {
     error_ = error.what();
   }

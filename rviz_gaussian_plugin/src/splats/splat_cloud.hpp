@@ -23,6 +23,7 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
   SplatCloud(const std::string& name, const std::string& resource_group, ViewCallback on_view);
 
   SplatScene& scene() { return *scene_; }
+  const RenderSettings& settings() const { return settings_; }
   void setSettings(const RenderSettings& settings) { settings_ = settings; }
   // Sort in the next draws, and wait for it, rather than take what order there is.
   void setBuiltIn(bool built_in) { built_in_ = built_in; }

@@ -197,9 +197,8 @@ void SplatRenderer::drawQuads(const gl::Target& target, bool depth_mode) const {
   glUniform1ui(quads_.at("part_slots"), static_cast<GLuint>(part_slots_));
   glUniform1ui(quads_.at("capacity"), capacity_);
   glUniform2f(quads_.at("picture"), float(target.width()), float(target.height()));
-  glUniform1f(quads_.at("up"), flipped_ ? -1.0f : 1.0f);
+  glUniform1f(quads_.at("up"), top_first_ ? -1.0f : 1.0f);
   glUniform1i(quads_.at("depth_mode"), depth_mode);
-  glUniform1f(quads_.at("max_alpha"), max_alpha_);
   glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, order_.id());
   for (std::size_t part = 0; part < kProjectedParts; ++part) {
     glBindBufferBase(GL_SHADER_STORAGE_BUFFER, static_cast<GLuint>(1 + part),
@@ -209,21 +208,21 @@ void SplatRenderer::drawQuads(const gl::Target& target, bool depth_mode) const {
 }
 
 void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
-                         const RenderSettings& settings, bool flipped) {
+                         const RenderSettings& settings, Canvas canvas) {
   const gl::StateGuard guard;
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   const GLint x = viewport[0], y = viewport[1];
-  if (color_.width() != camera.width || color_.height() != camera.height) {
-    color_ = gl::Target(GL_RGBA16F, camera.width, camera.height);
+  const GLenum format = settings.float_blending ? GL_RGBA32F : GL_RGBA16F;
+  if (color_.width() != camera.width || color_.height() != camera.height ||
+      color_.format() != format) {
+    color_ = gl::Target(format, camera.width, camera.height);
     depth_ = {};
   }
-  flipped_ = flipped;
-  max_alpha_ = settings.max_alpha;
+  top_first_ = canvas != Canvas::kWindow;
   reserveProjected();
   project(camera, map, settings);
 
-  // The opaque scene's depth, resolved to one sample a pixel.
   for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
                            GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
     glDisable(off);
@@ -231,10 +230,17 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
   glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
   const gl::DrawScope scope(color_);
+  if (canvas == Canvas::kNone) {
+    glDepthMask(GL_TRUE);
+    const GLfloat farthest = 1.0f;
+    glClearBufferfv(GL_DEPTH, 0, &farthest);
+    drawQuads(color_, false);
+    return;
+  }
+  // The opaque scene's depth, resolved to one sample a pixel.
   glBindFramebuffer(GL_READ_FRAMEBUFFER, guard.drawFramebuffer());
   glBlitFramebuffer(x, y, x + camera.width, y + camera.height, 0, 0, camera.width, camera.height,
                     GL_DEPTH_BUFFER_BIT, GL_NEAREST);
-
   drawQuads(color_, false);
 
   glBindFramebuffer(GL_DRAW_FRAMEBUFFER, guard.drawFramebuffer());
@@ -256,7 +262,7 @@ std::vector<float> SplatRenderer::readColor() const {
   const gl::StateGuard guard;
   const gl::DrawScope scope(color_);
   glReadPixels(0, 0, color_.width(), color_.height(), GL_RGBA, GL_FLOAT, pixels.data());
-  if (!flipped_) {
+  if (!top_first_) {
     for (std::size_t top = 0, bottom = pixels.size() - row; top < bottom;
          top += row, bottom -= row) {
       std::swap_ranges(&pixels[top], &pixels[top] + row, &pixels[bottom]);
@@ -282,7 +288,7 @@ std::vector<float> SplatRenderer::readDepth() {
   glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
   glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, blended.data());
   for (std::size_t row = 0; row < rows; ++row) {
-    const float* source = &blended[4 * columns * (flipped_ ? row : rows - 1 - row)];
+    const float* source = &blended[4 * columns * (top_first_ ? row : rows - 1 - row)];
     for (std::size_t column = 0; column < columns; ++column, source += 4) {
       depths[columns * row + column] =
           source[3] > 0.0f ? source[0] / source[3] : std::numeric_limits<float>::quiet_NaN();

@@ -15,9 +15,16 @@
 namespace rosplat {
 
 struct RenderSettings {
-  // INRIA's rasteriser stops at 0.99, gsplat 1.5 at 0.999.
-  float max_alpha = 0.99f;
   int max_sh_degree = kMaxShDegree;
+  // Blend in 32-bit floats, at twice the memory traffic of 16-bit ones.
+  bool float_blending = false;
+};
+
+// What the current framebuffer and viewport are to draw().
+enum class Canvas {
+  kWindow,   // the opaque scene; its first row is the picture's bottom
+  kTexture,  // the same with the picture's top first
+  kNone,     // nothing: there is no opaque scene, and the picture is only read back
 };
 
 // Draws a map with OpenGL 4.3: splats in storage buffers by slot, projected once a frame by a compute
@@ -38,9 +45,8 @@ class SplatRenderer {
 
   // Blends the splats of the order, hidden where the current framebuffer and viewport have something
   // nearer, into a target of its own; then over that viewport, which has the camera's size.
-  // `flipped`: the framebuffer's first row is the picture's top.
   void draw(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-            bool flipped);
+            Canvas canvas);
 
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
   std::vector<float> readColor() const;
@@ -72,8 +78,7 @@ class SplatRenderer {
   gl::Buffer order_;
   std::size_t order_count_ = 0;
   gl::Target color_, depth_;
-  bool flipped_ = false;
-  float max_alpha_ = 0.0f;
+  bool top_first_ = false;  // the targets' first row is the picture's top
 };
 
 }  // namespace rosplat

@@ -84,7 +84,7 @@ bool SplatScene::answered(const std::string& view_id) {
 }
 
 FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
-                             bool flipped, bool built_in) {
+                             Canvas canvas, bool built_in) {
   const double start = now();
   if (!renderer_) renderer_.emplace(shaders_);
   takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
@@ -94,7 +94,7 @@ FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& s
     renderer_->setOrder(choice.order->slots.data(), choice.order->slots.size());
     uploaded_order_ = choice.order;
   }
-  renderer_->draw(cameras_.at(view_id), drawn_map_, settings, flipped);
+  renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas);
 
   FrameReport report;
   if (choice.order) {

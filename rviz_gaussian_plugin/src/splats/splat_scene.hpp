@@ -47,7 +47,7 @@ class SplatScene {
   bool answered(const std::string& view_id);
   // Render thread: uploads what waits, chooses an order and draws into the current framebuffer.
   // With built_in the order is sorted here, and waited for. Throws gl::Error.
-  FrameReport draw(const std::string& view_id, const RenderSettings& settings, bool flipped,
+  FrameReport draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
                    bool built_in = false);
   void forget(const std::string& view_id);
 

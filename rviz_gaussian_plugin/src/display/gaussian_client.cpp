@@ -1,0 +1,112 @@
+#include "gaussian_client.hpp"
+
+#include <chrono>
+#include <utility>
+
+#include "messages.hpp"
+#include "ros_versions.hpp"
+
+namespace rosplat {
+
+namespace {
+
+using namespace std::chrono_literals;
+
+// As deep as the history that publishers keep, so that a late joiner gets all of a map.
+rclcpp::QoS mapQos() { return rclcpp::QoS(rclcpp::KeepLast(1000)).reliable().transient_local(); }
+rclcpp::QoS volatileMapQos() { return mapQos().durability_volatile(); }
+// Only the newest view matters, and its order.
+rclcpp::QoS viewQos() { return rclcpp::QoS(rclcpp::KeepLast(1)).reliable().durability_volatile(); }
+
+}  // namespace
+
+GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
+                               SplatScene& scene)
+    : node_(node), topic_(topic), scene_(scene) {
+  group_ = node_->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false);
+  rclcpp::SubscriptionOptions options;
+  options.callback_group = group_;
+  subscribe(mapQos(), latched_);
+  orders_ = node_->create_subscription<SplatOrder>(
+      topic_ + "/order", viewQos(),
+      [this](std::shared_ptr<SplatOrder> message) { scene_.offer(toOrder(*message)); }, options);
+  view_publisher_ =
+      node_->create_publisher<rosplat_msgs::msg::ViewCamera>(topic_ + "/view", viewQos());
+  render_service_ = node_->create_service<RenderView>(
+      topic_ + "/render",
+      [this](std::shared_ptr<rclcpp::Service<RenderView>> service,
+             std::shared_ptr<rmw_request_id_t> id, std::shared_ptr<RenderView::Request> request) {
+        const std::lock_guard lock(mutex_);
+        requests_.push_back({std::move(service), std::move(id), std::move(request)});
+      },
+      serviceQos(), group_);
+  watch_ = node_->create_wall_timer(1s, [this] { watchPublishers(); }, group_);
+  watchPublishers();
+  executor_.add_callback_group(group_, node_->get_node_base_interface());
+  thread_ = std::thread([this] {
+    while (!stop_ && rclcpp::ok()) executor_.spin_once(100ms);
+  });
+}
+
+GaussianClient::~GaussianClient() {
+  stop_ = true;
+  executor_.cancel();
+  thread_.join();
+}
+
+void GaussianClient::subscribe(const rclcpp::QoS& qos,
+                               rclcpp::Subscription<GaussianArray>::SharedPtr& target) {
+  rclcpp::SubscriptionOptions options;
+  options.callback_group = group_;
+  target = node_->create_subscription<GaussianArray>(
+      topic_, qos, [this](std::shared_ptr<const GaussianArray> message) { receive(*message); },
+      options);
+}
+
+void GaussianClient::receive(const GaussianArray& message) {
+  try {
+    const BatchReport report = scene_.apply(toBatch(message));
+    if (report.duplicate) return;
+    const std::lock_guard lock(mutex_);
+    ++status_.batches;
+    status_.frame_id = message.header.frame_id;
+  } catch (const BatchError& error) {
+    RCLCPP_ERROR_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000,
+                          "%s: a batch is refused: %s", topic_.c_str(), error.what());
+    const std::lock_guard lock(mutex_);
+    ++status_.refused;
+    status_.refusal = error.what();
+  }
+}
+
+void GaussianClient::watchPublishers() {
+  // A latched subscription gets nothing from a volatile publisher; one that asks for less gets both,
+  // and what comes twice is dropped by its revision.
+  bool any_volatile = false;
+  const auto publishers = node_->get_publishers_info_by_topic(topic_);
+  for (const auto& publisher : publishers) {
+    any_volatile |= publisher.qos_profile().durability() == rclcpp::DurabilityPolicy::Volatile;
+  }
+  if (any_volatile && !volatile_) {
+    subscribe(volatileMapQos(), volatile_);
+  } else if (!any_volatile) {
+    volatile_.reset();
+  }
+  const std::lock_guard lock(mutex_);
+  status_.publishers = publishers.size();
+}
+
+std::optional<GaussianClient::RenderRequest> GaussianClient::takeRenderRequest() {
+  const std::lock_guard lock(mutex_);
+  if (requests_.empty()) return std::nullopt;
+  RenderRequest request = std::move(requests_.front());
+  requests_.pop_front();
+  return request;
+}
+
+GaussianClient::Status GaussianClient::status() const {
+  const std::lock_guard lock(mutex_);
+  return status_;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,79 @@
+#pragma once
+
+#include <atomic>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <rclcpp/rclcpp.hpp>
+#include <rosplat_msgs/msg/gaussian_array.hpp>
+#include <rosplat_msgs/msg/splat_order.hpp>
+#include <rosplat_msgs/msg/view_camera.hpp>
+#include <rosplat_msgs/srv/render_view.hpp>
+#include <string>
+#include <thread>
+
+#include "../splats/splat_scene.hpp"
+
+namespace rosplat {
+
+// The ROS side of a display: feeds a scene from a map's topic and its sorter's, in a thread of its own
+// so that no message holds up the GUI. For a map on /gaussians: the views go out on /gaussians/view,
+// orders come in on /gaussians/order, pictures are asked for at /gaussians/render.
+class GaussianClient {
+ public:
+  using RenderView = rosplat_msgs::srv::RenderView;
+
+  // A picture that somebody waits for.
+  struct RenderRequest {
+    std::shared_ptr<rclcpp::Service<RenderView>> service;
+    std::shared_ptr<rmw_request_id_t> id;
+    std::shared_ptr<RenderView::Request> request;
+    void answer(RenderView::Response& response) const { service->send_response(*id, response); }
+  };
+
+  // What has arrived.
+  struct Status {
+    std::string frame_id;         // of the map
+    std::uint64_t batches = 0;
+    std::uint64_t refused = 0;    // batches that contradict themselves
+    std::string refusal;          // why, of the last one
+    std::size_t publishers = 0;   // of the map's topic
+  };
+
+  // The scene must outlive the client. Throws rclcpp's exceptions for a topic with an invalid name.
+  GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic, SplatScene& scene);
+  ~GaussianClient();
+
+  void publish(const rosplat_msgs::msg::ViewCamera& view) { view_publisher_->publish(view); }
+  std::optional<RenderRequest> takeRenderRequest();
+  Status status() const;
+
+ private:
+  using GaussianArray = rosplat_msgs::msg::GaussianArray;
+  using SplatOrder = rosplat_msgs::msg::SplatOrder;
+
+  void subscribe(const rclcpp::QoS& qos, rclcpp::Subscription<GaussianArray>::SharedPtr& target);
+  void receive(const GaussianArray& message);
+  void watchPublishers();
+
+  rclcpp::Node::SharedPtr node_;
+  std::string topic_;
+  SplatScene& scene_;
+  rclcpp::CallbackGroup::SharedPtr group_;
+  rclcpp::Subscription<GaussianArray>::SharedPtr latched_, volatile_;
+  rclcpp::Subscription<SplatOrder>::SharedPtr orders_;
+  rclcpp::Publisher<rosplat_msgs::msg::ViewCamera>::SharedPtr view_publisher_;
+  rclcpp::Service<RenderView>::SharedPtr render_service_;
+  rclcpp::TimerBase::SharedPtr watch_;
+
+  mutable std::mutex mutex_;  // status_, requests_
+  Status status_;
+  std::deque<RenderRequest> requests_;
+
+  rclcpp::executors::SingleThreadedExecutor executor_;
+  std::atomic<bool> stop_{false};
+  std::thread thread_;
+};
+
+}  // namespace rosplat

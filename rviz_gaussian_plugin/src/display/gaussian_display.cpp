@@ -1,0 +1,325 @@
+#include "gaussian_display.hpp"
+
+#include <OgreSceneManager.h>
+#include <OgreSceneNode.h>
+#include <OgreViewport.h>
+
+#include <chrono>
+#include <cstring>
+#include <pluginlib/class_list_macros.hpp>
+#include <random>
+#include <rviz_common/display_context.hpp>
+#include <rviz_common/frame_manager_iface.hpp>
+#include <rviz_common/properties/bool_property.hpp>
+#include <rviz_common/properties/int_property.hpp>
+#include <rviz_common/properties/ros_topic_property.hpp>
+#include <rviz_common/ros_integration/ros_node_abstraction_iface.hpp>
+#include <sstream>
+
+#include "messages.hpp"
+
+namespace rosplat {
+
+namespace {
+
+using rviz_common::properties::StatusProperty;
+
+// rviz's resource group of exported media.
+constexpr const char* kResourceGroup = "rviz_rendering";
+// A view's camera goes out at least this often, so that a sorter that starts late learns of it. [s]
+constexpr double kKeepAlive = 1.0;
+constexpr double kStatusPeriod = 0.5;  // [s]
+
+double now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+std::string uniqueName() {
+  std::random_device device;
+  std::ostringstream name;
+  name << "rviz_" << std::hex << device();
+  return name.str();
+}
+
+template <typename... Parts>
+std::string concat(const Parts&... parts) {
+  std::ostringstream text;
+  text.precision(3);
+  (text << ... << parts);
+  return text.str();
+}
+
+}  // namespace
+
+GaussianDisplay::GaussianDisplay() : instance_(uniqueName()) {
+  topic_ = new rviz_common::properties::RosTopicProperty(
+      "Topic", "", QString::fromStdString(rosidl_generator_traits::name<rosplat_msgs::msg::GaussianArray>()),
+      "Map of 3D Gaussians (rosplat_msgs/GaussianArray). The display publishes its cameras on "
+      "<topic>/view, takes orders from <topic>/order and draws pictures for <topic>/render.",
+      this, SLOT(subscribe()));
+  sh_degree_ = new rviz_common::properties::IntProperty(
+      "SH Degree", kMaxShDegree,
+      "Highest band of spherical harmonics to evaluate; 0 leaves out all view-dependent colour.",
+      this, SLOT(updateSettings()));
+  sh_degree_->setMin(0);
+  sh_degree_->setMax(kMaxShDegree);
+  float_blending_ = new rviz_common::properties::BoolProperty(
+      "Float Blending", false,
+      "Blend in 32-bit instead of 16-bit floats: exact to the last grey level, at twice the memory "
+      "traffic.",
+      this, SLOT(updateSettings()));
+}
+
+GaussianDisplay::~GaussianDisplay() {
+  client_.reset();  // no more messages into the cloud
+  if (cloud_ && cloud_->isAttached()) cloud_->detachFromParent();
+}
+
+void GaussianDisplay::onInitialize() {
+  Display::onInitialize();
+  topic_->initialize(context_->getRosNodeAbstraction());
+}
+
+void GaussianDisplay::setTopic(const QString& topic, const QString&) { topic_->setString(topic); }
+
+void GaussianDisplay::onEnable() { subscribe(); }
+
+void GaussianDisplay::onDisable() { unsubscribe(); }
+
+void GaussianDisplay::reset() {
+  Display::reset();
+  if (isEnabled()) subscribe();
+}
+
+void GaussianDisplay::unsubscribe() {
+  client_.reset();
+  request_.reset();
+  if (cloud_ && cloud_->isAttached()) cloud_->detachFromParent();
+  cloud_.reset();
+  views_.clear();
+  shown_status_.clear();
+  clearStatuses();
+}
+
+void GaussianDisplay::subscribe() {
+  if (!initialized()) return;
+  unsubscribe();
+  if (!isEnabled()) return;
+  const std::string topic = topic_->getTopicStd();
+  if (topic.empty()) {
+    setStatusOnce(StatusProperty::Warn, "Topic",
+                  "No topic set: choose one of type rosplat_msgs/GaussianArray");
+    return;
+  }
+  cloud_ = std::make_unique<SplatCloud>(
+      instance_, kResourceGroup, [this](Ogre::Viewport* viewport, const SplatCamera& camera) {
+        return onView(viewport, camera);
+      });
+  scene_node_->attachObject(cloud_.get());
+  updateSettings();
+  try {
+    client_ = std::make_unique<GaussianClient>(
+        context_->getRosNodeAbstraction().lock()->get_raw_node(), topic, cloud_->scene());
+  } catch (const std::exception& error) {
+    setStatusOnce(StatusProperty::Error, "Topic", concat("Can't subscribe: ", error.what()));
+  }
+}
+
+void GaussianDisplay::updateSettings() {
+  if (!cloud_) return;
+  RenderSettings settings;
+  settings.max_sh_degree = sh_degree_->getInt();
+  settings.float_blending = float_blending_->getBool();
+  cloud_->setSettings(settings);
+  context_->queueRender();
+}
+
+void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
+  if (!client_) return;
+  updateTransform();
+  for (auto& [viewport, view] : views_) {
+    if (view.sequence > 0 && now() - view.published > kKeepAlive) publish(view);
+  }
+  if (now() - status_time_ > kStatusPeriod) {
+    status_time_ = now();
+    updateStatus();
+  }
+  context_->queueRender();
+}
+
+void GaussianDisplay::updateTransform() {
+  const std::string frame = client_->status().frame_id;
+  Ogre::Vector3 position;
+  Ogre::Quaternion orientation;
+  const bool known =
+      frame.empty() || context_->getFrameManager()->getTransform(frame, position, orientation);
+  // Where the map belongs nobody knows: showing it somewhere would be wrong.
+  scene_node_->setVisible(known && !frame.empty());
+  if (!known) {
+    setMissingTransformToFixedFrame(frame);
+  } else if (!frame.empty()) {
+    scene_node_->setPosition(position);
+    scene_node_->setOrientation(orientation);
+    setTransformOk();
+  }
+}
+
+std::string GaussianDisplay::onView(Ogre::Viewport* viewport, const SplatCamera& camera) {
+  serveRenderRequests();  // here, where the context is current
+  View& view = views_[viewport];
+  if (view.id.empty()) view.id = instance_ + "/" + std::to_string(views_.size());
+  if (view.sequence == 0 || !(view.camera == camera)) {
+    view.camera = camera;
+    ++view.sequence;
+    publish(view);
+  }
+  cloud_->scene().setCamera(view.id, view.sequence, camera);
+  return view.id;
+}
+
+void GaussianDisplay::publish(View& view) {
+  view.published = now();
+  const rclcpp::Time stamp = context_->getClock()->now();
+  client_->publish(
+      toMessage(view.camera, view.id, view.sequence, client_->status().frame_id, stamp));
+}
+
+bool GaussianDisplay::toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const {
+  const std::string map_frame = client_->status().frame_id;
+  const std::string& frame = camera.header.frame_id;
+  if (frame.empty() || frame == map_frame) return true;
+  Ogre::Vector3 map_position, position;
+  Ogre::Quaternion map_orientation, orientation;
+  auto* frames = context_->getFrameManager();
+  if (!frames->getTransform(map_frame, map_position, map_orientation) ||
+      !frames->transform(frame, rclcpp::Time(camera.header.stamp, RCL_ROS_TIME), camera.pose,
+                         position, orientation)) {
+    return false;
+  }
+  position = map_orientation.Inverse() * (position - map_position);
+  orientation = map_orientation.Inverse() * orientation;
+  camera.pose.position.x = position.x;
+  camera.pose.position.y = position.y;
+  camera.pose.position.z = position.z;
+  camera.pose.orientation.x = orientation.x;
+  camera.pose.orientation.y = orientation.y;
+  camera.pose.orientation.z = orientation.z;
+  camera.pose.orientation.w = orientation.w;
+  return true;
+}
+
+void GaussianDisplay::serveRenderRequests() {
+  if (!client_) return;
+  if (!request_) {
+    request_ = client_->takeRenderRequest();
+    if (!request_) return;
+    rosplat_msgs::msg::ViewCamera camera = request_->request->camera;
+    try {
+      if (!toMapFrame(camera)) {
+        throw std::invalid_argument("camera.header.frame_id: no transform from '" +
+                                    camera.header.frame_id + "' to the map");
+      }
+      still_.id = instance_ + "/render";
+      still_.camera = toCamera(camera);
+    } catch (const std::invalid_argument& error) {
+      GaussianClient::RenderView::Response response;
+      response.message = error.what();
+      request_->answer(response);
+      request_.reset();
+      return;
+    }
+    ++still_.sequence;
+    cloud_->scene().setCamera(still_.id, still_.sequence, still_.camera);
+    publish(still_);
+    request_deadline_ = now() + request_->request->order_timeout;
+  }
+  const bool answered = cloud_->scene().answered(still_.id);
+  if (!answered && now() < request_deadline_) return;
+  answer(*request_, !answered);
+  request_.reset();
+}
+
+void GaussianDisplay::answer(const GaussianClient::RenderRequest& request, bool built_in) {
+  GaussianClient::RenderView::Response response;
+  try {
+    SplatScene& scene = cloud_->scene();
+    const FrameReport report =
+        scene.draw(still_.id, cloud_->settings(), Canvas::kNone, built_in);
+    const auto fill = [&](sensor_msgs::msg::Image& image, const std::vector<float>& pixels,
+                          const char* encoding) {
+      image.header.frame_id = request.request->camera.header.frame_id;
+      image.header.stamp = request.request->camera.header.stamp;
+      image.width = static_cast<std::uint32_t>(still_.camera.width);
+      image.height = static_cast<std::uint32_t>(still_.camera.height);
+      image.encoding = encoding;
+      image.step = static_cast<std::uint32_t>(pixels.size() * sizeof(float) / image.height);
+      image.data.resize(pixels.size() * sizeof(float));
+      std::memcpy(image.data.data(), pixels.data(), image.data.size());
+    };
+    fill(response.color, scene.readColor(), "32FC4");
+    fill(response.depth, scene.readDepth(), "32FC1");
+    const MapState map = scene.state();
+    response.splats = report.splats;
+    response.order_source = report.order_source;
+    response.sort_time = report.sort_time;
+    response.draw_time = report.draw_time;
+    response.map_id = map.id;
+    response.revision = map.revision;
+    response.success = true;
+  } catch (const std::exception& error) {
+    response.message = error.what();
+  }
+  request.answer(response);
+}
+
+void GaussianDisplay::setStatusOnce(StatusProperty::Level level, const QString& name,
+                                    const std::string& text) {
+  std::string& shown = shown_status_[name];
+  if (shown == text) return;
+  shown = text;
+  setStatus(level, name, QString::fromStdString(text));
+}
+
+void GaussianDisplay::updateStatus() {
+  const GaussianClient::Status received = client_->status();
+  const MapState map = cloud_->scene().state();
+  const FrameReport& frame = cloud_->report();
+
+  if (received.refused > 0) {
+    setStatusOnce(StatusProperty::Error, "Topic",
+                  concat(received.refused, " batches refused, the last because ", received.refusal));
+  } else if (received.batches == 0) {
+    setStatusOnce(StatusProperty::Warn, "Topic",
+                  received.publishers == 0 ? "Nobody publishes on this topic"
+                                           : "No batch received yet");
+  } else {
+    setStatusOnce(StatusProperty::Ok, "Topic", concat(received.batches, " batches received"));
+  }
+
+  if (received.batches > 0) {
+    std::string text = concat(map.splats, " splats");
+    if (map.expected > map.splats) text += concat(" of ", map.expected);
+    text += concat(", SH degree ", map.sh_degree, map.antialiased ? ", antialiased" : "");
+    if (map.missed > 0) text += concat("; ", map.missed, " batches were lost");
+    if (map.dropped > 0) text += concat("; ", map.dropped, " splats with invalid values left out");
+    setStatusOnce(map.missed + map.dropped > 0 ? StatusProperty::Warn : StatusProperty::Ok, "Map",
+                  text);
+  }
+
+  if (!cloud_->error().empty()) {
+    setStatusOnce(StatusProperty::Error, "OpenGL", cloud_->error());
+  } else if (!frame.order_source.empty()) {
+    setStatusOnce(StatusProperty::Ok, "Order",
+                  concat(frame.splats, " splats by ", frame.order_source, " in ",
+                         frame.sort_time * 1e3, " ms, ",
+                         frame.order_fresh ? "fresh" : concat(frame.order_age * 1e3, " ms old")));
+    setStatusOnce(StatusProperty::Ok, "Memory",
+                  concat("GPU ", cloud_->scene().gpuBytes() >> 20, " MiB, host ",
+                         cloud_->scene().hostBytes() >> 20, " MiB"));
+    setStatusOnce(StatusProperty::Ok, "Frame", concat(frame.draw_time * 1e3, " ms to draw"));
+  }
+}
+
+}  // namespace rosplat
+
+PLUGINLIB_EXPORT_CLASS(rosplat::GaussianDisplay, rviz_common::Display)

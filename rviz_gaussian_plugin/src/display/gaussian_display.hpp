@@ -1,0 +1,78 @@
+#pragma once
+
+#include <map>
+#include <memory>
+#include <optional>
+#include <rviz_common/display.hpp>
+#include <string>
+
+#include "../splats/splat_cloud.hpp"
+#include "gaussian_client.hpp"
+#include "ros_versions.hpp"
+
+namespace rviz_common::properties {
+class BoolProperty;
+class IntProperty;
+class RosTopicProperty;
+}  // namespace rviz_common::properties
+
+namespace rosplat {
+
+// Shows the map of a GaussianArray topic: properties, frames, status. What is drawn is SplatCloud's
+// business, what is received GaussianClient's.
+class GaussianDisplay : public rviz_common::Display {
+  Q_OBJECT
+
+ public:
+  GaussianDisplay();
+  ~GaussianDisplay() override;
+
+  void setTopic(const QString& topic, const QString& datatype) override;
+  void update(UpdateDuration wall_dt, UpdateDuration ros_dt) override;
+  void reset() override;
+
+ protected:
+  void onInitialize() override;
+  void onEnable() override;
+  void onDisable() override;
+
+ private Q_SLOTS:
+  void subscribe();
+  void updateSettings();
+
+ private:
+  // A viewport that the map is drawn in.
+  struct View {
+    std::string id;
+    std::uint64_t sequence = 0;
+    SplatCamera camera;
+    double published = 0;  // when the camera last went out [s]
+  };
+
+  void unsubscribe();
+  std::string onView(Ogre::Viewport* viewport, const SplatCamera& camera);
+  void publish(View& view);
+  void serveRenderRequests();
+  void answer(const GaussianClient::RenderRequest& request, bool built_in);
+  bool toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const;
+  void updateTransform();
+  void updateStatus();
+  void setStatusOnce(rviz_common::properties::StatusProperty::Level level, const QString& name,
+                     const std::string& text);
+
+  rviz_common::properties::RosTopicProperty* topic_;
+  rviz_common::properties::IntProperty* sh_degree_;
+  rviz_common::properties::BoolProperty* float_blending_;
+
+  std::string instance_;  // names this display's views among all viewers'
+  std::unique_ptr<SplatCloud> cloud_;
+  std::unique_ptr<GaussianClient> client_;  // after cloud_: feeds it
+  std::map<Ogre::Viewport*, View> views_;
+  View still_;  // of the pictures that services ask for
+  std::optional<GaussianClient::RenderRequest> request_;
+  double request_deadline_ = 0;
+  double status_time_ = 0;
+  std::map<QString, std::string> shown_status_;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,105 @@
+#include "messages.hpp"
+
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+template <typename Array>
+auto view(const Array& array) {
+  return ArrayView<typename Array::value_type>{array.data(), array.size()};
+}
+
+}  // namespace
+
+GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
+  GaussianBatch batch;
+  batch.map_id = message.map_id;
+  batch.revision = message.revision;
+  batch.operation = message.operation;
+  batch.expected_slots = message.expected_slots;
+  batch.first_slot = message.first_slot;
+  batch.count = message.count;
+  batch.slots = view(message.slots);
+  batch.sh_degree = message.sh_degree;
+  batch.encoding = message.encoding;
+  batch.antialiased = message.antialiased;
+  batch.origin = {message.origin.x, message.origin.y, message.origin.z};
+  batch.positions = view(message.positions);
+  batch.orientations = view(message.orientations);
+  batch.scales = view(message.scales);
+  batch.opacities = view(message.opacities);
+  batch.sh = view(message.sh);
+  return batch;
+}
+
+OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message) {
+  auto order = std::make_shared<Order>();
+  order->view_id = message.view_id;
+  order->sequence = message.sequence;
+  order->map_id = message.map_id;
+  order->revision = message.revision;
+  order->source = message.backend;
+  order->sort_time = message.sort_time;
+  order->slots = std::move(message.slots);
+  return order;
+}
+
+rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::string& view_id,
+                                        std::uint64_t sequence, const std::string& frame_id,
+                                        const builtin_interfaces::msg::Time& stamp) {
+  rosplat_msgs::msg::ViewCamera message;
+  message.header.frame_id = frame_id;
+  message.header.stamp = stamp;
+  message.view_id = view_id;
+  message.sequence = sequence;
+  const auto& r = camera.rotation;
+  const auto& t = camera.translation;
+  message.pose.position.x = -(r[0] * t[0] + r[3] * t[1] + r[6] * t[2]);
+  message.pose.position.y = -(r[1] * t[0] + r[4] * t[1] + r[7] * t[2]);
+  message.pose.position.z = -(r[2] * t[0] + r[5] * t[1] + r[8] * t[2]);
+  // The quaternion of the transposed rotation, from its largest component (Shepperd 1978).
+  const double trace = r[0] + r[4] + r[8];
+  auto& q = message.pose.orientation;
+  if (trace > std::fmax(r[0], std::fmax(r[4], r[8]))) {
+    const double s = 2 * std::sqrt(1 + trace);
+    q.w = s / 4, q.x = (r[5] - r[7]) / s, q.y = (r[6] - r[2]) / s, q.z = (r[1] - r[3]) / s;
+  } else if (r[0] >= r[4] && r[0] >= r[8]) {
+    const double s = 2 * std::sqrt(1 + r[0] - r[4] - r[8]);
+    q.x = s / 4, q.w = (r[5] - r[7]) / s, q.y = (r[1] + r[3]) / s, q.z = (r[2] + r[6]) / s;
+  } else if (r[4] >= r[8]) {
+    const double s = 2 * std::sqrt(1 + r[4] - r[0] - r[8]);
+    q.y = s / 4, q.w = (r[6] - r[2]) / s, q.x = (r[1] + r[3]) / s, q.z = (r[5] + r[7]) / s;
+  } else {
+    const double s = 2 * std::sqrt(1 + r[8] - r[0] - r[4]);
+    q.z = s / 4, q.w = (r[1] - r[3]) / s, q.x = (r[2] + r[6]) / s, q.y = (r[5] + r[7]) / s;
+  }
+  message.projection =
+      camera.orthographic ? rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC
+                          : rosplat_msgs::msg::ViewCamera::PERSPECTIVE;
+  message.fx = camera.fx;
+  message.fy = camera.fy;
+  message.cx = camera.cx;
+  message.cy = camera.cy;
+  message.width = static_cast<std::uint32_t>(camera.width);
+  message.height = static_cast<std::uint32_t>(camera.height);
+  message.near_clip = camera.near_clip;
+  message.far_clip = camera.far_clip;
+  return message;
+}
+
+SplatCamera toCamera(const rosplat_msgs::msg::ViewCamera& m) {
+  if (m.projection > rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC) {
+    throw std::invalid_argument("projection " + std::to_string(m.projection) + " is unknown");
+  }
+  const auto& p = m.pose.position;
+  const auto& q = m.pose.orientation;
+  return makeCamera({p.x, p.y, p.z}, {q.x, q.y, q.z, q.w},
+                    m.projection == rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC, m.fx, m.fy, m.cx,
+                    m.cy, m.width, m.height, m.near_clip, m.far_clip);
+}
+
+}  // namespace rosplat

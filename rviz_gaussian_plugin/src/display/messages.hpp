@@ -1,0 +1,28 @@
+#pragma once
+
+#include <builtin_interfaces/msg/time.hpp>
+#include <rosplat_msgs/msg/gaussian_array.hpp>
+#include <rosplat_msgs/msg/splat_order.hpp>
+#include <rosplat_msgs/msg/view_camera.hpp>
+#include <string>
+
+#include "../splats/built_in_sorter.hpp"
+#include "../splats/gaussian_batch.hpp"
+#include "../splats/splat_camera.hpp"
+
+// Between the renderer's own types and ROS messages.
+namespace rosplat {
+
+// A batch that looks into the message, which must outlive it.
+GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message);
+
+OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message);  // takes the slots
+
+rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::string& view_id,
+                                        std::uint64_t sequence, const std::string& frame_id,
+                                        const builtin_interfaces::msg::Time& stamp);
+
+// Throws std::invalid_argument, naming the field, for a camera that can't see.
+SplatCamera toCamera(const rosplat_msgs::msg::ViewCamera& message);
+
+}  // namespace rosplat
