@@ -1,0 +1,97 @@
+"""The procedural scene: reproducible, sound at any size, and a surface one can't look through."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.formats import SceneError, load
+from rosplat_tools.generate import generate, main
+from rosplat_tools.reference import render
+from rosplat_tools.reference.projection import rotation_matrices
+
+
+@pytest.mark.parametrize("count", [1, 2, 17, 1000, 30_000, 300_000])
+def test_any_count_is_sound(count: int) -> None:
+    splats = generate(count)
+    assert len(splats) == count
+    for array in (
+        splats.positions,
+        splats.orientations,
+        splats.scales,
+        splats.opacities,
+        splats.sh,
+    ):
+        assert np.isfinite(array).all()
+    np.testing.assert_allclose(np.linalg.norm(splats.orientations, axis=1), 1, atol=1e-5)
+    assert (splats.scales > 0).all()
+    assert ((splats.opacities > 0) & (splats.opacities <= 1)).all()
+    assert np.abs(splats.positions).max() < 3
+
+
+def test_the_seed_decides() -> None:
+    one, same, other = generate(2000, 5), generate(2000, 5), generate(2000, 6)
+    np.testing.assert_array_equal(one.positions, same.positions)
+    np.testing.assert_array_equal(one.sh, same.sh)
+    assert (one.positions != other.positions).any()
+
+
+def test_lower_degrees_are_the_same_scene_with_fewer_bands() -> None:
+    full = generate(500)
+    for degree in range(3):
+        np.testing.assert_array_equal(
+            generate(500, sh_degree=degree).sh, full.with_sh_degree(degree).sh
+        )
+
+
+def test_any_part_shows_all_of_the_scene() -> None:
+    splats = generate(40_000)
+    for part in (splats[:4000], splats[-4000:]):
+        np.testing.assert_allclose(
+            part.positions.mean(axis=0), splats.positions.mean(axis=0), atol=0.1
+        )
+        np.testing.assert_allclose(
+            part.positions.std(axis=0), splats.positions.std(axis=0), atol=0.1
+        )
+
+
+def test_the_ground_is_flat_and_closed() -> None:
+    splats = generate(30_000)
+    sand = splats[np.abs(splats.positions[:, 2]) < 0.014]
+    normals = rotation_matrices(sand.orientations.astype(np.float64))[:, 2, 2]
+    assert np.median(np.abs(normals)) > 0.8
+    below = Camera(0, 64, 64, 90, 90, 32, 32, look_at((0.3, -1.2, -3), (0.3, -1.2, 0), (0, 1, 0)))
+    alpha = render(replace(sand), below, crop=(20, 20, 44, 44)).rgba[..., 3]
+    assert alpha.min() > 0.9
+
+
+def test_sheen_depends_on_the_view() -> None:
+    splats = generate(20_000)
+    left, right = (
+        render(splats, Camera(0, 48, 48, 40, 40, 24, 24, look_at((x, -2, 1.2), (0, 0, 0.9)))).rgba
+        for x in (-1.5, 1.5)
+    )
+    flat = generate(20_000, sh_degree=0)
+    same = render(
+        flat, Camera(0, 48, 48, 40, 40, 24, 24, look_at((-1.5, -2, 1.2), (0, 0, 0.9)))
+    ).rgba
+    assert np.abs(left - same).max() > 0.1
+    assert np.abs(left - right).max() > 0.1
+
+
+@pytest.mark.parametrize(("count", "degree"), [(0, 3), (-5, 3), (10, 4), (10, -1)])
+def test_what_cannot_be_made(count: int, degree: int) -> None:
+    with pytest.raises(SceneError, match="expected"):
+        generate(count, sh_degree=degree)
+
+
+def test_the_command_writes_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "a.ply"), "--count", "300", "--seed", "2", "--sh-degree", "1"]) == 0
+    splats = load(tmp_path / "a.ply")
+    np.testing.assert_allclose(splats.positions, generate(300, 2).positions)
+    assert (len(splats), splats.sh_degree) == (300, 1)
+    assert main([str(tmp_path / "a.ply"), "--count", "0"]) == 1
+    assert main([str(tmp_path / "a.obj")]) == 1
+    assert "a.obj: can't write" in capsys.readouterr().err
