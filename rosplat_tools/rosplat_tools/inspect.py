@@ -1,0 +1,78 @@
+"""Tells what a scene file holds."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from rosplat_tools.formats import SceneError, format_of, load
+
+QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
+
+
+def describe(path: str | Path) -> str:
+    """A report of several lines on a scene. Raises SceneError when it can't be read."""
+    path = Path(path)
+    left_out: list[str] = []
+    splats = load(path, warn=left_out.append)
+    used = splats.without_empty_bands()
+    degree = f"{splats.sh_degree}"
+    if used.sh_degree < splats.sh_degree:
+        degree += f", but the bands above {used.sh_degree} are all zero"
+    rows = {
+        "scene": str(path),
+        "format": f"{format_of(path).NAME}, {_bytes(_file_size(path))}",
+        "splats": f"{len(splats):,}",
+        "SH degree": degree,
+        "antialiased": "yes" if splats.antialiased else "no",
+        "in memory": f"{_bytes(used.nbytes)}, {used.nbytes // max(1, len(used))} bytes per splat",
+    }
+    if len(splats):
+        world = splats.positions + splats.origin
+        rows["from"] = " ".join(f"{v:.4g}" for v in world.min(axis=0)) + " m"
+        rows["to"] = " ".join(f"{v:.4g}" for v in world.max(axis=0)) + " m"
+        if splats.origin.any():
+            rows["origin"] = " ".join(f"{v:.0f}" for v in splats.origin) + " m, kept apart"
+        head = " ".join(f"{f'{100 * q:g} %':>9}" for q in QUANTILES)
+        rows["quantiles"] = head
+        for name, values in (("scale [m]", splats.scales), ("opacity", splats.opacities)):
+            rows[name] = " ".join(f"{v:9.3g}" for v in np.quantile(values, QUANTILES))
+    if left_out:
+        rows["left out"] = "; ".join(left_out)
+    return "\n".join(f"{name:<12} {value}" for name, value in rows.items())
+
+
+def _file_size(path: Path) -> int:
+    """Size of a file, or of the files of the scene's folder. [bytes]"""
+    folder = path if path.is_dir() else path.parent if path.name == "meta.json" else None
+    files = [path] if folder is None else [file for file in folder.iterdir() if file.is_file()]
+    return sum(file.stat().st_size for file in files)
+
+
+def _bytes(size: float) -> str:
+    for unit in ("bytes", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} GB"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prints a report on each scene; 1 when any could not be read."""
+    parser = argparse.ArgumentParser(prog="inspect", description=__doc__)
+    parser.add_argument("scene", nargs="+", help="a .ply, .spz or .sog file, or a folder with SOG")
+    failed = False
+    for index, path in enumerate(parser.parse_args(arguments).scene):
+        try:
+            print(("\n" if index else "") + describe(path))
+        except SceneError as error:
+            print(f"inspect: {error}", file=sys.stderr)
+            failed = True
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,60 @@
+"""Convert writes what it read, or says why it didn't."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rosplat_tools.convert import main
+from rosplat_tools.formats import load, save
+from rosplat_tools.splats import Splats
+
+
+def test_a_scene_is_converted(scene: Callable[[str], Path], tmp_path: Path) -> None:
+    source, target = scene("wolf.spz"), tmp_path / "wolf.ply"
+    assert main([str(source), str(target)]) == 0
+    before, after = load(source), load(target)
+    np.testing.assert_array_equal(before.positions, after.positions)
+    np.testing.assert_array_equal(before.sh, after.sh)
+
+
+def test_bands_can_be_cut_off_but_not_made(
+    random_splats: Callable[..., Splats], tmp_path: Path
+) -> None:
+    save(tmp_path / "a.ply", random_splats(4, 2))
+    for wanted, written in ((1, 1), (3, 2)):
+        target = tmp_path / f"{wanted}.ply"
+        assert main([str(tmp_path / "a.ply"), str(target), "--sh-degree", str(wanted)]) == 0
+        assert load(target).sh_degree == written
+
+
+def test_an_output_that_exists_is_kept(
+    random_splats: Callable[..., Splats], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(tmp_path / "a.ply", random_splats(4))
+    save(tmp_path / "b.ply", random_splats(5))
+    arguments = [str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]
+    assert main(arguments) == 1
+    assert "b.ply: exists already" in capsys.readouterr().err
+    assert len(load(tmp_path / "b.ply")) == 5
+    assert main([*arguments, "--overwrite"]) == 0
+    assert len(load(tmp_path / "b.ply")) == 4
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "reason"),
+    [("none.ply", "b.ply", "none.ply: No such file"), ("a.ply", "b.spz", "b.spz: can't write")],
+)
+def test_failures_are_told(
+    random_splats: Callable[..., Splats],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    source: str,
+    target: str,
+    reason: str,
+) -> None:
+    save(tmp_path / "a.ply", random_splats(4))
+    assert main([str(tmp_path / source), str(tmp_path / target)]) == 1
+    assert reason in capsys.readouterr().err
+    assert not (tmp_path / target).exists()

@@ -1,0 +1,71 @@
+"""What inspect says about a scene is what is in it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rosplat_tools.formats import save
+from rosplat_tools.inspect import describe, main
+from rosplat_tools.splats import Splats
+
+Make = Callable[..., Splats]
+
+
+def rows(report: str) -> dict[str, str]:
+    return {line[:12].strip(): line[13:] for line in report.splitlines()}
+
+
+def test_a_report(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(1234, 1, antialiased=True).with_sh_degree(3)
+    splats.positions[:, 0] = np.linspace(-2, 5, 1234)
+    splats.scales[7] = 0.5
+    save(tmp_path / "a.ply", splats)
+    report = rows(describe(tmp_path / "a.ply"))
+    assert report["splats"] == "1,234"
+    assert report["format"] == f"PLY, {(tmp_path / 'a.ply').stat().st_size / 1000:.3g} kB"
+    assert report["SH degree"] == "3, but the bands above 1 are all zero"
+    assert report["antialiased"] == "yes"
+    assert report["in memory"] == f"{1.234 * 4 * (11 + 12):.3g} kB, 92 bytes per splat"
+    assert report["from"].startswith("-2 ")
+    assert report["to"].startswith("5 ")
+    assert report["scale [m]"].split()[-1] == "0.5"
+    assert "left out" not in report
+
+
+def test_what_is_left_out_is_told(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(10)
+    splats.sh[4, 2, 1] = np.nan
+    save(tmp_path / "a.ply", splats)
+    assert "dropped 1 of 10" in rows(describe(tmp_path / "a.ply"))["left out"]
+
+
+def test_a_far_map_tells_its_origin(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", replace(random_splats(10), origin=np.array([3e5, 0, 0])))
+    assert rows(describe(tmp_path / "a.ply"))["origin"].startswith("300")
+
+
+def test_an_empty_map(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(0))
+    assert rows(describe(tmp_path / "a.ply"))["splats"] == "0"
+
+
+def test_the_command_goes_on_after_a_bad_file(
+    random_splats: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(tmp_path / "a.ply", random_splats(3))
+    assert main([str(tmp_path / "none.ply"), str(tmp_path / "a.ply")]) == 1
+    out, err = capsys.readouterr()
+    assert rows(out)["splats"] == "3"
+    assert "none.ply" in err
+    assert main([str(tmp_path / "a.ply")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "first"),
+    [("wolf.spz", "SPZ, 1.7 MB"), ("playbot", "SOG, 8.5 MB"), ("train-1000.ply", "PLY, 250 kB")],
+)
+def test_trained_scenes(scene: Callable[[str], Path], name: str, first: str) -> None:
+    assert rows(describe(scene(name)))["format"] == first
