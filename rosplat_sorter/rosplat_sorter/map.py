@@ -51,7 +51,8 @@ class SplatMap:
         The slots by which the map grew count as changed even where the answer leaves them out.
         Raises MemoryError, without applying the edit, where the map can't grow so far.
         """
-        if edit.map_id != self.map_id or self.revision == 0:
+        begins = edit.map_id != self.map_id or self.revision == 0
+        if begins:
             self._start(edit.map_id)
             self.origin = edit.origin
         elif edit.revision <= self.revision:
@@ -65,7 +66,8 @@ class SplatMap:
             self.missed += edit.revision - self.revision - 1
         self.revision = edit.revision
         self.frame_id = edit.frame_id
-        return self._delete(edit) if edit.operation == DELETE else self._write(edit)
+        changed = self._delete(edit) if edit.operation == DELETE else self._write(edit)
+        return slice(0, self._count) if begins or edit.operation == REPLACE else changed
 
     def _write(self, edit: Edit) -> Slots:
         positions = edit.positions
@@ -75,7 +77,7 @@ class SplatMap:
         self._count = max(self._count, edit.end)
         self._positions[edit.slots] = positions
         self._extents[edit.slots] = edit.extents
-        return slice(0, self._count) if edit.operation == REPLACE else edit.slots
+        return edit.slots
 
     def _delete(self, edit: Edit) -> Slots:
         slots = edit.slots

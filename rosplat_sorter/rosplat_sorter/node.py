@@ -130,5 +130,8 @@ def main() -> None:
             node.destroy_node()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception:
+        if rclpy.ok():  # else it was told to end while it began
+            raise
     finally:
         rclpy.try_shutdown()

@@ -1,0 +1,167 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""Every backend present equals the plain reference, to the bit."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rosplat_sorter import backends, depth
+from rosplat_sorter.backends import AUTO, BACKENDS, Entry, Unavailable, choose, open_backend
+from rosplat_sorter.edits import DELETE, REPLACE, UPSERT
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.view import View
+
+CANDIDATES = [
+    pytest.param(("native", 1, False), id="native-1-thread"),
+    pytest.param(("native", 3, False), id="native-3-threads"),
+    pytest.param(("numpy", 0, False), id="numpy"),
+    pytest.param(("torch", 0, False), id="torch"),
+    pytest.param(("torch", 0, True), id="torch-gpu", marks=pytest.mark.gpu),
+    pytest.param(("cupy", 0, True), id="cupy", marks=pytest.mark.gpu),
+]
+
+
+@pytest.fixture(params=CANDIDATES)
+def backend(request):
+    try:
+        return open_backend(*request.param)
+    except Unavailable as error:
+        pytest.skip(f"backend '{request.param[0]}' is not available: {error}")
+
+
+def cameras(make_camera, random):
+    """Views from within and from without, off-centre, of both projections."""
+    for orthographic in (False, True):
+        for distance in (0.0, 25.0):
+            direction = random.normal(size=4)
+            yield make_camera(
+                position=tuple(random.normal(size=3) * distance),
+                orientation=tuple(direction),
+                cx=random.uniform(0, 640),
+                fx=20.0 if orthographic else 500.0,
+                fy=20.0 if orthographic else 450.0,
+                near_clip=-20.0 if orthographic else 0.1,
+                orthographic=orthographic,
+            )
+
+
+def assert_equal_to_reference(backend, splats, camera):
+    view = View.of(camera, splats.origin)
+    order = backend.order(view)
+    assert order.dtype == np.uint32
+    np.testing.assert_array_equal(order, depth.order(view, splats.positions, splats.extents))
+    return len(order)
+
+
+@pytest.mark.parametrize("step", [None, 0.5], ids=["", "ties"])
+@pytest.mark.parametrize("origin", [0.0, 1e5])
+def test_random_maps(backend, make_camera, make_edit, step, origin):
+    random = np.random.default_rng(7)
+    count = 200_000
+    positions = random.normal(size=(count, 3)) * 8
+    if step:
+        positions = np.round(positions / step) * step
+    splats = SplatMap()
+    extents = random.uniform(-0.02, 0.1, count).astype(np.float32)
+    splats.apply(make_edit(positions, extents, origin=np.full(3, origin)))
+    backend.update(splats, slice(0, count))
+    visible = 0
+    for camera in cameras(make_camera, random):
+        moved = make_camera(**vars(camera) | {"position": tuple(np.add(camera.position, origin))})
+        visible += assert_equal_to_reference(backend, splats, moved)
+    assert visible > 1000
+
+
+def test_one_splat_nothing_visible_and_no_map(backend, make_camera, make_edit):
+    splats = SplatMap()
+    backend.update(splats, slice(0, 0))
+    assert assert_equal_to_reference(backend, splats, make_camera()) == 0
+    splats.apply(make_edit([[0, 0, 5]]))
+    backend.update(splats, slice(0, 1))
+    assert assert_equal_to_reference(backend, splats, make_camera()) == 1
+    assert assert_equal_to_reference(backend, splats, make_camera(far_clip=1.0)) == 0
+
+
+def test_zeros_of_both_signs_tie(backend, make_camera, make_edit):
+    splats = SplatMap()
+    splats.apply(make_edit([[0, 0, z] for z in (0.0, -0.0, 1e-40, 0.0, -1e-40, -0.0)]))
+    backend.update(splats, slice(0, 6))
+    camera = make_camera(orthographic=True, near_clip=-1.0, far_clip=1.0)
+    assert assert_equal_to_reference(backend, splats, camera) == 6
+
+
+def test_what_overflows_float32_is_not_visible(backend, make_camera, make_edit):
+    splats = SplatMap()
+    splats.apply(make_edit([[3e38, -3e38, 3e38], [0, 0, 5], [np.inf, np.inf, 1]]))
+    backend.update(splats, slice(0, 3))
+    camera = make_camera(orientation=(0.1, 0.2, 0.0, 1.0))
+    assert assert_equal_to_reference(backend, splats, camera) == 1
+
+
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_any_history_of_edits(backend, make_camera, make_edit, data):
+    splats = SplatMap()
+    for revision in range(1, data.draw(st.integers(2, 8), "edits")):
+        random = np.random.default_rng(data.draw(st.integers(0, 2**32), "seed"))
+        count = int(random.integers(1, 40))
+        slots = random.choice(int(random.integers(count, 300)), count, replace=False)
+        edit = make_edit(
+            np.round(random.normal(size=(count, 3)) * 4),
+            random.uniform(-0.02, 0.1, count).astype(np.float32),
+            slots=slots,
+            map_id=data.draw(st.sampled_from(["a", "a", "a", "b"]), "map"),
+            revision=revision,
+            operation=data.draw(st.sampled_from([REPLACE, UPSERT, UPSERT, DELETE]), "operation"),
+            origin=random.normal(size=3) * 10,
+        )
+        backend.update(splats, splats.apply(edit))
+        for camera in cameras(make_camera, random):
+            assert_equal_to_reference(backend, splats, camera)
+
+
+def test_auto_takes_the_best_and_says_why_not_others(monkeypatch):
+    monkeypatch.setattr(backends, "_has_nvidia_driver", lambda: False)
+    backend, reasons = choose(AUTO, threads=2)
+    assert (backend.name, backend.device) == ("native", "2 threads")
+    assert reasons == {"cupy": "no NVIDIA driver", "torch": "no NVIDIA driver"}
+
+
+def test_torch_on_the_cpu_is_taken_only_when_asked_for(monkeypatch):
+    torch = pytest.importorskip("torch")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(backends, "_has_nvidia_driver", lambda: True)
+    backend, reasons = choose(AUTO)
+    assert backend.name != "torch"
+    assert reasons["torch"] == "torch finds no GPU"
+    assert choose("torch")[0].name == "torch"
+
+
+def test_a_missing_backend_is_replaced_and_explained(monkeypatch):
+    monkeypatch.setitem(BACKENDS, "gone", Entry("gone_backend", "GoneBackend"))
+    backend, reasons = choose("gone", without=frozenset({"cupy", "torch"}))
+    assert backend.name == "native"
+    assert "No module named 'rosplat_sorter.backends.gone_backend'" in reasons["gone"]
+
+
+def test_a_backend_that_failed_is_not_taken_again():
+    backend, _ = choose("native", without=frozenset({"cupy", "torch", "native"}))
+    assert backend.name == "numpy"
+    with pytest.raises(Unavailable):
+        choose(AUTO, without=frozenset(BACKENDS))
+
+
+def test_native_refuses_arrays_of_another_kind(make_camera):
+    from rosplat_sorter._native import DepthOrder
+
+    view, sorter = View.of(make_camera()), DepthOrder(1)
+    with pytest.raises(TypeError, match="positions"):
+        sorter.sort(view, np.zeros((2, 3)), np.zeros(2, np.float32))
+    with pytest.raises(TypeError, match="positions"):
+        sorter.sort(view, np.zeros((4, 3), np.float32)[::2], np.zeros(2, np.float32))
+    with pytest.raises(ValueError, match="positions"):
+        sorter.sort(view, np.zeros((1, 3), np.float32), np.zeros(2, np.float32))

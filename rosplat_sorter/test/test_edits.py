@@ -1,0 +1,158 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""Messages are checked before use: dropped whole, or splat by splat."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rosplat_sorter.edits import MAX_SLOTS, EditError, decode
+from rosplat_sorter.map import SplatMap
+
+INF, NAN = math.inf, math.nan
+
+
+def test_a_batch_becomes_positions_and_extents(make_batch):
+    edit = decode(make_batch(2, first_slot=5, sh_degree=1, scales=[0.1, 0.3, 0.2] * 2))
+    assert (edit.slots, edit.end, edit.rejected) == (slice(5, 7), 7, 0)
+    np.testing.assert_array_equal(edit.positions, [[0, 0, 1], [0, 0, 2]])
+    np.testing.assert_allclose(edit.extents, 0.3 * math.sqrt(2 * math.log(255)), rtol=1e-6)
+
+
+def test_slots_may_be_listed(make_batch):
+    edit = decode(make_batch(3, slots=[9, 2, 4]))
+    assert (edit.slots.tolist(), edit.end) == ([9, 2, 4], 10)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"revision": 0}, "revision is 0"),
+        ({"operation": 3}, "operation is 3"),
+        ({"encoding": 1}, "encoding is 1"),
+        ({"sh_degree": 7}, "sh_degree is 7"),
+        ({"count": 2}, "positions has 9 values, 6 expected"),
+        ({"positions": [0.0] * 8}, "positions has 8 values, 9 expected"),
+        ({"orientations": []}, "orientations has 0 values, 12 expected"),
+        ({"scales": [0.1] * 10}, "scales has 10 values, 9 expected"),
+        ({"opacities": [1.0]}, "opacities has 1 values, 3 expected"),
+        ({"sh": [0.0] * 27}, "sh has 27 values, 9 expected"),
+        ({"slots": [1, 2]}, "slots has 2 values, count says 3"),
+        ({"slots": [1, MAX_SLOTS, 2]}, f"slots holds {MAX_SLOTS}"),
+        ({"first_slot": MAX_SLOTS - 2}, f"first_slot \\+ count is {MAX_SLOTS + 1}"),
+        ({"first_slot": 2**32 - 1}, "first_slot"),
+    ],
+)
+def test_a_message_wrong_in_structure_is_refused_by_its_field(make_batch, wrong, reason):
+    message = make_batch()
+    for field, value in wrong.items():
+        setattr(message, field, value)
+    with pytest.raises(EditError, match=reason):
+        decode(message)
+
+
+def test_an_origin_must_be_finite(make_batch):
+    message = make_batch()
+    message.origin.y = NAN
+    with pytest.raises(EditError, match="origin"):
+        decode(message)
+
+
+def test_a_delete_carries_no_splats(make_batch):
+    with pytest.raises(EditError, match="positions has 3 values, 0 expected"):
+        decode(make_batch(operation=2, positions=[0.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("field", "row"),
+    [
+        ("positions", [0.0, NAN, 0.0]),
+        ("positions", [0.0, 0.0, INF]),
+        ("orientations", [0.0, 0.0, 0.0, 0.0]),
+        ("orientations", [0.0, NAN, 0.0, 1.0]),
+        ("orientations", [INF, 0.0, 0.0, 1.0]),
+        ("scales", [0.1, -0.1, 0.1]),
+        ("scales", [0.1, INF, 0.1]),
+        ("scales", [NAN, 0.1, 0.1]),
+        ("opacities", [NAN]),
+    ],
+)
+def test_a_splat_that_is_not_usable_becomes_an_empty_slot(make_batch, field, row):
+    message = make_batch()
+    values = getattr(message, field)
+    for i, value in enumerate(row):
+        values[len(row) + i] = value
+    edit = decode(message)
+    assert edit.rejected == 1
+    assert (edit.extents >= 0).tolist() == [True, False, True]
+
+
+def test_opacities_beyond_one_are_one_and_faint_splats_are_invisible(make_batch):
+    edit = decode(make_batch(opacities=[5.0, 0.001, 1.0]))
+    assert edit.rejected == 0
+    assert edit.extents[0] == edit.extents[2] > 0
+    assert edit.extents[1] == -1
+
+
+def apply(splats, message):
+    return splats.apply(decode(message))
+
+
+def test_replace_upsert_and_delete(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(4, operation=0))
+    apply(splats, make_batch(2, revision=2, slots=[6, 1], positions=[6.0] * 3 + [1.0] * 3))
+    assert apply(splats, make_batch(2, revision=3, operation=2, first_slot=2)) == slice(2, 4)
+    assert (splats.extents >= 0).tolist() == [True, True, False, False, False, False, True]
+    assert splats.positions[[0, 1, 6]].tolist() == [[0, 0, 1], [1, 1, 1], [6, 6, 6]]
+    apply(splats, make_batch(1, revision=4, operation=0, first_slot=1))
+    assert (splats.extents >= 0).tolist() == [False, True]
+    apply(splats, make_batch(1, revision=5, first_slot=4))
+    assert (splats.extents >= 0).tolist() == [False, True, False, False, True]
+
+
+def test_deleting_slots_that_never_were_does_not_grow_the_map(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(3))
+    apply(splats, make_batch(1000, revision=2, operation=2, first_slot=2))
+    apply(splats, make_batch(2, revision=3, operation=2, slots=[MAX_SLOTS - 1, 0]))
+    assert (splats.extents >= 0).tolist() == [False, True, False]
+
+
+def test_a_new_map_starts_empty_even_with_an_upsert(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(5, revision=9, operation=0))
+    apply(splats, make_batch(1, map_id="next"))
+    assert (len(splats), splats.map_id, splats.revision, splats.missed) == (1, "next", 1, 0)
+
+
+def test_duplicates_are_ignored_and_gaps_counted(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(3))
+    apply(splats, make_batch(1, revision=2, first_slot=3))
+    for revision in (1, 2):
+        assert apply(splats, make_batch(9, revision=revision)) is None
+    assert (len(splats), splats.missed) == (4, 0)
+    apply(splats, make_batch(1, revision=5))
+    assert (splats.revision, splats.missed) == (5, 2)
+    apply(splats, make_batch(1, revision=9, operation=0))  # nothing before it is missed
+    assert (splats.revision, splats.missed) == (9, 2)
+
+
+def test_a_late_joiner_misses_what_came_before(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(3, revision=4))
+    assert splats.missed == 3
+
+
+def test_another_origin_is_rebased_in_float64(make_batch):
+    splats = SplatMap()
+    first = make_batch(1)
+    first.origin.x = 1e5
+    apply(splats, first)
+    second = make_batch(1, revision=2, first_slot=1, positions=[-0.25, 0.0, 1.0])
+    second.origin.x = 1e5 + 0.001
+    apply(splats, second)
+    assert splats.origin.tolist() == [1e5, 0, 0]
+    np.testing.assert_allclose(splats.positions[1], [-0.249, 0, 1], rtol=1e-6)

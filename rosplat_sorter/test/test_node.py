@@ -1,0 +1,233 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""The node over real DDS."""
+
+import os
+import signal
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import rclpy
+from ament_index_python.packages import get_package_prefix
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+
+from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_sorter import qos
+from rosplat_sorter.node import SorterNode
+
+EXECUTABLE = Path(get_package_prefix("rosplat_sorter"), "lib", "rosplat_sorter", "sorter")
+
+
+class Peer:
+    """A publisher of maps and a viewer."""
+
+    def __init__(self, map_qos=qos.MAP):
+        self.node = rclpy.create_node("peer")
+        self.orders = []
+        self._map = self.node.create_publisher(GaussianArray, "gaussians", map_qos)
+        self._view = self.node.create_publisher(ViewCamera, "gaussians/view", qos.VIEW)
+        self.node.create_subscription(SplatOrder, "gaussians/order", self.orders.append, qos.ORDER)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+
+    def edit(self, message):
+        self._map.publish(message)
+
+    def look(self, message):
+        self._view.publish(message)
+
+    def wait(self, condition, what):
+        deadline = time.monotonic() + 20
+        while not condition():
+            assert time.monotonic() < deadline, what
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def meet(self):
+        """Waits for the sorter."""
+        self.wait(
+            lambda: (
+                self._map.get_subscription_count()
+                and self._view.get_subscription_count()
+                and self.node.count_publishers("gaussians/order")
+            ),
+            "no sorter",
+        )
+
+    def order(self, sequence, revision=1):
+        """The order that answers a sequence with a revision of the map."""
+
+        def matching():
+            return [o for o in self.orders if (o.sequence, o.revision) == (sequence, revision)]
+
+        self.wait(matching, f"no order for sequence {sequence}, revision {revision}")
+        return matching()[-1]
+
+    def close(self):
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+
+@pytest.fixture
+def ros():
+    """A namespace of its own, away from other nodes of this machine."""
+    name = f"/test_{os.getpid()}_{time.monotonic_ns()}"
+    rclpy.init(args=["--ros-args", "-r", f"__ns:={name}"])
+    yield name
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def sorter(ros):
+    node = SorterNode()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    yield node
+    executor.shutdown()
+    thread.join()
+    node.destroy_node()
+
+
+@pytest.fixture
+def peer(sorter):
+    peer = Peer()
+    peer.meet()
+    yield peer
+    peer.close()
+
+
+def test_a_map_is_ordered_as_it_changes(peer, make_batch, make_look):
+    peer.edit(make_batch(4, operation=GaussianArray.REPLACE))
+    look = make_look(sequence=3)
+    look.header.stamp.sec = 17
+    peer.look(look)
+    order = peer.order(3)
+    assert list(order.slots) == [3, 2, 1, 0]
+    assert (order.header.stamp.sec, order.header.frame_id) == (17, "map")
+    assert (order.view_id, order.map_id) == ("view", "map")
+    assert order.backend and order.sort_time > 0
+    peer.edit(make_batch(1, revision=2, first_slot=9, positions=[0.0, 0.0, 1.5]))
+    assert list(peer.order(3, 2).slots) == [3, 2, 1, 9, 0]
+    peer.edit(make_batch(2, revision=3, operation=GaussianArray.DELETE, slots=[0, 3]))
+    assert list(peer.order(3, 3).slots) == [2, 1, 9]
+    peer.edit(make_batch(2, map_id="other"))
+    peer.look(make_look(sequence=4))
+    peer.wait(lambda: peer.orders[-1].map_id == "other", "the new map")
+    assert list(peer.orders[-1].slots) == [1, 0]
+
+
+def test_a_sorter_that_joins_late_gets_the_latched_map(ros, make_batch, make_look):
+    peer = Peer()
+    peer.edit(make_batch(2, operation=GaussianArray.REPLACE))
+    peer.edit(make_batch(2, revision=2, first_slot=2))
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    process = subprocess.Popen(
+        [EXECUTABLE, "--ros-args", "-r", f"__ns:={ros}", "-p", "backend:=numpy"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=environment,
+    )
+    try:
+        peer.meet()
+        for sequence in range(1, 100):
+            peer.look(make_look(sequence=sequence))
+            try:
+                peer.wait(lambda: peer.orders and peer.orders[-1].revision == 2, "late")
+                break
+            except AssertionError:
+                continue
+        assert len(peer.orders[-1].slots) == 4
+        assert peer.orders[-1].backend == "numpy"
+    finally:
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=20)
+        peer.close()
+    assert "sorting with numpy" in output
+    assert "4 of 4 splats in view" in output
+    assert "Traceback" not in output
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_in_silence(ros, stop):
+    process = subprocess.Popen(
+        [EXECUTABLE, "--ros-args", "-r", f"__ns:={ros}", "-p", "backend:=nonsense"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    lines = []
+    for line in process.stdout:
+        lines.append(line)
+        if "sorting with" in line:
+            break
+    process.send_signal(stop)
+    output, _ = process.communicate(timeout=20)
+    assert "unknown backend 'nonsense'" in "".join(lines)
+    assert "Traceback" not in output
+    assert process.returncode == 0
+
+
+def test_of_a_burst_of_views_the_last_is_answered(peer, make_batch, make_look):
+    peer.edit(make_batch())
+    for sequence in range(1, 101):
+        peer.look(make_look(sequence=sequence, x=0.001 * sequence))
+    peer.order(100)
+
+
+def test_a_publisher_that_does_not_latch_is_received(sorter, make_batch, make_look):
+    peer = Peer(qos.MAP_VOLATILE)
+    try:
+        peer.meet()  # the volatile subscription comes within a second
+        peer.edit(make_batch(2))
+        peer.look(make_look())
+        assert list(peer.order(1).slots) == [1, 0]
+    finally:
+        peer.close()
+
+
+def test_garbage_does_not_stop_it(peer, make_batch, make_look):
+    nan, inf = float("nan"), float("inf")
+    peer.edit(make_batch(3))
+    for wrong in (
+        {"positions": [0.0]},
+        {"sh_degree": 200, "sh": []},
+        {"operation": 99},
+        {"encoding": 99},
+        {"slots": [2**32 - 1] * 3},
+        {"first_slot": 2**32 - 1},
+        {"revision": 0},
+        {"map_id": "", "revision": 0},
+    ):
+        peer.edit(make_batch(3, **({"revision": 2} | wrong)))
+    peer.edit(make_batch(3, revision=2, positions=[nan] * 9, scales=[-inf] * 9, first_slot=3))
+    for look in (
+        make_look(fx=nan),
+        make_look(width=0),
+        make_look(near_clip=inf),
+        make_look(frame_id="elsewhere"),
+        make_look(projection=9),
+        make_look(view_id="", cx=1e308),
+    ):
+        peer.look(look)
+    peer.look(make_look(sequence=5))
+    order = peer.order(5, 2)
+    assert list(order.slots) == [2, 1, 0]
+
+
+def test_the_backend_is_a_parameter_that_can_change(sorter, peer, make_batch, make_look):
+    [result] = sorter.set_parameters([Parameter("backend", value="no such")])
+    assert not result.successful
+    assert result.reason.startswith("unknown backend 'no such', known are auto, cupy")
+    [result] = sorter.set_parameters([Parameter("backend", value="numpy-reference")])
+    assert result.successful
+    peer.edit(make_batch())
+    peer.look(make_look())
+    assert peer.order(1).backend == "numpy-reference"
+    [result] = sorter.set_parameters([Parameter("threads", value=-1)])
+    assert not result.successful

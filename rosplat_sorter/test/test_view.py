@@ -1,0 +1,84 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras become views without losing what float32 could have kept."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rosplat_sorter.camera import CameraError, decode
+from rosplat_sorter.view import View, rotation_matrix
+
+
+def test_a_point_before_a_turned_camera_lies_on_its_axis(make_camera):
+    # The optical frame's z along the map's x, its x along -y: how a robot's camera looks ahead.
+    camera = make_camera(position=(1.0, 2.0, 3.0), orientation=(-0.5, 0.5, -0.5, 0.5))
+    view = View.of(camera)
+    np.testing.assert_allclose(view.rotation @ [6, 2, 3] + view.translation, [0, 0, 5], atol=1e-6)
+    np.testing.assert_allclose(view.rotation @ [6, 1, 3] + view.translation, [1, 0, 5], atol=1e-6)
+
+
+def test_a_quaternion_of_any_length_is_a_rotation():
+    matrix = rotation_matrix(2.0, -3.0, 0.5, 7.0)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(matrix, rotation_matrix(0.2, -0.3, 0.05, 0.7), atol=1e-15)
+
+
+def test_the_map_origin_is_subtracted_before_float32(make_camera):
+    camera = make_camera(position=(4.5e6 + 0.001, 0.0, -1e5))
+    view = View.of(camera, origin=(4.5e6, 0.0, -1e5))
+    np.testing.assert_allclose(view.translation, [-0.001, 0, 0], rtol=1e-6)
+
+
+def test_intrinsics_are_those_of_the_twin_in_cpp(make_camera):
+    """test_depth_order.cpp asserts the same numbers."""
+    camera = make_camera(fx=517.3, fy=516.5, cx=318.6, cy=255.3, near_clip=0.05, far_clip=50.0)
+    view = View.of(camera)
+    assert [view.fx, view.fy] == [float.fromhex("0x1.02a666p+9"), float.fromhex("0x1.024p+9")]
+    assert [view.offset_x, view.offset_y] == [
+        float.fromhex("-0x1.666666p+0"),
+        float.fromhex("0x1.e9999ap+3"),
+    ]
+    assert [view.half_width, view.half_height] == [322, 242]
+    assert [view.slope_x, view.slope_y] == [
+        float.fromhex("0x1.4c5936p+9"),
+        float.fromhex("0x1.31bc5ep+9"),
+    ]
+    assert view.near_clip == float.fromhex("0x1.99999ap-5")
+
+
+def test_an_orthographic_footprint_does_not_grow_with_the_angle(make_camera):
+    view = View.of(make_camera(orthographic=True, fx=20.0, fy=30.0, near_clip=-5.0))
+    assert [view.slope_x, view.slope_y] == [20, 30]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"position": (math.nan, 0.0, 0.0)},
+        {"orientation": (0.0, 0.0, 0.0, 0.0)},
+        {"orientation": (0.0, math.inf, 0.0, 1.0)},
+        {"fx": 0.0},
+        {"fy": -1.0},
+        {"cx": math.nan},
+        {"width": 0},
+        {"height": 0},
+        {"near_clip": 0.0},
+        {"near_clip": 5.0, "far_clip": 5.0},
+        {"far_clip": math.inf},
+    ],
+)
+def test_a_degenerate_camera_is_refused_by_its_field(make_camera, wrong):
+    with pytest.raises(CameraError, match=next(iter(wrong))):
+        make_camera(**wrong)
+
+
+def test_a_camera_beyond_float32_is_refused(make_camera):
+    with pytest.raises(CameraError, match="translation"):
+        View.of(make_camera(position=(1e300, 0.0, 0.0)))
+
+
+def test_an_unknown_projection_is_refused(make_look):
+    with pytest.raises(CameraError, match="projection is 7"):
+        decode(make_look(projection=7))

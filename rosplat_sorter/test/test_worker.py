@@ -1,0 +1,249 @@
+# Copyright 2025 ROSplat developers
+# SPDX-License-Identifier: Apache-2.0
+"""The worker answers the newest camera only, and outlives what its peers and devices do to it."""
+
+import sys
+import threading
+import time
+import types
+
+import numpy as np
+import pytest
+
+from rosplat_sorter.backends import BACKENDS, Entry
+from rosplat_sorter.backends.numpy_backend import NumpyBackend
+from rosplat_sorter.worker import FORGET_AFTER, MAX_VIEWS, Worker
+
+
+class Recorder:
+    """A host that keeps what it is told."""
+
+    def __init__(self):
+        self.answers = []
+        self.lines = []
+        self._told = threading.Condition()
+
+    def publish(self, answer):
+        with self._told:
+            self.answers.append(answer)
+            self._told.notify()
+
+    def inform(self, text):
+        with self._told:
+            self.lines.append(text)
+            self._told.notify()
+
+    def warn(self, subject, text):
+        self.inform(text)
+
+    def wait(self, condition):
+        with self._told:
+            assert self._told.wait_for(condition, timeout=10), (self.answers, self.lines)
+
+    def answer(self, sequence=None, revision=None, view_id="view"):
+        """Waits for the answer to a sequence or with a revision."""
+
+        def matching():
+            return [
+                answer
+                for answer in self.answers
+                if answer.view_id == view_id
+                and sequence in (None, answer.sequence)
+                and revision in (None, answer.revision)
+            ]
+
+        self.wait(matching)
+        return matching()[-1]
+
+    def said(self, text):
+        self.wait(lambda: any(text in line for line in self.lines))
+
+
+class GatedBackend(NumpyBackend):
+    """Sorts when it may; counts."""
+
+    name = "gated"
+    gate = threading.Event()
+    sorting = threading.Event()
+    sorts = 0
+
+    def order(self, view):
+        type(self).sorts += 1
+        self.sorting.set()
+        assert self.gate.wait(10)
+        return super().order(view)
+
+
+class BrokenBackend(NumpyBackend):
+    """A GPU that runs out of memory."""
+
+    name = "broken"
+    where = "order"
+
+    def update(self, splats, changed):
+        super().update(splats, changed)
+        if self.where == "update" and len(splats):
+            raise RuntimeError("CUDA out of memory")
+
+    def order(self, view):
+        raise RuntimeError("CUDA out of memory")
+
+
+@pytest.fixture(autouse=True)
+def test_backends(monkeypatch):
+    module = types.ModuleType("rosplat_sorter.backends.test_backend")
+    module.GatedBackend, module.BrokenBackend = GatedBackend, BrokenBackend
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    for name in ("gated", "broken"):
+        entry = Entry("test_backend", f"{name.capitalize()}Backend", automatic=False)
+        monkeypatch.setitem(BACKENDS, name, entry)
+    GatedBackend.gate.set()
+    GatedBackend.sorting.clear()
+    GatedBackend.sorts = 0
+    BrokenBackend.where = "order"
+
+
+@pytest.fixture
+def start():
+    workers = []
+
+    def start(backend="gated"):
+        host = Recorder()
+        workers.append(Worker(host, backend, threads=1))
+        return workers[-1], host
+
+    yield start
+    GatedBackend.gate.set()
+    for worker in workers:
+        worker.close()
+
+
+def test_an_order_answers_its_view(start, make_batch, make_look):
+    worker, host = start()
+    worker.edit(make_batch(3, frame_id="map"))
+    look = make_look(sequence=7)
+    look.header.stamp.sec = 42
+    worker.look(look)
+    answer = host.answer(7)
+    assert list(answer.slots) == [2, 1, 0]
+    assert answer.header.stamp.sec == 42
+    assert (answer.map_id, answer.revision, answer.backend) == ("map", 1, "gated")
+    assert 0 < answer.sort_time < 10
+
+
+def test_a_view_is_answered_once_a_map_begins_and_when_it_changes(start, make_batch, make_look):
+    worker, host = start()
+    worker.look(make_look())
+    worker.edit(make_batch(3, operation=0))
+    assert len(host.answer(revision=1).slots) == 3
+    worker.edit(make_batch(2, revision=2, operation=2))
+    assert list(host.answer(revision=2).slots) == [2]
+    worker.edit(make_batch(1, revision=3, first_slot=7, positions=[0.0, 0.0, 1.5]))
+    assert list(host.answer(revision=3).slots) == [2, 7]
+
+
+def test_of_a_burst_only_the_newest_view_is_sorted(start, make_batch, make_look):
+    worker, host = start()
+    GatedBackend.gate.clear()
+    worker.edit(make_batch())
+    worker.look(make_look(sequence=0))
+    assert GatedBackend.sorting.wait(10)
+    for sequence in range(1, 101):
+        worker.look(make_look(sequence=sequence, x=0.001 * sequence))
+    GatedBackend.gate.set()
+    host.answer(100)
+    assert [answer.sequence for answer in host.answers] == [0, 100]
+    assert GatedBackend.sorts == 2
+
+
+def test_views_do_not_displace_each_other(start, make_batch, make_look):
+    worker, host = start()
+    worker.edit(make_batch())
+    for view_id in "abc":
+        worker.look(make_look(view_id=view_id))
+    for view_id in "abc":
+        assert len(host.answer(view_id=view_id).slots) == 3
+
+
+def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch, make_look):
+    worker, host = start()
+    worker.edit(make_batch())
+    worker.look(make_look(sequence=1))
+    first = host.answer(1)
+    worker.look(make_look(sequence=1))  # a sign of life
+    worker.look(make_look(sequence=2))
+    second = host.answer(2)
+    assert second.slots == first.slots
+    worker.edit(make_batch())  # a duplicate
+    worker.look(make_look(sequence=3))
+    host.answer(3)
+    assert GatedBackend.sorts == 1
+    assert [answer.sequence for answer in host.answers] == [1, 2, 3]
+    worker.look(make_look(sequence=4, x=1.0))
+    host.answer(4)
+    assert GatedBackend.sorts == 2
+
+
+def test_silent_views_are_forgotten(start, make_batch, make_look, monkeypatch):
+    worker, host = start()
+    worker.edit(make_batch())
+    worker.look(make_look(view_id="gone"))
+    host.answer(view_id="gone")
+    now = time.monotonic() + FORGET_AFTER + 1
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    worker.look(make_look(view_id="here"))
+    host.answer(view_id="here")
+    worker.edit(make_batch(revision=2))
+    host.answer(view_id="here", revision=2)
+    assert [answer.view_id for answer in host.answers] == ["gone", "here", "here"]
+
+
+def test_views_without_end_do_not_pile_up(start, make_batch, make_look):
+    worker, host = start()
+    worker.edit(make_batch())
+    for number in range(MAX_VIEWS + 20):
+        worker.look(make_look(view_id=str(number)))
+        host.answer(view_id=str(number))
+    host.answers.clear()
+    worker.edit(make_batch(revision=2))
+    host.answer(revision=2, view_id=str(MAX_VIEWS + 19))
+    assert len(host.answers) == MAX_VIEWS
+
+
+def test_bad_messages_are_reported_and_survived(start, make_batch, make_look):
+    worker, host = start()
+    worker.edit(make_batch(count=3))
+    worker.edit(make_batch(revision=2, positions=[0.0]))
+    host.said("batch 2 of map 'map' dropped: positions has 1 values, 9 expected")
+    worker.edit(make_batch(revision=3, opacities=[1.0, float("nan"), 1.0]))
+    host.said("missed 1 batches before 3")
+    host.said("1 splats of batch 3 dropped")
+    worker.look(make_look(view_id="bad", fx=0.0))
+    host.said("of view 'bad' dropped: fx is 0.0")
+    worker.look(make_look(view_id="astray", frame_id="odom"))
+    host.said("header.frame_id is 'odom', the map's 'map'")
+    worker.look(make_look())
+    assert list(host.answer().slots) == [2, 0]
+
+
+@pytest.mark.parametrize("where", ["order", "update"])
+def test_a_backend_that_fails_is_left_for_the_best_other(start, make_batch, make_look, where):
+    BrokenBackend.where = where
+    worker, host = start("broken")
+    worker.edit(make_batch())
+    worker.look(make_look())
+    answer = host.answer()
+    assert answer.backend in BACKENDS.keys() - {"broken"}
+    assert list(answer.slots) == [2, 1, 0]
+    host.said("backend 'broken' failed: CUDA out of memory")
+
+
+def test_backends_change_while_running(start, make_batch, make_look):
+    worker, host = start("numpy")
+    worker.edit(make_batch())
+    worker.look(make_look(sequence=1))
+    assert host.answer(1).backend == "numpy"
+    worker.use("native", 1)
+    worker.look(make_look(sequence=2, x=0.1))
+    assert host.answer(2).backend == "native"
+    np.testing.assert_array_equal(host.answer(2).slots, host.answer(1).slots)
