@@ -30,9 +30,6 @@ if [ ${#missing[@]} -gt 0 ]; then
 fi
 
 # --- Python environment ---------------------------------------------------------------------------
-requirements=(requirements/runtime.txt)
-[ "$ROSPLAT_ROS" = wheels ] && requirements+=(requirements/ros.txt)
-[ "${1:-}" = dev ] && requirements+=(requirements/dev.txt)
 if [ "$(cat .venv/ros 2>/dev/null)" != "$ROSPLAT_ROS" ]; then
   say "Creating .venv (ROS 2: $ROSPLAT_ROS)"
   rm -rf .venv build install log
@@ -40,6 +37,10 @@ if [ "$(cat .venv/ros 2>/dev/null)" != "$ROSPLAT_ROS" ]; then
   python3 -m venv $system_packages .venv
   echo "$ROSPLAT_ROS" >.venv/ros
 fi
+requirements=(requirements/runtime.txt)
+[ "$ROSPLAT_ROS" = wheels ] && requirements+=(requirements/ros.txt)
+if [ "${1:-}" = dev ]; then touch .venv/dev; fi
+[ -f .venv/dev ] && requirements+=(requirements/dev.txt)
 . ./env.sh
 if ! cat "${requirements[@]}" | cmp -s - .venv/installed; then
   say "Installing ${requirements[*]} into .venv"
@@ -62,7 +63,7 @@ log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 if ! colcon build --executor sequential --event-handlers console_direct+ --base-paths rosplat_msgs \
   rosplat_sorter rosplat_tools rviz_gaussian_plugin --cmake-args -DCMAKE_BUILD_TYPE=Release \
-  -DPython3_EXECUTABLE="$PWD/.venv/bin/python" -DBUILD_TESTING=$([ "${1:-}" = dev ] && echo ON || echo OFF) \
+  -DPython3_EXECUTABLE="$PWD/.venv/bin/python" -DBUILD_TESTING=$([ -f .venv/dev ] && echo ON || echo OFF) \
   --no-warn-unused-cli >"$log" 2>&1; then
   grep -E 'error|Error|ERROR' -A5 "$log" | tail -n 60 >&2 || tail -n 60 "$log" >&2
   exit 1

@@ -41,10 +41,13 @@ mat3 rotationMatrix(vec4 q) {
               x.z + w.y, yz - w.x, 1.0 - x.x - yy);
 }
 
+// Never darker than black, but brighter than white may be; and no NaN or infinity in half floats.
+vec3 radiance(vec3 c) { return mix(vec3(0.0), min(c, vec3(65504.0)), greaterThan(c, vec3(0.0))); }
+
 vec3 colour(uint slot, vec3 direction) {
   uint i = slot * 3u;
   vec3 c = 0.28209479177387814 * vec3(band0[i], band0[i + 1u], band0[i + 2u]);
-  if (sh_degree < 1) return max(c + 0.5, 0.0);
+  if (sh_degree < 1) return radiance(c + 0.5);
   float x = direction.x, y = direction.y, z = direction.z;
   float basis[7];
   i = slot * 9u;
@@ -53,7 +56,7 @@ vec3 colour(uint slot, vec3 direction) {
   basis[2] = -0.4886025119029199 * x;
   for (uint k = 0u; k < 3u; ++k, i += 3u)
     c += basis[k] * vec3(band1[i], band1[i + 1u], band1[i + 2u]);
-  if (sh_degree < 2) return max(c + 0.5, 0.0);
+  if (sh_degree < 2) return radiance(c + 0.5);
   float xx = x * x, yy = y * y, zz = z * z;
   i = slot * 15u;
   basis[0] = 1.0925484305920792 * x * y;
@@ -63,7 +66,7 @@ vec3 colour(uint slot, vec3 direction) {
   basis[4] = 0.5462742152960396 * (xx - yy);
   for (uint k = 0u; k < 5u; ++k, i += 3u)
     c += basis[k] * vec3(band2[i], band2[i + 1u], band2[i + 2u]);
-  if (sh_degree < 3) return max(c + 0.5, 0.0);
+  if (sh_degree < 3) return radiance(c + 0.5);
   i = slot * 21u;
   basis[0] = -0.5900435899266435 * y * (3.0 * xx - yy);
   basis[1] = 2.890611442640554 * x * y * z;
@@ -74,7 +77,7 @@ vec3 colour(uint slot, vec3 direction) {
   basis[6] = -0.5900435899266435 * x * (xx - 3.0 * yy);
   for (uint k = 0u; k < 7u; ++k, i += 3u)
     c += basis[k] * vec3(band3[i], band3[i + 1u], band3[i + 2u]);
-  return max(c + 0.5, 0.0);
+  return radiance(c + 0.5);
 }
 
 void main() {
@@ -122,6 +125,7 @@ void main() {
   float mid = 0.5 * (a + c), radius = length(vec2(0.5 * (a - c), b));
   float major = mid + radius;
   float minor = det / major;
+  if (!(major < 1e16)) return;  // beyond any picture, and soon beyond float32
   // Eigenvector of the larger eigenvalue, from whichever row is longer.
   vec2 axis = a > c ? vec2(radius + 0.5 * (a - c), b) : vec2(b, radius + 0.5 * (c - a));
   float norm = length(axis);
@@ -129,7 +133,7 @@ void main() {
 
   float sigmas = min(kMaxSigmas, sqrt(2.0 * log(255.0 * opacity)));
   vec2 extent = sigmas * sqrt(vec2(a, c));
-  if (any(lessThan(centre + extent, vec2(0.0))) || any(greaterThan(centre - extent, picture))) return;
+  if (!all(greaterThan(centre + extent, vec2(0.0))) || !all(lessThan(centre - extent, picture))) return;
 
   vec3 direction = orthographic ? eye : normalize(mean - eye);
   projected[target] = vec4(centre, (ndc_depth.x * p.z + ndc_depth.y) / w, p.z);

@@ -68,8 +68,11 @@ def project(splats: Splats, camera: Camera) -> Projected:
     inside &= (centers - extents < (camera.width, camera.height)).all(axis=1)
     inside &= (opacities >= MIN_ALPHA) & (determinant > 0)
 
-    directions = world - camera.position
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    if camera.orthographic:  # all rays are parallel
+        directions = np.broadcast_to(rotation[2], world.shape)
+    else:
+        directions = world - camera.position
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return Projected(
         slots=slots[inside],
         centers=centers[inside],

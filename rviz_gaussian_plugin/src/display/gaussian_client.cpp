@@ -80,8 +80,8 @@ void GaussianClient::receive(const GaussianArray& message) {
 }
 
 void GaussianClient::watchPublishers() {
-  // A latched subscription gets nothing from a volatile publisher; one that asks for less gets both,
-  // and what comes twice is dropped by its revision.
+  // A latched subscription gets nothing from a volatile publisher; one that asks for less gets
+  // both, and what comes twice is dropped by its revision.
   bool any_volatile = false;
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {

@@ -17,9 +17,9 @@
 
 namespace rosplat {
 
-// The ROS side of a display: feeds a scene from a map's topic and its sorter's, in a thread of its own
-// so that no message holds up the GUI. For a map on /gaussians: the views go out on /gaussians/view,
-// orders come in on /gaussians/order, pictures are asked for at /gaussians/render.
+// The ROS side of a display: feeds a scene from a map's topic and its sorter's, in a thread of its
+// own so that no message holds up the GUI. For a map on /gaussians: the views go out on
+// /gaussians/view, orders come in on /gaussians/order, pictures are asked for at /gaussians/render.
 class GaussianClient {
  public:
   using RenderView = rosplat_msgs::srv::RenderView;
@@ -34,11 +34,11 @@ class GaussianClient {
 
   // What has arrived.
   struct Status {
-    std::string frame_id;         // of the map
+    std::string frame_id;  // of the map
     std::uint64_t batches = 0;
-    std::uint64_t refused = 0;    // batches that contradict themselves
-    std::string refusal;          // why, of the last one
-    std::size_t publishers = 0;   // of the map's topic
+    std::uint64_t refused = 0;   // batches that contradict themselves
+    std::string refusal;         // why, of the last one
+    std::size_t publishers = 0;  // of the map's topic
   };
 
   // The scene must outlive the client. Throws rclcpp's exceptions for a topic with an invalid name.

@@ -53,7 +53,8 @@ std::string concat(const Parts&... parts) {
 
 GaussianDisplay::GaussianDisplay() : instance_(uniqueName()) {
   topic_ = new rviz_common::properties::RosTopicProperty(
-      "Topic", "", QString::fromStdString(rosidl_generator_traits::name<rosplat_msgs::msg::GaussianArray>()),
+      "Topic", "",
+      QString::fromStdString(rosidl_generator_traits::name<rosplat_msgs::msg::GaussianArray>()),
       "Map of 3D Gaussians (rosplat_msgs/GaussianArray). The display publishes its cameras on "
       "<topic>/view, takes orders from <topic>/order and draws pictures for <topic>/render.",
       this, SLOT(subscribe()));
@@ -243,8 +244,7 @@ void GaussianDisplay::answer(const GaussianClient::RenderRequest& request, bool 
   GaussianClient::RenderView::Response response;
   try {
     SplatScene& scene = cloud_->scene();
-    const FrameReport report =
-        scene.draw(still_.id, cloud_->settings(), Canvas::kNone, built_in);
+    const FrameReport report = scene.draw(still_.id, cloud_->settings(), Canvas::kNone, built_in);
     const auto fill = [&](sensor_msgs::msg::Image& image, const std::vector<float>& pixels,
                           const char* encoding) {
       image.header.frame_id = request.request->camera.header.frame_id;
@@ -286,12 +286,13 @@ void GaussianDisplay::updateStatus() {
   const FrameReport& frame = cloud_->report();
 
   if (received.refused > 0) {
-    setStatusOnce(StatusProperty::Error, "Topic",
-                  concat(received.refused, " batches refused, the last because ", received.refusal));
+    setStatusOnce(
+        StatusProperty::Error, "Topic",
+        concat(received.refused, " batches refused, the last because ", received.refusal));
   } else if (received.batches == 0) {
-    setStatusOnce(StatusProperty::Warn, "Topic",
-                  received.publishers == 0 ? "Nobody publishes on this topic"
-                                           : "No batch received yet");
+    setStatusOnce(
+        StatusProperty::Warn, "Topic",
+        received.publishers == 0 ? "Nobody publishes on this topic" : "No batch received yet");
   } else {
     setStatusOnce(StatusProperty::Ok, "Topic", concat(received.batches, " batches received"));
   }
@@ -309,10 +310,10 @@ void GaussianDisplay::updateStatus() {
   if (!cloud_->error().empty()) {
     setStatusOnce(StatusProperty::Error, "OpenGL", cloud_->error());
   } else if (!frame.order_source.empty()) {
-    setStatusOnce(StatusProperty::Ok, "Order",
-                  concat(frame.splats, " splats by ", frame.order_source, " in ",
-                         frame.sort_time * 1e3, " ms, ",
-                         frame.order_fresh ? "fresh" : concat(frame.order_age * 1e3, " ms old")));
+    setStatusOnce(
+        StatusProperty::Ok, "Order",
+        concat(frame.splats, " splats by ", frame.order_source, " in ", frame.sort_time * 1e3,
+               " ms, ", frame.order_fresh ? "fresh" : concat(frame.order_age * 1e3, " ms old")));
     setStatusOnce(StatusProperty::Ok, "Memory",
                   concat("GPU ", cloud_->scene().gpuBytes() >> 20, " MiB, host ",
                          cloud_->scene().hostBytes() >> 20, " MiB"));

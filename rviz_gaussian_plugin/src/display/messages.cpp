@@ -77,9 +77,8 @@ rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::st
     const double s = 2 * std::sqrt(1 + r[8] - r[0] - r[4]);
     q.z = s / 4, q.w = (r[1] - r[3]) / s, q.x = (r[2] + r[6]) / s, q.y = (r[5] + r[7]) / s;
   }
-  message.projection =
-      camera.orthographic ? rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC
-                          : rosplat_msgs::msg::ViewCamera::PERSPECTIVE;
+  message.projection = camera.orthographic ? rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC
+                                           : rosplat_msgs::msg::ViewCamera::PERSPECTIVE;
   message.fx = camera.fx;
   message.fy = camera.fy;
   message.cx = camera.cx;

@@ -3,10 +3,10 @@
 // Where the supported ROS 2 releases differ. CMake defines RVIZ_COMMON_VERSION as
 // major * 10000 + minor * 100 + patch.
 
-#include <rclcpp/qos.hpp>
 #include <rclcpp/version.h>
 
 #include <chrono>
+#include <rclcpp/qos.hpp>
 
 namespace rosplat {
 

@@ -138,9 +138,12 @@ void OffscreenRenderer::setBox(const std::array<float, 3>& centre,
     box->position(position);
     box->colour(Ogre::ColourValue::White);
   }
-  for (const std::array<Ogre::uint32, 4>& q :
-       {std::array<Ogre::uint32, 4>{0, 2, 3, 1}, {4, 5, 7, 6}, {0, 1, 5, 4}, {2, 6, 7, 3},
-        {0, 4, 6, 2}, {1, 3, 7, 5}}) {
+  for (const std::array<Ogre::uint32, 4>& q : {std::array<Ogre::uint32, 4>{0, 2, 3, 1},
+                                               {4, 5, 7, 6},
+                                               {0, 1, 5, 4},
+                                               {2, 6, 7, 3},
+                                               {0, 4, 6, 2},
+                                               {1, 3, 7, 5}}) {
     box->quad(q[0], q[1], q[2], q[3]);
   }
   box->end();
@@ -153,8 +156,8 @@ std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float,
       Ogre::ColourValue(background[0], background[1], background[2]));
   update();
   std::vector<std::uint8_t> pixels(3 * std::size_t(width()) * std::size_t(height()));
-  texture_->getBuffer()->blitToMemory(Ogre::PixelBox(
-      Ogre::uint32(width()), Ogre::uint32(height()), 1, Ogre::PF_BYTE_RGB, pixels.data()));
+  texture_->getBuffer()->blitToMemory(Ogre::PixelBox(Ogre::uint32(width()), Ogre::uint32(height()),
+                                                     1, Ogre::PF_BYTE_RGB, pixels.data()));
   return pixels;
 }
 

@@ -14,7 +14,8 @@
 namespace rosplat {
 
 // The renderer in an Ogre of its own, drawing into a texture: for programs without rviz. Needs an X
-// display; one at a time in a process; all calls but apply() and offer() from the thread that made it.
+// display; one at a time in a process; all calls but apply() and offer() from the thread that made
+// it.
 class OffscreenRenderer {
  public:
   // media: the folder of the shaders; plugins: the folder of Ogre's RenderSystem_GL.

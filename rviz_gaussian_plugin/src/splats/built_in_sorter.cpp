@@ -14,9 +14,9 @@ rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<doub
   for (int i = 0; i < 3; ++i) {
     for (int k = 0; k < 3; ++k) t[i] += camera.rotation[3 * i + k] * origin[k];
   }
-  return rosplat_sorter::makeView(camera.rotation.data(), t.data(), camera.fx, camera.fy,
-                                  camera.cx, camera.cy, camera.width, camera.height,
-                                  camera.near_clip, camera.far_clip, camera.orthographic);
+  return rosplat_sorter::makeView(camera.rotation.data(), t.data(), camera.fx, camera.fy, camera.cx,
+                                  camera.cy, camera.width, camera.height, camera.near_clip,
+                                  camera.far_clip, camera.orthographic);
 }
 
 BuiltInSorter::BuiltInSorter() : thread_([this] { run(); }) {}

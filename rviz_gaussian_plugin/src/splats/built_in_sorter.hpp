@@ -30,7 +30,8 @@ struct Order {
 };
 using OrderPtr = std::shared_ptr<const Order>;
 
-// The viewer's own sorter: a worker with the positions of the map, so that no frame waits for a sort.
+// The viewer's own sorter: a worker with the positions of the map, so that no frame waits for a
+// sort.
 class BuiltInSorter {
  public:
   BuiltInSorter();
@@ -40,7 +41,8 @@ class BuiltInSorter {
   void apply(std::shared_ptr<const GaussianEdit> edit, const std::string& map_id);
 
   // Sorts for a camera; a newer request for the same view replaces one that waits. With `base`, a
-  // sidecar's order of an older revision, only the slots changed since are sorted and merged into it.
+  // sidecar's order of an older revision, only the slots changed since are sorted and merged into
+  // it.
   void request(const std::string& view_id, std::uint64_t sequence, const rosplat_sorter::View& view,
                OrderPtr base = nullptr);
 
@@ -83,8 +85,8 @@ class BuiltInSorter {
   std::uint64_t revision_ = 0;
   std::uint64_t cleared_at_ = 0;  // revision of the last clear
   std::vector<float> positions_, extents_;
-  std::vector<std::uint64_t> changed_at_;                     // revision of a slot's last change
-  std::deque<std::shared_ptr<const GaussianEdit>> recent_;    // whose slots a merge sorts
+  std::vector<std::uint64_t> changed_at_;                   // revision of a slot's last change
+  std::deque<std::shared_ptr<const GaussianEdit>> recent_;  // whose slots a merge sorts
   rosplat_sorter::DepthOrder depth_order_;
   std::thread thread_;
 };

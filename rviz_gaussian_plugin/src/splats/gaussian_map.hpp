@@ -13,29 +13,30 @@
 namespace rosplat {
 
 constexpr int kMaxShDegree = 3;
-constexpr int kGeometryFloats = 12;                              // a slot, see splat_project.comp
+constexpr int kGeometryFloats = 12;  // a slot, see splat_project.comp
 constexpr std::array<int, kMaxShDegree + 1> kBandFloats{3, 9, 15, 21};  // a slot, by band
 constexpr std::uint32_t kMaxSlots = 1u << 25;
 
-// A checked batch, laid out for the GPU and for sorting. Emptied slots have opacity 0 and extent -1.
+// A checked batch, laid out for the GPU and for sorting. Emptied slots have opacity 0 and extent
+// -1.
 struct GaussianEdit {
-  bool clear = false;                // empty the map first
-  std::uint64_t revision = 0;        // of the map afterwards
-  std::uint32_t capacity = 0;        // one past the highest slot in use afterwards
-  int sh_degree = -1;                // bands present, -1 where only slots are emptied
+  bool clear = false;          // empty the map first
+  std::uint64_t revision = 0;  // of the map afterwards
+  std::uint32_t capacity = 0;  // one past the highest slot in use afterwards
+  int sh_degree = -1;          // bands present, -1 where only slots are emptied
   // Runs of consecutive slots {first, count}; the arrays hold the runs one after the other.
   std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;
-  std::vector<float> geometry;                              // kGeometryFloats a slot
-  std::array<std::vector<float>, kMaxShDegree + 1> bands;   // kBandFloats[band] a slot
-  std::vector<float> positions;                             // 3 a slot [m], relative to the map's origin
-  std::vector<float> extents;  // radius of the 1/255 ellipsoid along its longest axis [m], or -1
+  std::vector<float> geometry;                             // kGeometryFloats a slot
+  std::array<std::vector<float>, kMaxShDegree + 1> bands;  // kBandFloats[band] a slot
+  std::vector<float> positions;  // 3 a slot [m], relative to the map's origin
+  std::vector<float> extents;    // radius of the 1/255 ellipsoid along its longest axis [m], or -1
 };
 
 // What became of a batch.
 struct BatchReport {
-  bool duplicate = false;      // seen before, ignored
-  std::uint64_t missed = 0;    // batches lost before this one
-  std::uint64_t dropped = 0;   // splats with values that mean nothing; their slots are empty
+  bool duplicate = false;     // seen before, ignored
+  std::uint64_t missed = 0;   // batches lost before this one
+  std::uint64_t dropped = 0;  // splats with values that mean nothing; their slots are empty
 };
 
 // A batch that contradicts itself; the map is unchanged. what() names the field.

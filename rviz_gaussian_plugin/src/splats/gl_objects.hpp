@@ -77,8 +77,8 @@ class Target {
   std::size_t bytes_ = 0;
 };
 
-// A framebuffer and a vertex array for the duration of a scope: contexts share textures and buffers,
-// but neither of these, and rviz has a context for each window.
+// A framebuffer and a vertex array for the duration of a scope: contexts share textures and
+// buffers, but neither of these, and rviz has a context for each window.
 class DrawScope {
  public:
   explicit DrawScope(const Target& target);

@@ -11,18 +11,19 @@
 
 namespace rosplat {
 
-// Decides, view by view, which order to draw: a sidecar's that answers the newest camera and map; else
-// the sidecar's last one for a moment, changed slots merged in; else the built-in sort.
-// All times are of one monotonic clock. [s]
+// Decides, view by view, which order to draw: a sidecar's that answers the newest camera and map;
+// else the sidecar's last one for a moment, changed slots merged in; else the built-in sort. All
+// times are of one monotonic clock. [s]
 class OrderBook {
  public:
-  // How long a silent sidecar is waited for. Above the 82 ms that sorting 5M splats takes on one core.
+  // How long a silent sidecar is waited for. Above the 82 ms that sorting 5M splats takes on one
+  // core.
   static constexpr double kPatience = 0.25;
 
   struct Choice {
-    OrderPtr order;    // null until there is one
+    OrderPtr order;  // null until there is one
     bool fresh = false;
-    double age = 0;    // since the order's camera was left, 0 where fresh [s]
+    double age = 0;  // since the order's camera was left, 0 where fresh [s]
   };
 
   explicit OrderBook(BuiltInSorter& built_in) : built_in_(built_in) {}
@@ -58,8 +59,8 @@ class OrderBook {
     std::deque<Camera> cameras;  // newest last; equal ones are one
     std::uint64_t sequence = 0;  // newest
     OrderPtr sidecar, built_in, drawn;
-    OrderPtr early;              // the sidecar's, of a revision that has not arrived here yet
-    double waiting_since = 0;    // for the sidecar
+    OrderPtr early;            // the sidecar's, of a revision that has not arrived here yet
+    double waiting_since = 0;  // for the sidecar
     std::uint64_t requested_sequence = 0, requested_revision = 0;
     OrderPtr requested_base;
   };

@@ -6,8 +6,8 @@
 namespace rosplat {
 
 // A camera in the map's frame, in double precision so that maps far from their frame's origin stay
-// sharp. Optical axes: x right, y down, z forward (REP-103). Pixels: the top left one's centre is at
-// (0.5, 0.5).
+// sharp. Optical axes: x right, y down, z forward (REP-103). Pixels: the top left one's centre is
+// at (0.5, 0.5).
 struct SplatCamera {
   std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // map -> camera, rows
   std::array<double, 3> translation{};                        // map -> camera [m]
@@ -21,14 +21,14 @@ struct SplatCamera {
 
   bool operator==(const SplatCamera& o) const {
     return rotation == o.rotation && translation == o.translation &&
-           orthographic == o.orthographic && fx == o.fx && fy == o.fy && cx == o.cx &&
-           cy == o.cy && width == o.width && height == o.height && near_clip == o.near_clip &&
+           orthographic == o.orthographic && fx == o.fx && fy == o.fy && cx == o.cx && cy == o.cy &&
+           width == o.width && height == o.height && near_clip == o.near_clip &&
            far_clip == o.far_clip;
   }
 };
 
-// A camera at the pose of its optical frame in the map's frame: position [m], quaternion x y z w of any
-// length but zero. Throws std::invalid_argument, naming the field, for a camera that can't see.
+// A camera at the pose of its optical frame in the map's frame: position [m], quaternion x y z w of
+// any length but zero. Throws std::invalid_argument, naming the field, for a camera that can't see.
 SplatCamera makeCamera(const std::array<double, 3>& position,
                        const std::array<double, 4>& orientation, bool orthographic, double fx,
                        double fy, double cx, double cy, double width, double height,

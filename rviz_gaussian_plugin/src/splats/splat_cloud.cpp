@@ -106,9 +106,8 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
   // rviz selects objects by drawing them in schemes of their own.
   if (viewport->getMaterialScheme() != Ogre::MaterialManager::DEFAULT_SCHEME_NAME) return false;
   if (!error_.empty() || !camera_) return false;
-  const SplatCamera camera =
-      cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
-               viewport->getActualWidth(), viewport->getActualHeight());
+  const SplatCamera camera = cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
+                                      viewport->getActualWidth(), viewport->getActualHeight());
   try {
     const Canvas canvas =
         viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;

@@ -11,8 +11,8 @@
 
 namespace rosplat {
 
-// A map as a part of an Ogre scene: drawn after everything opaque, hidden by it, in the frame of the
-// scene node it is attached to (which must not scale or mirror).
+// A map as a part of an Ogre scene: drawn after everything opaque, hidden by it, in the frame of
+// the scene node it is attached to (which must not scale or mirror).
 class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
  public:
   // Names the view that a viewport shows and registers its camera with the scene; called in the

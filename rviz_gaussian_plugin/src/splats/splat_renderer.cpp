@@ -119,8 +119,7 @@ void SplatRenderer::reserveProjected() {
   std::size_t want = std::min(slots + slots / 2, kProjectedParts * part_slots_);
   want = want / kPageSlots * kPageSlots;
   for (std::size_t first = 0; first < want; first += part_slots_) {
-    projected_.emplace_back(std::min(part_slots_, want - first) * kProjectedBytes,
-                            GL_DYNAMIC_COPY);
+    projected_.emplace_back(std::min(part_slots_, want - first) * kProjectedBytes, GL_DYNAMIC_COPY);
     projected_.back().zero();
   }
 }
@@ -134,7 +133,8 @@ void SplatRenderer::setOrder(const std::uint32_t* slots, std::size_t count) {
 
 void SplatRenderer::project(const SplatCamera& camera, const MapState& map,
                             const RenderSettings& settings) {
-  // Rebased in double precision: neither the map's origin nor the camera's position reaches float32.
+  // Rebased in double precision: neither the map's origin nor the camera's position reaches
+  // float32.
   const auto& r = camera.rotation;
   std::array<double, 3> t{};
   for (int i = 0; i < 3; ++i) {
@@ -283,7 +283,8 @@ std::vector<float> SplatRenderer::readDepth() {
   glBindFramebuffer(GL_READ_FRAMEBUFFER, color.framebuffer());
   glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT, GL_NEAREST);
   drawQuads(depth_, true);
-  const std::size_t columns = static_cast<std::size_t>(width), rows = static_cast<std::size_t>(height);
+  const std::size_t columns = static_cast<std::size_t>(width),
+                    rows = static_cast<std::size_t>(height);
   std::vector<float> blended(4 * columns * rows), depths(columns * rows);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
   glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, blended.data());

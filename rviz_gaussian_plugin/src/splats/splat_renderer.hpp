@@ -27,8 +27,9 @@ enum class Canvas {
   kNone,     // nothing: there is no opaque scene, and the picture is only read back
 };
 
-// Draws a map with OpenGL 4.3: splats in storage buffers by slot, projected once a frame by a compute
-// pass, then drawn as quads in a given order. Knows no Ogre; runs in the render thread only.
+// Draws a map with OpenGL 4.3: splats in storage buffers by slot, projected once a frame by a
+// compute pass, then drawn as quads in a given order. Knows no Ogre; runs in the render thread
+// only.
 class SplatRenderer {
  public:
   // Reads a shader's source by file name.
@@ -43,14 +44,16 @@ class SplatRenderer {
   // Makes slots[0..count) what draw() draws, farthest first.
   void setOrder(const std::uint32_t* slots, std::size_t count);
 
-  // Blends the splats of the order, hidden where the current framebuffer and viewport have something
-  // nearer, into a target of its own; then over that viewport, which has the camera's size.
+  // Blends the splats of the order, hidden where the current framebuffer and viewport have
+  // something nearer, into a target of its own; then over that viewport, which has the camera's
+  // size.
   void draw(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
             Canvas canvas);
 
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
   std::vector<float> readColor() const;
-  // Draws the mean depth of the splats as draw() saw them: width * height [m], NaN where nothing is.
+  // Draws the mean depth of the splats as draw() saw them: width * height [m], NaN where nothing
+  // is.
   std::vector<float> readDepth();
 
   std::size_t drawn() const { return order_count_; }

@@ -20,12 +20,12 @@ namespace rosplat {
 
 // What a frame drew.
 struct FrameReport {
-  std::size_t splats = 0;      // drawn
-  std::string order_source;    // who sorted, empty where nothing is sorted yet
-  bool order_fresh = false;    // for this very camera and map
-  double order_age = 0;        // [s]
-  double sort_time = 0;        // [s]
-  double draw_time = 0;        // of the render thread [s]
+  std::size_t splats = 0;    // drawn
+  std::string order_source;  // who sorted, empty where nothing is sorted yet
+  bool order_fresh = false;  // for this very camera and map
+  double order_age = 0;      // [s]
+  double sort_time = 0;      // [s]
+  double draw_time = 0;      // of the render thread [s]
 };
 
 // A map with everything that draws it. apply() and offer() may be called from any thread; whatever

@@ -1,0 +1,37 @@
+# The jobs of this repository; each sets up what it needs. `make help` lists them.
+
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+SCENE ?=
+CAMERAS ?=
+OUT ?= out/render
+VIA ?= host
+FORMAT ?= png16
+
+ENTER = . ./env.sh
+
+.PHONY: help setup demo render test lint clean
+
+help: ## This list
+	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
+
+setup: ## Install what is missing and build the packages
+	@./setup.sh
+
+demo: setup ## See a scene: SCENE=path, else a procedural one
+	@$(ENTER); python -m rosplat_tools.demo $(if $(SCENE),"$(SCENE)")
+
+render: setup ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy]
+	@$(ENTER); python -m rosplat_tools.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT)
+
+lint: ## Format, lint and types
+	@./setup.sh dev
+	@$(ENTER); tests/lint.sh
+
+test: ## Lint, then every test that this machine can run
+	@./setup.sh dev
+	@$(ENTER); tests/lint.sh && tests/run.sh
+
+clean: ## Forget builds and pictures; .venv stays
+	rm -rf build install log out

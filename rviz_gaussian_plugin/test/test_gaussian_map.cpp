@@ -1,0 +1,186 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "../src/splats/gaussian_map.hpp"
+
+using namespace rosplat;
+
+namespace {
+
+// A batch with arrays of its own; splat i sits at (i, 0, 0).
+struct Batch : GaussianBatch {
+  std::vector<std::uint32_t> slot_list;
+  std::vector<float> position, orientation, scale, opacity, harmonics;
+
+  Batch(std::uint64_t revision, Operation what, std::uint32_t first, std::uint32_t n,
+        std::uint8_t degree = 0) {
+    map_id = "map";
+    this->revision = revision;
+    operation = what;
+    first_slot = first;
+    count = n;
+    sh_degree = degree;
+    if (what != DELETE) {
+      position.resize(3 * n, 0.0f);
+      orientation.resize(4 * n, 0.5f);
+      scale.resize(3 * n, 0.1f);
+      opacity.resize(n, 1.0f);
+      harmonics.resize(3u * (degree + 1u) * (degree + 1u) * n, 0.25f);
+      for (std::uint32_t i = 0; i < n; ++i) position[3 * i] = float(i);
+    }
+    look();
+  }
+
+  void look() {
+    slots = {slot_list.data(), slot_list.size()};
+    positions = {position.data(), position.size()};
+    orientations = {orientation.data(), orientation.size()};
+    scales = {scale.data(), scale.size()};
+    opacities = {opacity.data(), opacity.size()};
+    sh = {harmonics.data(), harmonics.size()};
+  }
+};
+
+class GaussianMapTest : public testing::Test {
+ protected:
+  std::shared_ptr<const GaussianEdit> apply(const GaussianBatch& batch) {
+    report = {};
+    return map.apply(batch, report);
+  }
+
+  GaussianMap map;
+  BatchReport report;
+};
+
+}  // namespace
+
+TEST_F(GaussianMapTest, KeepsTheBooksOfReplaceUpsertDelete) {
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 10));
+  EXPECT_EQ(map.state().splats, 10u);
+  apply(Batch(2, GaussianBatch::UPSERT, 8, 4));  // two rewritten, two new
+  EXPECT_EQ(map.state().splats, 12u);
+  EXPECT_EQ(map.state().capacity, 12u);
+  const auto deleted = apply(Batch(3, GaussianBatch::DELETE, 0, 5));
+  EXPECT_EQ(map.state().splats, 7u);
+  EXPECT_EQ(deleted->extents, std::vector<float>(5, -1.0f));
+  EXPECT_TRUE(apply(Batch(4, GaussianBatch::REPLACE, 0, 1))->clear);
+  EXPECT_EQ(map.state().splats, 1u);
+  EXPECT_EQ(map.state().capacity, 1u);
+}
+
+TEST_F(GaussianMapTest, DeletingUnknownSlotsChangesNothing) {
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 3));
+  apply(Batch(2, GaussianBatch::DELETE, 2, 1000));
+  EXPECT_EQ(map.state().splats, 2u);
+  EXPECT_EQ(map.state().capacity, 3u);
+}
+
+TEST_F(GaussianMapTest, ListedSlotsBecomeRuns) {
+  Batch batch(1, GaussianBatch::REPLACE, 0, 5);
+  batch.slot_list = {4, 5, 6, 1, 9};
+  batch.look();
+  const auto edit = apply(batch);
+  const std::vector<std::pair<std::uint32_t, std::uint32_t>> runs{{4, 3}, {1, 1}, {9, 1}};
+  EXPECT_EQ(edit->runs, runs);
+  EXPECT_EQ(map.state().capacity, 10u);
+}
+
+TEST_F(GaussianMapTest, SortsSphericalHarmonicsIntoBands) {
+  Batch batch(1, GaussianBatch::REPLACE, 0, 2, 1);
+  for (std::size_t i = 0; i < batch.harmonics.size(); ++i) batch.harmonics[i] = float(i);
+  const auto edit = apply(batch);
+  EXPECT_EQ(edit->bands[0], (std::vector<float>{0, 1, 2, 12, 13, 14}));
+  EXPECT_EQ(edit->bands[1].size(), 18u);
+  EXPECT_EQ(edit->bands[1][9], 15.0f);
+  EXPECT_TRUE(edit->bands[2].empty());
+}
+
+TEST_F(GaussianMapTest, IgnoresDuplicatesAndCountsLosses) {
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 1));
+  EXPECT_EQ(apply(Batch(1, GaussianBatch::REPLACE, 0, 1)), nullptr);
+  EXPECT_TRUE(report.duplicate);
+  apply(Batch(5, GaussianBatch::UPSERT, 1, 1));
+  EXPECT_EQ(report.missed, 3u);
+  apply(Batch(9, GaussianBatch::REPLACE, 0, 1));
+  EXPECT_EQ(map.state().missed, 0u);  // a REPLACE needs nothing before it
+}
+
+TEST_F(GaussianMapTest, AnotherMapIdStartsAnew) {
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 10));
+  Batch other(1, GaussianBatch::UPSERT, 0, 2);
+  other.map_id = "another";
+  EXPECT_TRUE(apply(other)->clear);
+  EXPECT_EQ(map.state().splats, 2u);
+}
+
+TEST_F(GaussianMapTest, DropsSplatsThatMeanNothing) {
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  const float infinity = std::numeric_limits<float>::infinity();
+  Batch batch(1, GaussianBatch::REPLACE, 0, 8);
+  batch.position[0] = nan;
+  batch.position[3 + 1] = infinity;
+  for (int k = 0; k < 4; ++k) batch.orientation[4 * 2 + k] = 0.0f;
+  batch.scale[3 * 3] = -1.0f;
+  batch.opacity[4] = nan;
+  batch.harmonics[3 * 5] = nan;
+  batch.opacity[6] = 7.0f;  // more than opaque: opaque
+  const auto edit = apply(batch);
+  EXPECT_EQ(report.dropped, 6u);
+  EXPECT_EQ(map.state().splats, 2u);
+  for (float value : edit->geometry) EXPECT_TRUE(std::isfinite(value));
+  EXPECT_EQ(edit->extents[0], -1.0f);
+  EXPECT_EQ(edit->geometry[kGeometryFloats * 6 + 3], 1.0f);
+}
+
+TEST_F(GaussianMapTest, RebasesToTheOriginOfTheFirstBatch) {
+  Batch first(1, GaussianBatch::REPLACE, 0, 1);
+  first.origin = {4.5e6, 0, 0};
+  apply(first);
+  Batch second(2, GaussianBatch::UPSERT, 1, 1);
+  second.origin = {4.5e6 + 0.125, 0, 0};
+  EXPECT_EQ(apply(second)->positions[0], 0.125f);
+}
+
+TEST_F(GaussianMapTest, ExtentIsTheEllipsoidOfOneGreyLevel) {
+  Batch batch(1, GaussianBatch::REPLACE, 0, 3);
+  batch.scale[0] = 2.0f;
+  batch.opacity = {1.0f, 0.5f, 0.003f};
+  batch.look();
+  const auto edit = apply(batch);
+  // alpha = opacity exp(-r^2 / 2 sigma^2) = 1/255
+  EXPECT_NEAR(edit->extents[0], 2.0 * std::sqrt(2.0 * std::log(255.0)), 1e-2);
+  EXPECT_NEAR(0.5 * std::exp(-0.5 * std::pow(edit->extents[1] / 0.1, 2)), 1.0 / 255.0, 1e-6);
+  EXPECT_EQ(edit->extents[2], -1.0f);
+}
+
+TEST_F(GaussianMapTest, RefusesBatchesThatContradictThemselves) {
+  const auto refuses = [this](Batch batch, const std::string& field) {
+    try {
+      apply(batch);
+      ADD_FAILURE() << "accepted a batch with a wrong " << field;
+    } catch (const BatchError& error) {
+      EXPECT_NE(std::string(error.what()).find(field), std::string::npos) << error.what();
+    }
+  };
+  const Batch good(7, GaussianBatch::REPLACE, 0, 2);
+  Batch bad = good;
+  bad.look(), bad.positions.size = 5, refuses(bad, "positions");
+  bad.look(), bad.orientations.size = 7, refuses(bad, "orientations");
+  bad.look(), bad.scales.size = 0, refuses(bad, "scales");
+  bad.look(), bad.opacities.size = 3, refuses(bad, "opacities");
+  bad.look(), bad.sh_degree = 1, refuses(bad, "sh");
+  bad = good, bad.look(), bad.sh_degree = 7, refuses(bad, "sh_degree");
+  bad = good, bad.look(), bad.operation = 3, refuses(bad, "operation");
+  bad = good, bad.look(), bad.encoding = 9, refuses(bad, "encoding");
+  bad = good, bad.look(), bad.first_slot = kMaxSlots, refuses(bad, "first_slot");
+  bad = good, bad.slot_list = {1, kMaxSlots}, bad.look(), refuses(bad, "slots");
+  bad = good, bad.slot_list = {1}, bad.look(), refuses(bad, "slots");
+  bad = good, bad.look(), bad.origin[1] = NAN, refuses(bad, "origin");
+  bad = Batch(7, GaussianBatch::DELETE, 0, 2);
+  bad.position.resize(6), bad.look(), refuses(bad, "positions");
+  EXPECT_EQ(map.state().revision, 0u);  // none of them left a trace
+}

@@ -1,0 +1,160 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "../src/splats/order_book.hpp"
+
+using namespace rosplat;
+
+namespace {
+
+// Splats on the camera's axis, slot i at depth depths[i].
+class OrderBookTest : public testing::Test {
+ protected:
+  OrderBookTest() : book(sorter) {
+    camera.fx = camera.fy = 100;
+    camera.cx = camera.cy = 50;
+    camera.width = camera.height = 100;
+  }
+
+  void upsert(std::uint32_t first, const std::vector<float>& depths, double now) {
+    std::vector<float> position, orientation, scale, opacity, sh;
+    for (float depth : depths) {
+      position.insert(position.end(), {0.0f, 0.0f, depth});
+      orientation.insert(orientation.end(), {0.0f, 0.0f, 0.0f, 1.0f});
+      scale.insert(scale.end(), 3, 0.01f);
+      opacity.push_back(1.0f);
+      sh.insert(sh.end(), 3, 0.0f);
+    }
+    GaussianBatch batch;
+    batch.map_id = "map";
+    batch.revision = map.state().revision + 1;
+    batch.operation = batch.revision == 1 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
+    batch.first_slot = first;
+    batch.count = static_cast<std::uint32_t>(depths.size());
+    batch.positions = {position.data(), position.size()};
+    batch.orientations = {orientation.data(), orientation.size()};
+    batch.scales = {scale.data(), scale.size()};
+    batch.opacities = {opacity.data(), opacity.size()};
+    batch.sh = {sh.data(), sh.size()};
+    BatchReport report;
+    sorter.apply(map.apply(batch, report), map.state().id);
+    book.mapChanged(map.state(), now);
+  }
+
+  OrderPtr sidecar(std::uint64_t sequence, std::uint64_t revision,
+                   std::vector<std::uint32_t> slots) {
+    auto order = std::make_shared<Order>();
+    order->view_id = "view";
+    order->sequence = sequence;
+    order->map_id = "map";
+    order->revision = revision;
+    order->source = "sidecar";
+    order->slots = std::move(slots);
+    return order;
+  }
+
+  // choose() until the worker has answered: its source, and for a bounded time.
+  OrderBook::Choice chooseUntil(const std::string& source, double now) {
+    for (int i = 0; i < 2000; ++i) {
+      const auto choice = book.choose("view", now);
+      if (choice.order && choice.order->source == source) return choice;
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    return {};
+  }
+
+  using Slots = std::vector<std::uint32_t>;
+  SplatCamera camera;
+  GaussianMap map;
+  BuiltInSorter sorter;
+  OrderBook book;
+};
+
+}  // namespace
+
+TEST_F(OrderBookTest, SortsItselfWithoutASidecar) {
+  upsert(0, {1, 3, 2}, 0.0);
+  book.setCamera("view", 1, camera, 0.0);
+  const auto choice = chooseUntil("built-in", 0.0);
+  ASSERT_TRUE(choice.order);
+  EXPECT_EQ(choice.order->slots, (Slots{1, 2, 0}));
+  EXPECT_TRUE(choice.fresh);
+  EXPECT_EQ(choice.age, 0.0);
+}
+
+TEST_F(OrderBookTest, AFreshSidecarWins) {
+  upsert(0, {1, 3, 2}, 0.0);
+  book.setCamera("view", 1, camera, 0.0);
+  EXPECT_FALSE(book.answered("view"));
+  EXPECT_TRUE(book.offer(sidecar(1, 1, {1, 2, 0}), 0.1));
+  EXPECT_TRUE(book.answered("view"));
+  const auto choice = book.choose("view", 100.0);  // it never grows stale while nothing changes
+  EXPECT_EQ(choice.order->source, "sidecar");
+  EXPECT_TRUE(choice.fresh);
+}
+
+TEST_F(OrderBookTest, ASilentSidecarIsWaitedForThenReplaced) {
+  upsert(0, {1, 3, 2}, 0.0);
+  book.setCamera("view", 1, camera, 0.0);
+  book.offer(sidecar(1, 1, {1, 2, 0}), 0.0);
+  camera.translation = {0, 0, 1};
+  book.setCamera("view", 2, camera, 10.0);
+  const auto soon = book.choose("view", 10.1);
+  EXPECT_EQ(soon.order->source, "sidecar");
+  EXPECT_FALSE(soon.fresh);
+  EXPECT_NEAR(soon.age, 0.1, 1e-9);
+  const double late = 10.0 + 2 * OrderBook::kPatience;
+  ASSERT_TRUE(chooseUntil("built-in", late).order);
+  // Back again, it is used again.
+  book.offer(sidecar(2, 1, {1, 2, 0}), late);
+  EXPECT_EQ(book.choose("view", late).order->source, "sidecar");
+}
+
+TEST_F(OrderBookTest, ChangedSlotsAreMergedIntoTheSidecarsOrder) {
+  upsert(0, {1, 3, 2}, 0.0);
+  book.setCamera("view", 1, camera, 0.0);
+  book.offer(sidecar(1, 1, {1, 2, 0}), 0.0);
+  upsert(3, {2.5f, 5.0f}, 0.1);  // revision 2: two new ones
+  upsert(1, {0.5f}, 0.1);        // revision 3: the farthest moved to the front
+  const auto choice = chooseUntil("sidecar + built-in", 0.2);
+  ASSERT_TRUE(choice.order);
+  EXPECT_EQ(choice.order->slots, (Slots{4, 3, 2, 0, 1}));
+  EXPECT_EQ(choice.order->revision, 3u);
+}
+
+TEST_F(OrderBookTest, AnOrderAheadOfTheMapWaitsForIt) {
+  upsert(0, {1, 3, 2}, 0.0);
+  book.setCamera("view", 1, camera, 0.0);
+  EXPECT_TRUE(book.offer(sidecar(1, 2, {1, 3, 2, 0}), 0.0));
+  EXPECT_FALSE(book.answered("view"));
+  upsert(3, {2.5f}, 0.1);
+  EXPECT_TRUE(book.answered("view"));
+}
+
+TEST_F(OrderBookTest, RefusesOrdersThatFitNothing) {
+  upsert(0, {1, 3, 2}, 0.0);
+  EXPECT_FALSE(book.offer(sidecar(1, 1, {0}), 0.0));  // no such view yet
+  book.setCamera("view", 5, camera, 0.0);
+  EXPECT_FALSE(book.offer(sidecar(6, 1, {0}), 0.0));     // of a camera never sent
+  EXPECT_FALSE(book.offer(sidecar(5, 1, {0, 3}), 0.0));  // a slot beyond the map
+  EXPECT_TRUE(book.offer(sidecar(5, 1, {0, 2}), 0.0));
+  EXPECT_FALSE(book.offer(sidecar(4, 1, {0}), 0.0));  // older than the one that is here
+}
+
+TEST_F(OrderBookTest, SortNowMatchesTheDepthsExactly) {
+  std::vector<float> depths;
+  for (int i = 0; i < 5000; ++i) depths.push_back(1.0f + float((i * 7919) % 1000));  // with ties
+  upsert(0, depths, 0.0);
+  book.setCamera("view", 1, camera, 0.0);
+  Slots expected(depths.size());
+  for (std::uint32_t i = 0; i < expected.size(); ++i) expected[i] = i;
+  std::stable_sort(expected.begin(), expected.end(),
+                   [&](std::uint32_t a, std::uint32_t b) { return depths[a] < depths[b]; });
+  std::reverse(expected.begin(), expected.end());
+  EXPECT_EQ(book.sortNow("view").order->slots, expected);
+}

@@ -1,0 +1,39 @@
+"""What the cross-package tests share: scenes, pictures, a display, the renderer."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def _shared_folder(variable: str, name: str) -> Path:
+    folder = Path(os.environ.get(variable, REPOSITORY.parent / "shared" / name))
+    if not folder.is_dir():
+        pytest.skip(f"no {name}: set {variable} to the folder of the trained scenes' {name}")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The trained scenes, $ROSPLAT_DATA or ../shared/data."""
+    return _shared_folder("ROSPLAT_DATA", "data")
+
+
+@pytest.fixture(scope="session")
+def reference_folder() -> Path:
+    """Pictures of them by another renderer, $ROSPLAT_REFERENCE or ../shared/reference."""
+    return _shared_folder("ROSPLAT_REFERENCE", "reference")
+
+
+@pytest.fixture(scope="session")
+def display() -> Iterator[str]:
+    """An X display, made by Xvfb where there is none."""
+    from rviz_gaussian_plugin.offscreen import ensure_display
+
+    with ensure_display() as name:
+        yield name

@@ -1,0 +1,353 @@
+"""The OpenGL renderer, through Ogre, against its float64 twin and against itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from rosplat_tools import reference
+from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.splats import Splats
+from rviz_gaussian_plugin.offscreen import BatchError, Renderer
+
+WIDTH, HEIGHT = 160, 120
+NO_FLOATS = np.zeros(0, np.float32)
+NO_SLOTS = np.zeros(0, np.uint32)
+
+
+class Host:
+    """One renderer with shorthands; map ids and sequences count by themselves."""
+
+    def __init__(self) -> None:
+        self.renderer = Renderer()
+        self.map = 0
+        self.revision = 0
+        self.sequence = 0
+
+    def apply(self, operation: int, splats: Splats, first: int = 0, **overrides: Any) -> dict:
+        self.revision += 1
+        fields = {
+            "operation": operation,
+            "first_slot": first,
+            "count": len(splats),
+            "slots": NO_SLOTS,
+            "sh_degree": splats.sh_degree,
+            "antialiased": splats.antialiased,
+            "origin": tuple(splats.origin),
+            "positions": splats.positions.ravel(),
+            "orientations": splats.orientations.ravel(),
+            "scales": splats.scales.ravel(),
+            "opacities": splats.opacities,
+            "sh": splats.sh.ravel(),
+            "map_id": str(self.map),
+            "revision": self.revision,
+        }
+        return self.renderer.apply(**(fields | overrides))
+
+    def show(self, splats: Splats) -> None:
+        """A new map."""
+        self.map += 1
+        self.revision = 0
+        self.apply(0, splats)
+
+    def delete(self, first: int, count: int) -> None:
+        self.revision += 1
+        self.renderer.apply(
+            2, first, count, NO_SLOTS, 0, False, (0, 0, 0), *[NO_FLOATS] * 5,
+            str(self.map), self.revision,
+        )  # fmt: skip
+
+    def look(self, camera: Camera) -> None:
+        self.sequence += 1
+        self.renderer.set_camera(
+            "test", self.sequence, camera.position, quaternion(camera.camera_to_world[:3, :3]),
+            int(camera.orthographic), camera.fx, camera.fy, camera.cx, camera.cy,
+            camera.width, camera.height, camera.near, camera.far,
+        )  # fmt: skip
+
+    def draw(self, camera: Camera) -> np.ndarray:
+        self.look(camera)
+        self.renderer.draw("test", built_in=True)
+        return self.renderer.read_color()
+
+
+def quaternion(rotation: np.ndarray) -> tuple[float, ...]:
+    """x, y, z, w of a rotation matrix (Bar-Itzhack 2000: the eigenvector of the largest eigenvalue)."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    symmetric = np.array(
+        [
+            [a - e - i, b + d, c + g, h - f],
+            [b + d, e - a - i, f + h, c - g],
+            [c + g, f + h, i - a - e, d - b],
+            [h - f, c - g, d - b, a + e + i],
+        ]
+    )
+    return tuple(np.linalg.eigh(symmetric)[1][:, -1])
+
+
+def decibels(picture: np.ndarray, expected: np.ndarray) -> float:
+    """PSNR of premultiplied RGBA that a screen could show, peak 1."""
+    error = np.clip(picture, 0, 1).astype(np.float64) - np.clip(expected, 0, 1)
+    return float(-10 * np.log10(np.mean(error**2) + 1e-300))
+
+
+@pytest.fixture(scope="module")
+def host(display: str) -> Iterator[Host]:
+    host = Host()
+    yield host
+    del host.renderer
+
+
+@pytest.fixture(autouse=True)
+def half_floats(host: Host) -> None:
+    host.renderer.set_float_blending(False)
+
+
+def cloud(count: int, degree: int = 3, seed: int = 0, size: float = 0.15) -> Splats:
+    """Anisotropic splats of all opacities in a ball of 1 m, with view-dependent colours."""
+    random = np.random.default_rng(seed)
+    orientations = random.normal(size=(count, 4))
+    return Splats(
+        positions=random.normal(scale=0.4, size=(count, 3)).astype(np.float32),
+        orientations=(orientations / np.linalg.norm(orientations, axis=1, keepdims=True)).astype(
+            np.float32
+        ),
+        scales=(size * random.uniform(0.02, 1, size=(count, 3))).astype(np.float32),
+        opacities=random.uniform(size=count).astype(np.float32),
+        sh=random.normal(scale=0.4, size=(count, (degree + 1) ** 2, 3)).astype(np.float32),
+    )
+
+
+def camera_at(eye: tuple[float, float, float], **overrides: Any) -> Camera:
+    """A camera that looks at the origin."""
+    fields = {
+        "id": 0, "width": WIDTH, "height": HEIGHT, "fx": 150.0, "fy": 150.0,
+        "cx": WIDTH / 2, "cy": HEIGHT / 2, "world_to_camera": look_at(eye, (0, 0, 0)),
+    }  # fmt: skip
+    return Camera(**(fields | overrides))
+
+
+CAMERAS = {
+    "outside": camera_at((2.0, 1.0, 0.7)),
+    "inside": camera_at((0.2, 0.1, 0.1)),
+    "off-centre": camera_at((-1.5, 1.5, 1.0), cx=20.3, cy=99.6, fx=210.0),
+    "orthographic": camera_at((1.0, -2.0, 1.0), orthographic=True, fx=60.0, fy=60.0),
+}
+
+
+@pytest.mark.parametrize("view", CAMERAS)
+@pytest.mark.parametrize("degree", range(4))
+def test_matches_the_float64_renderer(host: Host, view: str, degree: int) -> None:
+    """70 dB is a mean error of a twelfth of an 8-bit grey level."""
+    splats = cloud(400, degree)
+    expected = reference.render(splats, CAMERAS[view]).rgba
+    host.show(splats)
+    host.renderer.set_float_blending(True)
+    picture = host.draw(CAMERAS[view])
+    assert decibels(picture, expected) >= 70
+    assert expected.max() > 0.5  # there was something to see
+
+
+def test_half_floats_stay_below_a_grey_level(host: Host) -> None:
+    splats = cloud(400)
+    expected = reference.render(splats, CAMERAS["outside"]).rgba
+    host.show(splats)
+    picture = host.draw(CAMERAS["outside"])
+    assert decibels(picture, expected) >= 55
+    assert np.abs(picture - expected).max() < 4 / 255
+
+
+def test_antialiased_models_keep_their_opacity_compensation(host: Host) -> None:
+    splats = replace(cloud(2000, size=0.01), antialiased=True)
+    expected = reference.render(splats, CAMERAS["outside"]).rgba
+    host.show(splats)
+    host.renderer.set_float_blending(True)
+    assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
+    plain = reference.render(replace(splats, antialiased=False), CAMERAS["outside"]).rgba
+    assert decibels(plain, expected) < 40
+
+
+def test_far_from_the_origin_nothing_is_lost(host: Host) -> None:
+    offset = np.array([4.5e6, -1.2e6, 3.3e5])
+    splats = cloud(300)
+    near = CAMERAS["outside"]
+    shifted = near.world_to_camera.copy()
+    shifted[:3, 3] -= shifted[:3, :3] @ offset
+    host.renderer.set_float_blending(True)
+    host.show(splats)
+    expected = host.draw(near)
+    host.show(replace(splats, origin=offset))
+    far = host.draw(replace(near, world_to_camera=shifted))
+    assert decibels(far, expected) >= 70
+
+
+def test_edits_lead_to_the_same_map_as_a_replace(host: Host) -> None:
+    splats = cloud(70000, degree=1, size=0.02)  # more than a page of slots
+    host.show(splats)
+    expected = host.draw(CAMERAS["outside"])
+    host.show(splats[:1000])
+    for first in range(1000, len(splats), 23000):
+        host.apply(1, splats[first : first + 23000], first)
+    host.apply(1, cloud(500, degree=1, seed=9), 65400)  # across a page border, then back
+    assert np.abs(host.draw(CAMERAS["outside"]) - expected).max() > 0.01
+    host.delete(65400, 500)
+    host.apply(1, splats[65400:65900], 65400)
+    np.testing.assert_array_equal(host.draw(CAMERAS["outside"]), expected)
+
+
+def test_a_higher_degree_joins_a_plain_map(host: Host) -> None:
+    plain, shiny = cloud(200, degree=0), cloud(200, degree=3, seed=5)
+    host.show(plain)
+    host.apply(1, shiny, first=200)
+    padded = np.zeros((200, 16, 3), np.float32)
+    padded[:, :1] = plain.sh
+    both = Splats(
+        **{
+            name: np.concatenate([getattr(plain, name), getattr(shiny, name)])
+            for name in ("positions", "orientations", "scales", "opacities")
+        },
+        sh=np.concatenate([padded, shiny.sh]),
+    )
+    picture = host.draw(CAMERAS["outside"])
+    host.show(both)
+    np.testing.assert_array_equal(picture, host.draw(CAMERAS["outside"]))
+
+
+def test_zero_bands_cost_no_memory(host: Host) -> None:
+    host.show(cloud(1000, degree=0))
+    plain = host.draw(CAMERAS["outside"]), host.renderer.draw("test")["gpu_bytes"]
+    host.show(cloud(1000, degree=3))
+    host.draw(CAMERAS["outside"])
+    assert host.renderer.draw("test")["gpu_bytes"] - plain[1] == 65536 * 45 * 4
+
+
+def test_the_order_given_is_the_order_drawn(host: Host) -> None:
+    splats = cloud(300)
+    host.show(splats)
+    host.renderer.set_float_blending(True)
+    host.look(CAMERAS["outside"])
+    slots = np.random.default_rng(3).permutation(300)[:200].astype(np.uint32)
+    host.renderer.set_order("test", host.sequence, str(host.map), 1, "mine", 0.001, slots)
+    assert host.renderer.has_order("test")
+    report = host.renderer.draw("test")
+    expected = reference.render(splats, CAMERAS["outside"], order=slots).rgba
+    assert report["order_source"] == "mine"
+    assert report["splats"] == 200
+    assert decibels(host.renderer.read_color(), expected) >= 70
+
+
+def test_depth_is_the_mean_along_the_axis(host: Host) -> None:
+    splats = cloud(400)
+    expected = reference.render(splats, CAMERAS["outside"])
+    host.show(splats)
+    host.draw(CAMERAS["outside"])
+    depth = host.renderer.read_depth()
+    solid = expected.rgba[..., 3] > 0.1
+    np.testing.assert_allclose(depth[solid], expected.depth[solid], rtol=1e-3)
+    assert np.isnan(depth[expected.rgba[..., 3] == 0]).all()
+
+
+def test_opaque_objects_hide_and_are_hidden(host: Host) -> None:
+    """A white box between two splats: the far one is gone, the near one covers the box."""
+    camera = camera_at((3.0, 0.0, 0.0))
+    red, blue = [1.7, -1.7, -1.7], [-1.7, -1.7, 1.7]
+    two = Splats(
+        positions=np.array([[1, 0.3, 0], [-1, -0.3, 0]], np.float32),
+        orientations=np.array([[0, 0, 0, 1]] * 2, np.float32),
+        scales=np.full((2, 3), 0.1, np.float32),
+        opacities=np.ones(2, np.float32),
+        sh=np.array([[red], [blue]], np.float32),
+    )
+    host.show(two)
+    try:
+        host.renderer.set_box((0, 0, 0), (0.2, 2, 2))
+        host.draw(camera)
+        picture = host.renderer.read_color8((0, 0, 0))
+    finally:
+        host.renderer.set_box((0, 0, -1e6), (1, 1, 1))
+    ahead, behind = picture[60, 80 + 22], picture[60, 80 - 11]
+    assert ahead[0] > 200 and ahead[2] < 60
+    np.testing.assert_array_equal(behind, 255)
+
+
+def test_static_frames_are_identical(host: Host) -> None:
+    """Ties in depth, too: a wall of coplanar splats must not flicker."""
+    splats = cloud(500)
+    splats = replace(splats, positions=splats.positions * np.float32([0, 1, 1]))
+    host.show(splats)
+    first = host.draw(CAMERAS["outside"])
+    for _ in range(5):
+        np.testing.assert_array_equal(host.draw(CAMERAS["outside"]), first)
+
+
+def test_no_splat_makes_a_pixel_nan(host: Host) -> None:
+    """Extremes of every attribute that pass as finite numbers."""
+    splats = cloud(2000)
+    random = np.random.default_rng(1)
+    extremes = np.float32([0, 1e-38, 1e-12, 1e12, 1e19, 3e38])
+    splats = replace(
+        splats,
+        positions=np.where(
+            random.random((2000, 3)) < 0.2, random.choice(extremes, (2000, 3)), splats.positions
+        ).astype(np.float32),
+        scales=np.where(
+            random.random((2000, 3)) < 0.3, random.choice(extremes, (2000, 3)), splats.scales
+        ).astype(np.float32),
+        sh=np.where(
+            random.random(splats.sh.shape) < 0.01,
+            random.choice(np.concatenate([extremes, -extremes]), splats.sh.shape),
+            splats.sh,
+        ).astype(np.float32),
+    )
+    host.show(splats)
+    for view in CAMERAS.values():
+        assert np.isfinite(host.draw(view)).all()
+
+
+def test_what_means_nothing_is_left_out_and_counted(host: Host) -> None:
+    splats = cloud(10)
+    splats.positions[3, 1] = np.nan
+    splats.orientations[4] = 0
+    host.map += 1
+    host.revision = 0
+    assert host.apply(0, splats)["dropped"] == 2
+    assert host.renderer.splats == 8
+    assert np.isfinite(host.draw(CAMERAS["outside"])).all()
+
+
+def test_a_wrong_batch_is_refused_and_the_map_stays(host: Host) -> None:
+    splats = cloud(10)
+    host.show(splats)
+    with pytest.raises(BatchError, match="positions"):
+        host.apply(1, splats, positions=splats.positions.ravel()[:-1])
+    with pytest.raises(BatchError, match="sh_degree"):
+        host.apply(1, splats, sh_degree=7)
+    assert host.renderer.splats == 10
+    assert host.renderer.revision == 1
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("fx", 0.0),
+        ("width", 0),
+        ("orientation", (0.0, 0.0, 0.0, 0.0)),
+        ("position", (np.nan, 0, 0)),
+    ],
+)
+def test_a_camera_that_cannot_see_is_refused(host: Host, field: str, value: Any) -> None:
+    camera: dict[str, Any] = {
+        "position": (0, 0, 0), "orientation": (0, 0, 0, 1), "projection": 0, "fx": 1.0, "fy": 1.0,
+        "cx": 0.0, "cy": 0.0, "width": 8, "height": 8,
+    }  # fmt: skip
+    with pytest.raises(ValueError, match=field):
+        host.renderer.set_camera("test", host.sequence + 1, **(camera | {field: value}))
+
+
+def test_an_empty_map_is_an_empty_picture(host: Host) -> None:
+    host.show(cloud(0))
+    assert not host.draw(CAMERAS["outside"]).any()
+    assert np.isnan(host.renderer.read_depth()).all()
