@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.splats import Splats
@@ -75,7 +76,7 @@ class Host:
 
 
 def quaternion(rotation: np.ndarray) -> tuple[float, ...]:
-    """x, y, z, w of a rotation matrix (Bar-Itzhack 2000: the eigenvector of the largest eigenvalue)."""
+    """x, y, z, w of a rotation matrix (Bar-Itzhack 2000)."""
     (a, b, c), (d, e, f), (g, h, i) = rotation
     symmetric = np.array(
         [

@@ -91,7 +91,7 @@ class Worker:
         self._dropped_batches = 0
         self._dropped_splats = 0
         self._dropped_views = 0
-        self._introduced: tuple[str, str] | None = None
+        self._introduced = ("", "", 0)  # map, backend and size that the log was told of
 
         self._wake = threading.Condition()
         self._inbox = _Inbox(backend=(backend, threads))
@@ -260,8 +260,12 @@ class Worker:
         sort_time = time.perf_counter() - begin
         slots = array("I")
         slots.frombytes(order.view(np.uint8).data)  # of an own: the backend reuses its array
-        if self._introduced != (self._map.map_id, self._backend.name):
-            self._introduced = (self._map.map_id, self._backend.name)
+        known_map, known_backend, known_size = self._introduced
+        if (
+            (known_map, known_backend) != (self._map.map_id, self._backend.name)
+            or len(self._map) >= 2 * known_size  # a map that arrives in chunks is soon introduced
+        ):
+            self._introduced = (self._map.map_id, self._backend.name, max(1, len(self._map)))
             self._host.inform(
                 f"map '{self._map.map_id}': {len(slots)} of {len(self._map)} splats in view, "
                 f"sorted in {1000 * sort_time:.1f} ms with {_describe(self._backend)}"

@@ -111,11 +111,11 @@ def rebase(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray
     """Splits (n, 3) positions into float32 offsets and a float64 origin (3,). [m]
 
     The origin is zero unless a position lies so far out that float32 would lose it: then it is the
-    middle of the bounds, in whole metres.
+    median, in whole metres, which a stray splat does not move.
     """
     origin = np.zeros(3)
     if len(positions) and np.abs(positions).max() > FAR_FROM_ZERO:
-        origin = np.round((positions.min(axis=0) + positions.max(axis=0)) / 2)
+        origin = np.round(np.median(positions, axis=0))
         positions = positions - origin
     return positions.astype(np.float32), origin
 

@@ -63,6 +63,13 @@ def test_far_positions_keep_their_millimetres() -> None:
     np.testing.assert_array_equal(origin, np.round(origin))
 
 
+def test_a_stray_position_costs_the_others_nothing() -> None:
+    positions = np.random.default_rng(0).uniform(-5, 5, (100, 3))
+    positions[7] = 1e30
+    near, origin = rebase(positions)
+    np.testing.assert_allclose((near + origin)[:7], positions[:7], atol=1e-6, rtol=0)
+
+
 def test_near_positions_need_no_origin() -> None:
     assert not rebase(np.full((3, 3), 20.0))[1].any()
 

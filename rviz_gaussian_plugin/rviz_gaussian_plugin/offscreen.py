@@ -18,8 +18,8 @@ BatchError = _offscreen.BatchError
 class Renderer(_offscreen.Renderer):  # type: ignore[misc]
     """An Ogre scene that holds one map and draws it into a texture.
 
-    One in a process; every call but `apply` and `set_order` from the thread that made it. Needs an X
-    display (`ensure_display`) with OpenGL 4.3; raises RuntimeError where it finds none.
+    One in a process; every call but `apply` and `set_order` from the thread that made it. Needs an
+    X display (`ensure_display`) with OpenGL 4.3; raises RuntimeError where it finds none.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ def _media_folder() -> Path:
 
 @contextlib.contextmanager
 def ensure_display(width: int = 1920, height: int = 1080) -> Iterator[str]:
-    """Give the process an X display: the one in DISPLAY, else an Xvfb that lives as long as the block.
+    """Give the process an X display: the one in DISPLAY, else an Xvfb for as long as the block.
 
     Raises RuntimeError where there is neither a display nor Xvfb.
     """

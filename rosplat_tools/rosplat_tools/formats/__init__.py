@@ -6,6 +6,8 @@ import logging
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
 from rosplat_tools.formats import ply, sog, spz
 from rosplat_tools.formats.decoded import Progress, Warn
 from rosplat_tools.splats import SceneError, Splats
@@ -50,7 +52,9 @@ def load(
     path = Path(path)
     module = format_of(path)
     try:
-        splats: Splats = module.read(path, progress, warn)
+        # What overflows on the way is not finite in the end, and dropped with its splat.
+        with np.errstate(over="ignore", invalid="ignore"):
+            splats: Splats = module.read(path, progress, warn)
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:

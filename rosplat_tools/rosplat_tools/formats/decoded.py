@@ -35,10 +35,10 @@ def decoded(
     warn how many.
     """
     lengths = np.linalg.norm(orientations, axis=1)
-    with np.errstate(invalid="ignore"):  # inf - inf in a sum is as good a sign as any
-        sums = positions.sum(axis=1) + lengths + scales.sum(axis=1) + opacities
-        sums += sh.sum(axis=(1, 2), dtype=np.float64)
-        usable = np.isfinite(sums) & (lengths > 0)
+    # A sum is finite where all of its terms are.
+    sums = positions.astype(np.float32).sum(axis=1) + lengths + scales.sum(axis=1) + opacities
+    sums = sums + sh.sum(axis=(1, 2), dtype=np.float64)
+    usable = np.isfinite(sums) & (lengths > 0)
     dropped = len(usable) - np.count_nonzero(usable)
     if dropped:
         warn(

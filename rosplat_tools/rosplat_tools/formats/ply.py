@@ -59,8 +59,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         block = rows[part]
         positions[part] = _columns(block, POSITION, np.float64)
         orientations[part] = np.roll(_columns(block, ROTATION), -1, axis=1)  # w first -> last
-        with np.errstate(over="ignore"):  # an infinite scale is dropped with its splat
-            scales[part, : len(scale)] = np.exp(_columns(block, scale))
+        scales[part, : len(scale)] = np.exp(_columns(block, scale))
         opacities[part] = _sigmoid(_columns(block, ["opacity"])[:, 0])
         sh[part, 0] = _columns(block, COLOR)
         if rest:

@@ -69,13 +69,11 @@ class _Reader:
         high = self._picture("means", 1, n)[:, :3].astype(np.uint16)
         lowest, highest = self._numbers("means", "mins", 3), self._numbers("means", "maxs", 3)
         logarithms = lowest + (highest - lowest) * ((high << 8 | low) / 65535)
-        with np.errstate(over="ignore"):  # an infinite position is dropped with its splat
-            positions = np.sign(logarithms) * np.expm1(np.abs(logarithms))
+        positions = np.sign(logarithms) * np.expm1(np.abs(logarithms))
         progress(0.3)
         orientations = _smallest_three(self._picture("quats", 0, n))
         progress(0.5)
-        with np.errstate(over="ignore"):
-            scale_values = np.exp(self._numbers("scales", "codebook", 256)).astype(np.float32)
+        scale_values = np.exp(self._numbers("scales", "codebook", 256)).astype(np.float32)
         scales = scale_values[self._picture("scales", 0, n)[:, :3]]
         progress(0.7)
         base = self._picture("sh0", 0, n)
