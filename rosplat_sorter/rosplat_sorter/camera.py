@@ -25,7 +25,8 @@ class Camera:
 
     position: of the optical frame, x y z [m]. orientation: of the optical frame, a quaternion
     x y z w of any length but zero. fx fy: [px], orthographic [px/m]. cx cy width height: [px].
-    near_clip far_clip: [m]. Raises CameraError for values that no picture can be drawn with.
+    near_clip far_clip: [m]. extent_scale: how many times as large as in the map splats are drawn.
+    Raises CameraError for values that no picture can be drawn with.
     """
 
     position: tuple[float, float, float]
@@ -39,15 +40,17 @@ class Camera:
     near_clip: float
     far_clip: float
     orthographic: bool = False
+    extent_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("position", "orientation", "fx", "fy", "cx", "cy", "near_clip", "far_clip"):
+        finite = ("position", "orientation", "fx", "fy", "cx", "cy", "near_clip", "far_clip")
+        for name in (*finite, "extent_scale"):
             value = getattr(self, name)
             if not all(map(math.isfinite, value if isinstance(value, tuple) else (value,))):
                 raise CameraError(f"{name} is not finite: {value}")
         if math.hypot(*self.orientation) == 0:
             raise CameraError("orientation is a quaternion of length zero")
-        for name in ("fx", "fy", "width", "height"):
+        for name in ("fx", "fy", "width", "height", "extent_scale"):
             if getattr(self, name) <= 0:
                 raise CameraError(f"{name} is {getattr(self, name)}, it must be positive")
         if self.near_clip >= self.far_clip:
@@ -73,4 +76,5 @@ def decode(message: ViewCamera) -> Camera:
         near_clip=message.near_clip,
         far_clip=message.far_clip,
         orthographic=message.projection == ORTHOGRAPHIC,
+        extent_scale=message.extent_scale,
     )

@@ -53,9 +53,9 @@ class View:
         def slope(focal: float, centre: float, size: int) -> float:
             # A perspective footprint grows with the slope of its ray, which the renderer clamps so.
             if camera.orthographic:
-                return focal
+                return camera.extent_scale * focal
             tangent = max(size - centre, centre) / focal + 0.3 * (0.5 * size / focal)
-            return focal * math.sqrt(1.0 + tangent * tangent)
+            return camera.extent_scale * focal * math.sqrt(1.0 + tangent * tangent)
 
         with np.errstate(over="ignore"):  # checked below
             view = cls(

@@ -17,34 +17,68 @@ _THREADS = 256
 
 # Visible splats are appended in any order: key << 32 | slot is unique, so sorting makes it exact.
 _KERNEL = r"""
-struct View {
-  float rotation[9], translation[3];
-  float fx, fy, offset_x, offset_y, half_width, half_height, slope_x, slope_y;
-  float near_clip, far_clip;
+// IEEE float32: never fused, and with subnormal numbers, which CuPy's -ftz=true takes for zero.
+struct Real {
+  float value;
 };
 
-__device__ float transform(const View& view, int axis, const float* p) {
-  const float* r = view.rotation + 3 * axis;
+__device__ Real operator+(Real a, Real b) {
+  Real c;
+  asm("add.rn.f32 %0, %1, %2;" : "=f"(c.value) : "f"(a.value), "f"(b.value));
+  return c;
+}
+
+__device__ Real operator*(Real a, Real b) {
+  Real c;
+  asm("mul.rn.f32 %0, %1, %2;" : "=f"(c.value) : "f"(a.value), "f"(b.value));
+  return c;
+}
+
+__device__ bool operator<(Real a, Real b) {
+  int c;
+  asm("{.reg .pred p; setp.lt.f32 p, %1, %2; selp.s32 %0, 1, 0, p;}"
+      : "=r"(c) : "f"(a.value), "f"(b.value));
+  return c;
+}
+
+__device__ bool operator<=(Real a, Real b) {
+  int c;
+  asm("{.reg .pred p; setp.le.f32 p, %1, %2; selp.s32 %0, 1, 0, p;}"
+      : "=r"(c) : "f"(a.value), "f"(b.value));
+  return c;
+}
+
+__device__ Real abs(Real a) {
+  return {__uint_as_float(__float_as_uint(a.value) & 0x7fffffffu)};
+}
+
+struct View {
+  Real rotation[9], translation[3];
+  Real fx, fy, offset_x, offset_y, half_width, half_height, slope_x, slope_y;
+  Real near_clip, far_clip;
+};
+
+__device__ Real transform(const View& view, int axis, const Real* p) {
+  const Real* r = view.rotation + 3 * axis;
   return ((r[0] * p[0] + r[1] * p[1]) + r[2] * p[2]) + view.translation[axis];
 }
 
-extern "C" __global__ void cull(const View view, const bool orthographic, const float* positions,
-                                const float* extents, const unsigned count,
+extern "C" __global__ void cull(const View view, const bool orthographic, const Real* positions,
+                                const Real* extents, const unsigned count,
                                 unsigned long long* entries, unsigned* total) {
   const unsigned slot = blockIdx.x * blockDim.x + threadIdx.x;
+  const Real zero = {0.0f}, one = {1.0f};
   bool visible = false;
-  float z = 0;
+  Real z = zero;
   if (slot < count) {
-    const float* p = positions + 3ull * slot;
-    const float extent = extents[slot];
-    const float x = transform(view, 0, p), y = transform(view, 1, p);
+    const Real* p = positions + 3ull * slot;
+    const Real extent = extents[slot];
+    const Real x = transform(view, 0, p), y = transform(view, 1, p);
     z = transform(view, 2, p);
-    const float w = orthographic ? 1.0f : z;
-    visible = extent >= 0 && z > view.near_clip && z < view.far_clip &&
-              fabsf(view.fx * x + view.offset_x * w) <=
-                  view.half_width * w + view.slope_x * extent &&
-              fabsf(view.fy * y + view.offset_y * w) <=
-                  view.half_height * w + view.slope_y * extent;
+    const Real w = orthographic ? one : z;
+    visible = zero <= extent && view.near_clip < z && z < view.far_clip &&
+              abs(view.fx * x + view.offset_x * w) <= view.half_width * w + view.slope_x * extent &&
+              abs(view.fy * y + view.offset_y * w) <= view.half_height * w + view.slope_y * extent;
   }
   // One atomic addition a block.
   __shared__ unsigned block_total, block_first;
@@ -55,7 +89,7 @@ extern "C" __global__ void cull(const View view, const bool orthographic, const 
   if (threadIdx.x == 0) block_first = atomicAdd(total, block_total);
   __syncthreads();
   if (visible) {
-    const unsigned bits = __float_as_uint(z + 0.0f);  // the sum makes one depth of -0 and 0
+    const unsigned bits = __float_as_uint((z + zero).value);  // the sum makes one depth of -0 and 0
     const unsigned key = bits ^ ((bits >> 31) ? 0xffffffffu : 0x80000000u);
     entries[block_first + place] = (unsigned long long)key << 32 | slot;
   }
@@ -93,7 +127,7 @@ class CupyBackend:
     def __init__(self, threads: int = 0, gpu_only: bool = False) -> None:
         properties = cupy.cuda.runtime.getDeviceProperties(cupy.cuda.Device().id)
         self.device = properties["name"].decode()
-        self._cull = cupy.RawKernel(_KERNEL, "cull", options=("--fmad=false",))
+        self._cull = cupy.RawKernel(_KERNEL, "cull")
         self._cull.compile()
         self._positions = cupy.empty((0, 3), cupy.float32)
         self._extents = cupy.empty(0, cupy.float32)
