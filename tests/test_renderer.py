@@ -12,7 +12,15 @@ import pytest
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin.offscreen import BatchError, Renderer
+from rviz_gaussian_plugin.offscreen import (
+    Antialiasing,
+    BatchError,
+    ClipBox,
+    DrawMode,
+    OrderSource,
+    Renderer,
+    RenderSettings,
+)
 
 WIDTH, HEIGHT = 160, 120
 NO_FLOATS = np.zeros(0, np.float32)
@@ -47,6 +55,10 @@ class Host:
             "revision": self.revision,
         }
         return self.renderer.apply(**(fields | overrides))
+
+    def set(self, **settings: Any) -> None:
+        for name, value in settings.items():
+            setattr(self.renderer.settings, name, value)
 
     def show(self, splats: Splats) -> None:
         """A new map."""
@@ -103,8 +115,8 @@ def host(display: str) -> Iterator[Host]:
 
 
 @pytest.fixture(autouse=True)
-def half_floats(host: Host) -> None:
-    host.renderer.set_float_blending(False)
+def default_settings(host: Host) -> None:
+    host.renderer.settings = RenderSettings()
 
 
 def cloud(count: int, degree: int = 3, seed: int = 0, size: float = 0.15) -> Splats:
@@ -146,7 +158,7 @@ def test_matches_the_float64_renderer(host: Host, view: str, degree: int) -> Non
     splats = cloud(400, degree)
     expected = reference.render(splats, CAMERAS[view]).rgba
     host.show(splats)
-    host.renderer.set_float_blending(True)
+    host.set(float_blending=True)
     picture = host.draw(CAMERAS[view])
     assert decibels(picture, expected) >= 70
     assert expected.max() > 0.5  # there was something to see
@@ -165,7 +177,7 @@ def test_antialiased_models_keep_their_opacity_compensation(host: Host) -> None:
     splats = replace(cloud(2000, size=0.01), antialiased=True)
     expected = reference.render(splats, CAMERAS["outside"]).rgba
     host.show(splats)
-    host.renderer.set_float_blending(True)
+    host.set(float_blending=True)
     assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
     plain = reference.render(replace(splats, antialiased=False), CAMERAS["outside"]).rgba
     assert decibels(plain, expected) < 40
@@ -177,7 +189,7 @@ def test_far_from_the_origin_nothing_is_lost(host: Host) -> None:
     near = CAMERAS["outside"]
     shifted = near.world_to_camera.copy()
     shifted[:3, 3] -= shifted[:3, :3] @ offset
-    host.renderer.set_float_blending(True)
+    host.set(float_blending=True)
     host.show(splats)
     expected = host.draw(near)
     host.show(replace(splats, origin=offset))
@@ -228,7 +240,7 @@ def test_zero_bands_cost_no_memory(host: Host) -> None:
 def test_the_order_given_is_the_order_drawn(host: Host) -> None:
     splats = cloud(300)
     host.show(splats)
-    host.renderer.set_float_blending(True)
+    host.set(float_blending=True)
     host.look(CAMERAS["outside"])
     slots = np.random.default_rng(3).permutation(300)[:200].astype(np.uint32)
     host.renderer.set_order("test", host.sequence, str(host.map), 1, "mine", 0.001, slots)
@@ -352,3 +364,140 @@ def test_an_empty_map_is_an_empty_picture(host: Host) -> None:
     host.show(cloud(0))
     assert not host.draw(CAMERAS["outside"]).any()
     assert np.isnan(host.renderer.read_depth()).all()
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_scale_and_opacity_modifiers(host: Host, scale: float) -> None:
+    splats = cloud(300)
+    host.show(splats)
+    host.set(scale=scale, opacity=0.6, float_blending=True)
+    changed = replace(
+        splats,
+        scales=splats.scales * np.float32(scale),
+        opacities=splats.opacities * np.float32(0.6),
+    )
+    for view in CAMERAS.values():
+        assert decibels(host.draw(view), reference.render(changed, view).rgba) >= 70
+
+
+def test_only_what_is_in_the_clip_box_is_drawn(host: Host) -> None:
+    splats = replace(cloud(300), origin=np.array([10.0, 20.0, 30.0]))
+    world = splats.positions + splats.origin
+    inside = (np.abs(world - [10.1, 20, 30]) <= [0.2, 0.4, 10]).all(axis=1)
+    box = ClipBox()
+    box.enabled, box.centre, box.size = True, (10.1, 20, 30), (0.4, 0.8, 20)
+    camera = camera_at((12.0, 21.0, 30.7), world_to_camera=look_at((12, 21, 30.7), (10, 20, 30)))
+    host.show(splats)
+    host.set(clip_box=box, float_blending=True)
+    assert 20 < inside.sum() < 250
+    assert decibels(host.draw(camera), reference.render(splats[inside], camera).rgba) >= 70
+
+
+def test_a_single_band_alone(host: Host) -> None:
+    splats = cloud(300)
+    band = splats.sh.copy()
+    band[:, [0, *range(4, 16)]] = 0  # what is left is band 1
+    host.show(splats)
+    host.set(only_band=1, float_blending=True)
+    expected = reference.render(replace(splats, sh=band), CAMERAS["outside"]).rgba
+    assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
+    host.set(only_band=-1, max_sh_degree=1)
+    low = reference.render(replace(splats, sh=splats.sh[:, :4]), CAMERAS["outside"]).rgba
+    assert decibels(host.draw(CAMERAS["outside"]), low) >= 70
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_antialiasing_can_be_forced(host: Host, on: bool) -> None:
+    splats = replace(cloud(2000, size=0.01), antialiased=not on)
+    host.show(splats)
+    host.set(antialiasing=Antialiasing.ON if on else Antialiasing.OFF, float_blending=True)
+    expected = reference.render(replace(splats, antialiased=on), CAMERAS["outside"]).rgba
+    assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
+
+
+def one(**fields: Any) -> Splats:
+    """A single splat at the origin, long along x, flat along z."""
+    values: dict[str, Any] = {
+        "positions": [[0, 0, 0]], "orientations": [[0, 0, 0, 1]], "scales": [[0.4, 0.1, 0.02]],
+        "opacities": [0.5], "sh": [[[1, 0, -1]]],
+    }  # fmt: skip
+    return Splats(
+        **{name: np.array(value, np.float32) for name, value in (values | fields).items()}
+    )
+
+
+ABOVE = camera_at((0.0, -0.01, 3.0))  # +y is up in the picture
+CENTRE = (HEIGHT // 2, WIDTH // 2)
+
+
+def test_normals_show_the_shortest_axis(host: Host) -> None:
+    host.show(one())
+    host.set(mode=DrawMode.NORMALS)
+    r, g, b, alpha = host.draw(ABOVE)[CENTRE]
+    np.testing.assert_allclose([r / alpha, g / alpha, b / alpha], [0.5, 0.5, 1.0], atol=0.01)
+
+
+def test_balls_are_solid_and_shaded(host: Host) -> None:
+    host.show(one())
+    host.set(mode=DrawMode.FLAT_BALL)
+    flat = host.draw(ABOVE)
+    assert set(np.unique(flat[..., 3])) == {0, 1}
+    columns = np.flatnonzero(flat[HEIGHT // 2, :, 3])
+    # 0.22 of the peak at 1.74 sigma of 0.4 m, 3 m away
+    assert len(columns) == pytest.approx(2 * 1.74 * 0.4 / 3 * 150, abs=2)
+    host.set(mode=DrawMode.GAUSSIAN_BALL)
+    shaded = host.draw(ABOVE)
+    rim = shaded[HEIGHT // 2, columns[1], 0]
+    assert 0.2 < rim / shaded[CENTRE][0] < 0.35
+
+
+def test_billboards_are_round(host: Host) -> None:
+    host.show(one())
+    host.set(mode=DrawMode.BILLBOARD)
+    alpha = host.draw(ABOVE)[..., 3]
+    across, along = (alpha[HEIGHT // 2] > 0.1).sum(), (alpha[:, WIDTH // 2] > 0.1).sum()
+    assert abs(int(across) - int(along)) <= 1
+
+
+def test_depth_opacity_and_age_are_colour_mapped(host: Host) -> None:
+    """Turbo runs from blue to red: far, transparent, old are blue; near, opaque, new are red."""
+    far_and_near = replace(
+        one(positions=[[0, 0.5, -2], [0, -0.5, 1]], orientations=[[0, 0, 0, 1]] * 2,
+            scales=[[0.2] * 3] * 2, opacities=[0.9, 0.05], sh=[[[0, 0, 0]]] * 2),
+    )  # fmt: skip
+    host.show(far_and_near)
+
+    def hues() -> list[str]:
+        picture = host.draw(ABOVE)
+        spots = [np.unravel_index(np.argmax(half), half.shape) for half in
+                 (picture[: HEIGHT // 2, :, 3], picture[HEIGHT // 2 :, :, 3])]  # fmt: skip
+        pixels = [picture[spots[0]], picture[spots[1][0] + HEIGHT // 2, spots[1][1]]]
+        return ["red" if p[0] > 2 * p[2] else "blue" for p in pixels]
+
+    host.set(mode=DrawMode.DEPTH)
+    assert hues() == ["blue", "red"]
+    host.set(depth_range=(0.1, 0.2))  # both beyond
+    assert hues() == ["blue", "blue"]
+    host.set(mode=DrawMode.OPACITY)
+    assert hues() == ["red", "blue"]
+    host.set(mode=DrawMode.AGE, age_range=1000.0)
+    assert hues() == ["red", "red"]
+    host.set(age_range=1e-9)
+    assert hues() == ["blue", "blue"]
+
+
+def test_near_fade_thins_what_is_close(host: Host) -> None:
+    host.show(one())
+    solid = host.draw(ABOVE)[CENTRE][3]
+    host.set(near_fade=6.0)
+    assert host.draw(ABOVE)[CENTRE][3] == pytest.approx(solid / 2, rel=0.02)
+
+
+def test_unsorted_and_built_in_orders_can_be_chosen(host: Host) -> None:
+    splats = cloud(300)
+    host.show(splats)
+    host.set(order=OrderSource.OFF, float_blending=True)
+    host.look(CAMERAS["outside"])
+    assert host.renderer.draw("test")["order_source"] == "nobody"
+    expected = reference.render(splats, CAMERAS["outside"], order=np.arange(300)).rgba
+    assert decibels(host.renderer.read_color(), expected) >= 70

@@ -12,7 +12,12 @@ from pathlib import Path
 from rviz_gaussian_plugin import _offscreen
 from rviz_gaussian_plugin._config import OGRE_PLUGINS
 
+Antialiasing = _offscreen.Antialiasing
 BatchError = _offscreen.BatchError
+ClipBox = _offscreen.ClipBox
+DrawMode = _offscreen.DrawMode
+OrderSource = _offscreen.OrderSource
+RenderSettings = _offscreen.RenderSettings
 
 
 class Renderer(_offscreen.Renderer):  # type: ignore[misc]

@@ -87,6 +87,7 @@ rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::st
   message.height = static_cast<std::uint32_t>(camera.height);
   message.near_clip = camera.near_clip;
   message.far_clip = camera.far_clip;
+  message.extent_scale = camera.extent_scale;
   return message;
 }
 

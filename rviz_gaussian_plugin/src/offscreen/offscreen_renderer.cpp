@@ -70,6 +70,7 @@ OffscreenRenderer::~OffscreenRenderer() {
 void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequence,
                                   const SplatCamera& camera) {
   SplatCamera& mine = cameras_[view_id] = camera;
+  mine.extent_scale = std::max(1.0f, settings.scale);
   const double near = camera.near_clip, far = depthRange(camera);
   mine.ndc_scale = camera.orthographic ? 2 / (far - near) : (far + near) / (far - near);
   mine.ndc_offset =
@@ -94,6 +95,7 @@ FrameReport OffscreenRenderer::draw(const std::string& view_id, bool built_in) {
   resize(camera.width, camera.height);
   view_id_ = view_id;
   cloud_->setBuiltIn(built_in);
+  cloud_->setSettings(settings);
 
   // Ogre's camera for the opaque objects; the splats are drawn with the exact one.
   Ogre::Matrix4 view = Ogre::Matrix4::IDENTITY, projection = Ogre::Matrix4::ZERO;

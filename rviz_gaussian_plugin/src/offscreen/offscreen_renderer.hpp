@@ -24,7 +24,7 @@ class OffscreenRenderer {
   ~OffscreenRenderer();
 
   SplatScene& scene() { return cloud_->scene(); }
-  void setSettings(const RenderSettings& settings) { cloud_->setSettings(settings); }
+  RenderSettings settings;  // of the next draw
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
   // Draws the scene as a view's camera sees it, sorted here if built_in. Throws std::runtime_error.

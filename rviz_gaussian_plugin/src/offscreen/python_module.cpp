@@ -94,6 +94,43 @@ py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool buil
 
 PYBIND11_MODULE(_offscreen, module) {
   py::register_exception<BatchError>(module, "BatchError", PyExc_ValueError);
+  py::enum_<DrawMode>(module, "DrawMode")
+      .value("COLOR", DrawMode::kColor)
+      .value("DEPTH", DrawMode::kDepth)
+      .value("BILLBOARD", DrawMode::kBillboard)
+      .value("FLAT_BALL", DrawMode::kFlatBall)
+      .value("GAUSSIAN_BALL", DrawMode::kGaussianBall)
+      .value("NORMALS", DrawMode::kNormals)
+      .value("OPACITY", DrawMode::kOpacity)
+      .value("AGE", DrawMode::kAge);
+  py::enum_<Antialiasing>(module, "Antialiasing")
+      .value("AS_TRAINED", Antialiasing::kAsTrained)
+      .value("ON", Antialiasing::kOn)
+      .value("OFF", Antialiasing::kOff);
+  py::enum_<OrderSource>(module, "OrderSource")
+      .value("AUTO", OrderSource::kAuto)
+      .value("SIDECAR", OrderSource::kSidecar)
+      .value("BUILT_IN", OrderSource::kBuiltIn)
+      .value("OFF", OrderSource::kOff);
+  py::class_<ClipBox>(module, "ClipBox")
+      .def(py::init<>())
+      .def_readwrite("enabled", &ClipBox::enabled)
+      .def_readwrite("centre", &ClipBox::centre)
+      .def_readwrite("size", &ClipBox::size);
+  py::class_<RenderSettings>(module, "RenderSettings")
+      .def(py::init<>())
+      .def_readwrite("mode", &RenderSettings::mode)
+      .def_readwrite("max_sh_degree", &RenderSettings::max_sh_degree)
+      .def_readwrite("only_band", &RenderSettings::only_band)
+      .def_readwrite("float_blending", &RenderSettings::float_blending)
+      .def_readwrite("scale", &RenderSettings::scale)
+      .def_readwrite("opacity", &RenderSettings::opacity)
+      .def_readwrite("antialiasing", &RenderSettings::antialiasing)
+      .def_readwrite("order", &RenderSettings::order)
+      .def_readwrite("clip_box", &RenderSettings::clip_box)
+      .def_readwrite("near_fade", &RenderSettings::near_fade)
+      .def_readwrite("depth_range", &RenderSettings::depth_range)
+      .def_readwrite("age_range", &RenderSettings::age_range);
   py::class_<OffscreenRenderer>(module, "Renderer")
       .def(py::init<const std::string&, const std::string&>(), "media"_a, "plugins"_a)
       .def("apply", &apply, "operation"_a, "first_slot"_a, "count"_a, "slots"_a, "sh_degree"_a,
@@ -105,14 +142,7 @@ PYBIND11_MODULE(_offscreen, module) {
       .def("set_order", &setOrder, "view_id"_a, "sequence"_a, "map_id"_a, "revision"_a, "backend"_a,
            "sort_time"_a, "slots"_a)
       .def("set_box", &OffscreenRenderer::setBox, "centre"_a, "size"_a)
-      .def(
-          "set_float_blending",
-          [](OffscreenRenderer& r, bool on) {
-            RenderSettings settings;
-            settings.float_blending = on;
-            r.setSettings(settings);
-          },
-          "on"_a)
+      .def_readwrite("settings", &OffscreenRenderer::settings)
       .def(
           "has_order",
           [](OffscreenRenderer& r, const std::string& id) { return r.scene().answered(id); },

@@ -1,6 +1,7 @@
 #include "order_book.hpp"
 
 #include <algorithm>
+#include <numeric>
 #include <utility>
 
 namespace rosplat {
@@ -78,23 +79,40 @@ void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& 
                     sorterView(camera->camera, map_.origin), base);
 }
 
-OrderBook::Choice OrderBook::choose(const std::string& view_id, double now) {
+OrderPtr OrderBook::unsorted() {
+  if (!unsorted_ || unsorted_->map_id != map_.id || unsorted_->slots.size() != map_.capacity) {
+    auto order = std::make_shared<Order>();
+    order->map_id = map_.id;
+    order->source = "nobody";
+    order->slots.resize(map_.capacity);
+    std::iota(order->slots.begin(), order->slots.end(), 0u);
+    unsorted_ = std::move(order);
+  }
+  return unsorted_;
+}
+
+OrderBook::Choice OrderBook::choose(const std::string& view_id, double now, OrderSource source) {
   View& view = views_[view_id];
   if (view.cameras.empty()) return {};
   if (OrderPtr sorted = built_in_.take(view_id); sorted && sorted->map_id == map_.id) {
     view.built_in = std::move(sorted);
   }
 
-  if (view.sidecar && fresh(view, *view.sidecar)) {
+  const bool sidecar = view.sidecar && source != OrderSource::kBuiltIn;
+  const bool patient = source == OrderSource::kSidecar || now - view.waiting_since < kPatience;
+  if (source == OrderSource::kOff) {
+    return {unsorted(), false, 0};
+  }
+  if (sidecar && fresh(view, *view.sidecar)) {
     view.drawn = view.sidecar;
-  } else if (view.sidecar && now - view.waiting_since < kPatience) {
+  } else if (sidecar && patient) {
     if (view.sidecar->revision == map_.revision) {
       view.drawn = view.sidecar;
     } else {
       request(view_id, view, view.sidecar);
       if (view.built_in) view.drawn = view.built_in;
     }
-  } else {
+  } else if (source != OrderSource::kSidecar) {
     request(view_id, view, nullptr);
     if (view.built_in) view.drawn = view.built_in;
   }

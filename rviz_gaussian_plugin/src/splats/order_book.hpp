@@ -7,6 +7,7 @@
 
 #include "built_in_sorter.hpp"
 #include "gaussian_map.hpp"
+#include "render_settings.hpp"
 #include "splat_camera.hpp"
 
 namespace rosplat {
@@ -41,8 +42,9 @@ class OrderBook {
   // A sidecar's order is there that answers the newest camera and the newest map.
   bool answered(const std::string& view_id) const;
 
-  // The order to draw now; asks the built-in sorter for what is missing.
-  Choice choose(const std::string& view_id, double now);
+  // The order to draw now; asks the built-in sorter for what is missing. A source other than kAuto
+  // rules the others out.
+  Choice choose(const std::string& view_id, double now, OrderSource source = OrderSource::kAuto);
 
   // The same, but sorted here and now, whatever the sidecar said.
   Choice sortNow(const std::string& view_id);
@@ -67,10 +69,12 @@ class OrderBook {
 
   bool fresh(const View& view, const Order& order) const;
   void request(const std::string& view_id, View& view, const OrderPtr& base);
+  OrderPtr unsorted();
 
   BuiltInSorter& built_in_;
   std::map<std::string, View> views_;
   MapState map_;
+  OrderPtr unsorted_;
 };
 
 }  // namespace rosplat

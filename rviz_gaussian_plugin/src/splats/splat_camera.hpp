@@ -16,6 +16,7 @@ struct SplatCamera {
   int width = 1, height = 1;              // [px]
   double near_clip = 0.01;                // [m]
   double far_clip = std::numeric_limits<float>::max();
+  double extent_scale = 1;  // splats are drawn this many times as large
   // How the scene's depth buffer sees it: ndc.z = (ndc_scale z + ndc_offset) / w, w = z or 1.
   double ndc_scale = 0, ndc_offset = 0;
 
@@ -23,7 +24,7 @@ struct SplatCamera {
     return rotation == o.rotation && translation == o.translation &&
            orthographic == o.orthographic && fx == o.fx && fy == o.fy && cx == o.cx && cy == o.cy &&
            width == o.width && height == o.height && near_clip == o.near_clip &&
-           far_clip == o.far_clip;
+           far_clip == o.far_clip && extent_scale == o.extent_scale;
   }
 };
 

@@ -9,6 +9,8 @@
 #include <OgreSceneNode.h>
 #include <OgreViewport.h>
 
+#include <algorithm>
+
 namespace rosplat {
 
 namespace {
@@ -106,8 +108,9 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
   // rviz selects objects by drawing them in schemes of their own.
   if (viewport->getMaterialScheme() != Ogre::MaterialManager::DEFAULT_SCHEME_NAME) return false;
   if (!error_.empty() || !camera_) return false;
-  const SplatCamera camera = cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
-                                      viewport->getActualWidth(), viewport->getActualHeight());
+  SplatCamera camera = cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
+                                viewport->getActualWidth(), viewport->getActualHeight());
+  camera.extent_scale = std::max(1.0f, settings_.scale);
   try {
     const Canvas canvas =
         viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;

@@ -72,7 +72,8 @@ void SplatRenderer::apply(const GaussianEdit& edit) {
   addBands(edit.sh_degree);
   capacity_ = std::max(capacity_, edit.capacity);
 
-  std::vector<float> zeros;
+  const float changed = age();
+  std::vector<float> geometry, zeros;
   std::size_t source = 0;
   for (const auto& [run_first, run_count] : edit.runs) {
     std::uint32_t first = run_first, left = run_count;
@@ -81,8 +82,10 @@ void SplatRenderer::apply(const GaussianEdit& edit) {
       const std::uint32_t count = std::min(left, kPageSlots - offset);
       if (edit.sh_degree >= 0 || pages_.count(index)) {
         Page& target = page(index);
-        target.geometry.write(offset * kGeometryFloats * sizeof(float),
-                              &edit.geometry[kGeometryFloats * source],
+        geometry.assign(edit.geometry.begin() + std::ptrdiff_t(kGeometryFloats * source),
+                        edit.geometry.begin() + std::ptrdiff_t(kGeometryFloats * (source + count)));
+        for (std::size_t i = 1; i <= count; ++i) geometry[kGeometryFloats * i - 1] = changed;
+        target.geometry.write(offset * kGeometryFloats * sizeof(float), geometry.data(),
                               count * kGeometryFloats * sizeof(float));
         if (edit.sh_degree >= 0) {
           for (int band = 0; band <= sh_degree_; ++band) {
@@ -154,6 +157,13 @@ void SplatRenderer::project(const SplatCamera& camera, const MapState& map,
   }
   model_view[15] = 1.0f;
 
+  if (!depth_range_.id()) depth_range_ = gl::Buffer(2 * sizeof(GLuint), GL_DYNAMIC_COPY);
+  const std::array<GLuint, 2> no_range{0x7f800000u, 0u};  // infinity, zero
+  depth_range_.write(0, no_range.data(), sizeof(no_range));
+
+  const bool antialiased = settings.antialiasing == Antialiasing::kAsTrained
+                               ? map.antialiased
+                               : settings.antialiasing == Antialiasing::kOn;
   project_.use();
   glUniformMatrix4fv(project_.at("model_view"), 1, GL_FALSE, model_view.data());
   glUniform3fv(project_.at("eye"), 1, eye.data());
@@ -164,7 +174,20 @@ void SplatRenderer::project(const SplatCamera& camera, const MapState& map,
   glUniform2f(project_.at("clip"), float(camera.near_clip), float(camera.far_clip));
   glUniform2f(project_.at("ndc_depth"), float(camera.ndc_scale), float(camera.ndc_offset));
   glUniform1i(project_.at("sh_degree"), std::min(sh_degree_, settings.max_sh_degree));
-  glUniform1i(project_.at("antialiased"), map.antialiased);
+  glUniform1i(project_.at("only_band"), std::min(settings.only_band, sh_degree_));
+  glUniform1i(project_.at("antialiased"), antialiased);
+  glUniform1i(project_.at("mode"), static_cast<GLint>(settings.mode));
+  glUniform1f(project_.at("scale_modifier"), settings.scale);
+  glUniform1f(project_.at("opacity_modifier"), settings.opacity);
+  glUniform1f(project_.at("near_fade"), settings.near_fade);
+  glUniform2f(project_.at("age"), age(), settings.age_range);
+  const ClipBox& box = settings.clip_box;
+  std::array<float, 3> box_centre{};
+  for (int i = 0; i < 3; ++i) box_centre[i] = static_cast<float>(box.centre[i] - map.origin[i]);
+  glUniform1i(project_.at("clip_to_box"), box.enabled);
+  glUniform3fv(project_.at("box_centre"), 1, box_centre.data());
+  glUniform3fv(project_.at("box_size"), 1, box.size.data());
+  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 6, depth_range_.id());
   const GLint first_slot = project_.at("first_slot"), slot_count = project_.at("slot_count");
   for (const auto& [index, page] : pages_) {
     const std::size_t first = std::size_t{index} * kPageSlots;
@@ -182,7 +205,12 @@ void SplatRenderer::project(const SplatCamera& camera, const MapState& map,
   glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT);
 }
 
-void SplatRenderer::drawQuads(const gl::Target& target, bool depth_mode) const {
+float SplatRenderer::age() const {
+  return std::chrono::duration<float>(std::chrono::steady_clock::now() - start_).count();
+}
+
+void SplatRenderer::drawQuads(const gl::Target& target, const RenderSettings& settings,
+                              bool raw_depth) const {
   glViewport(0, 0, target.width(), target.height());
   const std::array<float, 4> nothing{};
   glClearBufferfv(GL_COLOR, 0, nothing.data());
@@ -198,7 +226,10 @@ void SplatRenderer::drawQuads(const gl::Target& target, bool depth_mode) const {
   glUniform1ui(quads_.at("capacity"), capacity_);
   glUniform2f(quads_.at("picture"), float(target.width()), float(target.height()));
   glUniform1f(quads_.at("up"), top_first_ ? -1.0f : 1.0f);
-  glUniform1i(quads_.at("depth_mode"), depth_mode);
+  glUniform1i(quads_.at("raw_depth"), raw_depth);
+  glUniform1i(quads_.at("mode"), static_cast<GLint>(settings.mode));
+  glUniform2fv(quads_.at("depth_range"), 1, settings.depth_range.data());
+  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 5, depth_range_.id());
   glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, order_.id());
   for (std::size_t part = 0; part < kProjectedParts; ++part) {
     glBindBufferBase(GL_SHADER_STORAGE_BUFFER, static_cast<GLuint>(1 + part),
@@ -220,6 +251,7 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
     depth_ = {};
   }
   top_first_ = canvas != Canvas::kWindow;
+  drawn_settings_ = settings;
   reserveProjected();
   project(camera, map, settings);
 
@@ -234,14 +266,14 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
     glDepthMask(GL_TRUE);
     const GLfloat farthest = 1.0f;
     glClearBufferfv(GL_DEPTH, 0, &farthest);
-    drawQuads(color_, false);
+    drawQuads(color_, settings, false);
     return;
   }
   // The opaque scene's depth, resolved to one sample a pixel.
   glBindFramebuffer(GL_READ_FRAMEBUFFER, guard.drawFramebuffer());
   glBlitFramebuffer(x, y, x + camera.width, y + camera.height, 0, 0, camera.width, camera.height,
                     GL_DEPTH_BUFFER_BIT, GL_NEAREST);
-  drawQuads(color_, false);
+  drawQuads(color_, settings, false);
 
   glBindFramebuffer(GL_DRAW_FRAMEBUFFER, guard.drawFramebuffer());
   glViewport(x, y, camera.width, camera.height);
@@ -282,7 +314,7 @@ std::vector<float> SplatRenderer::readDepth() {
   const gl::DrawScope scope(depth_);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, color.framebuffer());
   glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT, GL_NEAREST);
-  drawQuads(depth_, true);
+  drawQuads(depth_, drawn_settings_, true);
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
   std::vector<float> blended(4 * columns * rows), depths(columns * rows);

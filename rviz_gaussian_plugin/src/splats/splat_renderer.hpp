@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -10,15 +11,10 @@
 
 #include "gaussian_map.hpp"
 #include "gl_objects.hpp"
+#include "render_settings.hpp"
 #include "splat_camera.hpp"
 
 namespace rosplat {
-
-struct RenderSettings {
-  int max_sh_degree = kMaxShDegree;
-  // Blend in 32-bit floats, at twice the memory traffic of 16-bit ones.
-  bool float_blending = false;
-};
 
 // What the current framebuffer and viewport are to draw().
 enum class Canvas {
@@ -38,7 +34,8 @@ class SplatRenderer {
   // Throws gl::Error where the driver can't do it.
   explicit SplatRenderer(const ShaderSource& source);
 
-  // Uploads what the edit changes. Throws gl::Error when the driver has no memory left.
+  // Uploads what the edit changes; its slots are new from now on. Throws gl::Error when the driver
+  // has no memory left.
   void apply(const GaussianEdit& edit);
 
   // Makes slots[0..count) what draw() draws, farthest first.
@@ -69,7 +66,8 @@ class SplatRenderer {
   void addBands(int degree);
   void reserveProjected();
   void project(const SplatCamera& camera, const MapState& map, const RenderSettings& settings);
-  void drawQuads(const gl::Target& target, bool depth_mode) const;
+  void drawQuads(const gl::Target& target, const RenderSettings& settings, bool raw_depth) const;
+  float age() const;  // of the renderer [s]
 
   gl::Program project_, quads_, composite_;
   std::size_t part_slots_ = 0;  // slots in one part of the projected buffer
@@ -79,9 +77,12 @@ class SplatRenderer {
   std::uint32_t capacity_ = 0;
   std::vector<gl::Buffer> projected_;
   gl::Buffer order_;
+  gl::Buffer depth_range_;  // nearest and farthest depth drawn, as float bits
   std::size_t order_count_ = 0;
   gl::Target color_, depth_;
   bool top_first_ = false;  // the targets' first row is the picture's top
+  RenderSettings drawn_settings_;
+  std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };
 
 }  // namespace rosplat

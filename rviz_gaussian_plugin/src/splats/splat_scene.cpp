@@ -88,7 +88,8 @@ FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& s
   const double start = now();
   if (!renderer_) renderer_.emplace(shaders_);
   takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
-  const OrderBook::Choice choice = built_in ? book_.sortNow(view_id) : book_.choose(view_id, start);
+  const OrderBook::Choice choice =
+      built_in ? book_.sortNow(view_id) : book_.choose(view_id, start, settings.order);
   if (choice.order && choice.order != uploaded_order_) {
     renderer_->setOrder(choice.order->slots.data(), choice.order->slots.size());
     uploaded_order_ = choice.order;

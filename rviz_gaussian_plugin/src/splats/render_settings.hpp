@@ -1,0 +1,50 @@
+#pragma once
+
+#include <array>
+
+#include "gaussian_map.hpp"
+
+namespace rosplat {
+
+// What a splat is drawn as.
+enum class DrawMode {
+  kColor,         // as trained
+  kDepth,         // colour-mapped distance along the view's axis
+  kBillboard,     // isotropic, of the mean of its scales
+  kFlatBall,      // a solid ellipsoid in one colour
+  kGaussianBall,  // a solid ellipsoid, darker towards its rim
+  kNormals,       // the shortest axis, towards the camera: 0.5 + 0.5 n in the map's frame
+  kOpacity,       // colour-mapped peak opacity
+  kAge,           // colour-mapped time since a slot last changed, new is red
+};
+
+// Opacity compensation for the 2D low-pass filter (Mip-Splatting).
+enum class Antialiasing { kAsTrained, kOn, kOff };
+
+// Whose order is drawn.
+enum class OrderSource { kAuto, kSidecar, kBuiltIn, kOff };
+
+// What is kept of a map: splats with their mean in a box of the map's frame.
+struct ClipBox {
+  bool enabled = false;
+  std::array<float, 3> centre{};       // [m]
+  std::array<float, 3> size{1, 1, 1};  // [m]
+};
+
+// How a map is drawn.
+struct RenderSettings {
+  DrawMode mode = DrawMode::kColor;
+  int max_sh_degree = kMaxShDegree;
+  int only_band = -1;           // draw one band of spherical harmonics alone; -1: all
+  bool float_blending = false;  // in 32-bit floats, at twice the memory traffic of 16-bit ones
+  float scale = 1;              // of the splats' size
+  float opacity = 1;            // of their opacity, 0 to 1
+  Antialiasing antialiasing = Antialiasing::kAsTrained;
+  OrderSource order = OrderSource::kAuto;
+  ClipBox clip_box;
+  float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
+  std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest drawn
+  float age_range = 10;                // of kAge [s]
+};
+
+}  // namespace rosplat
