@@ -107,7 +107,10 @@ def footprints(camera, positions, scales, quaternions, opacities):
 
 @pytest.mark.parametrize("orthographic", [False, True])
 @pytest.mark.parametrize("centre", [(320.0, 240.0), (100.0, 400.0)])
-def test_culling_hides_nothing_that_is_drawn_and_little_else(make_camera, orthographic, centre):
+@pytest.mark.parametrize("scale", [1.0, 2.5])
+def test_culling_hides_nothing_that_is_drawn_and_little_else(
+    make_camera, orthographic, centre, scale
+):
     random = np.random.default_rng(3)
     count = 8000
     camera = make_camera(
@@ -120,6 +123,7 @@ def test_culling_hides_nothing_that_is_drawn_and_little_else(make_camera, orthog
         near_clip=-10.0 if orthographic else 0.2,
         far_clip=15.0,
         orthographic=orthographic,
+        extent_scale=scale,
     )
     positions = random.uniform(-20, 20, (count, 3)).astype(np.float32)
     scales = np.exp(random.uniform(-6, 0.5, (count, 3))).astype(np.float32)
@@ -127,6 +131,7 @@ def test_culling_hides_nothing_that_is_drawn_and_little_else(make_camera, orthog
     opacities = random.uniform(0.005, 1, count).astype(np.float32)
 
     visible = depth.visible(View.of(camera), positions, depth.splat_extents(scales, opacities))
+    scales *= scale
     centres, halves, depths = footprints(camera, positions, scales, quaternions, opacities)
     in_depth = (depths > camera.near_clip) & (depths < camera.far_clip)
     size = np.array([camera.width, camera.height])
@@ -137,8 +142,8 @@ def test_culling_hides_nothing_that_is_drawn_and_little_else(make_camera, orthog
 
     # The bound takes a splat for a ball as large as its longest axis, at the steepest slope.
     tangent = 0 if orthographic else np.maximum(np.array(centre), size - centre) / [400, 450] + 0.3
-    scale = np.array([camera.fx, camera.fy]) / (1 if orthographic else depths[:, None])
-    ball = 3.33 * scales.max(axis=1)[:, None] * scale * np.sqrt(1 + np.square(tangent))
+    pixels = np.array([camera.fx, camera.fy]) / (1 if orthographic else depths[:, None])
+    ball = 3.33 * scales.max(axis=1)[:, None] * pixels * np.sqrt(1 + np.square(tangent))
     away = np.maximum(centres - size, -centres) > ball + 3
     assert not (visible & (~in_depth | away.any(axis=1))).any()
     assert visible.sum() < 0.6 * count

@@ -75,15 +75,15 @@ TEST(DepthOrder, KeepsSplatsWhoseFootprintReachesIntoThePicture) {
 
 TEST(View, IsThatOfTheTwinInPython) {  // test_view.py asserts the same numbers
   const View view =
-      makeView(kIdentity, kHere, 517.3, 516.5, 318.6, 255.3, 640, 480, 0.05, 50, false);
+      makeView(kIdentity, kHere, 517.3, 516.5, 318.6, 255.3, 640, 480, 0.05, 50, false, 1.7);
   EXPECT_EQ(view.fx, 0x1.02a666p+9f);
   EXPECT_EQ(view.fy, 0x1.024p+9f);
   EXPECT_EQ(view.offset_x, -0x1.666666p+0f);
   EXPECT_EQ(view.offset_y, 0x1.e9999ap+3f);
   EXPECT_EQ(view.half_width, 322.0f);
   EXPECT_EQ(view.half_height, 242.0f);
-  EXPECT_EQ(view.slope_x, 0x1.4c5936p+9f);
-  EXPECT_EQ(view.slope_y, 0x1.31bc5ep+9f);
+  EXPECT_EQ(view.slope_x, 0x1.1a7f08p+10f);
+  EXPECT_EQ(view.slope_y, 0x1.03e01cp+10f);
   EXPECT_EQ(view.near_clip, 0x1.99999ap-5f);
 }
 

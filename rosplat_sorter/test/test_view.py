@@ -33,7 +33,9 @@ def test_the_map_origin_is_subtracted_before_float32(make_camera):
 
 def test_intrinsics_are_those_of_the_twin_in_cpp(make_camera):
     """test_depth_order.cpp asserts the same numbers."""
-    camera = make_camera(fx=517.3, fy=516.5, cx=318.6, cy=255.3, near_clip=0.05, far_clip=50.0)
+    camera = make_camera(
+        fx=517.3, fy=516.5, cx=318.6, cy=255.3, near_clip=0.05, far_clip=50.0, extent_scale=1.7
+    )
     view = View.of(camera)
     assert [view.fx, view.fy] == [float.fromhex("0x1.02a666p+9"), float.fromhex("0x1.024p+9")]
     assert [view.offset_x, view.offset_y] == [
@@ -42,8 +44,8 @@ def test_intrinsics_are_those_of_the_twin_in_cpp(make_camera):
     ]
     assert [view.half_width, view.half_height] == [322, 242]
     assert [view.slope_x, view.slope_y] == [
-        float.fromhex("0x1.4c5936p+9"),
-        float.fromhex("0x1.31bc5ep+9"),
+        float.fromhex("0x1.1a7f08p+10"),
+        float.fromhex("0x1.03e01cp+10"),
     ]
     assert view.near_clip == float.fromhex("0x1.99999ap-5")
 
@@ -67,6 +69,7 @@ def test_an_orthographic_footprint_does_not_grow_with_the_angle(make_camera):
         {"near_clip": 0.0},
         {"near_clip": 5.0, "far_clip": 5.0},
         {"far_clip": math.inf},
+        {"extent_scale": 0.0},
     ],
 )
 def test_a_degenerate_camera_is_refused_by_its_field(make_camera, wrong):

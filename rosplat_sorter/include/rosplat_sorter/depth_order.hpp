@@ -47,15 +47,15 @@ struct View {
 constexpr double kMarginPixels = 2.0;
 
 // The View of a camera at rotation (map to camera optical frame, row-major) and translation (of the
-// map's origin in the camera frame, [m]) with the intrinsics of ViewCamera.
+// map's origin in the camera frame, [m]) with the intrinsics and the extent_scale of ViewCamera.
 inline View makeView(const double rotation[9], const double translation[3], double fx, double fy,
                      double cx, double cy, double width, double height, double near_clip,
-                     double far_clip, bool orthographic) {
+                     double far_clip, bool orthographic, double extent_scale = 1.0) {
   // A perspective footprint grows with the slope of its ray, which the renderer clamps so.
-  const auto slope = [orthographic](double focal, double centre, double size) {
-    if (orthographic) return focal;
+  const auto slope = [=](double focal, double centre, double size) {
+    if (orthographic) return extent_scale * focal;
     const double tangent = std::max(size - centre, centre) / focal + 0.3 * (0.5 * size / focal);
-    return focal * std::sqrt(1.0 + tangent * tangent);
+    return extent_scale * focal * std::sqrt(1.0 + tangent * tangent);
   };
   View view;
   std::copy(rotation, rotation + 9, view.rotation);
