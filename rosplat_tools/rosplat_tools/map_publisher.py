@@ -1,0 +1,229 @@
+"""Publishes a map of Gaussians and its edits: what a SLAM back end links to be seen in rviz."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Callable
+from threading import RLock
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from rosplat_msgs.msg import GaussianArray
+from rosplat_tools.messages import Slots, chunks, encode, encode_deletion
+from rosplat_tools.qos import HISTORY_DEPTH, map_qos
+from rosplat_tools.slot_map import SlotMap
+from rosplat_tools.splats import Splats
+
+CHUNK_BYTES = 8_000_000
+
+# How long a new writer waits for the subscribers of the one before it. [s]
+REMATCH_TIMEOUT = 1.0
+
+Progress = Callable[[int], None]
+"""Is told how many more splats have gone out; what it raises ends the sending."""
+
+
+class MapPublisher:
+    """Owns the topic of one map: a map_id, its revisions, and a copy of the map by slot.
+
+    A late joiner rebuilds the map from the batches that the middleware keeps, the last
+    history_depth. So the history always begins with a REPLACE and holds every batch since. Each
+    REPLACE starts a new writer, whose history is empty; an edit that the history has no room for
+    sends the whole map instead, as a REPLACE and UPSERTs of large chunks. These fill at most half
+    the history, so the next such snapshot is history_depth / 2 edits away or farther.
+
+    Calls are serialised, from any thread; they return when the middleware has taken the batches.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        frame_id: str = "map",
+        topic: str = "gaussians",
+        history_depth: int = HISTORY_DEPTH,
+        chunk_bytes: int = CHUNK_BYTES,
+    ) -> None:
+        """Advertises the topic; the map is empty, and nothing is sent yet.
+
+        Raises ValueError for a history_depth under 2 or a chunk_bytes under 1.
+        """
+        if history_depth < 2:
+            raise ValueError(f"history_depth: at least 2 batches, got {history_depth}")
+        if chunk_bytes < 1:
+            raise ValueError(f"chunk_bytes: at least 1, got {chunk_bytes}")
+        self.frame_id = frame_id
+        self._node = node
+        self._topic = topic
+        self._depth = history_depth
+        self._qos = map_qos(history_depth)
+        self._chunk_bytes = chunk_bytes
+        self._lock = RLock()
+        self._map_id = str(uuid.uuid4())
+        self._revision = 0
+        self._map = SlotMap(_no_splats())
+        self._expected_slots = 0
+        self._publisher = node.create_publisher(GaussianArray, topic, self._qos)
+        self._in_history = 0
+
+    @property
+    def map_id(self) -> str:
+        """Names this publisher's run."""
+        return self._map_id
+
+    @property
+    def revision(self) -> int:
+        """Revision of the last batch that was sent, 0 before the first."""
+        return self._revision
+
+    def __len__(self) -> int:
+        """Number of slots in use."""
+        with self._lock:
+            return len(self._map)
+
+    def snapshot(self) -> tuple[Slots, Splats]:
+        """A copy of the map as it is: the slots in use, ascending, and their splats."""
+        with self._lock:
+            return self._map.snapshot()
+
+    def replace(
+        self,
+        splats: Splats,
+        *,
+        expected_slots: int | None = None,
+        stamp: Time | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        """Makes splats the map, in slots 0 to n - 1.
+
+        expected_slots is how many slots the finished map will need, by default n; stamp is the time
+        of the map, by default now.
+        """
+        with self._lock:
+            self._map = SlotMap(splats.without_empty_bands())
+            self._expected_slots = len(splats) if expected_slots is None else expected_slots
+            self._send_map(stamp, progress)
+
+    def upsert(self, slots: Slots, splats: Splats, *, stamp: Time | None = None) -> None:
+        """Writes the i-th splat to the i-th slot, in use or not.
+
+        Raises ValueError where slots are named twice or differ in number from splats, or where some
+        of the map is antialiased and some is not.
+        """
+        slots = _checked(slots)
+        if len(slots) != len(splats):
+            raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
+        with self._lock:
+            if not self._revision:
+                self._map = SlotMap(splats[:0])
+            splats = splats.without_empty_bands()
+            self._map.write(slots, splats)
+            splats = splats.with_sh_degree(self._map.sh_degree)
+            parts = list(chunks(splats, self._chunk_bytes))
+            if not self._has_room(len(parts)):
+                self._send_map(stamp)
+                return
+            for part in parts:
+                self._send_splats(GaussianArray.UPSERT, slots[part], splats[part], stamp)
+
+    def delete(self, slots: Slots, *, stamp: Time | None = None) -> None:
+        """Empties slots. Raises ValueError where slots are named twice."""
+        slots = _checked(slots)
+        with self._lock:
+            self._map.clear(slots)
+            if not self._has_room(1):
+                self._send_map(stamp)
+                return
+            self._revision += 1
+            self._send(
+                encode_deletion(
+                    slots,
+                    header=self._header(stamp),
+                    map_id=self._map_id,
+                    revision=self._revision,
+                    expected_slots=self._expected_slots,
+                )
+            )
+
+    def _has_room(self, batches: int) -> bool:
+        """Whether edits can follow in a history that has begun with a REPLACE."""
+        return 0 < self._in_history <= self._depth - batches
+
+    def _send_map(self, stamp: Time | None, progress: Progress | None = None) -> None:
+        self._start_history()
+        slots, splats = self._map.snapshot()
+        half_history = splats.nbytes // (self._depth // 2) + 1
+        operation = GaussianArray.REPLACE
+        for part in chunks(splats, max(self._chunk_bytes, half_history)):
+            self._send_splats(operation, slots[part], splats[part], stamp)
+            operation = GaussianArray.UPSERT
+            if progress:
+                progress(len(slots[part]))
+
+    def _send_splats(
+        self, operation: int, slots: Slots, splats: Splats, stamp: Time | None
+    ) -> None:
+        self._revision += 1
+        self._send(
+            encode(
+                splats,
+                slots,
+                header=self._header(stamp),
+                map_id=self._map_id,
+                revision=self._revision,
+                operation=operation,
+                expected_slots=self._expected_slots,
+            )
+        )
+
+    def _send(self, message: GaussianArray) -> None:
+        self._publisher.publish(message)
+        self._in_history += 1
+
+    def _header(self, stamp: Time | None) -> Header:
+        return Header(stamp=stamp or self._node.get_clock().now().to_msg(), frame_id=self.frame_id)
+
+    def _start_history(self) -> None:
+        """Puts a writer with an empty history in place of one that has sent something.
+
+        What its subscribers have not received yet is lost to them, and superseded by what follows.
+        """
+        if not self._in_history:
+            return
+        old = self._publisher
+        self._publisher = self._node.create_publisher(GaussianArray, self._topic, self._qos)
+        self._in_history = 0
+        # A subscriber that asks for no history would miss what is sent before it knows the writer.
+        deadline = time.monotonic() + REMATCH_TIMEOUT
+        while (
+            self._publisher.get_subscription_count() < old.get_subscription_count()
+            and time.monotonic() < deadline
+        ):
+            time.sleep(0.002)
+        self._node.destroy_publisher(old)
+
+
+def _no_splats() -> Splats:
+    return Splats(
+        positions=np.zeros((0, 3), np.float32),
+        orientations=np.zeros((0, 4), np.float32),
+        scales=np.zeros((0, 3), np.float32),
+        opacities=np.zeros(0, np.float32),
+        sh=np.zeros((0, 1, 3), np.float32),
+    )
+
+
+def _checked(slots: Slots) -> range | NDArray[np.uint32]:
+    numbers = np.asarray([slots.start, slots.stop]) if isinstance(slots, range) else slots
+    if len(numbers) and (numbers.min() < 0 or numbers.max() > np.iinfo(np.uint32).max):
+        raise ValueError("slots: a slot is a number from 0 to 2^32 - 1")
+    if isinstance(slots, range):
+        return slots
+    if len(np.unique(numbers)) < len(numbers):
+        raise ValueError("slots: each slot may be named once")
+    return numbers.astype(np.uint32)

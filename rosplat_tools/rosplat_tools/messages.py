@@ -1,0 +1,122 @@
+"""Splats to GaussianArray batches and back. Arrays move as blocks of memory, never by element."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from std_msgs.msg import Header
+
+from rosplat_msgs.msg import GaussianArray
+from rosplat_tools.splats import Splats, sh_coefficients
+
+Slots = range | NDArray[np.integer]
+"""Which slots of a map: a contiguous range, or a list in any order, each once."""
+
+
+def encode(
+    splats: Splats,
+    slots: Slots,
+    *,
+    header: Header,
+    map_id: str,
+    revision: int,
+    operation: int,
+    expected_slots: int = 0,
+) -> GaussianArray:
+    """A REPLACE or UPSERT that writes the i-th splat to the i-th slot.
+
+    The message holds the bands of spherical harmonics that splats holds. Raises ValueError where
+    slots and splats differ in number.
+    """
+    if len(slots) != len(splats):
+        raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
+    message = _batch(slots, header, map_id, revision, operation, expected_slots)
+    message.sh_degree = splats.sh_degree
+    message.encoding = GaussianArray.ENCODING_FLOAT32
+    message.antialiased = splats.antialiased
+    message.origin.x, message.origin.y, message.origin.z = splats.origin.tolist()
+    message.positions = _as_array("f", splats.positions)
+    message.orientations = _as_array("f", splats.orientations)
+    message.scales = _as_array("f", splats.scales)
+    message.opacities = _as_array("f", splats.opacities)
+    message.sh = _as_array("f", splats.sh)
+    return message
+
+
+def encode_deletion(
+    slots: Slots, *, header: Header, map_id: str, revision: int, expected_slots: int = 0
+) -> GaussianArray:
+    """A DELETE that empties the slots."""
+    return _batch(slots, header, map_id, revision, GaussianArray.DELETE, expected_slots)
+
+
+def decode(message: GaussianArray) -> tuple[Slots, Splats]:
+    """The slots that a well-formed batch touches and, but for a DELETE, what it writes there.
+
+    The arrays are views of the message's. Raises ValueError where a length doesn't fit.
+    """
+    first, count = message.first_slot, message.count
+    slots = (
+        np.frombuffer(message.slots, np.uint32) if message.slots else range(first, first + count)
+    )
+    if len(slots) != count:
+        raise ValueError(f"GaussianArray.slots: expected {count} slots, got {len(slots)}")
+    n = 0 if message.operation == GaussianArray.DELETE else count
+
+    def field(name: str, *shape: int) -> NDArray[np.float32]:
+        values = np.frombuffer(getattr(message, name), np.float32)
+        if values.size != n * int(np.prod(shape)):
+            expected = n * int(np.prod(shape))
+            raise ValueError(f"GaussianArray.{name}: expected {expected} values, got {values.size}")
+        return values.reshape(n, *shape)
+
+    origin = message.origin
+    return slots, Splats(
+        positions=field("positions", 3),
+        orientations=field("orientations", 4),
+        scales=field("scales", 3),
+        opacities=field("opacities"),
+        sh=field("sh", sh_coefficients(message.sh_degree), 3),
+        origin=np.array([origin.x, origin.y, origin.z]),
+        antialiased=message.antialiased,
+    )
+
+
+def chunks(splats: Splats, chunk_bytes: int) -> Iterator[slice]:
+    """Cuts splats into slices whose arrays take chunk_bytes at most, but one splat at least.
+
+    There is always a first slice, empty where there are no splats.
+    """
+    step = max(1, chunk_bytes * len(splats) // max(1, splats.nbytes))
+    for start in range(0, max(1, len(splats)), step):
+        yield slice(start, min(start + step, len(splats)))
+
+
+def _batch(
+    slots: Slots, header: Header, map_id: str, revision: int, operation: int, expected_slots: int
+) -> GaussianArray:
+    message = GaussianArray(
+        header=header,
+        map_id=map_id,
+        revision=revision,
+        operation=operation,
+        expected_slots=expected_slots,
+        count=len(slots),
+    )
+    if isinstance(slots, range):
+        if slots.step != 1:
+            raise ValueError(f"slots: a range must be contiguous, got {slots}")
+        message.first_slot = slots.start
+    else:
+        message.slots = _as_array("I", np.asarray(slots, np.uint32))
+    return message
+
+
+def _as_array(typecode: str, values: NDArray[np.generic]) -> array[float]:
+    # A setter of rosidl takes an array of the right type as it is; an ndarray it copies by element.
+    result: array[float] = array(typecode)
+    result.frombytes(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
+    return result

@@ -1,0 +1,35 @@
+"""Installs rosplat_tools, and its executables for `ros2 run`."""
+
+from setuptools import find_packages, setup
+
+EXECUTABLES = [
+    "convert",
+    "demo",
+    "generate",
+    "inspect",
+    "ply_publisher",
+    "render",
+    "slam_emulator",
+    "viewer",
+]
+
+setup(
+    name="rosplat_tools",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/rosplat_tools"]),
+        ("share/rosplat_tools", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    # colcon test finds the tests of a Python package by this.
+    extras_require={"test": ["pytest"]},
+    zip_safe=True,
+    maintainer="ROSplat developers",
+    maintainer_email="dev@rosplat.org",
+    description="Publishes maps of 3D Gaussians, draws them, and studies the pictures.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [f"{name} = rosplat_tools.{name}:main" for name in EXECUTABLES]
+    },
+)
