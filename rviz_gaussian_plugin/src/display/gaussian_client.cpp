@@ -96,6 +96,53 @@ void GaussianClient::watchPublishers() {
   status_.publishers = publishers.size();
 }
 
+void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {
+  constexpr std::size_t kLongestPath = 10000;
+  if (!pose_publisher_) {
+    const auto qos = rclcpp::QoS(1).transient_local();
+    pose_publisher_ =
+        node_->create_publisher<geometry_msgs::msg::PoseStamped>(topic_ + "/camera/pose", qos);
+    path_publisher_ = node_->create_publisher<nav_msgs::msg::Path>(topic_ + "/camera/path", qos);
+  }
+  geometry_msgs::msg::PoseStamped pose;
+  pose.header = view.header;
+  pose.pose = view.pose;
+  pose_publisher_->publish(pose);
+  if (!path_.poses.empty() && path_.poses.back().pose == pose.pose) return;
+  if (path_.header.frame_id != view.header.frame_id || path_.poses.size() >= kLongestPath) {
+    path_.poses.clear();
+  }
+  path_.header = view.header;
+  path_.poses.push_back(pose);
+  path_publisher_->publish(path_);
+}
+
+void GaussianClient::switchBackend(const std::string& backend) {
+  const auto sorters = node_->get_publishers_info_by_topic(topic_ + "/order");
+  if (sorters.empty()) {
+    reportSidecar("no sidecar publishes " + topic_ + "/order: backend not switched", true);
+    return;
+  }
+  std::string name = sorters.front().node_namespace();
+  if (name.back() != '/') name += '/';
+  name += sorters.front().node_name();
+  parameters_ = std::make_shared<rclcpp::AsyncParametersClient>(node_, name);
+  parameters_->set_parameters(
+      {rclcpp::Parameter("backend", backend)},
+      [this, name,
+       backend](std::shared_future<std::vector<rcl_interfaces::msg::SetParametersResult>> future) {
+        const auto result = future.get().front();
+        reportSidecar(result.successful ? name + " asked for backend " + backend : result.reason,
+                      !result.successful);
+      });
+}
+
+void GaussianClient::reportSidecar(const std::string& text, bool failed) {
+  const std::lock_guard lock(mutex_);
+  status_.sidecar = text;
+  status_.sidecar_failed = failed;
+}
+
 std::optional<GaussianClient::RenderRequest> GaussianClient::takeRenderRequest() {
   const std::lock_guard lock(mutex_);
   if (requests_.empty()) return std::nullopt;

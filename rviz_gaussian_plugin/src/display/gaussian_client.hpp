@@ -2,8 +2,10 @@
 
 #include <atomic>
 #include <deque>
+#include <geometry_msgs/msg/pose_stamped.hpp>
 #include <memory>
 #include <mutex>
+#include <nav_msgs/msg/path.hpp>
 #include <optional>
 #include <rclcpp/rclcpp.hpp>
 #include <rosplat_msgs/msg/gaussian_array.hpp>
@@ -39,6 +41,8 @@ class GaussianClient {
     std::uint64_t refused = 0;   // batches that contradict themselves
     std::string refusal;         // why, of the last one
     std::size_t publishers = 0;  // of the map's topic
+    std::string sidecar;         // what became of switchBackend()
+    bool sidecar_failed = false;
   };
 
   // The scene must outlive the client. Throws rclcpp's exceptions for a topic with an invalid name.
@@ -46,6 +50,10 @@ class GaussianClient {
   ~GaussianClient();
 
   void publish(const rosplat_msgs::msg::ViewCamera& view) { view_publisher_->publish(view); }
+  // The pose of a view, and the path it has taken, for other displays.
+  void publishPose(const rosplat_msgs::msg::ViewCamera& view);
+  // Sets the parameter `backend` of whoever publishes the orders.
+  void switchBackend(const std::string& backend);
   std::optional<RenderRequest> takeRenderRequest();
   Status status() const;
 
@@ -56,6 +64,7 @@ class GaussianClient {
   void subscribe(const rclcpp::QoS& qos, rclcpp::Subscription<GaussianArray>::SharedPtr& target);
   void receive(const GaussianArray& message);
   void watchPublishers();
+  void reportSidecar(const std::string& text, bool failed);
 
   rclcpp::Node::SharedPtr node_;
   std::string topic_;
@@ -66,6 +75,10 @@ class GaussianClient {
   rclcpp::Publisher<rosplat_msgs::msg::ViewCamera>::SharedPtr view_publisher_;
   rclcpp::Service<RenderView>::SharedPtr render_service_;
   rclcpp::TimerBase::SharedPtr watch_;
+  rclcpp::Publisher<geometry_msgs::msg::PoseStamped>::SharedPtr pose_publisher_;
+  rclcpp::Publisher<nav_msgs::msg::Path>::SharedPtr path_publisher_;
+  nav_msgs::msg::Path path_;
+  std::shared_ptr<rclcpp::AsyncParametersClient> parameters_;
 
   mutable std::mutex mutex_;  // status_, requests_
   Status status_;

@@ -11,7 +11,8 @@
 #include <rviz_common/display_context.hpp>
 #include <rviz_common/frame_manager_iface.hpp>
 #include <rviz_common/properties/bool_property.hpp>
-#include <rviz_common/properties/int_property.hpp>
+#include <rviz_common/properties/enum_property.hpp>
+#include <rviz_common/properties/file_picker_property.hpp>
 #include <rviz_common/properties/ros_topic_property.hpp>
 #include <rviz_common/ros_integration/ros_node_abstraction_iface.hpp>
 #include <sstream>
@@ -28,6 +29,7 @@ using rviz_common::properties::StatusProperty;
 constexpr const char* kResourceGroup = "rviz_rendering";
 // A view's camera goes out at least this often, so that a sorter that starts late learns of it. [s]
 constexpr double kKeepAlive = 1.0;
+constexpr const char* kUnchanged = "As Started";
 constexpr double kStatusPeriod = 0.5;  // [s]
 
 double now() {
@@ -58,17 +60,26 @@ GaussianDisplay::GaussianDisplay() : instance_(uniqueName()) {
       "Map of 3D Gaussians (rosplat_msgs/GaussianArray). The display publishes its cameras on "
       "<topic>/view, takes orders from <topic>/order and draws pictures for <topic>/render.",
       this, SLOT(subscribe()));
-  sh_degree_ = new rviz_common::properties::IntProperty(
-      "SH Degree", kMaxShDegree,
-      "Highest band of spherical harmonics to evaluate; 0 leaves out all view-dependent colour.",
-      this, SLOT(updateSettings()));
-  sh_degree_->setMin(0);
-  sh_degree_->setMax(kMaxShDegree);
-  float_blending_ = new rviz_common::properties::BoolProperty(
-      "Float Blending", false,
-      "Blend in 32-bit instead of 16-bit floats: exact to the last grey level, at twice the memory "
-      "traffic.",
-      this, SLOT(updateSettings()));
+  scene_file_ = new rviz_common::properties::FilePickerProperty(
+      "Scene File", "",
+      "Open a scene (.ply, .spz, .sog): the topic's publisher loads it, or one that is started "
+      "here. "
+      "Empty it to cancel.",
+      this, SLOT(openScene()));
+  settings_ = std::make_unique<DisplaySettings>(this, [this] { applySettings(); });
+  backend_ = new rviz_common::properties::EnumProperty(
+      "Sidecar Backend", kUnchanged,
+      "What the sidecar sorts with: sets its parameter 'backend'. The Status shows what it uses.",
+      this, SLOT(switchBackend()));
+  for (const char* name : {kUnchanged, "auto", "cupy", "torch", "native", "numpy"}) {
+    backend_->addOption(name);
+  }
+  publish_pose_ = new rviz_common::properties::BoolProperty(
+      "Publish Camera", false,
+      "Publish the pose of the view's camera on <topic>/camera/pose (geometry_msgs/PoseStamped) "
+      "and "
+      "where it has been on <topic>/camera/path (nav_msgs/Path).",
+      this);
 }
 
 GaussianDisplay::~GaussianDisplay() {
@@ -117,22 +128,41 @@ void GaussianDisplay::subscribe() {
         return onView(viewport, camera);
       });
   scene_node_->attachObject(cloud_.get());
-  updateSettings();
+  applySettings();
   try {
-    client_ = std::make_unique<GaussianClient>(
-        context_->getRosNodeAbstraction().lock()->get_raw_node(), topic, cloud_->scene());
+    const auto node = context_->getRosNodeAbstraction().lock()->get_raw_node();
+    client_ = std::make_unique<GaussianClient>(node, topic, cloud_->scene());
+    if (!loader_ || loader_->topic() != topic) {
+      loader_ = std::make_unique<SceneLoader>(node, topic);
+      openScene();
+    }
+    switchBackend();
   } catch (const std::exception& error) {
     setStatusOnce(StatusProperty::Error, "Topic", concat("Can't subscribe: ", error.what()));
   }
 }
 
-void GaussianDisplay::updateSettings() {
+void GaussianDisplay::applySettings() {
   if (!cloud_) return;
-  RenderSettings settings;
-  settings.max_sh_degree = sh_degree_->getInt();
-  settings.float_blending = float_blending_->getBool();
-  cloud_->setSettings(settings);
+  cloud_->setSettings(settings_->get());
   context_->queueRender();
+}
+
+void GaussianDisplay::openScene() {
+  if (!initialized() || !isEnabled()) return;
+  const std::string path = scene_file_->getStdString();
+  if (path.empty()) {
+    if (loader_) loader_->cancel();
+    return;
+  }
+  if (topic_->getTopicStd().empty()) topic_->setString("/gaussians");
+  if (loader_) loader_->load(path);
+}
+
+void GaussianDisplay::switchBackend() {
+  if (client_ && backend_->getStdString() != kUnchanged) {
+    client_->switchBackend(backend_->getStdString());
+  }
 }
 
 void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
@@ -181,8 +211,10 @@ std::string GaussianDisplay::onView(Ogre::Viewport* viewport, const SplatCamera&
 void GaussianDisplay::publish(View& view) {
   view.published = now();
   const rclcpp::Time stamp = context_->getClock()->now();
-  client_->publish(
-      toMessage(view.camera, view.id, view.sequence, client_->status().frame_id, stamp));
+  const auto message =
+      toMessage(view.camera, view.id, view.sequence, client_->status().frame_id, stamp);
+  client_->publish(message);
+  if (publish_pose_->getBool() && &view != &still_) client_->publishPose(message);
 }
 
 bool GaussianDisplay::toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const {
@@ -265,6 +297,7 @@ void GaussianDisplay::answer(const GaussianClient::RenderRequest& request, bool 
     response.draw_time = report.draw_time;
     response.map_id = map.id;
     response.revision = map.revision;
+    response.map_complete = map.splats > 0 && map.splats + map.dropped >= map.expected;
     response.success = true;
   } catch (const std::exception& error) {
     response.message = error.what();
@@ -295,6 +328,15 @@ void GaussianDisplay::updateStatus() {
         received.publishers == 0 ? "Nobody publishes on this topic" : "No batch received yet");
   } else {
     setStatusOnce(StatusProperty::Ok, "Topic", concat(received.batches, " batches received"));
+  }
+
+  if (loader_ && !loader_->status().empty()) {
+    setStatusOnce(loader_->failed() ? StatusProperty::Error : StatusProperty::Ok, "Scene File",
+                  loader_->status());
+  }
+  if (!received.sidecar.empty()) {
+    setStatusOnce(received.sidecar_failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",
+                  received.sidecar);
   }
 
   if (received.batches > 0) {

@@ -7,12 +7,15 @@
 #include <string>
 
 #include "../splats/splat_cloud.hpp"
+#include "display_settings.hpp"
 #include "gaussian_client.hpp"
 #include "ros_versions.hpp"
+#include "scene_loader.hpp"
 
 namespace rviz_common::properties {
 class BoolProperty;
-class IntProperty;
+class EnumProperty;
+class FilePickerProperty;
 class RosTopicProperty;
 }  // namespace rviz_common::properties
 
@@ -38,7 +41,8 @@ class GaussianDisplay : public rviz_common::Display {
 
  private Q_SLOTS:
   void subscribe();
-  void updateSettings();
+  void openScene();
+  void switchBackend();
 
  private:
   // A viewport that the map is drawn in.
@@ -50,6 +54,7 @@ class GaussianDisplay : public rviz_common::Display {
   };
 
   void unsubscribe();
+  void applySettings();
   std::string onView(Ogre::Viewport* viewport, const SplatCamera& camera);
   void publish(View& view);
   void serveRenderRequests();
@@ -61,12 +66,15 @@ class GaussianDisplay : public rviz_common::Display {
                      const std::string& text);
 
   rviz_common::properties::RosTopicProperty* topic_;
-  rviz_common::properties::IntProperty* sh_degree_;
-  rviz_common::properties::BoolProperty* float_blending_;
+  rviz_common::properties::FilePickerProperty* scene_file_;
+  rviz_common::properties::EnumProperty* backend_;
+  rviz_common::properties::BoolProperty* publish_pose_;
+  std::unique_ptr<DisplaySettings> settings_;
 
   std::string instance_;  // names this display's views among all viewers'
   std::unique_ptr<SplatCloud> cloud_;
   std::unique_ptr<GaussianClient> client_;  // after cloud_: feeds it
+  std::unique_ptr<SceneLoader> loader_;
   std::map<Ogre::Viewport*, View> views_;
   View still_;  // of the pictures that services ask for
   std::optional<GaussianClient::RenderRequest> request_;

@@ -14,12 +14,9 @@ rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<doub
   for (int i = 0; i < 3; ++i) {
     for (int k = 0; k < 3; ++k) t[i] += camera.rotation[3 * i + k] * origin[k];
   }
-  rosplat_sorter::View view = rosplat_sorter::makeView(
-      camera.rotation.data(), t.data(), camera.fx, camera.fy, camera.cx, camera.cy, camera.width,
-      camera.height, camera.near_clip, camera.far_clip, camera.orthographic);
-  view.slope_x *= static_cast<float>(camera.extent_scale);
-  view.slope_y *= static_cast<float>(camera.extent_scale);
-  return view;
+  return rosplat_sorter::makeView(camera.rotation.data(), t.data(), camera.fx, camera.fy, camera.cx,
+                                  camera.cy, camera.width, camera.height, camera.near_clip,
+                                  camera.far_clip, camera.orthographic, camera.extent_scale);
 }
 
 BuiltInSorter::BuiltInSorter() : thread_([this] { run(); }) {}

@@ -47,6 +47,10 @@ MapState SplatScene::state() const {
   return map_.state();
 }
 
+void SplatScene::prepare() {
+  if (!renderer_) renderer_.emplace(shaders_);
+}
+
 void SplatScene::takeArrivals(std::size_t budget) {
   std::size_t uploaded = 0;
   while (uploaded < budget) {
@@ -78,7 +82,8 @@ void SplatScene::setCamera(const std::string& view_id, std::uint64_t sequence,
 }
 
 bool SplatScene::answered(const std::string& view_id) {
-  if (renderer_) takeArrivals(kEverything);
+  prepare();
+  takeArrivals(kEverything);
   const std::lock_guard lock(queue_mutex_);
   return arrivals_.empty() && book_.answered(view_id);
 }
@@ -86,7 +91,7 @@ bool SplatScene::answered(const std::string& view_id) {
 FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
                              Canvas canvas, bool built_in) {
   const double start = now();
-  if (!renderer_) renderer_.emplace(shaders_);
+  prepare();
   takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
   const OrderBook::Choice choice =
       built_in ? book_.sortNow(view_id) : book_.choose(view_id, start, settings.order);

@@ -43,7 +43,8 @@ class SplatScene {
 
   // Render thread: the camera of a view; sequence grows by one with each.
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
-  // Render thread: an order of the sidecar is there for the view's newest camera and map.
+  // Render thread: uploads what waits; whether an order of the sidecar is there for the view's
+  // newest camera and the whole map. Throws gl::Error.
   bool answered(const std::string& view_id);
   // Render thread: uploads what waits, chooses an order and draws into the current framebuffer.
   // With built_in the order is sorted here, and waited for. Throws gl::Error.
@@ -64,6 +65,7 @@ class SplatScene {
     MapState state;
   };
 
+  void prepare();
   void takeArrivals(std::size_t budget);
 
   mutable std::mutex map_mutex_;    // map_

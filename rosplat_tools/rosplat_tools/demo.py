@@ -1,0 +1,79 @@
+"""The main job in one command: a scene published, sorted and seen."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import time
+import uuid
+from pathlib import Path
+
+from rosplat_tools.processes import ProcessError, Processes
+
+PROCEDURAL = "procedural:200000"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs publisher, sorter and viewer until the viewer ends; then ends all of them."""
+    parser = argparse.ArgumentParser(prog="demo", description=__doc__)
+    parser.add_argument(
+        "scene", nargs="?", default=PROCEDURAL,
+        help="scene file (.ply, .spz, .sog, SOG folder) or procedural:COUNT (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, default=Path("out"), help="folder for pictures and logs"
+    )
+    parser.add_argument(
+        "--host", action="store_true", help="the embedded viewer, even beside rviz2"
+    )
+    parser.add_argument(
+        "--up", type=float, nargs=3, default=[0, 0, 1], metavar=("X", "Y", "Z"),
+        help="the scene's vertical, for the embedded viewer (default: z)",
+    )  # fmt: skip
+    options = parser.parse_args(arguments)
+    screen = bool(os.environ.get("DISPLAY"))
+    rviz = bool(shutil.which("rviz2")) and screen and not options.host
+    # One demo doesn't see another, but what the user runs beside it, rviz2's TF say, it does.
+    namespace = "/" if rviz else f"/demo_{uuid.uuid4().hex[:8]}"
+    remap = ["--ros-args", "-r", f"__ns:={namespace}"]
+    try:
+        with Processes(options.out / "log") as processes:
+            processes.node("rosplat_tools", "ply_publisher", *remap, "-p", f"path:={options.scene}")
+            processes.node("rosplat_sorter", "sorter", *remap)
+            if rviz:
+                from ament_index_python.packages import get_package_share_directory
+
+                share = Path(get_package_share_directory("rviz_gaussian_plugin"))
+                viewer = processes.start(
+                    "rviz2", ["rviz2", "-d", str(share / "config/rosplat.rviz")]
+                )
+                name = "rviz2"
+                print("rviz2 is opening; close it to end the demo", flush=True)
+            else:
+                name = "viewer"
+                up = [float(value) for value in options.up]
+                output = [] if screen else ["-p", f"output:={options.out}"]
+                viewer = processes.node(
+                    "rosplat_tools", "viewer", *remap, "-p", f"up:={up}", *output
+                )
+            while viewer.poll() is None:
+                processes.check(but=viewer)
+                time.sleep(0.1)
+            if viewer.returncode:
+                raise ProcessError(
+                    f"{name} ended with code {viewer.returncode}: {processes.last_line(name)}"
+                )
+            if not rviz:
+                print(processes.said(name), end="")
+    except ProcessError as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,121 @@
+"""Programs that run beside each other and end together, for demos, pictures and benchmarks."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+GRACE = 5.0  # what a program gets to end by itself [s]
+
+
+class ProcessError(RuntimeError):
+    """A program that could not be started or ended early; the text says which, and why."""
+
+
+class Processes:
+    """Starts programs and ends all of them, last started first, when the `with` block is left."""
+
+    def __init__(self, log_folder: Path) -> None:
+        """Each program's output goes to log_folder/<name>.log."""
+        self.folder = log_folder
+        self._running: list[tuple[str, subprocess.Popen[bytes]]] = []
+
+    def __enter__(self) -> Processes:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.end()
+
+    def start(
+        self, name: str, command: Sequence[str], **environment: str
+    ) -> subprocess.Popen[bytes]:
+        """Starts a program in a session of its own. Raises ProcessError where it isn't there."""
+        with self.log(name).open("wb") as log:
+            try:
+                process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    env=os.environ | environment,
+                    start_new_session=True,
+                )
+            except OSError as error:
+                raise ProcessError(f"{name} can't be started: {error}") from error
+        self._running.append((name, process))
+        return process
+
+    def node(
+        self, package: str, executable: str, *arguments: str, name: str | None = None
+    ) -> subprocess.Popen[bytes]:
+        """Starts a node as `ros2 run` would, without needing ros2."""
+        from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+        try:
+            program = Path(get_package_prefix(package)) / "lib" / package / executable
+        except PackageNotFoundError as error:
+            raise ProcessError(f"{package} is not installed: source its workspace") from error
+        # The script's own first line may name another Python than the one that finds the packages.
+        launcher = [sys.executable] if _is_python(program) else []
+        return self.start(name or executable, [*launcher, str(program), *arguments])
+
+    def log(self, name: str) -> Path:
+        """Where a program's output goes."""
+        return self.folder / f"{name}.log"
+
+    def check(self, but: subprocess.Popen[bytes] | None = None) -> None:
+        """Raises ProcessError if one of the programs, but for that one, has ended."""
+        for name, process in self._running:
+            if process is not but and process.poll() is not None:
+                raise ProcessError(
+                    f"{name} ended with code {process.returncode}: {self.last_line(name)}"
+                )
+
+    def said(self, name: str) -> str:
+        """All that a program has said."""
+        return self.log(name).read_text(errors="replace")
+
+    def last_line(self, name: str) -> str:
+        """What a program said last."""
+        lines = self.said(name).strip().splitlines()
+        return lines[-1] if lines else f"it said nothing in {self.log(name)}"
+
+    def end(self) -> None:
+        """Ends every program: first by the signal of Ctrl-C, then by force."""
+        for _, process in reversed(self._running):
+            _signal(process, signal.SIGINT)
+        deadline = time.monotonic() + GRACE
+        for _, process in reversed(self._running):
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                _signal(process, signal.SIGKILL)
+                process.wait()
+        self._running.clear()
+
+
+def _is_python(program: Path) -> bool:
+    try:
+        with program.open("rb") as file:
+            first = file.readline(200)
+    except OSError as error:
+        raise ProcessError(f"{program} is not installed: {error.strerror}") from error
+    return first.startswith(b"#!") and b"python" in first
+
+
+def _signal(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
+    # The group: a program may have started others, Xvfb say.
+    if process.poll() is None:
+        os.killpg(process.pid, number)

@@ -1,0 +1,259 @@
+"""Draws the cameras of a file through the whole chain, and holds the pictures against references.
+
+Publisher, sorter and renderer run as separate processes; each camera is a call of the renderer's
+service, answered with the sorter's order.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import rclpy
+from numpy.typing import NDArray
+from rclpy.node import Node
+from tqdm import tqdm
+
+from rosplat_msgs.srv import RenderView
+from rosplat_tools.cameras import Camera, load_cameras
+from rosplat_tools.metrics import compare
+from rosplat_tools.processes import ProcessError, Processes
+from rosplat_tools.splats import SceneError
+from rosplat_tools.view_messages import view_camera
+
+START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
+CALL_TIMEOUT = 120.0  # for one picture [s]
+
+
+class RenderError(RuntimeError):
+    """A picture that could not be drawn; the text says why."""
+
+
+def render(
+    scene: str,
+    cameras: list[Camera],
+    *,
+    via: str = "host",
+    order_timeout: float = 10.0,
+    log_folder: Path = Path("out/log"),
+    on_picture: Callable[[Camera, NDArray[np.float32], RenderView.Response], None],
+) -> None:
+    """Publishes a scene, sorts and draws it in processes of their own; hands over each picture.
+
+    via is "host", the embedded renderer, or "rviz", the Display in rviz2. on_picture gets the
+    camera, (height, width, 4) premultiplied RGBA and the rest of the answer. Raises RenderError,
+    ProcessError.
+    """
+    # Nobody else's publishers, sorters or viewers.
+    namespace = f"/render_{uuid.uuid4().hex[:8]}"
+    remap = ["--ros-args", "-r", f"__ns:={namespace}"]
+    with Processes(log_folder) as processes:
+        processes.node("rosplat_tools", "ply_publisher", *remap, "-p", f"path:={scene}")
+        processes.node("rosplat_sorter", "sorter", *remap)
+        if via == "rviz":
+            start_rviz(processes, f"{namespace}/gaussians")
+        else:
+            processes.node("rosplat_tools", "viewer", *remap, "-p", "serve:=true")
+        node = Node("render")
+        try:
+            client = node.create_client(RenderView, f"{namespace}/gaussians/render")
+            _wait_for_service(node, client, processes)
+            _wait_for_map(node, client, cameras[0], processes)
+            for camera in tqdm(cameras, "drawing", unit="picture", disable=None):
+                answer = _call(node, client, camera, order_timeout, processes)
+                pixels = np.frombuffer(answer.color.data, np.float32)
+                on_picture(camera, pixels.reshape(camera.height, camera.width, 4), answer)
+        finally:
+            node.destroy_node()
+
+
+def start_rviz(processes: Processes, topic: str) -> None:
+    """Starts rviz2 with a display of the topic; on a screen of its own where there is none."""
+    if not shutil.which("rviz2"):
+        raise RenderError("rviz2 is not installed here: use --via host")
+    config = processes.folder / "render.rviz"
+    config.write_text(RVIZ_CONFIG.format(topic=topic))
+    command = ["rviz2", "-d", str(config)]
+    if not os.environ.get("DISPLAY"):
+        command = ["xvfb-run", "-a", "-s", "-screen 0 1280x800x24", *command]
+    processes.start("rviz2", command)
+
+
+RVIZ_CONFIG = """\
+Visualization Manager:
+  Displays:
+    - Class: rviz_gaussian_plugin/GaussianMap
+      Name: Gaussian Map
+      Enabled: true
+      Topic: {topic}
+      Value: true
+  Global Options:
+    Fixed Frame: map
+  Views:
+    Current:
+      Class: rviz_default_plugins/Orbit
+"""
+
+
+def _wait_for_service(node: Node, client: rclpy.client.Client, processes: Processes) -> None:
+    deadline = time.monotonic() + START_TIMEOUT
+    while not client.wait_for_service(0.1):
+        processes.check()
+        if time.monotonic() > deadline:
+            raise RenderError(f"no renderer answers at {client.srv_name}")
+
+
+def _wait_for_map(
+    node: Node, client: rclpy.client.Client, camera: Camera, processes: Processes
+) -> None:
+    """Until the renderer has all of the map."""
+    deadline = time.monotonic() + START_TIMEOUT
+    revision, complete = -1, False
+    while not complete:
+        small = Camera(**(vars(camera) | {"width": 16, "height": 16}))
+        answer = _call(node, client, small, 0.0, processes)
+        complete = answer.map_complete
+        if answer.revision != revision:  # it grows: be patient
+            revision, deadline = answer.revision, time.monotonic() + START_TIMEOUT
+        if time.monotonic() > deadline:
+            raise RenderError("the map did not arrive: " + processes.last_line("ply_publisher"))
+
+
+def _call(
+    node: Node,
+    client: rclpy.client.Client,
+    camera: Camera,
+    order_timeout: float,
+    processes: Processes,
+) -> RenderView.Response:
+    request = RenderView.Request(camera=view_camera(camera), order_timeout=order_timeout)
+    future = client.call_async(request)
+    deadline = time.monotonic() + CALL_TIMEOUT
+    while not future.done():
+        rclpy.spin_once(node, timeout_sec=0.1)
+        processes.check()
+        if time.monotonic() > deadline:
+            raise RenderError(f"camera {camera.id}: the renderer has not answered")
+    answer = future.result()
+    if not answer.success:
+        raise RenderError(f"camera {camera.id}: {answer.message}")
+    return answer
+
+
+def read_picture(path: Path) -> NDArray[np.float64]:
+    """(height, width, 3) RGB of a picture file, 8 or 16 bit, scaled to 0..1. Raises SceneError."""
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if pixels is None:
+        raise SceneError(f"{path}: not a picture")
+    return pixels[..., ::-1] / np.iinfo(pixels.dtype).max
+
+
+def write_picture(path: Path, color: NDArray[np.float32], form: str) -> Path:
+    """Writes premultiplied RGBA over black: png16, png8 or the floats themselves as npy."""
+    if form == "npy":
+        path = path.with_suffix(".npy")
+        np.save(path, color)
+        return path
+    bits = {"png8": np.uint8, "png16": np.uint16}[form]
+    scaled = np.rint(np.clip(color[..., 2::-1], 0, 1) * np.iinfo(bits).max).astype(bits)
+    path = path.with_suffix(".png")
+    if not cv2.imwrite(str(path), scaled):
+        raise SceneError(f"{path}: can't be written")
+    return path
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; 0 if every picture was drawn."""
+    parser = argparse.ArgumentParser(prog="render", description=__doc__)
+    parser.add_argument("scene", help="scene file: .ply, .spz, .sog or a SOG folder")
+    parser.add_argument(
+        "cameras", type=Path, help="camera file: OpenCV world_to_camera, see README"
+    )
+    parser.add_argument("out", type=Path, help="folder for the pictures and report.json")
+    parser.add_argument("--via", choices=["host", "rviz"], default="host", help="what draws")
+    parser.add_argument(
+        "--format", choices=["png16", "png8", "npy"], default="png16", help="of the pictures"
+    )
+    parser.add_argument(
+        "--order-timeout", type=float, default=10.0, metavar="S",
+        help="how long to wait for the sorter before the renderer sorts [s]",
+    )  # fmt: skip
+    options = parser.parse_args(arguments)
+    rows: list[dict[str, object]] = []
+
+    def keep(camera: Camera, color: NDArray[np.float32], answer: RenderView.Response) -> None:
+        picture = write_picture(options.out / str(camera.id), color, options.format)
+        row: dict[str, object] = {
+            "camera": camera.id,
+            "picture": picture.name,
+            "splats": answer.splats,
+            "order_source": answer.order_source,
+            "sort_ms": answer.sort_time * 1e3,
+            "draw_ms": answer.draw_time * 1e3,
+        }
+        if camera.image:
+            reference = read_picture(options.cameras.parent / camera.image)
+            row |= {"reference": camera.image, **compare(color[..., :3], reference)}
+        rows.append(row)
+
+    try:
+        cameras = load_cameras(options.cameras)
+        if not cameras:
+            raise SceneError(f"{options.cameras}: holds no cameras")
+        if not Path(options.scene).exists():
+            raise SceneError(f"{options.scene}: no such file")
+        options.out.mkdir(parents=True, exist_ok=True)
+        rclpy.init()
+        render(
+            options.scene, cameras, via=options.via, order_timeout=options.order_timeout,
+            log_folder=options.out / "log", on_picture=keep,
+        )  # fmt: skip
+    except (SceneError, RenderError, ProcessError, OSError, ValueError) as error:
+        print(f"render: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    finally:
+        rclpy.try_shutdown()
+
+    report = {
+        "scene": str(options.scene),
+        "via": options.via,
+        "command": " ".join(["render", *(arguments or sys.argv[1:])]),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}",
+        "commit": _commit(),
+        "cameras": rows,
+    }
+    (options.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    for row in rows:
+        figures = f"camera {row['camera']}: {row['splats']:,} splats, {row['order_source']}"
+        if "psnr" in row:
+            figures += (
+                f", PSNR {row['psnr']:.2f} dB, SSIM {row['ssim']:.5f}, FLIP {row['flip']:.5f}"
+            )
+        print(figures)
+    print(f"wrote {options.out / 'report.json'}")
+    return 0
+
+
+def _commit() -> str:
+    """Of the checkout this runs from, empty where there is none."""
+    git = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    return git.stdout.strip()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,484 @@
+"""A viewer without rviz2: a node around the renderer that the rviz Display draws with.
+
+With a display it opens a window to orbit in; without one it draws a still and a short orbit. Both
+it and the rviz Display draw pictures for others at `gaussians/render` (RenderView).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import queue
+import threading
+import time
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from numpy.typing import NDArray
+from PIL import Image as Picture
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+from sensor_msgs.msg import Image
+
+from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_msgs.srv import RenderView
+from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.qos import MAP, MAP_VOLATILE, ORDER, VIEW
+from rosplat_tools.view_messages import view_camera
+from rviz_gaussian_plugin.offscreen import BatchError, Renderer, ensure_display
+
+KEEP_ALIVE = 1.0  # a view goes out at least this often, for sorters that start late [s]
+QUIET = 2.0  # a map that has not grown for so long is taken as complete [s]
+SAMPLES = 2000  # positions of a batch that the first look at a map is framed by
+STILL = (1280, 720)
+ORBIT = (480, 270)
+ORBIT_FRAMES = 36
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a frame was."""
+
+    splats: int
+    drawn: int
+    order_source: str
+    sort_time: float
+    draw_time: float
+    order_age: float
+
+    def __str__(self) -> str:
+        order = f"sorted by {self.order_source} in {self.sort_time * 1e3:.1f} ms"
+        if not self.order_source:
+            order = "not sorted yet"
+        return (
+            f"{self.splats:,} splats, {self.drawn:,} in view | {order} | "
+            f"frame {self.draw_time * 1e3:.1f} ms | order age {self.order_age * 1e3:.0f} ms"
+        )
+
+
+class Viewer(Node):
+    """Feeds the renderer from `gaussians`, asks for orders on `gaussians/view`, takes them.
+
+    Callbacks run in the executor's threads and only hand data over; everything that draws runs in
+    the thread that made the viewer.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("viewer")
+
+        def parameter(name: str, default: object, description: str, **rest: object) -> None:
+            descriptor = ParameterDescriptor(description=description, read_only=True, **rest)
+            self.declare_parameter(name, default, descriptor)
+
+        parameter(
+            "output", "", "Folder for demo.png and demo.webp; the viewer ends when they are there."
+        )
+        parameter("serve", False, "Show nothing, only draw pictures for gaussians/render.")
+        parameter("up", [0.0, 0.0, 1.0], "Which way is up in the map's frame, for orbiting.")
+        parameter(
+            "order_timeout", 2.0, "How long a still waits for a sorter's order. [s]",
+            floating_point_range=[FloatingPointRange(from_value=0.0, to_value=60.0)],
+        )  # fmt: skip
+        for name, default in (("width", STILL[0]), ("height", STILL[1])):
+            parameter(
+                name, default, f"{name.capitalize()} of the window. [px]",
+                integer_range=[IntegerRange(from_value=64, to_value=8192, step=1)],
+            )  # fmt: skip
+
+        self.renderer = Renderer()
+        self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
+        self.frame_id = ""
+        self.last_batch = math.inf
+        self._samples: list[NDArray[np.float64]] = []
+        self._instance = f"viewer_{uuid.uuid4().hex[:8]}"
+        self._sequence = 0
+        self._published = 0.0
+        self._requests: queue.Queue[_Request] = queue.Queue()
+
+        own = MutuallyExclusiveCallbackGroup
+        maps = own()
+        self._map = self.create_subscription(
+            GaussianArray, "gaussians", self._on_batch, MAP, callback_group=maps
+        )
+        self._volatile_map = None
+        topic = self._map.topic_name
+        self._views = self.create_publisher(ViewCamera, f"{topic}/view", VIEW)
+        self.create_subscription(
+            SplatOrder, f"{topic}/order", self._on_order, ORDER, callback_group=own()
+        )
+        self.create_service(RenderView, f"{topic}/render", self._on_render, callback_group=own())
+        self.create_timer(1.0, self._meet_publishers, callback_group=maps)
+
+    # --- Executor threads -------------------------------------------------------------------------
+
+    def _on_batch(self, message: GaussianArray) -> None:
+        try:
+            report = self.renderer.apply(
+                message.operation, message.first_slot, message.count,
+                _array(message.slots, np.uint32), message.sh_degree, message.antialiased,
+                (message.origin.x, message.origin.y, message.origin.z),
+                _array(message.positions), _array(message.orientations), _array(message.scales),
+                _array(message.opacities), _array(message.sh),
+                message.map_id, message.revision, message.expected_slots, message.encoding,
+            )  # fmt: skip
+        except BatchError as error:
+            self.get_logger().error(
+                f"{self._map.topic_name}: a batch is refused: {error}", throttle_duration_sec=5.0
+            )
+            return
+        if report["duplicate"]:
+            return
+        if report["missed"] or report["dropped"]:
+            self.get_logger().warning(
+                f"{self._map.topic_name}: {report['missed']} batches lost, "
+                f"{report['dropped']} splats with invalid values left out",
+                throttle_duration_sec=5.0,
+            )
+        if message.operation == GaussianArray.REPLACE:
+            self._samples.clear()
+        positions = _array(message.positions).reshape(-1, 3)[:: message.count // SAMPLES + 1]
+        origin = (message.origin.x, message.origin.y, message.origin.z)
+        self._samples.append(positions[np.isfinite(positions).all(axis=1)] + np.array(origin))
+        self.frame_id = message.header.frame_id
+        self.last_batch = time.monotonic()
+
+    def _on_order(self, message: SplatOrder) -> None:
+        self.renderer.set_order(
+            message.view_id, message.sequence, message.map_id, message.revision, message.backend,
+            message.sort_time, _array(message.slots, np.uint32),
+        )  # fmt: skip
+
+    def _on_render(
+        self, request: RenderView.Request, response: RenderView.Response
+    ) -> RenderView.Response:
+        job = _Request(request, response)
+        self._requests.put(job)
+        while not job.done.wait(0.1):
+            if not self.context.ok():
+                response.message = "the viewer ended"
+                break
+        return response
+
+    def _meet_publishers(self) -> None:
+        """A subscription that asks for latched batches doesn't match a publisher that has none."""
+        topic = self._map.topic_name
+        volatile = any(
+            publisher.qos_profile.durability == DurabilityPolicy.VOLATILE
+            for publisher in self.get_publishers_info_by_topic(topic)
+        )
+        if volatile and self._volatile_map is None:
+            self._volatile_map = self.create_subscription(
+                GaussianArray, topic, self._on_batch, MAP_VOLATILE,
+                callback_group=self._map.callback_group,
+            )  # fmt: skip
+        elif not volatile and self._volatile_map is not None:
+            self.destroy_subscription(self._volatile_map)
+            self._volatile_map = None
+
+    # --- The drawing thread -----------------------------------------------------------------------
+
+    def complete(self) -> bool:
+        """Whether the map has all that its publisher announced, or has stopped growing."""
+        if not self.renderer.splats:
+            return False
+        expected = self.renderer.expected
+        if expected and self.renderer.splats + self.renderer.dropped >= expected:
+            return True
+        return time.monotonic() - self.last_batch > QUIET
+
+    def bounds(self) -> tuple[NDArray[np.float64], float]:
+        """Centre and radius of the middle of the map, which a few far splats don't change. [m]"""
+        positions = np.concatenate(self._samples) if self._samples else np.zeros((0, 3))
+        if not len(positions):
+            return np.zeros(3), 1.0
+        low, high = np.quantile(positions, [0.05, 0.95], axis=0)
+        return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+
+    def look(self, camera: ViewCamera, name: str) -> str:
+        """Poses the camera of a view and asks for its order; returns the view's id."""
+        view_id = f"{self._instance}/{name}"
+        self._sequence += 1
+        camera.view_id, camera.sequence = view_id, self._sequence
+        camera.header.frame_id = self.frame_id
+        camera.header.stamp = self.get_clock().now().to_msg()
+        position, orientation = camera.pose.position, camera.pose.orientation
+        self.renderer.set_camera(
+            view_id, self._sequence, (position.x, position.y, position.z),
+            (orientation.x, orientation.y, orientation.z, orientation.w), camera.projection,
+            camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height,
+            camera.near_clip, camera.far_clip,
+        )  # fmt: skip
+        self._views.publish(camera)
+        self._published = time.monotonic()
+        return view_id
+
+    def draw_still(self, camera: ViewCamera, name: str, order_timeout: float) -> Figures:
+        """Draws with the sorter's order, or after order_timeout [s] with one sorted here."""
+        view_id = self.look(camera, name)
+        deadline = time.monotonic() + order_timeout
+        while not (answered := self.renderer.has_order(view_id)) and time.monotonic() < deadline:
+            if not self.context.ok():
+                raise ExternalShutdownException
+            time.sleep(0.001)
+        return self._figures(self.renderer.draw(view_id, built_in=not answered))
+
+    def draw_frame(self, view_id: str, camera: ViewCamera) -> Figures:
+        """Draws with the best order there is."""
+        if time.monotonic() - self._published > KEEP_ALIVE:
+            self._views.publish(camera)
+            self._published = time.monotonic()
+        return self._figures(self.renderer.draw(view_id))
+
+    def _figures(self, report: dict[str, float | str]) -> Figures:
+        return Figures(
+            splats=self.renderer.splats,
+            drawn=report["splats"],
+            order_source=report["order_source"],
+            sort_time=report["sort_time"],
+            draw_time=report["draw_time"],
+            order_age=report["order_age"],
+        )
+
+    def serve_requests(self, wait: float = 0.0) -> None:
+        """Draws what others have asked for; waits up to `wait` for the first of it. [s]"""
+        try:
+            while True:
+                job = self._requests.get(timeout=wait) if wait else self._requests.get_nowait()
+                wait = 0.0
+                try:
+                    self._serve(job.request, job.response)
+                finally:
+                    job.done.set()
+        except queue.Empty:
+            pass
+
+    def _serve(self, request: RenderView.Request, response: RenderView.Response) -> None:
+        frame = request.camera.header.frame_id
+        stamp = request.camera.header.stamp
+        if frame not in ("", self.frame_id):
+            response.message = (
+                f"camera.header.frame_id is '{frame}', the map is in '{self.frame_id}': "
+                "this viewer knows no transforms"
+            )
+            return
+        try:
+            figures = self.draw_still(request.camera, "render", request.order_timeout)
+        except (ValueError, RuntimeError) as error:
+            response.message = str(error)
+            return
+        response.color = _image(self.renderer.read_color(), "32FC4")
+        response.depth = _image(self.renderer.read_depth(), "32FC1")
+        for image in (response.color, response.depth):
+            image.header.frame_id, image.header.stamp = frame or self.frame_id, stamp
+        response.splats = figures.drawn
+        response.order_source = figures.order_source
+        response.sort_time = figures.sort_time
+        response.draw_time = figures.draw_time
+        response.map_id = self.renderer.map_id
+        response.revision = self.renderer.revision
+        response.map_complete = self.complete()
+        response.success = True
+
+
+@dataclass
+class _Request:
+    """A picture that a service call waits for."""
+
+    request: RenderView.Request
+    response: RenderView.Response
+
+    def __post_init__(self) -> None:
+        self.done = threading.Event()
+
+
+def _array(values: object, dtype: type = np.float32) -> NDArray[np.generic]:
+    """A message's array without a copy."""
+    return np.frombuffer(values, dtype=dtype)  # type: ignore[call-overload, no-any-return]
+
+
+def _image(pixels: NDArray[np.float32], encoding: str) -> Image:
+    image = Image(encoding=encoding, height=pixels.shape[0], width=pixels.shape[1])
+    image.step = pixels.nbytes // pixels.shape[0]
+    image.data.frombytes(memoryview(np.ascontiguousarray(pixels)).cast("B"))
+    return image
+
+
+@dataclass
+class OrbitCamera:
+    """A camera that looks at a point from somewhere on a sphere around it."""
+
+    target: NDArray[np.float64]
+    distance: float
+    up: NDArray[np.float64]
+    yaw: float = 0.6
+    pitch: float = 0.35
+
+    def camera(self, width: int, height: int) -> Camera:
+        """For a picture of width x height [px], 45 degrees high."""
+        up = self.up / np.linalg.norm(self.up)
+        side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
+        side /= np.linalg.norm(side)
+        ahead = np.cross(side, up)
+        around = math.cos(self.yaw) * ahead + math.sin(self.yaw) * side
+        eye = self.target + self.distance * (
+            math.cos(self.pitch) * around + math.sin(self.pitch) * up
+        )
+        focal = 0.5 * height / math.tan(math.radians(22.5))
+        return Camera(
+            id=0, width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2,
+            world_to_camera=look_at(eye, self.target, up), near=0.001 * self.distance,
+        )  # fmt: skip
+
+    def turn(self, right: float, down: float) -> None:
+        """By angles [rad]."""
+        self.yaw -= right
+        self.pitch = float(np.clip(self.pitch + down, -1.55, 1.55))
+
+    def pan(self, right: float, down: float) -> None:
+        """By parts of the picture's height."""
+        step = 2 * self.distance * math.tan(math.radians(22.5))
+        rotation = self.camera(64, 64).camera_to_world[:3, :3]
+        self.target = self.target - step * (right * rotation[:, 0] + down * rotation[:, 1])
+
+
+def _framed(viewer: Viewer) -> OrbitCamera:
+    centre, radius = viewer.bounds()
+    up = np.array(viewer.get_parameter("up").value, np.float64)
+    return OrbitCamera(target=centre, distance=2.5 * radius, up=up)
+
+
+def _wait_for_map(viewer: Viewer) -> None:
+    while not viewer.complete():
+        if not viewer.context.ok():
+            raise ExternalShutdownException
+        viewer.serve_requests(wait=0.05)
+
+
+def show_stills(viewer: Viewer, folder: Path) -> None:
+    """Writes demo.png and demo.webp, a turn around the map, and prints the figures of the still."""
+    _wait_for_map(viewer)
+    folder.mkdir(parents=True, exist_ok=True)
+    timeout = viewer.get_parameter("order_timeout").value
+    orbit = _framed(viewer)
+    figures = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", timeout)
+    Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)).save(folder / "demo.png")
+    frames = []
+    for _ in range(ORBIT_FRAMES):
+        viewer.draw_still(view_camera(orbit.camera(*ORBIT)), "orbit", timeout)
+        frames.append(Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)))
+        orbit.turn(2 * math.pi / ORBIT_FRAMES, 0)
+    frames[0].save(
+        folder / "demo.webp",
+        save_all=True,
+        append_images=frames[1:],
+        duration=80,
+        loop=0,
+        quality=60,
+    )
+    print(figures, flush=True)
+    print(f"wrote {folder / 'demo.png'} and {folder / 'demo.webp'}", flush=True)
+
+
+BACKGROUND = (0.125, 0.133, 0.149)  # as in the shipped rviz configuration
+
+
+def show_window(viewer: Viewer) -> None:
+    """A window: drag orbits, right or middle drag pans, the wheel zooms, R resets, Q ends."""
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    import pygame
+
+    pygame.display.init()
+    size = (viewer.get_parameter("width").value, viewer.get_parameter("height").value)
+    window = pygame.display.set_mode(size, pygame.RESIZABLE)
+    pygame.display.set_caption(
+        "ROSplat: waiting for a map on " + viewer.resolve_topic_name("gaussians")
+    )
+    orbit, framed, said = _framed(viewer), False, 0.0
+    shown: tuple[object, ...] = ()
+    camera, view_id = ViewCamera(), ""
+    try:
+        while viewer.context.ok():
+            for event in pygame.event.get():
+                if event.type == pygame.QUIT or (
+                    event.type == pygame.KEYDOWN and event.key in (pygame.K_q, pygame.K_ESCAPE)
+                ):
+                    return
+                if event.type == pygame.KEYDOWN and event.key == pygame.K_r:
+                    orbit = _framed(viewer)
+                elif event.type == pygame.MOUSEWHEEL:
+                    orbit.distance *= 0.9**event.y
+                elif event.type == pygame.MOUSEMOTION:
+                    right, down = (part / window.get_height() for part in event.rel)
+                    if event.buttons[0]:
+                        orbit.turn(4 * right, 4 * down)
+                    elif event.buttons[1] or event.buttons[2]:
+                        orbit.pan(right, down)
+            if not framed and viewer.renderer.splats:
+                orbit, framed = _framed(viewer), viewer.complete()
+            width, height = window.get_size()
+            state = (*orbit.target, orbit.distance, orbit.yaw, orbit.pitch, width, height)
+            if state != shown:
+                shown = state
+                camera = view_camera(orbit.camera(width, height))
+                view_id = viewer.look(camera, "window")
+            figures = viewer.draw_frame(view_id, camera)
+            pixels = viewer.renderer.read_color8(BACKGROUND)
+            window.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
+            pygame.display.flip()
+            if time.monotonic() - said > 0.5:
+                said = time.monotonic()
+                pygame.display.set_caption(f"ROSplat: {figures}")
+            viewer.serve_requests()
+            time.sleep(0.002)
+    finally:
+        pygame.display.quit()
+    print(figures, flush=True)
+
+
+def serve(viewer: Viewer) -> None:
+    """Draws pictures for others until it is told to end."""
+    while viewer.context.ok():
+        viewer.serve_requests(wait=0.1)
+
+
+def main() -> None:
+    """Runs the viewer; the exit code is 1 where it can't draw."""
+    has_screen = bool(os.environ.get("DISPLAY"))
+    try:
+        rclpy.init()
+        with ensure_display():
+            viewer = Viewer()
+            executor = MultiThreadedExecutor(num_threads=4)
+            executor.add_node(viewer)
+            thread = threading.Thread(target=_spin, args=(executor,), daemon=True)
+            thread.start()
+            try:
+                output = viewer.get_parameter("output").value
+                if viewer.get_parameter("serve").value:
+                    serve(viewer)
+                elif output or not has_screen:
+                    show_stills(viewer, Path(output or "out"))
+                else:
+                    show_window(viewer)
+            finally:
+                executor.shutdown(timeout_sec=2)
+                thread.join(2)
+                del viewer.renderer  # while its display is there
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except RuntimeError as error:
+        raise SystemExit(f"viewer: {error}") from None
+    finally:
+        rclpy.try_shutdown()
+
+
+def _spin(executor: MultiThreadedExecutor) -> None:
+    with contextlib.suppress(ExternalShutdownException):
+        executor.spin()

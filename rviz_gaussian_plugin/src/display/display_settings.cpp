@@ -1,0 +1,144 @@
+#include "display_settings.hpp"
+
+#include <OgreVector.h>
+
+#include <initializer_list>
+#include <rviz_common/properties/bool_property.hpp>
+#include <rviz_common/properties/enum_property.hpp>
+#include <rviz_common/properties/float_property.hpp>
+#include <rviz_common/properties/vector_property.hpp>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+using namespace rviz_common::properties;
+
+template <typename Value>
+EnumProperty* choice(const char* name, const char* preset, const char* description,
+                     Property* parent,
+                     std::initializer_list<std::pair<const char*, Value>> options) {
+  auto* property = new EnumProperty(name, preset, description, parent);
+  for (const auto& [text, value] : options) property->addOption(text, static_cast<int>(value));
+  return property;
+}
+
+FloatProperty* number(const char* name, float preset, const char* description, Property* parent,
+                      float least) {
+  auto* property = new FloatProperty(name, preset, description, parent);
+  property->setMin(least);
+  return property;
+}
+
+}  // namespace
+
+DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_change) {
+  mode_ = choice<DrawMode>("Draw Mode", "Color", "What a splat is drawn as.", display,
+                           {{"Color", DrawMode::kColor},
+                            {"Depth", DrawMode::kDepth},
+                            {"Billboard", DrawMode::kBillboard},
+                            {"Flat Ball", DrawMode::kFlatBall},
+                            {"Gaussian Ball", DrawMode::kGaussianBall},
+                            {"Normals", DrawMode::kNormals},
+                            {"Opacity", DrawMode::kOpacity},
+                            {"Age", DrawMode::kAge}});
+  auto_range_ = new BoolProperty("Auto Range", true,
+                                 "Colour from the nearest to the farthest splat drawn.", mode_);
+  nearest_ = number("Nearest", 0.0f, "Depth that is drawn red. [m]", mode_, 0.0f);
+  farthest_ = number("Farthest", 10.0f, "Depth that is drawn blue. [m]", mode_, 0.0f);
+  age_range_ =
+      number("Age Range", 10.0f, "Time after which a slot is drawn as old. [s]", mode_, 0.001f);
+  alpha_ = number("Alpha", 1.0f, "Multiplies the opacity of every splat.", display, 0.0f);
+  alpha_->setMax(1.0f);
+  scale_ = number("Scale", 1.0f, "Multiplies the size of every splat.", display, 0.0f);
+  sh_degree_ = choice<int>(
+      "SH Degree", "3",
+      "Highest band of spherical harmonics to evaluate; 0 leaves out view-dependent colour.",
+      display, {{"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}});
+  sh_band_ = choice<int>("SH Band", "All", "Draw a single band of spherical harmonics alone.",
+                         sh_degree_, {{"All", -1}, {"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}});
+  order_ = choice<OrderSource>("Order Source", "Auto",
+                               "Whose depth order is drawn. Auto: the sidecar's while it answers, "
+                               "else the built-in sort. Off: "
+                               "the order of the slots, which shows what sorting is for.",
+                               display,
+                               {{"Auto", OrderSource::kAuto},
+                                {"Sidecar", OrderSource::kSidecar},
+                                {"Built-in", OrderSource::kBuiltIn},
+                                {"Off", OrderSource::kOff}});
+  antialiasing_ = choice<Antialiasing>(
+      "Antialiasing", "As Trained",
+      "Opacity compensation for the low-pass filter, for models that were trained with it "
+      "(Mip-Splatting).",
+      display,
+      {{"As Trained", Antialiasing::kAsTrained},
+       {"On", Antialiasing::kOn},
+       {"Off", Antialiasing::kOff}});
+  float_blending_ = new BoolProperty(
+      "Float Blending", false,
+      "Blend in 32-bit instead of 16-bit floats: exact to the last grey level, at twice the memory "
+      "traffic.",
+      display);
+  near_fade_ = number("Near Fade", 0.0f, "Splats closer than this to the near plane fade out. [m]",
+                      display, 0.0f);
+  clip_ = new BoolProperty("Clip Box", false, "Draw only the splats with their mean in a box.",
+                           display);
+  clip_centre_ = new VectorProperty("Center", Ogre::Vector3::ZERO,
+                                    "Centre of the box in the map's frame. [m]", clip_);
+  clip_size_ = new VectorProperty("Size", Ogre::Vector3(1, 1, 1),
+                                  "Size of the box along the axes of the map's frame. [m]", clip_);
+
+  const auto changed = [this, on_change = std::move(on_change)] {
+    hideWithoutEffect();
+    on_change();
+  };
+  for (Property* property :
+       {static_cast<Property*>(mode_), static_cast<Property*>(auto_range_),
+        static_cast<Property*>(nearest_), static_cast<Property*>(farthest_),
+        static_cast<Property*>(age_range_), static_cast<Property*>(alpha_),
+        static_cast<Property*>(scale_), static_cast<Property*>(sh_degree_),
+        static_cast<Property*>(sh_band_), static_cast<Property*>(order_),
+        static_cast<Property*>(antialiasing_), static_cast<Property*>(float_blending_),
+        static_cast<Property*>(near_fade_), static_cast<Property*>(clip_),
+        static_cast<Property*>(clip_centre_), static_cast<Property*>(clip_size_)}) {
+    QObject::connect(property, &Property::changed, property, changed);
+  }
+  hideWithoutEffect();
+}
+
+void DisplaySettings::hideWithoutEffect() {
+  const auto mode = static_cast<DrawMode>(mode_->getOptionInt());
+  const bool depth = mode == DrawMode::kDepth;
+  auto_range_->setHidden(!depth);
+  nearest_->setHidden(!depth || auto_range_->getBool());
+  farthest_->setHidden(!depth || auto_range_->getBool());
+  age_range_->setHidden(mode != DrawMode::kAge);
+  clip_centre_->setHidden(!clip_->getBool());
+  clip_size_->setHidden(!clip_->getBool());
+}
+
+RenderSettings DisplaySettings::get() const {
+  const auto array = [](const VectorProperty* property) -> std::array<float, 3> {
+    const Ogre::Vector3 v = property->getVector();
+    return {v.x, v.y, v.z};
+  };
+  RenderSettings settings;
+  settings.mode = static_cast<DrawMode>(mode_->getOptionInt());
+  if (!auto_range_->getBool()) {
+    settings.depth_range = {nearest_->getFloat(), farthest_->getFloat()};
+  }
+  settings.age_range = age_range_->getFloat();
+  settings.opacity = alpha_->getFloat();
+  settings.scale = scale_->getFloat();
+  settings.max_sh_degree = sh_degree_->getOptionInt();
+  settings.only_band = sh_band_->getOptionInt();
+  settings.order = static_cast<OrderSource>(order_->getOptionInt());
+  settings.antialiasing = static_cast<Antialiasing>(antialiasing_->getOptionInt());
+  settings.float_blending = float_blending_->getBool();
+  settings.near_fade = near_fade_->getFloat();
+  settings.clip_box = {clip_->getBool(), array(clip_centre_), array(clip_size_)};
+  return settings;
+}
+
+}  // namespace rosplat

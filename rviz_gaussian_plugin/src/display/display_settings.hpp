@@ -1,0 +1,46 @@
+#pragma once
+
+#include <functional>
+
+#include "../splats/render_settings.hpp"
+
+namespace rviz_common::properties {
+class BoolProperty;
+class EnumProperty;
+class FloatProperty;
+class Property;
+class VectorProperty;
+}  // namespace rviz_common::properties
+
+namespace rosplat {
+
+// The properties of a display that decide how a map is drawn.
+class DisplaySettings {
+ public:
+  // Adds the properties to a display; on_change is called whenever one of them changes.
+  DisplaySettings(rviz_common::properties::Property* display, std::function<void()> on_change);
+
+  RenderSettings get() const;
+
+ private:
+  void hideWithoutEffect();
+
+  rviz_common::properties::EnumProperty* mode_;
+  rviz_common::properties::BoolProperty* auto_range_;
+  rviz_common::properties::FloatProperty* nearest_;
+  rviz_common::properties::FloatProperty* farthest_;
+  rviz_common::properties::FloatProperty* age_range_;
+  rviz_common::properties::EnumProperty* sh_degree_;
+  rviz_common::properties::EnumProperty* sh_band_;
+  rviz_common::properties::EnumProperty* order_;
+  rviz_common::properties::FloatProperty* scale_;
+  rviz_common::properties::FloatProperty* alpha_;
+  rviz_common::properties::FloatProperty* near_fade_;
+  rviz_common::properties::EnumProperty* antialiasing_;
+  rviz_common::properties::BoolProperty* float_blending_;
+  rviz_common::properties::BoolProperty* clip_;
+  rviz_common::properties::VectorProperty* clip_centre_;
+  rviz_common::properties::VectorProperty* clip_size_;
+};
+
+}  // namespace rosplat
