@@ -1,0 +1,118 @@
+"""Publishes a scene file as a map: latched, in chunks, replaced and saved by services."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+from tqdm import tqdm
+
+from rosplat_msgs.srv import LoadScene, SaveMap
+from rosplat_tools import formats
+from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
+from rosplat_tools.parameters import declare
+from rosplat_tools.qos import HISTORY_DEPTH
+from rosplat_tools.running import Cancelled, run, spinning, wait_for_end
+from rosplat_tools.scenes import NAMES, load_scene
+from rosplat_tools.splats import SceneError
+
+
+class PlyPublisher(Node):
+    """Publishes the scene of its parameter `path` on `gaussians`; serves `~/load` and `~/save`."""
+
+    def __init__(self) -> None:
+        super().__init__("ply_publisher")
+        self.path: str = declare(
+            self, "path", "", f"Scene to publish: {NAMES}; empty to wait for ~/load."
+        )
+        frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
+        chunk_bytes = declare(
+            self, "chunk_bytes", CHUNK_BYTES, "Size of a message at most. [bytes]", 100_000, 10**9
+        )
+        history_depth = declare(
+            self, "history_depth", HISTORY_DEPTH, "Batches kept for late subscribers.", 2, 100_000
+        )
+        self._map = MapPublisher(
+            self, frame_id=frame_id, chunk_bytes=chunk_bytes, history_depth=history_depth
+        )
+        self._busy = threading.Lock()
+        services = MutuallyExclusiveCallbackGroup()
+        self.create_service(LoadScene, "~/load", self._on_load, callback_group=services)
+        self.create_service(SaveMap, "~/save", self._on_save, callback_group=services)
+
+    def load(self, path: str) -> str:
+        """Makes a scene the map; returns what was loaded. Raises SceneError: the map stays."""
+        start = time.monotonic()
+        with self._busy:
+            with _bar("loading", 1.0) as bar:
+
+                def loaded(part: float) -> None:
+                    self._go_on()
+                    bar.update(part - bar.n)
+
+                splats = load_scene(path, loaded, self.get_logger().warning)
+            with _bar("publishing", len(splats)) as bar:
+
+                def published(count: int) -> None:
+                    self._go_on()
+                    bar.update(count)
+
+                self._map.replace(splats, progress=published)
+        text = (
+            f"{path}: {len(splats):,} splats, SH degree {splats.without_empty_bands().sh_degree}, "
+            f"loaded and sent in {time.monotonic() - start:.1f} s"
+        )
+        self.get_logger().info(text)
+        return text
+
+    def _go_on(self) -> None:
+        if not self.context.ok():
+            raise Cancelled
+
+    def _on_load(
+        self, request: LoadScene.Request, response: LoadScene.Response
+    ) -> LoadScene.Response:
+        try:
+            response.message = self.load(request.path)
+            response.success = True
+        except SceneError as error:
+            self.get_logger().error(f"not loaded, the map stays: {error}")
+            response.message = str(error)
+        except Cancelled:
+            response.message = "the publisher ended"
+        response.splats = len(self._map)
+        return response
+
+    def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
+        try:
+            if Path(request.path).exists() and not request.overwrite:
+                raise SceneError(f"{request.path}: exists already; set overwrite to replace it")
+            _, splats = self._map.snapshot()
+            formats.save(request.path, splats)
+            response.splats = len(splats)
+            response.message = f"{request.path}: {len(splats):,} splats"
+            response.success = True
+        except (SceneError, OSError) as error:
+            response.message = str(error)
+        return response
+
+
+def _bar(what: str, total: float) -> tqdm:
+    form = "{desc}: {percentage:3.0f}%|{bar}|"
+    return tqdm(desc=what, total=total, bar_format=form, disable=None, leave=False)
+
+
+def main() -> None:
+    """Runs the node until it is told to end; exit code 1 where the scene of `path` is none."""
+    run("ply_publisher", _publish)
+
+
+def _publish() -> None:
+    node = PlyPublisher()
+    with spinning(node) as spin:
+        if node.path:
+            node.load(node.path)
+        wait_for_end(spin)

@@ -1,0 +1,94 @@
+"""Sends a scene as a SLAM back end would: grown by batches, refined, pruned and regrown."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.node import Node
+from tqdm import tqdm
+
+from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.mapping import around, edits
+from rosplat_tools.parameters import declare
+from rosplat_tools.qos import HISTORY_DEPTH
+from rosplat_tools.running import run, spinning, wait_for_end
+from rosplat_tools.scenes import NAMES, PROCEDURAL, load_scene
+from rosplat_tools.splats import SceneError
+
+
+class SlamEmulator(Node):
+    """Publishes one edit of `gaussians` a tick; keeps the finished map for latecomers."""
+
+    def __init__(self) -> None:
+        """Loads the scene and starts the timer. Raises SceneError."""
+        super().__init__("slam_emulator")
+        path = declare(self, "path", f"{PROCEDURAL}500000", f"Scene to arrive at: {NAMES}.")
+        frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
+        rate = declare(self, "rate", 10.0, "Messages per second. [Hz]", 0.01, 1000.0)
+        history_depth = declare(
+            self, "history_depth", HISTORY_DEPTH, "Batches kept for late subscribers.", 2, 100_000
+        )
+        self._loop = declare(self, "loop", False, "Start over when the scene is complete.")
+        self._plan = {
+            "batch_size": declare(
+                self, "batch_size", 1000, "Gaussians in a message at most.", 1, 1_000_000
+            ),
+            "refine_fraction": declare(
+                self, "refine_fraction", 0.1, "Gaussians that begin a little off.", 0.0, 1.0
+            ),
+            "prune_fraction": declare(
+                self, "prune_fraction", 0.02, "Gaussians that are deleted for a while.", 0.0, 1.0
+            ),
+            "seed": declare(self, "seed", 0, "Which are refined and pruned.", 0, 2**31),
+        }
+        try:
+            self._scene = around(load_scene(path, lambda _: None, self.get_logger().warning))
+            self._edits = edits(self._scene, **self._plan)
+        except ValueError as error:
+            raise SceneError(str(error)) from error
+        self._map = MapPublisher(self, frame_id=frame_id, history_depth=history_depth)
+        self._bar = tqdm(
+            total=len(self._scene), desc="mapping", unit="splats", unit_scale=True, disable=None
+        )
+        self._begin()
+        self._timer = self.create_timer(1 / rate, self._step)
+
+    def destroy_node(self) -> None:
+        self._bar.close()
+        super().destroy_node()
+
+    def _begin(self) -> None:
+        self._began = time.monotonic()
+        self._map.replace(self._scene[:0], expected_slots=len(self._scene))
+
+    def _step(self) -> None:
+        edit = next(self._edits, None)
+        if edit is None:
+            self._finish()
+            return
+        if edit.splats is None:
+            self._map.delete(edit.slots)
+        else:
+            self._map.upsert(edit.slots, edit.splats)
+        self._bar.update(len(self._map) - self._bar.n)
+
+    def _finish(self) -> None:
+        self.get_logger().info(
+            f"{len(self._map):,} splats mapped in {time.monotonic() - self._began:.1f} s"
+        )
+        if self._loop:
+            self._edits = edits(self._scene, **self._plan)
+            self._begin()
+        else:
+            self._bar.close()
+            self._timer.cancel()
+
+
+def main() -> None:
+    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
+    run("slam_emulator", _emulate)
+
+
+def _emulate() -> None:
+    with spinning(SlamEmulator()) as spin:
+        wait_for_end(spin)
