@@ -83,6 +83,10 @@ class Processes:
                     f"{name} ended with code {process.returncode}: {self.last_line(name)}"
                 )
 
+    def forget(self, process: subprocess.Popen[bytes]) -> None:
+        """Lets a program that has ended have ended."""
+        self._running = [entry for entry in self._running if entry[1] is not process]
+
     def said(self, name: str) -> str:
         """All that a program has said."""
         return self.log(name).read_text(errors="replace")

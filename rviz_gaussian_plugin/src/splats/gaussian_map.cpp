@@ -16,6 +16,7 @@ void checkLength(const char* field, std::size_t size, std::size_t expected) {
 }
 
 void check(const GaussianBatch& batch) {
+  if (batch.revision == 0) throw BatchError("revision is 0, they count from 1");
   if (batch.operation > GaussianBatch::DELETE) {
     throw BatchError("operation " + std::to_string(batch.operation) + " is unknown");
   }

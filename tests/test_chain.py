@@ -1,0 +1,66 @@
+"""The whole chain over real DDS: publisher, sorter and renderer in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rosplat_tools import render
+
+VIAS = ["host", pytest.param("rviz", marks=pytest.mark.rviz)]
+
+
+@pytest.fixture
+def report(
+    data_folder: Path, reference_folder: Path, tmp_path: Path
+) -> Callable[[str, str, str], dict]:
+    """Draws a scene's reference cameras as `make render` does."""
+
+    def draw(scene: str, file: str, via: str) -> dict:
+        if via == "rviz" and not shutil.which("rviz2"):
+            pytest.skip("no rviz2 here: the Display is not tested")
+        cameras = reference_folder / scene / "cameras.json"
+        code = render.main([str(data_folder / file), str(cameras), str(tmp_path), "--via", via])
+        assert code == 0
+        return json.loads((tmp_path / "report.json").read_text())
+
+    return draw
+
+
+@pytest.mark.parametrize("via", VIAS)
+@pytest.mark.parametrize(("scene", "file"), [("wolf", "wolf.spz"), ("playbot", "playbot")])
+def test_pictures_match_another_renderers(
+    report: Callable[[str, str, str], dict], scene: str, file: str, via: str
+) -> None:
+    """gsplat's pictures, through 16-bit blending, with the sidecar's order."""
+    cameras = report(scene, file, via)["cameras"]
+    assert len(cameras) == 2
+    for camera in cameras:
+        assert camera["order_source"].startswith("native"), "not the sidecar's order"
+        assert camera["psnr"] >= 50
+        assert camera["ssim"] >= 0.999
+        assert camera["flip"] <= 0.02
+
+
+def test_what_cannot_be_drawn_is_said_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(
+        json.dumps([{"id": 0, "width": 8, "height": 8, "fx": 8, "fy": 8, "cx": 4, "cy": 4,
+                     "world_to_camera": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}])
+    )  # fmt: skip
+    broken = tmp_path / "broken.ply"
+    broken.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 5\n")
+    out = str(tmp_path / "out")
+    assert render.main([str(tmp_path / "no.ply"), str(cameras), out]) == 1
+    assert "no.ply" in capsys.readouterr().err
+    assert render.main([str(broken), str(cameras), out]) == 1
+    assert "broken.ply" in capsys.readouterr().err
+    cameras.write_text("[]")
+    assert render.main([str(broken), str(cameras), out]) == 1
+    assert "cameras.json" in capsys.readouterr().err
