@@ -10,7 +10,9 @@ say() { printf '\033[1m%s\033[0m\n' "$*"; }
 # --- System packages ------------------------------------------------------------------------------
 packages=(cmake g++ make pkg-config python3-dev python3-venv libepoxy-dev libgl1-mesa-dri libgtest-dev
   xauth xvfb)
-if [ ! -d "${ROSPLAT_RVIZ_OGRE:-/nonexistent}" ] && ! command -v rviz2 >/dev/null; then
+if command -v rviz2 >/dev/null; then
+  packages+=(libqcustomplot-dev) # the IMU panel; Ogre comes with rviz
+else
   packages+=(libogre-1.12-dev)
 fi
 missing=()

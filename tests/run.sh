@@ -10,6 +10,6 @@ if ! command -v rviz2 >/dev/null; then
   printf '\n\033[1;33mSKIPPED: no rviz2 here, the rviz Display was neither built nor tested.\033[0m\n\n'
 fi
 # One run for each: the folders would otherwise hide the installed packages of the same name.
-(cd rosplat_sorter && python -m pytest -q test)
-(cd rosplat_tools && python -m pytest -q test)
-python -m pytest -q tests "$@"
+(cd rosplat_sorter && pytest -q test)
+(cd rosplat_tools && pytest -q test)
+pytest -q tests "$@"
