@@ -112,8 +112,8 @@ class MapPublisher:
     def upsert(self, slots: Slots, splats: Splats, *, stamp: Time | None = None) -> None:
         """Writes the i-th splat to the i-th slot, in use or not.
 
-        Raises ValueError where slots are named twice or differ in number from splats, or where some
-        of the map is antialiased and some is not.
+        Raises ValueError, and sends nothing, where a slot is named twice or can't be one, where
+        slots and splats differ in number, or where some of the map is antialiased and some is not.
         """
         slots = _checked(slots)
         if len(slots) != len(splats):
@@ -132,7 +132,7 @@ class MapPublisher:
                 self._send_splats(GaussianArray.UPSERT, slots[part], splats[part], stamp)
 
     def delete(self, slots: Slots, *, stamp: Time | None = None) -> None:
-        """Empties slots. Raises ValueError where slots are named twice."""
+        """Empties slots. Raises ValueError where one is named twice, or can't be one."""
         slots = _checked(slots)
         with self._lock:
             self._map.clear(slots)
@@ -223,6 +223,8 @@ def _checked(slots: Slots) -> range | NDArray[np.uint32]:
     if len(numbers) and (numbers.min() < 0 or numbers.max() > np.iinfo(np.uint32).max):
         raise ValueError("slots: a slot is a number from 0 to 2^32 - 1")
     if isinstance(slots, range):
+        if slots.step != 1:
+            raise ValueError(f"slots: a range must be contiguous, got {slots}")
         return slots
     if len(np.unique(numbers)) < len(numbers):
         raise ValueError("slots: each slot may be named once")

@@ -112,7 +112,7 @@ def main() -> None:
 
 def _publish() -> None:
     node = PlyPublisher()
-    with spinning(node) as spin:
+    with spinning(node, threads=2) as spin:
         if node.path:
             node.load(node.path)
         wait_for_end(spin)

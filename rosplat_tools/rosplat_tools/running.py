@@ -7,9 +7,10 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from threading import Event
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -41,29 +42,30 @@ def run(program: str, body: Callable[[], None]) -> None:
 
 
 @contextmanager
-def spinning(node: Node, threads: int = 2) -> Iterator[Future[None]]:
+def spinning(node: Node, threads: int = 1) -> Iterator[Future[None]]:
     """Runs a node's callbacks in threads of their own while the block runs, then destroys it.
 
     Gives what is done when the node can't go on.
     """
-    executor = MultiThreadedExecutor(num_threads=threads)
+    executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
     executor.add_node(node)
+    ending = Event()
 
     def spin() -> None:
-        try:
-            executor.spin()
-        except ExternalShutdownException:
-            pass
-        except Exception:
-            if node.context.ok():  # else it was told to end in the middle of a message
-                raise
+        # Not executor.spin: only the end of ROS ends that, in the middle of a callback.
+        while not ending.is_set():
+            executor.spin_once(0.1)
 
-    with ThreadPoolExecutor(1) as pool:
-        try:
-            yield pool.submit(spin)
-        finally:
-            node.context.try_shutdown()
-    node.destroy_node()
+    try:
+        with ThreadPoolExecutor(1) as pool:
+            try:
+                yield pool.submit(spin)
+            finally:
+                ending.set()
+    finally:
+        node.context.try_shutdown()  # long work in other threads sees that, and gives up
+        executor.shutdown()
+        node.destroy_node()
 
 
 def wait_for_end(spin: Future[None]) -> None:

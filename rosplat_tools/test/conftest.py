@@ -1,12 +1,24 @@
-"""Where tests find splats: random ones, and real trained scenes where they are at hand."""
+"""What tests share: random splats, real trained scenes where they are at hand, a ROS node."""
 
 import os
-from collections.abc import Callable
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 
+from rosplat_msgs.msg import GaussianArray
+from rosplat_tools.messages import decode
+from rosplat_tools.qos import MAP
+from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -50,3 +62,91 @@ def scene() -> Callable[[str], Path]:
 def reference() -> Callable[[str], Path]:
     """An independent renderer's pictures of a scene; skips the test where they aren't there."""
     return lambda name: _shared("ROSPLAT_REFERENCE", "reference", name)
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    """A node in a context and a namespace of its own, where no other test is heard."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    made = rclpy.create_node("test", namespace=f"/test_{uuid.uuid4().hex}", context=context)
+    yield made
+    made.destroy_node()
+    context.try_shutdown()
+
+
+@pytest.fixture
+def start(node: Node) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts an executable of the package in the namespace of `node`, with parameters."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(program: str, **parameters: object) -> subprocess.Popen[str]:
+        arguments = ["--ros-args", "-r", f"__ns:={node.get_namespace()}"]
+        for name, value in parameters.items():
+            arguments += ["-p", f"{name}:={value}"]
+        run = f"from rosplat_tools.{program} import main; main()"
+        process = subprocess.Popen(
+            [sys.executable, "-c", run, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+class Listener:
+    """What a map's topic adds up to, as seen by `node`."""
+
+    def __init__(self, node: Node) -> None:
+        self.batches: list[GaussianArray] = []
+        self.map: SlotMap | None = None
+        self._node = node
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+        node.create_subscription(GaussianArray, "gaussians", self._receive, MAP)
+
+    def _receive(self, batch: GaussianArray) -> None:
+        self.batches.append(batch)
+        slots, splats = decode(batch)
+        if batch.operation == batch.REPLACE:
+            self.map = SlotMap(splats[:0])
+        assert self.map is not None
+        if batch.operation == batch.DELETE:
+            self.map.clear(slots)
+        else:
+            self.map.write(slots, splats)
+
+    def wait(self, until: Callable[[], object], timeout: float = 60.0) -> None:
+        """Receives until something holds; fails the test where it doesn't come to."""
+        deadline = time.monotonic() + timeout
+        while not until():
+            assert time.monotonic() < deadline, "timed out"
+            self._executor.spin_once(0.1)
+
+    def wait_for(self, count: int) -> None:
+        """Until the map holds exactly count splats."""
+        self.wait(lambda: self.map is not None and len(self.map) == count)
+
+    def request(self, kind: Any, name: str, **request: object) -> Any:
+        """Calls a service in the node's namespace; returns the future of its answer."""
+        client = self._node.create_client(kind, name)
+        self.wait(client.service_is_ready)
+        return client.call_async(kind.Request(**request))
+
+    def call(self, kind: Any, name: str, **request: object) -> Any:
+        """Calls a service and waits for its answer."""
+        future = self.request(kind, name, **request)
+        self.wait(future.done)
+        return future.result()
+
+
+@pytest.fixture
+def listener(node: Node) -> Listener:
+    return Listener(node)

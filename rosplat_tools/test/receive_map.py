@@ -1,0 +1,60 @@
+"""Run as a program: rebuilds a map from its topic until a revision, and writes down what came.
+
+receive_map.py TOPIC REVISION OUT.npz [--volatile]: prints "listening" when it does. OUT.npz holds
+slots and the arrays of their splats, and the revision and operation of each batch.
+"""
+
+import sys
+import time
+
+import numpy as np
+import rclpy
+
+from rosplat_msgs.msg import GaussianArray
+from rosplat_tools.messages import decode
+from rosplat_tools.qos import MAP, MAP_VOLATILE
+from rosplat_tools.slot_map import SlotMap
+
+TIMEOUT = 60.0
+
+topic, last_revision, out = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+batches: list[tuple[int, int]] = []
+built: list[SlotMap] = []
+
+
+def receive(message: GaussianArray) -> None:
+    batches.append((message.revision, message.operation))
+    slots, splats = decode(message)
+    if message.operation == GaussianArray.DELETE:
+        built[-1].clear(slots)
+    elif message.operation == GaussianArray.UPSERT:
+        built[-1].write(slots, splats)
+    else:
+        built.append(SlotMap(splats[:0]))
+        built[-1].write(slots, splats)
+
+
+rclpy.init()
+node = rclpy.create_node("receiver")
+node.create_subscription(
+    GaussianArray, topic, receive, MAP_VOLATILE if "--volatile" in sys.argv else MAP
+)
+while not node.get_publishers_info_by_topic(topic):
+    time.sleep(0.01)
+print("listening", flush=True)
+deadline = time.monotonic() + TIMEOUT
+while (not batches or batches[-1][0] < last_revision) and time.monotonic() < deadline:
+    rclpy.spin_once(node, timeout_sec=0.1)
+slots, splats = built[-1].snapshot()
+np.savez(
+    out,
+    slots=np.asarray(slots),
+    positions=splats.positions + splats.origin,
+    orientations=splats.orientations,
+    scales=splats.scales,
+    opacities=splats.opacities,
+    sh=splats.without_empty_bands().sh,
+    revisions=[revision for revision, _ in batches],
+    operations=[operation for _, operation in batches],
+)
+rclpy.shutdown()

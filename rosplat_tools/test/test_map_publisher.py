@@ -1,0 +1,167 @@
+"""The map's topic over DDS: whoever joins, and whenever, rebuilds the publisher's map."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.node import Node
+
+from rosplat_msgs.msg import GaussianArray
+from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.running import Cancelled
+from rosplat_tools.splats import Splats
+
+Maker = Callable[..., Splats]
+Received = dict[str, np.ndarray]
+RECEIVER = Path(__file__).with_name("receive_map.py")
+
+
+@contextmanager
+def receiver(node: Node, until: int, out: Path, *options: str) -> Iterator[Received]:
+    """A subscriber in a process of its own, there in the block; what it got is there after it."""
+    topic = node.resolve_topic_name("gaussians")
+    command = [sys.executable, str(RECEIVER), topic, str(until), str(out), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        assert process.stdout.readline() == "listening\n"
+        received: Received = {}
+        try:
+            yield received
+            assert process.wait(90) == 0
+        finally:
+            process.kill()
+    received |= np.load(out)
+
+
+def assert_same_map(received: Received, publisher: MapPublisher) -> None:
+    slots, splats = publisher.snapshot()
+    np.testing.assert_array_equal(received["slots"], slots)
+    np.testing.assert_array_equal(received["positions"], splats.positions + splats.origin)
+    np.testing.assert_array_equal(received["sh"], splats.without_empty_bands().sh)
+    for name in ("orientations", "scales", "opacities"):
+        np.testing.assert_array_equal(received[name], getattr(splats, name))
+
+
+def edit(publisher: MapPublisher, random_splats: Maker, times: int) -> None:
+    """Grows, moves and prunes."""
+    rng = np.random.default_rng(times)
+    for step in range(times):
+        have = len(publisher)
+        publisher.upsert(range(have, have + 20), random_splats(20, 1, seed=step))
+        publisher.upsert(rng.choice(have, 5, replace=False), random_splats(5, 2, seed=step))
+        publisher.delete(rng.choice(have, 3, replace=False))
+
+
+def test_subscribers_of_any_time_rebuild_the_map(
+    node: Node, random_splats: Maker, tmp_path: Path
+) -> None:
+    publisher = MapPublisher(node, chunk_bytes=50_000)
+    last = 1 + 8 + 3 * 10  # an empty REPLACE, 1500 splats in chunks, edits
+    with receiver(node, last, tmp_path / "early.npz") as early:
+        publisher.replace(random_splats(0))
+        far = Splats(**(vars(random_splats(1500, 3)) | {"origin": np.array([4.5e6, 5e5, 0])}))
+        publisher.upsert(range(1500), far)
+        edit(publisher, random_splats, 10)
+        assert publisher.revision == last
+        with receiver(node, last, tmp_path / "late.npz") as late:
+            pass
+    for received in (early, late):
+        assert received["revisions"].tolist() == list(range(1, last + 1))
+        assert_same_map(received, publisher)
+
+
+def test_the_history_never_loses_its_beginning(
+    node: Node, random_splats: Maker, tmp_path: Path
+) -> None:
+    """More edits than the history holds: a latecomer gets a whole map in fewer batches."""
+    publisher = MapPublisher(node, history_depth=12, chunk_bytes=20_000)
+    publisher.replace(random_splats(300))
+    edit(publisher, random_splats, 25)
+    with receiver(node, publisher.revision, tmp_path / "late.npz") as late:
+        pass
+    assert_same_map(late, publisher)
+    assert late["operations"][0] == GaussianArray.REPLACE
+    assert (np.diff(late["revisions"]) == 1).all()
+    assert len(late["revisions"]) <= 12
+
+
+def test_a_new_map_takes_the_old_one_s_batches_out_of_the_history(
+    node: Node, random_splats: Maker, tmp_path: Path
+) -> None:
+    publisher = MapPublisher(node, chunk_bytes=20_000)
+    for seed in range(3):
+        publisher.replace(random_splats(400, seed=seed))
+    with receiver(node, publisher.revision, tmp_path / "late.npz") as late:
+        pass
+    assert len(late["revisions"]) == publisher.revision // 3
+    assert_same_map(late, publisher)
+
+
+def test_a_subscriber_without_history_ends_with_the_map_as_well(
+    node: Node, random_splats: Maker, tmp_path: Path
+) -> None:
+    """Each REPLACE comes from another writer, which must be known before it sends."""
+    publisher = MapPublisher(node, history_depth=10)
+    last = 40
+    with receiver(node, last, tmp_path / "volatile.npz", "--volatile") as received:
+        while not publisher._publisher.get_subscription_count():
+            time.sleep(0.01)
+        for step in range(last // 2):
+            publisher.replace(random_splats(50, seed=step))
+            publisher.upsert(range(50, 60), random_splats(10, seed=step))
+    # What a later REPLACE supersedes may be missing, nothing else.
+    begin = np.flatnonzero(received["operations"] == GaussianArray.REPLACE)[-1]
+    assert received["revisions"][begin:].tolist() == [last - 1, last]
+    assert_same_map(received, publisher)
+
+
+def test_a_slam_map_of_500_batches_reaches_a_latecomer(
+    node: Node, random_splats: Maker, tmp_path: Path
+) -> None:
+    publisher = MapPublisher(node)
+    splats = random_splats(1000, 0)
+    for first in range(0, 500_000, 1000):
+        publisher.upsert(range(first, first + 1000), splats)
+    with receiver(node, 500, tmp_path / "late.npz") as late:
+        pass
+    assert len(late["slots"]) == 500_000
+    assert_same_map(late, publisher)
+
+
+def test_slots_are_checked_before_anything_is_sent(node: Node, random_splats: Maker) -> None:
+    publisher = MapPublisher(node)
+    publisher.replace(random_splats(10))
+    for slots, match in (
+        (np.array([1, 2, 1]), "once"),
+        (np.array([-1, 2, 3]), "0 to"),
+        (range(-3, 0), "0 to"),
+        (np.array([0, 1, 2**32]), "0 to"),
+        (range(5), "3 splats for 5 slots"),
+        (range(0, 6, 2), "contiguous"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            publisher.upsert(slots, random_splats(3))
+    with pytest.raises(ValueError, match="once"):
+        publisher.delete(np.array([4, 4]))
+    with pytest.raises(ValueError, match="antialiased"):
+        publisher.upsert(range(3), random_splats(3, antialiased=True))
+    assert (publisher.revision, len(publisher)) == (1, 10)
+
+
+def test_a_progress_that_raises_ends_the_sending(node: Node, random_splats: Maker) -> None:
+    publisher = MapPublisher(node, chunk_bytes=20_000)
+    told: list[int] = []
+
+    def progress(count: int) -> None:
+        told.append(count)
+        if len(told) == 3:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        publisher.replace(random_splats(2000), progress=progress)
+    assert publisher.revision == 3

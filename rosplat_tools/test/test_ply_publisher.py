@@ -1,0 +1,122 @@
+"""The node that publishes scene files: its start, its services, its end."""
+
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rcl_interfaces.srv import DescribeParameters
+from rclpy.node import Node
+
+from rosplat_msgs.srv import LoadScene, SaveMap
+from rosplat_tools import formats
+from rosplat_tools.splats import Splats
+
+Maker = Callable[..., Splats]
+Start = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture
+def ply(tmp_path: Path, random_splats: Maker) -> Path:
+    path = tmp_path / "scene.ply"
+    formats.save(path, random_splats(5000, 2))
+    return path
+
+
+def test_the_scene_of_the_parameter_is_published_whole(
+    start: Start, listener: Any, ply: Path
+) -> None:
+    start("ply_publisher", path=ply, frame_id="scan", chunk_bytes=100_000)
+    listener.wait_for(5000)
+    _, splats = listener.map.snapshot()
+    scene = formats.load(ply)
+    for name in ("positions", "orientations", "scales", "opacities", "sh"):
+        np.testing.assert_array_equal(getattr(splats, name), getattr(scene, name))
+    assert len(listener.batches) > 1
+    assert {batch.header.frame_id for batch in listener.batches} == {"scan"}
+    assert {batch.expected_slots for batch in listener.batches} == {5000}
+
+
+def test_scenes_are_loaded_and_saved_while_it_runs(
+    start: Start, listener: Any, ply: Path, tmp_path: Path
+) -> None:
+    start("ply_publisher")
+    answer = listener.call(LoadScene, "ply_publisher/load", path=str(ply))
+    assert answer.success
+    assert answer.splats == 5000
+    assert "5,000 splats" in answer.message
+    listener.wait_for(5000)
+
+    copy = tmp_path / "copy.ply"
+    answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
+    assert (answer.success, answer.splats) == (True, 5000)
+    np.testing.assert_allclose(formats.load(copy).scales, formats.load(ply).scales, rtol=1e-6)
+
+    before = copy.read_bytes()
+    answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
+    assert not answer.success
+    assert str(copy) in answer.message
+    assert copy.read_bytes() == before
+    assert listener.call(SaveMap, "ply_publisher/save", path=str(copy), overwrite=True).success
+
+
+def test_a_scene_that_can_t_be_loaded_leaves_the_map_as_it_was(
+    start: Start, listener: Any, ply: Path, tmp_path: Path
+) -> None:
+    start("ply_publisher", path=ply)
+    listener.wait_for(5000)
+    broken = tmp_path / "broken.ply"
+    broken.write_bytes(ply.read_bytes()[:-1000])
+    for path in (broken, tmp_path / "none.ply"):
+        answer = listener.call(LoadScene, "ply_publisher/load", path=str(path))
+        assert (answer.success, answer.splats) == (False, 5000)
+        assert str(path) in answer.message
+    assert len(listener.map) == 5000
+    assert len({batch.revision for batch in listener.batches}) == len(listener.batches) == 1
+
+
+def test_it_answers_while_it_loads(start: Start, listener: Any) -> None:
+    start("ply_publisher")
+    loading = listener.request(LoadScene, "ply_publisher/load", path="procedural:600000")
+    described = listener.call(
+        DescribeParameters, "ply_publisher/describe_parameters", names=["path", "chunk_bytes"]
+    )
+    assert not loading.done()
+    assert all(d.description and d.read_only for d in described.descriptors)
+    listener.wait(loading.done)
+    assert loading.result().success
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [{"path": "/nowhere/scene.ply"}, {"path": "procedural:many"}, {"chunk_bytes": 7}],
+)
+def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
+    start: Start, parameters: dict[str, object]
+) -> None:
+    process = start("ply_publisher", **parameters)
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert len(output.strip().splitlines()) == 1
+    assert output.startswith("ply_publisher: ")
+    assert all(str(value) in output for value in parameters.values())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("busy", [True, False])
+def test_it_ends_quietly_in_the_middle_of_anything(
+    start: Start, node: Node, listener: Any, number: signal.Signals, busy: bool
+) -> None:
+    process = start("ply_publisher", path="procedural:3000000" if busy else "procedural:1000")
+    if busy:
+        listener.wait(lambda: node.count_publishers("gaussians"))
+    else:
+        listener.wait_for(1000)
+    process.send_signal(number)
+    output, _ = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert "Error" not in output
+    assert "exception" not in output

@@ -1,0 +1,79 @@
+"""The emulated SLAM back end over DDS: what it sends, and that it arrives at the scene."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rosplat_msgs.msg import GaussianArray
+from rosplat_tools import formats
+from rosplat_tools.splats import Splats
+
+Start = Callable[..., subprocess.Popen[str]]
+
+
+def test_the_map_grows_is_edited_and_ends_as_the_scene(
+    start: Start, listener: Any, tmp_path: Path, random_splats: Callable[..., Splats]
+) -> None:
+    path = tmp_path / "scene.ply"
+    formats.save(path, random_splats(3050))
+    process = start("slam_emulator", path=path, batch_size=100, rate=200.0, prune_fraction=0.1)
+    assert process.stdout
+    # Says so when the last edit is out; what it sent before is on its way by then.
+    line = process.stdout.readline()
+    assert "3,050 splats mapped" in line
+    listener.wait_for(3050)
+    listener.wait(lambda: listener.batches[-1].operation == GaussianArray.UPSERT)
+
+    assert all(batch.count <= 100 for batch in listener.batches)
+    assert [batch.revision for batch in listener.batches] == list(
+        range(1, len(listener.batches) + 1)
+    )
+    assert {batch.operation for batch in listener.batches} == {
+        GaussianArray.REPLACE,
+        GaussianArray.UPSERT,
+        GaussianArray.DELETE,
+    }
+    assert {batch.expected_slots for batch in listener.batches} == {3050}
+
+    _, splats = listener.map.snapshot()
+    scene = formats.load(path)
+    mine, its = np.lexsort(splats.positions.T), np.lexsort(scene.positions.T)
+    for name in ("positions", "orientations", "scales", "opacities", "sh"):
+        np.testing.assert_array_equal(getattr(splats, name)[mine], getattr(scene, name)[its])
+
+
+def test_it_sends_at_its_rate(start: Start, listener: Any) -> None:
+    start("slam_emulator", path="procedural:4000", batch_size=100, rate=20.0, refine_fraction=0.0)
+    listener.wait(lambda: len(listener.batches) >= 41)
+    stamps = [batch.header.stamp for batch in listener.batches]
+    seconds = [stamp.sec + stamp.nanosec * 1e-9 for stamp in stamps]
+    assert seconds[-1] - seconds[0] == pytest.approx(2, abs=0.6)
+
+
+def test_a_loop_starts_over(start: Start, listener: Any) -> None:
+    start("slam_emulator", path="procedural:500", batch_size=100, rate=200.0, loop="true")
+    listener.wait(lambda: sum(batch.operation == 0 for batch in listener.batches) > 2)
+    assert len({batch.map_id for batch in listener.batches}) == 1
+
+
+@pytest.mark.parametrize(
+    ("parameters", "named"),
+    [
+        ({"path": "/nowhere/scene.ply"}, "/nowhere/scene.ply"),
+        ({"refine_fraction": 0.8, "prune_fraction": 0.8}, "refine_fraction, prune_fraction"),
+        ({"rate": 0.0}, "rate"),
+        ({"batch_size": "many"}, "batch_size"),
+    ],
+)
+def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
+    start: Start, parameters: dict[str, object], named: str
+) -> None:
+    process = start("slam_emulator", **({"path": "procedural:10"} | parameters))
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert len(output.strip().splitlines()) == 1
+    assert named in output

@@ -1,0 +1,68 @@
+"""The map that edits add up to, against a dictionary of splats."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from rosplat_tools.slot_map import SlotMap
+from rosplat_tools.splats import Splats
+
+Maker = Callable[..., Splats]
+
+
+def test_random_edits_add_up_to_what_a_dictionary_holds(random_splats: Maker) -> None:
+    rng = np.random.default_rng(0)
+    first = random_splats(50, 0)
+    slot_map = SlotMap(first)
+    expected = {slot: first[slot : slot + 1] for slot in range(50)}
+    for step in range(60):
+        slots: range | np.ndarray = rng.choice(400, rng.integers(0, 30), replace=False)
+        if step % 4 == 0:
+            slots = range(int(rng.integers(0, 300)), 310)
+        if step % 3 == 2:
+            slot_map.clear(slots)
+            for slot in slots:
+                expected.pop(int(slot), None)
+        else:
+            splats = random_splats(len(slots), step % 4, seed=step)
+            slot_map.write(slots, splats)
+            expected |= {int(slot): splats[i : i + 1] for i, slot in enumerate(slots)}
+    slots, splats = slot_map.snapshot()
+    assert list(slots) == sorted(expected)
+    assert len(slot_map) == len(expected)
+    for i, slot in enumerate(slots):
+        want = expected[int(slot)].with_sh_degree(3)
+        for name in ("positions", "orientations", "scales", "opacities", "sh"):
+            np.testing.assert_array_equal(getattr(splats, name)[i : i + 1], getattr(want, name))
+
+
+def test_the_map_is_a_copy_of_what_it_was_given(random_splats: Maker) -> None:
+    given = random_splats(3)
+    slot_map = SlotMap(given)
+    slot_map.write(range(3), random_splats(3, seed=1))
+    np.testing.assert_array_equal(given.positions, random_splats(3).positions)
+
+
+def test_a_map_without_holes_is_a_range(random_splats: Maker) -> None:
+    slot_map = SlotMap(random_splats(5))
+    assert slot_map.snapshot()[0] == range(5)
+    slot_map.clear(range(4, 5))
+    assert slot_map.snapshot()[0] == range(4)
+    slot_map.clear(np.array([0, 99]))
+    np.testing.assert_array_equal(slot_map.snapshot()[0], [1, 2, 3])
+
+
+def test_positions_move_to_the_map_s_origin(random_splats: Maker) -> None:
+    far = Splats(**(vars(random_splats(2)) | {"origin": np.array([1e6, 0, 0])}))
+    near = Splats(**(vars(random_splats(2)) | {"origin": np.array([1e6 + 4, 2, 0])}))
+    slot_map = SlotMap(far)
+    slot_map.write(range(2, 4), near)
+    _, splats = slot_map.snapshot()
+    world = splats.positions + splats.origin
+    np.testing.assert_allclose(world[2:], near.positions + near.origin, atol=1e-6, rtol=0)
+
+
+def test_two_kinds_of_filter_don_t_mix(random_splats: Maker) -> None:
+    with pytest.raises(ValueError, match="antialiased"):
+        SlotMap(random_splats(1)).write(range(1), random_splats(1, antialiased=True))
