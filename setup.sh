@@ -46,7 +46,7 @@ if [ "${1:-}" = dev ]; then touch .venv/dev; fi
 . ./env.sh
 if ! cat "${requirements[@]}" | cmp -s - .venv/installed; then
   say "Installing ${requirements[*]} into .venv"
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check "${requirements[@]/#/--requirement=}"
+  .venv/bin/python -m pip install -qq --disable-pip-version-check "${requirements[@]/#/--requirement=}"
   cat "${requirements[@]}" >.venv/installed
 fi
 if [ "$ROSPLAT_ROS" = wheels ] && [ ! -f .venv/exports-rewritten ]; then
