@@ -10,7 +10,7 @@ import time
 import uuid
 from pathlib import Path
 
-from rosplat_tools.processes import ProcessError, Processes
+from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals
 
 PROCEDURAL = "procedural:200000"
 
@@ -33,6 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
         help="the scene's vertical, for the embedded viewer (default: z)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
+    interrupt_by_signals()
     screen = bool(os.environ.get("DISPLAY"))
     rviz = bool(shutil.which("rviz2")) and screen and not options.host
     # One demo doesn't see another, but what the user runs beside it, rviz2's TF say, it does.
@@ -45,6 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
             if rviz:
                 from ament_index_python.packages import get_package_share_directory
 
+                processes.node("rosplat_tools", "demo_sensors", *remap)
                 share = Path(get_package_share_directory("rviz_gaussian_plugin"))
                 viewer = processes.start(
                     "rviz2", ["rviz2", "-d", str(share / "config/rosplat.rviz")]

@@ -1,0 +1,379 @@
+"""A robot for the demo: circles the map and publishes what its IMU and its camera measure.
+
+All is a function of the node's clock, simulated or not. The camera's picture is asked of a renderer
+at `gaussians/render`; without one it is a test picture.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import (
+    PoseStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from sensor_msgs.msg import CameraInfo, Image, Imu
+from std_msgs.msg import Header
+
+from rosplat_msgs.msg import GaussianArray
+from rosplat_msgs.srv import RenderView
+from rosplat_tools.cameras import Camera
+from rosplat_tools.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
+from rosplat_tools.messages import decode
+from rosplat_tools.parameters import declare
+from rosplat_tools.qos import MAP
+from rosplat_tools.running import run, spinning, wait_for_end
+from rosplat_tools.view_messages import view_camera
+
+# The wheels of PyPI have neither.
+try:
+    from nav_msgs.msg import Path
+except ImportError:
+    Path = None
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:
+    TFMessage = None
+
+# Reliable: readers that ask for best effort are served as well. Deep: a late tick sends in bursts.
+SENSOR = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+)
+# As tf2_ros has them.
+TF = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+)
+TF_STATIC = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+)
+
+BODY = "demo_robot"
+CAMERA = "demo_camera_optical"
+
+SECOND = 10**9  # [ns]
+BACKLOG = SECOND // 2  # what a late tick makes up for [ns]
+MAP_TIMEOUT = 3.0  # how much of a map is waited for before the path is laid [s]
+MAP_SAMPLES = 2000  # positions of a batch that the path is laid around
+ORDER_TIMEOUT = 0.2  # what a renderer may wait for a sorter [s]
+PICTURE_TIMEOUT = 5.0  # after this, a renderer will not answer any more [s]
+BACKGROUND = np.array([32, 34, 38]) / 255  # as in the shipped rviz configuration
+
+
+@dataclass
+class Beat:
+    """Moments at whole multiples of a period, so that a late tick shifts none of them. [ns]"""
+
+    period: int
+    last: int = 0
+
+    def due(self, now: int) -> list[int]:
+        """The moments since the last call, oldest first; after a leap of the clock the newest."""
+        newest = now // self.period
+        if not 0 <= newest - self.last <= max(1, BACKLOG // self.period):
+            self.last = newest - 1
+        moments = [number * self.period for number in range(self.last + 1, newest + 1)]
+        self.last = newest
+        return moments
+
+
+class DemoSensors(Node):
+    """Publishes TF, IMU, camera and path of a robot that circles the map."""
+
+    def __init__(self) -> None:
+        """Starts the timer. Raises SceneError for a parameter that makes no sense."""
+        super().__init__("demo_sensors")
+        self._frame_id: str = declare(
+            self, "frame_id", "map", "Frame of the path where a radius is given, else the map's."
+        )
+        radius = declare(self, "radius", 0.0, "Of the path; 0 to fit it to the map. [m]", 0.0, 1e6)
+        height = declare(
+            self, "height", 1.5, "Of the path over its center, for a radius. [m]", -1e6, 1e6
+        )
+        center = declare(self, "center", [0.0, 0.0, 0.5], "What a path of a radius circles. [m]")
+        self._period: float = declare(
+            self, "period", 24.0, "Time that a round takes. [s]", 1.0, 3600.0
+        )
+        imu_rate = declare(self, "imu_rate", 200.0, "Of the IMU and TF. [Hz]", 1.0, 1000.0)
+        self._acceleration_noise: float = declare(
+            self, "acceleration_noise", 0.03, "Standard deviation. [m/s^2]", 0.0, 10.0
+        )
+        self._angular_velocity_noise: float = declare(
+            self, "angular_velocity_noise", 0.003, "Standard deviation. [rad/s]", 0.0, 1.0
+        )
+        seed = declare(self, "seed", 0, "Of the noise.", 0, 2**31)
+        image_rate = declare(
+            self, "image_rate", 10.0, "Pictures at most, poses of the camera. [Hz]", 0.1, 100.0
+        )
+        self._width: int = declare(self, "image_width", 320, "Width of the picture. [px]", 16, 4096)
+        self._height: int = declare(
+            self, "image_height", 240, "Height of the picture. [px]", 16, 4096
+        )
+
+        self._noise = np.random.default_rng(seed)
+        self._imu_beat = Beat(round(SECOND / imu_rate))
+        self._image_beat = Beat(round(SECOND / image_rate))
+        self._flight: Flight | None = None
+        self._trail: deque[PoseStamped] = deque(maxlen=round(self._period * image_rate))
+        self._picture: _Picture | None = None
+
+        self._imu = self.create_publisher(Imu, "imu/data", SENSOR)
+        self._image = self.create_publisher(Image, "camera/image_raw", SENSOR)
+        self._info = self.create_publisher(CameraInfo, "camera/camera_info", SENSOR)
+        self._pose = self.create_publisher(PoseStamped, "camera/pose", SENSOR)
+        self._path = self._tf = self._tf_static = None
+        if Path:
+            self._path = self.create_publisher(Path, "camera/path", SENSOR)
+        else:
+            self.get_logger().info("no nav_msgs here: camera/path is left out")
+        if TFMessage:
+            self._tf = self.create_publisher(TFMessage, "/tf", TF)
+            self._tf_static = self.create_publisher(TFMessage, "/tf_static", TF_STATIC)
+        else:
+            self.get_logger().info("no tf2_msgs here: TF is left out")
+
+        topic = self.resolve_topic_name("gaussians")
+        self._renderer = self.create_client(RenderView, f"{topic}/render")
+        if radius:
+            self._fly(Flight(np.array(center), radius, height, self._period))
+        else:
+            self.get_logger().info(f"waiting for a map on {topic} to fly around")
+            self._samples: list[NDArray[np.float64]] = []
+            self._begun: float | None = None
+            self.create_subscription(GaussianArray, "gaussians", self._on_batch, MAP)
+        self.create_timer(self._imu_beat.period / SECOND, self._tick)
+
+    # --- The path ---------------------------------------------------------------------------------
+
+    def _on_batch(self, message: GaussianArray) -> None:
+        """Lays the path anew around every whole map that is sent."""
+        if message.operation == GaussianArray.DELETE:
+            return
+        if message.operation == GaussianArray.REPLACE:
+            self._samples, self._received, self._begun = [], 0, time.monotonic()
+        if self._begun is None:
+            return
+        try:
+            _, splats = decode(message)
+        except ValueError as error:
+            self.get_logger().error(f"a batch is refused: {error}", throttle_duration_sec=5.0)
+            return
+        positions = splats.positions[:: len(splats) // MAP_SAMPLES + 1]
+        self._samples.append(positions[np.isfinite(positions).all(axis=1)] + splats.origin)
+        self._received += len(splats)
+        waited = time.monotonic() - self._begun
+        if self._received < message.expected_slots and waited < MAP_TIMEOUT:
+            return
+        positions = np.concatenate(self._samples)
+        if len(positions):
+            self._begun = None
+            self._frame_id = message.header.frame_id
+            self._fly(Flight.around(positions, self._period))
+
+    def _fly(self, flight: Flight) -> None:
+        self._flight = flight
+        self._trail.clear()
+        self.get_logger().info(
+            f"circling ({', '.join(f'{value:.2f}' for value in flight.centre)}) in "
+            f"{self._frame_id}: radius {flight.radius:.2f} m, height {flight.height:.2f} m"
+        )
+        if self._tf_static:
+            stamp = self.get_clock().now().to_msg()
+            ahead = np.array([CAMERA_OFFSET, 0, 0])
+            transform = _transform(stamp, BODY, CAMERA, ahead, flight.mount)
+            self._tf_static.publish(TFMessage(transforms=[transform]))
+
+    # --- What is measured -------------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        flight = self._flight
+        if not flight:
+            return
+        now = self.get_clock().now().nanoseconds
+        motions = [(stamp, self._motion(flight, stamp)) for stamp in self._imu_beat.due(now)]
+        if motions and self._tf:
+            # First, and of the newest: who draws the measurements asks for it.
+            stamp, motion = motions[-1]
+            transform = _transform(
+                _time(stamp), self._frame_id, BODY, motion.position, motion.attitude
+            )
+            self._tf.publish(TFMessage(transforms=[transform]))
+        for stamp, motion in motions:
+            self._imu.publish(self._measure(stamp, motion))
+        for stamp in self._image_beat.due(now)[-1:]:
+            camera = flight.camera(self._motion(flight, stamp), self._width, self._height)
+            self._look(camera, _time(stamp))
+
+    def _motion(self, flight: Flight, stamp: int) -> Motion:
+        # In whole nanoseconds: a float64 of today's date resolves a quarter of a microsecond.
+        return flight.at(stamp % round(self._period * SECOND) / SECOND)
+
+    def _measure(self, stamp: int, motion: Motion) -> Imu:
+        noise = self._noise.normal(size=(2, 3))
+        force = motion.specific_force + self._acceleration_noise * noise[0]
+        angular_velocity = motion.angular_velocity + self._angular_velocity_noise * noise[1]
+        return Imu(
+            header=Header(stamp=_time(stamp), frame_id=BODY),
+            orientation=_quaternion(motion.attitude),
+            orientation_covariance=_covariance(0.0),
+            angular_velocity=_vector(angular_velocity),
+            angular_velocity_covariance=_covariance(self._angular_velocity_noise),
+            linear_acceleration=_vector(force),
+            linear_acceleration_covariance=_covariance(self._acceleration_noise),
+        )
+
+    # --- The camera -------------------------------------------------------------------------------
+
+    def _look(self, camera: Camera, stamp: Time) -> None:
+        view = view_camera(camera)
+        view.header = Header(stamp=stamp, frame_id=self._frame_id)
+        self._publish_pose(PoseStamped(header=view.header, pose=view.pose))
+        if self._picture:
+            if time.monotonic() - self._picture.asked < PICTURE_TIMEOUT:
+                return
+            self._renderer.remove_pending_request(self._picture.future)
+            self._picture = None
+        if not self._renderer.service_is_ready():
+            self._publish_picture(camera, stamp, self._draw_grid(camera))
+            return
+        request = RenderView.Request(camera=view, order_timeout=ORDER_TIMEOUT)
+        future = self._renderer.call_async(request)
+        self._picture = _Picture(camera, stamp, future, asked=time.monotonic())
+        future.add_done_callback(self._on_picture)
+
+    def _on_picture(self, future: Future) -> None:
+        picture = self._picture
+        if not picture or picture.future is not future:
+            return
+        self._picture = None
+        response = future.result()
+        try:
+            pixels = _pixels(response, picture.camera)
+        except ValueError as error:
+            self.get_logger().warning(f"no picture of the map: {error}", throttle_duration_sec=10.0)
+            pixels = self._draw_grid(picture.camera)
+        self._publish_picture(picture.camera, picture.stamp, pixels)
+
+    def _draw_grid(self, camera: Camera) -> NDArray[np.uint8]:
+        flight = self._flight
+        assert flight
+        return draw_grid(camera, flight.centre[2] - flight.height, flight.radius / 4)
+
+    def _publish_picture(self, camera: Camera, stamp: Time, pixels: NDArray[np.uint8]) -> None:
+        header = Header(stamp=stamp, frame_id=CAMERA)
+        image = Image(
+            header=header,
+            height=camera.height,
+            width=camera.width,
+            encoding="rgb8",
+            step=3 * camera.width,
+        )
+        image.data.frombytes(pixels.tobytes())
+        self._image.publish(image)
+        self._info.publish(_camera_info(camera, header))
+
+    def _publish_pose(self, pose: PoseStamped) -> None:
+        self._pose.publish(pose)
+        self._trail.append(pose)
+        if self._path:
+            self._path.publish(Path(header=pose.header, poses=list(self._trail)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """A picture that a renderer was asked for."""
+
+    camera: Camera
+    stamp: Time
+    future: Future
+    asked: float
+
+
+def _time(stamp: int) -> Time:
+    return Time(sec=stamp // SECOND, nanosec=stamp % SECOND)
+
+
+def _pixels(response: RenderView.Response, camera: Camera) -> NDArray[np.uint8]:
+    """(height, width, 3) the picture over the background. Raises ValueError where there is none."""
+    color = response.color
+    if not response.success:
+        raise ValueError(response.message)
+    values = np.frombuffer(color.data, np.uint8)
+    if color.encoding != "32FC4" or values.size != camera.height * camera.width * 16:
+        raise ValueError(f"{values.size} bytes of {color.encoding}")
+    rgba = values.view(np.float32).reshape(camera.height, camera.width, 4)
+    over = rgba[..., :3] + (1 - rgba[..., 3:]) * BACKGROUND
+    return (255 * np.clip(over, 0, 1) + 0.5).astype(np.uint8)
+
+
+def _camera_info(camera: Camera, header: Header) -> CameraInfo:
+    # For ROS the centre of the top left pixel is (0, 0).
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx - 0.5, camera.cy - 0.5
+    return CameraInfo(
+        header=header,
+        height=camera.height,
+        width=camera.width,
+        distortion_model="plumb_bob",
+        d=[0.0] * 5,
+        k=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        r=np.eye(3).ravel(),
+        p=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )
+
+
+def _transform(
+    stamp: Time, parent: str, child: str, position: NDArray[np.float64], attitude: Attitude
+) -> TransformStamped:
+    return TransformStamped(
+        header=Header(stamp=stamp, frame_id=parent),
+        child_frame_id=child,
+        transform=Transform(translation=_vector(position), rotation=_quaternion(attitude)),
+    )
+
+
+def _quaternion(attitude: Attitude) -> Quaternion:
+    x, y, z, w = attitude.quaternion
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _vector(values: NDArray[np.float64]) -> Vector3:
+    x, y, z = values.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _covariance(deviation: float) -> NDArray[np.float64]:
+    """Of three independent values; never all zero, which would mean unknown."""
+    return np.eye(3).ravel() * max(deviation**2, 1e-9)
+
+
+def main() -> None:
+    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
+    run("demo_sensors", _fly)
+
+
+def _fly() -> None:
+    with spinning(DemoSensors()) as spin:
+        wait_for_end(spin)
+
+
+if __name__ == "__main__":
+    main()
