@@ -112,7 +112,7 @@ def main() -> None:
 
 def _publish() -> None:
     node = PlyPublisher()
-    with spinning(node, threads=2) as spin:
+    with spinning(node, threads=2):
         if node.path:
             node.load(node.path)
-        wait_for_end(spin)
+        wait_for_end(node)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
+ENDINGS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 5.0  # what a program gets to end by itself [s]
 
 
@@ -18,8 +19,17 @@ class ProcessError(RuntimeError):
     """A program that could not be started or ended early; the text says which, and why."""
 
 
+def interrupt_by_signals() -> None:
+    """Makes SIGTERM end this program as Ctrl-C does: by KeyboardInterrupt, block by block."""
+    for number in ENDINGS:
+        signal.signal(number, signal.default_int_handler)
+
+
 class Processes:
-    """Starts programs and ends all of them, last started first, when the `with` block is left."""
+    """Starts programs and ends all of them, last started first, when the `with` block is left.
+
+    For the main thread, which is where signals arrive.
+    """
 
     def __init__(self, log_folder: Path) -> None:
         """Each program's output goes to log_folder/<name>.log."""
@@ -27,7 +37,10 @@ class Processes:
         self._running: list[tuple[str, subprocess.Popen[bytes]]] = []
 
     def __enter__(self) -> Processes:
-        self.folder.mkdir(parents=True, exist_ok=True)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ProcessError(f"{self.folder}: no folder for logs: {error.strerror}") from error
         return self
 
     def __exit__(
@@ -98,6 +111,8 @@ class Processes:
 
     def end(self) -> None:
         """Ends every program: first by the signal of Ctrl-C, then by force."""
+        # A second Ctrl-C must not leave half of them behind.
+        before = {number: signal.signal(number, signal.SIG_IGN) for number in ENDINGS}
         for _, process in reversed(self._running):
             _signal(process, signal.SIGINT)
         deadline = time.monotonic() + GRACE
@@ -108,6 +123,8 @@ class Processes:
                 _signal(process, signal.SIGKILL)
                 process.wait()
         self._running.clear()
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _is_python(program: Path) -> bool:

@@ -23,12 +23,13 @@ import numpy as np
 import rclpy
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
 from rosplat_msgs.srv import RenderView
 from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.metrics import compare
-from rosplat_tools.processes import ProcessError, Processes
+from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 
@@ -190,6 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
         help="how long to wait for the sorter before the renderer sorts [s]",
     )  # fmt: skip
     options = parser.parse_args(arguments)
+    interrupt_by_signals()
     rows: list[dict[str, object]] = []
 
     def keep(camera: Camera, color: NDArray[np.float32], answer: RenderView.Response) -> None:
@@ -214,7 +216,8 @@ def main(arguments: list[str] | None = None) -> int:
         if not Path(options.scene).exists():
             raise SceneError(f"{options.scene}: no such file")
         options.out.mkdir(parents=True, exist_ok=True)
-        rclpy.init()
+        # rclpy's own handlers shut ROS down under code that is just using it.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         render(
             options.scene, cameras, via=options.via, order_timeout=options.order_timeout,
             log_folder=options.out / "log", on_picture=keep,

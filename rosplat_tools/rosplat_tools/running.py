@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from threading import Event
 
 import rclpy
-from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import (
+    ExternalShutdownException,
+    MultiThreadedExecutor,
+    SingleThreadedExecutor,
+)
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from rosplat_tools.processes import interrupt_by_signals
 from rosplat_tools.splats import SceneError
+
+GRACE = 0.5  # what callbacks get to end before ROS does [s]
 
 
 class Cancelled(Exception):
@@ -24,17 +31,16 @@ class Cancelled(Exception):
 def run(program: str, body: Callable[[], None]) -> None:
     """Runs body with ROS set up until it returns, or SIGINT or SIGTERM interrupts it.
 
-    A SceneError or RuntimeError ends the program with its text and exit code 1.
+    A SceneError, RuntimeError or OSError ends the program with its text and exit code 1.
     """
     # rclpy's own handlers shut ROS down under code that is just using it.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+    interrupt_by_signals()
     try:
         body()
-    except (KeyboardInterrupt, Cancelled):
+    except (KeyboardInterrupt, Cancelled, ExternalShutdownException):
         pass
-    except (SceneError, RuntimeError) as error:
+    except (SceneError, RuntimeError, OSError) as error:
         print(f"{program}: {error}", file=sys.stderr)
         sys.exit(1)
     finally:
@@ -42,34 +48,40 @@ def run(program: str, body: Callable[[], None]) -> None:
 
 
 @contextmanager
-def spinning(node: Node, threads: int = 1) -> Iterator[Future[None]]:
+def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     """Runs a node's callbacks in threads of their own while the block runs, then destroys it.
 
-    Gives what is done when the node can't go on.
+    A callback that raises ends ROS, which the block may see; it is raised here after the block.
     """
     executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
     executor.add_node(node)
     ending = Event()
 
     def spin() -> None:
-        # Not executor.spin: only the end of ROS ends that, in the middle of a callback.
-        while not ending.is_set():
-            executor.spin_once(0.1)
+        try:
+            # Not executor.spin: only the end of ROS ends that, in the middle of a callback.
+            while not ending.is_set():
+                executor.spin_once(0.1)
+        except BaseException:
+            node.context.try_shutdown()
+            raise
 
-    try:
-        with ThreadPoolExecutor(1) as pool:
-            try:
-                yield pool.submit(spin)
-            finally:
-                ending.set()
-    finally:
-        node.context.try_shutdown()  # long work in other threads sees that, and gives up
-        executor.shutdown()
-        node.destroy_node()
+    with ThreadPoolExecutor(1) as pool:
+        spun = pool.submit(spin)
+        try:
+            yield
+        finally:
+            ending.set()
+            wait([spun])
+            # What executor.shutdown(GRACE) promises; up to Jazzy it doesn't wait.
+            executor._work_tracker.wait(GRACE)
+            node.context.try_shutdown()  # what still runs sees that, and gives up
+            executor.shutdown()
+            node.destroy_node()
+            spun.result()
 
 
-def wait_for_end(spin: Future[None]) -> None:
-    """Until a signal comes, or the node of `spinning` fails: then raises what it raised."""
-    while not spin.done():
-        wait([spin], 0.2)  # in short turns: a signal is only seen between them
-    spin.result()
+def wait_for_end(node: Node) -> None:
+    """Until a signal comes or a callback raises."""
+    while node.context.ok():
+        time.sleep(0.1)

@@ -90,5 +90,6 @@ def main() -> None:
 
 
 def _emulate() -> None:
-    with spinning(SlamEmulator()) as spin:
-        wait_for_end(spin)
+    node = SlamEmulator()
+    with spinning(node):
+        wait_for_end(node)

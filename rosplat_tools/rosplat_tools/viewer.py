@@ -6,7 +6,6 @@ it and the rviz Display draw pictures for others at `gaussians/render` (RenderVi
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import queue
@@ -17,12 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rclpy
 from numpy.typing import NDArray
 from PIL import Image as Picture
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from sensor_msgs.msg import Image
@@ -30,7 +27,10 @@ from sensor_msgs.msg import Image
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.parameters import declare
 from rosplat_tools.qos import MAP, MAP_VOLATILE, ORDER, VIEW
+from rosplat_tools.running import run, spinning
+from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.offscreen import BatchError, Renderer, ensure_display
 
@@ -72,26 +72,24 @@ class Viewer(Node):
 
     def __init__(self) -> None:
         super().__init__("viewer")
-
-        def parameter(name: str, default: object, description: str, **rest: object) -> None:
-            descriptor = ParameterDescriptor(description=description, read_only=True, **rest)
-            self.declare_parameter(name, default, descriptor)
-
-        parameter(
-            "output", "", "Folder for demo.png and demo.webp; the viewer ends when they are there."
+        self.output: str = declare(
+            self, "output", "", "Folder for demo.png and demo.webp; with them the viewer ends."
         )
-        parameter("serve", False, "Show nothing, only draw pictures for gaussians/render.")
-        parameter("up", [0.0, 0.0, 1.0], "Which way is up in the map's frame, for orbiting.")
-        parameter(
-            "order_timeout", 2.0, "How long a still waits for a sorter's order. [s]",
-            floating_point_range=[FloatingPointRange(from_value=0.0, to_value=60.0)],
-        )  # fmt: skip
-        for name, default in (("width", STILL[0]), ("height", STILL[1])):
-            parameter(
-                name, default, f"{name.capitalize()} of the window. [px]",
-                integer_range=[IntegerRange(from_value=64, to_value=8192, step=1)],
-            )  # fmt: skip
-
+        self.serves: bool = declare(
+            self, "serve", False, "Show nothing, only draw pictures for gaussians/render."
+        )
+        self.up: list[float] = declare(
+            self, "up", [0.0, 0.0, 1.0], "Which way is up in the map's frame, for orbiting."
+        )
+        self.order_timeout: float = declare(
+            self, "order_timeout", 2.0, "How long a still waits for an order. [s]", 0.0, 60.0
+        )
+        self.window_size = (
+            declare(self, "width", STILL[0], "Width of the window. [px]", 64, 8192),
+            declare(self, "height", STILL[1], "Height of the window. [px]", 64, 8192),
+        )
+        if len(self.up) != 3 or not any(self.up):
+            raise SceneError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
         self.renderer = Renderer()
         self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
         self.frame_id = ""
@@ -350,7 +348,7 @@ class OrbitCamera:
 
 def _framed(viewer: Viewer) -> OrbitCamera:
     centre, radius = viewer.bounds()
-    up = np.array(viewer.get_parameter("up").value, np.float64)
+    up = np.array(viewer.up, np.float64)
     return OrbitCamera(target=centre, distance=2.5 * radius, up=up)
 
 
@@ -365,13 +363,12 @@ def show_stills(viewer: Viewer, folder: Path) -> None:
     """Writes demo.png and demo.webp, a turn around the map, and prints the figures of the still."""
     _wait_for_map(viewer)
     folder.mkdir(parents=True, exist_ok=True)
-    timeout = viewer.get_parameter("order_timeout").value
     orbit = _framed(viewer)
-    figures = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", timeout)
+    figures = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", viewer.order_timeout)
     Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)).save(folder / "demo.png")
     frames = []
     for _ in range(ORBIT_FRAMES):
-        viewer.draw_still(view_camera(orbit.camera(*ORBIT)), "orbit", timeout)
+        viewer.draw_still(view_camera(orbit.camera(*ORBIT)), "orbit", viewer.order_timeout)
         frames.append(Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)))
         orbit.turn(2 * math.pi / ORBIT_FRAMES, 0)
     frames[0].save(
@@ -395,8 +392,7 @@ def show_window(viewer: Viewer) -> None:
     import pygame
 
     pygame.display.init()
-    size = (viewer.get_parameter("width").value, viewer.get_parameter("height").value)
-    window = pygame.display.set_mode(size, pygame.RESIZABLE)
+    window = pygame.display.set_mode(viewer.window_size, pygame.RESIZABLE)
     pygame.display.set_caption(
         "ROSplat: waiting for a map on " + viewer.resolve_topic_name("gaussians")
     )
@@ -450,35 +446,20 @@ def serve(viewer: Viewer) -> None:
 
 def main() -> None:
     """Runs the viewer; the exit code is 1 where it can't draw."""
+    run("viewer", _view)
+
+
+def _view() -> None:
     has_screen = bool(os.environ.get("DISPLAY"))
-    try:
-        rclpy.init()
-        with ensure_display():
-            viewer = Viewer()
-            executor = MultiThreadedExecutor(num_threads=4)
-            executor.add_node(viewer)
-            thread = threading.Thread(target=_spin, args=(executor,), daemon=True)
-            thread.start()
-            try:
-                output = viewer.get_parameter("output").value
-                if viewer.get_parameter("serve").value:
+    with ensure_display():
+        viewer = Viewer()
+        try:
+            with spinning(viewer, threads=4):
+                if viewer.serves:
                     serve(viewer)
-                elif output or not has_screen:
-                    show_stills(viewer, Path(output or "out"))
+                elif viewer.output or not has_screen:
+                    show_stills(viewer, Path(viewer.output or "out"))
                 else:
                     show_window(viewer)
-            finally:
-                executor.shutdown(timeout_sec=2)
-                thread.join(2)
-                del viewer.renderer  # while its display is there
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except RuntimeError as error:
-        raise SystemExit(f"viewer: {error}") from None
-    finally:
-        rclpy.try_shutdown()
-
-
-def _spin(executor: MultiThreadedExecutor) -> None:
-    with contextlib.suppress(ExternalShutdownException):
-        executor.spin()
+        finally:
+            del viewer.renderer  # while its display is there
