@@ -12,6 +12,7 @@ packages=(cmake g++ make pkg-config python3-dev python3-venv libepoxy-dev libgl1
   xauth xvfb)
 if command -v rviz2 >/dev/null; then
   packages+=(libqcustomplot-dev) # the IMU panel; Ogre comes with rviz
+  if [ "${1:-}" = dev ]; then packages+=(xdotool); fi # the tests' mouse
 else
   packages+=(libogre-1.12-dev)
 fi

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,10 +27,16 @@ Visualization Manager:
     - {{Class: rviz_gaussian_plugin/GaussianMap, Name: Map, Enabled: true, Value: true,
        Topic: /gaussians{properties}}}
   Global Options: {{Fixed Frame: map, Background Color: 0; 0; 0, Frame Rate: 30}}
+  Tools:
+    - {{Class: rviz_default_plugins/PublishPoint, Single click: false, Topic: {{
+        Value: /clicked_point}}}}
   Views:
     Current: {{Class: rviz_default_plugins/TopDownOrtho, Scale: 100, X: 0, Y: 0, Angle: 0}}
 Window Geometry: {{Width: 1000, Height: 800}}
 """
+
+
+CROP = 100  # [px]
 
 
 class Rviz:
@@ -88,11 +96,18 @@ class Rviz:
         cube.color.g = cube.color.a = 1.0
         self._marker.publish(cube)
 
+    def click(self, row: int, column: int) -> None:
+        subprocess.run(
+            ["xdotool", "mousemove", str(column), str(row + CROP), "click", "1"],
+            env=os.environ | {"DISPLAY": self.display},
+            check=True,
+        )
+
     def screen(self) -> np.ndarray:
         from PIL import ImageGrab
 
         screen = np.asarray(ImageGrab.grab(xdisplay=self.display).convert("RGB")).astype(int)
-        return screen[100:-60]  # without tools and status bar
+        return screen[CROP:-60]  # without tools and status bar
 
     def until(self, found: Callable[[np.ndarray], bool], seconds: float = 60.0) -> np.ndarray:
         """The first screen on which something is found."""
@@ -220,3 +235,27 @@ def test_garbage_does_not_end_rviz(rviz: Rviz) -> None:
     rviz.node.destroy_publisher(garbage)
     rviz.map.replace(disc((1, 0, 0)))
     rviz.until(lambda s: red(s).sum() > 3000)
+
+
+@pytest.mark.skipif(not shutil.which("xdotool"), reason="no xdotool to click with")
+def test_mouse_tools_touch_the_splats(rviz: Rviz) -> None:
+    """Publish Point lands on the disc, 0.7 m above the ground, not in the void behind it."""
+    import rclpy
+    from geometry_msgs.msg import PointStamped
+
+    points: list[PointStamped] = []
+    rviz.node.create_subscription(PointStamped, "/clicked_point", points.append, 10)
+    rviz.place_scene(0)
+    rviz.map.replace(disc((1, 0, 0), x=0.5, z=0.7, sigma=0.3))
+    screen = rviz.until(lambda s: red(s).sum() > 1000)
+    row, column = centre(red(screen)).astype(int)
+    deadline = time.monotonic() + 20
+    while not points and time.monotonic() < deadline:
+        rviz.click(row, column)
+        for _ in range(20):
+            rclpy.spin_once(rviz.node, timeout_sec=0.05)
+    assert points, "nothing was touched"
+    assert points[-1].header.frame_id == "map"
+    assert points[-1].point.x == pytest.approx(0.5, abs=0.03)
+    assert points[-1].point.y == pytest.approx(0.0, abs=0.03)
+    assert points[-1].point.z == pytest.approx(0.7, abs=0.02)

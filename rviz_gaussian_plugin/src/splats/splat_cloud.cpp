@@ -105,16 +105,21 @@ Ogre::Real SplatCloud::getSquaredViewDepth(const Ogre::Camera* camera) const {
 
 bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
   Ogre::Viewport* viewport = manager->getCurrentViewport();
-  // rviz selects objects by drawing them in schemes of their own.
-  if (viewport->getMaterialScheme() != Ogre::MaterialManager::DEFAULT_SCHEME_NAME) return false;
-  if (!error_.empty() || !camera_) return false;
+  // rviz's mouse tools draw the scene in schemes of their own.
+  const bool seen = viewport->getMaterialScheme() == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
+  const bool touched = viewport->getMaterialScheme() == "Depth";
+  if (!(seen || touched) || !error_.empty() || !camera_) return false;
   SplatCamera camera = cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
                                 viewport->getActualWidth(), viewport->getActualHeight());
   camera.extent_scale = std::max(1.0f, settings_.scale);
+  const Canvas canvas =
+      viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
   try {
-    const Canvas canvas =
-        viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
-    report_ = scene_->draw(on_view_(viewport, camera), settings_, canvas, built_in_);
+    if (seen) {
+      report_ = scene_->draw(on_view_(viewport, camera), settings_, canvas, built_in_);
+    } else {
+      scene_->drawSurface(camera, settings_, canvas, camera_->getFarClipDistance());
+    }
   } catch (const std::exception& error) {
     error_ = error.what();
   }

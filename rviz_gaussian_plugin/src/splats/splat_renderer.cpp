@@ -13,6 +13,20 @@ constexpr std::uint32_t kPageSlots = 1u << 16;
 constexpr std::size_t kProjectedBytes = 3 * 4 * sizeof(float);
 constexpr std::size_t kProjectedParts = 4;  // as in splat_quad.vert
 
+void clearDepth() {
+  const GLfloat farthest = 1.0f;
+  glDepthMask(GL_TRUE);
+  glClearBufferfv(GL_DEPTH, 0, &farthest);
+}
+
+// The opaque scene's depth at (x, y) of a framebuffer into the bound one, resolved to one sample a
+// pixel. A framebuffer without depth hides nothing.
+void copyDepth(GLuint source, GLint x, GLint y, const gl::Target& target) {
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, source);
+  glBlitFramebuffer(x, y, x + target.width(), y + target.height(), 0, 0, target.width(),
+                    target.height(), GL_DEPTH_BUFFER_BIT, GL_NEAREST);
+}
+
 std::size_t bandBytes(int band) { return kBandFloats[band] * sizeof(float); }
 
 }  // namespace
@@ -31,6 +45,9 @@ SplatRenderer::SplatRenderer(const ShaderSource& source) {
   add(composite_, GL_VERTEX_SHADER, "splat_composite.vert");
   add(composite_, GL_FRAGMENT_SHADER, "splat_composite.frag");
   composite_.link("splat_composite");
+  add(surface_, GL_VERTEX_SHADER, "splat_composite.vert");
+  add(surface_, GL_FRAGMENT_SHADER, "splat_surface.frag");
+  surface_.link("splat_surface");
 
   GLint64 largest = 0;
   glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &largest);
@@ -238,54 +255,72 @@ void SplatRenderer::drawQuads(const gl::Target& target, const RenderSettings& se
   glDrawArraysInstanced(GL_TRIANGLE_STRIP, 0, 4, static_cast<GLsizei>(order_count_));
 }
 
-void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
-                         const RenderSettings& settings, Canvas canvas) {
-  const gl::StateGuard guard;
-  std::array<GLint, 4> viewport{};
-  glGetIntegerv(GL_VIEWPORT, viewport.data());
-  const GLint x = viewport[0], y = viewport[1];
-  const GLenum format = settings.float_blending ? GL_RGBA32F : GL_RGBA16F;
-  if (color_.width() != camera.width || color_.height() != camera.height ||
-      color_.format() != format) {
-    color_ = gl::Target(format, camera.width, camera.height);
-    depth_ = {};
+void SplatRenderer::begin(const SplatCamera& camera, const MapState& map,
+                          const RenderSettings& settings, Canvas canvas, gl::Target& target,
+                          GLenum format) {
+  if (target.width() != camera.width || target.height() != camera.height ||
+      target.format() != format) {
+    target = gl::Target(format, camera.width, camera.height);
   }
   top_first_ = canvas != Canvas::kWindow;
-  drawn_settings_ = settings;
   reserveProjected();
   project(camera, map, settings);
-
   for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
                            GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
     glDisable(off);
   }
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
   glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
-  const gl::DrawScope scope(color_);
-  if (canvas == Canvas::kNone) {
-    glDepthMask(GL_TRUE);
-    const GLfloat farthest = 1.0f;
-    glClearBufferfv(GL_DEPTH, 0, &farthest);
-    drawQuads(color_, settings, false);
-    return;
-  }
-  // The opaque scene's depth, resolved to one sample a pixel.
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, guard.drawFramebuffer());
-  glBlitFramebuffer(x, y, x + camera.width, y + camera.height, 0, 0, camera.width, camera.height,
-                    GL_DEPTH_BUFFER_BIT, GL_NEAREST);
-  drawQuads(color_, settings, false);
+}
 
-  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, guard.drawFramebuffer());
-  glViewport(x, y, camera.width, camera.height);
+void SplatRenderer::layOver(const gl::Program& program, GLuint framebuffer,
+                            const gl::Target& target, GLint x, GLint y) const {
+  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, framebuffer);
+  glViewport(x, y, target.width(), target.height());
   glDisable(GL_DEPTH_TEST);
+  program.use();
+  glUniform2i(program.at("corner"), x, y);
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, target.color());
+  glDrawArrays(GL_TRIANGLES, 0, 3);
+}
+
+void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
+                         const RenderSettings& settings, Canvas canvas) {
+  const gl::StateGuard guard;
+  std::array<GLint, 4> viewport{};
+  glGetIntegerv(GL_VIEWPORT, viewport.data());
+  const GLint x = viewport[0], y = viewport[1];
+  begin(camera, map, settings, canvas, color_, settings.float_blending ? GL_RGBA32F : GL_RGBA16F);
+  drawn_settings_ = settings;
+
+  const gl::DrawScope scope(color_);
+  clearDepth();
+  if (canvas != Canvas::kNone) copyDepth(guard.drawFramebuffer(), x, y, color_);
+  drawQuads(color_, settings, false);
+  if (canvas == Canvas::kNone) return;
+
   glEnable(GL_BLEND);
   glBlendEquation(GL_FUNC_ADD);
   glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
-  composite_.use();
-  glUniform2i(composite_.at("corner"), x, y);
-  glActiveTexture(GL_TEXTURE0);
-  glBindTexture(GL_TEXTURE_2D, color_.color());
-  glDrawArrays(GL_TRIANGLES, 0, 3);
+  layOver(composite_, guard.drawFramebuffer(), color_, x, y);
+}
+
+void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
+                                const RenderSettings& settings, Canvas canvas, double far_clip) {
+  const gl::StateGuard guard;
+  std::array<GLint, 4> viewport{};
+  glGetIntegerv(GL_VIEWPORT, viewport.data());
+  const GLint x = viewport[0], y = viewport[1];
+  begin(camera, map, settings, canvas, surface_depth_, GL_RGBA32F);
+  const gl::DrawScope scope(surface_depth_);
+  clearDepth();
+  copyDepth(guard.drawFramebuffer(), x, y, surface_depth_);
+  drawQuads(surface_depth_, settings, true);
+  glDisable(GL_BLEND);
+  surface_.use();
+  glUniform1f(surface_.at("far_clip"), static_cast<float>(far_clip));
+  layOver(surface_, guard.drawFramebuffer(), surface_depth_, x, y);
 }
 
 std::vector<float> SplatRenderer::readColor() const {
@@ -305,7 +340,9 @@ std::vector<float> SplatRenderer::readColor() const {
 
 std::vector<float> SplatRenderer::readDepth() {
   const gl::StateGuard guard;
-  if (!depth_.color()) depth_ = gl::Target(GL_RGBA32F, color_.width(), color_.height());
+  if (depth_.width() != color_.width() || depth_.height() != color_.height()) {
+    depth_ = gl::Target(GL_RGBA32F, color_.width(), color_.height());
+  }
   const int width = depth_.width(), height = depth_.height();
   glDisable(GL_ALPHA_TEST);
   glDisable(GL_SCISSOR_TEST);
@@ -331,7 +368,7 @@ std::vector<float> SplatRenderer::readDepth() {
 }
 
 std::size_t SplatRenderer::gpuBytes() const {
-  std::size_t bytes = order_.bytes() + color_.bytes() + depth_.bytes();
+  std::size_t bytes = order_.bytes() + color_.bytes() + depth_.bytes() + surface_depth_.bytes();
   for (const gl::Buffer& part : projected_) bytes += part.bytes();
   for (const auto& [index, page] : pages_) {
     bytes += page.geometry.bytes();

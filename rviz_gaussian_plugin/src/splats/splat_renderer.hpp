@@ -47,6 +47,11 @@ class SplatRenderer {
   void draw(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
             Canvas canvas);
 
+  // Writes where the splats' surface is, for rviz's mouse tools, into the current framebuffer and
+  // viewport: mean depth / far_clip as 24-bit colour, lowest byte in blue.
+  void drawSurface(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
+                   Canvas canvas, double far_clip);
+
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
   std::vector<float> readColor() const;
   // Draws the mean depth of the splats as draw() saw them: width * height [m], NaN where nothing
@@ -65,11 +70,15 @@ class SplatRenderer {
   Page& page(std::uint32_t index);
   void addBands(int degree);
   void reserveProjected();
+  void begin(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
+             Canvas canvas, gl::Target& target, GLenum format);
+  void layOver(const gl::Program& program, GLuint framebuffer, const gl::Target& target, GLint x,
+               GLint y) const;
   void project(const SplatCamera& camera, const MapState& map, const RenderSettings& settings);
   void drawQuads(const gl::Target& target, const RenderSettings& settings, bool raw_depth) const;
   float age() const;  // of the renderer [s]
 
-  gl::Program project_, quads_, composite_;
+  gl::Program project_, quads_, composite_, surface_;
   std::size_t part_slots_ = 0;  // slots in one part of the projected buffer
 
   std::unordered_map<std::uint32_t, Page> pages_;  // by slot / kPageSlots
@@ -79,7 +88,7 @@ class SplatRenderer {
   gl::Buffer order_;
   gl::Buffer depth_range_;  // nearest and farthest depth drawn, as float bits
   std::size_t order_count_ = 0;
-  gl::Target color_, depth_;
+  gl::Target color_, depth_, surface_depth_;
   bool top_first_ = false;  // the targets' first row is the picture's top
   RenderSettings drawn_settings_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();

@@ -9,6 +9,8 @@ namespace {
 
 // What one frame uploads at most, so that a map that streams in doesn't stop the picture.
 constexpr std::size_t kUploadBytesPerFrame = 32u << 20;
+// The view of the mouse tools, which no sidecar hears of.
+constexpr const char* kSurfaceView = "surface";
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 double now() {
@@ -88,6 +90,12 @@ bool SplatScene::answered(const std::string& view_id) {
   return arrivals_.empty() && book_.answered(view_id);
 }
 
+void SplatScene::useOrder(const OrderPtr& order) {
+  if (!order || order == uploaded_order_) return;
+  renderer_->setOrder(order->slots.data(), order->slots.size());
+  uploaded_order_ = order;
+}
+
 FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
                              Canvas canvas, bool built_in) {
   const double start = now();
@@ -95,10 +103,7 @@ FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& s
   takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
   const OrderBook::Choice choice =
       built_in ? book_.sortNow(view_id) : book_.choose(view_id, start, settings.order);
-  if (choice.order && choice.order != uploaded_order_) {
-    renderer_->setOrder(choice.order->slots.data(), choice.order->slots.size());
-    uploaded_order_ = choice.order;
-  }
+  useOrder(choice.order);
   renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas);
 
   FrameReport report;
@@ -111,6 +116,14 @@ FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& s
   }
   report.draw_time = now() - start;
   return report;
+}
+
+void SplatScene::drawSurface(const SplatCamera& camera, const RenderSettings& settings,
+                             Canvas canvas, double far_clip) {
+  prepare();
+  book_.setCamera(kSurfaceView, ++surface_sequence_, camera, now());
+  useOrder(book_.sortNow(kSurfaceView).order);
+  renderer_->drawSurface(camera, drawn_map_, settings, canvas, far_clip);
 }
 
 void SplatScene::forget(const std::string& view_id) {

@@ -50,6 +50,9 @@ class SplatScene {
   // With built_in the order is sorted here, and waited for. Throws gl::Error.
   FrameReport draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
                    bool built_in = false);
+  // Render thread: writes where the surface is; see SplatRenderer. Sorts, and waits for it.
+  void drawSurface(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
+                   double far_clip);
   void forget(const std::string& view_id);
 
   // Render thread: what draw() drew last; see SplatRenderer.
@@ -66,6 +69,7 @@ class SplatScene {
   };
 
   void prepare();
+  void useOrder(const OrderPtr& order);
   void takeArrivals(std::size_t budget);
 
   mutable std::mutex map_mutex_;    // map_
@@ -81,6 +85,7 @@ class SplatScene {
   OrderBook book_{sorter_};
   std::map<std::string, SplatCamera> cameras_;
   MapState drawn_map_;
+  std::uint64_t surface_sequence_ = 0;
   OrderPtr uploaded_order_;
 };
 
