@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -34,6 +34,8 @@ from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 
 START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
+SETTLED = 1.0  # a complete map that hasn't changed for so long has all its edits [s]
+PUBLISHER = "publisher"  # its log
 CALL_TIMEOUT = 120.0  # for one picture [s]
 
 
@@ -42,7 +44,7 @@ class RenderError(RuntimeError):
 
 
 def render(
-    scene: str,
+    publisher: Sequence[str],
     cameras: list[Camera],
     *,
     via: str = "host",
@@ -50,8 +52,9 @@ def render(
     log_folder: Path = Path("out/log"),
     on_picture: Callable[[Camera, NDArray[np.float32], RenderView.Response], None],
 ) -> None:
-    """Publishes a scene, sorts and draws it in processes of their own; hands over each picture.
+    """Publishes a map, sorts and draws it in processes of their own; hands over each picture.
 
+    publisher: an executable of rosplat_tools and its arguments after --ros-args.
     via is "host", the embedded renderer, or "rviz", the Display in rviz2. on_picture gets the
     camera, (height, width, 4) premultiplied RGBA and the rest of the answer. Raises RenderError,
     ProcessError.
@@ -60,7 +63,7 @@ def render(
     namespace = f"/render_{uuid.uuid4().hex[:8]}"
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
     with Processes(log_folder) as processes:
-        processes.node("rosplat_tools", "ply_publisher", *remap, "-p", f"path:={scene}")
+        processes.node("rosplat_tools", publisher[0], *remap, *publisher[1:], name=PUBLISHER)
         processes.node("rosplat_sorter", "sorter", *remap)
         if via == "rviz":
             start_rviz(processes, f"{namespace}/gaussians")
@@ -118,17 +121,18 @@ def _wait_for_service(node: Node, client: rclpy.client.Client, processes: Proces
 def _wait_for_map(
     node: Node, client: rclpy.client.Client, camera: Camera, processes: Processes
 ) -> None:
-    """Until the renderer has all of the map."""
-    deadline = time.monotonic() + START_TIMEOUT
+    """Until the renderer has all of the map, and its last edits."""
+    changed = time.monotonic()
     revision, complete = -1, False
-    while not complete:
+    while not complete or time.monotonic() - changed < SETTLED:
         small = Camera(**(vars(camera) | {"width": 16, "height": 16}))
         answer = _call(node, client, small, 0.0, processes)
         complete = answer.map_complete
         if answer.revision != revision:  # it grows: be patient
-            revision, deadline = answer.revision, time.monotonic() + START_TIMEOUT
-        if time.monotonic() > deadline:
-            raise RenderError("the map did not arrive: " + processes.last_line("ply_publisher"))
+            revision, changed = answer.revision, time.monotonic()
+        if time.monotonic() - changed > START_TIMEOUT:
+            raise RenderError("the map did not arrive: " + processes.last_line(PUBLISHER))
+        time.sleep(0.1)
 
 
 def _call(
@@ -219,8 +223,8 @@ def main(arguments: list[str] | None = None) -> int:
         # rclpy's own handlers shut ROS down under code that is just using it.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         render(
-            options.scene, cameras, via=options.via, order_timeout=options.order_timeout,
-            log_folder=options.out / "log", on_picture=keep,
+            ("ply_publisher", "-p", f"path:={options.scene}"), cameras,
+            via=options.via, order_timeout=options.order_timeout, log_folder=options.out / "log", on_picture=keep,
         )  # fmt: skip
     except (SceneError, RenderError, ProcessError, OSError, ValueError) as error:
         print(f"render: {error}", file=sys.stderr)
