@@ -224,7 +224,8 @@ def main(arguments: list[str] | None = None) -> int:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         render(
             ("ply_publisher", "-p", f"path:={options.scene}"), cameras,
-            via=options.via, order_timeout=options.order_timeout, log_folder=options.out / "log", on_picture=keep,
+            via=options.via, order_timeout=options.order_timeout,
+            log_folder=options.out / "log", on_picture=keep,
         )  # fmt: skip
     except (SceneError, RenderError, ProcessError, OSError, ValueError) as error:
         print(f"render: {error}", file=sys.stderr)
