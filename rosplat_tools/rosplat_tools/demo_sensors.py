@@ -183,11 +183,11 @@ class DemoSensors(Node):
         waited = time.monotonic() - self._begun
         if self._received < message.expected_slots and waited < MAP_TIMEOUT:
             return
-        positions = np.concatenate(self._samples)
-        if len(positions):
+        samples = np.concatenate(self._samples)
+        if len(samples):
             self._begun = None
             self._frame_id = message.header.frame_id
-            self._fly(Flight.around(positions, self._period))
+            self._fly(Flight.around(samples, self._period))
 
     def _fly(self, flight: Flight) -> None:
         self._flight = flight
@@ -371,8 +371,9 @@ def main() -> None:
 
 
 def _fly() -> None:
-    with spinning(DemoSensors()) as spin:
-        wait_for_end(spin)
+    node = DemoSensors()
+    with spinning(node):
+        wait_for_end(node)
 
 
 if __name__ == "__main__":

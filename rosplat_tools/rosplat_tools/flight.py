@@ -79,7 +79,8 @@ class Motion:
     @property
     def specific_force(self) -> Array:
         """(3,) what an accelerometer reads along the body's axes: at rest, +g upward. [m/s^2]"""
-        return self.attitude.rotation.T @ (self.acceleration - GRAVITY)
+        force: Array = self.attitude.rotation.T @ (self.acceleration - GRAVITY)
+        return force
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +159,8 @@ def draw_grid(camera: Camera, ground: float, cell: float) -> NDArray[np.uint8]:
     steep = np.clip(z / np.sqrt(x * x + y * y + z * z), 0, 1)[..., None]
     sky = horizon + np.sqrt(steep) * (zenith - horizon)
     ground_colour = tiles + haze * (horizon - tiles)
-    return np.where(is_ground[..., None], ground_colour, sky).astype(np.uint8)
+    picture: NDArray[np.uint8] = np.where(is_ground[..., None], ground_colour, sky).astype(np.uint8)
+    return picture
 
 
 def _wave(turn: float, count: int, size: float) -> tuple[float, float, float]:

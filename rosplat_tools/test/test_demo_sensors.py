@@ -15,6 +15,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, Imu
 
 from rosplat_msgs.srv import RenderView
@@ -29,12 +30,14 @@ KEEP_ALL = QoSProfile(depth=2000)
 
 
 @contextmanager
-def sensors(node: Node, *parameters: str) -> Iterator[subprocess.Popen[str]]:
+def sensors(
+    node: Node, *parameters: str, arguments: tuple[str, ...] = ()
+) -> Iterator[subprocess.Popen[str]]:
     """The program in the test's namespace; must end quietly by SIGINT."""
     settings = [word for parameter in parameters for word in ("-p", parameter)]
     command = [sys.executable, "-m", "rosplat_tools.demo_sensors", "--ros-args"]
     process = subprocess.Popen(
-        [*command, "-r", f"__ns:={node.get_namespace()}", *settings],
+        [*command, "-r", f"__ns:={node.get_namespace()}", *settings, *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -277,6 +280,28 @@ def test_without_a_renderer_there_is_a_picture_and_the_map_is_circled(
     shown = np.frombuffer(pictures[0].data, np.uint8)
     assert shown.std() > 10
     assert not np.array_equal(shown, np.frombuffer(pictures[-1].data, np.uint8))
+
+
+def test_all_is_stamped_by_a_simulated_clock(node: Node, spin_some: Callable[[], None]) -> None:
+    measured: list[Imu] = []
+    node.create_subscription(Imu, "imu/data", measured.append, KEEP_ALL)
+    clock = node.create_publisher(Clock, "clock", KEEP_ALL)
+    now = Clock()
+    now.clock.sec = 1000
+
+    def step() -> None:
+        spin_some()
+        if not clock.get_subscription_count():
+            return
+        now.clock.nanosec += 20_000_000
+        clock.publish(now)
+
+    with sensors(node, "use_sim_time:=true", "radius:=2.0", arguments=("-r", "/clock:=clock")):
+        until(step, lambda: len(measured) > 100 or now.clock.nanosec > 980_000_000, seconds=30)
+    stamps = [imu.header.stamp for imu in measured]
+    assert len(stamps) > 10
+    assert all(stamp.sec == 1000 and stamp.nanosec % 5_000_000 == 0 for stamp in stamps)
+    assert stamps == sorted(stamps, key=lambda stamp: stamp.nanosec)
 
 
 def test_a_parameter_that_makes_no_sense_is_one_line() -> None:
