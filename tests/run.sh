@@ -9,7 +9,9 @@ done
 if ! command -v rviz2 >/dev/null; then
   printf '\n\033[1;33mSKIPPED: no rviz2 here, the rviz Display was neither built nor tested.\033[0m\n\n'
 fi
-# One run for each: the folders would otherwise hide the installed packages of the same name.
-(cd rosplat_sorter && pytest -q test)
-(cd rosplat_tools && pytest -q test)
-pytest -q tests "$@"
+# One run for each, from a folder where no package's sources hide the installed ones.
+cd tests
+for package in rosplat_sorter rosplat_tools; do
+  python -m pytest -q --rootdir "../$package" --config-file "../$package/pytest.ini" "../$package/test"
+done
+python -m pytest -q --rootdir .. --config-file ../pyproject.toml . "$@"
