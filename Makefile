@@ -11,7 +11,7 @@ FORMAT ?= png16
 
 ENTER = . ./env.sh
 
-.PHONY: help setup demo render test lint clean
+.PHONY: help setup demo render test lint pictures clean
 
 help: ## This list
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -32,6 +32,9 @@ lint: ## Format, lint and types
 test: ## Lint, then every test that this machine can run
 	@./setup.sh dev
 	@$(ENTER); tests/lint.sh && tests/run.sh
+
+pictures: setup ## Make the pictures of the documentation: SCENE=path, where rviz2 is
+	@$(ENTER); python docs/pictures.py "$(SCENE)"
 
 clean: ## Forget builds and pictures; .venv stays
 	rm -rf build install log out

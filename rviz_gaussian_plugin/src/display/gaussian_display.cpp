@@ -175,7 +175,6 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
     status_time_ = now();
     updateStatus();
   }
-  context_->queueRender();
 }
 
 void GaussianDisplay::updateTransform() {

@@ -1,0 +1,131 @@
+"""Makes the pictures of the documentation: `make pictures`, where rviz2 is."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from pathlib import Path
+
+import rclpy
+from geometry_msgs.msg import TransformStamped
+from PIL import Image, ImageGrab
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker
+
+from rosplat_tools.processes import Processes
+from rviz_gaussian_plugin.offscreen import ensure_display
+
+DOCS = Path(__file__).parent
+SIZE = (1400, 900)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+OCCLUSION_CONFIG = """\
+Panels:
+  - Class: rviz_common/Displays
+    Name: Displays
+    Property Tree Widget:
+      Expanded: [/Gaussian Map1, /Gaussian Map1/Status1]
+      Splitter Ratio: 0.35
+    Tree Height: 700
+Visualization Manager:
+  Displays:
+    - {Class: rviz_default_plugins/Grid, Name: Grid, Enabled: true, Value: true, Cell Size: 0.5,
+       Plane Cell Count: 10, Alpha: 0.6}
+    - {Class: rviz_default_plugins/TF, Name: TF, Enabled: true, Value: true, Marker Scale: 1.5}
+    - {Class: rviz_default_plugins/Marker, Name: Marker, Enabled: true, Value: true,
+       Topic: {Value: /marker, Durability Policy: Transient Local, Depth: 5}}
+    - {Class: rviz_gaussian_plugin/GaussianMap, Name: Gaussian Map, Enabled: true, Value: true,
+       Topic: /gaussians}
+  Global Options: {Fixed Frame: map, Background Color: 32; 34; 38, Frame Rate: 30}
+  Views:
+    Current: {Class: rviz_default_plugins/Orbit, Name: Current View, Distance: 3.2, Yaw: 0.75,
+      Pitch: 0.3, Focal Point: {X: 0, Y: 0, Z: 0.4}, Near Clip Distance: 0.01}
+Window Geometry: {Width: 1400, Height: 900}
+"""
+
+
+def shoot(name: str, display: str, crop: tuple[int, int, int, int] | None = None) -> None:
+    """A picture of the screen into docs/, small enough for a README."""
+    picture = ImageGrab.grab(xdisplay=display).convert("RGB")
+    picture.crop(crop or (0, 0, *SIZE)).save(DOCS / name, quality=82, optimize=True)
+    print(f"wrote {DOCS / name}, {(DOCS / name).stat().st_size >> 10} KiB")
+
+
+def shipped_configuration(display: str, folder: Path, seconds: float) -> None:
+    """The demo: the procedural garden and the sensors that circle it."""
+    with Processes(folder) as processes:
+        processes.start("demo", [sys.executable, "-m", "rosplat_tools.demo", "--out", str(folder)])
+        time.sleep(seconds)
+        processes.check()
+        shoot("rviz.jpg", display)
+
+
+def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
+    """A scene in a frame of its own, a cube in it, before and behind splats; who sorted it."""
+    rclpy.init()
+    node = Node("pictures")
+    transform = TransformStamped()
+    transform.header.frame_id, transform.child_frame_id = "map", "scene"
+    transform.transform.rotation.x = -math.sqrt(0.5)  # the scene's y points down
+    transform.transform.rotation.w = math.sqrt(0.5)
+    tf = node.create_publisher(TFMessage, "/tf_static", LATCHED)
+    tf.publish(TFMessage(transforms=[transform]))
+    cube = Marker(type=Marker.CUBE)
+    cube.header.frame_id = "map"
+    cube.pose.position.x, cube.pose.position.y, cube.pose.position.z = 0.1, -0.1, 0.42
+    cube.pose.orientation.w = 1.0
+    cube.scale.x = cube.scale.y = cube.scale.z = 0.42
+    cube.color.r, cube.color.g, cube.color.b, cube.color.a = 0.2, 0.75, 0.9, 1.0
+    markers = node.create_publisher(Marker, "/marker", LATCHED)
+    markers.publish(cube)
+    config = folder / "occlusion.rviz"
+    config.write_text(OCCLUSION_CONFIG)
+    with Processes(folder) as processes:
+        processes.node(
+            "rosplat_tools", "ply_publisher", "--ros-args",
+            "-p", f"path:={scene}", "-p", "frame_id:=scene",
+        )  # fmt: skip
+        processes.node("rosplat_sorter", "sorter")
+        processes.start("rviz2", ["rviz2", "-d", str(config)])
+        time.sleep(seconds)
+        processes.check()
+        shoot("occlusion.jpg", display)
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def embedded_viewer(folder: Path) -> None:
+    """The picture of `make demo` without a display."""
+    with Processes(folder) as processes:
+        demo = processes.start(
+            "host", [sys.executable, "-m", "rosplat_tools.demo", "--host", "--out", str(folder)],
+            DISPLAY="",
+        )  # fmt: skip
+        if demo.wait() != 0:
+            raise SystemExit(processes.said("host"))
+    Image.open(folder / "demo.png").convert("RGB").save(DOCS / "demo.jpg", quality=85)
+    print(f"wrote {DOCS / 'demo.jpg'}")
+
+
+def main() -> None:
+    """Makes all of them."""
+    parser = argparse.ArgumentParser(prog="make pictures", description=__doc__)
+    parser.add_argument("scene", type=Path, help="trained scene with y down, playbot in the README")
+    parser.add_argument("--seconds", type=float, default=60, help="for rviz2 to come to rest")
+    options = parser.parse_args()
+    folder = Path("out/pictures")
+    folder.mkdir(parents=True, exist_ok=True)
+    embedded_viewer(folder)
+    os.environ.pop("DISPLAY", None)
+    with ensure_display(*SIZE) as display:
+        occlusion(display, folder, options.scene, options.seconds)
+        shipped_configuration(display, folder, options.seconds)
+
+
+if __name__ == "__main__":
+    main()
