@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from threading import Event
 
 import rclpy
 from rclpy.executors import (
+    Executor,
     ExternalShutdownException,
     MultiThreadedExecutor,
     SingleThreadedExecutor,
@@ -73,12 +75,21 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
         finally:
             ending.set()
             wait([spun])
-            # What executor.shutdown(GRACE) promises; up to Jazzy it doesn't wait.
-            executor._work_tracker.wait(GRACE)
+            _wait_for_callbacks(executor, GRACE)
             node.context.try_shutdown()  # what still runs sees that, and gives up
+            _wait_for_callbacks(executor, math.inf)
             executor.shutdown()
             node.destroy_node()
             spun.result()
+
+
+def _wait_for_callbacks(executor: Executor, timeout: float) -> None:
+    # As executor.shutdown(timeout) promises; up to Jazzy it doesn't wait for other threads.
+    deadline = time.monotonic() + timeout
+    while not all(task.done() for task in getattr(executor, "_futures", [])):
+        if time.monotonic() > deadline:
+            return
+        time.sleep(0.005)
 
 
 def wait_for_end(node: Node) -> None:

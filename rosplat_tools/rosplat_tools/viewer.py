@@ -389,7 +389,12 @@ BACKGROUND = (0.125, 0.133, 0.149)  # as in the shipped rviz configuration
 def show_window(viewer: Viewer) -> None:
     """A window: drag orbits, right or middle drag pans, the wheel zooms, R resets, Q ends."""
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    import pygame
+    # SDL would show its window through OpenGL, and leave the renderer without its context.
+    os.environ["SDL_FRAMEBUFFER_ACCELERATION"] = "0"
+    try:
+        import pygame
+    except ImportError as error:
+        raise RuntimeError("the window needs pygame: pip install pygame") from error
 
     pygame.display.init()
     window = pygame.display.set_mode(viewer.window_size, pygame.RESIZABLE)

@@ -1,6 +1,7 @@
 """What tests share: random splats, real trained scenes where they are at hand, a ROS node."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -97,8 +98,12 @@ def start(node: Node) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
     yield start
     for process in started:
-        process.kill()
-        process.communicate()
+        process.send_signal(signal.SIGINT)
+        try:
+            process.communicate(timeout=20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
 
 
 class Listener:

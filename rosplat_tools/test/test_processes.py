@@ -1,0 +1,101 @@
+"""Programs beside each other: none outlives the block that started it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rosplat_tools.processes import ProcessError, Processes
+
+SLEEP = [sys.executable, "-c", "import time; print('awake', flush=True); time.sleep(600)"]
+# Ignores the signal of Ctrl-C, and has a child.
+STUBBORN = [
+    sys.executable,
+    "-c",
+    "import signal, subprocess, sys, time; signal.signal(signal.SIGINT, signal.SIG_IGN);"
+    "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']);"
+    "print(child.pid, flush=True); time.sleep(600)",
+]
+
+
+def said(processes: Processes, name: str) -> str:
+    deadline = time.monotonic() + 20
+    while not (text := processes.said(name)):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return text
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_leaving_the_block_ends_all_even_by_an_error(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), Processes(tmp_path / "log") as processes:
+        started = [processes.start(name, SLEEP) for name in ("one", "two")]
+        assert said(processes, "one") == "awake\n"
+        raise KeyError
+    assert all(process.returncode is not None for process in started)
+
+
+def test_what_ignores_the_signal_is_ended_by_force_with_its_children(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rosplat_tools.processes.GRACE", 0.3)
+    with Processes(tmp_path) as processes:
+        process = processes.start("stubborn", STUBBORN)
+        child = int(said(processes, "stubborn"))
+        assert is_alive(child)
+    assert process.returncode == -signal.SIGKILL
+    deadline = time.monotonic() + 5
+    while is_alive(child):
+        assert time.monotonic() < deadline, "a grandchild is left"
+        time.sleep(0.02)
+
+
+def test_a_program_that_ends_early_is_named_with_its_last_words(tmp_path: Path) -> None:
+    with Processes(tmp_path) as processes:
+        failing = processes.start("failing", [sys.executable, "-c", "print('hm'); exit('no file')"])
+        failing.wait(20)
+        with pytest.raises(ProcessError, match="failing ended with code 1: no file"):
+            processes.check()
+
+
+def test_what_is_not_there_can_t_be_started(tmp_path: Path) -> None:
+    with Processes(tmp_path) as processes:
+        with pytest.raises(ProcessError, match="ghost can't be started"):
+            processes.start("ghost", ["/nowhere/ghost"])
+        with pytest.raises(ProcessError, match="no_such_package is not installed"):
+            processes.node("no_such_package", "node")
+    with pytest.raises(ProcessError, match="null"), Processes(Path("/dev/null/log")):
+        pass
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) -> None:
+    program = (
+        "import sys, time; from pathlib import Path\n"
+        "from rosplat_tools.processes import Processes, interrupt_by_signals\n"
+        "interrupt_by_signals()\n"
+        "with Processes(Path(sys.argv[1])) as processes:\n"
+        "    print(processes.start('sleep', sys.argv[2:]).pid, flush=True); time.sleep(600)\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path), *SLEEP],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        assert process.stdout
+        child = int(process.stdout.readline())
+        assert is_alive(child)
+        os.kill(process.pid, number)
+        process.wait(20)
+    assert not is_alive(child)
