@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -29,8 +30,8 @@ Panels:
   - Class: rviz_common/Displays
     Name: Displays
     Property Tree Widget:
-      Expanded: [/Gaussian Map1, /Gaussian Map1/Status1]
-      Splitter Ratio: 0.35
+      Expanded: [/Gaussian Map1]
+      Splitter Ratio: 0.25
     Tree Height: 700
 Visualization Manager:
   Displays:
@@ -94,6 +95,9 @@ def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
         processes.start("rviz2", ["rviz2", "-d", str(config)])
         time.sleep(seconds)
         processes.check()
+        # Unfold the display's Status: rviz doesn't remember that.
+        subprocess.run(["xdotool", "mousemove", "31", "208", "click", "1"], check=True)
+        time.sleep(5)
         shoot("occlusion.jpg", display)
     node.destroy_node()
     rclpy.shutdown()

@@ -149,8 +149,8 @@ class Viewer(Node):
 
     def _on_order(self, message: SplatOrder) -> None:
         self.renderer.set_order(
-            message.view_id, message.sequence, message.map_id, message.revision, message.backend,
-            message.sort_time, _array(message.slots, np.uint32),
+            message.view_id, message.sequence, message.map_id, message.revision,
+            f"sidecar ({message.backend})", message.sort_time, _array(message.slots, np.uint32),
         )  # fmt: skip
 
     def _on_render(

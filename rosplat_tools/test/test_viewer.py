@@ -112,15 +112,15 @@ def test_a_sorter_s_order_is_taken_but_only_for_this_view_and_map(
         orders.publish(order)
 
     node.create_subscription(ViewCamera, "gaussians/view", sort, VIEW)
-    listener.wait(lambda: draw(listener, timeout=0.5).order_source == "backwards")
+    listener.wait(lambda: draw(listener, timeout=0.5).order_source == "sidecar (backwards)")
     answer = draw(listener, timeout=30.0)
-    assert (answer.order_source, answer.sort_time) == ("backwards", 0.125)
+    assert (answer.order_source, answer.sort_time) == ("sidecar (backwards)", 0.125)
     assert pixels(answer.color)[24, 32, 1] > 0.9  # green, though red is nearer
 
     revision_off = 1
     elsewhere = replace(CAMERA, cx=31.0)  # to the same camera, the last order is an answer still
     answer = draw(listener, elsewhere, timeout=0.3)
-    assert answer.order_source != "backwards"
+    assert answer.order_source != "sidecar (backwards)"
     assert pixels(answer.color)[24, 32, 0] > 0.8
 
 

@@ -42,7 +42,7 @@ OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message) {
   order->sequence = message.sequence;
   order->map_id = message.map_id;
   order->revision = message.revision;
-  order->source = message.backend;
+  order->source = "sidecar (" + message.backend + ")";
   order->sort_time = message.sort_time;
   order->slots = std::move(message.slots);
   return order;
