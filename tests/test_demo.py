@@ -43,7 +43,7 @@ def test_pictures_and_figures(tmp_path: Path) -> None:
     assert (tmp_path / "demo.webp").stat().st_size > 10_000
     figures = next(line for line in output.splitlines() if "splats" in line)
     assert "5,000 splats" in figures
-    assert "sorted by native" in figures
+    assert "sorted by sidecar (native" in figures
     assert "order age" in figures
     assert not programs_of(tmp_path)
 
