@@ -22,8 +22,8 @@ setup: ## Install what is missing and build the packages
 demo: setup ## See a scene: SCENE=path, else a procedural one
 	@$(ENTER); python -m rosplat_tools.demo $(if $(SCENE),"$(SCENE)")
 
-render: setup ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy]
-	@$(ENTER); python -m rosplat_tools.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT)
+render: setup ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy] [FLOAT=1]
+	@$(ENTER); python -m rosplat_tools.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending)
 
 lint: ## Format, lint and types
 	@./setup.sh dev

@@ -31,7 +31,7 @@ Panels:
     Name: Displays
     Property Tree Widget:
       Expanded: [/Gaussian Map1]
-      Splitter Ratio: 0.25
+      Splitter Ratio: 0.22
     Tree Height: 700
 Visualization Manager:
   Displays:
@@ -97,7 +97,7 @@ def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
         processes.check()
         # Unfold the display's Status: rviz doesn't remember that.
         subprocess.run(["xdotool", "mousemove", "31", "208", "click", "1"], check=True)
-        time.sleep(5)
+        time.sleep(seconds / 2)
         shoot("occlusion.jpg", display)
     node.destroy_node()
     rclpy.shutdown()

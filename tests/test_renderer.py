@@ -115,8 +115,10 @@ def host(display: str) -> Iterator[Host]:
 
 
 @pytest.fixture(autouse=True)
-def default_settings(host: Host) -> None:
+def default_settings(host: Host) -> Iterator[None]:
     host.renderer.settings = RenderSettings()
+    yield
+    assert not host.renderer.failed(), "OpenGL reported an error"
 
 
 def cloud(count: int, degree: int = 3, seed: int = 0, size: float = 0.15) -> Splats:

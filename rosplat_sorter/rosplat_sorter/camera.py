@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """Cameras that ask for an order: ViewCamera messages, checked."""
 
 from __future__ import annotations

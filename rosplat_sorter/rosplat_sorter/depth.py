@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """Depths, culling and order in plain NumPy: the twin that every backend equals to the bit.
 
 Everything is IEEE float32 and each operation is rounded by itself, so a backend must not fuse a

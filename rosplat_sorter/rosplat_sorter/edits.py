@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """Edits of a map: GaussianArray messages, checked, reduced to what sorting needs."""
 
 from __future__ import annotations

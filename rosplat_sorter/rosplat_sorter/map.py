@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """The map as edits leave it: what is in each slot, as far as sorting needs it."""
 
 from __future__ import annotations

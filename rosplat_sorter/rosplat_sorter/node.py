@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """The sorter as a ROS 2 node: topics and parameters, wired to the worker."""
 
 from __future__ import annotations

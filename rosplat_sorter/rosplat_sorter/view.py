@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """A camera as sorters need it: in float32, relative to the map's origin."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """The thread that applies edits and sorts, so that the node only passes messages on."""
 
 from __future__ import annotations

@@ -1,6 +1,3 @@
-// Copyright 2025 ROSplat developers
-// SPDX-License-Identifier: Apache-2.0
-//
 // rosplat_sorter._native: depth_order.hpp for Python.
 
 #include <pybind11/numpy.h>

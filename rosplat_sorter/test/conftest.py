@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """Maps, cameras and messages that tests start from."""
 
 from __future__ import annotations

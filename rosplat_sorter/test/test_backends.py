@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """Every backend present equals the plain reference, to the bit."""
 
 import numpy as np

@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """The reference: exact order, and culling that never hides what the renderer would draw."""
 
 import math

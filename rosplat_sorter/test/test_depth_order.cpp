@@ -1,6 +1,3 @@
-// Copyright 2025 ROSplat developers
-// SPDX-License-Identifier: Apache-2.0
-
 #include <gtest/gtest.h>
 
 #include <algorithm>

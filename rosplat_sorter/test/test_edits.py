@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """Messages are checked before use: dropped whole, or splat by splat."""
 
 import math

@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """The worker answers the newest camera only, and outlives what its peers and devices do to it."""
 
 import sys

@@ -49,6 +49,7 @@ def render(
     *,
     via: str = "host",
     order_timeout: float = 10.0,
+    float_blending: bool = False,
     log_folder: Path = Path("out/log"),
     on_picture: Callable[[Camera, NDArray[np.float32], RenderView.Response], None],
 ) -> None:
@@ -56,8 +57,8 @@ def render(
 
     publisher: an executable of rosplat_tools and its arguments after --ros-args.
     via is "host", the embedded renderer, or "rviz", the Display in rviz2. on_picture gets the
-    camera, (height, width, 4) premultiplied RGBA and the rest of the answer. Raises RenderError,
-    ProcessError.
+    camera, (height, width, 4) premultiplied RGBA and the rest of the answer. float_blending: in
+    32-bit instead of 16-bit floats. Raises RenderError, ProcessError.
     """
     # Nobody else's publishers, sorters or viewers.
     namespace = f"/render_{uuid.uuid4().hex[:8]}"
@@ -66,9 +67,10 @@ def render(
         processes.node("rosplat_tools", publisher[0], *remap, *publisher[1:], name=PUBLISHER)
         processes.node("rosplat_sorter", "sorter", *remap)
         if via == "rviz":
-            start_rviz(processes, f"{namespace}/gaussians")
+            start_rviz(processes, f"{namespace}/gaussians", float_blending)
         else:
-            processes.node("rosplat_tools", "viewer", *remap, "-p", "serve:=true")
+            settings = ["-p", "serve:=true", "-p", f"float_blending:={float_blending}"]
+            processes.node("rosplat_tools", "viewer", *remap, *settings)
         node = Node("render")
         try:
             client = node.create_client(RenderView, f"{namespace}/gaussians/render")
@@ -82,12 +84,12 @@ def render(
             node.destroy_node()
 
 
-def start_rviz(processes: Processes, topic: str) -> None:
+def start_rviz(processes: Processes, topic: str, float_blending: bool) -> None:
     """Starts rviz2 with a display of the topic; on a screen of its own where there is none."""
     if not shutil.which("rviz2"):
         raise RenderError("rviz2 is not installed here: use --via host")
     config = processes.folder / "render.rviz"
-    config.write_text(RVIZ_CONFIG.format(topic=topic))
+    config.write_text(RVIZ_CONFIG.format(topic=topic, float_blending=str(float_blending).lower()))
     command = ["rviz2", "-d", str(config)]
     if not os.environ.get("DISPLAY"):
         command = ["xvfb-run", "-a", "-s", "-screen 0 1280x800x24", *command]
@@ -101,6 +103,7 @@ Visualization Manager:
       Name: Gaussian Map
       Enabled: true
       Topic: {topic}
+      Float Blending: {float_blending}
       Value: true
   Global Options:
     Fixed Frame: map
@@ -194,6 +197,9 @@ def main(arguments: list[str] | None = None) -> int:
         "--order-timeout", type=float, default=10.0, metavar="S",
         help="how long to wait for the sorter before the renderer sorts [s]",
     )  # fmt: skip
+    parser.add_argument(
+        "--float-blending", action="store_true", help="blend in 32-bit instead of 16-bit floats"
+    )
     options = parser.parse_args(arguments)
     interrupt_by_signals()
     rows: list[dict[str, object]] = []
@@ -225,6 +231,7 @@ def main(arguments: list[str] | None = None) -> int:
         render(
             ("ply_publisher", "-p", f"path:={options.scene}"), cameras,
             via=options.via, order_timeout=options.order_timeout,
+            float_blending=options.float_blending,
             log_folder=options.out / "log", on_picture=keep,
         )  # fmt: skip
     except (SceneError, RenderError, ProcessError, OSError, ValueError) as error:
@@ -238,6 +245,7 @@ def main(arguments: list[str] | None = None) -> int:
     report = {
         "scene": str(options.scene),
         "via": options.via,
+        "float_blending": options.float_blending,
         "command": " ".join(["render", *(arguments or sys.argv[1:])]),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}",
         "commit": _commit(),

@@ -88,9 +88,13 @@ class Viewer(Node):
             declare(self, "width", STILL[0], "Width of the window. [px]", 64, 8192),
             declare(self, "height", STILL[1], "Height of the window. [px]", 64, 8192),
         )
+        float_blending: bool = declare(
+            self, "float_blending", False, "Blend in 32-bit instead of 16-bit floats."
+        )
         if len(self.up) != 3 or not any(self.up):
             raise SceneError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
         self.renderer = Renderer()
+        self.renderer.settings.float_blending = float_blending
         self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
         self.frame_id = ""
         self.last_batch = math.inf

@@ -1,6 +1,3 @@
-// Copyright 2025 ROSplat developers
-// SPDX-License-Identifier: Apache-2.0
-//
 // The visible splats of a map, back to front: culling and an exact, stable radix sort by depth.
 //
 // All arithmetic is IEEE float32 with every operation rounded by itself, so that each sorter of the

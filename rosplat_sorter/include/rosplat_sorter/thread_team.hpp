@@ -1,6 +1,3 @@
-// Copyright 2025 ROSplat developers
-// SPDX-License-Identifier: Apache-2.0
-
 #ifndef ROSPLAT_SORTER__THREAD_TEAM_HPP_
 #define ROSPLAT_SORTER__THREAD_TEAM_HPP_
 

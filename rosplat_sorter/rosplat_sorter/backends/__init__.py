@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """What sorts: interchangeable backends, each a file of its own, equal to the bit.
 
 A backend is found by name in BACKENDS; one whose file or library is missing is not available, and

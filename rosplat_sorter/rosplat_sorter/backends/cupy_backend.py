@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """CuPy: one kernel that culls and packs, then a radix sort on the GPU."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """C++: the radix sort of depth_order.hpp, which the rviz display falls back on as well."""
 
 from __future__ import annotations

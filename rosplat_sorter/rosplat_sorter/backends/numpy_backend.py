@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """NumPy: the plain twin, and a faster one that sorts key and slot as one integer."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# Copyright 2025 ROSplat developers
-# SPDX-License-Identifier: Apache-2.0
 """PyTorch: on an NVIDIA GPU where there is one, else on the CPU."""
 
 from __future__ import annotations

@@ -77,8 +77,8 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
        {"Off", Antialiasing::kOff}});
   float_blending_ = new BoolProperty(
       "Float Blending", false,
-      "Blend in 32-bit instead of 16-bit floats: exact to the last grey level, at twice the memory "
-      "traffic.",
+      "Blend in 32-bit instead of 16-bit floats: exact to the last grey level, but on a GPU two "
+      "to five times slower.",
       display);
   near_fade_ = number("Near Fade", 0.0f, "Splats closer than this to the near plane fade out. [m]",
                       display, 0.0f);

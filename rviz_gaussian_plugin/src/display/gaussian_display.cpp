@@ -6,6 +6,7 @@
 
 #include <chrono>
 #include <cstring>
+#include <iomanip>
 #include <pluginlib/class_list_macros.hpp>
 #include <random>
 #include <rviz_common/display_context.hpp>
@@ -46,7 +47,7 @@ std::string uniqueName() {
 template <typename... Parts>
 std::string concat(const Parts&... parts) {
   std::ostringstream text;
-  text.precision(3);
+  text << std::fixed << std::setprecision(1);
   (text << ... << parts);
   return text.str();
 }

@@ -163,6 +163,8 @@ std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float,
   return pixels;
 }
 
+bool OffscreenRenderer::failed() const { return glGetError() != GL_NO_ERROR; }
+
 void OffscreenRenderer::update() {
   cloud_->clearError();
   root_->_fireFrameStarted();

@@ -41,6 +41,8 @@ class OffscreenRenderer {
   int width() const { return texture_ ? int(texture_->getWidth()) : 0; }
   int height() const { return texture_ ? int(texture_->getHeight()) : 0; }
   const std::string& graphics() const { return graphics_; }
+  // Whether OpenGL has reported an error since this was last asked.
+  bool failed() const;
 
  private:
   void resize(int width, int height);

@@ -171,5 +171,6 @@ PYBIND11_MODULE(_offscreen, module) {
                              [](OffscreenRenderer& r) { return r.scene().state().dropped; })
       .def_property_readonly("missed",
                              [](OffscreenRenderer& r) { return r.scene().state().missed; })
+      .def("failed", &OffscreenRenderer::failed)
       .def_property_readonly("renderer_info", &OffscreenRenderer::graphics);
 }

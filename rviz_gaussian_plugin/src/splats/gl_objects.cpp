@@ -144,6 +144,9 @@ StateGuard::StateGuard() {
 }
 
 StateGuard::~StateGuard() {
+  // First: the attributes hold the draw and read buffers of the framebuffer that was bound.
+  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, draw_framebuffer_);
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, read_framebuffer_);
   glPopAttrib();
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, static_cast<GLuint>(texture_));
@@ -151,8 +154,6 @@ StateGuard::~StateGuard() {
   glBindVertexArray(static_cast<GLuint>(vertex_array_));
   glBindBuffer(GL_ARRAY_BUFFER, static_cast<GLuint>(array_buffer_));
   glUseProgram(static_cast<GLuint>(program_));
-  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, draw_framebuffer_);
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, read_framebuffer_);
 }
 
 std::string unsupported() {
