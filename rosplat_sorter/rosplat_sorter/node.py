@@ -47,13 +47,15 @@ class SorterNode(Node):
             self.get_logger().error(f"{_unknown(backend)}; taking '{AUTO}'")
             backend = AUTO
             self.set_parameters([Parameter("backend", value=backend)])
-        self._order = self.create_publisher(SplatOrder, "gaussians/order", qos.ORDER)
+        # Remapping the map's topic takes the others along.
+        topic = self.resolve_topic_name("gaussians")
+        self._order = self.create_publisher(SplatOrder, f"{topic}/order", qos.ORDER)
         self._worker = Worker(self, backend, self.get_parameter("threads").value)
         self.add_on_set_parameters_callback(self._on_parameters)
 
         self._map = self.create_subscription(GaussianArray, "gaussians", self._worker.edit, qos.MAP)
         self._volatile_map = None
-        self.create_subscription(ViewCamera, "gaussians/view", self._worker.look, qos.VIEW)
+        self.create_subscription(ViewCamera, f"{topic}/view", self._worker.look, qos.VIEW)
         self.create_timer(1.0, self._meet_publishers)
 
     def destroy_node(self) -> None:

@@ -222,3 +222,15 @@ def test_the_backend_is_a_parameter_that_can_change(sorter, peer, make_batch, ma
     assert peer.order(1).backend == "numpy-reference"
     [result] = sorter.set_parameters([Parameter("threads", value=-1)])
     assert not result.successful
+
+
+def test_remapping_the_map_takes_views_and_orders_along():
+    rclpy.init(args=["--ros-args", "-r", "gaussians:=/slam/map"])
+    node = SorterNode()
+    try:
+        assert node.count_subscribers("/slam/map") == 1
+        assert node.count_subscribers("/slam/map/view") == 1
+        assert node.count_publishers("/slam/map/order") == 1
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
