@@ -113,6 +113,7 @@ class Listener:
         self.batches: list[GaussianArray] = []
         self.map: SlotMap | None = None
         self._node = node
+        self._clients: dict[str, Any] = {}
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         node.create_subscription(GaussianArray, "gaussians", self._receive, MAP)
@@ -141,7 +142,10 @@ class Listener:
 
     def request(self, kind: Any, name: str, **request: object) -> Any:
         """Calls a service in the node's namespace; returns the future of its answer."""
-        client = self._node.create_client(kind, name)
+        # One for all calls: a server may not know a new client yet when it answers.
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(kind, name)
+        client = self._clients[name]
         self.wait(client.service_is_ready)
         return client.call_async(kind.Request(**request))
 
