@@ -19,10 +19,12 @@ help: ## This list
 setup: ## Install what is missing and build the packages
 	@./setup.sh
 
-demo: setup ## See a scene: SCENE=path, else a procedural one
-	@$(ENTER); python -m rosplat_tools.demo $(if $(SCENE),"$(SCENE)")
+demo: setup ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where its vertical is not z
+	@$(ENTER); python -m rosplat_tools.demo $(if $(SCENE),"$(SCENE)") $(if $(UP),--up $(UP))
 
-render: setup ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy] [FLOAT=1]
+render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy] [FLOAT=1]
+	@test -n "$(SCENE)" -a -n "$(CAMERAS)" || { echo 'make render needs SCENE=path and CAMERAS=file.json'; exit 1; }
+	@./setup.sh
 	@$(ENTER); python -m rosplat_tools.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending)
 
 lint: ## Format, lint and types

@@ -13,7 +13,7 @@ source_unset_ok() { # ROS's own setup files read variables that may not be set
 }
 
 if [ -z "${ROS_DISTRO:-}" ] && [ "${ROSPLAT_ROS:-}" != wheels ]; then
-  ros_setup=$(ls -d /opt/ros/*/setup.bash 2>/dev/null | tail -n 1)
+  ros_setup=$(compgen -G '/opt/ros/*/setup.bash' | tail -n 1 || true)
   if [ -n "$ros_setup" ]; then source_unset_ok "$ros_setup"; fi
 fi
 export ROSPLAT_ROS=${ROSPLAT_ROS:-${ROS_DISTRO:-wheels}}

@@ -29,7 +29,7 @@ if [ ${#missing[@]} -gt 0 ]; then
   fi
   say "Installing system packages: ${missing[*]}"
   $as_root apt-get update -qq
-  DEBIAN_FRONTEND=noninteractive $as_root $install -qq >/dev/null
+  $as_root env DEBIAN_FRONTEND=noninteractive $install -qq >/dev/null
 fi
 
 # --- Python environment ---------------------------------------------------------------------------

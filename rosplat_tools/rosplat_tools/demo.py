@@ -55,6 +55,8 @@ def main(arguments: list[str] | None = None) -> int:
                 print("rviz2 is opening; close it to end the demo", flush=True)
             else:
                 name = "viewer"
+                if screen:
+                    print("the viewer is opening; close it or press Q to end the demo", flush=True)
                 up = [float(value) for value in options.up]
                 output = [] if screen else ["-p", f"output:={options.out}"]
                 viewer = processes.node(

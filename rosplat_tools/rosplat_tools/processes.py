@@ -62,7 +62,8 @@ class Processes:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,
-                    env=os.environ | environment,
+                    # What a program says last is then what it said last.
+                    env=os.environ | {"PYTHONUNBUFFERED": "1"} | environment,
                     start_new_session=True,
                 )
             except OSError as error:

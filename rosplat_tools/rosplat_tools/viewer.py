@@ -34,6 +34,7 @@ from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.offscreen import BatchError, Renderer, ensure_display
 
+ASK_AGAIN = 0.25  # how long a still waits for an order before it asks for another [s]
 KEEP_ALIVE = 1.0  # a view goes out at least this often, for sorters that start late [s]
 QUIET = 2.0  # a map that has not grown for so long is taken as complete [s]
 SAMPLES = 2000  # positions of a batch that the first look at a map is framed by
@@ -228,6 +229,9 @@ class Viewer(Node):
         while not (answered := self.renderer.has_order(view_id)) and time.monotonic() < deadline:
             if not self.context.ok():
                 raise ExternalShutdownException
+            # A view or an order may be lost while viewer and sorter get to know each other.
+            if time.monotonic() - self._published > ASK_AGAIN:
+                self.look(camera, name)
             time.sleep(0.001)
         return self._figures(self.renderer.draw(view_id, built_in=not answered))
 

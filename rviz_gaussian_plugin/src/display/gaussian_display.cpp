@@ -30,6 +30,8 @@ using rviz_common::properties::StatusProperty;
 constexpr const char* kResourceGroup = "rviz_rendering";
 // A view's camera goes out at least this often, so that a sorter that starts late learns of it. [s]
 constexpr double kKeepAlive = 1.0;
+constexpr double kAskAgain =
+    0.25;  // how long a picture waits for an order before it asks again [s]
 constexpr const char* kUnchanged = "As Started";
 constexpr double kStatusPeriod = 0.5;  // [s]
 
@@ -170,7 +172,11 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   if (!client_) return;
   updateTransform();
   for (auto& [viewport, view] : views_) {
-    if (view.sequence > 0 && now() - view.published > kKeepAlive) publish(view);
+    if (view.sequence == 0 || now() - view.published < kKeepAlive) continue;
+    // A view or an order may have been lost while display and sorter got to know each other.
+    const bool by_sidecar = cloud_->report().order_source.rfind("sidecar", 0) == 0;
+    if (!by_sidecar || !cloud_->report().order_fresh) askAgain(view);
+    publish(view);
   }
   if (now() - status_time_ > kStatusPeriod) {
     status_time_ = now();
@@ -206,6 +212,11 @@ std::string GaussianDisplay::onView(Ogre::Viewport* viewport, const SplatCamera&
   }
   cloud_->scene().setCamera(view.id, view.sequence, camera);
   return view.id;
+}
+
+void GaussianDisplay::askAgain(View& view) {
+  ++view.sequence;
+  cloud_->scene().setCamera(view.id, view.sequence, view.camera);
 }
 
 void GaussianDisplay::publish(View& view) {
@@ -267,6 +278,10 @@ void GaussianDisplay::serveRenderRequests() {
     request_deadline_ = now() + request_->request->order_timeout;
   }
   const bool answered = cloud_->scene().answered(still_.id);
+  if (!answered && now() - still_.published > kAskAgain) {
+    askAgain(still_);
+    publish(still_);
+  }
   if (!answered && now() < request_deadline_) return;
   answer(*request_, !answered);
   request_.reset();

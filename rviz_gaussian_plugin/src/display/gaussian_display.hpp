@@ -56,6 +56,7 @@ class GaussianDisplay : public rviz_common::Display {
   void unsubscribe();
   void applySettings();
   std::string onView(Ogre::Viewport* viewport, const SplatCamera& camera);
+  void askAgain(View& view);
   void publish(View& view);
   void serveRenderRequests();
   void answer(const GaussianClient::RenderRequest& request, bool built_in);
