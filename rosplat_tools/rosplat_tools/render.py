@@ -30,6 +30,7 @@ from rosplat_msgs.srv import RenderView
 from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.metrics import compare
 from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals
+from rosplat_tools.scenes import NAMES, PROCEDURAL
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 
@@ -184,7 +185,7 @@ def write_picture(path: Path, color: NDArray[np.float32], form: str) -> Path:
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; 0 if every picture was drawn."""
     parser = argparse.ArgumentParser(prog="render", description=__doc__)
-    parser.add_argument("scene", help="scene file: .ply, .spz, .sog or a SOG folder")
+    parser.add_argument("scene", help=f"scene: {NAMES}")
     parser.add_argument(
         "cameras", type=Path, help="camera file: OpenCV world_to_camera, see README"
     )
@@ -223,7 +224,7 @@ def main(arguments: list[str] | None = None) -> int:
         cameras = load_cameras(options.cameras)
         if not cameras:
             raise SceneError(f"{options.cameras}: holds no cameras")
-        if not Path(options.scene).exists():
+        if not options.scene.startswith(PROCEDURAL) and not Path(options.scene).exists():
             raise SceneError(f"{options.scene}: no such file")
         options.out.mkdir(parents=True, exist_ok=True)
         # rclpy's own handlers shut ROS down under code that is just using it.

@@ -205,6 +205,38 @@ def test_without_a_display_it_draws_a_still_and_a_turn(
     assert getattr(turn, "n_frames", 1) > 10
 
 
+def project(camera: Camera, point: np.ndarray) -> np.ndarray:
+    x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
+    return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (1, 2, -3)])
+def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
+    from rosplat_tools.viewer import OrbitCamera
+
+    target = np.array([1.0, -2.0, 3.0])
+    orbit = OrbitCamera(target, distance=4.0, up=np.array(up, float))
+    middle = [160, 120]
+    camera = orbit.camera(320, 240)
+    np.testing.assert_allclose(project(camera, target), middle, atol=1e-6)
+    assert np.linalg.norm(camera.position - target) == pytest.approx(4)
+    assert project(camera, target + 0.1 * np.array(up))[1] < 120  # up is up
+
+    nearer = target + 0.2 * (camera.position - target)
+    orbit.turn(0.2, 0)
+    assert project(orbit.camera(320, 240), nearer)[0] > 165
+    orbit.turn(-0.2, 0.2)
+    assert project(orbit.camera(320, 240), nearer)[1] > 125
+    orbit.turn(0, 10)  # as far as it goes
+    np.testing.assert_allclose(project(orbit.camera(320, 240), target), middle, atol=1e-6)
+
+    orbit = OrbitCamera(target, distance=4.0, up=np.array(up, float))
+    orbit.pan(0.25, -0.125)
+    np.testing.assert_allclose(
+        project(orbit.camera(320, 240), target), [160 + 60, 120 - 30], atol=1e-6
+    )
+
+
 @pytest.fixture
 def display(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     with offscreen.ensure_display() as name:
