@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 REPLACE, UPSERT, DELETE = range(3)
 ENCODING_FLOAT32 = 0
 MAX_SH_DEGREE = 3
-MAX_SLOTS = 1 << 27  # 2 GiB of positions and extents
+MAX_SLOTS = 1 << 25  # as GaussianArray.MAX_SLOTS; 512 MiB of positions and extents
 
 # Slots as NumPy indexes with them: a range, or one by one.
 Slots: TypeAlias = "slice | NDArray[np.uint32]"

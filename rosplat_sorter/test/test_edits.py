@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.edits import MAX_SLOTS, EditError, decode
 from rosplat_sorter.map import SplatMap
 
@@ -154,3 +155,7 @@ def test_another_origin_is_rebased_in_float64(make_batch):
     apply(splats, second)
     assert splats.origin.tolist() == [1e5, 0, 0]
     np.testing.assert_allclose(splats.positions[1], [-0.249, 0, 1], rtol=1e-6)
+
+
+def test_the_largest_map_is_the_message_s():
+    assert MAX_SLOTS == GaussianArray.MAX_SLOTS

@@ -6,6 +6,8 @@
 
 namespace rosplat {
 
+static_assert(kMaxSlots == rosplat_msgs::msg::GaussianArray::MAX_SLOTS);
+
 namespace {
 
 template <typename Array>

@@ -15,7 +15,7 @@ namespace rosplat {
 constexpr int kMaxShDegree = 3;
 constexpr int kGeometryFloats = 12;  // a slot, see splat_project.comp
 constexpr std::array<int, kMaxShDegree + 1> kBandFloats{3, 9, 15, 21};  // a slot, by band
-constexpr std::uint32_t kMaxSlots = 1u << 25;
+constexpr std::uint32_t kMaxSlots = 1u << 25;  // as GaussianArray.MAX_SLOTS
 
 // A checked batch, laid out for the GPU and for sorting. Emptied slots have opacity 0 and extent
 // -1.
