@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from rviz_harness import MARKERS, Rviz, World, configuration, map_display
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
@@ -37,3 +39,30 @@ def display() -> Iterator[str]:
 
     with ensure_display() as name:
         yield name
+
+
+@pytest.fixture(scope="module")
+def running_rviz(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rviz]:
+    """One rviz2 for the tests of a file."""
+    rviz = Rviz(tmp_path_factory.mktemp("rviz"))
+    yield rviz
+    rviz.close()
+
+
+@pytest.fixture
+def world(request: pytest.FixtureRequest) -> Iterator[World]:
+    """A map in a frame that rviz2 has not heard of yet."""
+    import rclpy
+
+    rclpy.init()
+    world = World(frame=request.node.name)
+    yield world
+    world.close()
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def rviz(running_rviz: Rviz, world: World) -> Rviz:
+    """A view from above on the map of the world, and its markers."""
+    running_rviz.load(configuration(MARKERS, map_display()))
+    return running_rviz

@@ -1,0 +1,381 @@
+"""rviz2 on a screen of its own, with a remote control: what the tests of the Display share."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+SCREEN = (1000, 800)
+DRIVEN_RVIZ = (
+    Path(__file__).resolve().parents[1] / "build/rviz_gaussian_plugin/driven_rviz"
+)  # the package's test/driven_rviz.cpp
+
+needs_rviz = [
+    pytest.mark.rviz,
+    pytest.mark.skipif(
+        not (shutil.which("rviz2") and DRIVEN_RVIZ.exists()),
+        reason="no rviz2: the Display is not tested",
+    ),
+]
+
+# 100 px/m, x to the right, y up; the point in view is the middle of the picture.
+TOP = "{Class: rviz_default_plugins/TopDownOrtho, Scale: 100, X: 0, Y: 0, Angle: 0}"
+
+
+def map_display(name: str = "Map", topic: str = "/gaussians", **properties: object) -> str:
+    """A GaussianMap in an rviz configuration."""
+    return _display("rviz_gaussian_plugin/GaussianMap", name, Topic=topic, **properties)
+
+
+def display(kind: str, name: str, **properties: object) -> str:
+    """One of rviz's own displays in an rviz configuration."""
+    return _display(f"rviz_default_plugins/{kind}", name, **properties)
+
+
+def _display(class_id: str, name: str, **properties: object) -> str:
+    entries = {"Class": class_id, "Name": name, "Enabled": True, "Value": True} | properties
+    return f"    - {json.dumps(entries)}\n"
+
+
+def latched(topic: str) -> dict[str, object]:
+    """A Topic property that receives what was published before."""
+    return {"Value": topic, "Durability Policy": "Transient Local", "Depth": 5}
+
+
+MARKERS = display("Marker", "Marker", Topic=latched("/marker"))
+
+
+def configuration(
+    *displays: str, view: str = TOP, fixed_frame: str = "map", panels: str = "[]", tools: str = ""
+) -> str:
+    """The text of an .rviz file."""
+    return f"""\
+Panels: {panels}
+Visualization Manager:
+  Displays:
+{"".join(displays)}
+  Global Options: {{Fixed Frame: {fixed_frame}, Background Color: 0; 0; 0, Frame Rate: 30}}
+  Tools: [{tools}]
+  Views:
+    Current: {view}
+Window Geometry: {{Width: {SCREEN[0]}, Height: {SCREEN[1]}}}
+"""
+
+
+@contextlib.contextmanager
+def own_screen() -> Iterator[str]:
+    """A screen that no other program draws on, as a value of DISPLAY."""
+    from rviz_gaussian_plugin.offscreen import ensure_display
+
+    def leave(name: str | None) -> None:
+        os.environ.pop("DISPLAY", None)
+        if name:
+            os.environ["DISPLAY"] = name
+
+    before = os.environ.pop("DISPLAY", None)
+    with ensure_display(*SCREEN) as name:
+        leave(before)
+        yield name
+        before = os.environ.get("DISPLAY")
+    leave(before)
+
+
+class Refused(RuntimeError):
+    """rviz could not do what it was asked for."""
+
+
+class Rviz:
+    """A running rviz2; `load` gives it a configuration."""
+
+    def __init__(self, folder: Path, *, config: str | None = None, **environment: str) -> None:
+        """Starts rviz2, with its logs in a folder, and waits until it can be driven."""
+        from rosplat_tools.processes import Processes
+
+        self.folder = folder
+        self._screen = own_screen()
+        self.screen_name = self._screen.__enter__()
+        self.processes = Processes(folder).__enter__()
+        address = f"/tmp/rosplat_rviz_{os.getpid()}_{time.monotonic_ns()}"
+        file = folder / "start.rviz"
+        file.write_text(config or configuration())
+        self.process = self.processes.start(
+            "rviz2",
+            [str(DRIVEN_RVIZ), "-d", str(file)],
+            DISPLAY=self.screen_name,
+            ROSPLAT_RVIZ_SOCKET=address,
+            LIBGL_ALWAYS_SOFTWARE="1",
+            **environment,
+        )
+        self._connection = self._connect(address)
+
+    def _connect(self, address: str, seconds: float = 60.0) -> Any:
+        deadline = time.monotonic() + seconds
+        while True:
+            connection = socket.socket(socket.AF_UNIX)
+            try:
+                connection.connect(address)
+            except OSError:
+                connection.close()
+                self.processes.check()
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.1)
+            else:
+                connection.settimeout(seconds)
+                return connection.makefile("rw")
+
+    def close(self) -> None:
+        """Ends rviz2 and its screen."""
+        self._connection.close()
+        self.processes.end()
+        self._screen.__exit__(None, None, None)
+
+    def quit(self) -> int:
+        """The exit code of rviz2 after its window was closed."""
+        self.ask("quit")
+        self.processes.forget(self.process)
+        return self.process.wait(30)
+
+    # --- The remote control -----------------------------------------------------------------------
+
+    def ask(self, what: str, **request: object) -> Any:
+        """The answer to a request; see driven_rviz.cpp. Raises Refused."""
+        try:
+            self._connection.write(json.dumps({"do": what} | request) + "\n")
+            self._connection.flush()
+            line = self._connection.readline()
+        except OSError:
+            line = ""
+        if not line:
+            raise Refused(f"rviz2 ended at {what!r}: {self.processes.said('rviz2')[-500:]}")
+        reply = json.loads(line)
+        if "error" in reply:
+            raise Refused(f"{what!r}: {reply['error']}")
+        return reply["result"]
+
+    def load(self, config: str) -> None:
+        """Has a configuration loaded, which first takes away all that there was."""
+        file = self.folder / "loaded.rviz"
+        file.write_text(config)
+        self.ask("load", file=str(file))
+        places = None
+        while places != (places := self.ask("places")):  # the window finds its layout
+            time.sleep(0.2)
+
+    def save(self, file: Path) -> None:
+        """Has the configuration saved."""
+        self.ask("save", file=str(file))
+
+    def set(self, *path: str, value: object, root: str = "displays") -> None:
+        """Sets a property of a display (or of the view) as typing it would."""
+        self.ask("set", path=path, value=value, root=root)
+
+    def properties(self, *path: str, root: str = "displays") -> dict[str, Any]:
+        """The values below a property, but for its status, by names joined by slashes."""
+        found: dict[str, Any] = {}
+
+        def collect(property: dict[str, Any], prefix: str) -> None:
+            for child in property["children"]:
+                if child["name"].startswith("Status"):
+                    continue
+                name = f"{prefix}{child['name']}"
+                found[name] = child["value"]
+                collect(child, f"{name}/")
+
+        collect(self.ask("tree", path=path, root=root), "")
+        return found
+
+    def status(self, *path: str) -> dict[str, tuple[str, str]]:
+        """Level (Ok, Warn, Error) and text of each entry of a display's Status."""
+        tree = self.ask("tree", path=path, root="displays")
+        return {
+            entry["name"]: (entry["level"], entry["value"])
+            for child in tree["children"]
+            if child["name"].startswith("Status")
+            for entry in child["children"]
+        }
+
+    def until_status(
+        self, display: str, entry: str, level: str, *words: str, seconds: float = 30.0
+    ) -> str:
+        """Waits for an entry of a display's Status with a level and all of some words."""
+        deadline = time.monotonic() + seconds
+        while True:
+            status = self.status(display)
+            found, text = status.get(entry, ("", ""))
+            if found == level and all(word in text for word in words):
+                return text
+            assert time.monotonic() < deadline, f"{entry} is not {level} {words}: {status}"
+            time.sleep(0.1)
+
+    # --- The screen -------------------------------------------------------------------------------
+
+    def screen(self) -> np.ndarray:
+        """(height, width, 3) the whole screen, 0 to 255."""
+        from PIL import ImageGrab
+
+        return np.asarray(ImageGrab.grab(xdisplay=self.screen_name).convert("RGB")).astype(int)
+
+    def picture(self, of: str = "view") -> np.ndarray:
+        """(height, width, 3) what rviz's view shows, or a panel by its title."""
+        x, y, width, height = self.ask("places")[of]
+        return self.screen()[y : y + height, x : x + width]
+
+    def until(
+        self, found: Callable[[np.ndarray], object], of: str = "view", seconds: float = 60.0
+    ) -> np.ndarray:
+        """The first picture in which something is found."""
+        deadline = time.monotonic() + seconds
+        while True:
+            self.processes.check()
+            picture = self.picture(of)
+            if found(picture):
+                return picture
+            if time.monotonic() > deadline:
+                self.keep("not_seen.png")
+                raise AssertionError(
+                    f"not seen, {self.folder / 'not_seen.png'} was: "
+                    + self.processes.said("rviz2")[-500:]
+                )
+            time.sleep(0.1)
+
+    def keep(self, name: str) -> None:
+        """Writes the screen into the folder of the logs, to look at."""
+        from PIL import Image
+
+        Image.fromarray(self.screen().astype(np.uint8)).save(self.folder / name)
+
+    def click(self, row: int, column: int) -> None:
+        """Clicks into rviz's view."""
+        x, y, _, _ = self.ask("places")["view"]
+        subprocess.run(
+            ["xdotool", "mousemove", str(x + column), str(y + row), "click", "1"],
+            env=os.environ | {"DISPLAY": self.screen_name},
+            check=True,
+        )
+
+
+class World:
+    """What rviz2 is fed with: a map in a frame of its own, transforms, markers."""
+
+    def __init__(self, frame: str = "scene", namespace: str = "") -> None:
+        """Nothing is published yet; the map's topic is <namespace>/gaussians."""
+        from geometry_msgs.msg import TransformStamped
+        from rclpy.node import Node
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from tf2_msgs.msg import TFMessage
+        from visualization_msgs.msg import Marker
+
+        from rosplat_tools.map_publisher import MapPublisher
+
+        self.node = Node("world", namespace=namespace or None)
+        self.frame = frame
+        self.latched = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._tf = self.node.create_publisher(TFMessage, "/tf", 100)
+        self._tf_static = self.node.create_publisher(TFMessage, "/tf_static", self.latched)
+        self._marker = self.node.create_publisher(Marker, "/marker", self.latched)
+        self._transform, self._marker_type, self._transforms = TransformStamped, Marker, TFMessage
+        self.map = MapPublisher(self.node, frame_id=frame)
+
+    def close(self) -> None:
+        """Takes all of it away."""
+        self.node.destroy_node()
+
+    def place(
+        self,
+        x: float = 0.0,
+        yaw: float = 0.0,
+        *,
+        z: float = 0.0,
+        frame: str | None = None,
+        parent: str = "map",
+        stamp: Any = None,
+    ) -> None:
+        """Puts a frame (the map's) into another: for all time, or from a stamp on."""
+        transform = self._transform()
+        transform.header.frame_id, transform.child_frame_id = parent, frame or self.frame
+        transform.transform.translation.x = x
+        transform.transform.translation.z = z
+        transform.transform.rotation.z = math.sin(yaw / 2)
+        transform.transform.rotation.w = math.cos(yaw / 2)
+        if stamp is not None:
+            transform.header.stamp = stamp
+        publisher = self._tf_static if stamp is None else self._tf
+        publisher.publish(self._transforms(transforms=[transform]))
+
+    def cube(
+        self,
+        z: float,
+        x: float = 0.0,
+        colour: tuple[float, float, float] = (0, 1, 0),
+        alpha: float = 1.0,
+        size: float = 1.0,
+        id: int = 0,
+    ) -> None:
+        """A marker at y = 0."""
+        cube = self._marker_type(type=self._marker_type.CUBE, id=id)
+        cube.header.frame_id = "map"
+        cube.pose.position.x, cube.pose.position.z = float(x), float(z)
+        cube.pose.orientation.w = 1.0
+        cube.scale.x = cube.scale.y = cube.scale.z = float(size)
+        cube.color.r, cube.color.g, cube.color.b = map(float, colour)
+        cube.color.a = float(alpha)
+        self._marker.publish(cube)
+
+    def spin_until(self, reached: Callable[[], object], seconds: float = 30.0) -> None:
+        """Handles what arrives until something is reached."""
+        import rclpy
+
+        deadline = time.monotonic() + seconds
+        while not reached():
+            assert time.monotonic() < deadline, "nothing arrived"
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+
+def disc(
+    colour: tuple[float, float, float],
+    x: float = 0.0,
+    y: float = 0.0,
+    z: float = 0.0,
+    sigma: float = 1.0,
+    opacity: float = 1.0,
+) -> Any:
+    """A splat, wide in x and y."""
+    from rosplat_tools.splats import Splats
+
+    return Splats(
+        positions=np.array([[x, y, z]], np.float32),
+        orientations=np.array([[0, 0, 0, 1]], np.float32),
+        scales=np.array([[sigma, sigma, 0.01]], np.float32),
+        opacities=np.full(1, opacity, np.float32),
+        sh=((np.array([[colour]], np.float32) - 0.5) / 0.28209479).astype(np.float32),
+    )
+
+
+def red(picture: np.ndarray) -> np.ndarray:
+    return (picture[..., 0] > 150) & (picture[..., 1] < 60) & (picture[..., 2] < 60)
+
+
+def green(picture: np.ndarray) -> np.ndarray:
+    return (picture[..., 1] > 100) & (picture[..., 0] < 60) & (picture[..., 2] < 60)
+
+
+def blue(picture: np.ndarray) -> np.ndarray:
+    return (picture[..., 2] > 150) & (picture[..., 0] < 60) & (picture[..., 1] < 60)
+
+
+def centre(mask: np.ndarray) -> np.ndarray:
+    """(row, column) of what is in a mask."""
+    return np.argwhere(mask).mean(axis=0)
