@@ -503,3 +503,55 @@ def test_unsorted_and_built_in_orders_can_be_chosen(host: Host) -> None:
     assert host.renderer.draw("test")["order_source"] == "nobody"
     expected = reference.render(splats, CAMERAS["outside"], order=np.arange(300)).rgba
     assert decibels(host.renderer.read_color(), expected) >= 70
+
+
+@pytest.mark.parametrize("view", CAMERAS)
+def test_a_pixel_picks_what_contributes_most_to_it(host: Host, view: str) -> None:
+    """Where the float64 renderer's best is no tie, and not at the limit of what counts."""
+    splats = cloud(2000, degree=0, size=0.04)  # several batches of a workgroup
+    slots, most = reference.pick(splats, CAMERAS[view])
+    host.show(splats)
+    host.draw(CAMERAS[view])
+    picked = host.renderer.pick("test").astype(np.int64)
+    picked[picked == 2**32 - 1] = -1
+    slots[most < 0.05] = -1
+    limit = np.abs(most - 0.05) < 1e-3
+    assert (picked == slots)[~limit].mean() > 0.998
+    assert len(np.unique(slots)) > 15
+
+
+def test_a_faint_splat_does_not_hide_what_is_seen_through_it(host: Host) -> None:
+    """0.4 before a solid one: the solid one; three times 0.4 before it: the first of them."""
+    wall = Splats(
+        positions=np.array([[-1, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.3, 0, 0]], np.float32),
+        orientations=np.array([[0, 0, 0, 1]] * 4, np.float32),
+        scales=np.full((4, 3), 0.3, np.float32),
+        opacities=np.array([1, 0, 0, 0.4], np.float32),
+        sh=np.zeros((4, 1, 3), np.float32),
+    )
+    camera = camera_at((3.0, 0.0, 0.0))
+    for opacities, seen in [((1, 0, 0, 0.4), 0), ((1, 0.4, 0.4, 0.4), 3), ((0, 0, 0, 0.02), None)]:
+        host.show(replace(wall, opacities=np.float32(opacities)))
+        host.draw(camera)
+        slot = host.renderer.pick("test")[HEIGHT // 2, WIDTH // 2]
+        assert slot == (2**32 - 1 if seen is None else seen)
+
+
+def test_slots_are_read_back_as_they_were_sent(host: Host) -> None:
+    splats = replace(cloud(70000, degree=2), origin=np.array([1e6, -2e6, 3.0]))
+    host.show(splats)
+    host.draw(CAMERAS["outside"])
+    for slot in (0, 65535, 65536, 69999):
+        (read,) = host.renderer.read_slots([slot])
+        assert read["slot"] == slot
+        np.testing.assert_allclose(
+            read["position"], splats.positions[slot] + splats.origin, rtol=0, atol=1e-6
+        )
+        np.testing.assert_array_equal(np.float32(read["scale"]), splats.scales[slot])
+        np.testing.assert_array_equal(np.float32(read["orientation"]), splats.orientations[slot])
+        assert np.float32(read["opacity"]) == splats.opacities[slot]
+        np.testing.assert_array_equal(read["sh"], splats.sh[slot])
+    host.delete(65536, 1)
+    host.draw(CAMERAS["outside"])
+    emptied, beyond = host.renderer.read_slots([65536, 10**6])
+    assert emptied["opacity"] == beyond["opacity"] == 0

@@ -61,6 +61,29 @@ def render(
     return Picture(rgba, depth)
 
 
+def pick(splats: Splats, camera: Camera) -> tuple[NDArray[np.int64], Array]:
+    """The splat that contributes most to each pixel, alpha times the transmittance before it.
+
+    Returns (height, width) slots, -1 where nothing is, and (height, width) what they contribute;
+    of equal contributions the nearer splat's.
+    """
+    projected = project(splats, camera)
+    projected = projected[_front_to_back(projected, None, len(splats))]
+    slots = np.full((camera.height, camera.width), -1)
+    most = np.zeros(slots.shape)
+    for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
+        ys = np.arange(y, min(y + TILE, camera.height))
+        xs = np.arange(x, min(x + TILE, camera.width))
+        window = np.ix_(ys, xs)
+        for part, weights in _weights(projected[members], xs, ys, 0.99, 0.0):
+            best = weights.argmax(axis=0)
+            contribution = np.take_along_axis(weights, best[None], axis=0)[0]
+            more = contribution > most[window]
+            slots[window] = np.where(more, projected.slots[members[part]][best], slots[window])
+            most[window] = np.where(more, contribution, most[window])
+    return slots, most
+
+
 def _front_to_back(
     projected: Projected, order: NDArray[np.integer] | None, count: int
 ) -> NDArray[np.intp]:
@@ -109,6 +132,19 @@ def _blend(
     """(h, w, 4) premultiplied RGBA and (h, w) sum of weight * z of splats, nearest first."""
     values = np.column_stack([splats.colors, np.ones(len(splats.slots)), splats.depths])
     blended = np.zeros((len(ys), len(xs), 5))
+    for part, weights in _weights(splats, xs, ys, max_alpha, min_transmittance):
+        blended += np.tensordot(weights, values[part], axes=(0, 0))
+    return blended[..., :4], blended[..., 4]
+
+
+def _weights(
+    splats: Projected,
+    xs: NDArray[np.intp],
+    ys: NDArray[np.intp],
+    max_alpha: float,
+    min_transmittance: float,
+) -> Iterator[tuple[slice, Array]]:
+    """A part of the splats, nearest first, and (n, h, w) what each contributes to each pixel."""
     transmittance = np.ones((len(ys), len(xs)))
     for start in range(0, len(splats.slots), CHUNK):
         part = slice(start, start + CHUNK)
@@ -120,9 +156,7 @@ def _blend(
         alpha[alpha < MIN_ALPHA] = 0
         after = transmittance * np.cumprod(1 - alpha, axis=0)
         before = np.concatenate([transmittance[None], after[:-1]])
-        weights = np.where(after > min_transmittance, alpha * before, 0)
-        blended += np.tensordot(weights, values[part], axes=(0, 0))
+        yield part, np.where(after > min_transmittance, alpha * before, 0)
         transmittance = after[-1]
         if transmittance.max() <= min_transmittance:
             break
-    return blended[..., :4], blended[..., 4]

@@ -152,6 +152,11 @@ void OffscreenRenderer::setBox(const std::array<float, 3>& centre,
   manager_->getRootSceneNode()->attachObject(box);
 }
 
+std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id) {
+  cloud_->scene().drawPick(cameras_.at(view_id), settings, Canvas::kNone, 0);
+  return cloud_->scene().readPick();
+}
+
 std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float, 3>& background) {
   Ogre::RenderTexture* target = texture_->getBuffer()->getRenderTarget();
   target->getViewport(0)->setBackgroundColour(

@@ -90,6 +90,18 @@ py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool buil
                   "gpu_bytes"_a = renderer.scene().gpuBytes());
 }
 
+py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>& slots) {
+  py::list splats;
+  for (SplatValues& splat : renderer.scene().readSlots(slots)) {
+    const auto floats = static_cast<py::ssize_t>(splat.sh.size());
+    splats.append(py::dict("slot"_a = splat.slot, "position"_a = splat.position,
+                           "orientation"_a = splat.orientation, "scale"_a = splat.scale,
+                           "opacity"_a = splat.opacity,
+                           "sh"_a = toArray(std::move(splat.sh), {floats / 3, 3})));
+  }
+  return splats;
+}
+
 }  // namespace
 
 PYBIND11_MODULE(_offscreen, module) {
@@ -152,6 +164,14 @@ PYBIND11_MODULE(_offscreen, module) {
            [](OffscreenRenderer& r) { return toArray(r.readColor(), {r.height(), r.width(), 4}); })
       .def("read_depth",
            [](OffscreenRenderer& r) { return toArray(r.readDepth(), {r.height(), r.width()}); })
+      .def(
+          "pick",
+          [](OffscreenRenderer& r, const std::string& view_id) {
+            const SplatCamera& camera = r.camera(view_id);
+            return toArray(r.pick(view_id), {camera.height, camera.width});
+          },
+          "view_id"_a)
+      .def("read_slots", &readSlots, "slots"_a)
       .def(
           "read_color8",
           [](OffscreenRenderer& r, const std::array<float, 3>& background) {

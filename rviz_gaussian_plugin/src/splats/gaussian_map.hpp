@@ -58,6 +58,18 @@ struct MapState {
   std::uint64_t dropped = 0;       // splats, since the last clear
 };
 
+constexpr std::uint32_t kNoSlot = 0xffffffffu;
+
+// One slot of a map, empty where its opacity is 0.
+struct SplatValues {
+  std::uint32_t slot = kNoSlot;
+  std::array<double, 3> position{};    // [m]
+  std::array<float, 4> orientation{};  // x y z w, of any length
+  std::array<float, 3> scale{};        // standard deviations along the principal axes [m]
+  float opacity = 0;
+  std::vector<float> sh;  // 3 (degree + 1)^2, coefficient-major, RGB interleaved
+};
+
 // Keeps the books of a map: which slots are in use, which revision this is, what is still missing.
 // Knows no GPU; holds no splats.
 class GaussianMap {

@@ -32,6 +32,12 @@ void Buffer::write(std::size_t offset, const void* data, std::size_t bytes) {
                   static_cast<GLsizeiptr>(bytes), data);
 }
 
+void Buffer::read(std::size_t offset, void* data, std::size_t bytes) const {
+  glBindBuffer(GL_COPY_READ_BUFFER, id_);
+  glGetBufferSubData(GL_COPY_READ_BUFFER, static_cast<GLintptr>(offset),
+                     static_cast<GLsizeiptr>(bytes), data);
+}
+
 void Buffer::zero() {
   glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
   glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);

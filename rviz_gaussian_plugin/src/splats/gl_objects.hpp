@@ -28,6 +28,8 @@ class Buffer {
   GLuint id() const { return id_; }
   std::size_t bytes() const { return bytes_; }
   void write(std::size_t offset, const void* data, std::size_t bytes);
+  // Waits for the GPU.
+  void read(std::size_t offset, void* data, std::size_t bytes) const;
   void zero();
 
  private:

@@ -34,7 +34,7 @@ SplatCamera cameraOf(const Ogre::Camera& ogre, const Ogre::Affine3& node, int wi
     for (int j = 0; j < 3; ++j) sum += double(view[i][j]) * double(node[j][3]);
     camera.translation[i] = sign * sum;
   }
-  camera.orthographic = ogre.getProjectionType() == Ogre::PT_ORTHOGRAPHIC;
+  camera.orthographic = projection[3][3] != 0;  // whatever the type says: rviz sets matrices
   camera.width = width;
   camera.height = height;
   camera.fx = 0.5 * width * projection[0][0];
@@ -46,10 +46,12 @@ SplatCamera cameraOf(const Ogre::Camera& ogre, const Ogre::Affine3& node, int wi
     camera.cx = 0.5 * width * (1.0 - projection[0][2]);
     camera.cy = 0.5 * height * (1.0 + projection[1][2]);
   }
-  camera.near_clip = ogre.getNearClipDistance();
-  if (ogre.getFarClipDistance() > 0) camera.far_clip = ogre.getFarClipDistance();  // 0: infinite
   camera.ndc_scale = -projection[2][2];
   camera.ndc_offset = projection[2][3];
+  // From the matrix: the camera of rviz's selection has its own, and Ogre's default distances.
+  const double nearest = (-1 - camera.ndc_offset) / camera.ndc_scale;
+  camera.near_clip = camera.orthographic ? nearest : -camera.ndc_offset / (1 + camera.ndc_scale);
+  if (ogre.getFarClipDistance() > 0) camera.far_clip = ogre.getFarClipDistance();  // 0: infinite
   return camera;
 }
 
@@ -106,9 +108,11 @@ Ogre::Real SplatCloud::getSquaredViewDepth(const Ogre::Camera* camera) const {
 bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
   Ogre::Viewport* viewport = manager->getCurrentViewport();
   // rviz's mouse tools draw the scene in schemes of their own.
-  const bool seen = viewport->getMaterialScheme() == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
-  const bool touched = viewport->getMaterialScheme() == "Depth";
-  if (!(seen || touched) || !error_.empty() || !camera_) return false;
+  const std::string& scheme = viewport->getMaterialScheme();
+  const bool seen = scheme == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
+  const bool touched = scheme == "Depth";
+  const bool picked = pick_handle_ && (scheme == "Pick" || scheme == "Pick1");
+  if (!(seen || touched || picked) || !error_.empty() || !camera_) return false;
   SplatCamera camera = cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
                                 viewport->getActualWidth(), viewport->getActualHeight());
   camera.extent_scale = std::max(1.0f, settings_.scale);
@@ -117,8 +121,10 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
   try {
     if (seen) {
       report_ = scene_->draw(on_view_(viewport, camera), settings_, canvas, built_in_);
-    } else {
+    } else if (touched) {
       scene_->drawSurface(camera, settings_, canvas, camera_->getFarClipDistance());
+    } else {  // first the map that a pixel shows, then the slot
+      scene_->drawPick(camera, settings_, canvas, scheme == "Pick" ? pick_handle_ : 0);
     }
   } catch (const std::exception& error) {
     error_ = error.what();

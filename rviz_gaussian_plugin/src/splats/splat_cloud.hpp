@@ -28,6 +28,9 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
   // Sort in the next draws, and wait for it, rather than take what order there is.
   void setBuiltIn(bool built_in) { built_in_ = built_in; }
 
+  // What rviz's selection knows the map by, 24 bits; 0: it can't be selected.
+  void setPickHandle(std::uint32_t handle) { pick_handle_ = handle; }
+
   // The last frame; an error is a sentence for the user, and ends drawing until clearError().
   const FrameReport& report() const { return report_; }
   const std::string& error() const { return error_; }
@@ -54,6 +57,7 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
   ViewCallback on_view_;
   RenderSettings settings_;
   bool built_in_ = false;
+  std::uint32_t pick_handle_ = 0;
   FrameReport report_;
   std::string error_;
   Ogre::MaterialPtr material_;

@@ -48,6 +48,11 @@ SplatRenderer::SplatRenderer(const ShaderSource& source) {
   add(surface_, GL_VERTEX_SHADER, "splat_composite.vert");
   add(surface_, GL_FRAGMENT_SHADER, "splat_surface.frag");
   surface_.link("splat_surface");
+  add(pick_, GL_COMPUTE_SHADER, "splat_pick.comp");
+  pick_.link("splat_pick");
+  add(pick_colour_, GL_VERTEX_SHADER, "splat_composite.vert");
+  add(pick_colour_, GL_FRAGMENT_SHADER, "splat_pick.frag");
+  pick_colour_.link("splat_pick_colour");
 
   GLint64 largest = 0;
   glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &largest);
@@ -323,6 +328,90 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
   layOver(surface_, guard.drawFramebuffer(), surface_depth_, x, y);
 }
 
+void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
+                             const RenderSettings& settings, Canvas canvas, std::uint32_t handle) {
+  const gl::StateGuard guard;
+  std::array<GLint, 4> viewport{};
+  glGetIntegerv(GL_VIEWPORT, viewport.data());
+  const GLint x = viewport[0], y = viewport[1];
+  begin(camera, map, settings, canvas, pick_depth_, GL_RGBA16F);
+  const gl::DrawScope scope(pick_depth_);
+  clearDepth();
+  if (canvas != Canvas::kNone) copyDepth(guard.drawFramebuffer(), x, y, pick_depth_);
+
+  const int width = pick_depth_.width(), height = pick_depth_.height();
+  const std::size_t bytes = sizeof(float) * std::size_t(width) * std::size_t(height);
+  if (opaque_depths_.bytes() != bytes) {
+    opaque_depths_ = gl::Buffer(bytes, GL_DYNAMIC_COPY);
+    picked_ = gl::Buffer(bytes, GL_DYNAMIC_COPY);
+  }
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
+  glBindBuffer(GL_PIXEL_PACK_BUFFER, opaque_depths_.id());
+  glReadPixels(0, 0, width, height, GL_DEPTH_COMPONENT, GL_FLOAT, nullptr);
+  glBindBuffer(GL_PIXEL_PACK_BUFFER, 0);
+
+  pick_.use();
+  glUniform1ui(pick_.at("count"), projected_.empty() ? 0u : static_cast<GLuint>(order_count_));
+  glUniform1ui(pick_.at("part_slots"), static_cast<GLuint>(part_slots_));
+  glUniform1ui(pick_.at("capacity"), capacity_);
+  glUniform2i(pick_.at("picture"), width, height);
+  glUniform1i(pick_.at("top_first"), top_first_);
+  glUniform1i(pick_.at("mode"), static_cast<GLint>(settings.mode));
+  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, order_.id());
+  for (std::size_t part = 0; part < kProjectedParts && !projected_.empty(); ++part) {
+    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, static_cast<GLuint>(1 + part),
+                     projected_[std::min(part, projected_.size() - 1)].id());
+  }
+  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 5, opaque_depths_.id());
+  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 6, picked_.id());
+  glDispatchCompute(static_cast<GLuint>((width + 15) / 16), static_cast<GLuint>((height + 15) / 16),
+                    1);
+  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_BUFFER_UPDATE_BARRIER_BIT);
+  if (canvas == Canvas::kNone) return;
+
+  glDisable(GL_BLEND);
+  pick_colour_.use();
+  glUniform1i(pick_colour_.at("width"), width);
+  glUniform1ui(pick_colour_.at("handle"), handle);
+  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, picked_.id());
+  layOver(pick_colour_, guard.drawFramebuffer(), pick_depth_, x, y);
+}
+
+std::vector<std::uint32_t> SplatRenderer::readPick() const {
+  const std::size_t columns = static_cast<std::size_t>(pick_depth_.width()),
+                    rows = static_cast<std::size_t>(pick_depth_.height());
+  std::vector<std::uint32_t> slots(columns * rows);
+  for (std::size_t i = 0; i < rows; ++i) {
+    const std::size_t target_row = top_first_ ? i : rows - 1 - i;
+    picked_.read(target_row * columns * sizeof(std::uint32_t), &slots[i * columns],
+                 columns * sizeof(std::uint32_t));
+  }
+  return slots;
+}
+
+std::vector<SplatValues> SplatRenderer::readSlots(const std::vector<std::uint32_t>& slots) const {
+  std::vector<SplatValues> splats;
+  for (const std::uint32_t slot : slots) {
+    SplatValues& splat = splats.emplace_back();
+    splat.slot = slot;
+    const auto found = pages_.find(slot / kPageSlots);
+    if (found == pages_.end()) continue;  // an empty slot
+    const std::size_t offset = slot % kPageSlots;
+    std::array<float, kGeometryFloats> g{};
+    found->second.geometry.read(offset * sizeof(g), g.data(), sizeof(g));
+    splat.position = {g[0], g[1], g[2]};
+    splat.opacity = g[3];
+    splat.orientation = {g[4], g[5], g[6], g[7]};
+    splat.scale = {g[8], g[9], g[10]};
+    for (int band = 0; band <= sh_degree_; ++band) {
+      const std::size_t have = splat.sh.size();
+      splat.sh.resize(have + std::size_t(kBandFloats[band]));
+      found->second.bands[band].read(offset * bandBytes(band), &splat.sh[have], bandBytes(band));
+    }
+  }
+  return splats;
+}
+
 std::vector<float> SplatRenderer::readColor() const {
   const std::size_t row = 4 * static_cast<std::size_t>(color_.width());
   std::vector<float> pixels(row * static_cast<std::size_t>(color_.height()));
@@ -368,7 +457,8 @@ std::vector<float> SplatRenderer::readDepth() {
 }
 
 std::size_t SplatRenderer::gpuBytes() const {
-  std::size_t bytes = order_.bytes() + color_.bytes() + depth_.bytes() + surface_depth_.bytes();
+  std::size_t bytes = order_.bytes() + color_.bytes() + depth_.bytes() + surface_depth_.bytes() +
+                      pick_depth_.bytes() + opaque_depths_.bytes() + picked_.bytes();
   for (const gl::Buffer& part : projected_) bytes += part.bytes();
   for (const auto& [index, page] : pages_) {
     bytes += page.geometry.bytes();

@@ -52,6 +52,17 @@ class SplatRenderer {
   void drawSurface(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
                    Canvas canvas, double far_clip);
 
+  // Finds the splat that contributes most to each pixel, at least a twentieth of its colour, among
+  // those that the current framebuffer and viewport don't hide; then writes there the map's handle
+  // for rviz's selection as 24-bit colour, or, without one, slot + 1 (slots of 24 bits only).
+  void drawPick(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
+                Canvas canvas, std::uint32_t handle);
+  // What drawPick() found: width * height slots, top row first; kNoSlot where there is none.
+  std::vector<std::uint32_t> readPick() const;
+
+  // The values of slots as they are stored, positions relative to the map's origin.
+  std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
+
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
   std::vector<float> readColor() const;
   // Draws the mean depth of the splats as draw() saw them: width * height [m], NaN where nothing
@@ -78,7 +89,7 @@ class SplatRenderer {
   void drawQuads(const gl::Target& target, const RenderSettings& settings, bool raw_depth) const;
   float age() const;  // of the renderer [s]
 
-  gl::Program project_, quads_, composite_, surface_;
+  gl::Program project_, quads_, composite_, surface_, pick_, pick_colour_;
   std::size_t part_slots_ = 0;  // slots in one part of the projected buffer
 
   std::unordered_map<std::uint32_t, Page> pages_;  // by slot / kPageSlots
@@ -88,8 +99,9 @@ class SplatRenderer {
   gl::Buffer order_;
   gl::Buffer depth_range_;  // nearest and farthest depth drawn, as float bits
   std::size_t order_count_ = 0;
-  gl::Target color_, depth_, surface_depth_;
-  bool top_first_ = false;  // the targets' first row is the picture's top
+  gl::Target color_, depth_, surface_depth_, pick_depth_;
+  gl::Buffer opaque_depths_, picked_;  // of pick_depth_'s pixels
+  bool top_first_ = false;             // the targets' first row is the picture's top
   RenderSettings drawn_settings_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };

@@ -126,6 +126,23 @@ void SplatScene::drawSurface(const SplatCamera& camera, const RenderSettings& se
   renderer_->drawSurface(camera, drawn_map_, settings, canvas, far_clip);
 }
 
+void SplatScene::drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
+                          std::uint32_t handle) {
+  prepare();
+  book_.setCamera(kSurfaceView, ++surface_sequence_, camera, now());
+  useOrder(book_.sortNow(kSurfaceView).order);
+  renderer_->drawPick(camera, drawn_map_, settings, canvas, handle);
+}
+
+std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {
+  std::vector<SplatValues> splats;
+  if (renderer_) splats = renderer_->readSlots(slots);
+  for (SplatValues& splat : splats) {
+    for (int i = 0; i < 3; ++i) splat.position[i] += drawn_map_.origin[i];
+  }
+  return splats;
+}
+
 void SplatScene::forget(const std::string& view_id) {
   cameras_.erase(view_id);
   book_.forget(view_id);

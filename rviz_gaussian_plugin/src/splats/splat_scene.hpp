@@ -53,6 +53,14 @@ class SplatScene {
   // Render thread: writes where the surface is; see SplatRenderer. Sorts, and waits for it.
   void drawSurface(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
                    double far_clip);
+  // Render thread: writes which splats are seen; see SplatRenderer. Sorts, and waits for it.
+  void drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
+                std::uint32_t handle);
+  std::vector<std::uint32_t> readPick() const { return renderer_->readPick(); }
+  // Render thread: the values of slots as they are drawn, in the map's frame.
+  std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
+  // Render thread: the map as it is drawn.
+  const MapState& drawnMap() const { return drawn_map_; }
   void forget(const std::string& view_id);
 
   // Render thread: what draw() drew last; see SplatRenderer.
