@@ -259,11 +259,24 @@ class Rviz:
 
     def click(self, row: int, column: int) -> None:
         """Clicks into rviz's view."""
+        self._mouse(*self._move_to(row, column), "click", "1")
+
+    def drag(self, start: tuple[int, int], end: tuple[int, int], hold: str = "") -> None:
+        """Drags from a row and column of rviz's view to others, a key held."""
+        held = ["keydown", hold] if hold else []
+        self._mouse(*held, *self._move_to(*start), "mousedown", "1")
+        for part in (0.5, 1.0):  # rviz looks at moves, not at where a press began
+            row, column = (round(a + part * (b - a)) for a, b in zip(start, end, strict=True))
+            self._mouse(*self._move_to(row, column))
+        self._mouse("mouseup", "1", *(["keyup", hold] if hold else []))
+
+    def _move_to(self, row: int, column: int) -> list[str]:
         x, y, _, _ = self.ask("places")["view"]
+        return ["mousemove", str(x + column), str(y + row)]
+
+    def _mouse(self, *commands: str) -> None:
         subprocess.run(
-            ["xdotool", "mousemove", str(x + column), str(y + row), "click", "1"],
-            env=os.environ | {"DISPLAY": self.screen_name},
-            check=True,
+            ["xdotool", *commands], env=os.environ | {"DISPLAY": self.screen_name}, check=True
         )
 
 

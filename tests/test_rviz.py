@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import shutil
 import time
@@ -129,3 +130,43 @@ def test_mouse_tools_touch_the_splats(rviz: Rviz, world: World) -> None:
     assert points[-1].point.x == pytest.approx(0.5, abs=0.03)
     assert points[-1].point.y == pytest.approx(0.0, abs=0.03)
     assert points[-1].point.z == pytest.approx(0.7, abs=0.02)
+
+
+def test_the_quality_of_service_of_the_topic_can_be_edited(rviz: Rviz, world: World) -> None:
+    """A best effort publisher is heard once the property says so; the Status tells that it must."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+    from std_msgs.msg import Header
+
+    from rosplat_msgs.msg import GaussianArray
+    from rosplat_tools.messages import encode
+
+    assert rviz.properties("Map", "Topic") == {
+        "Depth": 1000,
+        "History Policy": "Keep Last",
+        "Reliability Policy": "Reliable",
+        "Durability Policy": "Transient Local",
+    }
+    world.place(0)
+    qos = QoSProfile(
+        depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+    )
+    publisher = world.node.create_publisher(GaussianArray, "gaussians", qos)
+    splat = disc((1, 0, 0))
+
+    def publish(revision: int) -> None:
+        header = Header(frame_id=world.frame)
+        operation = GaussianArray.REPLACE
+        publisher.publish(
+            encode(
+                splat, range(1), header=header, map_id="m", revision=revision, operation=operation
+            )
+        )
+
+    rviz.until_status("Map", "Topic", "Warn", "best effort", "Reliability Policy")
+    publish(1)
+    time.sleep(1)
+    assert not red(rviz.picture()).any()
+    rviz.set("Map", "Topic", "Reliability Policy", value="Best Effort")
+    revisions = itertools.count(2)
+    rviz.until(lambda s: publish(next(revisions)) or red(s).sum() > 3000)
+    world.node.destroy_publisher(publisher)

@@ -25,8 +25,10 @@
 #include <rclcpp/utilities.hpp>
 #include <rviz_common/display.hpp>
 #include <rviz_common/display_group.hpp>
+#include <rviz_common/interaction/selection_manager_iface.hpp>
 #include <rviz_common/logging.hpp>
 #include <rviz_common/properties/property.hpp>
+#include <rviz_common/properties/property_tree_model.hpp>
 #include <rviz_common/properties/status_property.hpp>
 #include <rviz_common/render_panel.hpp>
 #include <rviz_common/ros_integration/ros_client_abstraction.hpp>
@@ -61,6 +63,7 @@ rviz_common::VisualizationManager& manager() { return *frame().getManager(); }
 
 Property& root(const QString& name) {
   if (name == "view") return *manager().getViewManager()->getCurrent();
+  if (name == "selection") return *manager().getSelectionManager()->getPropertyModel()->getRoot();
   return *manager().getRootDisplayGroup();
 }
 

@@ -12,26 +12,33 @@ namespace {
 
 using namespace std::chrono_literals;
 
-// As deep as the history that publishers keep, so that a late joiner gets all of a map.
-rclcpp::QoS mapQos() { return rclcpp::QoS(rclcpp::KeepLast(1000)).reliable().transient_local(); }
-rclcpp::QoS volatileMapQos() { return mapQos().durability_volatile(); }
 // Only the newest view matters, and its order.
 rclcpp::QoS viewQos() { return rclcpp::QoS(rclcpp::KeepLast(1)).reliable().durability_volatile(); }
+// All of what one box of the mouse picks.
+rclcpp::QoS pickedQos() {
+  return rclcpp::QoS(rclcpp::KeepLast(100)).reliable().durability_volatile();
+}
 
 }  // namespace
 
+rclcpp::QoS GaussianClient::mapQos() {
+  return rclcpp::QoS(rclcpp::KeepLast(1000)).reliable().transient_local();
+}
+
 GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
-                               SplatScene& scene)
-    : node_(node), topic_(topic), scene_(scene) {
+                               const rclcpp::QoS& qos, SplatScene& scene)
+    : node_(node), topic_(topic), scene_(scene), qos_(qos) {
   group_ = node_->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false);
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
-  subscribe(mapQos(), latched_);
+  map_ = subscribe(qos_);
   orders_ = node_->create_subscription<SplatOrder>(
       topic_ + "/order", viewQos(),
       [this](std::shared_ptr<SplatOrder> message) { scene_.offer(toOrder(*message)); }, options);
   view_publisher_ =
       node_->create_publisher<rosplat_msgs::msg::ViewCamera>(topic_ + "/view", viewQos());
+  picked_publisher_ =
+      node_->create_publisher<rosplat_msgs::msg::Gaussian>(topic_ + "/picked", pickedQos());
   render_service_ = node_->create_service<RenderView>(
       topic_ + "/render",
       [this](std::shared_ptr<rclcpp::Service<RenderView>> service,
@@ -54,11 +61,11 @@ GaussianClient::~GaussianClient() {
   thread_.join();
 }
 
-void GaussianClient::subscribe(const rclcpp::QoS& qos,
-                               rclcpp::Subscription<GaussianArray>::SharedPtr& target) {
+rclcpp::Subscription<GaussianClient::GaussianArray>::SharedPtr GaussianClient::subscribe(
+    const rclcpp::QoS& qos) {
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
-  target = node_->create_subscription<GaussianArray>(
+  return node_->create_subscription<GaussianArray>(
       topic_, qos, [this](std::shared_ptr<const GaussianArray> message) { receive(*message); },
       options);
 }
@@ -82,18 +89,22 @@ void GaussianClient::receive(const GaussianArray& message) {
 void GaussianClient::watchPublishers() {
   // A latched subscription gets nothing from a volatile publisher; one that asks for less gets
   // both, and what comes twice is dropped by its revision.
-  bool any_volatile = false;
+  bool any_volatile = false, any_best_effort = false;
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {
     any_volatile |= publisher.qos_profile().durability() == rclcpp::DurabilityPolicy::Volatile;
+    any_best_effort |=
+        publisher.qos_profile().reliability() == rclcpp::ReliabilityPolicy::BestEffort;
   }
-  if (any_volatile && !volatile_) {
-    subscribe(volatileMapQos(), volatile_);
-  } else if (!any_volatile) {
-    volatile_.reset();
+  if (!any_volatile || qos_.durability() != rclcpp::DurabilityPolicy::TransientLocal) {
+    volatile_map_.reset();
+  } else if (!volatile_map_) {
+    volatile_map_ = subscribe(rclcpp::QoS(qos_).durability_volatile());
   }
   const std::lock_guard lock(mutex_);
   status_.publishers = publishers.size();
+  status_.best_effort =
+      any_best_effort && qos_.reliability() == rclcpp::ReliabilityPolicy::Reliable;
 }
 
 void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {

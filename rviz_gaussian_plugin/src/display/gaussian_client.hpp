@@ -8,6 +8,7 @@
 #include <nav_msgs/msg/path.hpp>
 #include <optional>
 #include <rclcpp/rclcpp.hpp>
+#include <rosplat_msgs/msg/gaussian.hpp>
 #include <rosplat_msgs/msg/gaussian_array.hpp>
 #include <rosplat_msgs/msg/splat_order.hpp>
 #include <rosplat_msgs/msg/view_camera.hpp>
@@ -41,15 +42,24 @@ class GaussianClient {
     std::uint64_t refused = 0;   // batches that contradict themselves
     std::string refusal;         // why, of the last one
     std::size_t publishers = 0;  // of the map's topic
+    bool best_effort = false;    // one of them offers no more, and more is asked for
     std::string sidecar;         // what became of switchBackend()
     bool sidecar_failed = false;
   };
 
-  // The scene must outlive the client. Throws rclcpp's exceptions for a topic with an invalid name.
-  GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic, SplatScene& scene);
+  // As publishers of maps offer it: reliable, transient local, and as deep as the history that they
+  // keep.
+  static rclcpp::QoS mapQos();
+
+  // The scene must outlive the client. A transient local subscription hears of volatile publishers
+  // too. Throws rclcpp's exceptions for a topic with an invalid name.
+  GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
+                 const rclcpp::QoS& qos, SplatScene& scene);
   ~GaussianClient();
 
   void publish(const rosplat_msgs::msg::ViewCamera& view) { view_publisher_->publish(view); }
+  // What was picked with the mouse.
+  void publish(const rosplat_msgs::msg::Gaussian& picked) { picked_publisher_->publish(picked); }
   // The pose of a view, and the path it has taken, for other displays.
   void publishPose(const rosplat_msgs::msg::ViewCamera& view);
   // Sets the parameter `backend` of whoever publishes the orders.
@@ -61,7 +71,7 @@ class GaussianClient {
   using GaussianArray = rosplat_msgs::msg::GaussianArray;
   using SplatOrder = rosplat_msgs::msg::SplatOrder;
 
-  void subscribe(const rclcpp::QoS& qos, rclcpp::Subscription<GaussianArray>::SharedPtr& target);
+  rclcpp::Subscription<GaussianArray>::SharedPtr subscribe(const rclcpp::QoS& qos);
   void receive(const GaussianArray& message);
   void watchPublishers();
   void reportSidecar(const std::string& text, bool failed);
@@ -70,9 +80,11 @@ class GaussianClient {
   std::string topic_;
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
-  rclcpp::Subscription<GaussianArray>::SharedPtr latched_, volatile_;
+  rclcpp::QoS qos_;
+  rclcpp::Subscription<GaussianArray>::SharedPtr map_, volatile_map_;
   rclcpp::Subscription<SplatOrder>::SharedPtr orders_;
   rclcpp::Publisher<rosplat_msgs::msg::ViewCamera>::SharedPtr view_publisher_;
+  rclcpp::Publisher<rosplat_msgs::msg::Gaussian>::SharedPtr picked_publisher_;
   rclcpp::Service<RenderView>::SharedPtr render_service_;
   rclcpp::TimerBase::SharedPtr watch_;
   rclcpp::Publisher<geometry_msgs::msg::PoseStamped>::SharedPtr pose_publisher_;

@@ -14,6 +14,7 @@
 #include <rviz_common/properties/bool_property.hpp>
 #include <rviz_common/properties/enum_property.hpp>
 #include <rviz_common/properties/file_picker_property.hpp>
+#include <rviz_common/properties/qos_profile_property.hpp>
 #include <rviz_common/properties/ros_topic_property.hpp>
 #include <rviz_common/ros_integration/ros_node_abstraction_iface.hpp>
 #include <sstream>
@@ -61,8 +62,10 @@ GaussianDisplay::GaussianDisplay() : instance_(uniqueName()) {
       "Topic", "",
       QString::fromStdString(rosidl_generator_traits::name<rosplat_msgs::msg::GaussianArray>()),
       "Map of 3D Gaussians (rosplat_msgs/GaussianArray). The display publishes its cameras on "
-      "<topic>/view, takes orders from <topic>/order and draws pictures for <topic>/render.",
+      "<topic>/view and what is selected on <topic>/picked, takes orders from <topic>/order and "
+      "draws pictures for <topic>/render.",
       this, SLOT(subscribe()));
+  qos_property_ = new rviz_common::properties::QosProfileProperty(topic_, qos_);
   scene_file_ = new rviz_common::properties::FilePickerProperty(
       "Scene File", "",
       "Open a scene (.ply, .spz, .sog): the topic's publisher loads it, or one that is started "
@@ -87,12 +90,17 @@ GaussianDisplay::GaussianDisplay() : instance_(uniqueName()) {
 
 GaussianDisplay::~GaussianDisplay() {
   client_.reset();  // no more messages into the cloud
+  selection_.reset();
   if (cloud_ && cloud_->isAttached()) cloud_->detachFromParent();
 }
 
 void GaussianDisplay::onInitialize() {
   Display::onInitialize();
   topic_->initialize(context_->getRosNodeAbstraction());
+  qos_property_->initialize([this](const rclcpp::QoS& qos) {
+    qos_ = qos;
+    subscribe();
+  });
 }
 
 void GaussianDisplay::setTopic(const QString& topic, const QString&) { topic_->setString(topic); }
@@ -108,6 +116,7 @@ void GaussianDisplay::reset() {
 
 void GaussianDisplay::unsubscribe() {
   client_.reset();
+  selection_.reset();
   request_.reset();
   if (cloud_ && cloud_->isAttached()) cloud_->detachFromParent();
   cloud_.reset();
@@ -131,10 +140,14 @@ void GaussianDisplay::subscribe() {
         return onView(viewport, camera);
       });
   scene_node_->attachObject(cloud_.get());
+  selection_ = rviz_common::interaction::createSelectionHandler<SplatSelection>(
+      context_, cloud_.get(), scene_node_,
+      [this](const std::vector<SplatValues>& splats) { publishPicked(splats); });
+  selection_->addTrackedObject(cloud_.get());
   applySettings();
   try {
     const auto node = context_->getRosNodeAbstraction().lock()->get_raw_node();
-    client_ = std::make_unique<GaussianClient>(node, topic, cloud_->scene());
+    client_ = std::make_unique<GaussianClient>(node, topic, qos_, cloud_->scene());
     if (!loader_ || loader_->topic() != topic) {
       loader_ = std::make_unique<SceneLoader>(node, topic);
       openScene();
@@ -203,6 +216,7 @@ void GaussianDisplay::updateTransform() {
 
 std::string GaussianDisplay::onView(Ogre::Viewport* viewport, const SplatCamera& camera) {
   serveRenderRequests();  // here, where the context is current
+  selection_->refresh();
   View& view = views_[viewport];
   if (view.id.empty()) view.id = instance_ + "/" + std::to_string(views_.size());
   if (view.sequence == 0 || !(view.camera == camera)) {
@@ -226,6 +240,17 @@ void GaussianDisplay::publish(View& view) {
       toMessage(view.camera, view.id, view.sequence, client_->status().frame_id, stamp);
   client_->publish(message);
   if (publish_pose_->getBool() && &view != &still_) client_->publishPose(message);
+}
+
+void GaussianDisplay::publishPicked(const std::vector<SplatValues>& splats) {
+  if (!client_) return;
+  std_msgs::msg::Header header;
+  header.frame_id = client_->status().frame_id;
+  header.stamp = context_->getClock()->now();
+  const MapState& map = cloud_->scene().drawnMap();
+  for (const SplatValues& splat : splats) {
+    client_->publish(toMessage(splat, header, map.id, map.revision));
+  }
 }
 
 bool GaussianDisplay::toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const {
@@ -340,7 +365,10 @@ void GaussianDisplay::updateStatus() {
   } else if (received.batches == 0) {
     setStatusOnce(
         StatusProperty::Warn, "Topic",
-        received.publishers == 0 ? "Nobody publishes on this topic" : "No batch received yet");
+        received.publishers == 0 ? "Nobody publishes on this topic"
+        : received.best_effort
+            ? "No batch received: a publisher is best effort, so must the Reliability Policy be"
+            : "No batch received yet");
   } else {
     setStatusOnce(StatusProperty::Ok, "Topic", concat(received.batches, " batches received"));
   }

@@ -11,11 +11,13 @@
 #include "gaussian_client.hpp"
 #include "ros_versions.hpp"
 #include "scene_loader.hpp"
+#include "splat_selection.hpp"
 
 namespace rviz_common::properties {
 class BoolProperty;
 class EnumProperty;
 class FilePickerProperty;
+class QosProfileProperty;
 class RosTopicProperty;
 }  // namespace rviz_common::properties
 
@@ -60,6 +62,7 @@ class GaussianDisplay : public rviz_common::Display {
   void publish(View& view);
   void serveRenderRequests();
   void answer(const GaussianClient::RenderRequest& request, bool built_in);
+  void publishPicked(const std::vector<SplatValues>& splats);
   bool toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const;
   void updateTransform();
   void updateStatus();
@@ -67,6 +70,8 @@ class GaussianDisplay : public rviz_common::Display {
                      const std::string& text);
 
   rviz_common::properties::RosTopicProperty* topic_;
+  rviz_common::properties::QosProfileProperty* qos_property_;
+  rclcpp::QoS qos_ = GaussianClient::mapQos();
   rviz_common::properties::FilePickerProperty* scene_file_;
   rviz_common::properties::EnumProperty* backend_;
   rviz_common::properties::BoolProperty* publish_pose_;
@@ -75,6 +80,7 @@ class GaussianDisplay : public rviz_common::Display {
   std::string instance_;  // names this display's views among all viewers'
   std::unique_ptr<SplatCloud> cloud_;
   std::unique_ptr<GaussianClient> client_;  // after cloud_: feeds it
+  std::shared_ptr<SplatSelection> selection_;
   std::unique_ptr<SceneLoader> loader_;
   std::map<Ogre::Viewport*, View> views_;
   View still_;  // of the pictures that services ask for

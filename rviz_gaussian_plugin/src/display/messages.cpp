@@ -93,6 +93,33 @@ rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::st
   return message;
 }
 
+rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::msg::Header& header,
+                                      const std::string& map_id, std::uint64_t revision) {
+  rosplat_msgs::msg::Gaussian message;
+  message.header = header;
+  message.map_id = map_id;
+  message.revision = revision;
+  message.slot = splat.slot;
+  message.pose.position.x = splat.position[0];
+  message.pose.position.y = splat.position[1];
+  message.pose.position.z = splat.position[2];
+  const auto& q = splat.orientation;
+  const double norm = std::sqrt(double(q[0]) * q[0] + double(q[1]) * q[1] + double(q[2]) * q[2] +
+                                double(q[3]) * q[3]);
+  message.pose.orientation.x = q[0] / norm;
+  message.pose.orientation.y = q[1] / norm;
+  message.pose.orientation.z = q[2] / norm;
+  message.pose.orientation.w = q[3] / norm;
+  message.scale.x = splat.scale[0];
+  message.scale.y = splat.scale[1];
+  message.scale.z = splat.scale[2];
+  message.opacity = splat.opacity;
+  message.sh_degree =
+      static_cast<std::uint8_t>(std::lround(std::sqrt(double(splat.sh.size()) / 3)) - 1);
+  message.sh = splat.sh;
+  return message;
+}
+
 SplatCamera toCamera(const rosplat_msgs::msg::ViewCamera& m) {
   if (m.projection > rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC) {
     throw std::invalid_argument("projection " + std::to_string(m.projection) + " is unknown");

@@ -1,13 +1,16 @@
 #pragma once
 
 #include <builtin_interfaces/msg/time.hpp>
+#include <rosplat_msgs/msg/gaussian.hpp>
 #include <rosplat_msgs/msg/gaussian_array.hpp>
 #include <rosplat_msgs/msg/splat_order.hpp>
 #include <rosplat_msgs/msg/view_camera.hpp>
+#include <std_msgs/msg/header.hpp>
 #include <string>
 
 #include "../splats/built_in_sorter.hpp"
 #include "../splats/gaussian_batch.hpp"
+#include "../splats/gaussian_map.hpp"
 #include "../splats/splat_camera.hpp"
 
 // Between the renderer's own types and ROS messages.
@@ -21,6 +24,10 @@ OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message);  // takes the slots
 rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::string& view_id,
                                         std::uint64_t sequence, const std::string& frame_id,
                                         const builtin_interfaces::msg::Time& stamp);
+
+// With its orientation as a unit quaternion.
+rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::msg::Header& header,
+                                      const std::string& map_id, std::uint64_t revision);
 
 // Throws std::invalid_argument, naming the field, for a camera that can't see.
 SplatCamera toCamera(const rosplat_msgs::msg::ViewCamera& message);

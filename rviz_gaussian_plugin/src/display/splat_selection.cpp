@@ -1,0 +1,187 @@
+#include "splat_selection.hpp"
+
+#include <OgreManualObject.h>
+#include <OgreMaterialManager.h>
+#include <OgreSceneManager.h>
+#include <OgreSceneNode.h>
+
+#include <QColor>
+#include <algorithm>
+#include <rviz_common/display_context.hpp>
+#include <rviz_common/interaction/handler_manager_iface.hpp>
+#include <rviz_common/properties/color_property.hpp>
+#include <rviz_rendering/material_manager.hpp>
+
+#include "splat_outline.hpp"
+
+namespace rosplat {
+
+namespace {
+
+using rviz_common::interaction::Picked;
+using rviz_common::properties::Property;
+
+constexpr float kOutlineSigmas = 2;  // where a splat still has an eighth of its opacity
+constexpr float kBand0 = 0.28209479f;
+
+std::set<std::uint32_t> slotsOf(const Picked& picked) {
+  std::set<std::uint32_t> slots;
+  for (const std::uint64_t handle : picked.extra_handles) {
+    slots.insert(static_cast<std::uint32_t>(handle - 1));
+  }
+  return slots;
+}
+
+template <typename Values>
+QString text(const Values& values) {
+  QStringList numbers;
+  for (const auto value : values) numbers.append(QString::number(value, 'g', 9));
+  return numbers.join("; ");
+}
+
+QColor baseColour(const SplatValues& splat) {
+  std::array<int, 3> rgb{};
+  for (std::size_t i = 0; i < 3; ++i) {
+    rgb[i] = std::clamp(int(255 * (0.5f + kBand0 * splat.sh[i]) + 0.5f), 0, 255);
+  }
+  return {rgb[0], rgb[1], rgb[2]};
+}
+
+Property* describe(const SplatValues& splat) {
+  auto* parent = new Property(QString("Splat in slot %1").arg(splat.slot));
+  const auto add = [parent](const char* name, const QString& value, const char* description) {
+    (new Property(name, value, description, parent))->setReadOnly(true);
+  };
+  if (splat.opacity <= 0) {
+    parent->setValue("empty");
+  } else {
+    add("Position", text(splat.position), "Mean x; y; z in the map's frame. [m]");
+    add("Orientation", text(splat.orientation), "Of the principal axes: x; y; z; w.");
+    add("Scale", text(splat.scale), "Standard deviations along the principal axes. [m]");
+    add("Opacity", QString::number(splat.opacity, 'g', 4), "At the peak, 0 to 1.");
+    (new rviz_common::properties::ColorProperty(
+         "Base Color", baseColour(splat),
+         "Band 0 of the spherical harmonics: the mean over all directions.", parent))
+        ->setReadOnly(true);
+  }
+  parent->setReadOnly(true);
+  return parent;
+}
+
+}  // namespace
+
+SplatSelection::SplatSelection(rviz_common::DisplayContext* context, SplatCloud* cloud,
+                               Ogre::SceneNode* node, SelectCallback on_select)
+    : SelectionHandler(context), cloud_(*cloud), on_select_(std::move(on_select)) {
+  const std::string name = cloud_.getName() + "/selection";
+  material_ = rviz_rendering::MaterialManager::createMaterialWithNoLighting(name);
+  material_->setDepthCheckEnabled(false);  // what is selected is never hidden
+  material_->setDepthWriteEnabled(false);
+  outlines_ = std::make_unique<Ogre::ManualObject>(name);
+  outlines_->setRenderQueueGroup(static_cast<Ogre::uint8>(cloud_.getRenderQueueGroup() + 1));
+  outline_node_ = node->createChildSceneNode();
+  outline_node_->attachObject(outlines_.get());
+}
+
+SplatSelection::~SplatSelection() {
+  outline_node_->detachAllObjects();
+  outline_node_->getParentSceneNode()->removeAndDestroyChild(outline_node_);
+  outlines_.reset();
+  Ogre::MaterialManager::getSingleton().remove(material_);
+}
+
+void SplatSelection::preRenderPass(std::uint32_t) {
+  outline_node_->setVisible(false);
+  // While markers can be dragged, rviz picks at every move of the mouse, and only for them.
+  cloud_.setPickHandle(context_->getHandlerManager()->getInteractionEnabled() ? 0 : getHandle());
+}
+
+void SplatSelection::postRenderPass(std::uint32_t) { outline_node_->setVisible(true); }
+
+void SplatSelection::onSelect(const Picked& picked) {
+  std::vector<std::uint32_t> fresh;
+  for (const std::uint32_t slot : slotsOf(picked)) {
+    if (slots_.insert(slot).second && fresh.size() < kListed) fresh.push_back(slot);
+  }
+  read();
+  drawOutlines();
+  // Right after a pick: the context that it was drawn in is current.
+  if (!fresh.empty()) on_select_(cloud_.scene().readSlots(fresh));
+}
+
+void SplatSelection::onDeselect(const Picked& picked) {
+  for (const std::uint32_t slot : slotsOf(picked)) slots_.erase(slot);
+  // No reading here: nobody knows whether a context is current.
+  splats_.erase(std::remove_if(splats_.begin(), splats_.end(),
+                               [this](const auto& splat) { return !slots_.count(splat.slot); }),
+                splats_.end());
+  drawOutlines();
+}
+
+void SplatSelection::refresh() {
+  const MapState& map = cloud_.scene().drawnMap();
+  if (slots_.empty() || (map.id == read_map_ && map.revision == read_revision_)) return;
+  read();
+  shown_ = false;  // nor may it be now: the outlines are being drawn
+}
+
+void SplatSelection::read() {
+  const MapState& map = cloud_.scene().drawnMap();
+  read_map_ = map.id;
+  read_revision_ = map.revision;
+  std::vector<std::uint32_t> slots(slots_.begin(), slots_.end());
+  slots.resize(std::min(slots.size(), kOutlined));
+  splats_ = cloud_.scene().readSlots(slots);
+}
+
+void SplatSelection::drawOutlines() {
+  outlines_->clear();
+  if (splats_.empty()) return;
+  outlines_->begin(material_->getName(), Ogre::RenderOperation::OT_LINE_LIST,
+                   material_->getGroup());
+  for (const SplatValues& splat : splats_) {
+    if (splat.opacity <= 0) continue;
+    for (const Ogre::Vector3& end : outline(splat, kOutlineSigmas)) {
+      outlines_->position(end);
+      outlines_->colour(Ogre::ColourValue(0, 1, 1));
+    }
+  }
+  outlines_->end();
+  context_->queueRender();
+}
+
+void SplatSelection::createProperties(const Picked&, Property* parent) { list(parent); }
+
+void SplatSelection::destroyProperties(const Picked&, Property* parent) { list(parent); }
+
+void SplatSelection::updateProperties() {
+  if (shown_ || properties_.isEmpty()) return;
+  drawOutlines();
+  list(properties_.front()->getParent());
+}
+
+void SplatSelection::list(Property* parent) {
+  qDeleteAll(properties_);
+  properties_.clear();
+  for (std::size_t i = 0; i < std::min(splats_.size(), kListed); ++i) {
+    properties_.append(describe(splats_[i]));
+  }
+  if (slots_.size() > kListed) {
+    properties_.append(new Property(QString("... and %1 more").arg(slots_.size() - kListed)));
+  }
+  for (Property* property : properties_) parent->addChild(property);
+  if (properties_.size() == 1) properties_.front()->expand();
+  shown_ = true;
+}
+
+rviz_common::interaction::V_AABB SplatSelection::getAABBs(const Picked& picked) {
+  const std::set<std::uint32_t> slots = slotsOf(picked);
+  const Ogre::Affine3 map(outline_node_->_getFullTransform());
+  rviz_common::interaction::V_AABB boxes;
+  for (const SplatValues& splat : splats_) {
+    if (slots.count(splat.slot)) boxes.push_back(boxAround(splat, kOutlineSigmas, map));
+  }
+  return boxes;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,73 @@
+#pragma once
+
+#include <OgreMaterial.h>
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <rviz_common/interaction/selection_handler.hpp>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "../splats/splat_cloud.hpp"
+
+namespace Ogre {
+class ManualObject;
+class SceneNode;
+}  // namespace Ogre
+
+namespace rosplat {
+
+// The slots of a map that rviz's Select tool has selected: outlined in the scene, listed in the
+// Selection panel. Its extra handles are slots, counted from 1. Make it by
+// createSelectionHandler(), as every handler.
+class SplatSelection : public rviz_common::interaction::SelectionHandler {
+ public:
+  // What is known of a selection at most: of more splats than these nothing is shown or told.
+  static constexpr std::size_t kOutlined = 2000;
+  static constexpr std::size_t kListed = 100;
+
+  // Called with what has been selected anew, kListed splats at most.
+  using SelectCallback = std::function<void(const std::vector<SplatValues>&)>;
+
+  // Of the cloud, whose map lives in the frame of the node; both must outlive the handler.
+  SplatSelection(rviz_common::DisplayContext* context, SplatCloud* cloud, Ogre::SceneNode* node,
+                 SelectCallback on_select);
+  ~SplatSelection() override;
+
+  // Render thread: reads the selected slots again where the map has changed.
+  void refresh();
+
+  // rviz_common::interaction::SelectionHandler
+  bool needsAdditionalRenderPass(std::uint32_t pass) override { return pass < 2; }
+  void preRenderPass(std::uint32_t pass) override;
+  void postRenderPass(std::uint32_t pass) override;
+  void onSelect(const rviz_common::interaction::Picked& picked) override;
+  void onDeselect(const rviz_common::interaction::Picked& picked) override;
+  void createProperties(const rviz_common::interaction::Picked& picked,
+                        rviz_common::properties::Property* parent) override;
+  void destroyProperties(const rviz_common::interaction::Picked& picked,
+                         rviz_common::properties::Property* parent) override;
+  void updateProperties() override;
+  rviz_common::interaction::V_AABB getAABBs(
+      const rviz_common::interaction::Picked& picked) override;
+
+ private:
+  void read();
+  void drawOutlines();
+  void list(rviz_common::properties::Property* parent);
+
+  SplatCloud& cloud_;
+  SelectCallback on_select_;
+  std::set<std::uint32_t> slots_;    // selected
+  std::vector<SplatValues> splats_;  // of the first kOutlined of them
+  std::string read_map_;             // as it was when they were read
+  std::uint64_t read_revision_ = 0;
+  bool shown_ = true;  // outlines and panel show what was read
+  Ogre::SceneNode* outline_node_;
+  std::unique_ptr<Ogre::ManualObject> outlines_;
+  Ogre::MaterialPtr material_;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,186 @@
+"""rviz's Select tool on splats: what a click or a box selects, shows and publishes."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rosplat_tools.splats import Splats, concatenate
+from rviz_harness import (
+    MARKERS,
+    Rviz,
+    World,
+    blue,
+    centre,
+    configuration,
+    disc,
+    green,
+    map_display,
+    needs_rviz,
+    red,
+)
+
+pytestmark = [
+    *needs_rviz,
+    pytest.mark.skipif(not shutil.which("xdotool"), reason="no xdotool to click with"),
+]
+
+SELECT = "{Class: rviz_default_plugins/Select}"
+ORBIT = (
+    "{Class: rviz_default_plugins/Orbit, Distance: 5, Pitch: 0.6, Yaw: 0.3,"
+    " Focal Point: {X: 0, Y: 0, Z: 0}}"
+)
+
+
+@pytest.fixture
+def picked(rviz: Rviz, world: World) -> list[Any]:
+    """The view from above with the Select tool; what /gaussians/picked says."""
+    from rosplat_msgs.msg import Gaussian
+
+    rviz.load(configuration(MARKERS, map_display(), tools=SELECT))
+    messages: list[Any] = []
+    world.node.create_subscription(Gaussian, "/gaussians/picked", messages.append, 100)
+    world.place(0)
+    return messages
+
+
+def selection(rviz: Rviz) -> dict[str, dict[str, str]]:
+    """What the Selection panel lists."""
+    tree = rviz.ask("tree", path=[], root="selection")
+    return {
+        splat["name"]: {entry["name"]: entry["value"] for entry in splat["children"]}
+        for splat in tree["children"]
+    }
+
+
+def until_selected(rviz: Rviz, world: World, expected: set[str]) -> None:
+    world.spin_until(lambda: set(selection(rviz)) == expected)
+
+
+def cyan(picture: np.ndarray) -> np.ndarray:
+    return (picture[..., 0] < 80) & (picture[..., 1] > 200) & (picture[..., 2] > 200)
+
+
+def spot(rviz: Rviz, colour: Callable[[np.ndarray], np.ndarray]) -> tuple[int, int]:
+    """Row and column of the middle of what has a colour."""
+    row, column = centre(colour(rviz.until(lambda s: colour(s).sum() > 300)))
+    return int(row), int(column)
+
+
+def test_a_click_selects_shows_and_publishes_the_splat(
+    rviz: Rviz, world: World, picked: list[Any]
+) -> None:
+    splats = concatenate([disc((1, 0, 0), x=-1, sigma=0.2), disc((0, 0, 1), x=1, sigma=0.3)])
+    world.map.replace(splats)
+    rviz.click(*spot(rviz, blue))
+    world.spin_until(lambda: picked)
+    (message,) = picked
+    assert message.header.frame_id == world.frame
+    assert (message.slot, message.revision, message.map_id) == (1, 1, world.map.map_id)
+    assert (message.pose.position.x, message.pose.position.y) == (1.0, 0.0)
+    assert message.pose.orientation.w == 1.0
+    np.testing.assert_allclose([message.scale.x, message.scale.z], [0.3, 0.01], rtol=1e-6)
+    assert message.opacity == 1.0
+    np.testing.assert_array_equal(message.sh, splats.sh[1].ravel())
+    entry = selection(rviz)["Splat in slot 1"]
+    assert entry["Position"] == "1; 0; 0"
+    assert entry["Opacity"] == "1"
+    assert entry["Base Color"] == "0; 0; 255"
+    # Outlined: a circle of two standard deviations, 60 px about where the splat is.
+    outline = cyan(rviz.until(lambda s: cyan(s).sum() > 100))
+    rows, columns = np.nonzero(outline)
+    assert columns.max() - columns.min() == pytest.approx(120, abs=4)
+    assert rows.max() - rows.min() == pytest.approx(120, abs=4)
+
+
+def test_a_box_selects_more_keys_add_and_remove(
+    rviz: Rviz, world: World, picked: list[Any]
+) -> None:
+    colours = {-1: (1, 0, 0), 0: (0, 1, 0), 1: (0, 0, 1)}
+    world.map.replace(concatenate([disc(colour, x=x, sigma=0.1) for x, colour in colours.items()]))
+    left, middle, right = spot(rviz, red), spot(rviz, green), spot(rviz, blue)
+    rviz.drag((left[0] - 30, left[1] - 30), (middle[0] + 30, middle[1] + 30))
+    until_selected(rviz, world, {"Splat in slot 0", "Splat in slot 1"})
+    world.spin_until(lambda: {message.slot for message in picked} == {0, 1})
+    rviz.drag(right, (right[0] + 1, right[1] + 1), hold="shift")
+    until_selected(rviz, world, {f"Splat in slot {slot}" for slot in (0, 1, 2)})
+    world.spin_until(lambda: [message.slot for message in picked] == [0, 1, 2])
+    rviz.drag(middle, (middle[0] + 1, middle[1] + 1), hold="ctrl")
+    until_selected(rviz, world, {"Splat in slot 0", "Splat in slot 2"})
+    rviz.click(left[0] - 150, left[1])  # the void
+    until_selected(rviz, world, set())
+    rviz.until(lambda s: not cyan(s).any())
+
+
+def test_what_hides_a_splat_keeps_it_from_being_selected(
+    rviz: Rviz, world: World, picked: list[Any]
+) -> None:
+    """A marker above a splat, and a splat above another."""
+    world.map.replace(
+        concatenate([disc((1, 0, 0), sigma=0.5), disc((0, 0, 1), x=0.6, z=0.5, sigma=0.2)])
+    )
+    top = spot(rviz, blue)
+    world.cube(z=1.0, x=-0.6, size=0.6)
+    hidden = spot(rviz, green)
+    rviz.click(*top)
+    until_selected(rviz, world, {"Splat in slot 1"})
+    world.spin_until(lambda: picked)
+    rviz.click(*hidden)
+    world.spin_until(lambda: not any("slot" in name for name in selection(rviz)))
+    assert [message.slot for message in picked] == [1]
+
+
+def test_a_perspective_view_picks_the_same(rviz: Rviz, world: World, picked: list[Any]) -> None:
+    """And with the map's frame elsewhere than the fixed one."""
+    rviz.load(configuration(map_display(), tools=SELECT, view=ORBIT))
+    world.place(0.5, yaw=1.0)
+    world.map.replace(
+        concatenate([disc((1, 0, 0), x=-0.7, sigma=0.2), disc((0, 0, 1), x=0.7, sigma=0.2)])
+    )
+    for colour, slot in ((red, 0), (blue, 1)):
+        row, column = spot(rviz, colour)
+        rviz.click(row, column)
+        until_selected(rviz, world, {f"Splat in slot {slot}"})
+        outline = centre(cyan(rviz.until(lambda s: cyan(s).sum() > 50)))
+        np.testing.assert_allclose(outline, (row, column), atol=6)
+        rviz.click(5, 5)
+        until_selected(rviz, world, set())
+        rviz.until(lambda s: not cyan(s).any())
+
+
+def test_the_selection_follows_the_map(rviz: Rviz, world: World, picked: list[Any]) -> None:
+    world.map.replace(disc((0, 0, 1), sigma=0.2))
+    rviz.click(*spot(rviz, blue))
+    until_selected(rviz, world, {"Splat in slot 0"})
+    moved: Splats = disc((1, 0, 0), x=1.0, sigma=0.1)
+    world.map.upsert(range(1), moved)
+    world.spin_until(lambda: selection(rviz)["Splat in slot 0"].get("Position") == "1; 0; 0")
+    world.map.delete(range(1))
+    world.spin_until(lambda: selection(rviz)["Splat in slot 0"] == {})
+    rviz.until(lambda s: not cyan(s).any())
+    rviz.set("Map", value=False)  # the handler goes with what is selected
+    until_selected(rviz, world, set())
+    rviz.set("Map", value=True)
+    world.map.upsert(range(1), moved)
+    rviz.click(*spot(rviz, red))
+    until_selected(rviz, world, {"Splat in slot 0"})
+
+
+def test_hundreds_are_counted_not_listed(rviz: Rviz, world: World, picked: list[Any]) -> None:
+    grid = [
+        disc((0, 0, 1), x=x, y=y, sigma=0.02)
+        for x in np.arange(-1, 1, 0.1)
+        for y in np.arange(-1, 1, 0.1)
+    ]
+    world.map.replace(concatenate(grid))
+    rviz.until(lambda s: blue(s).sum() > 2000)
+    height, width = rviz.picture().shape[:2]
+    rviz.drag((height // 2 - 120, width // 2 - 120), (height // 2 + 120, width // 2 + 120))
+    world.spin_until(lambda: len(picked) == 100)
+    listed = set(selection(rviz))
+    assert len(listed) == 101
+    assert "... and 300 more" in listed
