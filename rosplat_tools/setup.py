@@ -3,6 +3,7 @@
 from setuptools import find_packages, setup
 
 EXECUTABLES = [
+    "bench",
     "convert",
     "demo",
     "demo_sensors",

@@ -89,6 +89,24 @@ class Camera:
         pose[:3, 3] = self.position
         return pose
 
+    @property
+    def orientation(self) -> NDArray[np.float64]:
+        """(4,) unit quaternion x, y, z, w of the optical frame in the world.
+
+        The eigenvector of the largest eigenvalue (Bar-Itzhack 2000).
+        """
+        (a, b, c), (d, e, f), (g, h, i) = self.camera_to_world[:3, :3]
+        symmetric = np.array(
+            [
+                [a - e - i, b + d, c + g, h - f],
+                [b + d, e - a - i, f + h, c - g],
+                [c + g, f + h, i - a - e, d - b],
+                [h - f, c - g, d - b, a + e + i],
+            ]
+        )
+        quaternion: NDArray[np.float64] = np.linalg.eigh(symmetric)[1][:, -1]
+        return quaternion
+
 
 def load_cameras(path: str | Path) -> list[Camera]:
     """Reads a camera file. Raises SceneError naming the file, the camera and the field."""

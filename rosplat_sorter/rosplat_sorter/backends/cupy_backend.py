@@ -147,6 +147,15 @@ class CupyBackend:
         self._count = len(splats)
 
     def order(self, view: View) -> NDArray[np.uint32]:
+        slots = self.order_on_device(view)
+        if len(self._result) < len(slots):
+            self._result = cupyx.empty_pinned(len(slots) + len(slots) // 4, np.uint32)
+        result: NDArray[np.uint32] = self._result[: len(slots)]
+        slots.get(out=result)
+        return result
+
+    def order_on_device(self, view: View) -> cupy.ndarray:
+        """The order as a GPU array, uint32 (m,), which may still be in the making."""
         parameters = np.zeros((), _VIEW)
         for name in _VIEW.names or ():
             parameters[name] = np.ravel(getattr(view, name)).squeeze()
@@ -166,9 +175,4 @@ class CupyBackend:
         )
         entries = self._entries[: int(total[0])]
         entries.sort()
-        slots = entries[::-1].astype(cupy.uint32)
-        if len(self._result) < len(slots):
-            self._result = cupyx.empty_pinned(len(slots) + len(slots) // 4, np.uint32)
-        result: NDArray[np.uint32] = self._result[: len(slots)]
-        slots.get(out=result)
-        return result
+        return entries[::-1].astype(cupy.uint32)

@@ -49,13 +49,18 @@ class TorchBackend:
 
     @torch.inference_mode()
     def order(self, view: View) -> NDArray[np.uint32]:
+        return self._download(self.order_on_device(view))
+
+    @torch.inference_mode()
+    def order_on_device(self, view: View) -> Tensor:
+        """The order as a tensor on the device, int32 (m,), which may still be in the making."""
         positions, extents = self._positions[: self._count], self._extents[: self._count]
         x, y, z = (_transform(view, positions, axis) for axis in range(3))
         slots = _visible(view, x, y, z, extents).nonzero()[:, 0]
         bits = (z[slots] + 0.0).view(torch.int32)  # the sum makes one depth of -0 and 0
         keys = bits ^ ((bits >> 31) & 0x7FFFFFFF)  # integers that compare as the depths do
         ascending = torch.sort(keys, stable=True).indices
-        return self._download(slots[ascending].flip(0).to(torch.int32))
+        return slots[ascending].flip(0).to(torch.int32)
 
     def _upload(self, array: NDArray[np.generic]) -> Tensor:
         return torch.from_numpy(array).to(self._device)

@@ -1,0 +1,75 @@
+"""From a camera's pose to the picture that knows it, through three processes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from rosplat_tools.bench import live, scenes
+from rosplat_tools.bench.plan import Plan
+from rosplat_tools.bench.records import Doing, Event, Measurement, Skipped
+from rosplat_tools.processes import ProcessError
+
+SIZES, QUICK_SIZES = (100_000, 500_000, 1_000_000), (50_000,)
+RATES = (30.0, 60.0)  # at which the camera moves [Hz]
+QUICK_RATES = (30.0,)
+SECONDS, QUICK_SECONDS = 10.0, 3.0  # watched
+PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
+ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
+
+
+def measure(plan: Plan) -> Iterator[Event]:
+    """Latencies and memory by scene, rate of the camera and backend."""
+    backends, missing = live.backends(plan.backends)
+    yield from missing
+    if plan.quick and not plan.backends:
+        backends = backends[:1]
+    names = scenes.names(plan.sizes or (QUICK_SIZES if plan.quick else SIZES), plan.scenes)
+    rates = QUICK_RATES if plan.quick else RATES
+    jobs = list(itertools.product(names, backends, rates))
+    for number, (name, backend, rate) in enumerate(jobs):
+        yield Doing(f"{name}, {backend}, {rate:.0f} Hz", number / len(jobs))
+        try:
+            seen = live.watch(
+                plan.out, ("ply_publisher", "-p", f"path:={name}"), backend=backend, rate=rate,
+                picture=QUICK_PICTURE if plan.quick else PICTURE,
+                until=live.for_seconds(QUICK_SECONDS if plan.quick else SECONDS),
+            )  # fmt: skip
+        except (ProcessError, TimeoutError) as error:
+            yield Skipped(f"{name}, {backend}, {rate:.0f} Hz: {error}")
+            continue
+        yield from _report(name, backend, rate, seen)
+
+
+def _report(name: str, backend: str, rate: float, seen: live.Watched) -> Iterator[Measurement]:
+    first = next(index for index, frame in enumerate(seen.frames) if live.is_answered(frame))
+    frames = seen.frames[first:]
+    arrivals = [arrival for frame in frames for arrival in frame["arrivals"]]
+    common = {"scene": name, "splats": frames[-1]["splats"], "rate": rate, "backend": backend}
+    latencies = np.array([frame["latency"] for frame in frames])
+    latencies = latencies[np.isfinite(latencies)]
+    if len(latencies):
+        carried = sorted({ENCODINGS[arrival["encoding"]] for arrival in arrivals})
+        common["orders"] = ", ".join(carried)
+        yield Measurement.of("pose to picture", "ms", 1e3 * latencies, **common)
+        ways = np.array([arrival["time"] - arrival["looked"] for arrival in arrivals])
+        sorting = np.array([arrival["sort_time"] for arrival in arrivals])
+        known = np.isfinite(ways)
+        yield Measurement.of("pose to order", "ms", 1e3 * ways[known], **common)
+        yield Measurement.of("of which sorting", "ms", 1e3 * sorting[known], **common)
+        travel = 1e3 * (ways - sorting)[known]
+        yield Measurement.of("of which waiting and on the way", "ms", travel, **common)
+    yield Measurement.of("frame", "ms", [1e3 * frame["frame"] for frame in frames], **common)
+    span = frames[-1]["time"] - frames[0]["time"]
+    if span > 0:
+        yield Measurement.of("frame rate", "1/s", (len(frames) - 1) / span, **common)
+    for program in dict.fromkeys(program for _, program, _ in seen.ram):
+        used = [bytes_ for time, who, bytes_ in seen.ram if who == program and bytes_]
+        settled = [
+            bytes_ / 1e6 for time, who, bytes_ in seen.ram
+            if who == program and bytes_ and time >= frames[0]["time"]
+        ]  # fmt: skip
+        values = settled or [used[-1] / 1e6]
+        yield Measurement.of("RAM", "MB", values, **common, process=program)

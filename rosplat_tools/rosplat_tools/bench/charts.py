@@ -1,0 +1,164 @@
+"""Draws charts of records, from nothing but the records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from rosplat_tools.bench.records import Record
+
+Key = Callable[[Record], str]
+
+
+def parameter(*names: str) -> Key:
+    """What records have as these parameters, joined."""
+    return lambda record: ", ".join(
+        str(record.parameters[name]) for name in names if name in record.parameters
+    )
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Records of one name as lines over the number of splats.
+
+    series: what makes a line; panel: what makes a chart beside it, all in one by default. band:
+    shade from the median to the 95th percentile.
+    """
+
+    file: str
+    subject: str
+    name: str
+    title: str
+    y: str
+    series: Key
+    panel: Key = lambda _: ""
+    x: str = "splats"
+    log: bool = True
+    band: bool = True
+
+
+CHARTS = (
+    Chart(
+        "sort-host", "sort", "order in host memory", "Depth order, in host memory", "time [ms]",
+        parameter("method"), parameter("view"),
+    ),
+    Chart(
+        "sort-gpu", "sort", "order on the GPU", "Depth order, left on the GPU", "time [ms]",
+        parameter("method"), parameter("view"),
+    ),
+    Chart(
+        "frame-time", "frame", "frame", "Frame, finished by the GPU", "time [ms]",
+        parameter("variant", "order"), parameter("view", "picture"),
+    ),
+    Chart(
+        "frame-gpu-memory", "frame", "GPU memory", "GPU memory of the renderer", "[MB]",
+        parameter("variant", "picture"), band=False,
+    ),
+    Chart(
+        "transport-orders", "transport", "order", "An order between two processes", "time [ms]",
+        parameter("way"), x="slots",
+    ),
+    Chart(
+        "transport-batches", "transport", "batch", "A batch between two processes",
+        "time [ms]", parameter("way"), x="splats in a message",
+    ),
+    Chart(
+        "transport-map", "transport", "publish to visible", "A map, published to visible",
+        "time [ms]", parameter("backend"),
+    ),
+    Chart(
+        "chain-latency", "chain", "pose to picture", "From pose to picture", "time [ms]",
+        parameter("rate", "backend"),
+    ),
+    Chart(
+        "growth-fps", "growth", "frame rate", "Frame rate as the map grows", "frames a second",
+        parameter("backend"), log=False, band=False,
+    ),
+    Chart(
+        "growth-ram", "growth", "RAM", "Memory as the map grows", "resident [MB]",
+        parameter("backend"), parameter("process"), log=False, band=False,
+    ),
+    Chart(
+        "growth-vram", "growth", "VRAM", "GPU memory as the map grows", "[MB]",
+        parameter("backend"), parameter("of"), log=False, band=False,
+    ),
+)  # fmt: skip
+
+
+def draw(records: Sequence[Record], folder: Path) -> list[Path]:
+    """Draws every chart that the records have something for; returns the pictures' paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn = []
+    for chart in CHARTS:
+        mine = [r for r in records if (r.subject, r.name) == (chart.subject, chart.name)]
+        if mine:
+            path = folder / f"{chart.file}.png"
+            figure(chart, mine).savefig(path, dpi=110)
+            drawn.append(path)
+    return drawn
+
+
+def figure(chart: Chart, records: Sequence[Record]) -> Figure:
+    """One chart; its caption names the machine."""
+    panels = list(dict.fromkeys(chart.panel(record) for record in records))
+    labels = list(dict.fromkeys(chart.series(record) for record in records))
+    color_of = dict(zip(labels, colors(len(labels)), strict=True))
+    drawn = Figure(figsize=(1.5 + 4.4 * len(panels), 4.6), layout="constrained")
+    axes = np.atleast_1d(drawn.subplots(1, len(panels), sharey=True, squeeze=True))
+    for panel, ax in zip(panels, axes, strict=True):
+        for label in labels:
+            points = sorted(
+                (r for r in records if (chart.panel(r), chart.series(r)) == (panel, label)),
+                key=lambda r: r.splats,
+            )
+            if not points:
+                continue
+            x = [point.splats for point in points]
+            ax.plot(
+                x, [point.p50 for point in points], label=label, color=color_of[label],
+                marker="o" if len(points) < 30 else None, markersize=3.5, linewidth=1.4,
+            )  # fmt: skip
+            if chart.band:
+                low, high = [p.p50 for p in points], [p.p95 for p in points]
+                ax.fill_between(x, low, high, color=color_of[label], alpha=0.15, linewidth=0)
+        ax.set_title(panel, fontsize=10)
+        ax.set_xlabel(chart.x)
+        ax.grid(True, which="both", alpha=0.25, linewidth=0.5)
+        if chart.log:
+            ax.set_xscale("log")
+            ax.set_yscale("log")
+        else:
+            ax.set_ylim(bottom=0)
+        ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
+    axes[0].set_ylabel(chart.y)
+    handles = {
+        label: handle
+        for ax in axes
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    drawn.legend(
+        handles.values(), handles.keys(), loc="outside right upper", fontsize=8, frameon=False
+    )
+    drawn.suptitle(chart.title, fontsize=12)
+    drawn.supxlabel(_caption(records), fontsize=7, color="0.35")
+    return drawn
+
+
+def colors(count: int) -> list[tuple[float, ...]]:
+    """Of so many lines."""
+    if count <= 10:
+        return [mpl.colormaps["tab10"](index) for index in range(count)]
+    return [mpl.colormaps["turbo"](place) for place in np.linspace(0.05, 0.95, count)]
+
+
+def _caption(records: Sequence[Record]) -> str:
+    """Where it was measured; shaded is what lies between median and 95th percentile."""
+    wheres = dict.fromkeys(
+        " · ".join(part for part in (r.machine, r.gpu, r.driver, r.commit) if part) for r in records
+    )
+    return "\n".join(wheres)

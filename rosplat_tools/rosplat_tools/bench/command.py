@@ -1,0 +1,257 @@
+"""Measures ROSplat on this machine: sorting, transport, drawing, the whole chain, a growing map."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from rosplat_tools.bench import charts, machine
+from rosplat_tools.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
+from rosplat_tools.bench.records import (
+    Circumstances,
+    Doing,
+    Event,
+    Measurement,
+    Record,
+    RecordError,
+    Skipped,
+    load,
+    save,
+)  # fmt: skip
+from rosplat_tools.processes import ProcessError, interrupt_by_signals
+from rosplat_tools.scenes import NAMES
+from rosplat_tools.splats import SceneError
+
+WIDTH = 150  # of tables that go to a file
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What can be measured; its module has measure(plan), which yields Events."""
+
+    about: str
+    needs_ros: bool = False
+    curve: bool = False  # measured at many numbers of splats, of which a table shows the last
+
+    # Whether ROS 2 and this workspace's messages can be imported.
+    @staticmethod
+    def has_ros() -> bool:
+        try:
+            importlib.import_module("rclpy")
+            importlib.import_module("rosplat_msgs.msg")
+        except ImportError:
+            return False
+        return True
+
+
+SUBJECTS = {
+    "sort": Subject("depth orders by every backend, beside other ways to sort"),
+    "frame": Subject("pictures by the embedded renderer"),
+    "transport": Subject("orders and maps between processes", needs_ros=True),
+    "chain": Subject("from a camera's pose to the picture that knows it", needs_ros=True),
+    "growth": Subject("a map that grows by 1,000 splats a message", needs_ros=True, curve=True),
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; 0 where all was measured that this machine can."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDTH)
+    try:
+        interrupt_by_signals()
+        if arguments[:1] == ["charts"]:
+            return _draw(arguments[1:], console)
+        return _measure(arguments, console)
+    except (SceneError, RecordError, OSError) as error:
+        print(f"bench: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def _draw(arguments: list[str], console: Console) -> int:
+    parser = argparse.ArgumentParser(prog="bench charts", description="Draws charts of records.")
+    parser.add_argument("files", nargs="+", type=Path, help="JSON files that bench wrote")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for the charts")
+    options = parser.parse_args(arguments)
+    _tell_charts(charts.draw(load(options.files), options.out), console)
+    return 0
+
+
+def _measure(arguments: list[str], console: Console) -> int:
+    options = _parser().parse_args(arguments)
+    plan = Plan(
+        out=options.out,
+        quick=options.quick,
+        sizes=tuple(options.sizes),
+        scenes=tuple(options.scenes),
+        backends=tuple(options.backends),
+        variants=tuple(options.variants),
+        budget=QUICK_BUDGET if options.quick else FULL_BUDGET,
+    )
+    options.out.mkdir(parents=True, exist_ok=True)
+    circumstances = machine.circumstances(arguments)
+    console.print(
+        f"{circumstances.machine}; GPU: {circumstances.gpu or 'no NVIDIA'}; "
+        f"load {circumstances.load:.1f}",
+        soft_wrap=True,
+    )
+    failed = False
+    for name in options.subjects or SUBJECTS:
+        subject = SUBJECTS[name]
+        if subject.needs_ros and not subject.has_ros():
+            console.print(f"[yellow]{name} skipped: no ROS 2, or no rosplat_msgs, is sourced")
+            continue
+        events = importlib.import_module(f"rosplat_tools.bench.{name}").measure(plan)
+        recorder = Recorder(name, options.out / f"{name}.json", circumstances)
+        try:
+            _follow(events, recorder, name, console)
+        except (SceneError, ProcessError, RuntimeError, AssertionError, OSError) as error:
+            console.print(f"[red]{name} ended early: {error}", markup=True, soft_wrap=True)
+            failed = True
+        finally:
+            if recorder.records:
+                shown = recorder.records
+                if subject.curve:
+                    shown = last_of_each(shown)
+                console.print(*tables(shown))
+                console.print(f"wrote {recorder.path}")
+                _tell_charts(charts.draw(recorder.records, options.out), console)
+    return int(failed)
+
+
+def _parser() -> argparse.ArgumentParser:
+    subjects = "; ".join(f"{name}: {subject.about}" for name, subject in SUBJECTS.items())
+    parser = argparse.ArgumentParser(
+        prog="bench", description=__doc__,
+        epilog="`bench charts FILES...` draws the charts of records again. "
+        "Ctrl-C ends a run and keeps what was measured.",
+    )  # fmt: skip
+    parser.add_argument(
+        "subjects", nargs="*", metavar="SUBJECT", type=_subject,
+        help=f"what to measure, all by default. {subjects}",
+    )  # fmt: skip
+    parser.add_argument(
+        "--quick", action="store_true", help="small maps, few repetitions: 2 minutes"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/bench"), help="folder for JSON, charts and logs"
+    )
+    parser.add_argument(
+        "--sizes", type=_size, nargs="+", default=[], metavar="N",
+        help="splats of the procedural scenes: 500000, 500k, 5M",
+    )  # fmt: skip
+    parser.add_argument(
+        "--scenes", nargs="+", default=[], metavar="SCENE", help=f"other scenes: {NAMES}"
+    )
+    parser.add_argument(
+        "--backends", nargs="+", default=[], metavar="NAME", help="of the sorter; all by default"
+    )
+    parser.add_argument(
+        "--variants", nargs="+", default=[], metavar="NAME",
+        help="of the renderer's settings, for the subject frame",
+    )  # fmt: skip
+    return parser
+
+
+def _subject(text: str) -> str:
+    if text not in SUBJECTS:
+        raise argparse.ArgumentTypeError(
+            f"unknown subject '{text}', known are {', '.join(SUBJECTS)}"
+        )
+    return text
+
+
+def _size(text: str) -> int:
+    units = {"k": 1_000, "m": 1_000_000}
+    digits, unit = (text[:-1], units[text[-1].lower()]) if text[-1:].lower() in units else (text, 1)
+    try:
+        size = round(float(digits) * unit)
+    except ValueError:
+        size = 0
+    if size < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is no number of splats, such as 500k or 5M")
+    return size
+
+
+class Recorder:
+    """Keeps records, on disk from the moment each is measured."""
+
+    def __init__(self, subject: str, path: Path, circumstances: Circumstances) -> None:
+        self.subject = subject
+        self.path = path
+        self.records: list[Record] = []
+        self._circumstances = circumstances
+
+    def add(self, measured: Measurement) -> Record:
+        """Writes what was measured."""
+        self.records.append(Record.of(self.subject, measured, self._circumstances))
+        save(self.path, self.records)
+        return self.records[-1]
+
+
+def _follow(events: Iterator[Event], recorder: Recorder, name: str, console: Console) -> None:
+    """Shows what happens while it does."""
+    columns = (
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(name, total=1.0)
+        for event in events:
+            if isinstance(event, Doing):
+                progress.update(task, completed=event.part, description=f"{name}: {event.text}")
+            elif isinstance(event, Skipped):
+                progress.console.print(f"[yellow]skipped: {event.text}", soft_wrap=True)
+            else:
+                recorder.add(event)
+
+
+def last_of_each(records: list[Record]) -> list[Record]:
+    """Of records that differ in the number of splats alone, the last."""
+    found = {(record.name, record.scene, *record.parameters.items()): record for record in records}
+    return list(found.values())
+
+
+def tables(records: list[Record]) -> Iterator[Table]:
+    """A table for each quantity, with a column for each parameter."""
+    for name in dict.fromkeys(record.name for record in records):
+        mine = [record for record in records if record.name == name]
+        keys = list(dict.fromkeys(key for record in mine for key in record.parameters))
+        shown = Table(title=f"{mine[0].subject}: {name} [{mine[0].unit}]", title_justify="left")
+        for column in ("scene", *keys):
+            shown.add_column(column)
+        shown.add_column("splats", justify="right")
+        for column in ("median", "p95", "p99", "most", "n"):
+            shown.add_column(column, justify="right")
+        for record in mine:
+            shown.add_row(
+                record.scene, *(_text(record.parameters.get(key, "")) for key in keys),
+                _text(record.splats), _text(record.p50), _text(record.p95), _text(record.p99),
+                _text(record.most), str(record.n),
+            )  # fmt: skip
+        yield shown
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:,.4g}" if isinstance(value, float) and abs(value) < 1e4 else (
+        f"{value:,.0f}" if isinstance(value, float) else str(value)
+    )  # fmt: skip
+
+
+def _tell_charts(paths: list[Path], console: Console) -> None:
+    for path in paths:
+        console.print(f"wrote {path}")

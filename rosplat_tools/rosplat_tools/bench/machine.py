@@ -1,0 +1,108 @@
+"""The machine that is measured: processor, GPU, driver, commit, memory of processes."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import shlex
+import subprocess
+import time
+from pathlib import Path
+
+from rosplat_tools.bench.records import Circumstances
+
+
+def circumstances(arguments: list[str]) -> Circumstances:
+    """Of a run of `bench` with these arguments."""
+    gpu, driver = nvidia_gpu()
+    return Circumstances(
+        machine=machine(),
+        gpu=gpu,
+        driver=driver,
+        commit=commit(),
+        command=shlex.join(["bench", *arguments]),
+        time=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        load=os.getloadavg()[0],
+    )
+
+
+def machine() -> str:
+    """Processor, cores that this process may use, memory and system."""
+    cores = len(os.sched_getaffinity(0))
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
+    return f"{_processor()}, {cores} cores, {memory:.0f} GiB, {platform.platform()}"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, "") or platform.machine()
+
+
+def commit() -> str:
+    """Of the checkout that this runs in, else $ROSPLAT_COMMIT, else empty."""
+    try:
+        git = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+        )
+    except OSError:
+        return os.environ.get("ROSPLAT_COMMIT", "")
+    return git.stdout.strip() or os.environ.get("ROSPLAT_COMMIT", "")
+
+
+def resident_bytes(pid: int | None = None) -> int:
+    """Memory that a process has in RAM, by default this one; 0 when it has ended."""
+    try:
+        status = Path(f"/proc/{pid or os.getpid()}/status").read_text()
+    except OSError:
+        return 0
+    lines = [line for line in status.splitlines() if line.startswith("VmRSS:")]
+    return 1024 * int(lines[0].split()[1]) if lines else 0
+
+
+# --- NVIDIA's management library, which comes with every driver -----------------------------------
+
+
+class _Memory(ctypes.Structure):
+    _fields_ = [("total", ctypes.c_ulonglong), ("free", ctypes.c_ulonglong),
+                ("used", ctypes.c_ulonglong)]  # fmt: skip
+
+
+def _nvml() -> tuple[ctypes.CDLL, ctypes.c_void_p] | None:
+    """The library and the first GPU."""
+    try:
+        library = ctypes.CDLL("libnvidia-ml.so.1")
+    except OSError:
+        return None
+    device = ctypes.c_void_p()
+    if library.nvmlInit_v2() or library.nvmlDeviceGetHandleByIndex_v2(0, ctypes.byref(device)):
+        return None
+    return library, device
+
+
+def nvidia_gpu() -> tuple[str, str]:
+    """Name and driver's version of the first NVIDIA GPU, empty where there is none."""
+    found = _nvml()
+    if not found:
+        return "", ""
+    library, device = found
+    name, driver = ctypes.create_string_buffer(96), ctypes.create_string_buffer(96)
+    library.nvmlDeviceGetName(device, name, len(name))
+    library.nvmlSystemGetDriverVersion(driver, len(driver))
+    return name.value.decode(), driver.value.decode()
+
+
+def gpu_bytes_used() -> int | None:
+    """Memory that all programs use on the first NVIDIA GPU, None where there is none."""
+    found = _nvml()
+    if not found:
+        return None
+    library, device = found
+    memory = _Memory()
+    if library.nvmlDeviceGetMemoryInfo(device, ctypes.byref(memory)):
+        return None
+    return int(memory.used)

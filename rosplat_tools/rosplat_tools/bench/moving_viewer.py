@@ -1,0 +1,151 @@
+"""A viewer whose camera never rests, for benchmarks: writes a line of JSON for each frame it drew.
+
+A program of its own: `python -m rosplat_tools.bench.moving_viewer --ros-args -p trace:=FILE ...`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from typing import TextIO
+
+import numpy as np
+
+from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_tools.bench.frame import gl_finish
+from rosplat_tools.bench.scenes import STEP
+from rosplat_tools.parameters import declare
+from rosplat_tools.running import run, spinning
+from rosplat_tools.view_messages import view_camera
+from rosplat_tools.viewer import OrbitCamera, Viewer
+from rviz_gaussian_plugin.offscreen import OrderSource, ensure_display
+
+IDLE = 0.0005  # between looks at whether there is something to draw [s]
+
+
+class MovingViewer(Viewer):
+    """Turns the camera, draws, and remembers when what arrived."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rate: float = declare(
+            self, "rate", 0.0, "How often the camera turns; 0: before each frame. [Hz]", 0.0, 1e4
+        )
+        self.trace: str = declare(self, "trace", "", "File to write a line of JSON a frame to.")
+        self.radius: float = declare(
+            self, "radius", 0.0, "Of the map, around its origin; 0: as it is seen. [m]", 0.0, 1e9
+        )
+        self.built_in: bool = declare(self, "built_in", False, "Ask nobody else to sort.")
+        self.published = math.nan  # when the publisher made the map's first batch, of time.time()
+        self.received = math.nan  # when the last batch had been taken
+        self._arrivals: list[dict[str, float]] = []
+        self._lock = threading.Lock()
+
+    def _on_batch(self, message: GaussianArray) -> None:
+        if message.operation == GaussianArray.REPLACE:
+            stamp = message.header.stamp
+            self.published = stamp.sec + 1e-9 * stamp.nanosec
+        super()._on_batch(message)
+        self.received = time.time()
+
+    def _on_order(self, message: SplatOrder) -> None:
+        arrival = {
+            "time": time.time(),
+            "sequence": message.sequence,
+            "sort_time": message.sort_time,
+            "bytes": len(message.slots) * 4,
+            "encoding": getattr(message, "encoding", 0),
+        }
+        super()._on_order(message)
+        with self._lock:
+            self._arrivals.append(arrival)
+
+    def arrivals(self) -> list[dict[str, float]]:
+        """The orders that came since the last call."""
+        with self._lock:
+            taken, self._arrivals = self._arrivals, []
+        return taken
+
+
+def watch(viewer: MovingViewer, trace: TextIO) -> None:
+    """Draws until it is told to end."""
+    if viewer.built_in:
+        viewer.renderer.settings.order = OrderSource.BUILT_IN
+    finish = gl_finish()
+    looked: dict[int, float] = {}
+    orbit: OrbitCamera | None = None
+    camera, view_id, due, turned = ViewCamera(), "", 0.0, False
+    stale, revision = True, 0
+    while viewer.context.ok():
+        if orbit is None and viewer.renderer.splats and (viewer.radius or viewer.complete()):
+            centre, radius = (
+                (np.zeros(3), viewer.radius) if viewer.radius else viewer.bounds()
+            )  # fmt: skip
+            orbit = OrbitCamera(centre, 2.5 * radius, np.array(viewer.up, np.float64))
+        if orbit is None:
+            time.sleep(IDLE)
+            continue
+        now = time.time()
+        if now >= due:
+            period = 1 / viewer.rate if viewer.rate else 0.0
+            due = max(due + period, now)
+            orbit.turn(STEP, 0)
+            camera = view_camera(orbit.camera(*viewer.window_size))
+            view_id = viewer.look(camera, "bench")
+            looked[camera.sequence] = now
+            turned = True
+        arrivals = viewer.arrivals()
+        if not (turned or arrivals or stale or viewer.renderer.revision != revision):
+            time.sleep(IDLE)
+            continue
+        turned, revision = False, viewer.renderer.revision
+        splats = viewer.renderer.splats
+        complete = viewer.complete()
+        began = time.time()
+        report = viewer.renderer.draw(view_id)
+        finish()
+        stale = not report["order_fresh"]
+        ended = time.time()
+        # An order answers a camera and those before it, which were never answered.
+        answered = max((int(arrival["sequence"]) for arrival in arrivals), default=0)
+        for arrival in arrivals:
+            arrival["looked"] = looked.get(int(arrival["sequence"]), math.nan)
+        line = {
+            "time": ended,
+            "frame": ended - began,
+            "splats": splats,
+            "complete": complete,
+            "drawn": report["splats"],
+            "fresh": report["order_fresh"],
+            "source": report["order_source"],
+            "gpu_bytes": report["gpu_bytes"],
+            "published": viewer.published,
+            "received": viewer.received,
+            "arrivals": arrivals,
+            "latency": ended - looked[answered] if answered in looked else math.nan,
+        }
+        for sequence in [number for number in looked if number < answered]:
+            del looked[sequence]
+        trace.write(json.dumps(line) + "\n")
+        trace.flush()
+
+
+def main() -> None:
+    """Runs the viewer until it is told to end."""
+    run("moving_viewer", _watch)
+
+
+def _watch() -> None:
+    with ensure_display():
+        viewer = MovingViewer()
+        try:
+            with spinning(viewer, threads=4), open(viewer.trace, "w", encoding="utf-8") as trace:
+                watch(viewer, trace)
+        finally:
+            del viewer.renderer  # while its display is there
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""What was measured, and where, as JSON: a list of records, each complete by itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Parameter = str | int | float | bool
+
+
+class RecordError(ValueError):
+    """A file that holds no records; the text says which file and why."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Samples of one quantity, as a subject took them.
+
+    samples: one or more, in `unit`. scene: what it was measured on, of `splats` splats. parameters:
+    what tells it apart from others of its name; numbers are also results that belong to it. gpu:
+    what drew, where it isn't the machine's NVIDIA GPU.
+    """
+
+    name: str
+    unit: str
+    samples: NDArray[np.float64]
+    scene: str = ""
+    splats: int = 0
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    gpu: str = ""
+
+    @classmethod
+    def of(
+        cls, name: str, unit: str, samples: ArrayLike, scene: str = "", splats: int = 0,
+        gpu: str = "", **parameters: Parameter,
+    ) -> Measurement:  # fmt: skip
+        """Of one sample or several. Raises ValueError for none, or what is not finite."""
+        values = np.atleast_1d(np.asarray(samples, np.float64))
+        if not values.size or not np.isfinite(values).all():
+            raise ValueError(f"{name}: expected one or more finite samples, got {values}")
+        return cls(name, unit, values, scene, splats, parameters, gpu)
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """Something that this machine lacks; the text says what was left out, and why."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Doing:
+    """What a subject is about to do, and how much of it is done, 0 to 1."""
+
+    text: str
+    part: float
+
+
+Event = Measurement | Skipped | Doing
+"""What subjects yield."""
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What all measurements of a run share; empty where a machine lacks it."""
+
+    machine: str
+    gpu: str
+    driver: str
+    commit: str
+    command: str
+    time: str
+    load: float
+    """Programs that wanted a processor while nothing was measured yet, a minute's mean."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A measurement with its statistics and circumstances: what is written."""
+
+    subject: str
+    name: str
+    value: float
+    """The median, or the only sample."""
+    unit: str
+    n: int
+    p50: float
+    p95: float
+    p99: float
+    least: float
+    most: float
+    scene: str
+    splats: int
+    parameters: dict[str, Parameter]
+    machine: str
+    gpu: str
+    driver: str
+    commit: str
+    command: str
+    time: str
+    load: float
+
+    @classmethod
+    def of(cls, subject: str, measured: Measurement, circumstances: Circumstances) -> Record:
+        """Percentiles are interpolated linearly between samples."""
+        samples = measured.samples
+        p50, p95, p99 = (float(value) for value in np.percentile(samples, [50, 95, 99]))
+        return cls(
+            subject=subject,
+            name=measured.name,
+            value=p50,
+            unit=measured.unit,
+            n=len(samples),
+            p50=p50,
+            p95=p95,
+            p99=p99,
+            least=float(samples.min()),
+            most=float(samples.max()),
+            scene=measured.scene,
+            splats=measured.splats,
+            parameters=dict(measured.parameters),
+            **(asdict(circumstances) | ({"gpu": measured.gpu} if measured.gpu else {})),
+        )
+
+
+def save(path: Path, records: Sequence[Record]) -> None:
+    """Writes a list of records, each on a line of its own."""
+    lines = ",\n".join(json.dumps(asdict(record)) for record in records)
+    path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+
+
+def load(paths: Iterable[Path]) -> list[Record]:
+    """The records of files, in order. Raises RecordError."""
+    known = {entry.name for entry in fields(Record)}
+    records = []
+    for path in paths:
+        try:
+            entries = json.loads(path.read_text(encoding="utf-8"))
+            records += [
+                Record(**{name: value for name, value in entry.items() if name in known})
+                for entry in entries
+            ]
+        except OSError as error:
+            raise RecordError(f"{path}: {error.strerror or error}") from error
+        except (ValueError, TypeError, AttributeError) as error:
+            raise RecordError(f"{path}: holds no records of a benchmark: {error}") from error
+    return records
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How often something is repeated: at least `least`, at most `most` times, for `seconds`."""
+
+    least: int
+    most: int
+    seconds: float
+
+    def spend(self, run: Callable[[int], float]) -> list[float]:
+        """What run(0), run(1), ... return, after one that doesn't count."""
+        run(0)
+        samples: list[float] = []
+        end = perf_counter() + self.seconds
+        while len(samples) < self.most and (len(samples) < self.least or perf_counter() < end):
+            samples.append(run(len(samples)))
+        return samples
+
+
+def milliseconds(run: Callable[[], object]) -> float:
+    """How long a call takes."""
+    start = perf_counter()
+    run()
+    return 1e3 * (perf_counter() - start)

@@ -1,0 +1,91 @@
+"""Scenes to measure with, and cameras that move around them. Knows no ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_tools.cameras import Camera, look_at, orbit
+from rosplat_tools.scenes import PROCEDURAL, load_scene
+from rosplat_tools.splats import Splats
+
+STEP = math.radians(1)  # by which the camera turns from picture to picture
+PICTURES = ((1280, 720), (1920, 1080))
+
+
+def load(name: str) -> Splats:
+    """A scene by its name. Raises SceneError."""
+    return load_scene(name, lambda _: None, lambda _: None)
+
+
+def names(sizes: tuple[int, ...], scenes: tuple[str, ...]) -> list[str]:
+    """Procedural scenes of these sizes, smallest first, then those by name."""
+    return [f"{PROCEDURAL}{size}" for size in sorted(sizes)] + list(scenes)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the bulk of a scene is: its middle and half its diagonal. [m]"""
+
+    centre: NDArray[np.float64]
+    radius: float
+
+
+def place(splats: Splats) -> Place:
+    """Of the middle nine tenths along each axis: few stray splats don't move it."""
+    sample = splats.positions[:: len(splats) // 1_000_000 + 1]
+    low, high = np.quantile(sample, [0.05, 0.95], axis=0)
+    centre = (low + high) / 2 + splats.origin
+    return Place(centre, max(float(np.linalg.norm(high - low)) / 2, 1e-3))
+
+
+def all_of_it(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
+    """From so far that every splat is in the picture."""
+    bounds = np.stack([splats.positions.min(axis=0), splats.positions.max(axis=0)]) + splats.origin
+    turns = round(2 * math.pi / STEP)
+    return orbit(bounds, turns, width=width, height=height)[:count]
+
+
+def overview(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
+    """The bulk of the scene fills the picture, as the embedded viewer begins."""
+    return _around(place(splats), 2.5, 0.35, 45, width, height, count)
+
+
+def inside(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
+    """From within the scene, where much of it is beside or behind the camera."""
+    return _around(place(splats), 0.6, 0.3, 60, width, height, count)
+
+
+Motion = Callable[[Splats, int, int, int], list[Camera]]
+"""Cameras that turn around a scene by STEP from one to the next: splats, width, height, count."""
+
+VIEWS: dict[str, Motion] = {"all": all_of_it, "overview": overview, "inside": inside}
+
+
+def _around(
+    here: Place, distance: float, elevation: float, fov: float, width: int, height: int, count: int
+) -> list[Camera]:
+    """Cameras at a distance in radii, looking at the centre; fov: height of the picture [deg]."""
+    focal = 0.5 * height / math.tan(math.radians(fov / 2))
+    cameras = []
+    for index in range(count):
+        turn = 0.6 + index * STEP
+        outward = np.array(
+            [
+                math.cos(elevation) * math.cos(turn),
+                math.cos(elevation) * math.sin(turn),
+                math.sin(elevation),
+            ]
+        )
+        eye = here.centre + distance * here.radius * outward
+        cameras.append(
+            Camera(
+                index, width, height, focal, focal, width / 2, height / 2,
+                look_at(eye, here.centre), near=0.001 * here.radius,
+            )
+        )  # fmt: skip
+    return cameras

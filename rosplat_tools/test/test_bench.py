@@ -1,0 +1,157 @@
+"""The command on tiny sizes: what it measures is true, what it writes is whole."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rosplat_sorter.depth import order
+from rosplat_tools.bench import baselines, frame, scenes, sort
+from rosplat_tools.bench.command import main
+from rosplat_tools.bench.isolation import isolated
+from rosplat_tools.bench.records import Record, load
+from rosplat_tools.generate import generate
+
+
+def bench(out: Path, *arguments: str) -> list[Record]:
+    """What a run of `bench` wrote for its one subject."""
+    assert main([*arguments, "--quick", "--out", str(out)]) == 0
+    return load([out / f"{arguments[0]}.json"])
+
+
+def test_sorting_is_measured_for_every_backend_that_is_here(tmp_path: Path) -> None:
+    records = bench(tmp_path, "sort", "--sizes", "3k", "2k")
+    assert {record.scene for record in records} == {"procedural:2000", "procedural:3000"}
+    methods = {str(record.parameters["method"]) for record in records}
+    assert any(method.startswith("native") for method in methods)
+    assert "np.argsort of all (seed)" in methods
+    every = [record for record in records if record.parameters["view"] == "all"]
+    assert all(record.parameters["visible"] == record.splats for record in every)
+    some = [record for record in records if record.parameters["view"] == "inside"]
+    assert all(0 < record.parameters["visible"] < record.splats for record in some)
+    assert all(record.n >= 3 and 0 < record.p50 <= record.p95 for record in records)
+    assert (tmp_path / "sort-host.png").stat().st_size > 10_000
+
+
+def test_a_wrong_order_is_not_timed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    backend = "rosplat_sorter.backends.numpy_backend.NumpyBackend.order"
+    monkeypatch.setattr(backend, lambda self, view: np.arange(3, dtype=np.uint32))
+    arguments = ["sort", "--sizes", "1k", "--backends", "numpy", "--out", str(tmp_path)]
+    assert main(arguments) == 1
+    assert not (tmp_path / "sort.json").exists()
+
+
+@pytest.mark.parametrize("name", ["np.argsort of all (seed)", "np.argsort of depths"])
+def test_baselines_sort_as_we_do_where_all_is_visible(name: str) -> None:
+    splats = generate(2000)
+    (camera,) = scenes.all_of_it(splats, 640, 480, 1)
+    view = sort.view_of(camera, splats)
+    sorted_map = sort.map_of(splats)
+    exact = order(view, sorted_map.positions, sorted_map.extents)
+    theirs = baselines.IN_HOST_MEMORY[name](splats.positions)(view).ravel()
+    depths = splats.positions.astype(np.float64) @ view.rotation[2].astype(np.float64)
+    np.testing.assert_allclose(depths[theirs], depths[exact], atol=1e-5)
+
+
+def test_cameras_of_a_view_turn_by_a_degree() -> None:
+    splats = generate(500)
+    for kind in scenes.VIEWS.values():
+        first, second = kind(splats, 64, 48, 2)
+        cosine = (first.world_to_camera[0, :3] * second.world_to_camera[0, :3]).sum()
+        assert np.degrees(np.arccos(cosine)) == pytest.approx(1, rel=0.01)
+
+
+def test_pictures_are_measured_with_each_kind_of_order(tmp_path: Path) -> None:
+    records = bench(tmp_path, "frame", "--sizes", "2000")
+    frames = {str(r.parameters["order"]): r for r in records if r.name == "frame"}
+    assert frames.keys() == {frame.FRESH, frame.WAITING, frame.LATE}
+    assert all(record.parameters["drawn"] == 2000 for record in frames.values())
+    by_name = {record.name: record for record in records}
+    # Position, shape, opacity and 16 harmonics of three colours, and the picture, are somewhere.
+    assert by_name["GPU memory"].value * 1e6 > 2000 * 59 * 4 + 1280 * 720 * 8
+    assert by_name["frame while a map streams in"].n >= 1
+    assert "OpenGL" in records[0].gpu
+
+
+def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:
+    records = bench(tmp_path, "chain", "--sizes", "2000", "--backends", "native")
+    by_name = {record.name: record for record in records if record.name != "RAM"}
+    assert by_name["pose to picture"].p50 > by_name["of which sorting"].p50
+    assert by_name["pose to picture"].splats == 2000
+    programs = {r.parameters["process"]: r.value for r in records if r.name == "RAM"}
+    assert programs.keys() == {"publisher", "sorter", "viewer"}
+    assert min(programs.values()) > 20
+
+
+def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path) -> None:
+    records = bench(tmp_path, "growth", "--sizes", "20000", "--backends", "native")
+    rates = [record for record in records if record.name == "frame rate"]
+    sizes = [record.splats for record in rates]
+    assert sizes == sorted(sizes)
+    assert len(sizes) >= 3
+    assert sizes[-1] > 15_000
+    assert {"growth-fps.png", "growth-ram.png", "growth-vram.png"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+
+
+def test_messages_are_measured_in_every_form(tmp_path: Path) -> None:
+    records = bench(tmp_path, "transport", "--sizes", "2000")
+    orders = [record for record in records if record.name == "order"]
+    assert [record.splats for record in orders] == [2000]
+    batches = {str(r.parameters["way"]).split(":")[0]: r for r in records if r.name == "batch"}
+    assert {"GaussianArray", "PoseArray"} <= batches.keys()
+    assert any(record.name == "publish to visible" for record in records)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["sort", "--sizes", "many"], "'many' is no number of splats"),
+        (["sorting"], "unknown subject 'sorting'"),
+    ],
+)
+def test_what_makes_no_sense_is_said(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert words in capsys.readouterr().err
+
+
+def test_a_scene_that_is_none_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sort", "--sizes", "500", "--scenes", "no.ply", "--out", str(tmp_path)]) == 1
+    assert "no.ply" in capsys.readouterr().out
+    assert load([tmp_path / "sort.json"])  # what came before it is kept
+
+
+def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rosplat_tools.bench", "sort", "--sizes", "10k", "10M",
+         "--out", str(tmp_path)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "sort.json").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert load([tmp_path / "sort.json"])
+    assert (tmp_path / "sort-host.png").exists()
+
+
+def test_isolated_work_runs_elsewhere_and_its_end_is_told() -> None:
+    (pid,) = isolated(map, eval, ["__import__('os').getpid()"])
+    assert pid != os.getpid()
+    with pytest.raises(RuntimeError, match=r"ValueError: .*'three'"):
+        list(isolated(map, int, ["three"]))
+    with pytest.raises(RuntimeError, match="ended with code 3"):
+        list(isolated(map, os._exit, [3]))
