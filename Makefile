@@ -11,7 +11,7 @@ FORMAT ?= png16
 
 ENTER = . ./env.sh
 
-.PHONY: help setup demo render bench test lint pictures clean
+.PHONY: help setup demo render bench lab test lint pictures clean
 
 help: ## This list
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -29,6 +29,10 @@ render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=
 
 bench: setup ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" SCENES="a.ply b.spz" SIZES="500k 5M"
 	@$(ENTER); python -m rosplat_tools.bench $(SUBJECTS) $(if $(QUICK),--quick) $(if $(SIZES),--sizes $(SIZES)) $(if $(SCENES),--scenes $(SCENES))
+
+lab: ## Chart error against time for all methods: [SCENE=path] [OUT=folder] [QUICK=1] [DOCS=folder]
+	@./setup.sh
+	@$(ENTER); python -m rosplat_tools.lab $(if $(SCENE),"$(SCENE)") --out "$(if $(filter out/render,$(OUT)),out/lab,$(OUT))" $(if $(QUICK),--quick) $(if $(DOCS),--docs "$(DOCS)")
 
 lint: ## Format, lint and types
 	@./setup.sh dev

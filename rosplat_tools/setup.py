@@ -9,6 +9,7 @@ EXECUTABLES = [
     "demo_sensors",
     "generate",
     "inspect",
+    "lab",
     "ply_publisher",
     "render",
     "slam_emulator",
@@ -19,6 +20,7 @@ setup(
     name="rosplat_tools",
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
+    package_data={"rosplat_tools.lab": ["report.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/rosplat_tools"]),
         ("share/rosplat_tools", ["package.xml"]),

@@ -1,4 +1,4 @@
-"""How far a picture is from its reference: PSNR, SSIM and FLIP.
+"""How far a picture is from its reference: PSNR, SSIM, FLIP and the worst pixel.
 
 Pictures are (height, width, 3) arrays of display-encoded RGB, 0 to 1, as splats are trained on.
 """
@@ -18,7 +18,7 @@ Pixels = NDArray[np.float64]
 
 
 def compare(test: Image, reference: Image) -> dict[str, float]:
-    """psnr, ssim and flip of what a screen shows: both pictures are clipped to 0..1 first.
+    """psnr, ssim, flip and worst of what a screen shows: both pictures are clipped to 0..1 first.
 
     Raises ValueError for pictures of different shape or with numbers that are not finite.
     """
@@ -27,6 +27,7 @@ def compare(test: Image, reference: Image) -> dict[str, float]:
         "psnr": psnr(test, reference),
         "ssim": ssim(test, reference),
         "flip": flip(test, reference),
+        "worst": worst(test, reference),
     }
 
 
@@ -63,6 +64,12 @@ def flip(test: Image, reference: Image) -> float:
     test, reference = (image.astype(np.float32) for image in _checked(test, reference))
     _, mean, _ = flip_evaluator.evaluate(reference, test, "LDR", applyMagma=False)
     return float(mean)
+
+
+def worst(test: Image, reference: Image) -> float:
+    """The largest difference of any pixel in any channel; 1 is black for white."""
+    test, reference = _checked(test, reference)
+    return float(np.abs(test - reference).max())
 
 
 def _checked(test: Image, reference: Image) -> tuple[Pixels, Pixels]:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rosplat_tools.metrics import Image, compare, flip, psnr, ssim
+from rosplat_tools.metrics import Image, compare, flip, psnr, ssim, worst
 
 
 def picture() -> Image:
@@ -13,7 +13,8 @@ def picture() -> Image:
 
 
 def test_equal_pictures() -> None:
-    assert compare(picture(), picture()) == {"psnr": math.inf, "ssim": pytest.approx(1), "flip": 0}
+    expected = {"psnr": math.inf, "ssim": pytest.approx(1), "flip": 0, "worst": 0}
+    assert compare(picture(), picture()) == expected
 
 
 @pytest.mark.parametrize(("offset", "decibels"), [(0.1, 20), (0.01, 40), (-0.001, 60)])
@@ -27,6 +28,13 @@ def test_more_noise_is_worse_by_every_metric() -> None:
     assert little["psnr"] > much["psnr"]
     assert little["ssim"] > much["ssim"]
     assert little["flip"] < much["flip"] < 1
+
+
+def test_the_worst_pixel_hides_in_no_mean() -> None:
+    changed = picture()
+    changed[3, 5, 1] += 0.15
+    assert worst(changed, picture()) == pytest.approx(0.15)
+    assert psnr(changed, picture()) > 50
 
 
 def test_what_a_screen_cannot_show_does_not_count() -> None:

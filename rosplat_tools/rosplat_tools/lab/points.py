@@ -1,0 +1,145 @@
+"""What was measured: a point for each method, scene and camera, kept to be measured once."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_tools import reference
+from rosplat_tools.cameras import Camera
+from rosplat_tools.lab import bench, fragments, motion, orders
+from rosplat_tools.splats import Splats
+
+MOST_PSNR = 150.0  # what equal pictures count as: JSON knows no infinity [dB]
+
+
+@dataclass(frozen=True)
+class Point:
+    """One picture against its reference."""
+
+    key: str
+    method: str
+    family: str
+    model: bool
+    scene: str
+    camera: int
+    splats: int | None
+    """Drawn, None for models."""
+    sort_ms: float | None
+    draw_ms: float | None
+    psnr: float
+    ssim: float
+    flip: float
+    worst: float
+    machine: str
+    gpu: str
+    commit: str
+    command: str
+
+    @property
+    def ms(self) -> float | None:
+        """Sorting and drawing; None for models."""
+        return None if self.sort_ms is None or self.draw_ms is None else self.sort_ms + self.draw_ms
+
+
+class Store:
+    """Points in a file of a JSON object a line, and binary results beside it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        self._file = folder / "points.jsonl"
+        self._points = {point.key: point for point in _read(self._file)}
+
+    def get(self, key: str) -> Point | None:
+        """The point of a key, if it was measured."""
+        return self._points.get(key)
+
+    def add(self, point: Point) -> None:
+        """Keeps a point, at once: an interrupted run goes on here."""
+        self._points[point.key] = point
+        with self._file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(asdict(point)) + "\n")
+
+    def picture(self, key: str) -> NDArray[np.float64] | None:
+        """The reference picture of a key, if it was drawn."""
+        path = self.folder / "truth" / f"{key}.npy"
+        if not path.exists():
+            return None
+        pixels: NDArray[np.float64] = np.load(path)
+        return pixels
+
+    def add_picture(self, key: str, pixels: NDArray[np.float64]) -> None:
+        """Keeps a reference picture."""
+        path = self.folder / "truth" / f"{key}.npy"
+        path.parent.mkdir(exist_ok=True)
+        np.save(path, pixels)
+
+
+def _read(path: Path) -> Iterator[Point]:
+    names = {field.name for field in fields(Point)}
+    if not path.exists():
+        return
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            entry = json.loads(line)
+        except ValueError:  # the line that an interrupted run was writing
+            continue
+        if isinstance(entry, dict) and set(entry) == names:
+            yield Point(**entry)
+
+
+def key(*parts: object) -> str:
+    """A name for what a result depends on."""
+    return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()[:24]
+
+
+def scene_key(splats: Splats) -> str:
+    """Of a scene's contents."""
+    digest = hashlib.sha256()
+    for array in (splats.positions, splats.scales, splats.opacities, splats.sh, splats.origin):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:24]
+
+
+def camera_key(camera: Camera) -> str:
+    """Of a camera's values."""
+    return key(*vars(camera).items(), camera.world_to_camera.tolist())
+
+
+def code_version() -> str:
+    """Of the code and shaders that pictures and times come from, methods.py apart: there a method's
+    name stands for what it does."""
+    import rviz_gaussian_plugin._offscreen as renderer
+    from rviz_gaussian_plugin.offscreen import _media_folder
+
+    sources = [Path(module.__file__ or "") for module in (bench, fragments, motion, orders)]
+    sources += sorted(Path(reference.__file__).parent.glob("*.py"))
+    binaries = [Path(renderer.__file__ or ""), *sorted(_media_folder().iterdir())]
+    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in binaries]
+    return key(*map(_meaning, sources), *digests)
+
+
+def _meaning(path: Path) -> str:
+    """A source without its comments, docstrings and layout."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list) and body and isinstance(body[0], ast.Expr):
+            value = body[0].value
+            if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                del body[0]
+    return ast.dump(tree)
+
+
+def save(path: Path, points: Iterable[Point]) -> None:
+    """Writes points as one JSON list, for other programs."""
+    rows = [asdict(point) | {"ms": point.ms} for point in points]
+    path.write_text(json.dumps(rows, indent=0) + "\n", encoding="utf-8")

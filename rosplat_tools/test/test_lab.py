@@ -1,0 +1,286 @@
+"""The laboratory's maths: blending models against closed forms, orders, the front."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rosplat_sorter import camera as sorter_camera
+from rosplat_sorter import depth
+from rosplat_sorter.depth import splat_extents
+from rosplat_sorter.edits import REPLACE, Edit
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.view import View
+from rosplat_tools import reference
+from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.lab import fragments, motion, orders
+from rosplat_tools.lab.fragments import Fragments
+from rosplat_tools.lab.pareto import front, summarise
+from rosplat_tools.lab.points import Point, Store
+from rosplat_tools.splats import Splats, concatenate
+
+Make = Callable[..., Splats]
+
+CAMERA = Camera(0, 64, 48, 60, 60, 32, 24, look_at((3, 2, 1), (0, 0, 0)))
+
+
+def pixel(*layers: tuple[float, float, float]) -> Fragments:
+    """Fragments of one pixel, nearest first: alpha, grey level and depth of each."""
+    alphas, greys, depths = np.array(layers, np.float64).reshape(-1, 3).T
+    return Fragments(
+        np.zeros(len(layers), np.intp), alphas, np.repeat(greys[:, None], 3, axis=1), depths, 2
+    )
+
+
+def view_and_map(splats: Splats, camera: Camera) -> tuple[View, SplatMap]:
+    """What sorters get."""
+    x, y, z = camera.position
+    seen = sorter_camera.Camera(
+        (x, y, z), tuple(camera.orientation), camera.fx, camera.fy, camera.cx, camera.cy,
+        camera.width, camera.height, camera.near, camera.far,
+    )  # fmt: skip
+    known = SplatMap()
+    known.apply(
+        Edit(
+            "map", 1, "map", REPLACE, splats.origin, slice(0, len(splats)), len(splats),
+            splats.positions, splat_extents(splats.scales, splats.opacities), 0,
+        )
+    )  # fmt: skip
+    return View.of(seen, splats.origin), known
+
+
+# --- Blending -------------------------------------------------------------------------------------
+
+
+def test_the_exact_model_is_the_reference_renderer(
+    random_splats: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    splats = random_splats(300)
+    expected = reference.render(splats, CAMERA).rgba[..., :3]
+    assert expected.max() > 0.5
+    np.testing.assert_allclose(
+        fragments.picture(splats, CAMERA, fragments.over), expected, atol=1e-9
+    )
+    monkeypatch.setattr(fragments, "BAND_FRAGMENTS", 500)  # many bands
+    np.testing.assert_allclose(
+        fragments.picture(splats, CAMERA, fragments.over), expected, atol=1e-9
+    )
+
+
+def test_every_model_draws_one_layer_exactly() -> None:
+    """Where there is nothing to sort, all must agree; stochastic transparency does on average."""
+    layer = pixel((0.6, 0.5, 2.0))
+    expected = fragments.over(layer)
+    np.testing.assert_allclose(expected, [[0.3] * 3, [0] * 3])
+    for blend in (fragments.over_by_pixel, fragments.weighted_oit):
+        np.testing.assert_allclose(blend(layer), expected)
+    np.testing.assert_allclose(fragments.rounded(255)(layer), expected, atol=0.5 / 255)
+    np.testing.assert_allclose(fragments.stochastic(20_000)(layer), expected, atol=0.01)
+
+
+def test_weighted_blending_ignores_the_order_that_fragments_come_in() -> None:
+    layers = [(0.6, 0.9, 1.0), (0.3, 0.1, 2.0), (0.8, 0.5, 3.0)]
+    forwards, backwards = pixel(*layers), pixel(*layers[::-1])
+    np.testing.assert_allclose(
+        fragments.weighted_oit(forwards), fragments.weighted_oit(backwards), rtol=1e-12
+    )
+    assert abs(fragments.over(forwards) - fragments.over(backwards)).max() > 0.05
+
+
+def test_a_pixel_sorts_by_the_depths_of_its_fragments() -> None:
+    shuffled = pixel((0.5, 0.2, 3.0), (0.5, 0.8, 1.0))
+    np.testing.assert_allclose(fragments.over_by_pixel(shuffled)[0], 0.5 * 0.8 + 0.25 * 0.2)
+
+
+def test_stochastic_transparency_keeps_the_nearest_winner() -> None:
+    """Expected value and variance of three layers: Bernoulli samples of the exact weights."""
+    layers = pixel((0.5, 1.0, 1.0), (0.5, 0.5, 2.0), (0.5, 0.0, 3.0))
+    values = [fragments.stochastic(16, seed)(layers)[0, 0] for seed in range(4000)]
+    exact = fragments.over(layers)[0, 0]
+    assert np.mean(values) == pytest.approx(exact, abs=0.01)
+    square = 0.5 * 1 + 0.25 * 0.25
+    assert np.var(values) == pytest.approx((square - exact**2) / 16, rel=0.1)
+
+
+def test_eight_bits_round_faint_layers_to_nothing() -> None:
+    """A fog of a thousand layers that add less than half a level each, back to front or not."""
+    fog = pixel(*[(1 / 255, 0.4, float(z)) for z in range(1000)])
+    assert fragments.over(fog)[0, 0] == pytest.approx(0.4 * (1 - (254 / 255) ** 1000))
+    for front_to_back in (False, True):
+        assert fragments.rounded(255, front_to_back=front_to_back)(fog)[0, 0] == 0
+    assert fragments.rounded(65535)(fog)[0, 0] == pytest.approx(0.4, abs=0.02)
+
+
+def test_a_cut_off_ends_quads_early(random_splats: Make) -> None:
+    splats = random_splats(100)
+    whole = fragments.picture(splats, CAMERA, fragments.over)
+    same = fragments.picture(splats, CAMERA, fragments.over, cutoff_sigmas=3.34)
+    np.testing.assert_array_equal(whole, same)  # alpha is below 1/255 there
+    cut = fragments.picture(splats, CAMERA, fragments.over, cutoff_sigmas=1.0)
+    assert cut.sum() < 0.9 * whole.sum()
+
+
+def test_rays_meet_round_splats_beside_their_middle() -> None:
+    """Of a ball, a ray reaches most at the foot of the perpendicular from its centre."""
+    ball = Splats(
+        positions=np.array([[0.3, 0.0, 2.0]], np.float32),
+        orientations=np.array([[0, 0, 0, 1]], np.float32),
+        scales=np.full((1, 3), 0.2, np.float32),
+        opacities=np.ones(1, np.float32),
+        sh=np.zeros((1, 1, 3), np.float32),
+    )
+    camera = replace(CAMERA, world_to_camera=np.eye(4))
+    found: list[Fragments] = []
+    fragments.picture(
+        ball, camera, lambda band: found.append(band) or fragments.over(band), ray_depths=True
+    )
+    [band] = found
+    y, x = np.divmod(band.pixels, camera.width)
+    rays = np.column_stack([(x + 0.5 - 32) / 60, (y + 0.5 - 24) / 60, np.ones(len(x))])
+    feet = (rays @ [0.3, 0.0, 2.0]) / (rays**2).sum(axis=1)
+    np.testing.assert_allclose(band.depths, feet, rtol=1e-6)
+
+
+# --- Orders ---------------------------------------------------------------------------------------
+
+
+def test_keys_of_all_bits_are_the_exact_order(random_splats: Make) -> None:
+    splats = random_splats(500)
+    view, known = view_and_map(splats, CAMERA)
+    expected = depth.order(view, known.positions, known.extents)
+    assert len(expected) > 100
+    np.testing.assert_array_equal(orders.keyed(view, known, orders.full), expected)
+
+
+@pytest.mark.parametrize("kind", [orders.linear, orders.truncated, orders.equalised])
+def test_coarse_keys_never_turn_depths_round_and_use_their_bits(kind: Callable) -> None:  # type: ignore[type-arg]
+    depths = np.sort(np.random.default_rng(0).lognormal(sigma=1.5, size=5000)).astype(np.float32)
+    fewer = 0
+    for bits in (4, 8, 12, 16):
+        keys = kind(bits)(depths)
+        assert keys.dtype == np.uint32
+        assert (np.diff(keys.astype(np.int64)) >= 0).all()
+        assert keys.max() < 2**bits
+        assert len(np.unique(keys)) > fewer
+        fewer = len(np.unique(keys))
+
+
+def test_adaptive_keys_survive_an_outlier_that_starves_linear_ones() -> None:
+    depths = np.append(np.linspace(1, 2, 10_000), 1e6).astype(np.float32)
+    assert len(np.unique(orders.linear(12)(depths))) == 2
+    assert len(np.unique(orders.equalised(12)(depths))) > 2000
+
+
+def test_the_radix_argsort_is_stable() -> None:
+    rng = np.random.default_rng(0)
+    for top in (7, 1 << 16, 1 << 20, 1 << 32):
+        keys = rng.integers(0, top, 3000, dtype=np.uint64).astype(np.uint32)
+        np.testing.assert_array_equal(orders.radix_argsort(keys), np.argsort(keys, kind="stable"))
+
+
+def test_an_order_no_frames_old_is_the_fresh_one_and_turning_alone_changes_it(
+    random_splats: Make,
+) -> None:
+    """The order by z depends on where the camera looks, not on where it is."""
+    splats = random_splats(500)
+
+    def exact(camera: Camera) -> np.ndarray:  # type: ignore[type-arg]
+        view, known = view_and_map(splats, camera)
+        return depth.order(view, known.positions, known.extents)
+
+    fresh = exact(CAMERA)
+    for kind in ("rotation", "orbit", "dolly"):
+        now = motion.before(CAMERA, kind, 1.0, 0.0, (0, 0, 0))
+        np.testing.assert_array_equal(exact(now), fresh)
+    assert orders.inversions(exact(motion.before(CAMERA, "dolly", 1, 0.1, (0, 0, 0))), fresh) == 0
+    turned = [
+        orders.inversions(exact(motion.before(CAMERA, "orbit", 1, seconds, (0, 0, 0))), fresh)
+        for seconds in (0.05, 0.1, 0.2)
+    ]
+    assert 0 < turned[0] < turned[1] < turned[2] < 0.5
+
+
+def test_inversions_of_known_orders() -> None:
+    order = np.arange(1000, dtype=np.uint32)
+    assert orders.inversions(order, order) == 0
+    assert orders.inversions(order[::-1].copy(), order) == 1
+    halves = np.concatenate([order[500:], order[:500]])
+    assert orders.inversions(halves, order) == pytest.approx(500 * 500 / (500 * 999), abs=2e-3)
+
+
+def test_a_budget_keeps_the_worthiest_back_to_front() -> None:
+    order = np.array([7, 3, 9, 1], np.uint32)
+    worth = np.array([0.1, 5, 3, 0.2], np.float32)
+    np.testing.assert_array_equal(orders.budget(order, worth, 0.5), [3, 9])
+    np.testing.assert_array_equal(orders.budget(order, worth, 1.0), order)
+    np.testing.assert_array_equal(orders.at_least(order, worth, 0.2), [3, 9, 1])
+
+
+def test_cameras_turn_to_their_right_and_orbit_at_a_distance() -> None:
+    eye = np.eye(4)
+    straight = replace(CAMERA, world_to_camera=eye)
+    right = motion.turned(straight, 0.1)
+    assert right.camera_to_world[:3, 2] == pytest.approx([np.sin(0.1), 0, np.cos(0.1)])
+    assert right.position == pytest.approx([0, 0, 0])
+    target = np.array([0, 0, 5.0])
+    around = motion.turned(straight, 0.1, target)
+    assert np.linalg.norm(around.position - target) == pytest.approx(5)
+    assert around.world_to_camera[:3, :3] @ target + around.world_to_camera[:3, 3] == pytest.approx(
+        target
+    )
+    assert motion.before(straight, "dolly", 1.0, 0.5, target).position == pytest.approx(
+        [0, 0, -2.5]
+    )
+
+
+# --- What comes of it -----------------------------------------------------------------------------
+
+
+def point(method: str, ms: float | None, psnr: float, **changes: object) -> Point:
+    """A point with nothing special about the rest."""
+    fields = {
+        "key": f"{method} {ms} {psnr}", "method": method, "family": "f", "model": ms is None,
+        "scene": "s", "camera": 0, "splats": 1, "sort_ms": None if ms is None else 0.25 * ms,
+        "draw_ms": None if ms is None else 0.75 * ms, "psnr": psnr, "ssim": 1.0, "flip": 1 / psnr,
+        "worst": 0.1, "machine": "m", "gpu": "g", "commit": "c", "command": "lab",
+    }  # fmt: skip
+    return Point(**(fields | changes))  # type: ignore[arg-type]
+
+
+def test_the_front_by_hand() -> None:
+    """b is beaten by a in both, d has no time, e is as good as c but slower."""
+    points = [
+        point("a", 10, 40), point("b", 12, 39), point("c", 20, 60), point("d", None, 99),
+        point("e", 21, 60), point("f", 5, 20),
+    ]  # fmt: skip
+    summaries = summarise(points)
+    for metric in ("psnr", "flip"):
+        assert [s.method for s in front(summaries, metric)] == ["f", "a", "c"]
+
+
+def test_a_summary_is_the_median_over_cameras() -> None:
+    points = [point("a", ms, psnr) for ms, psnr in ((1, 30), (3, 50), (100, 40))]
+    [summary] = summarise(points)
+    assert summary.count == 3
+    assert summary.ms is not None and summary.ms[1] == pytest.approx(3)
+    assert summary.values["psnr"][1] == 40
+
+
+def test_an_interrupted_run_is_taken_up(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    store = Store(tmp_path)
+    store.add(point("a", 1, 40))
+    with (tmp_path / "points.jsonl").open("a") as file:
+        file.write('{"key": "cut off')
+    again = Store(tmp_path)
+    assert again.get(point("a", 1, 40).key) == point("a", 1, 40)
+    assert again.get("cut off") is None
+
+
+def test_splats_join_for_typical_bounds(random_splats: Make) -> None:
+    """One stray splat doesn't move the cameras away."""
+    splats = random_splats(300)
+    stray = replace(splats[:1], positions=np.full((1, 3), 1e4, np.float32))
+    np.testing.assert_allclose(
+        motion.typical_bounds(concatenate([splats, stray])), motion.typical_bounds(splats), atol=0.1
+    )

@@ -1,0 +1,54 @@
+"""The laboratory end to end, on a small scene: the real renderer, the report, and a second run."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+
+def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
+    command = [
+        sys.executable, "-m", "rosplat_tools.lab", "procedural:3000", "--out", str(tmp_path),
+        "--cameras", "2", "--width", "160", "--height", "90", "--threads", "1", "--repeats", "1",
+    ]  # fmt: skip
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert run.returncode == 0, run.stderr
+    points = json.loads((tmp_path / "lab.json").read_text())
+    methods = {point["method"] for point in points}
+    assert len(methods) >= 50
+    assert len(points) == 2 * len(methods)
+    by_method = {point["method"]: point for point in points if point["camera"] == 0}
+
+    def psnr(method: str) -> float:
+        return by_method[method]["psnr"]
+
+    # The real renderer is as good as its arithmetic, and each loss is seen for what it is.
+    assert psnr("sorter native") > 70
+    assert psnr("sorter native") == psnr("sorter numpy") == psnr("keys z 32 bit")
+    assert psnr("keys linear 20 bit") > psnr("keys linear 12 bit") > psnr("keys linear 8 bit")
+    assert psnr("rotation, 1 frames old") > psnr("rotation, 10 frames old") > psnr("unsorted")
+    assert psnr("stochastic 64") > psnr("stochastic 1")
+    assert psnr("budget 90%") > psnr("budget 25%")
+    assert by_method["stochastic 1"]["sort_ms"] is None
+    assert by_method["sorter native"]["draw_ms"] > 0
+
+    page = (tmp_path / "lab.html").read_text()
+    assert "http-equiv" not in page and 'src="http' not in page  # needs nothing else
+    assert all(method in page for method in methods)
+    assert (tmp_path / "accuracy.png").stat().st_size < 300_000
+
+    kept = (tmp_path / "points.jsonl").read_bytes()
+    again = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert again.returncode == 0, again.stderr
+    assert (tmp_path / "points.jsonl").read_bytes() == kept  # nothing was measured anew
+
+
+def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, "-m", "rosplat_tools.lab", "nowhere.ply", "--out", str(tmp_path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 1
+    assert run.stderr == "lab: nowhere.ply: no such file\n"
