@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rosplat_sorter.depth import order
-from rosplat_tools.bench import baselines, frame, scenes, sort
+from rosplat_tools.bench import baselines, scenes, sort
 from rosplat_tools.bench.command import main
 from rosplat_tools.bench.isolation import isolated
 from rosplat_tools.bench.records import Record, load
@@ -69,7 +69,7 @@ def test_cameras_of_a_view_turn_by_a_degree() -> None:
 def test_pictures_are_measured_with_each_kind_of_order(tmp_path: Path) -> None:
     records = bench(tmp_path, "frame", "--sizes", "2000")
     frames = {str(r.parameters["order"]): r for r in records if r.name == "frame"}
-    assert frames.keys() == {frame.FRESH, frame.WAITING, frame.LATE}
+    assert {"given", "sorted in the frame, CPU", "sorted beside it, CPU"} <= frames.keys()
     assert all(record.parameters["drawn"] == 2000 for record in frames.values())
     by_name = {record.name: record for record in records}
     # Position, shape, opacity and 16 harmonics of three colours, and the picture, are somewhere.
@@ -88,8 +88,13 @@ def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:
     assert min(programs.values()) > 20
 
 
-def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path) -> None:
-    records = bench(tmp_path, "growth", "--sizes", "20000", "--backends", "native")
+@pytest.mark.parametrize("way", [[], ["--one-process"]])
+def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path, way: list[str]) -> None:
+    records = bench(tmp_path, "growth", "--sizes", "20000", "--backends", "native", *way)
+    programs = {record.parameters["process"] for record in records if record.name == "RAM"}
+    assert programs == ({"all in one"} if way else {"publisher", "sorter", "viewer"})
+    orders = [r.value for r in records if r.name == "frames by the sorter's order"]
+    assert max(orders) > 0
     rates = [record for record in records if record.name == "frame rate"]
     sizes = [record.splats for record in rates]
     assert sizes == sorted(sizes)

@@ -47,7 +47,10 @@ def _report(name: str, backend: str, rate: float, seen: live.Watched) -> Iterato
     first = next(index for index, frame in enumerate(seen.frames) if live.is_answered(frame))
     frames = seen.frames[first:]
     arrivals = [arrival for frame in frames for arrival in frame["arrivals"]]
-    common = {"scene": name, "splats": frames[-1]["splats"], "rate": rate, "backend": backend}
+    common = {
+        "scene": name, "splats": frames[-1]["splats"], "gpu": frames[-1]["renderer"],
+        "rate": rate, "backend": backend,
+    }  # fmt: skip
     latencies = np.array([frame["latency"] for frame in frames])
     latencies = latencies[np.isfinite(latencies)]
     if len(latencies):

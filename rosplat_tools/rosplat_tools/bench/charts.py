@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rosplat_tools.bench.records import Record
@@ -77,15 +79,15 @@ CHARTS = (
     ),
     Chart(
         "growth-fps", "growth", "frame rate", "Frame rate as the map grows", "frames a second",
-        parameter("backend"), log=False, band=False,
+        parameter("backend", "by"), log=False, band=False,
     ),
     Chart(
         "growth-ram", "growth", "RAM", "Memory as the map grows", "resident [MB]",
-        parameter("backend"), parameter("process"), log=False, band=False,
+        parameter("backend", "by"), parameter("process"), log=False, band=False,
     ),
     Chart(
         "growth-vram", "growth", "VRAM", "GPU memory as the map grows", "[MB]",
-        parameter("backend"), parameter("of"), log=False, band=False,
+        parameter("backend", "by"), parameter("of"), log=False, band=False,
     ),
 )  # fmt: skip
 
@@ -108,33 +110,28 @@ def figure(chart: Chart, records: Sequence[Record]) -> Figure:
     panels = list(dict.fromkeys(chart.panel(record) for record in records))
     labels = list(dict.fromkeys(chart.series(record) for record in records))
     color_of = dict(zip(labels, colors(len(labels)), strict=True))
-    drawn = Figure(figsize=(1.5 + 4.4 * len(panels), 4.6), layout="constrained")
-    axes = np.atleast_1d(drawn.subplots(1, len(panels), sharey=True, squeeze=True))
+    legend_width = 0.9 + 0.075 * max(map(len, labels))
+    width = max(6.5, 0.6 + 4.2 * len(panels) + legend_width)
+    drawn = Figure(figsize=(width, 4.6), layout="constrained")
+    axes = np.atleast_1d(drawn.subplots(1, len(panels), sharey=True))
     for panel, ax in zip(panels, axes, strict=True):
         for label in labels:
             points = sorted(
                 (r for r in records if (chart.panel(r), chart.series(r)) == (panel, label)),
                 key=lambda r: r.splats,
             )
-            if not points:
-                continue
-            x = [point.splats for point in points]
-            ax.plot(
-                x, [point.p50 for point in points], label=label, color=color_of[label],
-                marker="o" if len(points) < 30 else None, markersize=3.5, linewidth=1.4,
-            )  # fmt: skip
-            if chart.band:
-                low, high = [p.p50 for p in points], [p.p95 for p in points]
-                ax.fill_between(x, low, high, color=color_of[label], alpha=0.15, linewidth=0)
+            if points:
+                _line(ax, chart, points, label, color_of[label])
         ax.set_title(panel, fontsize=10)
         ax.set_xlabel(chart.x)
         ax.grid(True, which="both", alpha=0.25, linewidth=0.5)
         if chart.log:
             ax.set_xscale("log")
             ax.set_yscale("log")
-        else:
-            ax.set_ylim(bottom=0)
         ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
+        ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
+    if not chart.log:
+        axes[0].set_ylim(bottom=0)  # once all is drawn: the panels share it
     axes[0].set_ylabel(chart.y)
     handles = {
         label: handle
@@ -145,8 +142,19 @@ def figure(chart: Chart, records: Sequence[Record]) -> Figure:
         handles.values(), handles.keys(), loc="outside right upper", fontsize=8, frameon=False
     )
     drawn.suptitle(chart.title, fontsize=12)
-    drawn.supxlabel(_caption(records), fontsize=7, color="0.35")
+    drawn.supxlabel(_caption(records, int(17 * width)), fontsize=7, color="0.35")
     return drawn
+
+
+def _line(
+    ax: Axes, chart: Chart, points: Sequence[Record], label: str, color: tuple[float, ...]
+) -> None:
+    x, median = [point.splats for point in points], [point.p50 for point in points]
+    marker = "o" if len(points) < 30 else None
+    ax.plot(x, median, label=label, color=color, marker=marker, markersize=3.5, linewidth=1.4)
+    if chart.band:
+        high = [point.p95 for point in points]
+        ax.fill_between(x, median, high, color=color, alpha=0.15, linewidth=0)
 
 
 def colors(count: int) -> list[tuple[float, ...]]:
@@ -156,9 +164,9 @@ def colors(count: int) -> list[tuple[float, ...]]:
     return [mpl.colormaps["turbo"](place) for place in np.linspace(0.05, 0.95, count)]
 
 
-def _caption(records: Sequence[Record]) -> str:
-    """Where it was measured; shaded is what lies between median and 95th percentile."""
+def _caption(records: Sequence[Record], width: int) -> str:
+    """Where it was measured, in lines of so many characters."""
     wheres = dict.fromkeys(
         " · ".join(part for part in (r.machine, r.gpu, r.driver, r.commit) if part) for r in records
     )
-    return "\n".join(wheres)
+    return "\n".join(line for where in wheres for line in textwrap.wrap(where, width))

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from rosplat_tools.bench import charts, machine
+from rosplat_tools.bench import charts, live, machine
 from rosplat_tools.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
 from rosplat_tools.bench.records import (
     Circumstances,
@@ -41,23 +41,13 @@ class Subject:
     needs_ros: bool = False
     curve: bool = False  # measured at many numbers of splats, of which a table shows the last
 
-    # Whether ROS 2 and this workspace's messages can be imported.
-    @staticmethod
-    def has_ros() -> bool:
-        try:
-            importlib.import_module("rclpy")
-            importlib.import_module("rosplat_msgs.msg")
-        except ImportError:
-            return False
-        return True
-
 
 SUBJECTS = {
     "sort": Subject("depth orders by every backend, beside other ways to sort"),
     "frame": Subject("pictures by the embedded renderer"),
     "transport": Subject("orders and maps between processes", needs_ros=True),
     "chain": Subject("from a camera's pose to the picture that knows it", needs_ros=True),
-    "growth": Subject("a map that grows by 1,000 splats a message", needs_ros=True, curve=True),
+    "growth": Subject("a map that grows by 1,000 splats a message", curve=True),
 }
 
 
@@ -97,6 +87,7 @@ def _measure(arguments: list[str], console: Console) -> int:
         scenes=tuple(options.scenes),
         backends=tuple(options.backends),
         variants=tuple(options.variants),
+        one_process=options.one_process,
         budget=QUICK_BUDGET if options.quick else FULL_BUDGET,
     )
     options.out.mkdir(parents=True, exist_ok=True)
@@ -109,7 +100,7 @@ def _measure(arguments: list[str], console: Console) -> int:
     failed = False
     for name in options.subjects or SUBJECTS:
         subject = SUBJECTS[name]
-        if subject.needs_ros and not subject.has_ros():
+        if subject.needs_ros and not live.has_ros():
             console.print(f"[yellow]{name} skipped: no ROS 2, or no rosplat_msgs, is sourced")
             continue
         events = importlib.import_module(f"rosplat_tools.bench.{name}").measure(plan)
@@ -161,6 +152,9 @@ def _parser() -> argparse.ArgumentParser:
         "--variants", nargs="+", default=[], metavar="NAME",
         help="of the renderer's settings, for the subject frame",
     )  # fmt: skip
+    parser.add_argument(
+        "--one-process", action="store_true", help="growth: all in one process, without ROS 2"
+    )
     return parser
 
 

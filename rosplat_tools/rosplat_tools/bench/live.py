@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 import time
@@ -95,6 +96,16 @@ def watch(
                 *complete, rest = text.split("\n")
                 seen.frames += [json.loads(line) for line in complete]
     return seen
+
+
+def has_ros() -> bool:
+    """Whether ROS 2 and this workspace's messages can be imported."""
+    try:
+        importlib.import_module("rclpy")
+        importlib.import_module("rosplat_msgs.msg")
+    except ImportError:
+        return False
+    return True
 
 
 def is_answered(frame: Frame) -> bool:

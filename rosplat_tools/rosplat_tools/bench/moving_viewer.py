@@ -14,7 +14,7 @@ from typing import TextIO
 import numpy as np
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-from rosplat_tools.bench.frame import gl_finish
+from rosplat_tools.bench.embedded import gl_finish
 from rosplat_tools.bench.scenes import STEP
 from rosplat_tools.parameters import declare
 from rosplat_tools.running import run, spinning
@@ -121,6 +121,7 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
             "fresh": report["order_fresh"],
             "source": report["order_source"],
             "gpu_bytes": report["gpu_bytes"],
+            "renderer": viewer.renderer.renderer_info,
             "published": viewer.published,
             "received": viewer.received,
             "arrivals": arrivals,

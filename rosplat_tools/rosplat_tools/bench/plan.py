@@ -16,7 +16,8 @@ class Plan:
     """Empty sizes, backends and variants: each subject's own choice.
 
     sizes: of procedural scenes. scenes: by name, besides. backends: of the sorter. variants: of the
-    renderer's settings, see frame.VARIANTS. out: folder for logs.
+    renderer's settings, see frame.VARIANTS. one_process: growth without ROS 2. out: a folder for
+    logs.
     """
 
     out: Path = Path("out/bench")
@@ -25,4 +26,5 @@ class Plan:
     scenes: tuple[str, ...] = ()
     backends: tuple[str, ...] = ()
     variants: tuple[str, ...] = ()
+    one_process: bool = False
     budget: Budget = field(default=FULL_BUDGET)

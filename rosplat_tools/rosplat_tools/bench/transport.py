@@ -154,15 +154,15 @@ def _ingest(plan: Plan, name: str) -> Measurement:
 
 def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
     """From the first batch's making to the frame that shows all, in three processes."""
-    shown, rates, splats = [], [], 0
+    shown, rates, splats, gpu = [], [], 0, ""
     for _ in range(repeats):
         seen = live.watch(
             out, ("ply_publisher", "-p", f"path:={name}"), backend="native", rate=0.1,
             until=live.until_settled(),
         )  # fmt: skip
         frame = next(frame for frame in seen.frames if frame["complete"] and frame["fresh"])
-        splats = frame["splats"]
+        splats, gpu = frame["splats"], frame["renderer"]
         shown.append(1e3 * (frame["time"] - frame["published"]))
         rates.append(splats / 1e6 / (frame["received"] - frame["published"]))
-    yield Measurement.of("publish to visible", "ms", shown, name, splats, backend="native")
+    yield Measurement.of("publish to visible", "ms", shown, name, splats, gpu, backend="native")
     yield Measurement.of("received by the viewer", "M splats/s", rates, name, splats)
