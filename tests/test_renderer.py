@@ -18,6 +18,7 @@ from rviz_gaussian_plugin.offscreen import (
     ClipBox,
     DrawMode,
     OrderSource,
+    Rasterizer,
     Renderer,
     RenderSettings,
 )
@@ -114,9 +115,13 @@ def host(display: str) -> Iterator[Host]:
     del host.renderer
 
 
-@pytest.fixture(autouse=True)
-def default_settings(host: Host) -> Iterator[None]:
+@pytest.fixture(autouse=True, params=["quads", "tiles"])
+def default_settings(host: Host, request: pytest.FixtureRequest) -> Iterator[None]:
+    """Everything holds for both ways to blend, whoever sorts."""
     host.renderer.settings = RenderSettings()
+    host.set(rasterizer=getattr(Rasterizer, request.param.upper()))
+    if request.param == "tiles":
+        host.set(order=OrderSource.GPU)
     yield
     assert not host.renderer.failed(), "OpenGL reported an error"
 
@@ -233,16 +238,17 @@ def test_a_higher_degree_joins_a_plain_map(host: Host) -> None:
 
 def test_zero_bands_cost_no_memory(host: Host) -> None:
     host.show(cloud(1000, degree=0))
-    plain = host.draw(CAMERAS["outside"]), host.renderer.draw("test")["gpu_bytes"]
+    host.draw(CAMERAS["outside"])
+    assert host.renderer.draw("test")["map_bytes"] == 65536 * 36
     host.show(cloud(1000, degree=3))
     host.draw(CAMERAS["outside"])
-    assert host.renderer.draw("test")["gpu_bytes"] - plain[1] == 65536 * 45 * 4
+    assert host.renderer.draw("test")["map_bytes"] == 65536 * 96
 
 
 def test_the_order_given_is_the_order_drawn(host: Host) -> None:
     splats = cloud(300)
     host.show(splats)
-    host.set(float_blending=True)
+    host.set(float_blending=True, order=OrderSource.AUTO)
     host.look(CAMERAS["outside"])
     slots = np.random.default_rng(3).permutation(300)[:200].astype(np.uint32)
     host.renderer.set_order("test", host.sequence, str(host.map), 1, "mine", 0.001, slots)
@@ -261,7 +267,9 @@ def test_depth_is_the_mean_along_the_axis(host: Host) -> None:
     host.draw(CAMERAS["outside"])
     depth = host.renderer.read_depth()
     solid = expected.rgba[..., 3] > 0.1
-    np.testing.assert_allclose(depth[solid], expected.depth[solid], rtol=1e-3)
+    error = np.abs(depth[solid] / expected.depth[solid] - 1)
+    assert np.mean(error < 1e-3) > 0.999  # the rest: where a splat ends a pixel earlier or later
+    assert error.max() < 0.02
     assert np.isnan(depth[expected.rgba[..., 3] == 0]).all()
 
 
@@ -286,6 +294,21 @@ def test_opaque_objects_hide_and_are_hidden(host: Host) -> None:
     ahead, behind = picture[60, 80 + 22], picture[60, 80 - 11]
     assert ahead[0] > 200 and ahead[2] < 60
     np.testing.assert_array_equal(behind, 255)
+
+
+def test_the_gpu_finds_the_order_of_the_sorters(host: Host) -> None:
+    """Bit by bit, ties included: a thousand splats in each of a hundred planes, across pages."""
+    splats = cloud(100_000, degree=0, size=0.01)
+    planes = splats.positions.copy()
+    planes[:, 0] = np.round(planes[:, 0] * 40) / 40
+    splats = replace(splats, positions=planes)
+    host.show(splats)
+    along_x = camera_at((3.0, 0.0, 0.0))
+    for camera in (along_x, *CAMERAS.values()):
+        host.set(order=OrderSource.GPU)
+        picture = host.draw(camera)
+        host.set(order=OrderSource.BUILT_IN)
+        np.testing.assert_array_equal(picture, host.draw(camera))
 
 
 def test_static_frames_are_identical(host: Host) -> None:
@@ -547,10 +570,11 @@ def test_slots_are_read_back_as_they_were_sent(host: Host) -> None:
         np.testing.assert_allclose(
             read["position"], splats.positions[slot] + splats.origin, rtol=0, atol=1e-6
         )
-        np.testing.assert_array_equal(np.float32(read["scale"]), splats.scales[slot])
-        np.testing.assert_array_equal(np.float32(read["orientation"]), splats.orientations[slot])
-        assert np.float32(read["opacity"]) == splats.opacities[slot]
-        np.testing.assert_array_equal(read["sh"], splats.sh[slot])
+        np.testing.assert_allclose(read["scale"], splats.scales[slot], rtol=4e-4)
+        turned = np.abs(np.dot(read["orientation"], splats.orientations[slot].astype(float)))
+        assert turned == pytest.approx(1, abs=1e-7)
+        assert read["opacity"] == pytest.approx(splats.opacities[slot], abs=1e-5)
+        np.testing.assert_allclose(read["sh"], splats.sh[slot], atol=2e-3)
     host.delete(65536, 1)
     host.draw(CAMERAS["outside"])
     emptied, beyond = host.renderer.read_slots([65536, 10**6])

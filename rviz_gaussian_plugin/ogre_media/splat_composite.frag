@@ -1,4 +1,3 @@
-#version 430
 // The blended splats over what is in the target.
 
 layout(binding = 0) uniform sampler2D splats;

@@ -1,4 +1,3 @@
-#version 430
 // A triangle that covers the viewport.
 
 void main() {

@@ -1,118 +1,90 @@
-#version 430
 // Which splat a pixel shows: the one that contributes most to its colour, alpha times the
-// transmittance of what lies before it. A workgroup walks the order front to back for a tile of
+// transmittance of what lies before it. A work group walks what is drawn front to back for a tile of
 // pixels, a batch of splats at a time.
 
 layout(local_size_x = 16, local_size_y = 16) in;
+layout(std430, binding = 4) readonly buffer Drawn { uint drawn[]; };     // nearest first
+layout(std430, binding = 7) writeonly buffer Picked { uint picked[]; };  // slot, or kNone
+layout(binding = 0) uniform sampler2D scene_depth;
 
-layout(std430, binding = 0) readonly buffer Order { uint order[]; };
-// The projected buffer in as many parts as the driver's largest buffer asks for.
-layout(std430, binding = 1) readonly buffer Projected { vec4 data[]; } projected[4];
-layout(std430, binding = 5) readonly buffer Depths { float depths[]; };  // of the opaque scene
-layout(std430, binding = 6) writeonly buffer Picked { uint picked[]; };  // slot, or kNothing
+uniform uint count;      // drawn
+uniform uint words;      // of the visible slots' bits
+uniform ivec2 picture;   // [px]
+uniform bool top_first;  // the target's first row is the picture's top
+uniform vec2 ndc_depth;  // ndc.z = (x depth + y) / w
+uniform bool orthographic;
+uniform int mode;
 
-uniform uint count;       // of the order
-uniform uint part_slots;  // slots in a part
-uniform uint capacity;    // slots of the map as it is uploaded; an order may know more
-uniform ivec2 picture;    // [px]
-uniform bool top_first;   // the target's first row is the picture's top
-uniform int mode;         // as in DrawMode
-
-const int kFlatBall = 3, kGaussianBall = 4;
-// As in splat_quad.frag.
-const float kBallEdge = 0.22, kMaxAlpha = 0.99, kMinAlpha = 1.0 / 255.0;
 const float kLeastContribution = 0.05;  // less than this nobody sees
-const uint kNothing = 0xffffffffu;
 const uint kBatch = 256u, kWords = kBatch / 32u;
 
 // The splats of a batch that reach the tile, nearest first.
 shared uint reaching[kWords];  // a bit for each of the batch
 shared uint searching;         // pixels that a farther splat may still win
-shared uint slots[kBatch];
-shared vec4 centres[kBatch], axes[kBatch];
-shared float opacities[kBatch];
-
-vec4 fetch(uint part, uint i) {
-  switch (part) {
-    case 0u: return projected[0].data[i];
-    case 1u: return projected[1].data[i];
-    case 2u: return projected[2].data[i];
-    default: return projected[3].data[i];
-  }
-}
+shared uint indices[kBatch];
+shared vec4 places[kBatch];  // centre [px], window depth, opacity
+shared vec4 axes[kBatch];    // directions of the axes over their lengths [1/px]
 
 float alphaAt(uint k, vec2 pixel) {
-  vec2 d = pixel - centres[k].xy;
-  vec2 major = axes[k].xy, minor = axes[k].zw;
-  vec2 sigmas = vec2(dot(d, major) / dot(major, major), dot(d, minor) / dot(minor, minor));
+  vec2 offset = pixel - places[k].xy;
+  vec2 sigmas = vec2(dot(offset, axes[k].xy), dot(offset, axes[k].zw));
   float falloff = exp(-0.5 * dot(sigmas, sigmas));
   if (mode == kFlatBall || mode == kGaussianBall) return falloff < kBallEdge ? 0.0 : 1.0;
-  float alpha = min(kMaxAlpha, opacities[k] * falloff);
-  return alpha < kMinAlpha ? 0.0 : alpha;
+  float alpha = min(kMaxAlpha, places[k].w * falloff);
+  return alpha < kCutoffAlpha ? 0.0 : alpha;
 }
 
 void main() {
   uint lane = gl_LocalInvocationIndex;
-  ivec2 texel = ivec2(gl_GlobalInvocationID.xy);
-  bool inside = all(lessThan(texel, picture));
-  vec2 pixel = vec2(texel) + 0.5;
-  vec2 tile_low = vec2(gl_WorkGroupID.xy * gl_WorkGroupSize.xy);
-  vec2 tile_high = tile_low + vec2(gl_WorkGroupSize.xy);
-  if (!top_first) {
-    pixel.y = picture.y - pixel.y;
-    tile_low.y = picture.y - tile_high.y;
-    tile_high.y = tile_low.y + gl_WorkGroupSize.y;
-  }
-  uint texel_index = uint(texel.y * picture.x + texel.x);
-  float opaque = inside ? 2.0 * depths[texel_index] - 1.0 : 0.0;
+  ivec2 tile = ivec2(int(workGroup()) % tiles.x, int(workGroup()) / tiles.x);
+  if (tile.y >= tiles.y) return;
+  ivec2 pixel = tile * kTile + ivec2(gl_LocalInvocationID.xy);
+  bool inside = all(lessThan(pixel, picture));
+  ivec2 texel = ivec2(pixel.x, top_first ? pixel.y : picture.y - 1 - pixel.y);
+  float hidden_from = inside ? texelFetch(scene_depth, texel, 0).r : 0.0;
   float transmittance = inside ? 1.0 : 0.0, most = kLeastContribution;
-  uint winner = kNothing;
+  uint winner = kNone;
 
   for (uint taken = 0u; taken < count; taken += kBatch) {
     if (lane < kWords) reaching[lane] = 0u;
     if (lane == 0u) searching = 0u;
     barrier();
     if (transmittance > most) atomicAdd(searching, 1u);
-    uint slot = kNothing;
-    vec4 centre, axis;
-    float opacity = 0.0;
-    if (taken + lane < count) {
-      slot = order[count - 1u - taken - lane];
-      uint part = slot / part_slots, i = 3u * (slot % part_slots);
-      opacity = slot < capacity ? fetch(part, i + 2u).a : 0.0;
-      if (opacity > 0.0) {
-        centre = fetch(part, i);
-        axis = fetch(part, i + 1u);
-        float sigmas = min(3.33, sqrt(2.0 * log(255.0 * opacity)));
-        vec2 extent = sigmas * sqrt(axis.xy * axis.xy + axis.zw * axis.zw);
-        if (any(lessThan(centre.xy + extent, tile_low)) ||
-            any(greaterThan(centre.xy - extent, tile_high))) opacity = 0.0;
-      }
+    Ellipse e;
+    e.opacity = 0.0;
+    uint index = taken + lane < count ? drawn[taken + lane] : kNone;
+    if (index != kNone) e = ellipse(index);
+    bool reaches = false;
+    if (e.opacity > 0.0) {
+      ivec4 rectangle = tileRectangle(e);
+      reaches = all(greaterThanEqual(tile, rectangle.xy)) && all(lessThan(tile, rectangle.zw));
     }
-    if (opacity > 0.0) atomicOr(reaching[lane / 32u], 1u << (lane % 32u));
+    if (reaches) atomicOr(reaching[lane / 32u], 1u << (lane % 32u));
     barrier();
     if (searching == 0u) break;
-    uint kept = 0u, before = 0u;
+    uint kept = 0u, before_me = 0u;
     for (uint word = 0u; word < kWords; ++word) {
-      if (word == lane / 32u) before = kept + bitCount(reaching[word] & ((1u << (lane % 32u)) - 1u));
-      kept += bitCount(reaching[word]);
+      if (word == lane / 32u) {
+        before_me = kept + uint(bitCount(reaching[word] & ((1u << (lane % 32u)) - 1u)));
+      }
+      kept += uint(bitCount(reaching[word]));
     }
-    if (opacity > 0.0) {
-      slots[before] = slot;
-      centres[before] = centre;
-      axes[before] = axis;
-      opacities[before] = opacity;
+    if (reaches) {
+      float ndc = (ndc_depth.x * e.depth + ndc_depth.y) / (orthographic ? 1.0 : e.depth);
+      indices[before_me] = index;
+      places[before_me] = vec4(e.centre, 0.5 * ndc + 0.5, e.opacity);
+      axes[before_me] = vec4(e.major / dot(e.major, e.major), minorAxis(e) / (e.minor * e.minor));
     }
     barrier();
     for (uint k = 0u; k < kept && transmittance > most; ++k) {
-      if (centres[k].z > opaque || abs(centres[k].z) > 1.0) continue;
-      float alpha = alphaAt(k, pixel);
+      if (places[k].z > hidden_from || places[k].z < 0.0) continue;
+      float alpha = alphaAt(k, vec2(pixel) + 0.5);
       if (transmittance * alpha > most) {
         most = transmittance * alpha;
-        winner = slots[k];
+        winner = indices[k];
       }
       transmittance *= 1.0 - alpha;
     }
   }
-  if (inside) picked[texel_index] = winner;
+  if (inside && winner != kNone) picked[texel.y * picture.x + texel.x] = visibleSlot(winner, words);
 }

@@ -1,47 +1,36 @@
-#version 430
-// Projects the splats of one page: 3D Gaussian -> ellipse in the picture, spherical harmonics -> colour.
-// EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023.
+// Projects the visible splats of one page: 3D Gaussian -> ellipse in the picture, spherical
+// harmonics -> colour. EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023.
 
 layout(local_size_x = 256) in;
 
-// Per slot: position.xyz opacity | orientation xyzw | scale.xyz time of its last change [s]
-layout(std430, binding = 0) readonly buffer Geometry { vec4 geometry[]; };
-// Spherical harmonics, a buffer for each band, RGB interleaved: 3, 9, 15, 21 floats a slot.
-layout(std430, binding = 1) readonly buffer Band0 { float band0[]; };
-layout(std430, binding = 2) readonly buffer Band1 { float band1[]; };
-layout(std430, binding = 3) readonly buffer Band2 { float band2[]; };
-layout(std430, binding = 4) readonly buffer Band3 { float band3[]; };
-// Per slot: centre.xy [px] ndc.z depth [m] | axes of one sigma [px] | colour.rgb opacity
-layout(std430, binding = 5) writeonly buffer Projected { vec4 projected[]; };
+// Spherical harmonics of bands 1 to 3: a word for each coefficient, 3, 5 and 7 a slot.
+layout(std430, binding = 7) readonly buffer Band1 { uint band1[]; };
+layout(std430, binding = 8) readonly buffer Band2 { uint band2[]; };
+layout(std430, binding = 9) readonly buffer Band3 { uint band3[]; };
+// What the visible splats are sorted by: grows with their depth.
+layout(std430, binding = 10) writeonly buffer Keys { uint keys[]; };
 // Nearest and farthest depth drawn, as float bits.
-layout(std430, binding = 6) buffer DepthRange { uint nearest, farthest; };
+layout(std430, binding = 11) buffer DepthRange { uint nearest, farthest; };
 
-uniform uint first_slot;  // of this page in the projected buffer
-uniform uint slot_count;
-uniform mat4 model_view;  // map -> camera: x right, y down, z forward
-uniform vec3 eye;         // the camera in the map's frame; orthographic: its forward direction
+uniform uint first_slot;  // of this page
+uniform mat3 rotation;    // map -> camera: x right, y down, z forward
+uniform vec3 translation;
+uniform vec3 eye;  // the camera in the map's frame; orthographic: its forward direction
 uniform bool orthographic;
 uniform vec2 focal;            // [px], orthographic [px/m]
 uniform vec2 principal_point;  // [px]
 uniform vec2 picture;          // [px]
 uniform vec2 clip;             // near, far [m]
-uniform vec2 ndc_depth;        // ndc.z = (x z + y) / w
 uniform int sh_degree;
 uniform int only_band;  // -1: all
 uniform bool antialiased;
 uniform int mode;
 uniform float scale_modifier, opacity_modifier;
 uniform float near_fade;  // [m]
-uniform vec2 age;         // now, and how long is old [s]
-uniform bool clip_to_box;
-uniform vec3 box_centre, box_size;  // [m]
+uniform float now;        // as slotAge() reads it
+uniform float age_range;  // what is old [s]
 
-// As in DrawMode.
-const int kDepth = 1, kBillboard = 2, kNormals = 5, kOpacity = 6, kAge = 7;
-
-const float kLowPass = 0.3;          // [px^2], part of the trained model
-const float kCutoffAlpha = 1.0 / 255.0;
-const float kMaxSigmas = 3.33;
+const float kLowPass = 0.3;  // [px^2], part of the trained model
 
 mat3 rotationMatrix(vec4 q) {
   q = normalize(q);
@@ -58,23 +47,23 @@ vec3 radiance(vec3 c) { return mix(vec3(0.0), min(c, vec3(65504.0)), greaterThan
 
 bool bandWanted(int band) { return band <= sh_degree && (only_band < 0 || band == only_band); }
 
+// A coefficient of bands 1 to 3, as a fraction of the slot's unit.
+vec3 coefficient(uint word) {
+  return vec3(bitfieldExtract(int(word), 0, 11), bitfieldExtract(int(word), 11, 11),
+              bitfieldExtract(int(word), 22, 10)) / vec3(1023.0, 1023.0, 511.0);
+}
+
 // Spherical harmonics in the map's frame (Kerbl et al. 2023).
 vec3 trainedColour(uint slot, vec3 direction) {
   float x = direction.x, y = direction.y, z = direction.z;
   float xx = x * x, yy = y * y, zz = z * z;
   float basis[7];
-  vec3 c = vec3(0.5);
-  if (bandWanted(0)) {
-    uint i = slot * 3u;
-    c += 0.28209479177387814 * vec3(band0[i], band0[i + 1u], band0[i + 2u]);
-  }
+  vec3 c = vec3(0.0);
   if (bandWanted(1)) {
     basis[0] = -0.4886025119029199 * y;
     basis[1] = 0.4886025119029199 * z;
     basis[2] = -0.4886025119029199 * x;
-    uint i = slot * 9u;
-    for (uint k = 0u; k < 3u; ++k, i += 3u)
-      c += basis[k] * vec3(band1[i], band1[i + 1u], band1[i + 2u]);
+    for (uint k = 0u; k < 3u; ++k) c += basis[k] * coefficient(band1[3u * slot + k]);
   }
   if (bandWanted(2)) {
     basis[0] = 1.0925484305920792 * x * y;
@@ -82,9 +71,7 @@ vec3 trainedColour(uint slot, vec3 direction) {
     basis[2] = 0.31539156525252005 * (2.0 * zz - xx - yy);
     basis[3] = -1.0925484305920792 * x * z;
     basis[4] = 0.5462742152960396 * (xx - yy);
-    uint i = slot * 15u;
-    for (uint k = 0u; k < 5u; ++k, i += 3u)
-      c += basis[k] * vec3(band2[i], band2[i + 1u], band2[i + 2u]);
+    for (uint k = 0u; k < 5u; ++k) c += basis[k] * coefficient(band2[5u * slot + k]);
   }
   if (bandWanted(3)) {
     basis[0] = -0.5900435899266435 * y * (3.0 * xx - yy);
@@ -94,59 +81,34 @@ vec3 trainedColour(uint slot, vec3 direction) {
     basis[4] = -0.4570457994644658 * x * (4.0 * zz - xx - yy);
     basis[5] = 1.445305721320277 * z * (xx - yy);
     basis[6] = -0.5900435899266435 * x * (xx - 3.0 * yy);
-    uint i = slot * 21u;
-    for (uint k = 0u; k < 7u; ++k, i += 3u)
-      c += basis[k] * vec3(band3[i], band3[i + 1u], band3[i + 2u]);
+    for (uint k = 0u; k < 7u; ++k) c += basis[k] * coefficient(band3[7u * slot + k]);
   }
-  return radiance(c);
+  c *= slotHarmonicsUnit(slot);
+  if (bandWanted(0)) c += 0.28209479177387814 * slotColour(slot);
+  return radiance(c + 0.5);
 }
 
-// Google's Turbo, blue to red over 0 to 1 (polynomial of Mikhailov 2019).
-vec3 turbo(float t) {
-  t = clamp(t, 0.0, 1.0);
-  vec4 v4 = vec4(1.0, t, t * t, t * t * t);
-  vec2 v2 = v4.zw * v4.z;
-  return clamp(vec3(dot(v4, vec4(0.13572138, 4.61539260, -42.66032258, 132.13108234)) +
-                        dot(v2, vec2(-152.94239396, 59.28637943)),
-                    dot(v4, vec4(0.09140261, 2.19418839, 4.84296658, -14.18503333)) +
-                        dot(v2, vec2(4.27729857, 2.82956604)),
-                    dot(v4, vec4(0.10667330, 12.64194608, -60.58204836, 110.36276771)) +
-                        dot(v2, vec2(-89.90310912, 27.34824973))),
-               0.0, 1.0);
-}
-
-vec3 colour(uint slot, vec3 direction, vec3 scale, mat3 rotation, float opacity) {
+vec3 colour(uint slot, vec3 direction, vec3 scale, mat3 orientation, float opacity) {
   if (mode == kOpacity) return turbo(opacity);
-  if (mode == kAge) return turbo(1.0 - (age.x - geometry[3u * slot + 2u].w) / age.y);
+  if (mode == kAge) return turbo(1.0 - slotAge(slot, now) / age_range);
   if (mode == kNormals) {
     int shortest = scale.x <= scale.y && scale.x <= scale.z ? 0 : scale.y <= scale.z ? 1 : 2;
-    vec3 normal = rotation[shortest];
+    vec3 normal = orientation[shortest];
     return 0.5 + 0.5 * (dot(normal, direction) > 0.0 ? -normal : normal);
   }
   return trainedColour(slot, direction);
 }
 
-void main() {
-  uint slot = gl_GlobalInvocationID.x;
-  if (slot >= slot_count) return;
-  uint target = 3u * (first_slot + slot);
-  vec4 mean_opacity = geometry[3u * slot];
-  vec3 mean = mean_opacity.xyz;
-  float opacity = opacity_modifier * mean_opacity.w;
-  vec3 p = (model_view * vec4(mean, 1.0)).xyz;
-
-  projected[target + 1u] = vec4(0.0);  // no axes: not drawn
-  projected[target + 2u] = vec4(0.0);
-  if (!(opacity >= kCutoffAlpha) || !(p.z > clip.x) || !(p.z < clip.y)) return;
-
-  if (clip_to_box && any(greaterThan(abs(mean - box_centre), 0.5 * box_size))) return;
+// The ellipse of a slot, of opacity 0 where nothing of it is in the picture.
+Ellipse project(uint slot, vec3 mean, vec3 p) {
+  Ellipse e = Ellipse(vec2(0.0), p.z, vec2(0.0), 0.0, vec3(0.0), 0.0);
+  float trained_opacity = slotOpacity(slot);
+  float opacity = opacity_modifier * trained_opacity;
   if (near_fade > 0.0) opacity *= min((p.z - clip.x) / near_fade, 1.0);
 
   // Rows of the projection's Jacobian; the tangent is clamped as in training.
   vec3 jx, jy;
-  vec2 centre;
-  float w = orthographic ? 1.0 : p.z;
-  centre = focal * p.xy / w + principal_point;
+  e.centre = focal * p.xy / (orthographic ? 1.0 : p.z) + principal_point;
   if (orthographic) {
     jx = vec3(focal.x, 0.0, 0.0);
     jy = vec3(0.0, focal.y, 0.0);
@@ -159,10 +121,10 @@ void main() {
   }
 
   // Covariance in the picture: rows of J W R S times their transposes.
-  vec3 scale = scale_modifier * geometry[3u * slot + 2u].xyz;
+  vec3 scale = scale_modifier * slotScale(slot);
   if (mode == kBillboard) scale = vec3((scale.x + scale.y + scale.z) / 3.0);
-  mat3 rotation = rotationMatrix(geometry[3u * slot + 1u]);
-  mat3 axes = mat3(model_view) * rotation;
+  mat3 orientation = rotationMatrix(slotRotation(slot));
+  mat3 axes = rotation * orientation;
   vec3 mx = (jx * axes) * scale;
   vec3 my = (jy * axes) * scale;
   vec3 area = cross(mx, my);
@@ -171,27 +133,40 @@ void main() {
   float a = a0 + kLowPass, c = c0 + kLowPass;
   float det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
   if (antialiased) opacity *= sqrt(det0 / det);
-  if (!(opacity >= kCutoffAlpha)) return;
+  if (!(opacity >= kCutoffAlpha)) return e;
 
   float mid = 0.5 * (a + c), radius = length(vec2(0.5 * (a - c), b));
   float major = mid + radius;
   float minor = det / major;
-  if (!(major < 1e16)) return;  // beyond any picture, and soon beyond float32
+  if (!(major < 1e16)) return e;  // beyond any picture, and soon beyond float32
   // Eigenvector of the larger eigenvalue, from whichever row is longer.
   vec2 axis = a > c ? vec2(radius + 0.5 * (a - c), b) : vec2(b, radius + 0.5 * (c - a));
   float norm = length(axis);
   axis = norm > 0.0 ? axis / norm : vec2(1.0, 0.0);
 
-  float sigmas = min(kMaxSigmas, sqrt(2.0 * log(255.0 * opacity)));
-  vec2 extent = sigmas * sqrt(vec2(a, c));
-  if (!all(greaterThan(centre + extent, vec2(0.0))) || !all(lessThan(centre - extent, picture))) return;
-
+  vec2 extent = cutoffSigmas(opacity) * sqrt(vec2(a, c));
+  if (!all(greaterThan(e.centre + extent, vec2(0.0))) || !all(lessThan(e.centre - extent, picture))) {
+    return e;
+  }
+  e.major = sqrt(major) * axis;
+  e.minor = sqrt(minor);
   vec3 direction = orthographic ? eye : normalize(mean - eye);
-  projected[target] = vec4(centre, (ndc_depth.x * p.z + ndc_depth.y) / w, p.z);
-  projected[target + 1u] = vec4(sqrt(major) * axis, sqrt(minor) * vec2(-axis.y, axis.x));
-  projected[target + 2u] =
-      vec4(colour(slot, direction, scale, rotation, mean_opacity.w), opacity);
-  if (mode == kDepth) {
+  e.colour = colour(slot, direction, scale, orientation, trained_opacity);
+  e.opacity = opacity;
+  return e;
+}
+
+void main() {
+  uint slot = invocation();
+  if (slot >= slot_count || !isVisible(first_slot + slot)) return;
+  vec3 mean = slotPosition(slot);
+  precise vec3 p = ((rotation[0] * mean.x + rotation[1] * mean.y) + rotation[2] * mean.z) + translation;
+  Ellipse e = project(slot, mean, p);
+  uint index = visibleIndex(first_slot + slot);
+  keep(index, e);
+  uint bits = floatBitsToUint(p.z + 0.0);  // the sum makes one depth of -0 and 0
+  keys[index] = bits ^ (uint(int(bits) >> 31) | 0x80000000u);
+  if (mode == kDepth && e.opacity > 0.0) {
     atomicMin(nearest, floatBitsToUint(max(p.z, 0.0)));
     atomicMax(farthest, floatBitsToUint(max(p.z, 0.0)));
   }

@@ -1,4 +1,3 @@
-#version 430
 // The visible surface for rviz's mouse tools: mean depth over the far plane, in 24 bits of colour.
 
 layout(binding = 0) uniform sampler2D depths;  // depth * alpha in red

@@ -17,6 +17,7 @@ BatchError = _offscreen.BatchError
 ClipBox = _offscreen.ClipBox
 DrawMode = _offscreen.DrawMode
 OrderSource = _offscreen.OrderSource
+Rasterizer = _offscreen.Rasterizer
 RenderSettings = _offscreen.RenderSettings
 
 

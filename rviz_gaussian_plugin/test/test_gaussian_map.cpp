@@ -93,9 +93,12 @@ TEST_F(GaussianMapTest, SortsSphericalHarmonicsIntoBands) {
   Batch batch(1, GaussianBatch::REPLACE, 0, 2, 1);
   for (std::size_t i = 0; i < batch.harmonics.size(); ++i) batch.harmonics[i] = float(i);
   const auto edit = apply(batch);
-  EXPECT_EQ(edit->bands[0], (std::vector<float>{0, 1, 2, 12, 13, 14}));
-  EXPECT_EQ(edit->bands[1].size(), 18u);
-  EXPECT_EQ(edit->bands[1][9], 15.0f);
+  EXPECT_EQ(unpackSlot(&edit->slots[0]).color, (std::array<float, 3>{0, 1, 2}));
+  EXPECT_EQ(unpackSlot(&edit->slots[kSlotWords]).color, (std::array<float, 3>{12, 13, 14}));
+  EXPECT_EQ(edit->bands[1].size(), 6u);
+  // The first splat's largest coefficient is 11, the second's 23; red has 1023 steps.
+  EXPECT_EQ(edit->bands[1][0] & 0x7ffu, 279u);  // 3 / 11
+  EXPECT_EQ(edit->bands[1][3] & 0x7ffu, 667u);  // 15 / 23
   EXPECT_TRUE(edit->bands[2].empty());
 }
 
@@ -131,9 +134,9 @@ TEST_F(GaussianMapTest, DropsSplatsThatMeanNothing) {
   const auto edit = apply(batch);
   EXPECT_EQ(report.dropped, 6u);
   EXPECT_EQ(map.state().splats, 2u);
-  for (float value : edit->geometry) EXPECT_TRUE(std::isfinite(value));
+  for (int i = 0; i < 6; ++i) EXPECT_EQ(unpackSlot(&edit->slots[kSlotWords * i]).opacity, 0.0f);
   EXPECT_EQ(edit->extents[0], -1.0f);
-  EXPECT_EQ(edit->geometry[kGeometryFloats * 6 + 3], 1.0f);
+  EXPECT_EQ(unpackSlot(&edit->slots[kSlotWords * 6]).opacity, 1.0f);
 }
 
 TEST_F(GaussianMapTest, RebasesToTheOriginOfTheFirstBatch) {

@@ -87,7 +87,9 @@ py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool buil
   return py::dict("splats"_a = report.splats, "order_source"_a = report.order_source,
                   "order_fresh"_a = report.order_fresh, "order_age"_a = report.order_age,
                   "sort_time"_a = report.sort_time, "draw_time"_a = report.draw_time,
-                  "gpu_bytes"_a = renderer.scene().gpuBytes());
+                  "rasterizer"_a = report.rasterizer, "profile"_a = report.profile,
+                  "gpu_bytes"_a = renderer.scene().gpuBytes(),
+                  "map_bytes"_a = renderer.scene().mapBytes());
 }
 
 py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>& slots) {
@@ -123,7 +125,12 @@ PYBIND11_MODULE(_offscreen, module) {
       .value("AUTO", OrderSource::kAuto)
       .value("SIDECAR", OrderSource::kSidecar)
       .value("BUILT_IN", OrderSource::kBuiltIn)
-      .value("OFF", OrderSource::kOff);
+      .value("OFF", OrderSource::kOff)
+      .value("GPU", OrderSource::kGpu);
+  py::enum_<Rasterizer>(module, "Rasterizer")
+      .value("AUTO", Rasterizer::kAuto)
+      .value("QUADS", Rasterizer::kQuads)
+      .value("TILES", Rasterizer::kTiles);
   py::class_<ClipBox>(module, "ClipBox")
       .def(py::init<>())
       .def_readwrite("enabled", &ClipBox::enabled)
@@ -139,6 +146,8 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("opacity", &RenderSettings::opacity)
       .def_readwrite("antialiasing", &RenderSettings::antialiasing)
       .def_readwrite("order", &RenderSettings::order)
+      .def_readwrite("rasterizer", &RenderSettings::rasterizer)
+      .def_readwrite("profile", &RenderSettings::profile)
       .def_readwrite("clip_box", &RenderSettings::clip_box)
       .def_readwrite("near_fade", &RenderSettings::near_fade)
       .def_readwrite("depth_range", &RenderSettings::depth_range)

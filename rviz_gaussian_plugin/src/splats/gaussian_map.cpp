@@ -107,15 +107,15 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   }
 
   const bool values = batch.operation != GaussianBatch::DELETE;
-  edit->geometry.assign(kGeometryFloats * n, 0.0f);
+  edit->slots.assign(kSlotWords * n, 0u);
   edit->positions.assign(3 * n, 0.0f);
   edit->extents.assign(n, -1.0f);
   std::vector<bool> kept(n, false);
   if (values) {
     edit->sh_degree = batch.sh_degree;
     state_.sh_degree = std::max<int>(state_.sh_degree, batch.sh_degree);
-    for (int band = 0; band <= batch.sh_degree; ++band) {
-      edit->bands[band].resize(kBandFloats[band] * n);
+    for (int band = 1; band <= batch.sh_degree; ++band) {
+      edit->bands[band].resize(kBandWords[band] * n);
     }
     const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
     const bool rebase = batch.origin != state_.origin;
@@ -137,19 +137,19 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
         ++report.dropped;
         continue;
       }
-      const float opacity = std::clamp(batch.opacities[i], 0.0f, 1.0f);
-      float* geometry = &edit->geometry[kGeometryFloats * i];
-      std::copy_n(position, 3, geometry);
-      geometry[3] = opacity;
-      std::copy_n(q, 4, geometry + 4);
-      std::copy_n(scale, 3, geometry + 8);
-      std::copy_n(position, 3, &edit->positions[3 * i]);
-      edit->extents[i] = extent(scale, opacity);
-      for (int band = 0; band <= batch.sh_degree; ++band) {
-        const std::size_t floats = kBandFloats[band];
-        std::copy_n(sh, floats, &edit->bands[band][floats * i]);
-        sh += floats;
+      Splat splat;
+      std::copy_n(position, 3, splat.position.begin());
+      std::copy_n(q, 4, splat.orientation.begin());
+      std::copy_n(scale, 3, splat.scale.begin());
+      std::copy_n(sh, 3, splat.color.begin());
+      splat.opacity = std::clamp(batch.opacities[i], 0.0f, 1.0f);
+      std::array<std::uint32_t*, kMaxShDegree + 1> bands{};
+      for (int band = 1; band <= batch.sh_degree; ++band) {
+        bands[band] = &edit->bands[band][kBandWords[band] * i];
       }
+      packSlot(splat, sh + 3, batch.sh_degree, &edit->slots[kSlotWords * i], bands);
+      std::copy_n(position, 3, &edit->positions[3 * i]);
+      edit->extents[i] = extent(scale, splat.opacity);
     }
   }
 

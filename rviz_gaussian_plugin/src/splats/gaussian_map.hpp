@@ -9,12 +9,10 @@
 #include <vector>
 
 #include "gaussian_batch.hpp"
+#include "packed_slot.hpp"
 
 namespace rosplat {
 
-constexpr int kMaxShDegree = 3;
-constexpr int kGeometryFloats = 12;  // a slot, see splat_project.comp
-constexpr std::array<int, kMaxShDegree + 1> kBandFloats{3, 9, 15, 21};  // a slot, by band
 constexpr std::uint32_t kMaxSlots = 1u << 25;  // as GaussianArray.MAX_SLOTS
 
 // A checked batch, laid out for the GPU and for sorting. Emptied slots have opacity 0 and extent
@@ -26,8 +24,8 @@ struct GaussianEdit {
   int sh_degree = -1;          // bands present, -1 where only slots are emptied
   // Runs of consecutive slots {first, count}; the arrays hold the runs one after the other.
   std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;
-  std::vector<float> geometry;                             // kGeometryFloats a slot
-  std::array<std::vector<float>, kMaxShDegree + 1> bands;  // kBandFloats[band] a slot
+  std::vector<std::uint32_t> slots;                                // kSlotWords a slot
+  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // kBandWords[band] a slot
   std::vector<float> positions;  // 3 a slot [m], relative to the map's origin
   std::vector<float> extents;    // radius of the 1/255 ellipsoid along its longest axis [m], or -1
 };

@@ -1,7 +1,5 @@
 #include "gl_objects.hpp"
 
-#include <vector>
-
 namespace rosplat::gl {
 
 Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
@@ -38,6 +36,10 @@ void Buffer::read(std::size_t offset, void* data, std::size_t bytes) const {
                      static_cast<GLsizeiptr>(bytes), data);
 }
 
+void Buffer::reserve(std::size_t bytes) {
+  if (bytes_ < bytes) *this = Buffer(bytes + bytes / 2, GL_DYNAMIC_COPY);
+}
+
 void Buffer::zero() {
   glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
   glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
@@ -45,6 +47,7 @@ void Buffer::zero() {
 
 Program& Program::operator=(Program&& other) noexcept {
   std::swap(id_, other.id_);
+  std::swap(locations_, other.locations_);
   return *this;
 }
 
@@ -83,6 +86,24 @@ void Program::link(const std::string& name) {
   }
 }
 
+GLint Program::at(const char* uniform) const {
+  const auto found = locations_.find(uniform);
+  if (found != locations_.end()) return found->second;
+  return locations_.emplace(uniform, glGetUniformLocation(id_, uniform)).first->second;
+}
+
+void dispatch(std::size_t work_groups) {
+  constexpr std::size_t kMost = 65535;  // that every driver takes in a dimension
+  const std::size_t rows = (work_groups + kMost - 1) / kMost;
+  if (rows == 0) return;
+  glDispatchCompute(static_cast<GLuint>((work_groups + rows - 1) / rows), static_cast<GLuint>(rows),
+                    1);
+}
+
+void storageBarrier() {
+  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_BUFFER_UPDATE_BARRIER_BIT);
+}
+
 Target::Target(GLenum color_format, int width, int height)
     : format_(color_format), width_(width), height_(height) {
   const std::size_t pixel = color_format == GL_RGBA32F ? 16 : 8;
@@ -92,10 +113,11 @@ Target::Target(GLenum color_format, int width, int height)
   glTexStorage2D(GL_TEXTURE_2D, 1, color_format, width, height);
   glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_NEAREST);
   glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
-  glGenRenderbuffers(1, &depth_);
-  glBindRenderbuffer(GL_RENDERBUFFER, depth_);
-  glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH24_STENCIL8, width, height);
-  glBindRenderbuffer(GL_RENDERBUFFER, 0);
+  glGenTextures(1, &depth_);
+  glBindTexture(GL_TEXTURE_2D, depth_);
+  glTexStorage2D(GL_TEXTURE_2D, 1, GL_DEPTH24_STENCIL8, width, height);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_NEAREST);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
 }
 
 Target& Target::operator=(Target&& other) noexcept {
@@ -110,15 +132,15 @@ Target& Target::operator=(Target&& other) noexcept {
 
 Target::~Target() {
   if (color_) glDeleteTextures(1, &color_);
-  if (depth_) glDeleteRenderbuffers(1, &depth_);
+  if (depth_) glDeleteTextures(1, &depth_);
 }
 
 DrawScope::DrawScope(const Target& target) {
   glGenFramebuffers(1, &framebuffer_);
   glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
   glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, target.color(), 0);
-  glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_STENCIL_ATTACHMENT, GL_RENDERBUFFER,
-                            target.depth());
+  glFramebufferTexture2D(GL_FRAMEBUFFER, GL_DEPTH_STENCIL_ATTACHMENT, GL_TEXTURE_2D, target.depth(),
+                         0);
   if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
     glDeleteFramebuffers(1, &framebuffer_);
     throw Error("the graphics driver can't blend into a floating-point picture of " +
@@ -162,6 +184,30 @@ StateGuard::~StateGuard() {
   glUseProgram(static_cast<GLuint>(program_));
 }
 
+Stopwatch::~Stopwatch() {
+  for (const auto& [name, query] : queries_) glDeleteQueries(1, &query);
+}
+
+void Stopwatch::lap(const char* name) {
+  if (!running_) return;
+  GLuint query = 0;
+  glGenQueries(1, &query);
+  glQueryCounter(query, GL_TIMESTAMP);
+  queries_.emplace_back(name, query);
+}
+
+std::map<std::string, double> Stopwatch::laps() const {
+  std::map<std::string, double> laps;
+  GLuint64 last = 0;
+  for (const auto& [name, query] : queries_) {
+    GLuint64 time = 0;
+    glGetQueryObjectui64v(query, GL_QUERY_RESULT, &time);
+    if (*name) laps[name] += 1e-9 * static_cast<double>(time - last);
+    last = time;
+  }
+  return laps;
+}
+
 std::string unsupported() {
   const int version = epoxy_gl_version();
   const auto* renderer = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
@@ -172,8 +218,14 @@ std::string unsupported() {
   }
   GLint vertex_buffers = 0;
   glGetIntegerv(GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS, &vertex_buffers);
-  if (vertex_buffers < 5) {
+  if (vertex_buffers < 6) {
     return "the graphics driver reads no storage buffers in vertex shaders" + driver;
+  }
+  GLint compute_buffers = 0;
+  glGetIntegerv(GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS, &compute_buffers);
+  if (compute_buffers < 12) {
+    return "the graphics driver gives a compute shader " + std::to_string(compute_buffers) +
+           " storage buffers, 12 are needed" + driver;
   }
   return {};
 }

@@ -3,9 +3,11 @@
 #include <epoxy/gl.h>
 
 #include <cstddef>
+#include <map>
 #include <stdexcept>
 #include <string>
 #include <utility>
+#include <vector>
 
 // Owners of OpenGL objects. All of this needs the context current and runs in the render thread.
 namespace rosplat::gl {
@@ -28,9 +30,14 @@ class Buffer {
   GLuint id() const { return id_; }
   std::size_t bytes() const { return bytes_; }
   void write(std::size_t offset, const void* data, std::size_t bytes);
-  // Waits for the GPU.
+  // Waits for the graphics card.
   void read(std::size_t offset, void* data, std::size_t bytes) const;
   void zero();
+  // Makes room for so many bytes, and half as many again; what was in it is lost if it grows.
+  void reserve(std::size_t bytes);
+  void bind(GLuint storage_binding) const {
+    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, storage_binding, id_);
+  }
 
  private:
   GLuint id_ = 0;
@@ -50,13 +57,27 @@ class Program {
   void link(const std::string& name);
 
   void use() const { glUseProgram(id_); }
-  GLint at(const char* uniform) const { return glGetUniformLocation(id_, uniform); }
+  GLint at(const char* uniform) const;
+  void set(const char* uniform, int value) const { glUniform1i(at(uniform), value); }
+  void set(const char* uniform, GLuint value) const { glUniform1ui(at(uniform), value); }
+  void set(const char* uniform, float value) const { glUniform1f(at(uniform), value); }
+  void set(const char* uniform, double x, double y) const {
+    glUniform2f(at(uniform), static_cast<float>(x), static_cast<float>(y));
+  }
 
  private:
   GLuint id_ = 0;
+  mutable std::map<std::string, GLint, std::less<>> locations_;
 };
 
-// A single-sample colour texture with a depth-stencil renderbuffer.
+// Runs the compute program in use in at least so many work groups, in two dimensions where there
+// are many.
+void dispatch(std::size_t work_groups);
+
+// Makes what was written to storage buffers visible to the shaders that come next.
+void storageBarrier();
+
+// A single-sample colour texture with a depth-stencil texture.
 class Target {
  public:
   Target() = default;
@@ -107,6 +128,24 @@ class StateGuard {
  private:
   GLint program_ = 0, vertex_array_ = 0, active_texture_ = 0, texture_ = 0, array_buffer_ = 0;
   GLuint draw_framebuffer_ = 0, read_framebuffer_ = 0;
+};
+
+// Times of the graphics card. Waits for it, so that only who asks for a profile should run one.
+class Stopwatch {
+ public:
+  explicit Stopwatch(bool running) : running_(running) { lap(""); }
+  ~Stopwatch();
+  Stopwatch(const Stopwatch&) = delete;
+  Stopwatch& operator=(const Stopwatch&) = delete;
+
+  // Ends a lap.
+  void lap(const char* name);
+  // The laps so far, by name [s].
+  std::map<std::string, double> laps() const;
+
+ private:
+  bool running_;
+  std::vector<std::pair<const char*, GLuint>> queries_;
 };
 
 // An empty string where the current context can draw splats, else a sentence for the user.

@@ -22,7 +22,14 @@ enum class DrawMode {
 enum class Antialiasing { kAsTrained, kOn, kOff };
 
 // Whose order is drawn.
-enum class OrderSource { kAuto, kSidecar, kBuiltIn, kOff };
+enum class OrderSource { kAuto, kSidecar, kBuiltIn, kOff, kGpu };
+
+// What blends the splats.
+enum class Rasterizer {
+  kAuto,   // tiles where a graphics card draws, else quads
+  kQuads,  // the fixed-function blending of quads, back to front
+  kTiles,  // compute shaders, tile by tile, front to back
+};
 
 // What is kept of a map: splats with their mean in a box of the map's frame.
 struct ClipBox {
@@ -41,6 +48,8 @@ struct RenderSettings {
   float opacity = 1;            // of their opacity, 0 to 1
   Antialiasing antialiasing = Antialiasing::kAsTrained;
   OrderSource order = OrderSource::kAuto;
+  Rasterizer rasterizer = Rasterizer::kAuto;
+  bool profile = false;  // measure the stages of a frame; waits for the graphics card
   ClipBox clip_box;
   float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
   std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest drawn

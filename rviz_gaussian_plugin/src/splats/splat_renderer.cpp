@@ -3,15 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <string_view>
 
 namespace rosplat {
 
 namespace {
-
-// A map grows by pages: nothing is ever copied or doubled, and an unused range costs nothing.
-constexpr std::uint32_t kPageSlots = 1u << 16;
-constexpr std::size_t kProjectedBytes = 3 * 4 * sizeof(float);
-constexpr std::size_t kProjectedParts = 4;  // as in splat_quad.vert
 
 void clearDepth() {
   const GLfloat farthest = 1.0f;
@@ -27,216 +23,95 @@ void copyDepth(GLuint source, GLint x, GLint y, const gl::Target& target) {
                     target.height(), GL_DEPTH_BUFFER_BIT, GL_NEAREST);
 }
 
-std::size_t bandBytes(int band) { return kBandFloats[band] * sizeof(float); }
+bool isAccelerated() {
+  const auto* name = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
+  const std::string_view renderer = name ? name : "";
+  for (const char* software : {"llvmpipe", "softpipe", "swrast", "SWR", "Software"}) {
+    if (renderer.find(software) != std::string_view::npos) return false;
+  }
+  return true;
+}
+
+const ShaderSource& checked(const ShaderSource& source) {
+  if (const std::string reason = gl::unsupported(); !reason.empty()) throw gl::Error(reason);
+  return source;
+}
 
 }  // namespace
 
-SplatRenderer::SplatRenderer(const ShaderSource& source) {
-  if (const std::string reason = gl::unsupported(); !reason.empty()) throw gl::Error(reason);
-  const gl::StateGuard guard;
-  const auto add = [&](gl::Program& program, GLenum stage, const char* name) {
-    program.attach(stage, name, source(name));
-  };
-  add(project_, GL_COMPUTE_SHADER, "splat_project.comp");
-  project_.link("splat_project");
-  add(quads_, GL_VERTEX_SHADER, "splat_quad.vert");
-  add(quads_, GL_FRAGMENT_SHADER, "splat_quad.frag");
-  quads_.link("splat_quad");
-  add(composite_, GL_VERTEX_SHADER, "splat_composite.vert");
-  add(composite_, GL_FRAGMENT_SHADER, "splat_composite.frag");
-  composite_.link("splat_composite");
-  add(surface_, GL_VERTEX_SHADER, "splat_composite.vert");
-  add(surface_, GL_FRAGMENT_SHADER, "splat_surface.frag");
-  surface_.link("splat_surface");
-  add(pick_, GL_COMPUTE_SHADER, "splat_pick.comp");
-  pick_.link("splat_pick");
-  add(pick_colour_, GL_VERTEX_SHADER, "splat_composite.vert");
-  add(pick_colour_, GL_FRAGMENT_SHADER, "splat_pick.frag");
-  pick_colour_.link("splat_pick_colour");
+SplatRenderer::SplatRenderer(const ShaderSource& source)
+    : accelerated_(isAccelerated()),
+      shaders_(checked(source)),
+      projection_(shaders_),
+      order_program_(shaders_.compute({"splat_visible.glsl", "splat_order.comp"})),
+      sort_(shaders_),
+      tiles_(shaders_),
+      quads_(shaders_.draw({"splat_ellipses.glsl", "splat_quad.vert"}, {"splat_quad.frag"})),
+      composite_(shaders_.draw({"splat_composite.vert"}, {"splat_composite.frag"})),
+      surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})),
+      pick_(shaders_.compute(
+          {"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl", "splat_pick.comp"})),
+      pick_colour_(shaders_.draw({"splat_composite.vert"}, {"splat_pick.frag"})) {}
 
-  GLint64 largest = 0;
-  glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &largest);
-  part_slots_ = static_cast<std::size_t>(largest) / kProjectedBytes / kPageSlots * kPageSlots;
-  part_slots_ = std::min<std::size_t>(part_slots_, kMaxSlots);
-}
+void SplatRenderer::apply(const GaussianEdit& edit) { store_.apply(edit, clock()); }
 
-SplatRenderer::Page& SplatRenderer::page(std::uint32_t index) {
-  const auto found = pages_.find(index);
-  if (found != pages_.end()) return found->second;
-  Page fresh;
-  fresh.geometry = gl::Buffer(kPageSlots * kGeometryFloats * sizeof(float), GL_DYNAMIC_DRAW);
-  fresh.geometry.zero();  // opacity 0: an empty slot
-  for (int band = 0; band <= sh_degree_; ++band) {
-    fresh.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
-    fresh.bands[band].zero();
-  }
-  return pages_.emplace(index, std::move(fresh)).first->second;
-}
-
-void SplatRenderer::addBands(int degree) {
-  for (auto& [index, page] : pages_) {
-    for (int band = sh_degree_ + 1; band <= degree; ++band) {
-      page.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
-      page.bands[band].zero();
-    }
-  }
-  sh_degree_ = std::max(sh_degree_, degree);
-}
-
-void SplatRenderer::apply(const GaussianEdit& edit) {
-  if (edit.clear) {
-    pages_.clear();
-    projected_.clear();
-    sh_degree_ = 0;
-    capacity_ = 0;
-    order_count_ = 0;
-  }
-  addBands(edit.sh_degree);
-  capacity_ = std::max(capacity_, edit.capacity);
-
-  const float changed = age();
-  std::vector<float> geometry, zeros;
-  std::size_t source = 0;
-  for (const auto& [run_first, run_count] : edit.runs) {
-    std::uint32_t first = run_first, left = run_count;
-    while (left > 0) {
-      const std::uint32_t index = first / kPageSlots, offset = first % kPageSlots;
-      const std::uint32_t count = std::min(left, kPageSlots - offset);
-      if (edit.sh_degree >= 0 || pages_.count(index)) {
-        Page& target = page(index);
-        geometry.assign(edit.geometry.begin() + std::ptrdiff_t(kGeometryFloats * source),
-                        edit.geometry.begin() + std::ptrdiff_t(kGeometryFloats * (source + count)));
-        for (std::size_t i = 1; i <= count; ++i) geometry[kGeometryFloats * i - 1] = changed;
-        target.geometry.write(offset * kGeometryFloats * sizeof(float), geometry.data(),
-                              count * kGeometryFloats * sizeof(float));
-        if (edit.sh_degree >= 0) {
-          for (int band = 0; band <= sh_degree_; ++band) {
-            const float* values = nullptr;
-            if (band <= edit.sh_degree) {
-              values = &edit.bands[band][kBandFloats[band] * source];
-            } else {
-              zeros.resize(std::max<std::size_t>(zeros.size(), kBandFloats[band] * count), 0.0f);
-              values = zeros.data();
-            }
-            target.bands[band].write(offset * bandBytes(band), values, count * bandBytes(band));
-          }
-        }
-      }
-      first += count;
-      left -= count;
-      source += count;
-    }
-  }
-}
-
-void SplatRenderer::reserveProjected() {
-  const std::size_t slots = (capacity_ + kPageSlots - 1) / kPageSlots * kPageSlots;
-  std::size_t have = 0;
-  for (const gl::Buffer& part : projected_) have += part.bytes() / kProjectedBytes;
-  if (have >= slots) return;
-  if (slots > kProjectedParts * part_slots_) {
-    throw gl::Error("the graphics driver's buffers hold " +
-                    std::to_string(kProjectedParts * part_slots_) + " splats, the map has " +
-                    std::to_string(capacity_));
-  }
-  projected_.clear();  // written anew each frame: nothing to keep
-  // Half as much again, so that a growing map seldom comes here.
-  std::size_t want = std::min(slots + slots / 2, kProjectedParts * part_slots_);
-  want = want / kPageSlots * kPageSlots;
-  for (std::size_t first = 0; first < want; first += part_slots_) {
-    projected_.emplace_back(std::min(part_slots_, want - first) * kProjectedBytes, GL_DYNAMIC_COPY);
-    projected_.back().zero();
-  }
+double SplatRenderer::clock() const {
+  const std::chrono::duration<double> age = std::chrono::steady_clock::now() - start_;
+  return std::fmod(age.count() * kTicksPerSecond, 65536.0);
 }
 
 void SplatRenderer::setOrder(const std::uint32_t* slots, std::size_t count) {
-  const std::size_t bytes = count * sizeof(std::uint32_t);
-  if (order_.bytes() < bytes) order_ = gl::Buffer(bytes + bytes / 2, GL_STREAM_DRAW);
-  if (count > 0) order_.write(0, slots, bytes);
-  order_count_ = count;
+  order_.given = true;
+  order_.count = count;
+  order_.slots.reserve(count * sizeof(std::uint32_t));
+  if (count > 0) order_.slots.write(0, slots, count * sizeof(std::uint32_t));
 }
 
-void SplatRenderer::project(const SplatCamera& camera, const MapState& map,
-                            const RenderSettings& settings) {
-  // Rebased in double precision: neither the map's origin nor the camera's position reaches
-  // float32.
-  const auto& r = camera.rotation;
-  std::array<double, 3> t{};
-  for (int i = 0; i < 3; ++i) {
-    t[i] = camera.translation[i];
-    for (int k = 0; k < 3; ++k) t[i] += r[3 * i + k] * map.origin[k];
+void SplatRenderer::begin(const SplatCamera& camera, const MapState& map,
+                          const RenderSettings& settings, Canvas canvas, gl::Target& target,
+                          GLenum format, gl::Stopwatch& stopwatch) {
+  if (target.width() != camera.width || target.height() != camera.height ||
+      target.format() != format) {
+    target = gl::Target(format, camera.width, camera.height);
   }
-  std::array<float, 16> model_view{};  // column-major
-  std::array<float, 3> eye{};
-  for (int i = 0; i < 3; ++i) {
-    double position = 0;
-    for (int k = 0; k < 3; ++k) {
-      model_view[4 * k + i] = static_cast<float>(r[3 * i + k]);
-      position -= r[3 * k + i] * t[k];
-    }
-    model_view[12 + i] = static_cast<float>(t[i]);
-    eye[i] = static_cast<float>(camera.orthographic ? r[6 + i] : position);
+  raster_ = {canvas != Canvas::kWindow, camera.orthographic, camera.ndc_scale,
+             camera.ndc_offset,         settings.mode,       settings.depth_range};
+  projection_.run(store_, camera, map, settings, clock());
+  stopwatch.lap("project");
+  putInOrder();
+  stopwatch.lap("sort");
+  for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
+                           GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
+    glDisable(off);
   }
-  model_view[15] = 1.0f;
-
-  if (!depth_range_.id()) depth_range_ = gl::Buffer(2 * sizeof(GLuint), GL_DYNAMIC_COPY);
-  const std::array<GLuint, 2> no_range{0x7f800000u, 0u};  // infinity, zero
-  depth_range_.write(0, no_range.data(), sizeof(no_range));
-
-  const bool antialiased = settings.antialiasing == Antialiasing::kAsTrained
-                               ? map.antialiased
-                               : settings.antialiasing == Antialiasing::kOn;
-  project_.use();
-  glUniformMatrix4fv(project_.at("model_view"), 1, GL_FALSE, model_view.data());
-  glUniform3fv(project_.at("eye"), 1, eye.data());
-  glUniform1i(project_.at("orthographic"), camera.orthographic);
-  glUniform2f(project_.at("focal"), float(camera.fx), float(camera.fy));
-  glUniform2f(project_.at("principal_point"), float(camera.cx), float(camera.cy));
-  glUniform2f(project_.at("picture"), float(camera.width), float(camera.height));
-  glUniform2f(project_.at("clip"), float(camera.near_clip), float(camera.far_clip));
-  glUniform2f(project_.at("ndc_depth"), float(camera.ndc_scale), float(camera.ndc_offset));
-  glUniform1i(project_.at("sh_degree"), std::min(sh_degree_, settings.max_sh_degree));
-  glUniform1i(project_.at("only_band"), std::min(settings.only_band, sh_degree_));
-  glUniform1i(project_.at("antialiased"), antialiased);
-  glUniform1i(project_.at("mode"), static_cast<GLint>(settings.mode));
-  glUniform1f(project_.at("scale_modifier"), settings.scale);
-  glUniform1f(project_.at("opacity_modifier"), settings.opacity);
-  glUniform1f(project_.at("near_fade"), settings.near_fade);
-  glUniform2f(project_.at("age"), age(), settings.age_range);
-  const ClipBox& box = settings.clip_box;
-  std::array<float, 3> box_centre{};
-  for (int i = 0; i < 3; ++i) box_centre[i] = static_cast<float>(box.centre[i] - map.origin[i]);
-  glUniform1i(project_.at("clip_to_box"), box.enabled);
-  glUniform3fv(project_.at("box_centre"), 1, box_centre.data());
-  glUniform3fv(project_.at("box_size"), 1, box.size.data());
-  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 6, depth_range_.id());
-  const GLint first_slot = project_.at("first_slot"), slot_count = project_.at("slot_count");
-  for (const auto& [index, page] : pages_) {
-    const std::size_t first = std::size_t{index} * kPageSlots;
-    const std::size_t count = std::min<std::size_t>(kPageSlots, capacity_ - first);
-    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, page.geometry.id());
-    for (int band = 0; band <= kMaxShDegree; ++band) {
-      glBindBufferBase(GL_SHADER_STORAGE_BUFFER, static_cast<GLuint>(1 + band),
-                       page.bands[std::min(band, sh_degree_)].id());
-    }
-    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 5, projected_[first / part_slots_].id());
-    glUniform1ui(first_slot, static_cast<GLuint>(first % part_slots_));
-    glUniform1ui(slot_count, static_cast<GLuint>(count));
-    glDispatchCompute(static_cast<GLuint>((count + 255) / 256), 1, 1);
-  }
-  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT);
+  glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
+  glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
 }
 
-float SplatRenderer::age() const {
-  return std::chrono::duration<float>(std::chrono::steady_clock::now() - start_).count();
+void SplatRenderer::putInOrder() {
+  drawn_count_ = order_.given ? order_.count : projection_.count();
+  if (projection_.count() == 0) drawn_count_ = 0;
+  if (drawn_count_ == 0) return;
+  drawn_.reserve(drawn_count_ * sizeof(GLuint));
+  if (!order_.given) {
+    sort_.sort(projection_.keys(), drawn_, drawn_count_, 32, false);
+    return;
+  }
+  order_program_.use();
+  projection_.bindVisible();
+  order_.slots.bind(7);
+  drawn_.bind(8);
+  order_program_.set("count", static_cast<GLuint>(drawn_count_));
+  order_program_.set("capacity", static_cast<GLuint>(store_.capacity()));
+  gl::dispatch((drawn_count_ + 255) / 256);
+  gl::storageBarrier();
 }
 
-void SplatRenderer::drawQuads(const gl::Target& target, const RenderSettings& settings,
-                              bool raw_depth) const {
+void SplatRenderer::drawQuads(const gl::Target& target, bool raw_depth) const {
   glViewport(0, 0, target.width(), target.height());
   const std::array<float, 4> nothing{};
   glClearBufferfv(GL_COLOR, 0, nothing.data());
-  if (order_count_ == 0 || projected_.empty()) return;
+  if (drawn_count_ == 0) return;
   glEnable(GL_BLEND);
   glBlendEquation(GL_FUNC_ADD);
   glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
@@ -244,38 +119,15 @@ void SplatRenderer::drawQuads(const gl::Target& target, const RenderSettings& se
   glDepthFunc(GL_LEQUAL);
   glDepthMask(GL_FALSE);
   quads_.use();
-  glUniform1ui(quads_.at("part_slots"), static_cast<GLuint>(part_slots_));
-  glUniform1ui(quads_.at("capacity"), capacity_);
-  glUniform2f(quads_.at("picture"), float(target.width()), float(target.height()));
-  glUniform1f(quads_.at("up"), top_first_ ? -1.0f : 1.0f);
-  glUniform1i(quads_.at("raw_depth"), raw_depth);
-  glUniform1i(quads_.at("mode"), static_cast<GLint>(settings.mode));
-  glUniform2fv(quads_.at("depth_range"), 1, settings.depth_range.data());
-  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 5, depth_range_.id());
-  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, order_.id());
-  for (std::size_t part = 0; part < kProjectedParts; ++part) {
-    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, static_cast<GLuint>(1 + part),
-                     projected_[std::min(part, projected_.size() - 1)].id());
-  }
-  glDrawArraysInstanced(GL_TRIANGLE_STRIP, 0, 4, static_cast<GLsizei>(order_count_));
-}
-
-void SplatRenderer::begin(const SplatCamera& camera, const MapState& map,
-                          const RenderSettings& settings, Canvas canvas, gl::Target& target,
-                          GLenum format) {
-  if (target.width() != camera.width || target.height() != camera.height ||
-      target.format() != format) {
-    target = gl::Target(format, camera.width, camera.height);
-  }
-  top_first_ = canvas != Canvas::kWindow;
-  reserveProjected();
-  project(camera, map, settings);
-  for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
-                           GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
-    glDisable(off);
-  }
-  glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
-  glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
+  raster_.set(quads_);
+  quads_.set("count", static_cast<GLuint>(drawn_count_));
+  quads_.set("picture", target.width(), target.height());
+  quads_.set("up", raster_.top_first ? -1.0f : 1.0f);
+  quads_.set("raw_depth", int(raw_depth));
+  projection_.bindEllipses(quads_);
+  drawn_.bind(4);
+  projection_.depthRange().bind(5);
+  glDrawArraysInstanced(GL_TRIANGLE_STRIP, 0, 4, static_cast<GLsizei>(drawn_count_));
 }
 
 void SplatRenderer::layOver(const gl::Program& program, GLuint framebuffer,
@@ -293,87 +145,95 @@ void SplatRenderer::layOver(const gl::Program& program, GLuint framebuffer,
 void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
                          const RenderSettings& settings, Canvas canvas) {
   const gl::StateGuard guard;
+  gl::Stopwatch stopwatch(settings.profile);
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   const GLint x = viewport[0], y = viewport[1];
-  begin(camera, map, settings, canvas, color_, settings.float_blending ? GL_RGBA32F : GL_RGBA16F);
-  drawn_settings_ = settings;
+  begin(camera, map, settings, canvas, color_, settings.float_blending ? GL_RGBA32F : GL_RGBA16F,
+        stopwatch);
 
   const gl::DrawScope scope(color_);
   clearDepth();
   if (canvas != Canvas::kNone) copyDepth(guard.drawFramebuffer(), x, y, color_);
-  drawQuads(color_, settings, false);
-  if (canvas == Canvas::kNone) return;
-
-  glEnable(GL_BLEND);
-  glBlendEquation(GL_FUNC_ADD);
-  glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
-  layOver(composite_, guard.drawFramebuffer(), color_, x, y);
+  const bool in_tiles = settings.rasterizer == Rasterizer::kTiles ||
+                        (settings.rasterizer == Rasterizer::kAuto && accelerated_);
+  if (in_tiles && drawn_count_ > 0 &&
+      tiles_.draw(projection_, drawn_, drawn_count_, color_, raster_, stopwatch)) {
+    rasterizer_ = "tiles";
+  } else {
+    drawQuads(color_, false);
+    rasterizer_ = "quads";
+    stopwatch.lap("quads");
+  }
+  if (canvas != Canvas::kNone) {
+    glEnable(GL_BLEND);
+    glBlendEquation(GL_FUNC_ADD);
+    glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
+    layOver(composite_, guard.drawFramebuffer(), color_, x, y);
+    stopwatch.lap("composite");
+  }
+  profile_ = stopwatch.laps();
 }
 
 void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
                                 const RenderSettings& settings, Canvas canvas, double far_clip) {
   const gl::StateGuard guard;
+  gl::Stopwatch stopwatch(false);
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   const GLint x = viewport[0], y = viewport[1];
-  begin(camera, map, settings, canvas, surface_depth_, GL_RGBA32F);
+  begin(camera, map, settings, canvas, surface_depth_, GL_RGBA32F, stopwatch);
   const gl::DrawScope scope(surface_depth_);
   clearDepth();
   copyDepth(guard.drawFramebuffer(), x, y, surface_depth_);
-  drawQuads(surface_depth_, settings, true);
+  drawQuads(surface_depth_, true);
   glDisable(GL_BLEND);
   surface_.use();
-  glUniform1f(surface_.at("far_clip"), static_cast<float>(far_clip));
+  surface_.set("far_clip", static_cast<float>(far_clip));
   layOver(surface_, guard.drawFramebuffer(), surface_depth_, x, y);
 }
 
 void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
                              const RenderSettings& settings, Canvas canvas, std::uint32_t handle) {
   const gl::StateGuard guard;
+  gl::Stopwatch stopwatch(false);
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   const GLint x = viewport[0], y = viewport[1];
-  begin(camera, map, settings, canvas, pick_depth_, GL_RGBA16F);
+  begin(camera, map, settings, canvas, pick_depth_, GL_RGBA16F, stopwatch);
   const gl::DrawScope scope(pick_depth_);
   clearDepth();
   if (canvas != Canvas::kNone) copyDepth(guard.drawFramebuffer(), x, y, pick_depth_);
 
   const int width = pick_depth_.width(), height = pick_depth_.height();
-  const std::size_t bytes = sizeof(float) * std::size_t(width) * std::size_t(height);
-  if (opaque_depths_.bytes() != bytes) {
-    opaque_depths_ = gl::Buffer(bytes, GL_DYNAMIC_COPY);
-    picked_ = gl::Buffer(bytes, GL_DYNAMIC_COPY);
+  picked_.reserve(sizeof(std::uint32_t) * std::size_t(width) * std::size_t(height));
+  const std::vector<std::uint32_t> nothing(std::size_t(width) * std::size_t(height), kNoSlot);
+  picked_.write(0, nothing.data(), nothing.size() * sizeof(std::uint32_t));
+  if (drawn_count_ > 0) {
+    const int across = (width + 15) / 16, down = (height + 15) / 16;
+    pick_.use();
+    projection_.bindEllipses(pick_);
+    projection_.bindVisible();
+    raster_.set(pick_);
+    glUniform2i(pick_.at("tiles"), across, down);
+    glUniform2i(pick_.at("picture"), width, height);
+    pick_.set("top_first", int(raster_.top_first));
+    pick_.set("count", static_cast<GLuint>(drawn_count_));
+    pick_.set("words", (store_.capacity() + 31u) / 32u);
+    drawn_.bind(4);
+    picked_.bind(7);
+    glActiveTexture(GL_TEXTURE0);
+    glBindTexture(GL_TEXTURE_2D, pick_depth_.depth());
+    gl::dispatch(std::size_t(across) * std::size_t(down));
+    gl::storageBarrier();
   }
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
-  glBindBuffer(GL_PIXEL_PACK_BUFFER, opaque_depths_.id());
-  glReadPixels(0, 0, width, height, GL_DEPTH_COMPONENT, GL_FLOAT, nullptr);
-  glBindBuffer(GL_PIXEL_PACK_BUFFER, 0);
-
-  pick_.use();
-  glUniform1ui(pick_.at("count"), projected_.empty() ? 0u : static_cast<GLuint>(order_count_));
-  glUniform1ui(pick_.at("part_slots"), static_cast<GLuint>(part_slots_));
-  glUniform1ui(pick_.at("capacity"), capacity_);
-  glUniform2i(pick_.at("picture"), width, height);
-  glUniform1i(pick_.at("top_first"), top_first_);
-  glUniform1i(pick_.at("mode"), static_cast<GLint>(settings.mode));
-  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, order_.id());
-  for (std::size_t part = 0; part < kProjectedParts && !projected_.empty(); ++part) {
-    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, static_cast<GLuint>(1 + part),
-                     projected_[std::min(part, projected_.size() - 1)].id());
-  }
-  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 5, opaque_depths_.id());
-  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 6, picked_.id());
-  glDispatchCompute(static_cast<GLuint>((width + 15) / 16), static_cast<GLuint>((height + 15) / 16),
-                    1);
-  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_BUFFER_UPDATE_BARRIER_BIT);
   if (canvas == Canvas::kNone) return;
 
   glDisable(GL_BLEND);
   pick_colour_.use();
-  glUniform1i(pick_colour_.at("width"), width);
-  glUniform1ui(pick_colour_.at("handle"), handle);
-  glBindBufferBase(GL_SHADER_STORAGE_BUFFER, 0, picked_.id());
+  pick_colour_.set("width", width);
+  pick_colour_.set("handle", handle);
+  picked_.bind(7);
   layOver(pick_colour_, guard.drawFramebuffer(), pick_depth_, x, y);
 }
 
@@ -382,7 +242,7 @@ std::vector<std::uint32_t> SplatRenderer::readPick() const {
                     rows = static_cast<std::size_t>(pick_depth_.height());
   std::vector<std::uint32_t> slots(columns * rows);
   for (std::size_t i = 0; i < rows; ++i) {
-    const std::size_t target_row = top_first_ ? i : rows - 1 - i;
+    const std::size_t target_row = raster_.top_first ? i : rows - 1 - i;
     picked_.read(target_row * columns * sizeof(std::uint32_t), &slots[i * columns],
                  columns * sizeof(std::uint32_t));
   }
@@ -391,24 +251,7 @@ std::vector<std::uint32_t> SplatRenderer::readPick() const {
 
 std::vector<SplatValues> SplatRenderer::readSlots(const std::vector<std::uint32_t>& slots) const {
   std::vector<SplatValues> splats;
-  for (const std::uint32_t slot : slots) {
-    SplatValues& splat = splats.emplace_back();
-    splat.slot = slot;
-    const auto found = pages_.find(slot / kPageSlots);
-    if (found == pages_.end()) continue;  // an empty slot
-    const std::size_t offset = slot % kPageSlots;
-    std::array<float, kGeometryFloats> g{};
-    found->second.geometry.read(offset * sizeof(g), g.data(), sizeof(g));
-    splat.position = {g[0], g[1], g[2]};
-    splat.opacity = g[3];
-    splat.orientation = {g[4], g[5], g[6], g[7]};
-    splat.scale = {g[8], g[9], g[10]};
-    for (int band = 0; band <= sh_degree_; ++band) {
-      const std::size_t have = splat.sh.size();
-      splat.sh.resize(have + std::size_t(kBandFloats[band]));
-      found->second.bands[band].read(offset * bandBytes(band), &splat.sh[have], bandBytes(band));
-    }
-  }
+  for (const std::uint32_t slot : slots) splats.push_back(store_.read(slot));
   return splats;
 }
 
@@ -418,7 +261,7 @@ std::vector<float> SplatRenderer::readColor() const {
   const gl::StateGuard guard;
   const gl::DrawScope scope(color_);
   glReadPixels(0, 0, color_.width(), color_.height(), GL_RGBA, GL_FLOAT, pixels.data());
-  if (!top_first_) {
+  if (!raster_.top_first) {
     for (std::size_t top = 0, bottom = pixels.size() - row; top < bottom;
          top += row, bottom -= row) {
       std::swap_ranges(&pixels[top], &pixels[top] + row, &pixels[bottom]);
@@ -440,14 +283,14 @@ std::vector<float> SplatRenderer::readDepth() {
   const gl::DrawScope scope(depth_);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, color.framebuffer());
   glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT, GL_NEAREST);
-  drawQuads(depth_, drawn_settings_, true);
+  drawQuads(depth_, true);
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
   std::vector<float> blended(4 * columns * rows), depths(columns * rows);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
   glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, blended.data());
   for (std::size_t row = 0; row < rows; ++row) {
-    const float* source = &blended[4 * columns * (top_first_ ? row : rows - 1 - row)];
+    const float* source = &blended[4 * columns * (raster_.top_first ? row : rows - 1 - row)];
     for (std::size_t column = 0; column < columns; ++column, source += 4) {
       depths[columns * row + column] =
           source[3] > 0.0f ? source[0] / source[3] : std::numeric_limits<float>::quiet_NaN();
@@ -457,14 +300,9 @@ std::vector<float> SplatRenderer::readDepth() {
 }
 
 std::size_t SplatRenderer::gpuBytes() const {
-  std::size_t bytes = order_.bytes() + color_.bytes() + depth_.bytes() + surface_depth_.bytes() +
-                      pick_depth_.bytes() + opaque_depths_.bytes() + picked_.bytes();
-  for (const gl::Buffer& part : projected_) bytes += part.bytes();
-  for (const auto& [index, page] : pages_) {
-    bytes += page.geometry.bytes();
-    for (const gl::Buffer& band : page.bands) bytes += band.bytes();
-  }
-  return bytes;
+  return store_.bytes() + projection_.bytes() + sort_.bytes() + tiles_.bytes() +
+         order_.slots.bytes() + drawn_.bytes() + color_.bytes() + depth_.bytes() +
+         surface_depth_.bytes() + pick_depth_.bytes() + picked_.bytes();
 }
 
 }  // namespace rosplat

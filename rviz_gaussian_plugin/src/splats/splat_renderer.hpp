@@ -1,18 +1,21 @@
 #pragma once
 
-#include <array>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
-#include <functional>
+#include <map>
 #include <string>
-#include <unordered_map>
 #include <vector>
 
 #include "gaussian_map.hpp"
 #include "gl_objects.hpp"
+#include "projection.hpp"
+#include "radix_sort.hpp"
 #include "render_settings.hpp"
+#include "shaders.hpp"
+#include "slot_store.hpp"
 #include "splat_camera.hpp"
+#include "tile_rasterizer.hpp"
 
 namespace rosplat {
 
@@ -23,14 +26,10 @@ enum class Canvas {
   kNone,     // nothing: there is no opaque scene, and the picture is only read back
 };
 
-// Draws a map with OpenGL 4.3: splats in storage buffers by slot, projected once a frame by a
-// compute pass, then drawn as quads in a given order. Knows no Ogre; runs in the render thread
-// only.
+// Draws a map with OpenGL 4.3: what is visible is projected once a frame, then blended in a given
+// order or in one found here, as quads or in tiles. Knows no Ogre; runs in the render thread only.
 class SplatRenderer {
  public:
-  // Reads a shader's source by file name.
-  using ShaderSource = std::function<std::string(const std::string& name)>;
-
   // Throws gl::Error where the driver can't do it.
   explicit SplatRenderer(const ShaderSource& source);
 
@@ -40,6 +39,8 @@ class SplatRenderer {
 
   // Makes slots[0..count) what draw() draws, farthest first.
   void setOrder(const std::uint32_t* slots, std::size_t count);
+  // Lets draw() sort what is visible itself, by the sorters' depth and with their ties.
+  void sortByDepth() { order_ = {}; }
 
   // Blends the splats of the order, hidden where the current framebuffer and viewport have
   // something nearer, into a target of its own; then over that viewport, which has the camera's
@@ -60,7 +61,7 @@ class SplatRenderer {
   // What drawPick() found: width * height slots, top row first; kNoSlot where there is none.
   std::vector<std::uint32_t> readPick() const;
 
-  // The values of slots as they are stored, positions relative to the map's origin.
+  // The values of slots as they are drawn, positions relative to the map's origin.
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
 
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
@@ -69,40 +70,47 @@ class SplatRenderer {
   // is.
   std::vector<float> readDepth();
 
-  std::size_t drawn() const { return order_count_; }
+  // Whether a graphics card draws, not the processor.
+  bool accelerated() const { return accelerated_; }
+  std::size_t drawn() const { return drawn_count_; }
+  const char* rasterizer() const { return rasterizer_; }  // of the last draw()
+  // Of the last draw(), by stage [s]; empty unless settings.profile asked for it.
+  const std::map<std::string, double>& profile() const { return profile_; }
+  std::size_t mapBytes() const { return store_.bytes(); }
   std::size_t gpuBytes() const;
 
  private:
-  struct Page {
-    gl::Buffer geometry;
-    std::array<gl::Buffer, kMaxShDegree + 1> bands;
+  struct Order {
+    bool given = false;
+    gl::Buffer slots;  // farthest first
+    std::size_t count = 0;
   };
 
-  Page& page(std::uint32_t index);
-  void addBands(int degree);
-  void reserveProjected();
   void begin(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-             Canvas canvas, gl::Target& target, GLenum format);
+             Canvas canvas, gl::Target& target, GLenum format, gl::Stopwatch& stopwatch);
+  void putInOrder();
+  void drawQuads(const gl::Target& target, bool raw_depth) const;
   void layOver(const gl::Program& program, GLuint framebuffer, const gl::Target& target, GLint x,
                GLint y) const;
-  void project(const SplatCamera& camera, const MapState& map, const RenderSettings& settings);
-  void drawQuads(const gl::Target& target, const RenderSettings& settings, bool raw_depth) const;
-  float age() const;  // of the renderer [s]
+  double clock() const;  // of `change` in packed_slot.hpp
 
-  gl::Program project_, quads_, composite_, surface_, pick_, pick_colour_;
-  std::size_t part_slots_ = 0;  // slots in one part of the projected buffer
+  bool accelerated_;
+  Shaders shaders_;
+  SlotStore store_;
+  Projection projection_;
+  gl::Program order_program_;
+  RadixSort sort_;
+  TileRasterizer tiles_;
+  gl::Program quads_, composite_, surface_, pick_, pick_colour_;
 
-  std::unordered_map<std::uint32_t, Page> pages_;  // by slot / kPageSlots
-  int sh_degree_ = 0;
-  std::uint32_t capacity_ = 0;
-  std::vector<gl::Buffer> projected_;
-  gl::Buffer order_;
-  gl::Buffer depth_range_;  // nearest and farthest depth drawn, as float bits
-  std::size_t order_count_ = 0;
+  Order order_;
+  gl::Buffer drawn_;  // indices of ellipses, nearest first
+  std::size_t drawn_count_ = 0;
   gl::Target color_, depth_, surface_depth_, pick_depth_;
-  gl::Buffer opaque_depths_, picked_;  // of pick_depth_'s pixels
-  bool top_first_ = false;             // the targets' first row is the picture's top
-  RenderSettings drawn_settings_;
+  gl::Buffer picked_;  // slots, of pick_depth_'s pixels
+  Raster raster_;      // of what was drawn last
+  const char* rasterizer_ = "";
+  std::map<std::string, double> profile_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };
 

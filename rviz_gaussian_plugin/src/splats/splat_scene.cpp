@@ -18,9 +18,9 @@ double now() {
 }
 
 std::size_t bytes(const GaussianEdit& edit) {
-  std::size_t floats = edit.geometry.size();
-  for (const auto& band : edit.bands) floats += band.size();
-  return floats * sizeof(float);
+  std::size_t words = edit.slots.size();
+  for (const auto& band : edit.bands) words += band.size();
+  return words * sizeof(std::uint32_t);
 }
 
 }  // namespace
@@ -90,6 +90,20 @@ bool SplatScene::answered(const std::string& view_id) {
   return arrivals_.empty() && book_.answered(view_id);
 }
 
+void SplatScene::sortOnGpu() {
+  renderer_->sortByDepth();
+  uploaded_order_ = nullptr;
+}
+
+void SplatScene::sortNow(const SplatCamera& camera) {
+  if (renderer_->accelerated()) {
+    sortOnGpu();
+  } else {
+    book_.setCamera(kSurfaceView, ++surface_sequence_, camera, now());
+    useOrder(book_.sortNow(kSurfaceView).order);
+  }
+}
+
 void SplatScene::useOrder(const OrderPtr& order) {
   if (!order || order == uploaded_order_) return;
   renderer_->setOrder(order->slots.data(), order->slots.size());
@@ -101,13 +115,30 @@ FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& s
   const double start = now();
   prepare();
   takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
-  const OrderBook::Choice choice =
-      built_in ? book_.sortNow(view_id) : book_.choose(view_id, start, settings.order);
-  useOrder(choice.order);
+  // A graphics card sorts in less time than the CPU's order would take to come.
+  const bool on_gpu =
+      settings.order == OrderSource::kGpu || (settings.order == OrderSource::kAuto && !built_in &&
+                                              renderer_->accelerated() && !book_.answered(view_id));
+  OrderBook::Choice choice;
+  if (on_gpu) {
+    sortOnGpu();
+  } else {
+    choice = built_in ? book_.sortNow(view_id) : book_.choose(view_id, start, settings.order);
+    useOrder(choice.order);
+  }
   renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas);
 
   FrameReport report;
-  if (choice.order) {
+  report.rasterizer = renderer_->rasterizer();
+  report.profile = renderer_->profile();
+  if (on_gpu) {
+    report.splats = renderer_->drawn();
+    report.order_source = "gpu";
+    report.order_fresh = true;
+    if (const auto sort = report.profile.find("sort"); sort != report.profile.end()) {
+      report.sort_time = sort->second;
+    }
+  } else if (choice.order) {
     report.splats = choice.order->slots.size();
     report.order_source = choice.order->source;
     report.order_fresh = choice.fresh;
@@ -121,16 +152,14 @@ FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& s
 void SplatScene::drawSurface(const SplatCamera& camera, const RenderSettings& settings,
                              Canvas canvas, double far_clip) {
   prepare();
-  book_.setCamera(kSurfaceView, ++surface_sequence_, camera, now());
-  useOrder(book_.sortNow(kSurfaceView).order);
+  sortNow(camera);
   renderer_->drawSurface(camera, drawn_map_, settings, canvas, far_clip);
 }
 
 void SplatScene::drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
                           std::uint32_t handle) {
   prepare();
-  book_.setCamera(kSurfaceView, ++surface_sequence_, camera, now());
-  useOrder(book_.sortNow(kSurfaceView).order);
+  sortNow(camera);
   renderer_->drawPick(camera, drawn_map_, settings, canvas, handle);
 }
 

@@ -20,19 +20,21 @@ namespace rosplat {
 
 // What a frame drew.
 struct FrameReport {
-  std::size_t splats = 0;    // drawn
-  std::string order_source;  // who sorted, empty where nothing is sorted yet
-  bool order_fresh = false;  // for this very camera and map
-  double order_age = 0;      // [s]
-  double sort_time = 0;      // [s]
-  double draw_time = 0;      // of the render thread [s]
+  std::size_t splats = 0;                 // drawn
+  std::string order_source;               // who sorted, empty where nothing is sorted yet
+  bool order_fresh = false;               // for this very camera and map
+  double order_age = 0;                   // [s]
+  double sort_time = 0;                   // [s]
+  double draw_time = 0;                   // of the render thread [s]
+  std::string rasterizer;                 // "quads" or "tiles"
+  std::map<std::string, double> profile;  // of the graphics card by stage, if asked for [s]
 };
 
 // A map with everything that draws it. apply() and offer() may be called from any thread; whatever
 // touches OpenGL happens in the render thread, in draw() and the reads.
 class SplatScene {
  public:
-  explicit SplatScene(SplatRenderer::ShaderSource shaders) : shaders_(std::move(shaders)) {}
+  explicit SplatScene(ShaderSource shaders) : shaders_(std::move(shaders)) {}
 
   // Any thread: checks a batch and queues it for the next frame. Throws BatchError.
   BatchReport apply(const GaussianBatch& batch);
@@ -68,6 +70,7 @@ class SplatScene {
   std::vector<float> readDepth() { return renderer_->readDepth(); }
 
   std::size_t gpuBytes() const { return renderer_ ? renderer_->gpuBytes() : 0; }
+  std::size_t mapBytes() const { return renderer_ ? renderer_->mapBytes() : 0; }  // of gpuBytes()
   std::size_t hostBytes() const { return sorter_.bytes(); }
 
  private:
@@ -78,6 +81,8 @@ class SplatScene {
 
   void prepare();
   void useOrder(const OrderPtr& order);
+  void sortOnGpu();
+  void sortNow(const SplatCamera& camera);  // for the mouse tools
   void takeArrivals(std::size_t budget);
 
   mutable std::mutex map_mutex_;    // map_
@@ -87,7 +92,7 @@ class SplatScene {
   std::map<std::string, OrderPtr> orders_;  // newest by view
 
   // Render thread only.
-  SplatRenderer::ShaderSource shaders_;
+  ShaderSource shaders_;
   std::optional<SplatRenderer> renderer_;
   BuiltInSorter sorter_;
   OrderBook book_{sorter_};

@@ -1,0 +1,67 @@
+// What the passes share. Before it stand #version, PARTS and what else Shaders knows of the driver.
+
+// As in DrawMode.
+const int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNormals = 5, kOpacity = 6,
+          kAge = 7;
+
+const float kCutoffAlpha = 1.0 / 255.0;
+const float kMaxSigmas = 3.33;  // where the most opaque splat falls below the cutoff
+const float kMaxAlpha = 0.99;   // as in Kerbl et al. 2023; nothing is ever fully opaque
+const float kBallEdge = 0.22;   // of the peak: a ball ends at 1.74 sigma
+const uint kNone = 0xffffffffu;
+
+#ifdef COMPUTE
+// Work groups have 256 invocations; dispatches may be folded into two dimensions.
+uint workGroup() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
+uint invocation() { return workGroup() * 256u + gl_LocalInvocationIndex; }
+#endif
+
+// A splat in the picture.
+struct Ellipse {
+  vec2 centre;    // [px]
+  float depth;    // along the view's axis [m]
+  vec2 major;     // half axis of one sigma [px]
+  float minor;    // length of the other one, a quarter turn on [px]
+  vec3 colour;
+  float opacity;  // 0: not to be drawn
+};
+
+void packEllipse(Ellipse e, out uvec4 words[2]) {
+  words[0] = uvec4(floatBitsToUint(vec3(e.centre, e.depth)), packHalf2x16(e.colour.rg));
+  words[1] = uvec4(floatBitsToUint(vec3(e.major, e.minor)),
+                   packHalf2x16(vec2(e.colour.b, 0.0)) | packUnorm2x16(vec2(0.0, e.opacity)));
+}
+
+Ellipse unpackEllipse(uvec4 a, uvec4 b) {
+  Ellipse e;
+  e.centre = uintBitsToFloat(a.xy);
+  e.depth = uintBitsToFloat(a.z);
+  e.major = uintBitsToFloat(b.xy);
+  e.minor = uintBitsToFloat(b.z);
+  e.colour = vec3(unpackHalf2x16(a.w), unpackHalf2x16(b.w).x);
+  e.opacity = unpackUnorm2x16(b.w).y;
+  return e;
+}
+
+vec2 minorAxis(Ellipse e) { return e.minor * normalize(vec2(-e.major.y, e.major.x)); }
+
+float cutoffSigmas(float opacity) { return min(kMaxSigmas, sqrt(2.0 * log(255.0 * opacity))); }
+
+// Google's Turbo, blue to red over 0 to 1 (polynomial of Mikhailov 2019).
+vec3 turbo(float t) {
+  t = clamp(t, 0.0, 1.0);
+  vec4 v4 = vec4(1.0, t, t * t, t * t * t);
+  vec2 v2 = v4.zw * v4.z;
+  return clamp(vec3(dot(v4, vec4(0.13572138, 4.61539260, -42.66032258, 132.13108234)) +
+                        dot(v2, vec2(-152.94239396, 59.28637943)),
+                    dot(v4, vec4(0.09140261, 2.19418839, 4.84296658, -14.18503333)) +
+                        dot(v2, vec2(4.27729857, 2.82956604)),
+                    dot(v4, vec4(0.10667330, 12.64194608, -60.58204836, 110.36276771)) +
+                        dot(v2, vec2(-89.90310912, 27.34824973))),
+               0.0, 1.0);
+}
+
+// Red for near, blue for far.
+vec3 depthColour(float depth, vec2 range) {
+  return turbo(1.0 - (depth - range.x) / max(range.y - range.x, 1e-6));
+}

@@ -1,0 +1,43 @@
+// Marks the slots of one page that the picture may show: the sorters' test (rosplat_sorter/depth.py
+// derives it), operation by operation, so that all of them find the same.
+
+layout(local_size_x = 256) in;
+
+uniform uint first_slot;  // of this page
+uniform mat3 rotation;    // map -> camera: x right, y down, z forward
+uniform vec3 translation;
+uniform vec2 focal, offset, half_size, slope;
+uniform vec2 clip;  // near, far [m]
+uniform bool orthographic;
+uniform float opacity_modifier;
+uniform bool clip_to_box;
+uniform vec3 box_centre, box_size;  // [m]
+
+shared uint words[8];
+
+bool mayBeSeen(uint slot) {
+  float opacity = slotOpacity(slot);
+  if (!(opacity >= kCutoffAlpha) || !(opacity_modifier * opacity >= kCutoffAlpha)) return false;
+  vec3 mean = slotPosition(slot);
+  if (clip_to_box && any(greaterThan(abs(mean - box_centre), 0.5 * box_size))) return false;
+  vec3 scale = slotScale(slot);
+  float extent = cutoffSigmas(opacity) * max(max(scale.x, scale.y), scale.z);
+  precise vec3 p = ((rotation[0] * mean.x + rotation[1] * mean.y) + rotation[2] * mean.z) + translation;
+  float w = orthographic ? 1.0 : p.z;
+  precise vec2 reach = half_size * w + slope * extent;
+  precise vec2 along = abs(focal * p.xy + offset * w);
+  return p.z > clip.x && p.z < clip.y && all(lessThanEqual(along, reach));
+}
+
+void main() {
+  uint local = gl_LocalInvocationIndex, slot = invocation();
+  if (local < 8u) words[local] = 0u;
+  barrier();
+  if (slot < slot_count && mayBeSeen(slot)) atomicOr(words[local >> 5], 1u << (local & 31u));
+  barrier();
+  uint word = (first_slot >> 5) + 8u * workGroup() + local;
+  if (local < 8u && word < uint(visible.length())) {
+    visible[word] = words[local];
+    before[word] = uint(bitCount(words[local]));
+  }
+}

@@ -1,0 +1,24 @@
+// The projected splats, in as many parts as the driver's largest buffer asks for.
+layout(std430, binding = 0) buffer Ellipses { uvec4 data[]; } ellipses[PARTS];
+
+uniform uint part_size;  // ellipses in a part
+
+// The buffer in an array must be a constant, or the same for all invocations.
+#define IN_ITS_PART(DO)          \
+  uint k = 2u * (i % part_size); \
+  switch (i / part_size) {       \
+    case 0u: DO(0);              \
+    case 1u: DO(1 % PARTS);      \
+    case 2u: DO(2 % PARTS);      \
+    default: DO(PARTS - 1);      \
+  }
+#define READ(PART) return unpackEllipse(ellipses[PART].data[k], ellipses[PART].data[k + 1u])
+#define WRITE(PART) ellipses[PART].data[k] = words[0]; ellipses[PART].data[k + 1u] = words[1]; break
+
+Ellipse ellipse(uint i) { IN_ITS_PART(READ) }
+
+void keep(uint i, Ellipse e) {
+  uvec4 words[2];
+  packEllipse(e, words);
+  IN_ITS_PART(WRITE)
+}

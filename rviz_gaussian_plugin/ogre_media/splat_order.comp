@@ -1,0 +1,15 @@
+// Slots in a sorter's order, farthest first -> indices of what is visible, nearest first.
+
+layout(local_size_x = 256) in;
+layout(std430, binding = 7) readonly buffer Order { uint order[]; };
+layout(std430, binding = 8) writeonly buffer Drawn { uint drawn[]; };
+
+uniform uint count;     // of the order
+uniform uint capacity;  // slots of the map as it is uploaded; an order may know more
+
+void main() {
+  uint i = invocation();
+  if (i >= count) return;
+  uint slot = order[i];
+  drawn[count - 1u - i] = slot < capacity && isVisible(slot) ? visibleIndex(slot) : kNone;
+}

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+namespace rosplat {
+
+constexpr int kMaxShDegree = 3;
+
+// A slot as the GPU holds it, 36 bytes and 4 for each further coefficient of spherical harmonics:
+//   position   3 x float32 [m]
+//   opacity    16 bits, linear                  scale    3 x 16 bits, logarithmic: 0.03 % apart
+//   rotation   48 bits: the three smallest components of the quaternion, and which is missing
+//   colour     3 x float16, band 0              change   16 bits: when the slot last changed
+//   sh         11, 11 and 10 bits for R, G, B, as fractions of the slot's largest coefficient
+// splat_slot.glsl reads it.
+constexpr int kSlotWords = 9;
+constexpr int kChangeWord = 8;                                       // its upper half
+constexpr std::array<int, kMaxShDegree + 1> kBandWords{0, 3, 5, 7};  // beside the slot, by band
+constexpr double kTicksPerSecond = 4;                                // of `change`, modulo 2^16
+
+// What a slot holds, unpacked.
+struct Splat {
+  std::array<float, 3> position{};     // [m], relative to the map's origin
+  std::array<float, 4> orientation{};  // quaternion x y z w of any length but zero
+  std::array<float, 3> scale{};        // standard deviations [m]
+  float opacity = 0;                   // 0 to 1
+  std::array<float, 3> color{};        // band 0 of the spherical harmonics
+};
+
+// Packs a splat of finite values. sh: the coefficients of bands 1 to sh_degree, RGB interleaved;
+// bands[b]: room for kBandWords[b] words, for 1 <= b <= sh_degree. What a field can't hold becomes
+// the nearest that it can.
+void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t* slot,
+              const std::array<std::uint32_t*, kMaxShDegree + 1>& bands);
+
+// A splat as packSlot() kept it; the quaternion has unit length.
+Splat unpackSlot(const std::uint32_t* slot);
+
+// Its coefficients of bands 1 to sh_degree, as packSlot() takes them.
+std::vector<float> unpackHarmonics(const std::uint32_t* slot, int sh_degree,
+                                   const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands);
+
+}  // namespace rosplat

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <functional>
+#include <initializer_list>
+#include <string>
+
+#include "gl_objects.hpp"
+
+namespace rosplat {
+
+// Reads a shader's source by file name.
+using ShaderSource = std::function<std::string(const std::string& name)>;
+
+// Compiles the programs of the renderer: each shader is put together from files, after what is
+// common to all and what the driver is good for.
+class Shaders {
+ public:
+  explicit Shaders(ShaderSource source);
+
+  using Files = std::initializer_list<const char*>;
+  // The last file names the program. Throw gl::Error.
+  gl::Program compute(Files files) const;
+  gl::Program draw(Files vertex, Files fragment) const;
+
+  // Projected splats in one buffer of the driver's, and of the renderer's, at most kEllipseParts.
+  std::size_t partSize() const { return part_size_; }
+
+  static constexpr std::size_t kEllipseBytes = 32;  // as splat_common.glsl packs them
+  static constexpr std::size_t kEllipseParts = 4;
+  static constexpr std::size_t kKeysEach = 16;  // keys an invocation of radix_*.comp
+
+ private:
+  void attach(gl::Program& program, GLenum stage, Files files) const;
+
+  ShaderSource source_;
+  std::size_t part_size_ = 0;
+  std::size_t parts_ = 1;
+  bool subgroups_ = false;
+};
+
+}  // namespace rosplat

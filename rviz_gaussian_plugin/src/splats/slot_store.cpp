@@ -1,0 +1,111 @@
+#include "slot_store.hpp"
+
+#include <algorithm>
+
+namespace rosplat {
+
+namespace {
+
+constexpr std::size_t kWord = sizeof(std::uint32_t);
+
+std::size_t bandBytes(int band) { return kBandWords[band] * kWord; }
+
+}  // namespace
+
+SlotStore::Page& SlotStore::page(std::uint32_t first_slot, bool overwritten) {
+  const auto found = pages_.find(first_slot);
+  if (found != pages_.end()) return found->second;
+  Page fresh;
+  fresh.slots = gl::Buffer(kPageSlots * kSlotWords * kWord, GL_DYNAMIC_DRAW);
+  if (!overwritten) fresh.slots.zero();  // opacity 0: an empty slot
+  for (int band = 1; band <= sh_degree_; ++band) {
+    fresh.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
+  }
+  return pages_.emplace(first_slot, std::move(fresh)).first->second;
+}
+
+void SlotStore::addBands(int degree) {
+  for (auto& [first_slot, page] : pages_) {
+    for (int band = sh_degree_ + 1; band <= degree; ++band) {
+      page.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
+      page.bands[band].zero();
+    }
+  }
+  sh_degree_ = std::max(sh_degree_, degree);
+}
+
+void SlotStore::apply(const GaussianEdit& edit, double now) {
+  if (edit.clear) {
+    pages_.clear();
+    sh_degree_ = 0;
+    capacity_ = 0;
+  }
+  addBands(edit.sh_degree);
+  capacity_ = std::max(capacity_, edit.capacity);
+
+  std::size_t source = 0;
+  for (const auto& [run_first, run_count] : edit.runs) {
+    std::uint32_t first = run_first, left = run_count;
+    while (left > 0) {
+      const std::uint32_t offset = first % kPageSlots;
+      const std::uint32_t count = std::min(left, kPageSlots - offset);
+      if (edit.sh_degree >= 0 || pages_.count(first - offset)) {
+        Page& target = page(first - offset, count == kPageSlots);
+        const auto begin = edit.slots.begin() + std::ptrdiff_t(kSlotWords * source);
+        staged_.assign(begin, begin + std::ptrdiff_t(kSlotWords * count));
+        for (std::size_t i = kChangeWord; i < staged_.size(); i += kSlotWords) {
+          staged_[i] |= static_cast<std::uint32_t>(now) << 16;
+        }
+        target.slots.write(offset * kSlotWords * kWord, staged_.data(), staged_.size() * kWord);
+        for (int band = 1; edit.sh_degree >= 0 && band <= sh_degree_; ++band) {
+          const std::uint32_t* words = nullptr;
+          if (band <= edit.sh_degree) {
+            words = &edit.bands[band][kBandWords[band] * source];
+          } else {
+            staged_.assign(std::size_t(kBandWords[band]) * count, 0u);
+            words = staged_.data();
+          }
+          target.bands[band].write(offset * bandBytes(band), words, count * bandBytes(band));
+        }
+      }
+      first += count;
+      left -= count;
+      source += count;
+    }
+  }
+}
+
+std::size_t SlotStore::bytes() const {
+  std::size_t bytes = 0;
+  for (const auto& [first_slot, page] : pages_) {
+    bytes += page.slots.bytes();
+    for (const gl::Buffer& band : page.bands) bytes += band.bytes();
+  }
+  return bytes;
+}
+
+SplatValues SlotStore::read(std::uint32_t slot) const {
+  SplatValues values;
+  values.slot = slot;
+  const std::size_t offset = slot % kPageSlots;
+  const auto found = pages_.find(slot - slot % kPageSlots);
+  if (found == pages_.end()) return values;  // an empty slot
+  std::array<std::uint32_t, kSlotWords> words{};
+  std::array<std::array<std::uint32_t, kBandWords.back()>, kMaxShDegree + 1> bands{};
+  found->second.slots.read(offset * sizeof(words), words.data(), sizeof(words));
+  for (int band = 1; band <= sh_degree_; ++band) {
+    found->second.bands[band].read(offset * bandBytes(band), bands[band].data(), bandBytes(band));
+  }
+  const Splat splat = unpackSlot(words.data());
+  std::copy(splat.position.begin(), splat.position.end(), values.position.begin());
+  values.orientation = splat.orientation;
+  values.scale = splat.scale;
+  values.opacity = splat.opacity;
+  values.sh.assign(splat.color.begin(), splat.color.end());
+  const std::vector<float> sh = unpackHarmonics(
+      words.data(), sh_degree_, {nullptr, bands[1].data(), bands[2].data(), bands[3].data()});
+  values.sh.insert(values.sh.end(), sh.begin(), sh.end());
+  return values;
+}
+
+}  // namespace rosplat
