@@ -10,6 +10,12 @@ constexpr std::size_t kWord = sizeof(std::uint32_t);
 
 std::size_t bandBytes(int band) { return kBandWords[band] * kWord; }
 
+// Not cleared: NVIDIA's driver (580) clears a new buffer after the write that follows.
+void writeZeros(gl::Buffer& buffer) {
+  const std::vector<std::uint32_t> zeros(buffer.bytes() / kWord);
+  buffer.write(0, zeros.data(), buffer.bytes());
+}
+
 }  // namespace
 
 SlotStore::Page& SlotStore::page(std::uint32_t first_slot, bool overwritten) {
@@ -17,7 +23,7 @@ SlotStore::Page& SlotStore::page(std::uint32_t first_slot, bool overwritten) {
   if (found != pages_.end()) return found->second;
   Page fresh;
   fresh.slots = gl::Buffer(kPageSlots * kSlotWords * kWord, GL_DYNAMIC_DRAW);
-  if (!overwritten) fresh.slots.zero();  // opacity 0: an empty slot
+  if (!overwritten) writeZeros(fresh.slots);  // opacity 0: an empty slot
   for (int band = 1; band <= sh_degree_; ++band) {
     fresh.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
   }
@@ -28,7 +34,7 @@ void SlotStore::addBands(int degree) {
   for (auto& [first_slot, page] : pages_) {
     for (int band = sh_degree_ + 1; band <= degree; ++band) {
       page.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
-      page.bands[band].zero();
+      writeZeros(page.bands[band]);
     }
   }
   sh_degree_ = std::max(sh_degree_, degree);
