@@ -33,6 +33,8 @@ class DisplaySettings {
   rviz_common::properties::EnumProperty* sh_degree_;
   rviz_common::properties::EnumProperty* sh_band_;
   rviz_common::properties::EnumProperty* order_;
+  rviz_common::properties::EnumProperty* rasterizer_;
+  rviz_common::properties::BoolProperty* profile_;
   rviz_common::properties::FloatProperty* scale_;
   rviz_common::properties::FloatProperty* alpha_;
   rviz_common::properties::FloatProperty* near_fade_;

@@ -397,12 +397,17 @@ void GaussianDisplay::updateStatus() {
   } else if (!frame.order_source.empty()) {
     setStatusOnce(
         StatusProperty::Ok, "Order",
-        concat(frame.splats, " splats by ", frame.order_source, " in ", frame.sort_time * 1e3,
-               " ms, ", frame.order_fresh ? "fresh" : concat(frame.order_age * 1e3, " ms old")));
+        concat(frame.splats, " splats by ", frame.order_source,
+               frame.sort_time > 0 ? concat(" in ", frame.sort_time * 1e3, " ms") : "", ", ",
+               frame.order_fresh ? "fresh" : concat(frame.order_age * 1e3, " ms old")));
     setStatusOnce(StatusProperty::Ok, "Memory",
                   concat("GPU ", cloud_->scene().gpuBytes() >> 20, " MiB, host ",
                          cloud_->scene().hostBytes() >> 20, " MiB"));
-    setStatusOnce(StatusProperty::Ok, "Frame", concat(frame.draw_time * 1e3, " ms to draw"));
+    std::string text = concat(frame.draw_time * 1e3, " ms to draw in ", frame.rasterizer);
+    for (const auto& [stage, time] : frame.profile) {
+      text += concat(", ", stage, " ", std::setprecision(2), time * 1e3);
+    }
+    setStatusOnce(StatusProperty::Ok, "Frame", text);
   }
 }
 

@@ -37,7 +37,9 @@ void Buffer::read(std::size_t offset, void* data, std::size_t bytes) const {
 }
 
 void Buffer::reserve(std::size_t bytes) {
-  if (bytes_ < bytes) *this = Buffer(bytes + bytes / 2, GL_DYNAMIC_COPY);
+  if (bytes_ >= bytes) return;
+  *this = Buffer();  // first, so that there is never room for both
+  *this = Buffer(bytes + bytes / 4, GL_DYNAMIC_COPY);
 }
 
 void Buffer::zero() {

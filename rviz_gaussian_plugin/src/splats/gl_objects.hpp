@@ -33,7 +33,7 @@ class Buffer {
   // Waits for the graphics card.
   void read(std::size_t offset, void* data, std::size_t bytes) const;
   void zero();
-  // Makes room for so many bytes, and half as many again; what was in it is lost if it grows.
+  // Makes room for so many bytes, and a quarter as many again; what was in it is lost if it grows.
   void reserve(std::size_t bytes);
   void bind(GLuint storage_binding) const {
     glBindBufferBase(GL_SHADER_STORAGE_BUFFER, storage_binding, id_);

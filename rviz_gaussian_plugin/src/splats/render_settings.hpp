@@ -36,6 +36,10 @@ struct ClipBox {
   bool enabled = false;
   std::array<float, 3> centre{};       // [m]
   std::array<float, 3> size{1, 1, 1};  // [m]
+
+  bool operator==(const ClipBox& o) const {
+    return enabled == o.enabled && centre == o.centre && size == o.size;
+  }
 };
 
 // How a map is drawn.
@@ -54,6 +58,13 @@ struct RenderSettings {
   float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
   std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest drawn
   float age_range = 10;                // of kAge [s]
+
+  // Whether splats are projected alike.
+  bool projectsAs(const RenderSettings& o) const {
+    return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
+           scale == o.scale && opacity == o.opacity && antialiasing == o.antialiasing &&
+           clip_box == o.clip_box && near_fade == o.near_fade && age_range == o.age_range;
+  }
 };
 
 }  // namespace rosplat

@@ -45,7 +45,7 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       projection_(shaders_),
       order_program_(shaders_.compute({"splat_visible.glsl", "splat_order.comp"})),
       sort_(shaders_),
-      tiles_(shaders_),
+      tiles_(shaders_, sort_),
       quads_(shaders_.draw({"splat_ellipses.glsl", "splat_quad.vert"}, {"splat_quad.frag"})),
       composite_(shaders_.draw({"splat_composite.vert"}, {"splat_composite.frag"})),
       surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})),
@@ -53,7 +53,10 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
           {"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl", "splat_pick.comp"})),
       pick_colour_(shaders_.draw({"splat_composite.vert"}, {"splat_pick.frag"})) {}
 
-void SplatRenderer::apply(const GaussianEdit& edit) { store_.apply(edit, clock()); }
+void SplatRenderer::apply(const GaussianEdit& edit) {
+  store_.apply(edit, clock());
+  prepared_.reset();
+}
 
 double SplatRenderer::clock() const {
   const std::chrono::duration<double> age = std::chrono::steady_clock::now() - start_;
@@ -65,6 +68,12 @@ void SplatRenderer::setOrder(const std::uint32_t* slots, std::size_t count) {
   order_.count = count;
   order_.slots.reserve(count * sizeof(std::uint32_t));
   if (count > 0) order_.slots.write(0, slots, count * sizeof(std::uint32_t));
+  prepared_.reset();
+}
+
+void SplatRenderer::sortByDepth() {
+  if (order_.given) prepared_.reset();
+  order_.given = false;
 }
 
 void SplatRenderer::begin(const SplatCamera& camera, const MapState& map,
@@ -76,16 +85,28 @@ void SplatRenderer::begin(const SplatCamera& camera, const MapState& map,
   }
   raster_ = {canvas != Canvas::kWindow, camera.orthographic, camera.ndc_scale,
              camera.ndc_offset,         settings.mode,       settings.depth_range};
-  projection_.run(store_, camera, map, settings, clock());
-  stopwatch.lap("project");
-  putInOrder();
-  stopwatch.lap("sort");
+  if (!prepared(camera, map, settings)) {
+    prepared_.reset();
+    projection_.run(store_, camera, map, settings, clock());
+    stopwatch.lap("project");
+    putInOrder();
+    stopwatch.lap("sort");
+    tiles_.forget();
+    prepared_ = Prepared{camera, settings, map.origin, map.antialiased};
+  }
   for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
                            GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
     glDisable(off);
   }
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
   glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
+}
+
+bool SplatRenderer::prepared(const SplatCamera& camera, const MapState& map,
+                             const RenderSettings& settings) const {
+  return prepared_ && prepared_->camera == camera && prepared_->settings.projectsAs(settings) &&
+         prepared_->origin == map.origin && prepared_->antialiased == map.antialiased &&
+         settings.mode != DrawMode::kAge;  // which changes with time
 }
 
 void SplatRenderer::putInOrder() {

@@ -1,9 +1,11 @@
 #pragma once
 
+#include <array>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -40,7 +42,7 @@ class SplatRenderer {
   // Makes slots[0..count) what draw() draws, farthest first.
   void setOrder(const std::uint32_t* slots, std::size_t count);
   // Lets draw() sort what is visible itself, by the sorters' depth and with their ties.
-  void sortByDepth() { order_ = {}; }
+  void sortByDepth();
 
   // Blends the splats of the order, hidden where the current framebuffer and viewport have
   // something nearer, into a target of its own; then over that viewport, which has the camera's
@@ -85,9 +87,18 @@ class SplatRenderer {
     gl::Buffer slots;  // farthest first
     std::size_t count = 0;
   };
+  // What the projected, ordered splats answer.
+  struct Prepared {
+    SplatCamera camera;
+    RenderSettings settings;
+    std::array<double, 3> origin{};
+    bool antialiased = false;
+  };
 
   void begin(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
              Canvas canvas, gl::Target& target, GLenum format, gl::Stopwatch& stopwatch);
+  bool prepared(const SplatCamera& camera, const MapState& map,
+                const RenderSettings& settings) const;
   void putInOrder();
   void drawQuads(const gl::Target& target, bool raw_depth) const;
   void layOver(const gl::Program& program, GLuint framebuffer, const gl::Target& target, GLint x,
@@ -104,6 +115,7 @@ class SplatRenderer {
   gl::Program quads_, composite_, surface_, pick_, pick_colour_;
 
   Order order_;
+  std::optional<Prepared> prepared_;
   gl::Buffer drawn_;  // indices of ellipses, nearest first
   std::size_t drawn_count_ = 0;
   gl::Target color_, depth_, surface_depth_, pick_depth_;

@@ -27,25 +27,21 @@ void Raster::set(const gl::Program& program) const {
   glUniform2fv(program.at("depth_range"), 1, depth_range.data());
 }
 
-TileRasterizer::TileRasterizer(const Shaders& shaders)
+TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort)
     : count_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_count.comp"})),
       list_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_list.comp"})),
       ranges_(shaders.compute({"tile_ranges.comp"})),
       blend_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_blend.comp"})),
       prefix_sum_(shaders),
-      sort_(shaders) {
+      sort_(sort) {
   GLint64 largest = 0;
   glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &largest);
   most_listed_ = std::min(kMostListed, static_cast<std::size_t>(largest) / sizeof(GLuint) * 2 / 3);
 }
 
-bool TileRasterizer::draw(const Projection& projection, const gl::Buffer& drawn, std::size_t count,
-                          const gl::Target& target, const Raster& raster,
-                          gl::Stopwatch& stopwatch) {
-  const int across = (target.width() + kTile - 1) / kTile;
-  const int down = (target.height() + kTile - 1) / kTile;
+bool TileRasterizer::list(const Projection& projection, const gl::Buffer& drawn, std::size_t count,
+                          int across, int down, gl::Stopwatch& stopwatch) {
   const std::size_t tiles = std::size_t(across) * std::size_t(down);
-
   counts_.reserve(count * sizeof(GLuint));
   total_.reserve(sizeof(GLuint));
   count_.use();
@@ -87,6 +83,20 @@ bool TileRasterizer::draw(const Projection& projection, const gl::Buffer& drawn,
     gl::storageBarrier();
     stopwatch.lap("bin");
   }
+  return true;
+}
+
+bool TileRasterizer::draw(const Projection& projection, const gl::Buffer& drawn, std::size_t count,
+                          const gl::Target& target, const Raster& raster,
+                          gl::Stopwatch& stopwatch) {
+  const int across = (target.width() + kTile - 1) / kTile;
+  const int down = (target.height() + kTile - 1) / kTile;
+  if (listed_width_ != target.width() || listed_height_ != target.height()) {
+    forget();
+    if (!list(projection, drawn, count, across, down, stopwatch)) return false;
+    listed_width_ = target.width();
+    listed_height_ = target.height();
+  }
 
   blend_.use();
   projection.bindEllipses(blend_);
@@ -100,7 +110,7 @@ bool TileRasterizer::draw(const Projection& projection, const gl::Buffer& drawn,
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
   glBindImageTexture(0, target.color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, target.format());
-  gl::dispatch(tiles);
+  gl::dispatch(std::size_t(across) * std::size_t(down));
   glMemoryBarrier(GL_TEXTURE_FETCH_BARRIER_BIT | GL_FRAMEBUFFER_BARRIER_BIT);
   stopwatch.lap("blend");
   return true;
@@ -108,7 +118,7 @@ bool TileRasterizer::draw(const Projection& projection, const gl::Buffer& drawn,
 
 std::size_t TileRasterizer::bytes() const {
   return counts_.bytes() + tiles_.bytes() + splats_.bytes() + tile_ranges_.bytes() +
-         prefix_sum_.bytes() + sort_.bytes();
+         prefix_sum_.bytes();
 }
 
 }  // namespace rosplat
