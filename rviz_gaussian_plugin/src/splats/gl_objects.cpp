@@ -1,5 +1,10 @@
 #include "gl_objects.hpp"
 
+#include <array>
+#include <functional>
+#include <map>
+#include <vector>
+
 namespace rosplat::gl {
 
 Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
@@ -47,20 +52,55 @@ void Buffer::zero() {
   glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
 }
 
+namespace {
+
+// Programs that wait to be used again, by label.
+std::multimap<std::string, GLuint>& retiredPrograms() {
+  static std::multimap<std::string, GLuint> programs;
+  return programs;
+}
+
+std::string labelOf(GLuint program) {
+  std::array<char, 64> label{};
+  if (glIsProgram(program)) {
+    glGetObjectLabel(GL_PROGRAM, program, static_cast<GLsizei>(label.size()), nullptr,
+                     label.data());
+  }
+  return label.data();
+}
+
+// 0 where none waits. What waited in a context that is gone has lost its label.
+GLuint takeRetired(const std::string& label) {
+  auto& retired = retiredPrograms();
+  for (auto found = retired.find(label); found != retired.end(); found = retired.find(label)) {
+    const GLuint program = found->second;
+    retired.erase(found);
+    if (labelOf(program) == label) return program;
+  }
+  return 0;
+}
+
+}  // namespace
+
 Program& Program::operator=(Program&& other) noexcept {
   std::swap(id_, other.id_);
   std::swap(locations_, other.locations_);
+  std::swap(shaders_, other.shaders_);
+  std::swap(label_, other.label_);
   return *this;
 }
 
 Program::~Program() {
-  if (id_) glDeleteProgram(id_);
+  if (id_) retiredPrograms().emplace(label_, id_);
 }
 
 void Program::attach(GLenum stage, const std::string& name, const std::string& source) {
-  if (!id_) id_ = glCreateProgram();
-  const GLuint shader = glCreateShader(stage);
-  const char* text = source.c_str();
+  shaders_.push_back({stage, name, source});
+}
+
+void Program::compile(const Shader& from) const {
+  const GLuint shader = glCreateShader(from.stage);
+  const char* text = from.source.c_str();
   glShaderSource(shader, 1, &text, nullptr);
   glCompileShader(shader);
   GLint ok = 0, length = 0;
@@ -70,13 +110,23 @@ void Program::attach(GLenum stage, const std::string& name, const std::string& s
     std::vector<char> log(static_cast<std::size_t>(length) + 1);
     glGetShaderInfoLog(shader, length, nullptr, log.data());
     glDeleteShader(shader);
-    throw Error(name + " does not compile: " + log.data());
+    throw Error(from.name + " does not compile: " + log.data());
   }
   glAttachShader(id_, shader);
   glDeleteShader(shader);  // lives as long as the program
 }
 
 void Program::link(const std::string& name) {
+  std::size_t hash = 0;
+  for (const Shader& shader : shaders_) {
+    hash = 31 * hash + std::hash<std::string>()(shader.source) + shader.stage;
+  }
+  label_ = name.substr(0, 32) + " " + std::to_string(hash);
+  const std::vector<Shader> shaders = std::move(shaders_);
+  id_ = takeRetired(label_);
+  if (id_) return;
+  id_ = glCreateProgram();
+  for (const Shader& shader : shaders) compile(shader);
   glLinkProgram(id_);
   GLint ok = 0, length = 0;
   glGetProgramiv(id_, GL_LINK_STATUS, &ok);
@@ -86,6 +136,7 @@ void Program::link(const std::string& name) {
     glGetProgramInfoLog(id_, length, nullptr, log.data());
     throw Error(name + " does not link: " + log.data());
   }
+  glObjectLabel(GL_PROGRAM, id_, -1, label_.c_str());
 }
 
 GLint Program::at(const char* uniform) const {

@@ -44,7 +44,9 @@ class Buffer {
   std::size_t bytes_ = 0;
 };
 
-// A linked program; uniforms are set by name.
+// A linked program; uniforms are set by name. What is destroyed waits for the next program of the
+// same sources: drivers (Mesa 22.3's llvmpipe) crash where a program is deleted that another
+// context used.
 class Program {
  public:
   Program() = default;
@@ -52,8 +54,8 @@ class Program {
   Program& operator=(Program&& other) noexcept;
   ~Program();
 
-  // Throws Error with the driver's log.
   void attach(GLenum stage, const std::string& name, const std::string& source);
+  // Throws Error with the driver's log.
   void link(const std::string& name);
 
   void use() const { glUseProgram(id_); }
@@ -66,8 +68,17 @@ class Program {
   }
 
  private:
+  struct Shader {
+    GLenum stage;
+    std::string name, source;
+  };
+
+  void compile(const Shader& shader) const;
+
   GLuint id_ = 0;
   mutable std::map<std::string, GLint, std::less<>> locations_;
+  std::vector<Shader> shaders_;  // until they are linked
+  std::string label_;            // of the linked program: says what it was made from
 };
 
 // Runs the compute program in use in at least so many work groups, in two dimensions where there
