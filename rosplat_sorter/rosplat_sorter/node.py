@@ -14,6 +14,7 @@ from rclpy.qos import DurabilityPolicy
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_sorter import qos
 from rosplat_sorter.backends import AUTO, BACKENDS
+from rosplat_sorter.order_slots import pack
 from rosplat_sorter.worker import Answer, Worker
 
 THROTTLE = 5.0  # least time between two warnings of one kind [s]
@@ -73,8 +74,16 @@ class SorterNode(Node):
             revision=answer.revision,
             backend=answer.backend,
             sort_time=answer.sort_time,
+            count=len(answer.slots),
+            segment=answer.segment,
+            generation=answer.generation,
         )
-        message.slots = answer.slots
+        if answer.generation:
+            message.encoding = SplatOrder.SHARED
+        else:
+            message.encoding = SplatOrder.PACKED
+            message.slot_bits = answer.slot_bits
+            message.packed = pack(answer.slots, answer.slot_bits)
         if self.context.ok():
             self._order.publish(message)
 

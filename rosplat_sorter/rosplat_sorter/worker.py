@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
-from array import array
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rosplat_sorter import backends, camera, edits
 from rosplat_sorter.backends import AUTO, Backend
 from rosplat_sorter.camera import Camera, CameraError
 from rosplat_sorter.edits import EditError
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_sorter.view import View
 
 if TYPE_CHECKING:
@@ -29,7 +30,11 @@ MAX_VIEWS = 32
 
 @dataclass(frozen=True)
 class Answer:
-    """An order for a view, field by field as in SplatOrder; slots: array('I')."""
+    """An order for a view, field by field as in SplatOrder.
+
+    slots: uint32 (n,), below 2^slot_bits. segment: the one that holds them in that generation, or
+    with generation 0 any that the viewer may look for.
+    """
 
     header: Header
     view_id: str
@@ -38,7 +43,10 @@ class Answer:
     revision: int
     backend: str
     sort_time: float
-    slots: array[int]
+    slots: NDArray[np.uint32]
+    slot_bits: int
+    segment: str = ""
+    generation: int = 0
 
 
 class Host(Protocol):
@@ -69,6 +77,12 @@ class _Viewer:
     seen: float
     answer: Answer | None = None
     answered: Camera | None = None  # the camera that the answer was sorted for
+    buffer: OrderBuffer | None = None  # in shared memory, if the viewer reads that
+
+    def unshare(self) -> None:
+        if self.buffer:
+            self.buffer.close()
+            self.buffer = None
 
 
 class Worker:
@@ -91,6 +105,7 @@ class Worker:
         self._dropped_views = 0
         self._introduced = ("", "", 0)  # map, backend and size that the log was told of
 
+        self._orders = self._open_shared_memory()
         self._wake = threading.Condition()
         self._inbox = _Inbox(backend=(backend, threads))
         self._closing = False
@@ -121,11 +136,17 @@ class Worker:
             self._closing = True
             self._wake.notify()
         self._thread.join()
+        if self._orders:
+            self._orders.close()
 
     def _run(self) -> None:
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._closing or self._inbox or self._due)
+                # Wakes for silent views as well, which hold memory.
+                self._wake.wait_for(
+                    lambda: self._closing or self._inbox or self._due,
+                    timeout=FORGET_AFTER if self._viewers else None,
+                )
                 if self._closing:
                     return
                 inbox, self._inbox = self._inbox, _Inbox()
@@ -148,6 +169,7 @@ class Worker:
         now = time.monotonic()
         for view_id, viewer in list(self._viewers.items()):
             if viewer.seen < now - FORGET_AFTER or len(self._viewers) > MAX_VIEWS:
+                viewer.unshare()
                 del self._viewers[view_id]
                 self._due.pop(view_id, None)
 
@@ -204,7 +226,11 @@ class Worker:
         if viewer is None:
             viewer = _Viewer(message, seen, time.monotonic())
             self._due[message.view_id] = None
-        elif viewer.message.sequence != message.sequence or viewer.camera != seen:
+        elif (
+            viewer.message.sequence != message.sequence
+            or viewer.message.segment_key != message.segment_key  # it may have missed the last one
+            or viewer.camera != seen
+        ):
             self._due[message.view_id] = None
         viewer.message, viewer.camera, viewer.seen = message, seen, time.monotonic()
         self._viewers[message.view_id] = viewer
@@ -240,7 +266,14 @@ class Worker:
             except CameraError as error:
                 self._drop_view(viewer.message, error)
                 return
+            self._share(viewer)
             last = self._sort(viewer, view)
+        elif self._share(viewer) and not last.generation:
+            slots = self._allocate(viewer, len(last.slots))
+            slots[:] = last.slots
+            last = self._placed(viewer, replace(last, slots=slots))
+        elif not viewer.buffer:
+            last = self._placed(viewer, last)
         viewer.answer = replace(
             last, header=header, view_id=view_id, sequence=viewer.message.sequence
         )
@@ -248,16 +281,17 @@ class Worker:
         self._host.publish(viewer.answer)
 
     def _sort(self, viewer: _Viewer, view: View) -> Answer:
+        def allocate(count: int) -> NDArray[np.uint32]:
+            return self._allocate(viewer, count)
+
         begin = time.perf_counter()
         try:
-            order = self._backend.order(view)
+            slots = self._backend.order(view, allocate)
         except Exception as error:
             self._fall_back(error)
             begin = time.perf_counter()
-            order = self._backend.order(view)
+            slots = self._backend.order(view, allocate)
         sort_time = time.perf_counter() - begin
-        slots = array("I")
-        slots.frombytes(order.view(np.uint8).data)  # of an own: the backend reuses its array
         known_map, known_backend, known_size = self._introduced
         if (
             (known_map, known_backend) != (self._map.map_id, self._backend.name)
@@ -268,7 +302,7 @@ class Worker:
                 f"map '{self._map.map_id}': {len(slots)} of {len(self._map)} splats in view, "
                 f"sorted in {1000 * sort_time:.1f} ms with {_describe(self._backend)}"
             )
-        return Answer(
+        answer = Answer(
             header=viewer.message.header,
             view_id=viewer.message.view_id,
             sequence=viewer.message.sequence,
@@ -277,7 +311,43 @@ class Worker:
             backend=self._backend.name,
             sort_time=sort_time,
             slots=slots,
+            slot_bits=max(1, (len(self._map) - 1).bit_length()),
         )
+        return self._placed(viewer, answer)
+
+    # --- Shared memory ----------------------------------------------------------------------------
+
+    def _open_shared_memory(self) -> SharedOrders | None:
+        try:
+            return SharedOrders()
+        except OSError as error:
+            self._host.inform(f"no shared memory for orders: {error}")
+            return None
+
+    def _share(self, viewer: _Viewer) -> bool:
+        """Whether the viewer reads this sorter's shared memory; makes it a buffer there."""
+        if not self._orders or viewer.message.segment_key != self._orders.key:
+            viewer.unshare()
+        elif viewer.buffer is None:
+            viewer.buffer = OrderBuffer(self._orders)
+        return viewer.buffer is not None
+
+    def _allocate(self, viewer: _Viewer, count: int) -> NDArray[np.uint32]:
+        if viewer.buffer:
+            try:
+                return viewer.buffer.begin(count)
+            except OSError as error:
+                self._host.warn("memory", f"orders travel in messages: {error}")
+                viewer.unshare()
+        return backends.new_array(count)
+
+    def _placed(self, viewer: _Viewer, answer: Answer) -> Answer:
+        """Says where the slots of an answer are that _allocate made room for."""
+        if viewer.buffer:
+            segment, generation = viewer.buffer.finish()
+        else:
+            segment, generation = self._orders.probe if self._orders else "", 0
+        return replace(answer, segment=segment, generation=generation)
 
     # --- Backends ---------------------------------------------------------------------------------
 

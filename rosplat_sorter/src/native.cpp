@@ -1,4 +1,4 @@
-// rosplat_sorter._native: depth_order.hpp for Python.
+// rosplat_sorter._native: depth_order.hpp and order_slots.hpp for Python.
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -7,16 +7,23 @@
 #include <array>
 #include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "rosplat_sorter/depth_order.hpp"
+#include "rosplat_sorter/order_slots.hpp"
 
 namespace py = pybind11;
 
 namespace {
 
 using rosplat_sorter::DepthOrder;
+using rosplat_sorter::OrderError;
+using rosplat_sorter::OrderReader;
+using rosplat_sorter::SegmentHeader;
 using rosplat_sorter::View;
+
+using Slots = py::array_t<std::uint32_t, py::array::c_style>;
 
 // As they are, without a silent copy or cast of a whole map.
 using Floats = py::array_t<float, py::array::c_style>;
@@ -55,35 +62,101 @@ View toView(const py::handle& object) {
   return view;
 }
 
-py::array_t<std::uint32_t> sort(DepthOrder& sorter, const py::object& view_object,
-                                const py::object& positions_object,
-                                const py::object& extents_object) {
+Slots sort(DepthOrder& sorter, const py::object& view_object, const py::object& positions_object,
+           const py::object& extents_object, const py::object& allocate) {
   const View view = toView(view_object);
   const auto count = static_cast<py::ssize_t>(py::len(extents_object));
   const Floats extents = floats(extents_object, count, "extents");
   const Floats positions = floats(positions_object, 3 * count, "positions");
   const float* const p = positions.data();
   const float* const e = extents.data();
-  const std::vector<std::uint32_t>* order = nullptr;
+  Slots order;
   {
     const py::gil_scoped_release release;
-    order = &sorter.sort(view, p, e, static_cast<std::size_t>(count));
+    sorter.sort(view, p, e, static_cast<std::size_t>(count), [&](std::size_t total) {
+      const py::gil_scoped_acquire acquire;
+      const py::object target = allocate(total);
+      if (!py::isinstance<Slots>(target) || static_cast<std::size_t>(py::len(target)) != total) {
+        throw py::type_error("allocate must return a contiguous uint32 array of the asked size");
+      }
+      order = py::reinterpret_borrow<Slots>(target);
+      return order.mutable_data();
+    });
   }
-  return py::array_t<std::uint32_t>(static_cast<py::ssize_t>(order->size()), order->data());
+  return order;
+}
+
+// A one-dimensional array that takes the vector's memory over.
+Slots toArray(std::vector<std::uint32_t> values) {
+  auto* owner = new std::vector<std::uint32_t>(std::move(values));
+  const py::capsule capsule(owner,
+                            [](void* p) { delete static_cast<std::vector<std::uint32_t>*>(p); });
+  return Slots(static_cast<py::ssize_t>(owner->size()), owner->data(), capsule);
+}
+
+Slots readSlots(OrderReader& reader, std::uint8_t encoding, const py::buffer& packed,
+                std::size_t count, unsigned slot_bits, const std::string& segment,
+                std::uint64_t generation) {
+  const py::buffer_info bytes = packed.request();
+  const auto size = static_cast<std::size_t>(bytes.size * bytes.itemsize);
+  std::vector<std::uint32_t> slots;
+  {
+    const py::gil_scoped_release release;
+    slots = reader.slots(encoding, static_cast<const std::uint8_t*>(bytes.ptr), size, count,
+                         slot_bits, segment, generation);
+  }
+  return toArray(std::move(slots));
+}
+
+void pack(const Slots& slots, unsigned bits, const py::buffer& packed) {
+  const py::buffer_info bytes = packed.request(true);
+  const auto count = static_cast<std::size_t>(slots.size());
+  if (bits < 1 || bits > 32 ||
+      static_cast<std::size_t>(bytes.size * bytes.itemsize) !=
+          rosplat_sorter::packedBytes(count, bits)) {
+    throw py::value_error("packed has the wrong size");
+  }
+  const std::uint32_t* const from = slots.data();
+  const py::gil_scoped_release release;
+  rosplat_sorter::packSlots(from, count, bits, static_cast<std::uint8_t*>(bytes.ptr));
+}
+
+void mark(const py::buffer& segment, std::uint64_t generation) {
+  const py::buffer_info bytes = segment.request(true);
+  if (static_cast<std::size_t>(bytes.size * bytes.itemsize) < SegmentHeader::kBytes) {
+    throw py::value_error("segment has no room for its header");
+  }
+  rosplat_sorter::markSegment(bytes.ptr, generation);
 }
 
 }  // namespace
 
 PYBIND11_MODULE(_native, module) {
-  module.doc() = "The exact depth order of depth_order.hpp.";
+  module.doc() = "depth_order.hpp and order_slots.hpp.";
   py::class_<DepthOrder>(module, "DepthOrder", "Keeps its workspace and threads between calls.")
       .def(py::init<unsigned>(), py::arg("threads") = 0,
            "threads: to sort with, 0 for as many as the machine runs at once.")
       .def_property_readonly("threads", &DepthOrder::threads)
       .def(
           "sort", &sort, py::arg("view"), py::arg("positions"), py::arg("extents"),
-          "The visible slots back to front, uint32 (m,).\n\n"
+          py::arg("allocate"),
+          "The visible slots back to front, uint32 (m,), in the array that allocate(m) returns.\n\n"
           "view: a rosplat_sorter.view.View. positions: float32 (n, 3) [m]. extents: float32 (n,)\n"
           "[m], negative for what is never visible. Both contiguous; other types raise TypeError,\n"
           "other sizes ValueError. One thread at a time.");
+
+  py::register_exception<OrderError>(module, "OrderError", PyExc_ValueError);
+  py::class_<OrderReader>(module, "OrderReader", "A viewer's side of SplatOrder.")
+      .def(py::init<>())
+      .def_property_readonly("key", &OrderReader::key,
+                             "For ViewCamera.segment_key; 0 while no segment can be read.")
+      .def("read", &readSlots, py::arg("encoding"), py::arg("packed"), py::arg("count"),
+           py::arg("slot_bits"), py::arg("segment"), py::arg("generation"),
+           "The slots, uint32 (count,), of a packed or shared order. Raises OrderError.");
+  module.def("pack", &pack, py::arg("slots"), py::arg("bits"), py::arg("packed"),
+             "Writes slots, uint32 (n,), as SplatOrder.packed into (n * bits + 7) / 8 bytes.");
+  module.def(
+      "mark_segment", &mark, py::arg("segment"), py::arg("generation"),
+      "Writes a segment's generation, after what was written to it before and before what is\n"
+      "written next. segment: its mapping.");
 }

@@ -6,7 +6,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rosplat_sorter import backends, depth
-from rosplat_sorter.backends import AUTO, BACKENDS, Entry, Unavailable, choose, open_backend
+from rosplat_sorter.backends import (
+    AUTO,
+    BACKENDS,
+    Entry,
+    Unavailable,
+    choose,
+    new_array,
+    open_backend,
+)
 from rosplat_sorter.edits import DELETE, REPLACE, UPSERT
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
@@ -47,7 +55,9 @@ def cameras(make_camera, random):
 
 def assert_equal_to_reference(backend, splats, camera):
     view = View.of(camera, splats.origin)
-    order = backend.order(view)
+    memory = np.zeros(len(splats) + 1, np.uint32)
+    order = backend.order(view, lambda count: memory[1 : count + 1])
+    assert order.base is memory
     assert order.dtype == np.uint32
     np.testing.assert_array_equal(order, depth.order(view, splats.positions, splats.extents))
     return len(order)
@@ -158,8 +168,17 @@ def test_native_refuses_arrays_of_another_kind(make_camera):
 
     view, sorter = View.of(make_camera()), DepthOrder(1)
     with pytest.raises(TypeError, match="positions"):
-        sorter.sort(view, np.zeros((2, 3)), np.zeros(2, np.float32))
+        sorter.sort(view, np.zeros((2, 3)), np.zeros(2, np.float32), new_array)
     with pytest.raises(TypeError, match="positions"):
-        sorter.sort(view, np.zeros((4, 3), np.float32)[::2], np.zeros(2, np.float32))
+        sorter.sort(view, np.zeros((4, 3), np.float32)[::2], np.zeros(2, np.float32), new_array)
     with pytest.raises(ValueError, match="positions"):
-        sorter.sort(view, np.zeros((1, 3), np.float32), np.zeros(2, np.float32))
+        sorter.sort(view, np.zeros((1, 3), np.float32), np.zeros(2, np.float32), new_array)
+    for wrong in (lambda n: np.zeros(n + 1, np.uint32), lambda n: np.zeros(n), lambda n: None):
+        with pytest.raises(TypeError):
+            sorter.sort(view, np.zeros((2, 3), np.float32), np.zeros(2, np.float32), wrong)
+    with pytest.raises(MemoryError, match="enough"):
+        sorter.sort(view, np.zeros((2, 3), np.float32), np.zeros(2, np.float32), no_room)
+
+
+def no_room(count):
+    raise MemoryError("enough")

@@ -1,5 +1,6 @@
 """The worker answers the newest camera only, and outlives what its peers and devices do to it."""
 
+import os
 import sys
 import threading
 import time
@@ -8,8 +9,11 @@ import types
 import numpy as np
 import pytest
 
+from rosplat_msgs.msg import SplatOrder
 from rosplat_sorter.backends import BACKENDS, Entry
 from rosplat_sorter.backends.numpy_backend import NumpyBackend
+from rosplat_sorter.order_slots import OrderReader
+from rosplat_sorter.shared_orders import FOLDER
 from rosplat_sorter.worker import FORGET_AFTER, MAX_VIEWS, Worker
 
 
@@ -65,11 +69,11 @@ class GatedBackend(NumpyBackend):
     sorting = threading.Event()
     sorts = 0
 
-    def order(self, view):
+    def order(self, view, allocate):
         type(self).sorts += 1
         self.sorting.set()
         assert self.gate.wait(10)
-        return super().order(view)
+        return super().order(view, allocate)
 
 
 class BrokenBackend(NumpyBackend):
@@ -83,7 +87,7 @@ class BrokenBackend(NumpyBackend):
         if self.where == "update" and len(splats):
             raise RuntimeError("CUDA out of memory")
 
-    def order(self, view):
+    def order(self, view, allocate):
         raise RuntimeError("CUDA out of memory")
 
 
@@ -171,7 +175,7 @@ def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch,
     worker.look(make_look(sequence=1))  # a sign of life
     worker.look(make_look(sequence=2))
     second = host.answer(2)
-    assert second.slots == first.slots
+    assert second.slots is first.slots
     worker.edit(make_batch())  # a duplicate
     worker.look(make_look(sequence=3))
     host.answer(3)
@@ -245,3 +249,70 @@ def test_backends_change_while_running(start, make_batch, make_look):
     worker.look(make_look(sequence=2, x=0.1))
     assert host.answer(2).backend == "native"
     np.testing.assert_array_equal(host.answer(2).slots, host.answer(1).slots)
+
+
+def test_a_viewer_that_shows_the_key_is_answered_through_shared_memory(
+    start, make_batch, make_look
+):
+    worker, host = start()
+    reader = OrderReader()
+    worker.edit(make_batch())
+    worker.look(make_look(sequence=1))
+    first = host.answer(1)
+    assert (first.generation, first.slot_bits) == (0, 2)
+    key = int.from_bytes((FOLDER / first.segment).read_bytes()[8:16], sys.byteorder)
+
+    def read(answer):
+        order = SplatOrder(encoding=SplatOrder.SHARED, count=len(answer.slots))
+        order.segment, order.generation = answer.segment, answer.generation
+        return reader.read(order).tolist()
+
+    worker.look(make_look(sequence=2, segment_key=key))  # not sorted again
+    assert read(host.answer(2)) == [2, 1, 0]
+    assert GatedBackend.sorts == 1
+    worker.look(make_look(sequence=3, segment_key=key, x=0.1))
+    assert read(host.answer(3)) == [2, 1, 0]
+    assert read(host.answer(2)) == [2, 1, 0]
+    worker.look(make_look(sequence=1, segment_key=key, view_id="another"))
+    assert read(host.answer(1, view_id="another")) == [2, 1, 0]
+    # One that has lost it, or guesses, gets all in the message, without another sort.
+    for sequence, wrong in ((4, 0), (5, key + 1)):
+        worker.look(make_look(sequence=sequence, segment_key=wrong, x=0.1))
+        answer = host.answer(sequence)
+        assert (answer.generation, answer.segment) == (0, first.segment)
+        assert answer.slots.tolist() == [2, 1, 0]
+    assert GatedBackend.sorts == 3
+    assert not (FOLDER / host.answer(3).segment).exists()
+    worker.close()
+    assert not (FOLDER / first.segment).exists()
+    assert not (FOLDER / host.answer(1, view_id="another").segment).exists()
+
+
+def test_a_lost_key_brings_the_last_order_again(start, make_batch, make_look):
+    """The sequence is the same: the viewer could not read what answered it."""
+    worker, host = start()
+    worker.edit(make_batch())
+    worker.look(make_look(sequence=1))
+    first = host.answer(1)
+    key = int.from_bytes((FOLDER / first.segment).read_bytes()[8:16], sys.byteorder)
+    worker.look(make_look(sequence=1, segment_key=key))
+    host.wait(lambda: host.answers[-1].generation)
+    worker.look(make_look(sequence=1))
+    host.wait(lambda: not host.answers[-1].generation)
+    assert host.answers[-1].slots.tolist() == [2, 1, 0]
+    assert GatedBackend.sorts == 1
+
+
+def test_without_room_orders_travel_in_messages(start, make_batch, make_look, monkeypatch):
+    worker, host = start()
+    worker.edit(make_batch())
+    worker.look(make_look(sequence=1))
+    first = host.answer(1)
+    key = int.from_bytes((FOLDER / first.segment).read_bytes()[8:16], sys.byteorder)
+    full = types.SimpleNamespace(f_bavail=0, f_frsize=4096)
+    monkeypatch.setattr(os, "statvfs", lambda path: full)
+    for sequence, x in ((2, 0.0), (3, 0.1)):
+        worker.look(make_look(sequence=sequence, segment_key=key, x=x))
+        assert host.answer(sequence).generation == 0
+        assert host.answer(sequence).slots.tolist() == [2, 1, 0]
+    host.said("orders travel in messages: [Errno 28] no room")

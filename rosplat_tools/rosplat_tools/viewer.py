@@ -26,6 +26,7 @@ from sensor_msgs.msg import Image
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.order_slots import OrderError, OrderReader
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.parameters import declare
 from rosplat_tools.qos import MAP, MAP_VOLATILE, ORDER, VIEW
@@ -102,6 +103,7 @@ class Viewer(Node):
         self._samples: list[NDArray[np.float64]] = []
         self._instance = f"viewer_{uuid.uuid4().hex[:8]}"
         self._sequence = 0
+        self._orders = OrderReader()
         self._published = 0.0
         self._requests: queue.Queue[_Request] = queue.Queue()
 
@@ -153,9 +155,19 @@ class Viewer(Node):
         self.last_batch = time.monotonic()
 
     def _on_order(self, message: SplatOrder) -> None:
+        if not message.view_id.startswith(f"{self._instance}/"):
+            return  # another viewer's
+        try:
+            slots = self._orders.read(message)
+        except OrderError as error:
+            self.get_logger().warning(
+                f"{self._map.topic_name}/order: an order is dropped: {error}",
+                throttle_duration_sec=5.0,
+            )
+            return
         self.renderer.set_order(
             message.view_id, message.sequence, message.map_id, message.revision,
-            f"sidecar ({message.backend})", message.sort_time, _array(message.slots, np.uint32),
+            f"sidecar ({message.backend})", message.sort_time, slots,
         )  # fmt: skip
 
     def _on_render(
@@ -218,9 +230,13 @@ class Viewer(Node):
             camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height,
             camera.near_clip, camera.far_clip,
         )  # fmt: skip
+        self._ask(camera)
+        return view_id
+
+    def _ask(self, camera: ViewCamera) -> None:
+        camera.segment_key = self._orders.key
         self._views.publish(camera)
         self._published = time.monotonic()
-        return view_id
 
     def draw_still(self, camera: ViewCamera, name: str, order_timeout: float) -> Figures:
         """Draws with the sorter's order, or after order_timeout [s] with one sorted here."""
@@ -238,8 +254,7 @@ class Viewer(Node):
     def draw_frame(self, view_id: str, camera: ViewCamera) -> Figures:
         """Draws with the best order there is."""
         if time.monotonic() - self._published > KEEP_ALIVE:
-            self._views.publish(camera)
-            self._published = time.monotonic()
+            self._ask(camera)
         return self._figures(self.renderer.draw(view_id))
 
     def _figures(self, report: dict[str, float | str]) -> Figures:

@@ -84,15 +84,26 @@ class DepthOrder {
   // The result is valid until the next call.
   const std::vector<std::uint32_t>& sort(const View& view, const float* positions,
                                          const float* extents, std::size_t count) {
-    return sortSlots(view, positions, extents, count,
-                     [](std::size_t i) { return static_cast<std::uint32_t>(i); });
+    sort(view, positions, extents, count, Keep{order_});
+    return order_;
+  }
+
+  // The same into memory of the caller's: allocate(m) returns where the m visible slots go.
+  template <typename Allocate>
+  void sort(const View& view, const float* positions, const float* extents, std::size_t count,
+            const Allocate& allocate) {
+    sortSlots(
+        view, positions, extents, count,
+        [](std::size_t i) { return static_cast<std::uint32_t>(i); }, allocate);
   }
 
   // The same among the count given slots only, which are in ascending order.
   const std::vector<std::uint32_t>& sort(const View& view, const float* positions,
                                          const float* extents, const std::uint32_t* slots,
                                          std::size_t count) {
-    return sortSlots(view, positions, extents, count, [slots](std::size_t i) { return slots[i]; });
+    sortSlots(
+        view, positions, extents, count, [slots](std::size_t i) { return slots[i]; }, Keep{order_});
+    return order_;
   }
 
   // The depth along the optical axis that sort() orders by. [m]
@@ -104,6 +115,15 @@ class DepthOrder {
   struct Entry {
     std::uint32_t key;
     std::uint32_t slot;
+  };
+
+  // Allocates memory of the sorter's own.
+  struct Keep {
+    std::vector<std::uint32_t>& order;
+    std::uint32_t* operator()(std::size_t total) const {
+      order.resize(total);
+      return order.data();
+    }
   };
 
   // What one thread found: its entries start at begin.
@@ -144,10 +164,9 @@ class DepthOrder {
     return bits ^ (negative | 0x80000000u);
   }
 
-  template <typename SlotAt>
-  const std::vector<std::uint32_t>& sortSlots(const View& view, const float* positions,
-                                              const float* extents, std::size_t count,
-                                              const SlotAt& slot_at) {
+  template <typename SlotAt, typename Allocate>
+  void sortSlots(const View& view, const float* positions, const float* extents, std::size_t count,
+                 const SlotAt& slot_at, const Allocate& allocate) {
     if (count > capacity_) {
       capacity_ = count + count / 4;
       for (auto& buffer : entries_) buffer.reset(new Entry[capacity_]);
@@ -160,8 +179,7 @@ class DepthOrder {
       part.end = count * (member + 1) / members;
       cull(view, positions, extents, slot_at, part);
     });
-    sortEntries(members);
-    return order_;
+    sortEntries(members, allocate);
   }
 
   // Writes an entry for each visible splat of [part.begin, part.end) and shortens the part to them.
@@ -194,7 +212,8 @@ class DepthOrder {
   }
 
   // Least significant digit first radix sort of the entries, over the bits in which they differ.
-  void sortEntries(unsigned members) {
+  template <typename Allocate>
+  void sortEntries(unsigned members, const Allocate& allocate) {
     std::size_t total = 0;
     std::uint32_t least = ~0u;
     std::uint32_t greatest = 0;
@@ -204,7 +223,7 @@ class DepthOrder {
       least = std::min(least, part.least);
       greatest = std::max(greatest, part.greatest);
     }
-    order_.resize(total);
+    std::uint32_t* const order = allocate(total);
     if (total == 0) return;
 
     unsigned bits = 0;
@@ -239,9 +258,9 @@ class DepthOrder {
         const Part& part = parts_[member];
         std::size_t* target = parts_[member].buckets.data();
         if (last) {  // ascending depth, read from its end, is back to front
-          std::uint32_t* order = order_.data() + total - 1;
+          std::uint32_t* const nearest = order + total - 1;
           for (std::size_t i = part.begin; i < part.end; ++i) {
-            order[-static_cast<std::ptrdiff_t>(target[digit(from[i])]++)] = from[i].slot;
+            nearest[-static_cast<std::ptrdiff_t>(target[digit(from[i])]++)] = from[i].slot;
           }
         } else {
           for (std::size_t i = part.begin; i < part.end; ++i)

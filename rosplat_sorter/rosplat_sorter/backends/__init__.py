@@ -19,6 +19,14 @@ from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
 
+Allocate = Callable[[int], NDArray[np.uint32]]
+"""Makes the array, uint32 (m,), that an order of m slots is written to."""
+
+
+def new_array(count: int) -> NDArray[np.uint32]:
+    """An array of its own for each order."""
+    return np.empty(count, np.uint32)
+
 
 class Backend(Protocol):
     """Orders the splats of one map."""
@@ -35,10 +43,11 @@ class Backend(Protocol):
         A backend on the CPU may keep the map's arrays, they change only between calls.
         """
 
-    def order(self, view: View) -> NDArray[np.uint32]:
+    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         """The visible slots back to front, uint32 (m,), exactly as depth.order.
 
-        Valid until the next call.
+        They are written to the array that allocate(m) makes, once they are counted: shared memory
+        or a message.
         """
 
 

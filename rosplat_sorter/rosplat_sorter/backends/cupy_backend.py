@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import cupy
-import cupyx
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_sorter.backends import Allocate, new_array
 from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
@@ -118,7 +118,7 @@ _VIEW = np.dtype(
 
 
 class CupyBackend:
-    """Keeps the map on the GPU and returns orders through pinned memory."""
+    """Keeps the map on the GPU."""
 
     name = "cupy"
 
@@ -131,7 +131,6 @@ class CupyBackend:
         self._extents = cupy.empty(0, cupy.float32)
         self._entries = cupy.empty(0, cupy.uint64)
         self._count = 0
-        self._result = cupyx.empty_pinned(0, np.uint32)
 
     def update(self, splats: SplatMap, changed: Slots) -> None:
         if len(splats) > len(self._extents):
@@ -146,11 +145,9 @@ class CupyBackend:
             self._extents[index] = cupy.asarray(splats.extents[slots])
         self._count = len(splats)
 
-    def order(self, view: View) -> NDArray[np.uint32]:
+    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         slots = self.order_on_device(view)
-        if len(self._result) < len(slots):
-            self._result = cupyx.empty_pinned(len(slots) + len(slots) // 4, np.uint32)
-        result: NDArray[np.uint32] = self._result[: len(slots)]
+        result = allocate(len(slots))
         slots.get(out=result)
         return result
 

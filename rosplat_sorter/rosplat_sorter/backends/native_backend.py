@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_sorter import _native
+from rosplat_sorter.backends import Allocate, new_array
 from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
@@ -24,5 +25,5 @@ class NativeBackend:
     def update(self, splats: SplatMap, changed: Slots) -> None:
         self._splats = splats
 
-    def order(self, view: View) -> NDArray[np.uint32]:
-        return self._sort.sort(view, self._splats.positions, self._splats.extents)
+    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
+        return self._sort.sort(view, self._splats.positions, self._splats.extents, allocate)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_sorter import depth
+from rosplat_sorter.backends import Allocate, new_array
 from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
@@ -25,8 +26,11 @@ class NumpyReferenceBackend:
     def update(self, splats: SplatMap, changed: Slots) -> None:
         self._splats = splats
 
-    def order(self, view: View) -> NDArray[np.uint32]:
-        return depth.order(view, self._splats.positions, self._splats.extents)
+    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
+        order = depth.order(view, self._splats.positions, self._splats.extents)
+        result = allocate(len(order))
+        result[:] = order
+        return result
 
 
 class NumpyBackend(NumpyReferenceBackend):
@@ -34,7 +38,7 @@ class NumpyBackend(NumpyReferenceBackend):
 
     name = "numpy"
 
-    def order(self, view: View) -> NDArray[np.uint32]:
+    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         positions, extents = self._splats.positions, self._splats.extents
         packed = [np.zeros(0, np.uint64)]
         for first in range(0, len(extents), _BLOCK):
@@ -44,4 +48,6 @@ class NumpyBackend(NumpyReferenceBackend):
             packed.append(keys.astype(np.uint64) << np.uint64(32) | slots.astype(np.uint64))
         entries = np.concatenate(packed)
         entries.sort()
-        return entries[::-1].astype(np.uint32)
+        result = allocate(len(entries))
+        result[:] = entries[::-1]  # the lower half of each
+        return result

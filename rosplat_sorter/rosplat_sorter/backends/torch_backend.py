@@ -7,14 +7,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rosplat_sorter.backends import Unavailable
+from rosplat_sorter.backends import Allocate, Unavailable, new_array
 from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
 
 
 class TorchBackend:
-    """Keeps the map on the device and returns orders through pinned memory.
+    """Keeps the map on the device.
 
     Eager operations round one by one, as the order's definition asks.
     """
@@ -32,7 +32,6 @@ class TorchBackend:
         self._positions = torch.empty((0, 3), device=self._device)
         self._extents = torch.empty(0, device=self._device)
         self._count = 0
-        self._result = torch.empty(0, dtype=torch.int32)
 
     @torch.inference_mode()
     def update(self, splats: SplatMap, changed: Slots) -> None:
@@ -48,8 +47,11 @@ class TorchBackend:
         self._count = len(splats)
 
     @torch.inference_mode()
-    def order(self, view: View) -> NDArray[np.uint32]:
-        return self._download(self.order_on_device(view))
+    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
+        order = self.order_on_device(view)
+        result = allocate(len(order))
+        torch.from_numpy(result.view(np.int32)).copy_(order)
+        return result
 
     @torch.inference_mode()
     def order_on_device(self, view: View) -> Tensor:
@@ -64,17 +66,6 @@ class TorchBackend:
 
     def _upload(self, array: NDArray[np.generic]) -> Tensor:
         return torch.from_numpy(array).to(self._device)
-
-    def _download(self, slots: Tensor) -> NDArray[np.uint32]:
-        if self._device.type == "cpu":
-            return slots.numpy().view(np.uint32)
-        if len(self._result) < len(slots):
-            self._result = torch.empty(
-                len(slots) + len(slots) // 4, dtype=torch.int32, pin_memory=True
-            )
-        result = self._result[: len(slots)]
-        result.copy_(slots)
-        return result.numpy().view(np.uint32)
 
 
 def _transform(view: View, positions: Tensor, axis: int) -> Tensor:

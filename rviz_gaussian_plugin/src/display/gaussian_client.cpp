@@ -34,7 +34,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   map_ = subscribe(qos_);
   orders_ = node_->create_subscription<SplatOrder>(
       topic_ + "/order", viewQos(),
-      [this](std::shared_ptr<SplatOrder> message) { scene_.offer(toOrder(*message)); }, options);
+      [this](std::shared_ptr<SplatOrder> message) { receive(*message); }, options);
   view_publisher_ =
       node_->create_publisher<rosplat_msgs::msg::ViewCamera>(topic_ + "/view", viewQos());
   picked_publisher_ =
@@ -84,6 +84,28 @@ void GaussianClient::receive(const GaussianArray& message) {
     ++status_.refused;
     status_.refusal = error.what();
   }
+}
+
+void GaussianClient::receive(SplatOrder& message) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (views_.count(message.view_id) == 0) return;  // another viewer's
+  }
+  try {
+    scene_.offer(toOrder(message, reader_));
+  } catch (const rosplat_sorter::OrderError& error) {
+    RCLCPP_WARN_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000,
+                         "%s/order: an order is dropped: %s", topic_.c_str(), error.what());
+  }
+}
+
+void GaussianClient::publish(rosplat_msgs::msg::ViewCamera view) {
+  {
+    const std::lock_guard lock(mutex_);
+    views_.insert(view.view_id);
+  }
+  view.segment_key = reader_.key();
+  view_publisher_->publish(view);
 }
 
 void GaussianClient::watchPublishers() {

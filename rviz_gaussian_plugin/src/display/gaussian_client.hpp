@@ -13,10 +13,12 @@
 #include <rosplat_msgs/msg/splat_order.hpp>
 #include <rosplat_msgs/msg/view_camera.hpp>
 #include <rosplat_msgs/srv/render_view.hpp>
+#include <set>
 #include <string>
 #include <thread>
 
 #include "../splats/splat_scene.hpp"
+#include "rosplat_sorter/order_slots.hpp"
 
 namespace rosplat {
 
@@ -57,7 +59,8 @@ class GaussianClient {
                  const rclcpp::QoS& qos, SplatScene& scene);
   ~GaussianClient();
 
-  void publish(const rosplat_msgs::msg::ViewCamera& view) { view_publisher_->publish(view); }
+  // Asks for an order of a view.
+  void publish(rosplat_msgs::msg::ViewCamera view);
   // What was picked with the mouse.
   void publish(const rosplat_msgs::msg::Gaussian& picked) { picked_publisher_->publish(picked); }
   // The pose of a view, and the path it has taken, for other displays.
@@ -73,6 +76,7 @@ class GaussianClient {
 
   rclcpp::Subscription<GaussianArray>::SharedPtr subscribe(const rclcpp::QoS& qos);
   void receive(const GaussianArray& message);
+  void receive(SplatOrder& message);
   void watchPublishers();
   void reportSidecar(const std::string& text, bool failed);
 
@@ -91,10 +95,12 @@ class GaussianClient {
   rclcpp::Publisher<nav_msgs::msg::Path>::SharedPtr path_publisher_;
   nav_msgs::msg::Path path_;
   std::shared_ptr<rclcpp::AsyncParametersClient> parameters_;
+  rosplat_sorter::OrderReader reader_;
 
-  mutable std::mutex mutex_;  // status_, requests_
+  mutable std::mutex mutex_;  // status_, requests_, views_
   Status status_;
   std::deque<RenderRequest> requests_;
+  std::set<std::string> views_;  // that asked for orders
 
   rclcpp::executors::SingleThreadedExecutor executor_;
   std::atomic<bool> stop_{false};

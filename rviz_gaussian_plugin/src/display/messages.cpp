@@ -7,6 +7,9 @@
 namespace rosplat {
 
 static_assert(kMaxSlots == rosplat_msgs::msg::GaussianArray::MAX_SLOTS);
+static_assert(rosplat_sorter::kMostSlots == kMaxSlots);
+static_assert(rosplat_sorter::OrderReader::kPacked == rosplat_msgs::msg::SplatOrder::PACKED);
+static_assert(rosplat_sorter::OrderReader::kShared == rosplat_msgs::msg::SplatOrder::SHARED);
 
 namespace {
 
@@ -38,7 +41,7 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   return batch;
 }
 
-OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message) {
+OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message, rosplat_sorter::OrderReader& reader) {
   auto order = std::make_shared<Order>();
   order->view_id = message.view_id;
   order->sequence = message.sequence;
@@ -46,7 +49,13 @@ OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message) {
   order->revision = message.revision;
   order->source = "sidecar (" + message.backend + ")";
   order->sort_time = message.sort_time;
-  order->slots = std::move(message.slots);
+  if (message.encoding == rosplat_msgs::msg::SplatOrder::SLOTS) {
+    order->slots = std::move(message.slots);
+  } else {
+    order->slots =
+        reader.slots(message.encoding, message.packed.data(), message.packed.size(), message.count,
+                     message.slot_bits, message.segment, message.generation);
+  }
   return order;
 }
 

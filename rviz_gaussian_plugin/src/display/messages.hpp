@@ -12,6 +12,7 @@
 #include "../splats/gaussian_batch.hpp"
 #include "../splats/gaussian_map.hpp"
 #include "../splats/splat_camera.hpp"
+#include "rosplat_sorter/order_slots.hpp"
 
 // Between the renderer's own types and ROS messages.
 namespace rosplat {
@@ -19,7 +20,8 @@ namespace rosplat {
 // A batch that looks into the message, which must outlive it.
 GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message);
 
-OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message);  // takes the slots
+// Takes the slots, from the message or from where it says. Throws rosplat_sorter::OrderError.
+OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message, rosplat_sorter::OrderReader& reader);
 
 rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::string& view_id,
                                         std::uint64_t sequence, const std::string& frame_id,

@@ -1,0 +1,234 @@
+// How the slots of an order travel from the sorter to a viewer, as rosplat_msgs/SplatOrder says:
+// packed bit by bit, or through a segment of shared memory.
+//
+// A segment is a file in /dev/shm that holds one order at a time:
+//
+//   byte  0  magic
+//         8  key, random, the same in all segments of one run of a sorter; never 0
+//        16  generation: even, one for each order; odd while the slots are being written
+//      4096  slots, uint32 in the machine's byte order
+//
+// The sorter writes them (rosplat_sorter/shared_orders.py). A reader copies the slots and then
+// looks at the generation once more: what was overwritten meanwhile it drops, a newer order is on
+// its way. Readers use read(), not mmap(): a file that somebody cuts short is then an error, not a
+// SIGBUS.
+
+#ifndef ROSPLAT_SORTER__ORDER_SLOTS_HPP_
+#define ROSPLAT_SORTER__ORDER_SLOTS_HPP_
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+namespace rosplat_sorter {
+
+// The most slots a map may have, rosplat_msgs/GaussianArray.MAX_SLOTS.
+constexpr std::size_t kMostSlots = 1u << 25;
+
+// An order whose slots can't be had; the text says why.
+struct OrderError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// Bytes that count numbers of `bits` bits each take.
+constexpr std::size_t packedBytes(std::size_t count, unsigned bits) {
+  return (count * bits + 7) / 8;
+}
+
+// Writes the lowest `bits` bits of each number one after the other, from the least significant bit
+// of the first byte on. bits: 1 to 32. packed: packedBytes(count, bits).
+inline void packSlots(const std::uint32_t* slots, std::size_t count, unsigned bits,
+                      std::uint8_t* packed) {
+  const std::uint64_t mask = (std::uint64_t{1} << bits) - 1;
+  std::uint64_t pending = 0;
+  unsigned filled = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    pending |= (slots[i] & mask) << filled;
+    filled += bits;
+    while (filled >= 8) {
+      *packed++ = static_cast<std::uint8_t>(pending);
+      pending >>= 8;
+      filled -= 8;
+    }
+  }
+  if (filled > 0) *packed = static_cast<std::uint8_t>(pending);
+}
+
+// Undoes packSlots(). Throws OrderError where bits or size don't fit.
+inline std::vector<std::uint32_t> unpackSlots(const std::uint8_t* packed, std::size_t size,
+                                              std::size_t count, unsigned bits) {
+  if (bits < 1 || bits > 32) {
+    throw OrderError("slot_bits is " + std::to_string(bits) + ", not 1 to 32");
+  }
+  if (count > kMostSlots || size != packedBytes(count, bits)) {
+    throw OrderError("packed has " + std::to_string(size) + " bytes, which are not " +
+                     std::to_string(count) + " slots of " + std::to_string(bits) + " bits");
+  }
+  const std::uint64_t mask = (std::uint64_t{1} << bits) - 1;
+  std::vector<std::uint32_t> slots(count);
+  std::uint64_t pending = 0;
+  unsigned filled = 0;
+  for (std::uint32_t& slot : slots) {
+    while (filled < bits) {
+      pending |= std::uint64_t{*packed++} << filled;
+      filled += 8;
+    }
+    slot = static_cast<std::uint32_t>(pending & mask);
+    pending >>= bits;
+    filled -= bits;
+  }
+  return slots;
+}
+
+// What a segment begins with.
+struct SegmentHeader {
+  static constexpr std::array<char, 8> kMagic = {'R', 'O', 'S', 'P', 'L', 'A', 'T', '1'};
+  static constexpr std::size_t kBytes = 4096;  // a page, so that the slots begin with one
+  static constexpr const char* kFolder = "/dev/shm/";
+  static constexpr const char* kPrefix = "rosplat_order_";
+
+  std::array<char, 8> magic = kMagic;
+  std::uint64_t key = 0;
+  std::uint64_t generation = 0;
+};
+
+// Marks what a segment holds, for the one that writes it: an odd generation before it touches the
+// slots, the next even one after. header: where the segment is mapped.
+inline void markSegment(void* header, std::uint64_t generation) {
+  auto* mark = reinterpret_cast<std::atomic<std::uint64_t>*>(static_cast<char*>(header) +
+                                                             offsetof(SegmentHeader, generation));
+  static_assert(sizeof(*mark) == sizeof(generation));
+  std::atomic_thread_fence(std::memory_order_seq_cst);  // after the slots that were written before
+  mark->store(generation, std::memory_order_relaxed);
+  std::atomic_thread_fence(std::memory_order_seq_cst);  // before those that are written next
+}
+
+// A segment to read from, open as long as this lives.
+class SegmentReader {
+ public:
+  // Throws OrderError for a name that is none, or a segment that this process can't read.
+  explicit SegmentReader(const std::string& name) : name_(name) {
+    const std::size_t prefix = std::strlen(SegmentHeader::kPrefix);
+    if (name.compare(0, prefix, SegmentHeader::kPrefix) != 0 || name.size() > prefix + 64 ||
+        !std::all_of(name.begin(), name.end(), [](char c) {
+          return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_';
+        })) {
+      throw OrderError("segment is not the name of one");
+    }
+    // Whatever lies there under this name, no link is followed and nobody waited for.
+    file_ = ::open((SegmentHeader::kFolder + name).c_str(),
+                   O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+    struct stat status;
+    if (file_ < 0) throw OrderError(complaint("can't be opened"));
+    if (::fstat(file_, &status) != 0 || !S_ISREG(status.st_mode) || header().key == 0) {
+      ::close(file_);
+      throw OrderError(complaint("is not one of a sorter"));
+    }
+  }
+  ~SegmentReader() { ::close(file_); }
+  SegmentReader(const SegmentReader&) = delete;
+  SegmentReader& operator=(const SegmentReader&) = delete;
+
+  std::uint64_t key() const { return header().key; }
+
+  // The count slots that the segment holds in a generation. Throws OrderError where it holds
+  // others.
+  std::vector<std::uint32_t> slots(std::size_t count, std::uint64_t generation) const {
+    struct stat status;
+    const std::size_t bytes = count * sizeof(std::uint32_t);
+    if (count > kMostSlots || ::fstat(file_, &status) != 0 ||
+        static_cast<std::size_t>(status.st_size) < SegmentHeader::kBytes + bytes) {
+      throw OrderError(complaint("does not hold " + std::to_string(count) + " slots"));
+    }
+    if (generation % 2 != 0 || header().generation != generation) {
+      throw OrderError(complaint("holds another order"));
+    }
+    std::vector<std::uint32_t> slots(count);
+    const bool complete = read(slots.data(), bytes, SegmentHeader::kBytes);
+    std::atomic_thread_fence(std::memory_order_acquire);  // the slots first, then the mark
+    if (!complete || header().generation != generation) {
+      throw OrderError(complaint("was overwritten while it was read"));
+    }
+    return slots;
+  }
+
+ private:
+  std::string complaint(const std::string& what) const { return "segment " + name_ + " " + what; }
+
+  // Of no key where it can't be read.
+  SegmentHeader header() const {
+    SegmentHeader header;
+    const bool complete = read(&header, sizeof(header), 0);
+    return complete && header.magic == SegmentHeader::kMagic ? header : SegmentHeader();
+  }
+
+  bool read(void* target, std::size_t size, std::size_t offset) const {
+    auto* bytes = static_cast<char*>(target);
+    while (size > 0) {
+      const ssize_t got = ::pread(file_, bytes, size, static_cast<off_t>(offset));
+      if (got <= 0) return false;
+      bytes += got;
+      offset += static_cast<std::size_t>(got);
+      size -= static_cast<std::size_t>(got);
+    }
+    return true;
+  }
+
+  std::string name_;
+  int file_;
+};
+
+// A viewer's side: gets the slots of its orders, and the key that proves to the sorter that it can
+// read its segments. One thread reads, any may ask for the key.
+class OrderReader {
+ public:
+  // As in SplatOrder.
+  enum Encoding : std::uint8_t { kSlots, kPacked, kShared };
+
+  // The slots of an order that doesn't carry them plainly; arguments as in SplatOrder. Throws
+  // OrderError.
+  std::vector<std::uint32_t> slots(std::uint8_t encoding, const std::uint8_t* packed,
+                                   std::size_t packed_size, std::size_t count, unsigned slot_bits,
+                                   const std::string& segment, std::uint64_t generation) {
+    if (encoding == kPacked) {
+      learnKey(segment);
+      return unpackSlots(packed, packed_size, count, slot_bits);
+    }
+    if (encoding != kShared) {
+      throw OrderError("encoding " + std::to_string(encoding) + " is unknown");
+    }
+    key_ = 0;  // one that can't be read any more is asked for plainly
+    const SegmentReader reader(segment);
+    key_ = reader.key();
+    return reader.slots(count, generation);
+  }
+
+  // For ViewCamera.segment_key; 0 while no segment can be read.
+  std::uint64_t key() const { return key_; }
+
+ private:
+  void learnKey(const std::string& segment) {
+    key_ = 0;
+    if (segment.empty()) return;
+    try {
+      key_ = SegmentReader(segment).key();
+    } catch (const OrderError&) {  // of another machine, container or user
+    }
+  }
+
+  std::atomic<std::uint64_t> key_{0};
+};
+
+}  // namespace rosplat_sorter
+
+#endif  // ROSPLAT_SORTER__ORDER_SLOTS_HPP_

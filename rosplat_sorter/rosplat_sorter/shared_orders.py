@@ -1,0 +1,142 @@
+"""Orders in shared memory: the sorter's side of include/rosplat_sorter/order_slots.hpp."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import mmap
+import os
+import secrets
+import struct
+import uuid
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_sorter import _native
+
+FOLDER = Path("/dev/shm")
+PREFIX = "rosplat_order_"
+MAGIC = b"ROSPLAT1"
+HEADER_BYTES = 4096
+
+
+class Segment:
+    """A file in shared memory that holds one order at a time.
+
+    It appears whole and locked, and is locked for as long as its sorter lives, so that the next one
+    can tell what a crash has left behind.
+    """
+
+    def __init__(self, key: int, capacity: int) -> None:
+        """Makes room for capacity slots. Raises OSError where there is none."""
+        size = HEADER_BYTES + 4 * capacity
+        room = os.statvfs(FOLDER)
+        if room.f_bavail * room.f_frsize < 2 * size:  # DDS and others need some as well
+            raise OSError(errno.ENOSPC, f"no room for {size >> 20} MiB in {FOLDER}")
+        self.name = f"{PREFIX}{uuid.uuid4().hex}"
+        self.capacity = capacity
+        self._generation = 0
+        self._file = os.open(FOLDER, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.posix_fallocate(self._file, 0, size)  # a full /dev/shm kills who writes to it
+            self._memory = mmap.mmap(self._file, size)
+            self._memory[:16] = struct.pack("=8sQ", MAGIC, key)
+            # An absolute path has no use for src_dir_fd, but without it Python links the link.
+            os.link(f"/proc/self/fd/{self._file}", FOLDER / self.name, src_dir_fd=self._file)
+        except OSError:
+            os.close(self._file)
+            raise
+
+    def begin(self, count: int) -> NDArray[np.uint32]:
+        """Where to write the next order, uint32 (count,); what the segment held is void."""
+        _native.mark_segment(self._memory, self._generation + 1)
+        return np.frombuffer(self._memory, np.uint32, count, HEADER_BYTES)
+
+    def finish(self) -> int:
+        """The order is written; returns its generation."""
+        self._generation += 2
+        _native.mark_segment(self._memory, self._generation)
+        return self._generation
+
+    def remove(self) -> None:
+        """Takes the file away; who has it open may still read it."""
+        (FOLDER / self.name).unlink(missing_ok=True)
+        os.close(self._file)
+
+
+class SharedOrders:
+    """The segments of one run of a sorter, and the key in them that its viewers show it."""
+
+    def __init__(self) -> None:
+        """Raises OSError where there is no shared memory."""
+        remove_stale()
+        self.key = secrets.randbits(63) + 1
+        self._segments: list[Segment] = []
+        self.probe = self.segment(0).name
+
+    def segment(self, capacity: int) -> Segment:
+        """A new segment. Raises OSError where there is no room for it."""
+        segment = Segment(self.key, capacity)
+        self._segments.append(segment)
+        return segment
+
+    def remove(self, segment: Segment) -> None:
+        """Takes a segment away."""
+        self._segments.remove(segment)
+        segment.remove()
+
+    def close(self) -> None:
+        """Takes all of them away."""
+        for segment in self._segments:
+            segment.remove()
+        self._segments.clear()
+
+
+class OrderBuffer:
+    """Where the orders of one view are written: two segments in turn.
+
+    So an order outlives the making of the next, and a viewer has that time to copy it.
+    """
+
+    def __init__(self, orders: SharedOrders) -> None:
+        self._orders = orders
+        self._segments: list[Segment | None] = [None, None]
+        self._turn = 0
+
+    def begin(self, count: int) -> NDArray[np.uint32]:
+        """Where to write the view's next order, uint32 (count,). Raises OSError without room."""
+        segment = self._segments[self._turn]
+        if segment is None or segment.capacity < count:
+            self._segments[self._turn] = None
+            if segment:
+                self._orders.remove(segment)
+            segment = self._segments[self._turn] = self._orders.segment(count + count // 4)
+        return segment.begin(count)
+
+    def finish(self) -> tuple[str, int]:
+        """The order is written; returns the segment that holds it, and its generation."""
+        segment = self._segments[self._turn]
+        assert segment, "finish follows begin"
+        self._turn = 1 - self._turn
+        return segment.name, segment.finish()
+
+    def close(self) -> None:
+        """Takes the segments away."""
+        for segment in filter(None, self._segments):
+            self._orders.remove(segment)
+
+
+def remove_stale() -> None:
+    """Takes away the segments of sorters that ended without doing so."""
+    for path in FOLDER.glob(f"{PREFIX}*"):
+        with contextlib.suppress(OSError):  # another user's, or its sorter lives
+            file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+            finally:
+                os.close(file)
