@@ -7,7 +7,7 @@ ruff check --quiet .
 git ls-files '*.cpp' '*.hpp' | xargs clang-format --dry-run -Werror
 # The parts that know no ROS. From the packages' own folders: from here, they would hide each other.
 (cd rosplat_sorter && mypy --config-file ../pyproject.toml --no-error-summary \
-  rosplat_sorter/{backends,camera.py,depth.py,edits.py,map.py,view.py,worker.py})
+  rosplat_sorter/{backends,camera.py,depth.py,edits.py,map.py,order_slots.py,shared_orders.py,view.py,worker.py})
 (cd rosplat_tools && mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_tools/{formats,lab,reference,cameras.py,convert.py,flight.py,generate.py,inspect.py,mapping.py,metrics.py,processes.py,scenes.py,slot_map.py,splats.py} \
   rosplat_tools/bench/{baselines.py,charts.py,command.py,isolation.py,machine.py,plan.py,records.py,scenes.py,sort.py})

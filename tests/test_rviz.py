@@ -69,6 +69,44 @@ def test_the_picture_outlives_its_sidecar(rviz: Rviz, world: World) -> None:
     assert blue(screen)[spot[0], spot[1]]
 
 
+def test_orders_reach_the_display_through_shared_memory(rviz: Rviz, world: World) -> None:
+    """So do those of the next sorter, when the first one is killed."""
+    import rclpy
+
+    from rosplat_msgs.msg import SplatOrder
+    from rosplat_sorter.shared_orders import FOLDER
+    from rosplat_tools.qos import ORDER
+
+    shared: list[str] = []
+
+    def on_order(order: SplatOrder) -> None:
+        if order.encoding == SplatOrder.SHARED:
+            shared.append(order.segment)
+
+    world.node.create_subscription(SplatOrder, "gaussians/order", on_order, ORDER)
+    world.place(0)
+    world.map.replace(disc((1, 0, 0)))
+    for _ in range(2):
+        shared.clear()
+        sorter = rviz.processes.node("rosplat_sorter", "sorter")
+        deadline = time.monotonic() + 30
+        while not shared:
+            assert time.monotonic() < deadline, "all orders travel in messages"
+            rclpy.spin_once(world.node, timeout_sec=0.1)
+        rviz.until(lambda s: red(s).sum() > 3000)
+        segment = FOLDER / shared[-1]
+        assert segment.exists()
+        sorter.kill()
+        sorter.wait()
+        rviz.processes.forget(sorter)
+        assert segment.exists()
+    rviz.processes.node("rosplat_sorter", "sorter")
+    while segment.exists():
+        assert time.monotonic() < deadline + 30, "a killed sorter's memory stays"
+        time.sleep(0.1)
+    assert "an order is dropped" not in rviz.processes.said("rviz2")
+
+
 def test_a_growing_and_shrinking_map(rviz: Rviz, world: World) -> None:
     world.place(0)
     world.map.replace(disc((1, 0, 0), x=-1.0, sigma=0.2))
@@ -82,8 +120,10 @@ def test_a_growing_and_shrinking_map(rviz: Rviz, world: World) -> None:
 
 
 def test_garbage_does_not_end_rviz(rviz: Rviz, world: World) -> None:
-    from rosplat_msgs.msg import GaussianArray, SplatOrder
-    from rosplat_tools.qos import MAP, ORDER
+    import rclpy
+
+    from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+    from rosplat_tools.qos import MAP, ORDER, VIEW
 
     garbage = world.node.create_publisher(GaussianArray, "gaussians", MAP)
     orders = world.node.create_publisher(SplatOrder, "gaussians/order", ORDER)
@@ -99,11 +139,35 @@ def test_garbage_does_not_end_rviz(rviz: Rviz, world: World) -> None:
     ):
         message.map_id, message.revision = "garbage", revision + 1
         garbage.publish(message)
+    views: list[ViewCamera] = []
+    world.node.create_subscription(ViewCamera, "gaussians/view", views.append, VIEW)
     orders.publish(SplatOrder(view_id="nobody", map_id="?", slots=[2**32 - 1]))
     time.sleep(2)
     world.node.destroy_publisher(garbage)
     world.map.replace(disc((1, 0, 0)))
     rviz.until(lambda s: red(s).sum() > 3000)
+    while not views:
+        rclpy.spin_once(world.node, timeout_sec=0.1)
+    for fields in (
+        {"slots": [2**32 - 1]},
+        {"encoding": 9},
+        {"encoding": SplatOrder.PACKED, "count": 2**32 - 1, "slot_bits": 32},
+        {"encoding": SplatOrder.PACKED, "count": 3, "slot_bits": 0, "packed": [1] * 3},
+        {"encoding": SplatOrder.PACKED, "count": 1, "slot_bits": 8, "packed": [255]},
+        {"encoding": SplatOrder.SHARED, "count": 2**32 - 1, "segment": "rosplat_order_x"},
+        {"encoding": SplatOrder.SHARED, "count": 1, "segment": "../../etc/passwd"},
+        {"encoding": SplatOrder.SHARED, "count": 1, "segment": "x" * 1_000_000},
+    ):
+        orders.publish(
+            SplatOrder(
+                view_id=views[-1].view_id, sequence=views[-1].sequence, map_id=world.map.map_id,
+                revision=world.map.revision, backend="garbage", **fields,
+            )
+        )  # fmt: skip
+        time.sleep(0.2)  # or the next would displace it
+    world.map.replace(disc((0, 0, 1)))
+    rviz.until(lambda s: blue(s).sum() > 3000)
+    assert "an order is dropped" in rviz.processes.said("rviz2")
 
 
 @pytest.mark.skipif(not shutil.which("xdotool"), reason="no xdotool to click with")

@@ -137,8 +137,8 @@ def test_the_next_start_removes_what_a_crash_left_behind():
 
 
 def test_room_is_left_to_others(orders, monkeypatch):
-    free = types.SimpleNamespace(f_bavail=10, f_frsize=4096)
+    free = types.SimpleNamespace(f_bavail=20, f_frsize=4096)
     monkeypatch.setattr(os, "statvfs", lambda path: free)
-    with pytest.raises(OSError, match="no room for 3 MiB in /dev/shm"):
+    with pytest.raises(OSError, match="no room for 4 MiB in /dev/shm"):
         OrderBuffer(orders).begin(1_000_000)
     assert OrderBuffer(orders).begin(100).size == 100
