@@ -68,6 +68,31 @@ def test_the_command_draws_files_and_only_what_they_hold(
         assert near.sum() > 100
 
 
+def test_the_same_as_a_table(
+    orders: list[Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(tmp_path / "sort.json", orders)
+    assert main(["tables", str(tmp_path / "sort.json")]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "Depth order, in host memory, time [ms], median",
+        "",
+        "| | 100,000 | 1,000,000 |",
+        "|---|---:|---:|",
+        "| all, native | 1 | 10 |",
+        "| all, numpy | 3 | 30 |",
+        "| inside, native | 1 | 10 |",
+        "| inside, numpy | 3 | 30 |",
+    ]
+
+
+def test_a_long_curve_has_a_column_for_each_eighth() -> None:
+    curve = [record("frame", 1000 * n, float(n), backend="native") for n in range(1, 161)]
+    chart = charts.Chart("f", "sort", "frame", "Frame", "ms", charts.parameter("backend"))
+    head, _, row = charts.table(chart, curve).splitlines()
+    assert head.split(" | ")[1:3] == ["20,000", "40,000"]
+    assert row == "| native | 20 | 40 | 60 | 80 | 100 | 120 | 140 | 160 |"
+
+
 def test_a_file_without_records_is_named_in_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

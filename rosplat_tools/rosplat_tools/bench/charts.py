@@ -1,9 +1,9 @@
-"""Draws charts of records, from nothing but the records."""
+"""Draws charts of records, from nothing but the records; or writes the same as tables."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,12 +92,53 @@ CHARTS = (
 )  # fmt: skip
 
 
+COLUMNS = 8  # of a table at most
+
+
+def of_chart(chart: Chart, records: Sequence[Record]) -> list[Record]:
+    """Those that the chart shows."""
+    return [r for r in records if (r.subject, r.name) == (chart.subject, chart.name)]
+
+
+def tables(records: Sequence[Record]) -> Iterator[str]:
+    """Every chart that the records have something for, in Markdown: medians by number of splats."""
+    for chart in CHARTS:
+        mine = of_chart(chart, records)
+        if mine:
+            yield f"{chart.title}, {chart.y}, median\n\n{table(chart, mine)}"
+
+
+def table(chart: Chart, records: Sequence[Record]) -> str:
+    """A row for each series of each panel, a column for each number of splats, or some of them."""
+    sizes = sorted({record.splats for record in records})
+    if len(sizes) > COLUMNS:
+        step = max(sizes) / COLUMNS
+        sizes = [round(step * (column + 1)) for column in range(COLUMNS)]
+    rows: dict[tuple[str, str], list[Record]] = {}
+    for record in records:
+        rows.setdefault((chart.panel(record), chart.series(record)), []).append(record)
+    lines = [f"| | {' | '.join(f'{size:,}' for size in sizes)} |", "|---|" + "---:|" * len(sizes)]
+    reach = (sizes[1] - sizes[0]) / 2 if len(sizes) == COLUMNS else 0
+    for (panel, series), points in rows.items():
+        cells = []
+        for size in sizes:
+            nearest = min(points, key=lambda point: abs(point.splats - size))
+            near = abs(nearest.splats - size) <= reach
+            cells.append(f"{_number(nearest.p50)}" if near else "")
+        lines.append(f"| {', '.join(filter(None, (panel, series)))} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
 def draw(records: Sequence[Record], folder: Path) -> list[Path]:
     """Draws every chart that the records have something for; returns the pictures' paths."""
     folder.mkdir(parents=True, exist_ok=True)
     drawn = []
     for chart in CHARTS:
-        mine = [r for r in records if (r.subject, r.name) == (chart.subject, chart.name)]
+        mine = of_chart(chart, records)
         if mine:
             path = folder / f"{chart.file}.png"
             figure(chart, mine).savefig(path, dpi=110)

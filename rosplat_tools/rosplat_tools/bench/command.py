@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -31,6 +32,7 @@ from rosplat_tools.scenes import NAMES
 from rosplat_tools.splats import SceneError
 
 WIDTH = 150  # of tables that go to a file
+STATISTICS = ("least", "p50", "p95", "p99", "most", "n")
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,8 @@ def main(arguments: list[str] | None = None) -> int:
         interrupt_by_signals()
         if arguments[:1] == ["charts"]:
             return _draw(arguments[1:], console)
+        if arguments[:1] == ["tables"]:
+            return _tabulate(arguments[1:])
         return _measure(arguments, console)
     except (SceneError, RecordError, OSError) as error:
         print(f"bench: {error}", file=sys.stderr)
@@ -78,6 +82,15 @@ def _draw(arguments: list[str], console: Console) -> int:
     return 0
 
 
+def _tabulate(arguments: list[str]) -> int:
+    parser = argparse.ArgumentParser(
+        prog="bench tables", description="Prints the charts of records as tables in Markdown."
+    )
+    parser.add_argument("files", nargs="+", type=Path, help="JSON files that bench wrote")
+    print("\n\n".join(charts.tables(load(parser.parse_args(arguments).files))))
+    return 0
+
+
 def _measure(arguments: list[str], console: Console) -> int:
     options = _parser().parse_args(arguments)
     plan = Plan(
@@ -90,6 +103,8 @@ def _measure(arguments: list[str], console: Console) -> int:
         one_process=options.one_process,
         budget=QUICK_BUDGET if options.quick else FULL_BUDGET,
     )
+    if options.seconds is not None:
+        plan = replace(plan, budget=replace(plan.budget, seconds=options.seconds))
     options.out.mkdir(parents=True, exist_ok=True)
     circumstances = machine.circumstances(arguments)
     console.print(
@@ -125,7 +140,8 @@ def _parser() -> argparse.ArgumentParser:
     subjects = "; ".join(f"{name}: {subject.about}" for name, subject in SUBJECTS.items())
     parser = argparse.ArgumentParser(
         prog="bench", description=__doc__,
-        epilog="`bench charts FILES...` draws the charts of records again. "
+        epilog="`bench charts FILES...` draws the charts of records again, `bench tables FILES...` "
+        "prints them in Markdown. "
         "Ctrl-C ends a run and keeps what was measured.",
     )  # fmt: skip
     parser.add_argument(
@@ -152,6 +168,9 @@ def _parser() -> argparse.ArgumentParser:
         "--variants", nargs="+", default=[], metavar="NAME",
         help="of the renderer's settings, for the subject frame",
     )  # fmt: skip
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="how long to repeat each measurement"
+    )
     parser.add_argument(
         "--one-process", action="store_true", help="growth: all in one process, without ROS 2"
     )
@@ -189,7 +208,8 @@ class Recorder:
 
     def add(self, measured: Measurement) -> Record:
         """Writes what was measured."""
-        self.records.append(Record.of(self.subject, measured, self._circumstances))
+        now = replace(self._circumstances, load=os.getloadavg()[0])
+        self.records.append(Record.of(self.subject, measured, now))
         save(self.path, self.records)
         return self.records[-1]
 
@@ -225,13 +245,12 @@ def tables(records: list[Record]) -> Iterator[Table]:
         for column in ("scene", *keys):
             shown.add_column(column)
         shown.add_column("splats", justify="right")
-        for column in ("median", "p95", "p99", "most", "n"):
+        for column in STATISTICS:
             shown.add_column(column, justify="right")
         for record in mine:
             shown.add_row(
                 record.scene, *(_text(record.parameters.get(key, "")) for key in keys),
-                _text(record.splats), _text(record.p50), _text(record.p95), _text(record.p99),
-                _text(record.most), str(record.n),
+                *(_text(getattr(record, key)) for key in ("splats", *STATISTICS)),
             )  # fmt: skip
         yield shown
 

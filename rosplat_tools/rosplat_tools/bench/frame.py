@@ -6,7 +6,7 @@ import ctypes
 import gc
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +40,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "tiles": {"rasterizer": "TILES"},
     "float blending": {"float_blending": True},
 }
-QUICK_VARIANTS = ("default",)
+DEFAULT_ONLY = ("default",)  # of a quick run, and where no GPU draws
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,10 @@ def measure(plan: Plan) -> Iterator[Event]:
             sizes = plan.sizes or (
                 QUICK_SIZES if plan.quick else SOFTWARE_SIZES if software else SIZES
             )
+            variants = plan.variants or (
+                DEFAULT_ONLY if plan.quick or software else tuple(VARIANTS)
+            )
+            plan = replace(plan, variants=variants)
             names = scenes.names(sizes, plan.scenes)
             for number, name in enumerate(names):
                 yield from isolated(_scene, plan, name, number, len(names) + 1)
@@ -105,12 +109,11 @@ def _scene(plan: Plan, name: str, number: int, total: int) -> Iterator[Event]:
         embedded.insert(renderer, splats, part, revision)
     pictures = scenes.PICTURES[:1] if plan.quick else scenes.PICTURES
     views = VIEWS[:1] if plan.quick else VIEWS
-    variants = plan.variants or (QUICK_VARIANTS if plan.quick else tuple(VARIANTS))
     jobs = [(picture, view) for picture in pictures for view in views]
     for index, (picture, view) in enumerate(jobs):
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
         orders = _sorted(splats, cameras)
-        for variant in variants:
+        for variant in plan.variants:
             size = f"{picture[0]}x{picture[1]}"
             yield Doing(f"{name}, {size}, {view}, {variant}", (number + index / len(jobs)) / total)
             labels = {

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rosplat_tools.bench.records import Budget
 
-FULL_BUDGET = Budget(least=10, most=200, seconds=3.0)
+FULL_BUDGET = Budget(least=7, most=200, seconds=2.0)
 QUICK_BUDGET = Budget(least=3, most=30, seconds=0.3)
 
 

@@ -77,7 +77,7 @@ class Circumstances:
     command: str
     time: str
     load: float
-    """Programs that wanted a processor while nothing was measured yet, a minute's mean."""
+    """Programs that wanted a processor, the measured ones among them; the last minute's mean."""
 
 
 @dataclass(frozen=True)
