@@ -50,6 +50,26 @@ Window Geometry: {Width: 1400, Height: 900}
 """
 
 
+SELECTION_CONFIG = """\
+Panels:
+  - Class: rviz_common/Selection
+    Name: Selection
+Visualization Manager:
+  Displays:
+    - {Class: rviz_default_plugins/Grid, Name: Grid, Enabled: true, Value: true, Cell Size: 1,
+       Plane Cell Count: 10, Alpha: 0.4}
+    - {Class: rviz_gaussian_plugin/GaussianMap, Name: Gaussian Map, Enabled: true, Value: true,
+       Topic: /gaussians}
+  Global Options: {Fixed Frame: map, Background Color: 32; 34; 38, Frame Rate: 30}
+  Tools:
+    - {Class: rviz_default_plugins/Select}
+  Views:
+    Current: {Class: rviz_default_plugins/Orbit, Name: Current View, Distance: 4.2, Yaw: 0.8,
+      Pitch: 0.35, Focal Point: {X: 0, Y: 0, Z: 0.9}, Near Clip Distance: 0.01}
+Window Geometry: {Width: 1400, Height: 900}
+"""
+
+
 def shoot(name: str, display: str, crop: tuple[int, int, int, int] | None = None) -> None:
     """A picture of the screen into docs/, small enough for a README."""
     picture = ImageGrab.grab(xdisplay=display).convert("RGB")
@@ -103,6 +123,25 @@ def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
     rclpy.shutdown()
 
 
+def selection(display: str, folder: Path, seconds: float) -> None:
+    """Splats that a box of the Select tool has selected, one of them unfolded in the panel."""
+    config = folder / "selection.rviz"
+    config.write_text(SELECTION_CONFIG)
+    with Processes(folder) as processes:
+        processes.node(
+            "rosplat_tools", "ply_publisher", "--ros-args", "-p", "path:=procedural:6000"
+        )
+        processes.start("rviz2", ["rviz2", "-d", str(config)])
+        time.sleep(seconds)
+        processes.check()
+        drag = ["mousemove", "820", "330", "mousedown", "1", "mousemove", "840", "350"]
+        subprocess.run(["xdotool", *drag, "mousemove", "860", "370", "mouseup", "1"], check=True)
+        time.sleep(seconds / 4)
+        subprocess.run(["xdotool", "mousemove", "12", "92", "click", "1"], check=True)
+        time.sleep(seconds / 4)
+        shoot("selection.jpg", display)
+
+
 def embedded_viewer(folder: Path) -> None:
     """The picture of `make demo` without a display."""
     with Processes(folder) as processes:
@@ -128,6 +167,7 @@ def main() -> None:
     os.environ.pop("DISPLAY", None)
     with ensure_display(*SIZE) as display:
         occlusion(display, folder, options.scene, options.seconds)
+        selection(display, folder, options.seconds)
         shipped_configuration(display, folder, options.seconds)
 
 

@@ -86,7 +86,7 @@ def test_a_click_selects_shows_and_publishes_the_splat(
     np.testing.assert_allclose([message.scale.x, message.scale.z], [0.3, 0.01], rtol=4e-4)
     assert message.opacity == 1.0
     np.testing.assert_allclose(message.sh, splats.sh[1].ravel(), rtol=1e-3, atol=1e-6)
-    entry = selection(rviz)["Splat in slot 1"]
+    entry = selection(rviz)["Slot 1"]
     assert entry["Position"] == "1; 0; 0"
     assert entry["Opacity"] == "1"
     assert entry["Base Color"] == "0; 0; 255"
@@ -104,13 +104,13 @@ def test_a_box_selects_more_keys_add_and_remove(
     world.map.replace(concatenate([disc(colour, x=x, sigma=0.1) for x, colour in colours.items()]))
     left, middle, right = spot(rviz, red), spot(rviz, green), spot(rviz, blue)
     rviz.drag((left[0] - 30, left[1] - 30), (middle[0] + 30, middle[1] + 30))
-    until_selected(rviz, world, {"Splat in slot 0", "Splat in slot 1"})
+    until_selected(rviz, world, {"Slot 0", "Slot 1"})
     world.spin_until(lambda: {message.slot for message in picked} == {0, 1})
     rviz.drag(right, (right[0] + 1, right[1] + 1), hold="shift")
-    until_selected(rviz, world, {f"Splat in slot {slot}" for slot in (0, 1, 2)})
+    until_selected(rviz, world, {f"Slot {slot}" for slot in (0, 1, 2)})
     world.spin_until(lambda: [message.slot for message in picked] == [0, 1, 2])
     rviz.drag(middle, (middle[0] + 1, middle[1] + 1), hold="ctrl")
-    until_selected(rviz, world, {"Splat in slot 0", "Splat in slot 2"})
+    until_selected(rviz, world, {"Slot 0", "Slot 2"})
     rviz.click(left[0] - 150, left[1])  # the void
     until_selected(rviz, world, set())
     rviz.until(lambda s: not cyan(s).any())
@@ -127,10 +127,10 @@ def test_what_hides_a_splat_keeps_it_from_being_selected(
     world.cube(z=1.0, x=-0.6, size=0.6)
     hidden = spot(rviz, green)
     rviz.click(*top)
-    until_selected(rviz, world, {"Splat in slot 1"})
+    until_selected(rviz, world, {"Slot 1"})
     world.spin_until(lambda: picked)
     rviz.click(*hidden)
-    world.spin_until(lambda: not any("slot" in name for name in selection(rviz)))
+    world.spin_until(lambda: not any("Slot" in name for name in selection(rviz)))
     assert [message.slot for message in picked] == [1]
 
 
@@ -144,7 +144,7 @@ def test_a_perspective_view_picks_the_same(rviz: Rviz, world: World, picked: lis
     for colour, slot in ((red, 0), (blue, 1)):
         row, column = spot(rviz, colour)
         rviz.click(row, column)
-        until_selected(rviz, world, {f"Splat in slot {slot}"})
+        until_selected(rviz, world, {f"Slot {slot}"})
         outline = centre(cyan(rviz.until(lambda s: cyan(s).sum() > 50)))
         np.testing.assert_allclose(outline, (row, column), atol=6)
         rviz.click(5, 5)
@@ -155,19 +155,19 @@ def test_a_perspective_view_picks_the_same(rviz: Rviz, world: World, picked: lis
 def test_the_selection_follows_the_map(rviz: Rviz, world: World, picked: list[Any]) -> None:
     world.map.replace(disc((0, 0, 1), sigma=0.2))
     rviz.click(*spot(rviz, blue))
-    until_selected(rviz, world, {"Splat in slot 0"})
+    until_selected(rviz, world, {"Slot 0"})
     moved: Splats = disc((1, 0, 0), x=1.0, sigma=0.1)
     world.map.upsert(range(1), moved)
-    world.spin_until(lambda: selection(rviz)["Splat in slot 0"].get("Position") == "1; 0; 0")
+    world.spin_until(lambda: selection(rviz)["Slot 0"].get("Position") == "1; 0; 0")
     world.map.delete(range(1))
-    world.spin_until(lambda: selection(rviz)["Splat in slot 0"] == {})
+    world.spin_until(lambda: selection(rviz)["Slot 0"] == {})
     rviz.until(lambda s: not cyan(s).any())
     rviz.set("Map", value=False)  # the handler goes with what is selected
     until_selected(rviz, world, set())
     rviz.set("Map", value=True)
     world.map.upsert(range(1), moved)
     rviz.click(*spot(rviz, red))
-    until_selected(rviz, world, {"Splat in slot 0"})
+    until_selected(rviz, world, {"Slot 0"})
 
 
 def test_hundreds_are_counted_not_listed(rviz: Rviz, world: World, picked: list[Any]) -> None:

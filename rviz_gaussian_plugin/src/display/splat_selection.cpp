@@ -7,6 +7,7 @@
 
 #include <QColor>
 #include <algorithm>
+#include <cmath>
 #include <rviz_common/display_context.hpp>
 #include <rviz_common/interaction/handler_manager_iface.hpp>
 #include <rviz_common/properties/color_property.hpp>
@@ -32,10 +33,13 @@ std::set<std::uint32_t> slotsOf(const Picked& picked) {
   return slots;
 }
 
+// Rounded to a unit, which leaves whole coordinates of maps far from their frame's origin.
 template <typename Values>
-QString text(const Values& values) {
+QString text(const Values& values, double unit) {
   QStringList numbers;
-  for (const auto value : values) numbers.append(QString::number(value, 'g', 9));
+  for (const double value : values) {
+    numbers.append(QString::number(unit * std::round(value / unit), 'g', 12));
+  }
   return numbers.join("; ");
 }
 
@@ -48,16 +52,16 @@ QColor baseColour(const SplatValues& splat) {
 }
 
 Property* describe(const SplatValues& splat) {
-  auto* parent = new Property(QString("Splat in slot %1").arg(splat.slot));
+  auto* parent = new Property(QString("Slot %1").arg(splat.slot));
   const auto add = [parent](const char* name, const QString& value, const char* description) {
     (new Property(name, value, description, parent))->setReadOnly(true);
   };
   if (splat.opacity <= 0) {
     parent->setValue("empty");
   } else {
-    add("Position", text(splat.position), "Mean x; y; z in the map's frame. [m]");
-    add("Orientation", text(splat.orientation), "Of the principal axes: x; y; z; w.");
-    add("Scale", text(splat.scale), "Standard deviations along the principal axes. [m]");
+    add("Position", text(splat.position, 1e-4), "Mean x; y; z in the map's frame. [m]");
+    add("Orientation", text(splat.orientation, 1e-3), "Of the principal axes: x; y; z; w.");
+    add("Scale", text(splat.scale, 1e-5), "Standard deviations along the principal axes. [m]");
     add("Opacity", QString::number(splat.opacity, 'g', 4), "At the peak, 0 to 1.");
     (new rviz_common::properties::ColorProperty(
          "Base Color", baseColour(splat),
