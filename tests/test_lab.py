@@ -12,6 +12,7 @@ def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
     command = [
         sys.executable, "-m", "rosplat_tools.lab", "procedural:3000", "--out", str(tmp_path),
         "--cameras", "2", "--width", "160", "--height", "90", "--threads", "1", "--repeats", "1",
+        "--part", "chart",
     ]  # fmt: skip
     run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stderr

@@ -1,7 +1,8 @@
 """The laboratory: the error of every method against its time, and where methods fail.
 
 `orders` and `fragments` are the maths, `methods` lists what is compared, `bench` runs the real
-pipeline, `points` keeps what was measured, `report` and `charts` show it.
+pipeline, `points` keeps what was measured, `report` and `charts` show it; `atlas` looks
+for failures, and `stability` writes them down.
 """
 
 from __future__ import annotations

@@ -19,11 +19,12 @@ from tqdm import tqdm
 from rosplat_tools import reference
 from rosplat_tools.bench.machine import commit, machine
 from rosplat_tools.cameras import Camera
-from rosplat_tools.lab import charts, motion, points, report
+from rosplat_tools.lab import atlas, charts, motion, points, report, stability
 from rosplat_tools.lab.bench import Bench, Image
 from rosplat_tools.lab.methods import METHODS, Method
 from rosplat_tools.lab.points import MOST_PSNR, Point, Store
 from rosplat_tools.metrics import compare
+from rosplat_tools.processes import interrupt_by_signals
 from rosplat_tools.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_tools.splats import SceneError, Splats
 from rviz_gaussian_plugin.offscreen import ensure_display
@@ -135,11 +136,16 @@ def main(arguments: list[str] | None = None) -> int:
         "--threads", type=int, default=0, help="of sorters on the CPU (0: as many as there are)"
     )
     parser.add_argument("--repeats", type=int, default=3, help="times are the fastest of so many")
+    parser.add_argument(
+        "--part", choices=["all", "chart", "atlas"], default="all", help="what to measure"
+    )
     options = parser.parse_args(arguments)
+    interrupt_by_signals()
     options.cameras = options.cameras or (QUICK_CAMERAS if options.quick else 8)
     command = shlex.join(["lab", *(sys.argv[1:] if arguments is None else arguments)])
     try:
-        scenes = [load(name, options) for name in options.scenes or [f"{PROCEDURAL}100000"]]
+        names = [] if options.part == "atlas" else options.scenes or [f"{PROCEDURAL}100000"]
+        scenes = [load(name, options) for name in names]
         store = Store(options.out)
         with ensure_display():
             run(scenes, store, options, command)
@@ -161,13 +167,21 @@ def run(scenes: list[Scene], store: Store, options: argparse.Namespace, command:
         for method in METHODS
         if options.only in f"{method.name} {method.family}" and method.available(bench)
     ]
-    measured = [
-        point for scene in scenes for point in measure(scene, wanted, bench, store, command)
-    ]
-    points.save(store.folder / "lab.json", measured)
-    page = report.write(store.folder, measured)
-    pictures = charts.write(options.docs or store.folder, measured)
-    print(f"wrote {page}, {', '.join(map(str, pictures))}")
+    if options.part != "atlas":
+        measured = [
+            point for scene in scenes for point in measure(scene, wanted, bench, store, command)
+        ]
+        if not measured:
+            raise SceneError(f"no method's name or family holds {options.only!r}")
+        points.save(store.folder / "lab.json", measured)
+        page = report.write(store.folder, measured)
+        pictures = charts.write(options.docs or store.folder, measured)
+        print(f"wrote {page}, {', '.join(map(str, pictures))}")
+    if options.part != "chart":
+        findings = atlas.explore(bench, options.quick)
+        atlas.save(store.folder / "stability.json", findings)
+        facts = f"{bench.graphics}, {machine()}, commit {commit()}"
+        print(f"wrote {stability.write(options.docs or store.folder, findings, facts)}")
     del bench  # its window before the display
 
 

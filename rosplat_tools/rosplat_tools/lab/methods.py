@@ -66,13 +66,29 @@ def by_keys(quantise: orders.Quantise, distance: Any = orders.by_z) -> Sort:
     return sort
 
 
-def stale(frames: int, kind: str, speed: float = 1.0) -> Sort:
-    """The exact order of some frames ago, its time shared by the frames that draw it."""
+def widened(camera: Camera, factor: float) -> Camera:
+    """The camera with a picture so many times as wide and high, around the same middle."""
+    width, height = round(factor * camera.width), round(factor * camera.height)
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        cx=camera.cx + (width - camera.width) / 2,
+        cy=camera.cy + (height - camera.height) / 2,
+    )
+
+
+def stale(frames: int, kind: str, speed: float = 1.0, wider: float = 1.0) -> Sort:
+    """The exact order of some frames ago, its time shared by the frames that draw it.
+
+    wider: culled for a picture so many times as large.
+    """
 
     def sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
         target = motion.typical_bounds(bench.splats).mean(axis=0)
         seconds = frames / motion.FRAME_RATE
-        order, milliseconds = bench.order(motion.before(camera, kind, speed, seconds, target))
+        past = motion.before(camera, kind, speed, seconds, target)
+        order, milliseconds = bench.order(widened(past, wider))
         return order, milliseconds / (frames + 1)
 
     return sort
@@ -84,11 +100,11 @@ def no_sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
     return bench.timed(lambda: orders.unsorted(view, bench.map))
 
 
-def most_worth(share: float) -> Sort:
-    """The part of the exact order with the largest opacity times area."""
+def most_worth(share: float, of: Sort) -> Sort:
+    """The part of an order with the largest opacity times area."""
 
     def sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
-        order, milliseconds = bench.order(camera)
+        order, milliseconds = of(bench, camera)
 
         def cull() -> Order:
             sizes = orders.radii(bench.view(camera), bench.map, order)
@@ -220,6 +236,14 @@ METHODS: tuple[Method, ...] = (
         for kind in ("rotation", "orbit", "dolly")
         for frames in (1, 2, 5, 10)
     ),
+    *(
+        Method(
+            f"rotation, {frames} frames old, culled {wider}x wider", "age rotation, wider",
+            drawn(stale(frames, "rotation", wider=wider)),
+        )
+        for wider in (1.25, 1.5)
+        for frames in (5, 10)
+    ),
     # What is blended, and in what.
     Method("blend RGBA32F", "blend", drawn()),
     Method("blend RGBA16F", "blend", drawn(float_blending=False)),
@@ -253,15 +277,23 @@ METHODS: tuple[Method, ...] = (
     Method("packed, SH in 4 bits", "packed", drawn(), change=packed(4)),
     # How many splats are drawn.
     *(
-        Method(f"budget {share:.0%}", "budget", drawn(most_worth(share)))
+        Method(f"budget {share:.0%}", "budget", drawn(most_worth(share, EXACT)))
         for share in (0.9, 0.75, 0.5, 0.25)
     ),
     *(
         Method(f"from {pixels} px", "least size", drawn(large_enough(pixels)))
         for pixels in (0.5, 1, 2)
     ),
-    # All at once, as a user would set them.
-    Method("fast: age 2, 16F, SH 1, half floats, 90%", "preset",
-           drawn(most_worth(0.9), float_blending=False, max_sh_degree=1),
-           change=halves("positions", *HALF)),
+    # All at once: what `quality` could mean.
+    Method("preset exact", "preset", drawn()),
+    Method(
+        "preset balanced", "preset",
+        drawn(stale(1, "rotation", wider=1.25), float_blending=False),
+        change=halves(*HALF),
+    ),
+    Method(
+        "preset fast", "preset",
+        drawn(most_worth(0.9, stale(2, "rotation", wider=1.25)), float_blending=False),
+        change=halves("positions", *HALF),
+    ),
 )  # fmt: skip
