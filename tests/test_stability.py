@@ -56,8 +56,8 @@ def test_every_case_is_explained() -> None:
 def test_the_renderer_stays_with_the_reference(
     curves: dict[str, Curves], case: str, curve: str
 ) -> None:
-    """80 dB is a mean error of a fortieth of an 8-bit grey level."""
-    assert min(curves[case][curve]) > 80
+    """65 dB is a mean error of a seventh of an 8-bit grey level, mostly of packed attributes."""
+    assert min(curves[case][curve]) > 65
 
 
 def test_what_is_known_to_fail_does(curves: dict[str, Curves]) -> None:
@@ -98,7 +98,8 @@ WIDEST = "for a view 2 times as wide"
 
 def test_moving_without_turning_keeps_an_order_exact(curves: dict[str, Curves]) -> None:
     """As long as nothing that comes into view was culled: the last figure is of coming nearer."""
-    assert curves["stale_dolly"]["culled for its view"][-1] > 80
+    still, *_, nearer = curves["stale_dolly"]["culled for its view"][1:]
+    assert nearer == pytest.approx(still, abs=0.1)
 
 
 def test_turning_leaves_orders_by_distance_alone(curves: dict[str, Curves]) -> None:

@@ -15,6 +15,7 @@ from rosplat_tools.lab import fragments, motion, orders
 from rosplat_tools.lab.bench import Bench, Image
 from rosplat_tools.lab.orders import Order
 from rosplat_tools.splats import Splats
+from rviz_gaussian_plugin.offscreen import OrderSource, Rasterizer
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,9 @@ class Shot:
 
 Shoot = Callable[[Bench, Camera], Shot]
 Sort = Callable[[Bench, Camera], tuple[Order, float]]
+"""An order and its time [ms]."""
+OwnSort = Callable[[Bench, Camera], tuple[None, float]]
+"""No order: the renderer sorts."""
 Change = Callable[[Splats], Splats]
 
 
@@ -94,6 +98,11 @@ def stale(frames: int, kind: str, speed: float = 1.0, wider: float = 1.0) -> Sor
     return sort
 
 
+def by_renderer(bench: Bench, camera: Camera) -> tuple[None, float]:
+    """The renderer's own sort on the GPU, whose time is part of drawing."""
+    return None, 0.0
+
+
 def no_sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
     """What is visible, as it lies in the map."""
     view = bench.view(camera)
@@ -136,13 +145,13 @@ def large_enough(pixels: float) -> Sort:
 EXACT = sorted_by("native")
 
 
-def drawn(sort: Sort = EXACT, float_blending: bool = True, **settings: Any) -> Shoot:
+def drawn(sort: Sort | OwnSort = EXACT, float_blending: bool = True, **settings: Any) -> Shoot:
     """By the renderer. In 32-bit floats, so that only what a method varies makes its error."""
 
     def shoot(bench: Bench, camera: Camera) -> Shot:
         order, sort_ms = sort(bench, camera)
         picture, draw_ms = bench.draw(camera, order, float_blending=float_blending, **settings)
-        return Shot(picture, sort_ms, draw_ms, len(order))
+        return Shot(picture, sort_ms, draw_ms, None if order is None else len(order))
 
     return shoot
 
@@ -245,8 +254,22 @@ METHODS: tuple[Method, ...] = (
         for frames in (5, 10)
     ),
     # What is blended, and in what.
-    Method("blend RGBA32F", "blend", drawn()),
-    Method("blend RGBA16F", "blend", drawn(float_blending=False)),
+    Method("blend RGBA32F", "blend", drawn(rasterizer=Rasterizer.QUADS)),
+    Method(
+        "blend RGBA16F", "blend", drawn(float_blending=False, rasterizer=Rasterizer.QUADS)
+    ),
+    Method("tiles, to RGBA32F", "tiles", drawn(rasterizer=Rasterizer.TILES)),
+    Method(
+        "tiles, to RGBA16F", "tiles", drawn(float_blending=False, rasterizer=Rasterizer.TILES)
+    ),
+    Method(
+        "tiles, sorted by the renderer", "tiles",
+        drawn(by_renderer, order=OrderSource.GPU, rasterizer=Rasterizer.TILES),
+    ),
+    Method(
+        "quads, sorted by the renderer", "blend",
+        drawn(by_renderer, order=OrderSource.GPU, rasterizer=Rasterizer.QUADS),
+    ),
     Method("blend RGBA8", "blend", modelled(fragments.rounded(255)), model=True),
     Method(
         "blend RGBA8, front to back", "blend",
