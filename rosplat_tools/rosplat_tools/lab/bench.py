@@ -19,7 +19,7 @@ from rosplat_sorter.view import View
 from rosplat_tools.cameras import Camera
 from rosplat_tools.lab.orders import Order
 from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin.offscreen import Renderer, RenderSettings
+from rviz_gaussian_plugin.offscreen import OrderSource, Renderer, RenderSettings
 
 Image = NDArray[np.float64]
 T = TypeVar("T")
@@ -103,14 +103,16 @@ class Bench:
     def draw(self, camera: Camera, order: Order | None, **settings: Any) -> tuple[Image, float]:
         """(height, width, 3) RGB over black of an order, and the time until it could be read [ms].
 
-        order: None where the renderer is to sort. settings: of RenderSettings, by name. Raises
-        KeyError for one that the renderer lacks.
+        order: None where the renderer is to sort on the GPU. settings: of RenderSettings, by name.
+        Raises KeyError for one that the renderer lacks.
         """
         rendering = RenderSettings()
         for name, value in settings.items():
             if not hasattr(rendering, name):
                 raise KeyError(f"the renderer has no setting {name}")
             setattr(rendering, name, value)
+        if order is None:
+            rendering.order = OrderSource.GPU
         self.renderer.settings = rendering
         best = float("inf")
         for left in reversed(range(self.repeats)):

@@ -98,7 +98,11 @@ def measure(
                 if shown is None:
                     shown = method.change(scene.splats) if method.change else scene.splats
                 bench.show(shown)
-                shot = method.shoot(bench, camera)
+                try:
+                    shot = method.shoot(bench, camera)
+                except RuntimeError as error:  # what the graphics here can't do
+                    tqdm.write(f"without {method.name}: {error}", file=sys.stderr)
+                    break
                 values: dict[str, Any] = compare(shot.picture, truth)
                 values["psnr"] = min(values["psnr"], MOST_PSNR)
                 point = Point(

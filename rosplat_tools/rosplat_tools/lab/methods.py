@@ -15,7 +15,7 @@ from rosplat_tools.lab import fragments, motion, orders
 from rosplat_tools.lab.bench import Bench, Image
 from rosplat_tools.lab.orders import Order
 from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin.offscreen import OrderSource, Rasterizer
+from rviz_gaussian_plugin.offscreen import Rasterizer
 
 
 @dataclass(frozen=True)
@@ -264,11 +264,11 @@ METHODS: tuple[Method, ...] = (
     ),
     Method(
         "tiles, sorted by the renderer", "tiles",
-        drawn(by_renderer, order=OrderSource.GPU, rasterizer=Rasterizer.TILES),
+        drawn(by_renderer, rasterizer=Rasterizer.TILES),
     ),
     Method(
         "quads, sorted by the renderer", "blend",
-        drawn(by_renderer, order=OrderSource.GPU, rasterizer=Rasterizer.QUADS),
+        drawn(by_renderer, rasterizer=Rasterizer.QUADS),
     ),
     Method("blend RGBA8", "blend", modelled(fragments.rounded(255)), model=True),
     Method(
