@@ -113,6 +113,8 @@ def _scene(plan: Plan, name: str, number: int, total: int) -> Iterator[Event]:
     for index, (picture, view) in enumerate(jobs):
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
         orders = _sorted(splats, cameras)
+        bench.view.look(cameras[0])
+        bench.view.draw(built_in=True)  # which uploads all that waits
         for variant in plan.variants:
             size = f"{picture[0]}x{picture[1]}"
             yield Doing(f"{name}, {size}, {view}, {variant}", (number + index / len(jobs)) / total)
