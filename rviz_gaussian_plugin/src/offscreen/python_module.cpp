@@ -83,7 +83,11 @@ void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint
 }
 
 py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool built_in) {
-  const FrameReport report = renderer.draw(view_id, built_in);
+  FrameReport report;
+  {
+    const py::gil_scoped_release release;  // or orders would wait for the frame
+    report = renderer.draw(view_id, built_in);
+  }
   return py::dict("splats"_a = report.splats, "order_source"_a = report.order_source,
                   "order_fresh"_a = report.order_fresh, "order_age"_a = report.order_age,
                   "sort_time"_a = report.sort_time, "draw_time"_a = report.draw_time,
