@@ -40,7 +40,7 @@ def test_sorting_is_measured_for_every_backend_that_is_here(tmp_path: Path) -> N
 
 def test_a_wrong_order_is_not_timed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     backend = "rosplat_sorter.backends.numpy_backend.NumpyBackend.order"
-    monkeypatch.setattr(backend, lambda self, view: np.arange(3, dtype=np.uint32))
+    monkeypatch.setattr(backend, lambda self, view, allocate: np.arange(3, dtype=np.uint32))
     arguments = ["sort", "--sizes", "1k", "--backends", "numpy", "--out", str(tmp_path)]
     assert main(arguments) == 1
     assert not (tmp_path / "sort.json").exists()
@@ -90,7 +90,7 @@ def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("way", [[], ["--one-process"]])
 def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path, way: list[str]) -> None:
-    records = bench(tmp_path, "growth", "--sizes", "20000", "--backends", "native", *way)
+    records = bench(tmp_path, "growth", "--sizes", "60000", "--backends", "native", *way)
     programs = {record.parameters["process"] for record in records if record.name == "RAM"}
     assert programs == ({"all in one"} if way else {"publisher", "sorter", "viewer"})
     orders = [r.value for r in records if r.name == "frames by the sorter's order"]
@@ -98,8 +98,8 @@ def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path, way: list[str])
     rates = [record for record in records if record.name == "frame rate"]
     sizes = [record.splats for record in rates]
     assert sizes == sorted(sizes)
-    assert len(sizes) >= 3
-    assert sizes[-1] > 15_000
+    assert len(sizes) >= 2
+    assert sizes[-1] > 55_000
     assert {"growth-fps.png", "growth-ram.png", "growth-vram.png"} <= {
         path.name for path in tmp_path.iterdir()
     }
@@ -108,7 +108,8 @@ def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path, way: list[str])
 def test_messages_are_measured_in_every_form(tmp_path: Path) -> None:
     records = bench(tmp_path, "transport", "--sizes", "2000")
     orders = [record for record in records if record.name == "order"]
-    assert [record.splats for record in orders] == [2000]
+    ways = {record.parameters["way"] for record in orders if record.splats == 2000}
+    assert ways == {"inline", "packed", "shared memory"}
     batches = {str(r.parameters["way"]).split(":")[0]: r for r in records if r.name == "batch"}
     assert {"GaussianArray", "PoseArray"} <= batches.keys()
     assert any(record.name == "publish to visible" for record in records)

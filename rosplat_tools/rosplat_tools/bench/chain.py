@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -22,7 +23,7 @@ ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
 
 def measure(plan: Plan) -> Iterator[Event]:
     """Latencies and memory by scene, rate of the camera and backend."""
-    backends, missing = live.backends(plan.backends)
+    backends, missing = live.backends(plan.backends, live.GPU)
     yield from missing
     if plan.quick and not plan.backends:
         backends = backends[:1]
@@ -51,19 +52,21 @@ def _report(name: str, backend: str, rate: float, seen: live.Watched) -> Iterato
         "scene": name, "splats": frames[-1]["splats"], "gpu": frames[-1]["renderer"],
         "rate": rate, "backend": backend,
     }  # fmt: skip
+    carried = Counter(ENCODINGS[arrival["encoding"]] for arrival in arrivals)
+    common["orders"] = carried.most_common(1)[0][0] if carried else "none"
     latencies = np.array([frame["latency"] for frame in frames])
-    latencies = latencies[np.isfinite(latencies)]
-    if len(latencies):
-        carried = sorted({ENCODINGS[arrival["encoding"]] for arrival in arrivals})
-        common["orders"] = ", ".join(carried)
+    if np.isfinite(latencies).any():
+        latencies = latencies[np.isfinite(latencies)]
         yield Measurement.of("pose to picture", "ms", 1e3 * latencies, **common)
-        ways = np.array([arrival["time"] - arrival["looked"] for arrival in arrivals])
-        sorting = np.array([arrival["sort_time"] for arrival in arrivals])
-        known = np.isfinite(ways)
-        yield Measurement.of("pose to order", "ms", 1e3 * ways[known], **common)
-        yield Measurement.of("of which sorting", "ms", 1e3 * sorting[known], **common)
-        travel = 1e3 * (ways - sorting)[known]
-        yield Measurement.of("of which waiting and on the way", "ms", travel, **common)
+    known = [arrival for arrival in arrivals if np.isfinite(arrival["looked"])]
+    if known:
+        ways = np.array([arrival["time"] - arrival["looked"] for arrival in known])
+        sorting = np.array([arrival["sort_time"] for arrival in known])
+        yield Measurement.of("pose to order", "ms", 1e3 * ways, **common)
+        yield Measurement.of("of which sorting", "ms", 1e3 * sorting, **common)
+        yield Measurement.of(
+            "of which waiting and on the way", "ms", 1e3 * (ways - sorting), **common
+        )
     yield Measurement.of("frame", "ms", [1e3 * frame["frame"] for frame in frames], **common)
     span = frames[-1]["time"] - frames[0]["time"]
     if span > 0:

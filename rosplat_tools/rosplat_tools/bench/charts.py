@@ -50,6 +50,15 @@ CHARTS = (
         parameter("method"), parameter("view"),
     ),
     Chart(
+        "sort-pinned",
+        "sort",
+        "order in pinned memory",
+        "Depth order, in pinned memory",
+        "time [ms]",
+        parameter("method"),
+        parameter("view"),
+    ),
+    Chart(
         "sort-gpu", "sort", "order on the GPU", "Depth order, left on the GPU", "time [ms]",
         parameter("method"), parameter("view"),
     ),

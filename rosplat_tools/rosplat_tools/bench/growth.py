@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 
-from rosplat_sorter.backends import open_backend
+from rosplat_sorter.backends import BACKENDS, open_backend
 from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.edits import UPSERT, Edit
 from rosplat_sorter.map import SplatMap
@@ -39,7 +39,7 @@ PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
 def measure(plan: Plan) -> Iterator[Event]:
     """Frame rate, RAM of each process and memory of the GPU, by number of splats and backend."""
     size = max(plan.sizes, default=QUICK_SIZE if plan.quick else SIZE)
-    backends, missing = live.backends(plan.backends, built_in=not plan.quick)
+    backends, missing = live.backends(plan.backends, live.BUILT_IN, live.GPU)
     yield from missing
     if plan.quick and not plan.backends:
         backends = backends[:2]
@@ -68,18 +68,18 @@ def _over_ros(plan: Plan, size: int, backend: str, picture: tuple[int, int]) -> 
             "-p", "prune_fraction:=0.0", "-p", f"history_depth:={2 * size // BATCH + 2}",
         ),
         backend=backend, radius=GARDEN, picture=picture,
-        until=lambda seen: _grown(seen, size, backend != live.BUILT_IN),
+        until=lambda seen: _grown(seen, size, backend),
     )  # fmt: skip
 
 
-def _grown(seen: live.Watched, size: int, sorted_elsewhere: bool) -> bool:
+def _grown(seen: live.Watched, size: int, backend: str) -> bool:
     """Whether the whole map is drawn, by the order that is measured, for a while."""
     if not seen.frames or not seen.ram:
         return False
     last = seen.frames[-1]
     since = next(f["time"] for f in seen.frames if f["splats"] == last["splats"])
     waited = seen.ram[-1][0] - since
-    answered = not sorted_elsewhere or last["source"].startswith(SORTERS)
+    answered = backend not in BACKENDS or last["source"].startswith(SORTERS)
     settled = last["splats"] >= size and answered
     return (settled and waited > LINGER) or waited > STALLED
 
@@ -101,9 +101,8 @@ def _grow(size: int, backend: str, picture: tuple[int, int]) -> live.Watched:
     view = embedded.View(renderer)
     finish = embedded.gl_finish()
     sorter = None
-    if backend == live.BUILT_IN:
-        embedded.put(renderer.settings, {"order": "BUILT_IN"})
-    else:
+    embedded.put(renderer.settings, {"order": live.order_source(backend)})
+    if backend in BACKENDS:
         sorter = SortingThread(backend, splats, view)
     began = sampled = grown = time.time()
     sent = 0
@@ -201,7 +200,7 @@ def _report(size: int, backend: str, by: str, seen: live.Watched) -> Iterator[Me
     step = max(1, size // POINTS)
     for low in range(0, size, step):
         frames = [f for f in seen.frames if low < f["splats"] <= low + step]
-        if len(frames) < 2:
+        if not frames:
             continue
         since, until = frames[0]["time"] - frames[0]["frame"], frames[-1]["time"]
         splats = round(sum(f["splats"] for f in frames) / len(frames))

@@ -17,6 +17,7 @@ from rosplat_tools.bench import machine, records
 from rosplat_tools.processes import Processes
 from rosplat_tools.splats import SceneError
 
+GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
 SAMPLE = 0.2  # between looks at the processes' memory [s]
 BUILT_IN = "built-in"  # the viewer sorts by itself, no sorter runs
 START_TIMEOUT = 300.0  # until the first frame of a complete map, or its growth begins [s]
@@ -51,7 +52,7 @@ def watch(
     """Runs the three until `until`, which is asked now and then, says that it has seen enough.
 
     publisher: an executable of rosplat_tools and its arguments. backend: of the sorter, or
-    BUILT_IN. rate: see moving_viewer. Raises ProcessError where one of them ends by itself.
+    BUILT_IN, or GPU. rate: see moving_viewer. Raises ProcessError where one of them ends by itself.
     """
     namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
@@ -67,11 +68,11 @@ def watch(
                 sys.executable, "-m", "rosplat_tools.bench.moving_viewer", *remap,
                 "-p", f"trace:={trace}", "-p", f"rate:={rate}", "-p", f"radius:={radius}",
                 "-p", f"width:={picture[0]}", "-p", f"height:={picture[1]}",
-                "-p", f"built_in:={backend == BUILT_IN}",
+                "-p", f"order:={order_source(backend)}",
             ],
         )  # fmt: skip
         programs = {"viewer": viewer}
-        if backend != BUILT_IN:
+        if backend in BACKENDS:
             programs["sorter"] = processes.node(
                 "rosplat_sorter", "sorter", *remap, "-p", f"backend:={backend}"
             )
@@ -108,9 +109,14 @@ def has_ros() -> bool:
     return True
 
 
+def order_source(backend: str) -> str:
+    """The OrderSource by which a viewer draws this backend's orders, and nobody else's."""
+    return {BUILT_IN: "BUILT_IN", GPU: "GPU"}.get(backend, "SIDECAR")
+
+
 def is_answered(frame: Frame) -> bool:
-    """Whether a sorter's order came for it, of a map that is complete."""
-    return bool(frame["complete"] and frame["arrivals"])
+    """Whether it was sorted for, while the map is complete."""
+    return bool(frame["complete"] and (frame["arrivals"] or frame["fresh"]))
 
 
 def for_seconds(seconds: float) -> Callable[[Watched], bool]:
@@ -138,19 +144,21 @@ def _after(reached: Callable[[Frame], bool], seconds: float) -> Callable[[Watche
     return enough
 
 
-def backends(
-    asked: Sequence[str], *, built_in: bool = False
-) -> tuple[list[str], list[records.Skipped]]:
-    """Those that run here, and why others don't; a GPU's only there, unless asked for by name."""
+def backends(asked: Sequence[str], *own: str) -> tuple[list[str], list[records.Skipped]]:
+    """Those that run here, and why others don't; own: the viewer's, BUILT_IN or GPU.
+
+    What needs a GPU is there where an NVIDIA one is, or where it is asked for by name. Raises
+    SceneError for an unknown name.
+    """
     names = list(asked) or [name for name, entry in BACKENDS.items() if entry.automatic]
-    if built_in and not asked:
-        names.append(BUILT_IN)
+    if not asked:
+        names += [name for name in own if name != GPU or machine.nvidia_gpu()[0]]
     found, missing = [], []
     for name in names:
-        if name != BUILT_IN and name not in BACKENDS:
-            raise SceneError(f"unknown backend '{name}', known are {', '.join(BACKENDS)}")
+        if name not in (*BACKENDS, *own):
+            raise SceneError(f"unknown backend '{name}', known are {', '.join((*BACKENDS, *own))}")
         try:
-            if name != BUILT_IN:
+            if name in BACKENDS:
                 open_backend(name, gpu_only=BACKENDS[name].gpu and not asked)
             found.append(name)
         except Unavailable as error:

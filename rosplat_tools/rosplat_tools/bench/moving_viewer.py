@@ -14,14 +14,15 @@ from typing import TextIO
 import numpy as np
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-from rosplat_tools.bench.embedded import gl_finish
+from rosplat_tools.bench.embedded import gl_finish, put
 from rosplat_tools.bench.scenes import STEP
 from rosplat_tools.parameters import declare
 from rosplat_tools.running import run, spinning
 from rosplat_tools.view_messages import view_camera
 from rosplat_tools.viewer import OrbitCamera, Viewer
-from rviz_gaussian_plugin.offscreen import OrderSource, ensure_display
+from rviz_gaussian_plugin.offscreen import ensure_display
 
+REMEMBERED = 1000  # cameras whose orders may still come
 IDLE = 0.0005  # between looks at whether there is something to draw [s]
 
 
@@ -37,7 +38,7 @@ class MovingViewer(Viewer):
         self.radius: float = declare(
             self, "radius", 0.0, "Of the map, around its origin; 0: as it is seen. [m]", 0.0, 1e9
         )
-        self.built_in: bool = declare(self, "built_in", False, "Ask nobody else to sort.")
+        self.order: str = declare(self, "order", "AUTO", "Whose order is drawn: an OrderSource.")
         self.published = math.nan  # when the publisher made the map's first batch, of time.time()
         self.received = math.nan  # when the last batch had been taken
         self._arrivals: list[dict[str, float]] = []
@@ -55,8 +56,7 @@ class MovingViewer(Viewer):
             "time": time.time(),
             "sequence": message.sequence,
             "sort_time": message.sort_time,
-            "bytes": len(message.slots) * 4,
-            "encoding": getattr(message, "encoding", 0),
+            "encoding": message.encoding,
         }
         super()._on_order(message)
         with self._lock:
@@ -71,10 +71,10 @@ class MovingViewer(Viewer):
 
 def watch(viewer: MovingViewer, trace: TextIO) -> None:
     """Draws until it is told to end."""
-    if viewer.built_in:
-        viewer.renderer.settings.order = OrderSource.BUILT_IN
+    put(viewer.renderer.settings, {"order": viewer.order})
     finish = gl_finish()
-    looked: dict[int, float] = {}
+    looked: dict[int, float] = {}  # when each camera was posed
+    unseen: list[int] = []  # cameras that no picture knows yet
     orbit: OrbitCamera | None = None
     camera, view_id, due, turned = ViewCamera(), "", 0.0, False
     stale, revision = True, 0
@@ -95,6 +95,8 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
             camera = view_camera(orbit.camera(*viewer.window_size))
             view_id = viewer.look(camera, "bench")
             looked[camera.sequence] = now
+            unseen.append(camera.sequence)
+            looked.pop(camera.sequence - REMEMBERED, None)
             turned = True
         arrivals = viewer.arrivals()
         if not (turned or arrivals or stale or viewer.renderer.revision != revision):
@@ -110,6 +112,10 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
         ended = time.time()
         # An order answers a camera and those before it, which were never answered.
         answered = max((int(arrival["sequence"]) for arrival in arrivals), default=0)
+        if report["order_fresh"]:
+            answered = camera.sequence
+        is_new = answered in unseen
+        unseen = [sequence for sequence in unseen if sequence > answered]
         for arrival in arrivals:
             arrival["looked"] = looked.get(int(arrival["sequence"]), math.nan)
         line = {
@@ -125,10 +131,8 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
             "published": viewer.published,
             "received": viewer.received,
             "arrivals": arrivals,
-            "latency": ended - looked[answered] if answered in looked else math.nan,
+            "latency": ended - looked[answered] if is_new else math.nan,
         }
-        for sequence in [number for number in looked if number < answered]:
-            del looked[sequence]
         trace.write(json.dumps(line) + "\n")
         trace.flush()
 

@@ -20,6 +20,8 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, Header
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, OrderReader, pack
+from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_tools.generate import generate
 from rosplat_tools.messages import decode, encode
 from rosplat_tools.qos import ORDER
@@ -32,17 +34,43 @@ except ImportError:  # not among the wheels
     MarkerArray = None
 
 
-def make_order(splats: Splats, header: Header) -> SplatOrder:
-    """As many slots, one by one in the message."""
-    message = SplatOrder(header=header)
-    slots = array("I")
-    slots.frombytes(memoryview(np.arange(len(splats), dtype=np.uint32)).cast("B"))
-    message.slots = slots
-    return message
+class Orders:
+    """Makes and reads orders in one of the ways in which they travel."""
 
+    def __init__(self, encoding: int) -> None:
+        self._encoding = encoding
+        self._slots = np.zeros(0, np.uint32)
+        self._reader = OrderReader()
+        self._buffer: OrderBuffer | None = None
 
-def read_order(message: SplatOrder) -> NDArray[np.uint32]:
-    return np.frombuffer(message.slots, np.uint32)
+    def make(self, splats: Splats, header: Header) -> SplatOrder:
+        """As many slots."""
+        count = len(splats)
+        if len(self._slots) != count:
+            self._slots = np.arange(count, dtype=np.uint32)
+        message = SplatOrder(header=header, encoding=self._encoding, count=count)
+        if self._encoding == SLOTS:
+            slots = array("I")
+            slots.frombytes(memoryview(self._slots).cast("B"))
+            message.slots = slots
+        elif self._encoding == PACKED:
+            message.slot_bits = max(1, (count - 1).bit_length())
+            message.packed = pack(self._slots, message.slot_bits)
+        else:
+            if self._buffer is None:
+                self._buffer = OrderBuffer(SharedOrders())
+            self._buffer.begin(count)[:] = self._slots
+            message.segment, message.generation = self._buffer.finish()
+        return message
+
+    def read(self, message: SplatOrder) -> NDArray[np.uint32]:
+        """Its slots."""
+        return self._reader.read(message)
+
+    def close(self) -> None:
+        """Takes shared memory away."""
+        if self._buffer:
+            self._buffer.close()
 
 
 def make_batch(splats: Splats, header: Header) -> GaussianArray:
@@ -109,9 +137,11 @@ def read_markers(message: Any) -> NDArray[np.float32]:
     )  # fmt: skip
 
 
+ORDERS = {"inline": Orders(SLOTS), "packed": Orders(PACKED), "shared memory": Orders(SHARED)}
+
 # What is sent, by name: message, how it is made, how its numbers are taken out again.
 KINDS: dict[str, tuple[Any, Callable[..., Any], Callable[..., Any]]] = {
-    "order": (SplatOrder, make_order, read_order),
+    **{kind: (SplatOrder, orders.make, orders.read) for kind, orders in ORDERS.items()},
     "gaussians": (GaussianArray, make_batch, decode),
     "poses": (PoseArray, make_poses, read_poses),
 }
@@ -121,6 +151,11 @@ if MarkerArray is not None:
 QUESTIONS = "questions"
 
 
+def topic(kind: str) -> str:
+    """Where answers of a kind go."""
+    return kind.replace(" ", "_")
+
+
 class Peer(Node):
     """Answers on a topic for each kind."""
 
@@ -128,14 +163,14 @@ class Peer(Node):
         super().__init__("peer")
         self._splats = generate(1)
         self._answers = {
-            kind: self.create_publisher(message, kind, ORDER)
+            kind: self.create_publisher(message, topic(kind), ORDER)
             for kind, (message, _, _) in KINDS.items()
         }
         self.create_subscription(ViewCamera, QUESTIONS, self._answer, ORDER)
 
     def _answer(self, question: ViewCamera) -> None:
         if len(self._splats) != question.width:
-            small = question.view_id == "order"  # whose splats are only counted
+            small = question.view_id in ORDERS  # whose splats are only counted
             made = generate(min(question.width, 1000) if small else question.width)
             self._splats = made[np.resize(np.arange(len(made)), question.width)] if small else made
         seconds, nanoseconds = divmod(time.time_ns(), 10**9)
@@ -152,8 +187,12 @@ def main() -> None:
 
 def _serve() -> None:
     node = Peer()
-    with spinning(node):
-        wait_for_end(node)
+    try:
+        with spinning(node):
+            wait_for_end(node)
+    finally:
+        for orders in ORDERS.values():
+            orders.close()
 
 
 if __name__ == "__main__":

@@ -9,13 +9,21 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rosplat_sorter import camera, depth
-from rosplat_sorter.backends import BACKENDS, Backend, Unavailable, open_backend
+from rosplat_sorter.backends import (
+    BACKENDS,
+    Allocate,
+    Backend,
+    Unavailable,
+    new_array,
+    open_backend,
+)
 from rosplat_sorter.edits import REPLACE, Edit
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
-from rosplat_tools.bench import baselines, scenes
+from rosplat_tools.bench import baselines, live, scenes
 from rosplat_tools.bench.plan import Plan
 from rosplat_tools.bench.records import Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_tools.cameras import Camera
@@ -28,11 +36,12 @@ PICTURE = (1280, 720)
 STEPS = 16  # cameras that take turns, so that no order is the last one's
 
 HOST = "order in host memory"
+PINNED = "order in pinned memory"
 DEVICE = "order on the GPU"
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Times of HOST and DEVICE by scene, view and method."""
+    """Times of HOST, PINNED and DEVICE by scene, view and method."""
     names = scenes.names(plan.sizes or (QUICK_SIZES if plan.quick else SIZES), plan.scenes)
     unavailable: set[str] = set()
     for number, name in enumerate(names):
@@ -75,6 +84,8 @@ def methods(
     """All ways by name, made when they are called; backends: which of the sorter's."""
     found: list[tuple[str, Callable[[], list[Way]]]] = []
     for name in backends or tuple(BACKENDS):
+        if name in (live.BUILT_IN, live.GPU):
+            continue  # the viewer's, which `frame` measures
         if name not in BACKENDS:
             raise SceneError(f"unknown backend '{name}', known are {', '.join(BACKENDS)}")
         if name == "native" and len(os.sched_getaffinity(0)) > 1:
@@ -91,7 +102,7 @@ def _ours(sorted_map: SplatMap, name: str, threads: int) -> list[Way]:
     backend = open_backend(name, threads)
     backend.update(sorted_map, slice(0, len(sorted_map)))
     label = f"{name}, {backend.device}"
-    ways = [Way(HOST, label, backend.order)]
+    ways = [Way(HOST, label, partial(backend.order, allocate=InTurn(new_array)))]
     finish = _finish(backend)
     if finish:
         on_device = backend.order_on_device
@@ -100,8 +111,42 @@ def _ours(sorted_map: SplatMap, name: str, threads: int) -> list[Way]:
             on_device(view)
             finish()
 
+        ways.append(Way(PINNED, label, partial(backend.order, allocate=InTurn(_pinned(name)))))
         ways.append(Way(DEVICE, label, sort))
     return ways
+
+
+class InTurn:
+    """Two arrays in turn for all orders, as the sorter has them in shared memory."""
+
+    def __init__(self, make: Allocate) -> None:
+        self._make = make
+        self._arrays = [make(0), make(0)]
+
+    def __call__(self, count: int) -> NDArray[np.uint32]:
+        self._arrays.reverse()
+        if len(self._arrays[0]) < count:
+            self._arrays[0] = self._make(count + count // 4)
+        result: NDArray[np.uint32] = self._arrays[0][:count]
+        return result
+
+
+def _pinned(name: str) -> Allocate:
+    """Makes arrays that the GPU writes to without a detour."""
+
+    def make(count: int) -> NDArray[np.uint32]:
+        if name == "cupy":
+            import cupyx
+
+            pinned: NDArray[np.uint32] = cupyx.empty_pinned(count, np.uint32)
+            return pinned
+        import torch
+
+        on_host = torch.empty(count, dtype=torch.int32, pin_memory=True)
+        array: NDArray[np.uint32] = on_host.numpy().view(np.uint32)
+        return array
+
+    return make
 
 
 def _others(

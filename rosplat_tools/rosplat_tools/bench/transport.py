@@ -18,7 +18,7 @@ from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_sorter import edits
 from rosplat_sorter.map import SplatMap
 from rosplat_tools.bench import live, scenes
-from rosplat_tools.bench.peer import KINDS, QUESTIONS
+from rosplat_tools.bench.peer import KINDS, ORDERS, QUESTIONS, topic
 from rosplat_tools.bench.plan import Plan
 from rosplat_tools.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_tools.map_publisher import CHUNK_BYTES
@@ -26,8 +26,8 @@ from rosplat_tools.messages import chunks, encode
 from rosplat_tools.processes import ProcessError, Processes
 from rosplat_tools.qos import ORDER
 
-ORDERS = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
-QUICK_ORDERS = (100_000, 500_000)
+ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
+QUICK_ORDER_SIZES = (100_000, 500_000)
 BATCHES, QUICK_BATCHES = (1_000, 10_000), (1_000,)
 MAPS, QUICK_MAPS = (100_000, 500_000, 1_000_000, 2_000_000), (100_000,)
 MAP_REPEATS, QUICK_MAP_REPEATS = 3, 1
@@ -43,18 +43,17 @@ WAYS = {
 
 def measure(plan: Plan) -> Iterator[Event]:
     """Orders in a message, batches of splats in several forms, and whole maps."""
-    orders = plan.sizes or (QUICK_ORDERS if plan.quick else ORDERS)
+    orders = plan.sizes or (QUICK_ORDER_SIZES if plan.quick else ORDER_SIZES)
     batches = QUICK_BATCHES if plan.quick else BATCHES
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         with Processes(plan.out / "log") as processes:
             asker = Asker(processes)
             for index, count in enumerate(orders):
-                yield Doing(f"an order of {count:,} slots", 0.3 * index / len(orders))
-                times = asker.ask("order", count, plan.budget)
-                yield Measurement.of(
-                    "order", "ms", times, splats=count, way="inline", bytes=4 * count
-                )
+                for way in ORDERS:
+                    yield Doing(f"an order of {count:,} slots, {way}", 0.3 * index / len(orders))
+                    times = asker.ask(way, count, plan.budget)
+                    yield Measurement.of("order", "ms", times, splats=count, way=way)
             ways = [way for way in WAYS if way in KINDS]
             if "markers" not in ways:
                 yield Skipped("MarkerArray: visualization_msgs is not here")
@@ -95,7 +94,7 @@ class Asker:
         self._times: dict[int, float] = {}
         for kind, (message, _, read) in KINDS.items():
             self._node.create_subscription(
-                message, kind, lambda answer, read=read: self._receive(answer, read), ORDER
+                message, topic(kind), lambda answer, read=read: self._receive(answer, read), ORDER
             )
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
