@@ -131,7 +131,7 @@ class Rviz:
                 self.processes.check()
                 if time.monotonic() > deadline:
                     raise
-                time.sleep(0.1)
+                time.sleep(0.03)
             else:
                 connection.settimeout(seconds)
                 return connection.makefile("rw")
@@ -218,7 +218,7 @@ class Rviz:
             if found == level and all(word in text for word in words):
                 return text
             assert time.monotonic() < deadline, f"{entry} is not {level} {words}: {status}"
-            time.sleep(0.1)
+            time.sleep(0.03)
 
     # --- The screen -------------------------------------------------------------------------------
 
@@ -249,7 +249,7 @@ class Rviz:
                     f"not seen, {self.folder / 'not_seen.png'} was: "
                     + self.processes.said("rviz2")[-500:]
                 )
-            time.sleep(0.1)
+            time.sleep(0.03)
 
     def keep(self, name: str) -> None:
         """Writes the screen into the folder of the logs, to look at."""

@@ -1,0 +1,98 @@
+"""Displays come and go in a real rviz2, and nothing of them stays behind."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rviz_harness import Rviz, World, disc, needs_rviz, red
+
+pytestmark = needs_rviz
+
+CYCLES = 40
+MEBIBYTE = 1 << 20
+
+
+def seen(picture: np.ndarray) -> bool:
+    return red(picture).sum() > 1000
+
+
+def gone(picture: np.ndarray) -> bool:
+    return not red(picture).any()
+
+
+def turn_off_and_on(rviz: Rviz) -> None:
+    rviz.set("Map", value=False)
+    rviz.until(gone)
+    rviz.set("Map", value=True)
+    rviz.until(seen)
+
+
+def reset(rviz: Rviz) -> None:
+    rviz.ask("reset", path=["Map"])
+    rviz.until(seen)
+
+
+def remove_and_add(rviz: Rviz) -> None:
+    rviz.ask("remove", path=["Map"])
+    rviz.until(gone)
+    rviz.ask("add", **{"class": "rviz_gaussian_plugin/GaussianMap", "name": "Map"})
+    rviz.set("Map", "Topic", value="/gaussians")
+    rviz.until(seen)
+
+
+def endpoints(world: World) -> dict[str, int]:
+    """What rviz2 has on each topic and service."""
+    node = world.node
+    counts = {}
+    for what, names in [
+        ("publishers", node.get_publisher_names_and_types_by_node("rviz", "/")),
+        ("subscriptions", node.get_subscriber_names_and_types_by_node("rviz", "/")),
+        ("services", node.get_service_names_and_types_by_node("rviz", "/")),
+        ("clients", node.get_client_names_and_types_by_node("rviz", "/")),
+    ]:
+        counts[what] = len(names)
+    for topic in ["/gaussians", "/gaussians/view", "/gaussians/order"]:
+        counts[topic] = node.count_publishers(topic) + node.count_subscribers(topic)
+    return counts
+
+
+def resident(process: int) -> int:
+    """Memory in use. [bytes]"""
+    pages = Path(f"/proc/{process}/statm").read_text().split()[1]
+    return int(pages) * os.sysconf("SC_PAGESIZE")
+
+
+def threads(process: int) -> int:
+    return len(list(Path(f"/proc/{process}/task").iterdir()))
+
+
+@pytest.mark.parametrize("cycle", [turn_off_and_on, reset, remove_and_add])
+def test_nothing_stays_behind(rviz: Rviz, world: World, cycle: Callable[[Rviz], None]) -> None:
+    def counters() -> tuple[object, ...]:
+        return rviz.ask("gl"), threads(rviz.process.pid), endpoints(world)
+
+    world.place()
+    world.map.replace(disc((1, 0, 0)))
+    rviz.until(seen)
+    for _ in range(10):  # what drivers and middleware keep for the next time
+        cycle(rviz)
+    rviz.until_status("Map", "Order", "Ok")
+    before, memory = counters(), resident(rviz.process.pid)
+    for _ in range(CYCLES):
+        cycle(rviz)
+    rviz.until_status("Map", "Order", "Ok")
+    assert counters() == before
+    # A page of slots alone is 4 MiB.
+    assert resident(rviz.process.pid) - memory < CYCLES * MEBIBYTE
+
+
+def test_rviz_ends_well_while_a_map_is_drawn(rviz: Rviz, world: World) -> None:
+    world.place()
+    world.map.replace(disc((1, 0, 0)))
+    rviz.until(seen)
+    assert rviz.quit() == 0
