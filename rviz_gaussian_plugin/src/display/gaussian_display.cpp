@@ -1,5 +1,6 @@
 #include "gaussian_display.hpp"
 
+#include <OgreCamera.h>
 #include <OgreSceneManager.h>
 #include <OgreSceneNode.h>
 #include <OgreViewport.h>
@@ -17,6 +18,8 @@
 #include <rviz_common/properties/qos_profile_property.hpp>
 #include <rviz_common/properties/ros_topic_property.hpp>
 #include <rviz_common/ros_integration/ros_node_abstraction_iface.hpp>
+#include <rviz_common/view_controller.hpp>
+#include <rviz_common/view_manager.hpp>
 #include <sstream>
 
 #include "messages.hpp"
@@ -32,7 +35,8 @@ constexpr const char* kResourceGroup = "rviz_rendering";
 // A view's camera goes out at least this often, so that a sorter that starts late learns of it. [s]
 constexpr double kKeepAlive = 1.0;
 constexpr double kAskAgain =
-    0.25;  // how long a picture waits for an order before it asks again [s]
+    0.25;                        // how long a picture waits for an order before it asks again [s]
+constexpr double kUnseen = 2.0;  // after which a view that isn't drawn is gone [s]
 constexpr const char* kUnchanged = "As Started";
 constexpr double kStatusPeriod = 0.5;  // [s]
 
@@ -184,6 +188,7 @@ void GaussianDisplay::switchBackend() {
 void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   if (!client_) return;
   updateTransform();
+  forgetUnseenViews();
   for (auto& [viewport, view] : views_) {
     if (view.sequence == 0 || now() - view.published < kKeepAlive) continue;
     // A view or an order may have been lost while display and sorter got to know each other.
@@ -214,11 +219,24 @@ void GaussianDisplay::updateTransform() {
   }
 }
 
+void GaussianDisplay::forgetUnseenViews() {
+  for (auto view = views_.begin(); view != views_.end();) {
+    if (now() - view->second.drawn < kUnseen) {
+      ++view;
+      continue;
+    }
+    cloud_->scene().forget(view->second.id);
+    view = views_.erase(view);
+  }
+}
+
 std::string GaussianDisplay::onView(Ogre::Viewport* viewport, const SplatCamera& camera) {
   serveRenderRequests();  // here, where the context is current
   selection_->refresh();
   View& view = views_[viewport];
-  if (view.id.empty()) view.id = instance_ + "/" + std::to_string(views_.size());
+  if (view.id.empty()) view.id = instance_ + "/" + std::to_string(++view_count_);
+  view.drawn = now();
+  view.main = viewport == context_->getViewManager()->getCurrent()->getCamera()->getViewport();
   if (view.sequence == 0 || !(view.camera == camera)) {
     view.camera = camera;
     ++view.sequence;
@@ -239,7 +257,7 @@ void GaussianDisplay::publish(View& view) {
   const auto message =
       toMessage(view.camera, view.id, view.sequence, client_->status().frame_id, stamp);
   client_->publish(message);
-  if (publish_pose_->getBool() && &view != &still_) client_->publishPose(message);
+  if (publish_pose_->getBool() && view.main) client_->publishPose(message);
 }
 
 void GaussianDisplay::publishPicked(const std::vector<SplatValues>& splats) {

@@ -53,11 +53,14 @@ class GaussianDisplay : public rviz_common::Display {
     std::uint64_t sequence = 0;
     SplatCamera camera;
     double published = 0;  // when the camera last went out [s]
+    double drawn = 0;      // when it was last seen [s]
+    bool main = false;     // rviz's own, not a Camera display's, say
   };
 
   void unsubscribe();
   void applySettings();
   std::string onView(Ogre::Viewport* viewport, const SplatCamera& camera);
+  void forgetUnseenViews();
   void askAgain(View& view);
   void publish(View& view);
   void serveRenderRequests();
@@ -83,7 +86,8 @@ class GaussianDisplay : public rviz_common::Display {
   std::shared_ptr<SplatSelection> selection_;
   std::unique_ptr<SceneLoader> loader_;
   std::map<Ogre::Viewport*, View> views_;
-  View still_;  // of the pictures that services ask for
+  std::size_t view_count_ = 0;  // that there ever were
+  View still_;                  // of the pictures that services ask for
   std::optional<GaussianClient::RenderRequest> request_;
   double request_deadline_ = 0;
   double status_time_ = 0;
