@@ -40,6 +40,9 @@ def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
     assert all(method in page for method in methods)
     assert (tmp_path / "accuracy.png").stat().st_size < 300_000
 
+    table = (tmp_path / "accuracy.md").read_text()
+    assert all(f"| {method}" in table for method in methods)
+
     kept = (tmp_path / "points.jsonl").read_bytes()
     again = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert again.returncode == 0, again.stderr

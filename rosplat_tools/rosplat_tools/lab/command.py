@@ -19,7 +19,7 @@ from tqdm import tqdm
 from rosplat_tools import reference
 from rosplat_tools.bench.machine import commit, machine
 from rosplat_tools.cameras import Camera
-from rosplat_tools.lab import atlas, charts, motion, points, report, stability
+from rosplat_tools.lab import accuracy, atlas, charts, motion, points, report, stability
 from rosplat_tools.lab.bench import Bench, Image
 from rosplat_tools.lab.methods import METHODS, Method
 from rosplat_tools.lab.points import MOST_PSNR, Point, Store
@@ -125,7 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("scenes", nargs="*", metavar="scene", help=f"scenes: {NAMES}")
     parser.add_argument("--out", type=Path, default=Path("out/lab"), help="folder for results")
     parser.add_argument(
-        "--docs", type=Path, help="folder that pictures and stability.md go to as well"
+        "--docs", type=Path, help="folder for accuracy.md, stability.md and their pictures (--out)"
     )
     parser.add_argument("--quick", action="store_true", help="few cameras, small atlas: minutes")
     parser.add_argument("--cameras", type=int, help="for each scene (8; quick: 3)")
@@ -179,8 +179,9 @@ def run(scenes: list[Scene], store: Store, options: argparse.Namespace, command:
             raise SceneError(f"no method's name or family holds {options.only!r}")
         points.save(store.folder / "lab.json", measured)
         page = report.write(store.folder, measured)
-        pictures = charts.write(options.docs or store.folder, measured)
-        print(f"wrote {page}, {', '.join(map(str, pictures))}")
+        folder = options.docs or store.folder
+        written = [page, accuracy.write(folder, measured), *charts.write(folder, measured)]
+        print(f"wrote {', '.join(map(str, written))}")
     if options.part != "chart":
         findings = atlas.explore(bench, options.quick)
         atlas.save(store.folder / "stability.json", findings)
