@@ -14,7 +14,7 @@ from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.lab import fragments, motion, orders
+from rosplat_tools.lab import fragments, motion, orders, rays
 from rosplat_tools.lab.fragments import Fragments
 from rosplat_tools.lab.pareto import front, summarise
 from rosplat_tools.lab.points import Point, Store
@@ -140,6 +140,42 @@ def test_rays_meet_round_splats_beside_their_middle() -> None:
     rays = np.column_stack([(x + 0.5 - 32) / 60, (y + 0.5 - 24) / 60, np.ones(len(x))])
     feet = (rays @ [0.3, 0.0, 2.0]) / (rays**2).sum(axis=1)
     np.testing.assert_allclose(band.depths, feet, rtol=1e-6)
+
+
+def test_rays_agree_with_ellipses_where_the_projection_is_all_but_linear(
+    random_splats: Make,
+) -> None:
+    """Small in angle, large in pixels: what is left of the difference is the 0.3 px² low-pass."""
+    splats = random_splats(40, 0)
+    splats.scales[:] = np.clip(splats.scales, 0.2, 0.4)
+    errors = []
+    for distance in (4.0, 100.0):
+        camera = replace(
+            CAMERA,
+            fx=60.0 * distance, fy=60.0 * distance, near=0.1,
+            world_to_camera=look_at((distance, 0.1, 0.2), (0, 0, 0)),
+        )  # fmt: skip
+        expected = fragments.picture(splats, camera, fragments.over)
+        errors.append(np.abs(rays.picture(splats, camera) - expected).mean())
+    assert errors[1] < 0.1 * errors[0]
+    assert errors[1] < 1e-3
+
+
+def test_a_ray_meets_a_ball_in_closed_form() -> None:
+    ball = Splats(
+        positions=np.array([[0.0, 0.0, 2.0]], np.float32),
+        orientations=np.array([[0, 0, 0, 1]], np.float32),
+        scales=np.full((1, 3), 0.5, np.float32),
+        opacities=np.array([0.8], np.float32),
+        sh=np.zeros((1, 1, 3), np.float32),
+    )
+    camera = replace(CAMERA, world_to_camera=np.eye(4), fx=20.0, fy=20.0)
+    tangent = (np.arange(64) + 0.5 - 32) / 20
+    height = (24 + 0.5 - 24) / 20
+    across = np.sin(np.arctan(np.hypot(tangent, height))) * 2.0  # from the centre to the ray [m]
+    alpha = np.float32(0.8) * np.exp(-0.5 * (across / 0.5) ** 2)
+    alpha[alpha < 1 / 255] = 0
+    np.testing.assert_allclose(rays.picture(ball, camera)[24, :, 0], 0.5 * alpha, atol=1e-6)
 
 
 # --- Orders ---------------------------------------------------------------------------------------
