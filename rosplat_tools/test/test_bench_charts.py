@@ -74,7 +74,7 @@ def test_the_same_as_a_table(
     save(tmp_path / "sort.json", orders)
     assert main(["tables", str(tmp_path / "sort.json")]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "Depth order, in host memory, time [ms], median",
+        "Depth order, in host memory, time [ms], p50",
         "",
         "| | 100,000 | 1,000,000 |",
         "|---|---:|---:|",
@@ -83,6 +83,8 @@ def test_the_same_as_a_table(
         "| inside, native | 1 | 10 |",
         "| inside, numpy | 3 | 30 |",
     ]
+    assert main(["tables", str(tmp_path / "sort.json"), "--of", "most"]) == 0
+    assert "| all, native | 2 | 20 |" in capsys.readouterr().out
 
 
 def test_a_long_curve_has_a_column_for_each_eighth() -> None:

@@ -109,15 +109,18 @@ def of_chart(chart: Chart, records: Sequence[Record]) -> list[Record]:
     return [r for r in records if (r.subject, r.name) == (chart.subject, chart.name)]
 
 
-def tables(records: Sequence[Record]) -> Iterator[str]:
-    """Every chart that the records have something for, in Markdown: medians by number of splats."""
+def tables(records: Sequence[Record], statistic: str = "p50") -> Iterator[str]:
+    """Every chart that the records have something for, in Markdown: by number of splats.
+
+    statistic: the field of Record that fills the cells.
+    """
     for chart in CHARTS:
         mine = of_chart(chart, records)
         if mine:
-            yield f"{chart.title}, {chart.y}, median\n\n{table(chart, mine)}"
+            yield f"{chart.title}, {chart.y}, {statistic}\n\n{table(chart, mine, statistic)}"
 
 
-def table(chart: Chart, records: Sequence[Record]) -> str:
+def table(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> str:
     """A row for each series of each panel, a column for each number of splats, or some of them."""
     sizes = sorted({record.splats for record in records})
     if len(sizes) > COLUMNS:
@@ -133,7 +136,7 @@ def table(chart: Chart, records: Sequence[Record]) -> str:
         for size in sizes:
             nearest = min(points, key=lambda point: abs(point.splats - size))
             near = abs(nearest.splats - size) <= reach
-            cells.append(f"{_number(nearest.p50)}" if near else "")
+            cells.append(f"{_number(getattr(nearest, statistic))}" if near else "")
         lines.append(f"| {', '.join(filter(None, (panel, series)))} | {' | '.join(cells)} |")
     return "\n".join(lines)
 

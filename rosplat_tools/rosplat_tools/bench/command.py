@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from rosplat_tools.bench import charts, live, machine
+from rosplat_tools.bench import live, machine
 from rosplat_tools.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
 from rosplat_tools.bench.records import (
     Circumstances,
@@ -78,7 +78,7 @@ def _draw(arguments: list[str], console: Console) -> int:
     parser.add_argument("files", nargs="+", type=Path, help="JSON files that bench wrote")
     parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for the charts")
     options = parser.parse_args(arguments)
-    _tell_charts(charts.draw(load(options.files), options.out), console)
+    _chart(load(options.files), options.out, console)
     return 0
 
 
@@ -87,7 +87,13 @@ def _tabulate(arguments: list[str]) -> int:
         prog="bench tables", description="Prints the charts of records as tables in Markdown."
     )
     parser.add_argument("files", nargs="+", type=Path, help="JSON files that bench wrote")
-    print("\n\n".join(charts.tables(load(parser.parse_args(arguments).files))))
+    parser.add_argument(
+        "--of", default="p50", choices=STATISTICS, help="what fills the cells (default: the median)"
+    )
+    options = parser.parse_args(arguments)
+    from rosplat_tools.bench import charts
+
+    print("\n\n".join(charts.tables(load(options.files), options.of)))
     return 0
 
 
@@ -132,7 +138,7 @@ def _measure(arguments: list[str], console: Console) -> int:
                     shown = last_of_each(shown)
                 console.print(*tables(shown))
                 console.print(f"wrote {recorder.path}")
-                _tell_charts(charts.draw(recorder.records, options.out), console)
+                _chart(recorder.records, options.out, console)
     return int(failed)
 
 
@@ -265,6 +271,11 @@ def _text(value: object) -> str:
     )  # fmt: skip
 
 
-def _tell_charts(paths: list[Path], console: Console) -> None:
-    for path in paths:
+def _chart(records: list[Record], out: Path, console: Console) -> None:
+    try:
+        from rosplat_tools.bench import charts
+    except ImportError as error:
+        console.print(f"[yellow]charts skipped: {error}")
+        return
+    for path in charts.draw(records, out):
         console.print(f"wrote {path}")
