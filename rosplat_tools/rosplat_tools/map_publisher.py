@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from threading import RLock
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
+from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Header
 
@@ -24,6 +25,9 @@ CHUNK_BYTES = 8_000_000
 # How long a new writer waits for the subscribers of the one before it. [s]
 REMATCH_TIMEOUT = 1.0
 
+# How long slow subscribers are waited for before a snapshot; then they get it as a new map. [s]
+ACKNOWLEDGE_TIMEOUT = 1.0
+
 Progress = Callable[[int], None]
 """Is told how many more splats have gone out; what it raises ends the sending."""
 
@@ -33,9 +37,10 @@ class MapPublisher:
 
     A late joiner rebuilds the map from the batches that the middleware keeps, the last
     history_depth. So the history always begins with a REPLACE and holds every batch since. Each
-    REPLACE starts a new writer, whose history is empty; an edit that the history has no room for
-    sends the whole map instead, as a REPLACE and UPSERTs of large chunks. These fill at most half
-    the history, so the next such snapshot is history_depth / 2 edits away or farther.
+    REPLACE starts a new writer, whose history is empty. An edit that the history has no room for
+    sends the whole map first, as a REPLACE and UPSERTs of large chunks. These fill at most half
+    the history, so the next such snapshot is history_depth / 2 edits away or farther. They repeat
+    the last revisions: subscribers that have those drop them as duplicates, and see no snapshot.
 
     Calls are serialised, from any thread; they return when the middleware has taken the batches.
     """
@@ -125,8 +130,7 @@ class MapPublisher:
             self._map.write(slots, splats)
             splats = splats.with_sh_degree(self._map.sh_degree)
             parts = list(chunks(splats, self._chunk_bytes))
-            if not self._has_room(len(parts)):
-                self._send_map(stamp)
+            if not self._make_room(len(parts), stamp):
                 return
             for part in parts:
                 self._send_splats(GaussianArray.UPSERT, slots[part], splats[part], stamp)
@@ -136,8 +140,7 @@ class MapPublisher:
         slots = _checked(slots)
         with self._lock:
             self._map.clear(slots)
-            if not self._has_room(1):
-                self._send_map(stamp)
+            if not self._make_room(1, stamp):
                 return
             self._revision += 1
             self._send(
@@ -150,16 +153,34 @@ class MapPublisher:
                 )
             )
 
-    def _has_room(self, batches: int) -> bool:
-        """Whether edits can follow in a history that has begun with a REPLACE."""
-        return 0 < self._in_history <= self._depth - batches
+    def _make_room(self, batches: int, stamp: Time | None) -> bool:
+        """Whether edits can follow in a history that begins with a REPLACE.
+
+        Where they can't, the map as they leave it has been sent in their place.
+        """
+        if 0 < self._in_history <= self._depth - batches:
+            return True
+        needed = len(list(self._large_chunks(self._map.snapshot()[1])))
+        repeatable = (
+            needed <= self._revision
+            and needed <= self._depth - batches
+            # Who still lacks a revision that the snapshot repeats would take it for that one.
+            and self._publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT))
+        )
+        if repeatable:
+            self._revision -= needed
+        self._send_map(stamp)
+        return repeatable
+
+    def _large_chunks(self, splats: Splats) -> Iterator[slice]:
+        half_history = splats.nbytes // (self._depth // 2) + 1
+        return chunks(splats, max(self._chunk_bytes, half_history))
 
     def _send_map(self, stamp: Time | None, progress: Progress | None = None) -> None:
         self._start_history()
         slots, splats = self._map.snapshot()
-        half_history = splats.nbytes // (self._depth // 2) + 1
         operation = GaussianArray.REPLACE
-        for part in chunks(splats, max(self._chunk_bytes, half_history)):
+        for part in self._large_chunks(splats):
             self._send_splats(operation, slots[part], splats[part], stamp)
             operation = GaussianArray.UPSERT
             if progress:

@@ -23,6 +23,8 @@ built: list[SlotMap] = []
 
 
 def receive(message: GaussianArray) -> None:
+    if batches and message.revision <= batches[-1][0]:
+        return  # a duplicate
     batches.append((message.revision, message.operation))
     slots, splats = decode(message)
     if message.operation == GaussianArray.DELETE:

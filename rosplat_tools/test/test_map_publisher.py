@@ -90,6 +90,41 @@ def test_the_history_never_loses_its_beginning(
     assert len(late["revisions"]) <= 12
 
 
+def test_who_has_the_map_never_sees_a_snapshot_for_latecomers(
+    node: Node, random_splats: Maker, tmp_path: Path
+) -> None:
+    publisher = MapPublisher(node, history_depth=12, chunk_bytes=20_000)
+    last = 1 + 4 + 3 * 25  # an empty REPLACE, 300 splats in chunks, edits
+    with receiver(node, last, tmp_path / "early.npz") as early:
+        publisher.replace(random_splats(0))
+        publisher.upsert(range(300), random_splats(300))
+        edit(publisher, random_splats, 25)
+        assert publisher.revision == last
+        with receiver(node, last, tmp_path / "late.npz") as late:
+            pass
+    assert early["revisions"].tolist() == list(range(1, last + 1))
+    assert early["operations"].tolist().count(GaussianArray.REPLACE) == 1
+    assert late["operations"].tolist().count(GaussianArray.REPLACE) == 1
+    assert 1 < len(late["revisions"]) <= 12
+    for received in (early, late):
+        assert_same_map(received, publisher)
+
+
+def test_who_lags_behind_gets_a_snapshot_as_a_new_map(
+    node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publisher = MapPublisher(node, history_depth=4)
+    publisher.replace(random_splats(10))
+    monkeypatch.setattr(type(publisher._publisher), "wait_for_all_acked", lambda *_: False)
+    sent: list[GaussianArray] = []
+    monkeypatch.setattr(type(publisher._publisher), "publish", lambda _, m: sent.append(m))
+    for slot in range(10, 16):
+        publisher.upsert(range(slot, slot + 1), random_splats(1))
+    assert [message.revision for message in sent] == [2, 3, 4, 5, 6, 7]
+    assert [message.operation for message in sent] == [1, 1, 1, 0, 1, 1]
+    assert sent[3].count == 14
+
+
 def test_a_new_map_takes_the_old_one_s_batches_out_of_the_history(
     node: Node, random_splats: Maker, tmp_path: Path
 ) -> None:
