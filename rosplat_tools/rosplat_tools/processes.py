@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -15,8 +16,37 @@ ENDINGS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 5.0  # what a program gets to end by itself [s]
 
 
+# Who sets one of these has wishes of their own for Fast DDS.
+FAST_DDS_WISHES = (
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_LOCALHOST_ONLY",
+)
+ROOM_FOR_SEGMENTS = 1 << 30  # in shared memory, of which the profile takes 64 MiB a program [bytes]
+
+
 class ProcessError(RuntimeError):
     """A program that could not be started or ended early; the text says which, and why."""
+
+
+def fast_dds_profile(environment: Mapping[str, str]) -> dict[str, str]:
+    """Variables that give Fast DDS the profile of rosplat_msgs, which has room for maps.
+
+    None where the environment has wishes of its own, or shared memory is small, as in a container.
+    """
+    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+    try:
+        profile = Path(get_package_share_directory("rosplat_msgs")) / "config" / "fastdds.xml"
+        room = shutil.disk_usage("/dev/shm").free
+    except (PackageNotFoundError, OSError):
+        return {}
+    if room < ROOM_FOR_SEGMENTS or any(environment.get(name) for name in FAST_DDS_WISHES):
+        return {}
+    names = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")  # to Jazzy, since
+    return dict.fromkeys(names, str(profile))
 
 
 def interrupt_by_signals() -> None:
@@ -63,7 +93,10 @@ class Processes:
                     stdout=log,
                     stderr=subprocess.STDOUT,
                     # What a program says last is then what it said last.
-                    env=os.environ | {"PYTHONUNBUFFERED": "1"} | environment,
+                    env=os.environ
+                    | {"PYTHONUNBUFFERED": "1"}
+                    | fast_dds_profile(os.environ)
+                    | environment,
                     start_new_session=True,
                 )
             except OSError as error:

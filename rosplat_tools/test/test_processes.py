@@ -6,10 +6,11 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from rosplat_tools.processes import ProcessError, Processes
+from rosplat_tools.processes import ProcessError, Processes, fast_dds_profile
 
 SLEEP = [sys.executable, "-c", "import time; print('awake', flush=True); time.sleep(600)"]
 # Ignores the signal of Ctrl-C, and has a child.
@@ -35,6 +36,19 @@ def is_alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def test_fast_dds_is_made_fit_for_maps_unless_somebody_sees_to_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings = fast_dds_profile({"ROS_DISTRO": "jazzy", "ROS_LOCALHOST_ONLY": ""})
+    assert settings.keys() == {"FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"}
+    for path in settings.values():
+        assert "<segment_size>67108864</segment_size>" in Path(path).read_text()
+    for name in (*settings, "FASTDDS_BUILTIN_TRANSPORTS", "ROS_LOCALHOST_ONLY"):
+        assert not fast_dds_profile({name: "1"})
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64 << 20))
+    assert not fast_dds_profile({})
 
 
 def test_leaving_the_block_ends_all_even_by_an_error(tmp_path: Path) -> None:
