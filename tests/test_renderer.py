@@ -204,6 +204,17 @@ def test_far_from_the_origin_nothing_is_lost(host: Host) -> None:
     assert decibels(far, expected) >= 70
 
 
+def test_beyond_the_depth_buffer_there_is_a_sky(host: Host) -> None:
+    """A huge splat far behind the far plane of the opaque scene."""
+    sky = one(positions=[[-1e6, 0, 0]], scales=[[1e6] * 3], opacities=[0.9], sh=[[[1, 1, 1]]])
+    host.show(sky)
+    host.set(float_blending=True)
+    camera = CAMERAS["outside"]
+    picture = host.draw(camera)
+    assert picture[..., 3].min() > 0.2
+    assert decibels(picture, reference.render(sky, camera).rgba) >= 70
+
+
 def test_edits_lead_to_the_same_map_as_a_replace(host: Host) -> None:
     splats = cloud(70000, degree=1, size=0.02)  # more than a page of slots
     host.show(splats)

@@ -12,6 +12,9 @@ from rosplat_sorter.camera import Camera, CameraError
 
 # Half the low-pass filter's reach, 3.33 * sqrt(0.3) = 1.82 px, with room for rounding.
 MARGIN_PIXELS = 2.0
+# How much wider than the picture an order is culled: it is drawn for cameras that have moved on, and
+# lacks what came in. 1.25 saves 18 dB after a turn of 3 degrees (docs/stability.md).
+OVERSCAN = 1.25
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,8 @@ class View:
                 fy=np.float32(camera.fy),
                 offset_x=np.float32(camera.cx - camera.width / 2.0),
                 offset_y=np.float32(camera.cy - camera.height / 2.0),
-                half_width=np.float32(camera.width / 2.0 + MARGIN_PIXELS),
-                half_height=np.float32(camera.height / 2.0 + MARGIN_PIXELS),
+                half_width=np.float32(OVERSCAN * camera.width / 2.0 + MARGIN_PIXELS),
+                half_height=np.float32(OVERSCAN * camera.height / 2.0 + MARGIN_PIXELS),
                 slope_x=np.float32(slope(camera.fx, camera.cx, camera.width)),
                 slope_y=np.float32(slope(camera.fy, camera.cy, camera.height)),
                 near_clip=np.float32(camera.near_clip),

@@ -64,9 +64,9 @@ TEST(DepthOrder, LeavesOutWhatIsEmptyBeyondTheClipsOrNotANumber) {
 
 TEST(DepthOrder, KeepsSplatsWhoseFootprintReachesIntoThePicture) {
   Row row({10, 10, 10});
-  row.positions[0] = 6.3f;  // half the picture is 6.4 m wide there
-  row.positions[3] = 6.5f;  // 5 px outside, 0.1 m are 6 px and more
-  row.positions[6] = 8.0f;
+  row.positions[0] = 7.9f;  // half the picture, with overscan, is 8 m wide there
+  row.positions[3] = 8.1f;  // 5 px outside, 0.1 m are 6 px and more
+  row.positions[6] = 10.0f;
   EXPECT_EQ(row.sort(lookAhead()), (Slots{1, 0}));
 }
 
@@ -77,8 +77,8 @@ TEST(View, IsThatOfTheTwinInPython) {  // test_view.py asserts the same numbers
   EXPECT_EQ(view.fy, 0x1.024p+9f);
   EXPECT_EQ(view.offset_x, -0x1.666666p+0f);
   EXPECT_EQ(view.offset_y, 0x1.e9999ap+3f);
-  EXPECT_EQ(view.half_width, 322.0f);
-  EXPECT_EQ(view.half_height, 242.0f);
+  EXPECT_EQ(view.half_width, 402.0f);
+  EXPECT_EQ(view.half_height, 302.0f);
   EXPECT_EQ(view.slope_x, 0x1.1a7f08p+10f);
   EXPECT_EQ(view.slope_y, 0x1.03e01cp+10f);
   EXPECT_EQ(view.near_clip, 0x1.99999ap-5f);

@@ -11,8 +11,6 @@ uniform uint count;      // drawn
 uniform uint words;      // of the visible slots' bits
 uniform ivec2 picture;   // [px]
 uniform bool top_first;  // the target's first row is the picture's top
-uniform vec2 ndc_depth;  // ndc.z = (x depth + y) / w
-uniform bool orthographic;
 uniform int mode;
 
 const float kLeastContribution = 0.05;  // less than this nobody sees
@@ -70,9 +68,8 @@ void main() {
       kept += uint(bitCount(reaching[word]));
     }
     if (reaches) {
-      float ndc = (ndc_depth.x * e.depth + ndc_depth.y) / (orthographic ? 1.0 : e.depth);
       indices[before_me] = index;
-      places[before_me] = vec4(e.centre, 0.5 * ndc + 0.5, e.opacity);
+      places[before_me] = vec4(e.centre, windowDepth(e.depth), e.opacity);
       axes[before_me] = vec4(e.major / dot(e.major, e.major), minorAxis(e) / (e.minor * e.minor));
     }
     barrier();

@@ -5,8 +5,6 @@ layout(std430, binding = 5) readonly buffer DepthRange { uint nearest, farthest;
 
 uniform uint count;        // drawn
 uniform vec2 picture;      // [px]
-uniform vec2 ndc_depth;    // ndc.z = (x depth + y) / w
-uniform bool orthographic;
 uniform float up;          // 1, or -1 where the target's first row is the picture's top
 uniform int mode;
 uniform bool raw_depth;    // blend depths [m] instead of colours
@@ -39,6 +37,5 @@ void main() {
   vec2 minor = minorAxis(e);
   vec2 pixel = e.centre + sigmas.x * e.major + sigmas.y * minor;
   vec2 ndc = 2.0 * pixel / picture - 1.0;
-  float depth = (ndc_depth.x * e.depth + ndc_depth.y) / (orthographic ? 1.0 : e.depth);
-  gl_Position = vec4(ndc.x, -up * ndc.y, depth, 1.0);
+  gl_Position = vec4(ndc.x, -up * ndc.y, ndcDepth(e.depth), 1.0);
 }

@@ -9,8 +9,6 @@ layout(binding = 0) writeonly uniform image2D blended;
 
 uniform ivec2 picture;     // [px]
 uniform bool top_first;    // the target's first row is the picture's top
-uniform vec2 ndc_depth;    // ndc.z = (x depth + y) / w
-uniform bool orthographic;
 uniform int mode;
 uniform vec2 depth_range;  // of mode kDepth [m]; empty: that of what is drawn
 
@@ -48,8 +46,7 @@ void main() {
       vec2 major = e.major / dot(e.major, e.major);
       places[local] = vec4(e.centre, major);
       vec2 minor = normalize(vec2(-e.major.y, e.major.x)) / e.minor;
-      float ndc = (ndc_depth.x * e.depth + ndc_depth.y) / (orthographic ? 1.0 : e.depth);
-      shapes[local] = vec4(minor, 0.5 * ndc + 0.5, 0.0);
+      shapes[local] = vec4(minor, windowDepth(e.depth), 0.0);
       colours[local] = vec4(mode == kDepth ? depthColour(e.depth, range) : e.colour, e.opacity);
     }
     barrier();

@@ -43,11 +43,16 @@ struct View {
 // Half the low-pass filter's reach, 3.33 * sqrt(0.3) = 1.82 px, with room for rounding.
 constexpr double kMarginPixels = 2.0;
 
+// How much wider than the picture an order is culled: it is drawn for cameras that have moved on,
+// and lacks what came in. 1.25 saves 18 dB after a turn of 3 degrees (docs/stability.md).
+constexpr double kOverscan = 1.25;
+
 // The View of a camera at rotation (map to camera optical frame, row-major) and translation (of the
 // map's origin in the camera frame, [m]) with the intrinsics and the extent_scale of ViewCamera.
 inline View makeView(const double rotation[9], const double translation[3], double fx, double fy,
                      double cx, double cy, double width, double height, double near_clip,
-                     double far_clip, bool orthographic, double extent_scale = 1.0) {
+                     double far_clip, bool orthographic, double extent_scale = 1.0,
+                     double overscan = kOverscan) {
   // A perspective footprint grows with the slope of its ray, which the renderer clamps so.
   const auto slope = [=](double focal, double centre, double size) {
     if (orthographic) return extent_scale * focal;
@@ -61,8 +66,8 @@ inline View makeView(const double rotation[9], const double translation[3], doub
   view.fy = static_cast<float>(fy);
   view.offset_x = static_cast<float>(cx - width / 2.0);
   view.offset_y = static_cast<float>(cy - height / 2.0);
-  view.half_width = static_cast<float>(width / 2.0 + kMarginPixels);
-  view.half_height = static_cast<float>(height / 2.0 + kMarginPixels);
+  view.half_width = static_cast<float>(overscan * width / 2.0 + kMarginPixels);
+  view.half_height = static_cast<float>(overscan * height / 2.0 + kMarginPixels);
   view.slope_x = static_cast<float>(slope(fx, cx, width));
   view.slope_y = static_cast<float>(slope(fy, cy, height));
   view.near_clip = static_cast<float>(near_clip);

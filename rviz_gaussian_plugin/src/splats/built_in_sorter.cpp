@@ -9,14 +9,16 @@ namespace {
 constexpr std::size_t kRecentEdits = 256;  // a sidecar further behind than this is not merged with
 }
 
-rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<double, 3>& origin) {
+rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<double, 3>& origin,
+                                double overscan) {
   std::array<double, 3> t = camera.translation;
   for (int i = 0; i < 3; ++i) {
     for (int k = 0; k < 3; ++k) t[i] += camera.rotation[3 * i + k] * origin[k];
   }
   return rosplat_sorter::makeView(camera.rotation.data(), t.data(), camera.fx, camera.fy, camera.cx,
                                   camera.cy, camera.width, camera.height, camera.near_clip,
-                                  camera.far_clip, camera.orthographic, camera.extent_scale);
+                                  camera.far_clip, camera.orthographic, camera.extent_scale,
+                                  overscan);
 }
 
 BuiltInSorter::BuiltInSorter() : thread_([this] { run(); }) {}

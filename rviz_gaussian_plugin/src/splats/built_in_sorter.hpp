@@ -92,6 +92,7 @@ class BuiltInSorter {
 };
 
 // The part of a camera that decides an order, relative to the map's origin.
-rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<double, 3>& origin);
+rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<double, 3>& origin,
+                                double overscan = rosplat_sorter::kOverscan);
 
 }  // namespace rosplat

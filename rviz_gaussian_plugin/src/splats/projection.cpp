@@ -60,8 +60,7 @@ void Projection::cull(const SlotStore& store, const SplatCamera& camera, const M
     visible_.zero();
     before_.zero();
   }
-  // The projection takes part with what is drawn: splats may be larger than the sorters know.
-  const rosplat_sorter::View view = sorterView(camera, map.origin);
+  const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
   cull_.use();
   setView(cull_, view);
   cull_.set("focal", view.fx, view.fy);
@@ -98,7 +97,7 @@ void Projection::project(const SlotStore& store, const SplatCamera& camera, cons
 
   // Rebased in double precision: neither the map's origin nor the camera's position reaches
   // float32.
-  const rosplat_sorter::View view = sorterView(camera, map.origin);
+  const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
   const auto& r = camera.rotation;
   std::array<float, 3> eye{};
   for (int i = 0; i < 3; ++i) {

@@ -46,11 +46,12 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       order_program_(shaders_.compute({"splat_visible.glsl", "splat_order.comp"})),
       sort_(shaders_),
       tiles_(shaders_, sort_),
-      quads_(shaders_.draw({"splat_ellipses.glsl", "splat_quad.vert"}, {"splat_quad.frag"})),
+      quads_(shaders_.draw({"splat_ellipses.glsl", "splat_depth.glsl", "splat_quad.vert"},
+                           {"splat_quad.frag"})),
       composite_(shaders_.draw({"splat_composite.vert"}, {"splat_composite.frag"})),
       surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})),
-      pick_(shaders_.compute(
-          {"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl", "splat_pick.comp"})),
+      pick_(shaders_.compute({"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
+                              "splat_depth.glsl", "splat_pick.comp"})),
       pick_colour_(shaders_.draw({"splat_composite.vert"}, {"splat_pick.frag"})) {}
 
 void SplatRenderer::apply(const GaussianEdit& edit) {

@@ -31,7 +31,8 @@ TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort)
     : count_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_count.comp"})),
       list_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_list.comp"})),
       ranges_(shaders.compute({"tile_ranges.comp"})),
-      blend_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_blend.comp"})),
+      blend_(shaders.compute(
+          {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "tile_blend.comp"})),
       prefix_sum_(shaders),
       sort_(sort) {
   GLint64 largest = 0;
