@@ -56,7 +56,7 @@ class Method:
 
 
 def sorted_by(backend: str) -> Sort:
-    """A backend's order."""
+    """A backend's order; empty: whichever is there."""
     return lambda bench, camera: bench.order(camera, backend)
 
 
@@ -142,7 +142,7 @@ def large_enough(pixels: float) -> Sort:
     return sort
 
 
-EXACT = sorted_by("native")
+EXACT = sorted_by("")
 
 
 def drawn(sort: Sort | OwnSort = EXACT, float_blending: bool = True, **settings: Any) -> Shoot:
