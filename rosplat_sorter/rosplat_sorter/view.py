@@ -12,8 +12,8 @@ from rosplat_sorter.camera import Camera, CameraError
 
 # Half the low-pass filter's reach, 3.33 * sqrt(0.3) = 1.82 px, with room for rounding.
 MARGIN_PIXELS = 2.0
-# How much wider than the picture an order is culled: it is drawn for cameras that have moved on, and
-# lacks what came in. 1.25 saves 18 dB after a turn of 3 degrees (docs/stability.md).
+# How much wider than the picture an order is culled: it is drawn for cameras that have moved on,
+# and lacks what came in. 1.25 saves 18 dB after a turn of 3 degrees (docs/stability.md).
 OVERSCAN = 1.25
 
 
