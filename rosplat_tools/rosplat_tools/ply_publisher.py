@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import threading
 import time
 from pathlib import Path
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.node import Node
 from tqdm import tqdm
 
@@ -39,21 +41,38 @@ class PlyPublisher(Node):
             self, frame_id=frame_id, chunk_bytes=chunk_bytes, history_depth=history_depth
         )
         self._busy = threading.Lock()
-        services = MutuallyExclusiveCallbackGroup()
-        self.create_service(LoadScene, "~/load", self._on_load, callback_group=services)
-        self.create_service(SaveMap, "~/save", self._on_save, callback_group=services)
+        self._requests = itertools.count(1)
+        self._newest = 0  # request
+        # Each of its own: what is being loaded can be ended.
+        self.create_service(
+            LoadScene, "~/load", self._on_load, callback_group=ReentrantCallbackGroup()
+        )
+        self.create_service(
+            SaveMap, "~/save", self._on_save, callback_group=MutuallyExclusiveCallbackGroup()
+        )
 
     def load(self, path: str) -> str:
-        """Makes a scene the map; returns what was loaded. Raises SceneError: the map stays."""
+        """Makes a scene the map; returns what was loaded.
+
+        A later call ends one that is still reading. Raises SceneError or Cancelled: the map stays.
+        """
         start = time.monotonic()
+        self._newest = mine = next(self._requests)
         with self._busy:
             with _bar("loading", 1.0) as bar:
 
                 def loaded(part: float) -> None:
                     self._go_on()
+                    if self._newest != mine:
+                        raise Cancelled
                     bar.update(part - bar.n)
+                    if bar.disable:
+                        self.get_logger().info(
+                            f"reading {path}: {part:.0%}", throttle_duration_sec=0.5
+                        )
 
                 splats = load_scene(path, loaded, self.get_logger().warning)
+                loaded(1.0)
             with _bar("publishing", len(splats)) as bar:
 
                 def published(count: int) -> None:
@@ -76,13 +95,19 @@ class PlyPublisher(Node):
         self, request: LoadScene.Request, response: LoadScene.Response
     ) -> LoadScene.Response:
         try:
-            response.message = self.load(request.path)
+            if request.path:
+                response.message = self.load(request.path)
+            else:
+                self._newest = next(self._requests)
+                response.message = "what was being loaded is not read any further"
             response.success = True
         except SceneError as error:
             self.get_logger().error(f"not loaded, the map stays: {error}")
             response.message = str(error)
         except Cancelled:
-            response.message = "the publisher ended"
+            response.message = (
+                f"{request.path}: cancelled" if self.context.ok() else "the publisher ended"
+            )
         response.splats = len(self._map)
         return response
 
@@ -114,5 +139,6 @@ def _publish() -> None:
     node = PlyPublisher()
     with spinning(node, threads=2):
         if node.path:
-            node.load(node.path)
+            with contextlib.suppress(Cancelled):  # by ~/load, or by the end of ROS
+                node.load(node.path)
         wait_for_end(node)

@@ -120,3 +120,23 @@ def test_it_ends_quietly_in_the_middle_of_anything(
     assert process.returncode == 0
     assert "Error" not in output
     assert "exception" not in output
+
+
+def test_a_request_ends_the_one_that_is_still_reading(
+    start: Start, listener: Any, tmp_path: Path, random_splats: Maker
+) -> None:
+    start("ply_publisher", path="procedural:1000")
+    listener.wait_for(1000)
+    large = tmp_path / "large.ply"
+    formats.save(large, random_splats(2_000_000, 2))
+    loading = listener.request(LoadScene, "ply_publisher/load", path=str(large))
+    assert listener.call(LoadScene, "ply_publisher/load", path="").success
+    listener.wait(loading.done)
+    answer = loading.result()
+    assert (answer.success, answer.splats) == (False, 1000)
+    assert answer.message == f"{large}: cancelled"
+    loading = listener.request(LoadScene, "ply_publisher/load", path=str(large))
+    assert listener.call(LoadScene, "ply_publisher/load", path="procedural:2000").success
+    listener.wait(loading.done)
+    assert not loading.result().success
+    listener.wait_for(2000)

@@ -9,15 +9,19 @@
 #include <QDialog>
 #include <QDialogButtonBox>
 #include <QDockWidget>
+#include <QDragEnterEvent>
 #include <QJsonArray>
 #include <QJsonDocument>
 #include <QJsonObject>
 #include <QLocalServer>
 #include <QLocalSocket>
+#include <QMimeData>
 #include <QPushButton>
 #include <QStyleOptionViewItem>
 #include <QTabWidget>
 #include <QTreeWidget>
+#include <QUrl>
+#include <QWindow>
 #include <functional>
 #include <map>
 #include <memory>
@@ -147,6 +151,28 @@ QJsonObject glObjects() {
   return counts;
 }
 
+// Drops a file in the middle of the render panel, as the window system hands it to the window;
+// returns whether somebody took it.
+bool drop(const QString& file) {
+  QMimeData data;
+  data.setUrls({QUrl::fromLocalFile(file)});
+  QWindow* window = frame().windowHandle();
+  const QWidget& panel = *manager().getRenderPanel();
+  const QPoint point = panel.mapTo(&frame(), panel.rect().center());
+  QDragEnterEvent enter(point, Qt::CopyAction, &data, Qt::LeftButton, Qt::NoModifier);
+  QApplication::sendEvent(window, &enter);
+  QDragMoveEvent move(point, Qt::CopyAction, &data, Qt::LeftButton, Qt::NoModifier);
+  QApplication::sendEvent(window, &move);
+  if (!move.isAccepted()) {
+    QDragLeaveEvent leave;
+    QApplication::sendEvent(window, &leave);
+    return false;
+  }
+  QDropEvent drop(point, Qt::CopyAction, &data, Qt::LeftButton, Qt::NoModifier);
+  QApplication::sendEvent(window, &drop);
+  return drop.isAccepted();
+}
+
 // The dialog that has been opened, null until it is.
 QDialog* dialog() { return qobject_cast<QDialog*>(QApplication::activeModalWidget()); }
 
@@ -170,6 +196,7 @@ QJsonValue answer(const QJsonObject& request) {
   if (what == "options") return options(at(request));
   if (what == "places") return places();
   if (what == "gl") return glObjects();
+  if (what == "drop") return drop(request["file"].toString());
   if (what == "set") {
     if (!at(request).setValue(request["value"].toVariant())) throw Refusal("not changed");
   } else if (what == "load") {

@@ -17,9 +17,11 @@
 #include <rviz_common/properties/file_picker_property.hpp>
 #include <rviz_common/properties/qos_profile_property.hpp>
 #include <rviz_common/properties/ros_topic_property.hpp>
+#include <rviz_common/render_panel.hpp>
 #include <rviz_common/ros_integration/ros_node_abstraction_iface.hpp>
 #include <rviz_common/view_controller.hpp>
 #include <rviz_common/view_manager.hpp>
+#include <rviz_common/window_manager_interface.hpp>
 #include <sstream>
 
 #include "messages.hpp"
@@ -73,8 +75,7 @@ GaussianDisplay::GaussianDisplay() : instance_(uniqueName()) {
   scene_file_ = new rviz_common::properties::FilePickerProperty(
       "Scene File", "",
       "Open a scene (.ply, .spz, .sog): the topic's publisher loads it, or one that is started "
-      "here. "
-      "Empty it to cancel.",
+      "here. A file may be dropped on the window, too. Empty it to cancel.",
       this, SLOT(openScene()));
   settings_ = std::make_unique<DisplaySettings>(this, [this] { applySettings(); });
   backend_ = new rviz_common::properties::EnumProperty(
@@ -101,6 +102,11 @@ GaussianDisplay::~GaussianDisplay() {
 void GaussianDisplay::onInitialize() {
   Display::onInitialize();
   topic_->initialize(context_->getRosNodeAbstraction());
+  if (context_->getWindowManager()) {
+    drop_ = std::make_unique<SceneDrop>(context_->getWindowManager()->getParentWindow(),
+                                        context_->getViewManager()->getRenderPanel(),
+                                        [this](const QString& path) { return takeDrop(path); });
+  }
   qos_property_->initialize([this](const rclcpp::QoS& qos) {
     qos_ = qos;
     subscribe();
@@ -177,6 +183,16 @@ void GaussianDisplay::openScene() {
   }
   if (topic_->getTopicStd().empty()) topic_->setString("/gaussians");
   if (loader_) loader_->load(path);
+}
+
+bool GaussianDisplay::takeDrop(const QString& path) {
+  if (!isEnabled()) return false;
+  if (scene_file_->getString() == path) {
+    openScene();  // once more
+  } else {
+    scene_file_->setString(path);
+  }
+  return true;
 }
 
 void GaussianDisplay::switchBackend() {
@@ -365,9 +381,9 @@ void GaussianDisplay::answer(const GaussianClient::RenderRequest& request, bool 
 
 void GaussianDisplay::setStatusOnce(StatusProperty::Level level, const QString& name,
                                     const std::string& text) {
-  std::string& shown = shown_status_[name];
-  if (shown == text) return;
-  shown = text;
+  auto& shown = shown_status_[name];
+  if (shown == std::make_pair(level, text)) return;
+  shown = {level, text};
   setStatus(level, name, QString::fromStdString(text));
 }
 
@@ -392,8 +408,12 @@ void GaussianDisplay::updateStatus() {
   }
 
   if (loader_ && !loader_->status().empty()) {
+    std::string text = loader_->status();
+    if (loader_->loading() && map.expected > map.splats) {
+      text += concat("; ", map.splats, " of ", map.expected, " splats are here");
+    }
     setStatusOnce(loader_->failed() ? StatusProperty::Error : StatusProperty::Ok, "Scene File",
-                  loader_->status());
+                  text);
   }
   if (!received.sidecar.empty()) {
     setStatusOnce(received.sidecar_failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",

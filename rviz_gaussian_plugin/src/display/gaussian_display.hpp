@@ -5,11 +5,13 @@
 #include <optional>
 #include <rviz_common/display.hpp>
 #include <string>
+#include <utility>
 
 #include "../splats/splat_cloud.hpp"
 #include "display_settings.hpp"
 #include "gaussian_client.hpp"
 #include "ros_versions.hpp"
+#include "scene_drop.hpp"
 #include "scene_loader.hpp"
 #include "splat_selection.hpp"
 
@@ -58,6 +60,7 @@ class GaussianDisplay : public rviz_common::Display {
   };
 
   void unsubscribe();
+  bool takeDrop(const QString& path);
   void applySettings();
   std::string onView(Ogre::Viewport* viewport, const SplatCamera& camera);
   void forgetUnseenViews();
@@ -85,13 +88,15 @@ class GaussianDisplay : public rviz_common::Display {
   std::unique_ptr<GaussianClient> client_;  // after cloud_: feeds it
   std::shared_ptr<SplatSelection> selection_;
   std::unique_ptr<SceneLoader> loader_;
+  std::unique_ptr<SceneDrop> drop_;
   std::map<Ogre::Viewport*, View> views_;
   std::size_t view_count_ = 0;  // that there ever were
   View still_;                  // of the pictures that services ask for
   std::optional<GaussianClient::RenderRequest> request_;
   double request_deadline_ = 0;
   double status_time_ = 0;
-  std::map<QString, std::string> shown_status_;
+  std::map<QString, std::pair<rviz_common::properties::StatusProperty::Level, std::string>>
+      shown_status_;
 };
 
 }  // namespace rosplat

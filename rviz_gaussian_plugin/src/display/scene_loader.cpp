@@ -1,12 +1,18 @@
 #include "scene_loader.hpp"
 
 #include <QStringList>
+#include <QTimer>
 #include <ament_index_cpp/get_package_prefix.hpp>
 
 namespace rosplat {
 
+namespace {
+constexpr int kGrace = 3000;  // what a publisher gets to end by itself [ms]
+}
+
 void SceneLoader::load(const std::string& path) {
-  cancel();
+  path_ = path;
+  loading_ = true;
   failed_ = false;
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {
@@ -15,23 +21,29 @@ void SceneLoader::load(const std::string& path) {
     name += publisher.node_name() + "/load";
     client_ = node_->create_client<LoadScene>(name);
     if (!client_->service_is_ready()) continue;  // a SLAM node, say
-    auto request = std::make_shared<LoadScene::Request>();
-    request->path = path;
     status_ = "loading " + path;
-    client_->async_send_request(request, [this](rclcpp::Client<LoadScene>::SharedFuture future) {
-      const auto response = future.get();
-      status_ = response->message;
-      failed_ = !response->success;
-    });
+    request(path);
     return;
   }
   client_.reset();
-  if (!publishers.empty()) {
-    status_ = "the publisher of " + topic_ + " has no service to load scenes; choose another topic";
-    failed_ = true;
-    return;
+  if (process_ || publishers.empty()) {  // one of its own may not have a service yet
+    stopPublisher();
+    startPublisher(path);
+  } else {
+    report("the publisher of " + topic_ + " has no service to load scenes; choose another topic",
+           true);
   }
-  startPublisher(path);
+}
+
+void SceneLoader::request(const std::string& path) {
+  auto request = std::make_shared<LoadScene::Request>();
+  request->path = path;
+  client_->async_send_request(request,
+                              [this, path](rclcpp::Client<LoadScene>::SharedFuture future) {
+                                if (!loading_ || path != path_) return;  // cancelled since
+                                const auto response = future.get();
+                                report(response->message, !response->success);
+                              });
 }
 
 void SceneLoader::startPublisher(const std::string& path) {
@@ -40,38 +52,61 @@ void SceneLoader::startPublisher(const std::string& path) {
         ament_index_cpp::get_package_prefix("rosplat_tools") + "/lib/rosplat_tools/ply_publisher";
     process_ = std::make_unique<QProcess>();
     process_->setProcessChannelMode(QProcess::MergedChannels);
-    process_->start(QString::fromStdString(program),
-                    {"--ros-args", "-p", QString::fromStdString("path:=" + path), "-r",
-                     QString::fromStdString("gaussians:=" + topic_)});
-    status_ = "loading " + path + " by a publisher of this display";
+    // By the Python on the path: a virtual environment may have what the one in its first line
+    // lacks.
+    process_->start("python3", {QString::fromStdString(program), "--ros-args", "-p",
+                                QString::fromStdString("path:=" + path), "-r",
+                                QString::fromStdString("gaussians:=" + topic_)});
+    status_ = "loading " + path;
   } catch (const ament_index_cpp::PackageNotFoundError&) {
-    status_ = "rosplat_tools is not installed: nothing can publish " + path;
-    failed_ = true;
+    report("rosplat_tools is not installed: nothing can publish " + path, true);
   }
+}
+
+void SceneLoader::stopPublisher() {
+  if (!process_) return;
+  QProcess* process = process_.release();  // it ends on its own time
+  if (process->state() == QProcess::NotRunning) {
+    process->deleteLater();
+    return;
+  }
+  QObject::connect(process, QOverload<int, QProcess::ExitStatus>::of(&QProcess::finished), process,
+                   &QObject::deleteLater);
+  QTimer::singleShot(kGrace, process, &QProcess::kill);
+  process->terminate();
 }
 
 void SceneLoader::cancel() {
-  if (client_) {
-    client_.reset();  // an answer goes to nobody
-    status_ = "cancelled";
-  }
   if (process_) {
-    process_->terminate();
-    if (!process_->waitForFinished(1000)) process_->kill();
-    process_->waitForFinished(1000);
-    process_.reset();
-    status_ = "cancelled";
+    stopPublisher();
+    report("cancelled", false);
+  } else if (loading_ && client_) {
+    request("");
+    report("cancelled", false);
   }
 }
 
-const std::string& SceneLoader::status() {
-  if (process_ && !failed_ && process_->state() == QProcess::NotRunning) {
-    // Its last line is the reason.
-    const QStringList lines =
-        QString::fromUtf8(process_->readAll()).split('\n', Qt::SkipEmptyParts);
-    failed_ = true;
-    status_ = lines.isEmpty() ? "the publisher ended" : lines.last().toStdString();
+void SceneLoader::report(const std::string& text, bool failed) {
+  status_ = text;
+  failed_ = failed;
+  loading_ = false;
+}
+
+void SceneLoader::readPublisher() {
+  const QStringList lines = QString::fromUtf8(process_->readAll()).split('\n', Qt::SkipEmptyParts);
+  const bool ended = process_->state() == QProcess::NotRunning;
+  if (!lines.isEmpty()) {
+    // Without what ROS puts before a line of the log: "[INFO] [time] [name]: ".
+    const int text = lines.last().lastIndexOf("]: ");
+    status_ = lines.last().mid(text < 0 ? 0 : text + 3).toStdString();
+    // What was loaded begins with the path; its last line where it ends is the reason.
+    if (status_.rfind(path_ + ":", 0) == 0) report(status_, ended);
   }
+  if (ended && !failed_) report(status_, true);
+}
+
+const std::string& SceneLoader::status() {
+  if (process_ && !failed_) readPublisher();
   return status_;
 }
 

@@ -14,28 +14,36 @@ class SceneLoader {
  public:
   SceneLoader(rclcpp::Node::SharedPtr node, std::string topic)
       : node_(std::move(node)), topic_(std::move(topic)) {}
-  ~SceneLoader() { cancel(); }
+  ~SceneLoader() { stopPublisher(); }
 
   const std::string& topic() const { return topic_; }
 
+  // Takes the place of what is being loaded.
   void load(const std::string& path);
-  // Gives up waiting, and ends a publisher that was started here.
+  // Ends what is being loaded, and a publisher that was started here.
   void cancel();
 
   // A sentence for the user, empty where nothing was asked for.
   const std::string& status();
-  bool failed() const { return failed_; }
+  bool loading() const { return loading_; }  // as of status()
+  bool failed() const { return failed_; }    // as of status()
 
  private:
   using LoadScene = rosplat_msgs::srv::LoadScene;
 
+  void request(const std::string& path);
   void startPublisher(const std::string& path);
+  void stopPublisher();
+  void readPublisher();
+  void report(const std::string& text, bool failed);
 
   rclcpp::Node::SharedPtr node_;
   std::string topic_;
   rclcpp::Client<LoadScene>::SharedPtr client_;
   std::unique_ptr<QProcess> process_;
+  std::string path_;
   std::string status_;
+  bool loading_ = false;
   bool failed_ = false;
 };
 

@@ -1,0 +1,44 @@
+#include "scene_drop.hpp"
+
+#include <QDir>
+#include <QDropEvent>
+#include <QFileInfo>
+#include <QMimeData>
+#include <QUrl>
+#include <QWidget>
+#include <utility>
+
+namespace rosplat {
+
+QString sceneIn(const QMimeData& data) {
+  for (const QUrl& url : data.urls()) {
+    const QFileInfo file(url.toLocalFile());
+    const QString suffix = file.suffix().toLower();
+    const bool scene = file.isDir() ? QDir(file.filePath()).exists("meta.json")
+                                    : suffix == "ply" || suffix == "spz" || suffix == "sog";
+    if (scene) return file.filePath();
+  }
+  return {};
+}
+
+SceneDrop::SceneDrop(QWidget* window, QWidget* panel, DropCallback on_drop)
+    : on_drop_(std::move(on_drop)) {
+  window->setAcceptDrops(true);
+  window->installEventFilter(this);
+  // The widget that holds an embedded window takes what is dragged over it, and hands it on there.
+  for (QWidget* holder : panel->findChildren<QWidget*>()) holder->installEventFilter(this);
+}
+
+bool SceneDrop::eventFilter(QObject*, QEvent* event) {
+  const bool drop = event->type() == QEvent::Drop;
+  if (!drop && event->type() != QEvent::DragEnter && event->type() != QEvent::DragMove) {
+    return false;
+  }
+  auto* drag = static_cast<QDropEvent*>(event);  // what the others derive from
+  const QString path = sceneIn(*drag->mimeData());
+  if (path.isEmpty() || (drop && !on_drop_(path))) return false;
+  drag->acceptProposedAction();
+  return true;
+}
+
+}  // namespace rosplat

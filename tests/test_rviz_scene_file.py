@@ -1,0 +1,111 @@
+"""Opening a scene from rviz: the Scene File property, files dropped on the window, cancelling."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rosplat_tools import formats
+from rosplat_tools.generate import generate
+from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz, red
+
+pytestmark = needs_rviz
+
+TOPIC = "/scene_file/gaussians"  # where nobody publishes
+
+
+@pytest.fixture
+def rviz_alone(rviz: Rviz) -> Iterator[Rviz]:
+    """A display of a topic that has no publisher; whom it starts ends with it."""
+    rviz.load(configuration(map_display(topic=TOPIC)))
+    yield rviz
+    rviz.load(configuration())
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A red disc."""
+    path = tmp_path / "disc.ply"
+    formats.save(path, disc((1, 0, 0)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene that takes some seconds to read and send."""
+    path = tmp_path_factory.mktemp("scenes") / "large.ply"
+    formats.save(path, generate(1_000_000))
+    return path
+
+
+def publishers(world: World) -> int:
+    return world.node.count_publishers(TOPIC)
+
+
+def test_a_scene_file_is_published_and_its_publisher_ends_with_the_property(
+    rviz_alone: Rviz, world: World, scene: Path
+) -> None:
+    rviz_alone.set("Map", "Scene File", value=str(scene))
+    rviz_alone.until(lambda s: red(s).sum() > 3000)
+    text = rviz_alone.until_status("Map", "Scene File", "Ok", f"{scene}: 1 splats", "loaded")
+    assert "reading" not in text
+    rviz_alone.set("Map", "Scene File", value="")
+    rviz_alone.until_status("Map", "Scene File", "Ok", "cancelled")
+    world.spin_until(lambda: publishers(world) == 0)
+
+
+def test_a_dropped_scene_is_opened_and_nothing_else(
+    rviz_alone: Rviz, world: World, scene: Path, tmp_path: Path
+) -> None:
+    note = tmp_path / "note.txt"
+    note.write_text("no scene")
+    assert not rviz_alone.ask("drop", file=str(note))
+    assert rviz_alone.ask("drop", file=str(scene))
+    assert rviz_alone.properties("Map")["Scene File"] == str(scene)
+    rviz_alone.until(lambda s: red(s).sum() > 3000)
+    # Once more, changed: by the publisher that is there.
+    formats.save(scene, disc((0, 1, 0)))
+    assert rviz_alone.ask("drop", file=str(scene))
+    rviz_alone.until(lambda s: not red(s).any())
+    assert publishers(world) == 1
+    rviz_alone.set("Map", value=False)
+    assert not rviz_alone.ask("drop", file=str(scene))
+
+
+def test_the_status_counts_what_has_arrived(rviz_alone: Rviz, large: Path) -> None:
+    rviz_alone.set("Map", "Scene File", value=str(large))
+    texts = []
+    deadline = time.monotonic() + 60
+    while not texts or "loaded" not in texts[-1]:
+        assert time.monotonic() < deadline, texts
+        texts.append(rviz_alone.status("Map").get("Scene File", ("", ""))[1])
+        time.sleep(0.1)
+    assert any(re.search(r"reading .*: \d+%", text) for text in texts)
+    assert texts[-1].startswith(f"{large}: 1,000,000 splats")
+
+
+def test_cancelling_holds_nothing_up(rviz_alone: Rviz, world: World, large: Path) -> None:
+    """The window answers at once, the publisher ends, and another scene can follow."""
+    rviz_alone.set("Map", "Scene File", value=str(large))
+    rviz_alone.until_status("Map", "Scene File", "Ok", "reading")
+    rviz_alone.set("Map", "Scene File", value="")
+    rviz_alone.until_status("Map", "Scene File", "Ok", "cancelled")
+    world.spin_until(lambda: publishers(world) == 0)
+
+
+def test_what_cannot_be_loaded_is_said_in_the_status(rviz_alone: Rviz, tmp_path: Path) -> None:
+    missing = tmp_path / "missing.ply"
+    rviz_alone.set("Map", "Scene File", value=str(missing))
+    rviz_alone.until_status("Map", "Scene File", "Error", str(missing))
+
+
+def test_a_publisher_without_the_service_is_named(rviz: Rviz, world: World, scene: Path) -> None:
+    world.place(0)
+    world.map.replace(disc((1, 0, 0)))
+    rviz.until(lambda s: red(s).sum() > 3000)
+    rviz.set("Map", "Scene File", value=str(scene))
+    rviz.until_status("Map", "Scene File", "Error", "no service", "another topic")
