@@ -14,9 +14,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-from rosplat_sorter import qos
+from rosplat_sorter import qos, shared_orders
 from rosplat_sorter.node import SorterNode
-from rosplat_sorter.order_slots import OrderReader
+from rosplat_sorter.order_slots import OrderError, OrderReader
+from rosplat_sorter.shared_orders import FOLDER
 
 EXECUTABLE = Path(get_package_prefix("rosplat_sorter"), "lib", "rosplat_sorter", "sorter")
 
@@ -65,6 +66,20 @@ class Peer:
 
         self.wait(matching, f"no order for sequence {sequence}, revision {revision}")
         return matching()[-1]
+
+    def answer(self, view_id, sequence):
+        """The last order that answers a view's sequence."""
+
+        def matching():
+            return [o for o in self.orders if (o.view_id, o.sequence) == (view_id, sequence)]
+
+        self.wait(matching, f"no order for sequence {sequence} of {view_id}")
+        return matching()[-1]
+
+    def listen(self, seconds):
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.02)
 
     def slots(self, sequence, revision=1):
         """Those of that order, as a list."""
@@ -239,3 +254,82 @@ def test_remapping_the_map_takes_views_and_orders_along():
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+def test_viewers_here_and_elsewhere_each_get_their_orders(peer, make_batch, make_look):
+    """One reads the sorter's shared memory, one can't: it never shows the key."""
+    peer.edit(make_batch(3, operation=GaussianArray.REPLACE))
+    here, elsewhere = OrderReader(), OrderReader()
+    for sequence in range(1, 6):
+        peer.look(make_look("here", sequence, x=0.01 * sequence, segment_key=here.key))
+        assert here.read(peer.answer("here", sequence)).tolist() == [2, 1, 0]
+        peer.look(make_look("elsewhere", sequence, x=0.02 * sequence))
+        packed = peer.answer("elsewhere", sequence)
+        assert elsewhere.read(packed).tolist() == [2, 1, 0]
+        assert packed.encoding == SplatOrder.PACKED
+    assert peer.answer("here", 5).encoding == SplatOrder.SHARED
+
+
+def test_a_sorter_in_another_container_is_not_believed_to_share_memory(
+    ros, make_batch, make_look, monkeypatch
+):
+    """Its /dev/shm is another one, though it runs on the same machine."""
+    separate = ["unshare", "--mount", "sh", "-c", 'mount -t tmpfs none /dev/shm && exec "$@"', "sh"]
+    if subprocess.run([*separate, "true"], check=False, capture_output=True).returncode:
+        pytest.skip("may not mount here")
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")  # which shares none either
+    process = subprocess.Popen(
+        [*separate, EXECUTABLE, "--ros-args", "-r", f"__ns:={ros}"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    peer = Peer()
+    try:
+        peer.meet()
+        peer.edit(make_batch(3, operation=GaussianArray.REPLACE))
+        for sequence in (1, 2):
+            peer.look(make_look(sequence=sequence, segment_key=peer.reader.key))
+            order = peer.order(sequence)
+            assert order.segment
+            assert order.encoding == SplatOrder.PACKED
+            assert peer.reader.read(order).tolist() == [2, 1, 0]
+            assert peer.reader.key == 0
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(20)
+        peer.close()
+
+
+def test_viewers_outlive_a_sorter_that_is_killed_and_meet_the_next(ros, make_batch, make_look):
+    peer = Peer()
+    peer.edit(make_batch(3, operation=GaussianArray.REPLACE))
+    sequence, segments = 0, []
+    try:
+        for _ in range(2):
+            process = subprocess.Popen(
+                [EXECUTABLE, "--ros-args", "-r", f"__ns:={ros}"],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            peer.orders.clear()
+            deadline = time.monotonic() + 30
+            while not peer.orders or peer.orders[-1].encoding != SplatOrder.SHARED:
+                assert time.monotonic() < deadline, "no order in shared memory"
+                sequence += 1  # what the dead sorter can't answer is asked for again
+                peer.look(make_look(sequence=sequence, segment_key=peer.reader.key))
+                peer.listen(0.2)
+                if peer.orders:
+                    assert peer.reader.read(peer.orders[-1]).tolist() == [2, 1, 0]
+            order = peer.orders[-1]
+            process.kill()
+            process.wait()
+            assert peer.reader.read(order).tolist() == [2, 1, 0]
+            segments.append(FOLDER / order.segment)
+        assert not segments[0].exists()
+        shared_orders.remove_stale()
+        assert not segments[1].exists()
+        with pytest.raises(OrderError):
+            peer.reader.read(order)
+    finally:
+        process.kill()
+        peer.close()
