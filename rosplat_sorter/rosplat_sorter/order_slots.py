@@ -47,6 +47,6 @@ class OrderReader:
 
 def pack(slots: NDArray[np.uint32], bits: int) -> array[int]:
     """Slots below 2^bits, uint32 (n,), as SplatOrder.packed."""
-    packed = array("B", bytes((len(slots) * bits + 7) // 8))
+    packed = array("B", [0]) * ((len(slots) * bits + 7) // 8)
     _native.pack(slots, bits, packed)
     return packed

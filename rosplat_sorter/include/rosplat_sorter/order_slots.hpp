@@ -55,13 +55,17 @@ inline void packSlots(const std::uint32_t* slots, std::size_t count, unsigned bi
   for (std::size_t i = 0; i < count; ++i) {
     pending |= (slots[i] & mask) << filled;
     filled += bits;
-    while (filled >= 8) {
-      *packed++ = static_cast<std::uint8_t>(pending);
-      pending >>= 8;
-      filled -= 8;
+    if (filled >= 32) {  // four bytes, which compilers write as one
+      for (unsigned byte = 0; byte < 4; ++byte) {
+        *packed++ = static_cast<std::uint8_t>(pending >> 8 * byte);
+      }
+      pending >>= 32;
+      filled -= 32;
     }
   }
-  if (filled > 0) *packed = static_cast<std::uint8_t>(pending);
+  for (; filled > 0; filled -= std::min(filled, 8u), pending >>= 8) {
+    *packed++ = static_cast<std::uint8_t>(pending);
+  }
 }
 
 // Undoes packSlots(). Throws OrderError where bits or size don't fit.
@@ -75,14 +79,19 @@ inline std::vector<std::uint32_t> unpackSlots(const std::uint8_t* packed, std::s
                      std::to_string(count) + " slots of " + std::to_string(bits) + " bits");
   }
   const std::uint64_t mask = (std::uint64_t{1} << bits) - 1;
+  const std::uint8_t* const end = packed + size;
   std::vector<std::uint32_t> slots(count);
   std::uint64_t pending = 0;
   unsigned filled = 0;
   for (std::uint32_t& slot : slots) {
-    while (filled < bits) {
-      pending |= std::uint64_t{*packed++} << filled;
-      filled += 8;
+    if (filled < bits && end - packed >= 4) {  // four bytes, which compilers read as one
+      const std::uint32_t next = packed[0] | std::uint32_t{packed[1]} << 8 |
+                                 std::uint32_t{packed[2]} << 16 | std::uint32_t{packed[3]} << 24;
+      pending |= std::uint64_t{next} << filled;
+      packed += 4;
+      filled += 32;
     }
+    for (; filled < bits; filled += 8) pending |= std::uint64_t{*packed++} << filled;
     slot = static_cast<std::uint32_t>(pending & mask);
     pending >>= bits;
     filled -= bits;
