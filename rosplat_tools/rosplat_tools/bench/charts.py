@@ -29,7 +29,7 @@ class Chart:
     """Records of one name as lines over the number of splats.
 
     series: what makes a line; panel: what makes a chart beside it, all in one by default. band:
-    shade from the median to the 95th percentile.
+    shade from there to the 95th percentile.
     """
 
     file: str
@@ -145,20 +145,23 @@ def _number(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
-def draw(records: Sequence[Record], folder: Path) -> list[Path]:
-    """Draws every chart that the records have something for; returns the pictures' paths."""
+def draw(records: Sequence[Record], folder: Path, statistic: str = "p50") -> list[Path]:
+    """Draws every chart that the records have something for; returns the pictures' paths.
+
+    statistic: the field of Record that is drawn.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     drawn = []
     for chart in CHARTS:
         mine = of_chart(chart, records)
         if mine:
             path = folder / f"{chart.file}.png"
-            figure(chart, mine).savefig(path, dpi=110)
+            figure(chart, mine, statistic).savefig(path, dpi=110)
             drawn.append(path)
     return drawn
 
 
-def figure(chart: Chart, records: Sequence[Record]) -> Figure:
+def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> Figure:
     """One chart; its caption names the machine."""
     panels = list(dict.fromkeys(chart.panel(record) for record in records))
     labels = list(dict.fromkeys(chart.series(record) for record in records))
@@ -174,7 +177,7 @@ def figure(chart: Chart, records: Sequence[Record]) -> Figure:
                 key=lambda r: r.splats,
             )
             if points:
-                _line(ax, chart, points, label, color_of[label])
+                _line(ax, chart, points, statistic, label, color_of[label])
         ax.set_title(panel, fontsize=10)
         ax.set_xlabel(chart.x)
         ax.grid(True, which="both", alpha=0.25, linewidth=0.5)
@@ -194,20 +197,21 @@ def figure(chart: Chart, records: Sequence[Record]) -> Figure:
     drawn.legend(
         handles.values(), handles.keys(), loc="outside right upper", fontsize=8, frameon=False
     )
-    drawn.suptitle(chart.title, fontsize=12)
+    drawn.suptitle(f"{chart.title} ({statistic})", fontsize=12)
     drawn.supxlabel(_caption(records, int(17 * width)), fontsize=7, color="0.35")
     return drawn
 
 
 def _line(
-    ax: Axes, chart: Chart, points: Sequence[Record], label: str, color: tuple[float, ...]
-) -> None:
-    x, median = [point.splats for point in points], [point.p50 for point in points]
+    ax: Axes, chart: Chart, points: Sequence[Record], statistic: str, label: str,
+    color: tuple[float, ...],
+) -> None:  # fmt: skip
+    x, y = [point.splats for point in points], [getattr(point, statistic) for point in points]
     marker = "o" if len(points) < 30 else None
-    ax.plot(x, median, label=label, color=color, marker=marker, markersize=3.5, linewidth=1.4)
+    ax.plot(x, y, label=label, color=color, marker=marker, markersize=3.5, linewidth=1.4)
     if chart.band:
         high = [point.p95 for point in points]
-        ax.fill_between(x, median, high, color=color, alpha=0.15, linewidth=0)
+        ax.fill_between(x, y, high, color=color, alpha=0.15, linewidth=0)
 
 
 def colors(count: int) -> list[tuple[float, ...]]:

@@ -77,8 +77,11 @@ def _draw(arguments: list[str], console: Console) -> int:
     parser = argparse.ArgumentParser(prog="bench charts", description="Draws charts of records.")
     parser.add_argument("files", nargs="+", type=Path, help="JSON files that bench wrote")
     parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for the charts")
+    parser.add_argument(
+        "--of", default="p50", choices=STATISTICS, help="what is drawn (default: the median)"
+    )
     options = parser.parse_args(arguments)
-    _chart(load(options.files), options.out, console)
+    _chart(load(options.files), options.out, console, options.of)
     return 0
 
 
@@ -271,11 +274,11 @@ def _text(value: object) -> str:
     )  # fmt: skip
 
 
-def _chart(records: list[Record], out: Path, console: Console) -> None:
+def _chart(records: list[Record], out: Path, console: Console, statistic: str = "p50") -> None:
     try:
         from rosplat_tools.bench import charts
     except ImportError as error:
         console.print(f"[yellow]charts skipped: {error}")
         return
-    for path in charts.draw(records, out):
+    for path in charts.draw(records, out, statistic):
         console.print(f"wrote {path}")

@@ -48,11 +48,13 @@ def watch(
     radius: float = 0.0,
     picture: tuple[int, int] = (1280, 720),
     until: Callable[[Watched], bool],
+    begin: Callable[[str], None] | None = None,
 ) -> Watched:
     """Runs the three until `until`, which is asked now and then, says that it has seen enough.
 
     publisher: an executable of rosplat_tools and its arguments. backend: of the sorter, or
-    BUILT_IN, or GPU. rate: see moving_viewer. Raises ProcessError where one of them ends by itself.
+    BUILT_IN, or GPU. rate: see moving_viewer. begin: called with the namespace when all three run.
+    Raises ProcessError where one of them ends by itself.
     """
     namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
@@ -82,6 +84,8 @@ def watch(
         programs["publisher"] = processes.node(
             "rosplat_tools", publisher[0], *remap, *publisher[1:], name="publisher"
         )
+        if begin:
+            begin(namespace)
         with trace.open(encoding="utf-8") as lines:
             rest = ""
             while not until(seen):
@@ -124,9 +128,15 @@ def for_seconds(seconds: float) -> Callable[[Watched], bool]:
     return _after(is_answered, seconds)
 
 
+def is_settled(frame: Frame) -> bool:
+    """Whether it shows a complete map by an order of all of it."""
+    known = (arrival["revision"] >= frame["revision"] for arrival in frame["arrivals"])
+    return bool(frame["complete"] and (frame["fresh"] or any(known)))
+
+
 def until_settled() -> Callable[[Watched], bool]:
     """Until a picture shows a complete map, sorted for it; raises TimeoutError where none does."""
-    return _after(lambda frame: bool(frame["complete"] and frame["fresh"]), 0.0)
+    return _after(is_settled, 0.0)
 
 
 def _after(reached: Callable[[Frame], bool], seconds: float) -> Callable[[Watched], bool]:

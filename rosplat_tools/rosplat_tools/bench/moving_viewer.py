@@ -55,6 +55,7 @@ class MovingViewer(Viewer):
         arrival = {
             "time": time.time(),
             "sequence": message.sequence,
+            "revision": message.revision,
             "sort_time": message.sort_time,
             "encoding": message.encoding,
         }
@@ -123,6 +124,7 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
             "frame": ended - began,
             "splats": splats,
             "complete": complete,
+            "revision": revision,
             "drawn": report["splats"],
             "fresh": report["order_fresh"],
             "source": report["order_source"],

@@ -15,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray, ViewCamera
+from rosplat_msgs.srv import LoadScene
 from rosplat_sorter import edits
 from rosplat_sorter.map import SplatMap
 from rosplat_tools.bench import live, scenes
@@ -31,7 +32,9 @@ QUICK_ORDER_SIZES = (100_000, 500_000)
 BATCHES, QUICK_BATCHES = (1_000, 10_000), (1_000,)
 MAPS, QUICK_MAPS = (100_000, 500_000, 1_000_000, 2_000_000), (100_000,)
 MAP_REPEATS, QUICK_MAP_REPEATS = 3, 1
+PICTURE = (320, 180)  # small: what counts is that the map is in it
 PATIENCE = 30.0  # with an answer [s]
+ACQUAINTANCE = 4.0  # until publisher, sorter and viewer know each other: DDS asks each 3 s [s]
 
 # Ways to send splats, in words.
 WAYS = {
@@ -62,8 +65,12 @@ def measure(plan: Plan) -> Iterator[Event]:
                     yield Doing(f"{count:,} splats as {way}", 0.3 + 0.3 * index / len(batches))
                     times = asker.ask(way, count, plan.budget)
                     yield Measurement.of("batch", "ms", times, splats=count, way=WAYS[way])
+        yield from _maps(plan)
     finally:
         rclpy.try_shutdown()
+
+
+def _maps(plan: Plan) -> Iterator[Event]:
     maps = plan.sizes or (QUICK_MAPS if plan.quick else MAPS)
     names = scenes.names(maps, plan.scenes)
     for index, name in enumerate(names):
@@ -153,15 +160,27 @@ def _ingest(plan: Plan, name: str) -> Measurement:
 
 def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
     """From the first batch's making to the frame that shows all, in three processes."""
+    node = Node("opener")
+
+    def load(namespace: str) -> None:
+        """Once the three have found each other."""
+        client = node.create_client(LoadScene, f"{namespace}/ply_publisher/load")
+        if not client.wait_for_service(PATIENCE):
+            raise TimeoutError("the publisher did not start")
+        time.sleep(ACQUAINTANCE)
+        client.call_async(LoadScene.Request(path=name))
+
     shown, rates, splats, gpu = [], [], 0, ""
     for _ in range(repeats):
         seen = live.watch(
-            out, ("ply_publisher", "-p", f"path:={name}"), backend="native", rate=0.1,
+            out, ("ply_publisher",), backend="native", rate=0.1, picture=PICTURE,
             until=live.until_settled(),
+            begin=load,
         )  # fmt: skip
-        frame = next(frame for frame in seen.frames if frame["complete"] and frame["fresh"])
+        frame = next(frame for frame in seen.frames if live.is_settled(frame))
         splats, gpu = frame["splats"], frame["renderer"]
         shown.append(1e3 * (frame["time"] - frame["published"]))
         rates.append(splats / 1e6 / (frame["received"] - frame["published"]))
+    node.destroy_node()
     yield Measurement.of("publish to visible", "ms", shown, name, splats, gpu, backend="native")
     yield Measurement.of("received by the viewer", "M splats/s", rates, name, splats)
