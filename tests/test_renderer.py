@@ -546,12 +546,23 @@ def test_a_pixel_picks_what_contributes_most_to_it(host: Host, view: str) -> Non
     slots, most = reference.pick(splats, CAMERAS[view])
     host.show(splats)
     host.draw(CAMERAS[view])
-    picked = host.renderer.pick("test").astype(np.int64)
+    picked = host.renderer.pick("test", 0, 0, WIDTH, HEIGHT).astype(np.int64)
     picked[picked == 2**32 - 1] = -1
     slots[most < 0.05] = -1
     limit = np.abs(most - 0.05) < 1e-3
     assert (picked == slots)[~limit].mean() > 0.998
     assert len(np.unique(slots)) > 15
+
+
+@pytest.mark.parametrize("view", CAMERAS)
+def test_a_part_of_the_picture_picks_as_the_whole(host: Host, view: str) -> None:
+    """As a click of rviz's mouse does, for large splats too, whose ellipses a wide angle bends."""
+    host.show(cloud(2000, degree=0, size=0.2))
+    host.draw(CAMERAS[view])
+    whole = host.renderer.pick("test", 0, 0, WIDTH, HEIGHT)
+    for left, top in np.random.default_rng(0).integers((0, 0), (WIDTH - 4, HEIGHT - 3), (50, 2)):
+        part = host.renderer.pick("test", left, top, 4, 3)
+        np.testing.assert_array_equal(part, whole[top : top + 3, left : left + 4])
 
 
 def test_a_faint_splat_does_not_hide_what_is_seen_through_it(host: Host) -> None:
@@ -567,7 +578,7 @@ def test_a_faint_splat_does_not_hide_what_is_seen_through_it(host: Host) -> None
     for opacities, seen in [((1, 0, 0, 0.4), 0), ((1, 0.4, 0.4, 0.4), 3), ((0, 0, 0, 0.02), None)]:
         host.show(replace(wall, opacities=np.float32(opacities)))
         host.draw(camera)
-        slot = host.renderer.pick("test")[HEIGHT // 2, WIDTH // 2]
+        slot = host.renderer.pick("test", WIDTH // 2, HEIGHT // 2, 1, 1)[0, 0]
         assert slot == (2**32 - 1 if seen is None else seen)
 
 

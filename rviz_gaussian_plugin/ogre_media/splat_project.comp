@@ -20,6 +20,7 @@ uniform bool orthographic;
 uniform vec2 focal;            // [px], orthographic [px/m]
 uniform vec2 principal_point;  // [px]
 uniform vec2 picture;          // [px]
+uniform vec2 whole_principal_point, whole_picture;  // of which the picture is a part, or itself [px]
 uniform vec2 clip;             // near, far [m]
 uniform int sh_degree;
 uniform int only_band;  // -1: all
@@ -113,9 +114,9 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
     jx = vec3(focal.x, 0.0, 0.0);
     jy = vec3(0.0, focal.y, 0.0);
   } else {
-    vec2 slack = 0.15 * picture / focal;  // 0.3 tan(fov / 2)
-    vec2 tangent = clamp(p.xy / p.z, -principal_point / focal - slack,
-                         (picture - principal_point) / focal + slack);
+    vec2 slack = 0.15 * whole_picture / focal;  // 0.3 tan(fov / 2)
+    vec2 tangent = clamp(p.xy / p.z, -whole_principal_point / focal - slack,
+                         (whole_picture - whole_principal_point) / focal + slack);
     jx = vec3(focal.x, 0.0, -focal.x * tangent.x) / p.z;
     jy = vec3(0.0, focal.y, -focal.y * tangent.y) / p.z;
   }

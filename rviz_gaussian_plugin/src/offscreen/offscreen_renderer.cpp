@@ -152,8 +152,10 @@ void OffscreenRenderer::setBox(const std::array<float, 3>& centre,
   manager_->getRootSceneNode()->attachObject(box);
 }
 
-std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id) {
-  cloud_->scene().drawPick(cameras_.at(view_id), settings, Canvas::kNone, 0);
+std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id, int left, int top,
+                                                   int width, int height) {
+  const SplatCamera part = crop(cameras_.at(view_id), left, top, width, height);
+  cloud_->scene().drawPick(part, settings, Canvas::kNone, 0);
   return cloud_->scene().readPick();
 }
 

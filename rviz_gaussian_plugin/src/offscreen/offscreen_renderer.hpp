@@ -27,7 +27,6 @@ class OffscreenRenderer {
   RenderSettings settings;  // of the next draw
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
-  const SplatCamera& camera(const std::string& view_id) const { return cameras_.at(view_id); }
   // Draws the scene as a view's camera sees it, sorted here if built_in. Throws std::runtime_error.
   FrameReport draw(const std::string& view_id, bool built_in);
 
@@ -36,8 +35,10 @@ class OffscreenRenderer {
 
   std::vector<float> readColor() { return cloud_->scene().readColor(); }
   std::vector<float> readDepth() { return cloud_->scene().readDepth(); }
-  // The slot that each pixel of a view shows, kNoSlot where none does; of the map as drawn last.
-  std::vector<std::uint32_t> pick(const std::string& view_id);
+  // The slot that each pixel of a rectangle of a view shows, kNoSlot where none does; of the map as
+  // drawn last.
+  std::vector<std::uint32_t> pick(const std::string& view_id, int left, int top, int width,
+                                  int height);
   // The whole picture, opaque objects included: width * height * 3, top row first.
   std::vector<std::uint8_t> readPicture(const std::array<float, 3>& background);
 

@@ -179,11 +179,11 @@ PYBIND11_MODULE(_offscreen, module) {
            [](OffscreenRenderer& r) { return toArray(r.readDepth(), {r.height(), r.width()}); })
       .def(
           "pick",
-          [](OffscreenRenderer& r, const std::string& view_id) {
-            const SplatCamera& camera = r.camera(view_id);
-            return toArray(r.pick(view_id), {camera.height, camera.width});
+          [](OffscreenRenderer& r, const std::string& view_id, int left, int top, int width,
+             int height) {
+            return toArray(r.pick(view_id, left, top, width, height), {height, width});
           },
-          "view_id"_a)
+          "view_id"_a, "left"_a, "top"_a, "width"_a, "height"_a)
       .def("read_slots", &readSlots, "slots"_a)
       .def(
           "read_color8",

@@ -118,6 +118,9 @@ void Projection::project(const SlotStore& store, const SplatCamera& camera, cons
   project_.set("focal", camera.fx, camera.fy);
   project_.set("principal_point", camera.cx, camera.cy);
   project_.set("picture", camera.width, camera.height);
+  const SplatCamera::Whole whole = camera.whole();
+  project_.set("whole_principal_point", whole.cx, whole.cy);
+  project_.set("whole_picture", whole.width, whole.height);
   project_.set("sh_degree", std::min(store.shDegree(), settings.max_sh_degree));
   project_.set("only_band", std::min(settings.only_band, store.shDegree()));
   project_.set("antialiased", int(antialiased));

@@ -44,4 +44,29 @@ SplatCamera makeCamera(const std::array<double, 3>& position,
   return camera;
 }
 
+SplatCamera crop(const SplatCamera& camera, int left, int top, int width, int height) {
+  SplatCamera part = camera;
+  part.cx -= left;
+  part.cy -= top;
+  part.width = width;
+  part.height = height;
+  part.part_of = camera.whole();
+  return part;
+}
+
+bool makePart(SplatCamera& camera, const SplatCamera& of) {
+  constexpr double kSame = 1e-4;
+  if (camera.orthographic != of.orthographic) return false;
+  for (std::size_t i = 0; i < 9; ++i) {
+    if (!(std::fabs(camera.rotation[i] - of.rotation[i]) < kSame)) return false;
+  }
+  for (std::size_t i = 0; i < 3; ++i) {
+    const double near = kSame * (1 + std::fabs(of.translation[i]));
+    if (!(std::fabs(camera.translation[i] - of.translation[i]) < near)) return false;
+  }
+  const double x = camera.fx / of.fx, y = camera.fy / of.fy;
+  camera.part_of = {x * of.cx, y * of.cy, x * of.width, y * of.height};
+  return true;
+}
+
 }  // namespace rosplat

@@ -17,8 +17,17 @@ struct SplatCamera {
   double near_clip = 0.01;                // [m]
   double far_clip = std::numeric_limits<float>::max();
   double extent_scale = 1;  // splats are drawn this many times as large
+  // Where this picture is a part of one, as for rviz's mouse tools: that one's principal point and
+  // size in pixels of this, so that a splat has the same ellipse in both. Else of size 0.
+  struct Whole {
+    double cx = 0, cy = 0, width = 0, height = 0;
+  } part_of;
   // How the scene's depth buffer sees it: ndc.z = (ndc_scale z + ndc_offset) / w, w = z or 1.
   double ndc_scale = 0, ndc_offset = 0;
+
+  Whole whole() const {
+    return part_of.width > 0 ? part_of : Whole{cx, cy, double(width), double(height)};
+  }
 
   bool operator==(const SplatCamera& o) const {
     return rotation == o.rotation && translation == o.translation &&
@@ -34,5 +43,12 @@ SplatCamera makeCamera(const std::array<double, 3>& position,
                        const std::array<double, 4>& orientation, bool orthographic, double fx,
                        double fy, double cx, double cy, double width, double height,
                        double near_clip, double far_clip);
+
+// A rectangle of a camera's picture. [px]
+SplatCamera crop(const SplatCamera& camera, int left, int top, int width, int height);
+
+// Makes a camera a part of another's picture, at whatever resolution; false where it isn't: where
+// they look from elsewhere, or elsewhere to.
+bool makePart(SplatCamera& camera, const SplatCamera& of);
 
 }  // namespace rosplat

@@ -120,6 +120,13 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
       viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
   try {
     if (seen) {
+      seen_[viewport] = camera;
+    } else {
+      for (const auto& [of, whole] : seen_) {
+        if (makePart(camera, whole)) break;
+      }
+    }
+    if (seen) {
       report_ = scene_->draw(on_view_(viewport, camera), settings_, canvas, built_in_);
     } else if (touched) {
       scene_->drawSurface(camera, settings_, canvas, camera_->getFarClipDistance());

@@ -4,6 +4,7 @@
 #include <OgreRenderable.h>
 
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 
@@ -55,6 +56,7 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
  private:
   std::unique_ptr<SplatScene> scene_;
   ViewCallback on_view_;
+  std::map<Ogre::Viewport*, SplatCamera> seen_;  // as drawn last; mouse tools draw parts of them
   RenderSettings settings_;
   bool built_in_ = false;
   std::uint32_t pick_handle_ = 0;
