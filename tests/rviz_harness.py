@@ -99,7 +99,9 @@ class Refused(RuntimeError):
 class Rviz:
     """A running rviz2; `load` gives it a configuration."""
 
-    def __init__(self, folder: Path, *, config: str | None = None, **environment: str) -> None:
+    def __init__(
+        self, folder: Path, *arguments: str, config: str | None = None, **environment: str
+    ) -> None:
         """Starts rviz2, with its logs in a folder, and waits until it can be driven."""
         from rosplat_tools.processes import Processes
 
@@ -112,7 +114,7 @@ class Rviz:
         file.write_text(config or configuration())
         self.process = self.processes.start(
             "rviz2",
-            [str(DRIVEN_RVIZ), "-d", str(file)],
+            [str(DRIVEN_RVIZ), "-d", str(file), *arguments],
             DISPLAY=self.screen_name,
             ROSPLAT_RVIZ_SOCKET=address,
             LIBGL_ALWAYS_SOFTWARE="1",

@@ -21,6 +21,10 @@ rclcpp::QoS pickedQos() {
 
 }  // namespace
 
+const char* GaussianClient::mapType() {
+  return rosidl_generator_traits::name<rosplat_msgs::msg::GaussianArray>();
+}
+
 rclcpp::QoS GaussianClient::mapQos() {
   return rclcpp::QoS(rclcpp::KeepLast(1000)).reliable().transient_local();
 }
@@ -112,8 +116,10 @@ void GaussianClient::watchPublishers() {
   // A latched subscription gets nothing from a volatile publisher; one that asks for less gets
   // both, and what comes twice is dropped by its revision.
   bool any_volatile = false, any_best_effort = false;
+  std::string other_type;
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {
+    if (publisher.topic_type() != mapType()) other_type = publisher.topic_type();
     any_volatile |= publisher.qos_profile().durability() == rclcpp::DurabilityPolicy::Volatile;
     any_best_effort |=
         publisher.qos_profile().reliability() == rclcpp::ReliabilityPolicy::BestEffort;
@@ -125,6 +131,7 @@ void GaussianClient::watchPublishers() {
   }
   const std::lock_guard lock(mutex_);
   status_.publishers = publishers.size();
+  status_.other_type = other_type;
   status_.best_effort =
       any_best_effort && qos_.reliability() == rclcpp::ReliabilityPolicy::Reliable;
 }

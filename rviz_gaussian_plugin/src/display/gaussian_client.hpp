@@ -44,12 +44,14 @@ class GaussianClient {
     std::uint64_t refused = 0;   // batches that contradict themselves
     std::string refusal;         // why, of the last one
     std::size_t publishers = 0;  // of the map's topic
+    std::string other_type;      // that one of them publishes
     bool best_effort = false;    // one of them offers no more, and more is asked for
     std::string sidecar;         // what became of switchBackend()
     bool sidecar_failed = false;
   };
 
   // As publishers of maps offer it: reliable, transient local, and as deep as the history that they
+  static const char* mapType();  // of the map's topic
   // keep.
   static rclcpp::QoS mapQos();
 

@@ -65,8 +65,7 @@ std::string concat(const Parts&... parts) {
 
 GaussianDisplay::GaussianDisplay() : instance_(uniqueName()) {
   topic_ = new rviz_common::properties::RosTopicProperty(
-      "Topic", "",
-      QString::fromStdString(rosidl_generator_traits::name<rosplat_msgs::msg::GaussianArray>()),
+      "Topic", "", GaussianClient::mapType(),
       "Map of 3D Gaussians (rosplat_msgs/GaussianArray). The display publishes its cameras on "
       "<topic>/view and what is selected on <topic>/picked, takes orders from <topic>/order and "
       "draws pictures for <topic>/render.",
@@ -164,6 +163,7 @@ void GaussianDisplay::subscribe() {
     }
     switchBackend();
   } catch (const std::exception& error) {
+    unsubscribe();
     setStatusOnce(StatusProperty::Error, "Topic", concat("Can't subscribe: ", error.what()));
   }
 }
@@ -396,6 +396,10 @@ void GaussianDisplay::updateStatus() {
     setStatusOnce(
         StatusProperty::Error, "Topic",
         concat(received.refused, " batches refused, the last because ", received.refusal));
+  } else if (received.batches == 0 && !received.other_type.empty()) {
+    setStatusOnce(StatusProperty::Error, "Topic",
+                  concat("This topic is of type ", received.other_type, ": choose one of type ",
+                         GaussianClient::mapType()));
   } else if (received.batches == 0) {
     setStatusOnce(
         StatusProperty::Warn, "Topic",
@@ -414,6 +418,8 @@ void GaussianDisplay::updateStatus() {
     }
     setStatusOnce(loader_->failed() ? StatusProperty::Error : StatusProperty::Ok, "Scene File",
                   text);
+  } else if (shown_status_.erase("Scene File") > 0) {
+    deleteStatus("Scene File");
   }
   if (!received.sidecar.empty()) {
     setStatusOnce(received.sidecar_failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",

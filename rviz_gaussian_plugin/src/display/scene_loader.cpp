@@ -83,6 +83,8 @@ void SceneLoader::cancel() {
   } else if (loading_ && client_) {
     request("");
     report("cancelled", false);
+  } else {
+    report("", false);  // nothing more to say
   }
 }
 
