@@ -142,7 +142,7 @@ void BuiltInSorter::apply(const Edit& item) {
     std::fill_n(changed_at_.data() + first, count, edit.revision);
     source += run_count;
   }
-  recent_.push_back(item.edit);
+  recent_.push_back({edit.revision, edit.runs});  // not the edit: its splats would stay in memory
   if (recent_.size() > kRecentEdits) recent_.pop_front();
 }
 
@@ -156,7 +156,7 @@ OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request)
   // Only an order of this map, not too far behind, can be brought up to date.
   const bool mergeable = request.base && request.base->map_id == map_id_ && !recent_.empty() &&
                          request.base->revision >= cleared_at_ &&
-                         request.base->revision + 1 >= recent_.front()->revision;
+                         request.base->revision + 1 >= recent_.front().revision;
   if (mergeable) {
     order->slots = merge(request);
     order->source = request.base->source + " + built-in";
@@ -173,9 +173,9 @@ OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request)
 std::vector<std::uint32_t> BuiltInSorter::merge(const Request& request) {
   const std::uint64_t known = request.base->revision;
   std::vector<std::uint32_t> changed;
-  for (const auto& edit : recent_) {
-    if (edit->revision <= known) continue;
-    for (const auto& [first, count] : edit->runs) {
+  for (const Change& change : recent_) {
+    if (change.revision <= known) continue;
+    for (const auto& [first, count] : change.runs) {
       for (std::uint32_t slot = first; slot < first + count && slot < extents_.size(); ++slot) {
         changed.push_back(slot);
       }

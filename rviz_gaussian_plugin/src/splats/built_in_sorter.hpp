@@ -67,6 +67,12 @@ class BuiltInSorter {
     std::string map_id;
   };
 
+  // The slots that an edit changed.
+  struct Change {
+    std::uint64_t revision = 0;
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;  // first, count
+  };
+
   void run();
   void apply(const Edit& edit);
   OrderPtr sort(const std::string& view_id, const Request& request);
@@ -85,8 +91,8 @@ class BuiltInSorter {
   std::uint64_t revision_ = 0;
   std::uint64_t cleared_at_ = 0;  // revision of the last clear
   std::vector<float> positions_, extents_;
-  std::vector<std::uint64_t> changed_at_;                   // revision of a slot's last change
-  std::deque<std::shared_ptr<const GaussianEdit>> recent_;  // whose slots a merge sorts
+  std::vector<std::uint64_t> changed_at_;  // revision of a slot's last change
+  std::deque<Change> recent_;              // whose slots a merge sorts
   rosplat_sorter::DepthOrder depth_order_;
   std::thread thread_;
 };
