@@ -24,14 +24,16 @@ LESSONS = {
         "than linear keys, but for outliers."
     ),
     "age rotation": (
-        "A frame's turn costs more than 16-bit keys. Past a few frames it is culling for the "
-        "old view that hurts, not the order."
+        "A frame's turn costs more than 16-bit keys. Orders are culled for a view 1.25 times as "
+        "wide as the picture."
     ),
     "age orbit": "The same order as under rotation: it depends on where the camera looks alone.",
     "age dolly": "Moving without turning costs nothing.",
-    "age rotation, wider": (
-        "The same orders, culled for a wider picture: what is left is the order."
+    "age rotation, culled 1x": (
+        "The same orders, culled for the picture alone: past a few frames it is what came in at "
+        "the border that hurts, not the order."
     ),
+    "age rotation, culled 1.5x": "Wider still: worth it past ten degrees only.",
     "blend": (
         "Half floats are below what is seen, as long as the driver rounds them (Mesa's "
         "software renderer cuts them off). Eight bits are seen in gradients, front to back "

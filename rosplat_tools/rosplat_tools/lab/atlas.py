@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from tqdm import tqdm
 
+from rosplat_sorter.view import OVERSCAN
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.generate import generate
@@ -443,12 +444,13 @@ def _stale(bench: Bench, quick: bool, kind: str, amounts: Sequence[float]) -> Cu
     expected = truth(splats, camera)
     bench.show(splats)
     curves: Curves = {}
-    for factor in (1, 1.25, 1.5, 2):
-        name = "culled for its view" if factor == 1 else f"for a view {factor} times as wide"
+    for factor in (1, OVERSCAN, 1.5, 2):
+        name = "culled for its view" if factor == 1 else f"for a view {factor:g} times as wide"
+        name += " (ours)" * (factor == OVERSCAN)
         curves[name] = []
         for amount in amounts:
             past = motion.before(camera, kind, amount, 1.0, target)
-            order, _ = bench.order(widened(past, factor))
+            order, _ = bench.order(widened(past, factor / OVERSCAN))
             curves[name].append(decibels(ordered(bench, splats, camera, order), expected))
     return curves
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_sorter.backends import BACKENDS
+from rosplat_sorter.view import OVERSCAN
 from rosplat_tools.cameras import Camera
 from rosplat_tools.lab import fragments, motion, orders
 from rosplat_tools.lab.bench import Bench, Image
@@ -82,17 +83,17 @@ def widened(camera: Camera, factor: float) -> Camera:
     )
 
 
-def stale(frames: int, kind: str, speed: float = 1.0, wider: float = 1.0) -> Sort:
+def stale(frames: int, kind: str, speed: float = 1.0, culled: float = OVERSCAN) -> Sort:
     """The exact order of some frames ago, its time shared by the frames that draw it.
 
-    wider: culled for a picture so many times as large.
+    culled: for a picture so many times as wide.
     """
 
     def sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
         target = motion.typical_bounds(bench.splats).mean(axis=0)
         seconds = frames / motion.FRAME_RATE
         past = motion.before(camera, kind, speed, seconds, target)
-        order, milliseconds = bench.order(widened(past, wider))
+        order, milliseconds = bench.order(widened(past, culled / OVERSCAN))
         return order, milliseconds / (frames + 1)
 
     return sort
@@ -247,11 +248,11 @@ METHODS: tuple[Method, ...] = (
     ),
     *(
         Method(
-            f"rotation, {frames} frames old, culled {wider}x wider", "age rotation, wider",
-            drawn(stale(frames, "rotation", wider=wider)),
+            f"rotation, {frames} frames old, culled {culled:g}x",
+            f"age rotation, culled {culled:g}x", drawn(stale(frames, "rotation", culled=culled)),
         )
-        for wider in (1.25, 1.5)
-        for frames in (5, 10)
+        for culled in (1.0, 1.5)
+        for frames in (1, 2, 5, 10)
     ),
     # What is blended, and in what.
     Method("blend RGBA32F", "blend", drawn(rasterizer=Rasterizer.QUADS)),
@@ -311,12 +312,12 @@ METHODS: tuple[Method, ...] = (
     Method("preset exact", "preset", drawn()),
     Method(
         "preset balanced", "preset",
-        drawn(stale(1, "rotation", wider=1.25), float_blending=False),
+        drawn(stale(1, "rotation"), float_blending=False),
         change=halves(*HALF),
     ),
     Method(
         "preset fast", "preset",
-        drawn(most_worth(0.9, stale(2, "rotation", wider=1.25)), float_blending=False),
+        drawn(most_worth(0.9, stale(2, "rotation")), float_blending=False),
         change=halves("positions", *HALF),
     ),
 )  # fmt: skip

@@ -66,8 +66,8 @@ NOTES = {
     "huge": Note(
         "A splat of a kilometre's size, as sky or background, three of its sizes away.",
         "Float32 reaches to 1e8 px of standard deviation.",
-        "Exact, but in the embedded renderer nothing is drawn beyond 10 km, where its far plane "
-        "is; rviz2's far plane is rviz's own.",
+        "As the reference, up to 1e8 px; what lies beyond the depth buffer's far plane is drawn "
+        "as sky.",
     ),
     "orthographic": Note(
         "There is no centre of projection: a view direction taken from one is wrong everywhere.",
@@ -92,8 +92,7 @@ NOTES = {
         "be mirrored to be right-handed. TF knows rigid transforms only, so a shear can't "
         "occur.",
         "Everything relative: no metres in any threshold.",
-        "Exact from micrometres up; the embedded renderer's far plane at 10 km ends it. "
-        "Mirrored by quaternion and harmonics, a map is as good, but for ties in depth.",
+        "The same picture over twelve decades, and mirrored by quaternions and harmonics.",
     ),
     "outliers": Note(
         "Linear keys divide the depths from the nearest to the farthest splat: one stray far "
@@ -119,7 +118,8 @@ NOTES = {
         "are missing at the border.",
         "Culling for a wider view: the order is then good for many degrees.",
         "On a graphics card that sorts for itself no order is old. Elsewhere the last one is "
-        "drawn for a quarter of a second at most, and it was culled for its very view.",
+        "drawn for a quarter of a second at most, and orders are culled for a view wider than the "
+        "picture, at the price of some 3 % more splats.",
     ),
     "stale_orbit": Note(
         "Orbiting turns the camera as well, but what it looks at stays in the picture.",
