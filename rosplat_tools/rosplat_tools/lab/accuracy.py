@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -88,6 +89,7 @@ def write(folder: Path, points: Sequence[Point]) -> Path:
         INTRODUCTION,
         f"{views} views of {scenes}; {facts}.",
         f"`{points[0].command}`",
+        *_caution(),
         "",
         "![Error against time](accuracy.png)",
         "",
@@ -107,6 +109,14 @@ def write(folder: Path, points: Sequence[Point]) -> Path:
     path = folder / "accuracy.md"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+def _caution() -> list[str]:
+    """What to say of the times where the machine has more to do than this."""
+    load, cores = os.getloadavg()[0], len(os.sched_getaffinity(0))
+    if load < 2 * cores:
+        return []
+    return ["", f"The machine was busy (load {load:.0f}, {cores} cores): errors hold, times don't."]
 
 
 def _row(summary: Summary) -> str:

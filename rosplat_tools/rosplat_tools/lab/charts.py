@@ -21,7 +21,7 @@ STYLE: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines
 CURVES = {
     "sort keys": (["keys linear", "keys adaptive", "keys float"], "bits", False),
     "age of the order, 1 rad/s, 60 Hz": (
-        ["age rotation", "age orbit", "age dolly"], "frames", False,
+        ["age rotation", "age rotation, culled 1x", "age orbit", "age dolly"], "frames", False,
     ),
     "stochastic transparency": (["stochastic"], "samples", True),
     "splats that are drawn": (["budget"], "% of those visible", False),

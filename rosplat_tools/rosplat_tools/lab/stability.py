@@ -66,8 +66,8 @@ NOTES = {
     "huge": Note(
         "A splat of a kilometre's size, as sky or background, three of its sizes away.",
         "Float32 reaches to 1e8 px of standard deviation.",
-        "As the reference, up to 1e8 px; what lies beyond the depth buffer's far plane is drawn "
-        "as sky.",
+        "As the reference, to ten thousand kilometres; what lies beyond the depth buffer's far "
+        "plane is drawn as sky.",
     ),
     "orthographic": Note(
         "There is no centre of projection: a view direction taken from one is wrong everywhere.",
