@@ -1,0 +1,96 @@
+"""Each property of the Display acts on the picture of a real rviz2."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz
+
+pytestmark = needs_rviz
+
+TILTED = """{Class: rviz_default_plugins/Orbit, Distance: 5, Yaw: 0.3, Pitch: 1.2,
+  Near Clip Distance: 0.01}"""
+CHANGES = [
+    ("Draw Mode", "Depth"),
+    ("Draw Mode", "Billboard"),
+    ("Draw Mode", "Flat Ball"),
+    ("Draw Mode", "Gaussian Ball"),
+    ("Draw Mode", "Normals"),
+    ("Draw Mode", "Opacity"),
+    ("Draw Mode", "Age"),
+    ("Alpha", 0.5),
+    ("Scale", 0.5),
+    ("SH Degree", "0"),
+    ("SH Degree", "1"),
+    ("SH Degree", "2"),
+    ("SH Degree/SH Band", "0"),
+    ("SH Degree/SH Band", "3"),
+    ("Order Source", "Off"),
+    ("Antialiasing", "On"),
+    ("Near Fade", 6.0),
+    ("Clip Box", True),
+]
+
+
+def test_each_property_acts(rviz: Rviz, world: World) -> None:
+    """From the picture as it comes, every change is seen, and its undoing brings that back."""
+    from rosplat_tools.splats import Splats, concatenate
+
+    rng = np.random.default_rng(1)
+    far = disc((0.9, 0.2, 0.1), x=-0.5, z=-1.0, sigma=0.8)
+    near = disc((0.1, 0.3, 0.9), x=0.5, z=0.5, sigma=0.6, opacity=0.8)
+    # Drawn by slot, the near one would be below.
+    both = concatenate([near, far])
+    sh = np.zeros((2, 16, 3), np.float32)
+    sh[:, :1] = both.sh
+    sh[:, 1:] = rng.uniform(-0.4, 0.4, (2, 15, 3))
+    small = Splats(both.positions, both.orientations, both.scales, both.opacities, sh)
+    dust = disc((1, 1, 1), y=1.5, sigma=0.004)  # smaller than a pixel
+    world.place()
+    rviz.load(configuration(map_display(), view=TILTED))
+    world.map.replace(concatenate([small, dust]))
+    rviz.until(lambda s: s.max() > 150)
+    rviz.until_status("Map", "Order", "Ok", "3 splats")
+
+    def steady() -> np.ndarray:
+        last = rviz.picture()
+        while True:
+            time.sleep(0.15)
+            if (last == (last := rviz.picture())).all():
+                return last
+
+    plain = steady()
+
+    def differs(picture: np.ndarray) -> bool:
+        return bool((np.abs(picture - plain).max(axis=2) > 8).sum() >= 1)
+
+    for name, value in CHANGES:
+        path = ("Map", *name.split("/"))
+        before = rviz.properties("Map")[name]
+        rviz.set(*path, value=value)
+        rviz.until(differs, seconds=15)
+        rviz.set(*path, value=before)
+        rviz.until(lambda s: not differs(s), seconds=15)
+
+
+def test_the_sidecar_changes_its_backend(rviz: Rviz, world: World) -> None:
+    world.place()
+    world.map.replace(disc((1, 0, 0)))
+    rviz.set("Map", "Sidecar Backend", value="numpy")
+    rviz.until_status("Map", "Sidecar", "Warn", "no sidecar")
+    rviz.set("Map", "Sidecar Backend", value="As Started")
+    sorter = rviz.processes.node("rosplat_sorter", "sorter")
+    try:
+        for backend in ["native", "numpy"]:
+            rviz.until_status("Map", "Order", "Ok", "sidecar")
+            rviz.set("Map", "Sidecar Backend", value=backend)
+            rviz.until_status("Map", "Sidecar", "Ok", backend)
+            # The order that is there stays until the camera moves.
+            rviz.set("X", value=rviz.properties(root="view")["X"] + 0.1, root="view")
+            rviz.until_status("Map", "Order", "Ok", f"sidecar ({backend}")
+    finally:
+        sorter.terminate()
+        sorter.wait()
+        rviz.processes.forget(sorter)
