@@ -4,7 +4,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 ruff format --check --quiet . || { echo 'Run: ruff format .' >&2; exit 1; }
 ruff check --quiet .
-git ls-files '*.cpp' '*.hpp' | xargs clang-format --dry-run -Werror
+git ls-files '*.cpp' '*.hpp' '*.cu' | xargs clang-format --dry-run -Werror
 # The parts that know no ROS. From the packages' own folders: from here, they would hide each other.
 (cd rosplat_sorter && mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_sorter/{backends,camera.py,depth.py,edits.py,map.py,order_slots.py,shared_orders.py,view.py,worker.py})

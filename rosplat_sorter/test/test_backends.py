@@ -1,5 +1,7 @@
 """Every backend present equals the plain reference, to the bit."""
 
+import mmap
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -80,6 +82,57 @@ def test_random_maps(backend, make_camera, make_edit, step, origin):
         moved = make_camera(**vars(camera) | {"position": tuple(np.add(camera.position, origin))})
         visible += assert_equal_to_reference(backend, splats, moved)
     assert visible > 1000
+
+
+def test_depths_of_any_magnitude(backend, make_camera, make_edit):
+    random = np.random.default_rng(8)
+    count = 50_000
+    positions = np.zeros((count, 3))
+    positions[:, 2] = 10.0 ** random.uniform(-44, 38, count)
+    splats = SplatMap()
+    splats.apply(make_edit(positions))
+    backend.update(splats, slice(0, count))
+    far = float(np.finfo(np.float32).max)
+    for near in (1e-45, 0.1, 1e30):
+        camera = make_camera(near_clip=near, far_clip=far)
+        assert assert_equal_to_reference(backend, splats, camera) > 1000
+    camera = make_camera(near_clip=-far, far_clip=far, orthographic=True)
+    assert assert_equal_to_reference(backend, splats, camera) == count
+
+
+def test_a_map_that_grows(backend, make_camera, make_edit):
+    random = np.random.default_rng(9)
+    splats = SplatMap()
+    camera = make_camera(orthographic=True, fx=20.0, fy=20.0, near_clip=-50.0)
+    end = 0
+    for revision, size in enumerate((1, 31, 480, 3_584, 4_096, 1, 8_191, 60_000), 1):
+        slots = np.arange(end, end + size)
+        end += size
+        positions = random.normal(size=(size, 3))
+        backend.update(splats, splats.apply(make_edit(positions, slots=slots, revision=revision)))
+        assert assert_equal_to_reference(backend, splats, camera) == end
+
+
+def test_orders_in_shared_memory(backend, make_camera, make_edit):
+    random = np.random.default_rng(10)
+    count = 10_000
+    splats = SplatMap()
+    splats.apply(make_edit(random.normal(size=(count, 3)) * 8))
+    backend.update(splats, slice(0, count))
+    for camera in cameras(make_camera, random):
+        view = View.of(camera, splats.origin)
+        expected = depth.order(view, splats.positions, splats.extents)
+        for order in orders_in_shared_memory(backend, view, count):
+            np.testing.assert_array_equal(order, expected)
+
+
+def orders_in_shared_memory(backend, view, capacity):
+    """What stands in a file that two orders are written to; the next may come to the same place."""
+    memory = mmap.mmap(-1, 4096 + 4 * capacity)
+    for _ in range(2):
+        memory[:] = bytes(len(memory))
+        order = backend.order(view, lambda count: np.frombuffer(memory, np.uint32, count, 4096))
+        yield np.frombuffer(memory[4096:], np.uint32)[: len(order)]
 
 
 def test_one_splat_nothing_visible_and_no_map(backend, make_camera, make_edit):
