@@ -529,6 +529,28 @@ def test_near_fade_thins_what_is_close(host: Host) -> None:
     assert host.draw(ABOVE)[CENTRE][3] == pytest.approx(solid / 2, rel=0.02)
 
 
+def test_what_adds_up_to_little_can_be_left_out(host: Host) -> None:
+    """Alphas of a Gaussian add up to 2 pi opacity sigma^2 [px]: one splat above, one below."""
+    faint = one(opacities=[0.05], scales=[[0.001] * 3], positions=[[0, 0.5, 0]])
+    host.show(faint)
+    assert host.draw(ABOVE).any()
+    host.set(least_worth=1.0)  # it is worth 6.28 * 0.05 * 0.3, the low-pass alone
+    assert not host.draw(ABOVE).any()
+    host.show(one())
+    assert host.draw(ABOVE).any()
+
+
+def test_who_waits_for_an_order_never_sees_an_old_one(host: Host) -> None:
+    splats = cloud(300)
+    host.show(splats)
+    host.set(order=OrderSource.AUTO, wait_for_order=True, float_blending=True)
+    for view in CAMERAS.values():
+        host.look(view)
+        assert host.renderer.draw("test")["order_fresh"]
+        expected = reference.render(splats, view).rgba
+        assert decibels(host.renderer.read_color(), expected) >= 70
+
+
 def test_unsorted_and_built_in_orders_can_be_chosen(host: Host) -> None:
     splats = cloud(300)
     host.show(splats)

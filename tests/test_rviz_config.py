@@ -30,6 +30,7 @@ MAP: dict[str, Any] = {
     "SH Degree/SH Band": "1",
     "Order Source": "Built-in",
     "Antialiasing": "On",
+    "Quality": "Fast",
     "Float Blending": True,
     "Near Fade": 0.25,
     "Clip Box": True,

@@ -28,6 +28,7 @@ uniform bool antialiased;
 uniform int mode;
 uniform float scale_modifier, opacity_modifier;
 uniform float near_fade;  // [m]
+uniform float least_worth;  // of the alphas of all its pixels, added up
 uniform float now;        // as slotAge() reads it
 uniform float age_range;  // what is old [s]
 
@@ -135,6 +136,7 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   float det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
   if (antialiased) opacity *= sqrt(det0 / det);
   if (!(opacity >= kCutoffAlpha)) return e;
+  if (6.2831853 * opacity * sqrt(det) < least_worth) return e;
 
   float mid = 0.5 * (a + c), radius = length(vec2(0.5 * (a - c), b));
   float major = mid + radius;

@@ -55,12 +55,15 @@ LESSONS = {
         "time where drawing is the cost, and a steady one."
     ),
     "least size": "Below half a pixel nothing is lost; nothing much is saved either.",
-    "preset": (
-        "What a property *quality* would set. Exact: a fresh order, blended in 32-bit floats. "
-        "Balanced: 16-bit floats, and under motion (1 rad/s here) the last frame's order, culled "
-        "for a picture a quarter wider; at rest it is as good as its blending. Fast: orders two "
-        "frames old, and nine splats of ten. None cuts harmonics or bits of keys: they cost much "
-        "and save little."
+    "least worth": (
+        "Splats whose alphas add up to less than so many pixels: needs no sort to find them, "
+        "and far views gain the most."
+    ),
+    "quality": (
+        "The Display's *Quality*. Exact: a fresh order, kept in 32-bit floats. Balanced: 16-bit "
+        "floats, and under motion (1 rad/s here) the last frame's order, culled for a picture a "
+        "quarter wider; at rest it is as good as its blending. Fast: besides, nothing that adds up "
+        "to less than a pixel. None cuts harmonics or bits of keys: they cost much and save little."
     ),
 }
 

@@ -308,16 +308,18 @@ METHODS: tuple[Method, ...] = (
         Method(f"from {pixels} px", "least size", drawn(large_enough(pixels)))
         for pixels in (0.5, 1, 2)
     ),
-    # All at once: what `quality` could mean.
-    Method("preset exact", "preset", drawn()),
+    *(
+        Method(f"worth {pixels} px", "least worth", drawn(least_worth=float(pixels)))
+        for pixels in (0.25, 0.5, 1, 2, 4)
+    ),
+    # All at once: the Display's property Quality.
+    Method("quality exact", "quality", drawn()),
     Method(
-        "preset balanced", "preset",
+        "quality balanced", "quality",
         drawn(stale(1, "rotation"), float_blending=False),
-        change=halves(*HALF),
     ),
     Method(
-        "preset fast", "preset",
-        drawn(most_worth(0.9, stale(2, "rotation")), float_blending=False),
-        change=halves("positions", *HALF),
+        "quality fast", "quality",
+        drawn(stale(1, "rotation"), float_blending=False, least_worth=1.0),
     ),
 )  # fmt: skip

@@ -128,6 +128,7 @@ void Projection::project(const SlotStore& store, const SplatCamera& camera, cons
   project_.set("scale_modifier", settings.scale);
   project_.set("opacity_modifier", settings.opacity);
   project_.set("near_fade", settings.near_fade);
+  project_.set("least_worth", settings.least_worth);
   project_.set("now", static_cast<float>(now));
   project_.set("age_range", settings.age_range);
   bindEllipses(project_);

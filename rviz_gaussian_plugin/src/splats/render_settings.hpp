@@ -48,6 +48,8 @@ struct RenderSettings {
   int max_sh_degree = kMaxShDegree;
   int only_band = -1;           // draw one band of spherical harmonics alone; -1: all
   bool float_blending = false;  // in 32-bit floats, slower by a factor of 2 to 5 on a GPU
+  bool wait_for_order = false;  // sort in the frame rather than draw an order that isn't fresh
+  float least_worth = 0;        // splats whose alphas add up to less are left out [px]
   float scale = 1;              // of the splats' size
   float opacity = 1;            // of their opacity, 0 to 1
   Antialiasing antialiasing = Antialiasing::kAsTrained;
@@ -62,8 +64,9 @@ struct RenderSettings {
   // Whether splats are projected alike.
   bool projectsAs(const RenderSettings& o) const {
     return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
-           scale == o.scale && opacity == o.opacity && antialiasing == o.antialiasing &&
-           clip_box == o.clip_box && near_fade == o.near_fade && age_range == o.age_range;
+           least_worth == o.least_worth && scale == o.scale && opacity == o.opacity &&
+           antialiasing == o.antialiasing && clip_box == o.clip_box && near_fade == o.near_fade &&
+           age_range == o.age_range;
   }
 };
 

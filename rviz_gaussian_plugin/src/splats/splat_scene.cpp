@@ -124,6 +124,9 @@ FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& s
     sortOnGpu();
   } else {
     choice = built_in ? book_.sortNow(view_id) : book_.choose(view_id, start, settings.order);
+    const bool ours_to_sort =
+        settings.order == OrderSource::kAuto || settings.order == OrderSource::kBuiltIn;
+    if (settings.wait_for_order && !choice.fresh && ours_to_sort) choice = book_.sortNow(view_id);
     useOrder(choice.order);
   }
   renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas);
