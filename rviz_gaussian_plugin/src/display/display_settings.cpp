@@ -63,17 +63,17 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       display, {{"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}});
   sh_band_ = choice<int>("SH Band", "All", "Draw a single band of spherical harmonics alone.",
                          sh_degree_, {{"All", -1}, {"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}});
-  order_ =
-      choice<OrderSource>("Order Source", "Auto",
-                          "Whose depth order is drawn. Auto: the sidecar's while it answers, "
-                          "else the graphics card's, or the built-in sort where there is none. "
-                          "Off: the order of the slots, which shows what sorting is for.",
-                          display,
-                          {{"Auto", OrderSource::kAuto},
-                           {"Sidecar", OrderSource::kSidecar},
-                           {"Built-in", OrderSource::kBuiltIn},
-                           {"GPU", OrderSource::kGpu},
-                           {"Off", OrderSource::kOff}});
+  order_ = choice<OrderSource>(
+      "Order Source", "Auto",
+      "Whose depth order is drawn. Auto: the graphics card's own; where there is none, the "
+      "sidecar's while it answers, else the built-in sort. "
+      "Off: the order of the slots, which shows what sorting is for.",
+      display,
+      {{"Auto", OrderSource::kAuto},
+       {"Sidecar", OrderSource::kSidecar},
+       {"Built-in", OrderSource::kBuiltIn},
+       {"GPU", OrderSource::kGpu},
+       {"Off", OrderSource::kOff}});
   rasterizer_ = choice<Rasterizer>(
       "Rasterizer", "Auto",
       "What blends the splats. Tiles: compute shaders, more exact and on a graphics card about ten "

@@ -115,10 +115,10 @@ FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& s
   const double start = now();
   prepare();
   takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
-  // A graphics card sorts in less time than the CPU's order would take to come.
+  // A graphics card sorts in less time than another's order takes to be uploaded.
   const bool on_gpu =
-      settings.order == OrderSource::kGpu || (settings.order == OrderSource::kAuto && !built_in &&
-                                              renderer_->accelerated() && !book_.answered(view_id));
+      settings.order == OrderSource::kGpu ||
+      (settings.order == OrderSource::kAuto && !built_in && renderer_->accelerated());
   OrderBook::Choice choice;
   if (on_gpu) {
     sortOnGpu();
