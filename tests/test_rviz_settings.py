@@ -29,6 +29,7 @@ CHANGES = [
     ("SH Degree/SH Band", "3"),
     ("Order Source", "Off"),
     ("Antialiasing", "On"),
+    ("Quality", "Fast"),
     ("Near Fade", 6.0),
     ("Clip Box", True),
 ]
@@ -48,11 +49,12 @@ def test_each_property_acts(rviz: Rviz, world: World) -> None:
     sh[:, 1:] = rng.uniform(-0.4, 0.4, (2, 15, 3))
     small = Splats(both.positions, both.orientations, both.scales, both.opacities, sh)
     dust = disc((1, 1, 1), y=1.5, sigma=0.004)  # smaller than a pixel
+    faint = disc((1, 1, 1), y=-1.5, sigma=0.002, opacity=0.12)  # its alphas add up to less than one
     world.place()
     rviz.load(configuration(map_display(), view=TILTED))
-    world.map.replace(concatenate([small, dust]))
+    world.map.replace(concatenate([small, dust, faint]))
     rviz.until(lambda s: s.max() > 150)
-    rviz.until_status("Map", "Order", "Ok", "3 splats")
+    rviz.until_status("Map", "Order", "Ok", "4 splats")
 
     def steady() -> np.ndarray:
         last = rviz.picture()

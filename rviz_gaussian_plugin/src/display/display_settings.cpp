@@ -92,6 +92,13 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       {{"As Trained", Antialiasing::kAsTrained},
        {"On", Antialiasing::kOn},
        {"Off", Antialiasing::kOff}});
+  quality_ = choice<Quality>(
+      "Quality", "Balanced",
+      "Balanced: the last order is drawn until the next one is there. Exact: no order is ever "
+      "old, a frame sorts for itself if it must, and pictures are kept in 32-bit floats. Fast: "
+      "leaves out splats whose alphas add up to less than a pixel.",
+      display,
+      {{"Fast", Quality::kFast}, {"Balanced", Quality::kBalanced}, {"Exact", Quality::kExact}});
   float_blending_ =
       new BoolProperty("Float Blending", false,
                        "Keep 32-bit instead of 16-bit floats. Tiles blend in 32 bits anyway and "
