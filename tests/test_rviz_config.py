@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from rviz_harness import Rviz, World, configuration, map_display, needs_rviz
+from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz
 
 pytestmark = needs_rviz
 
@@ -95,7 +95,11 @@ def test_add_by_topic(rviz: Rviz, world: World) -> None:
     from std_msgs.msg import String
 
     strings = world.node.create_publisher(String, "/strings", 1)
-    rviz.load(configuration(panels="[{Class: rviz_common/Displays, Name: Displays}]"))
+    displays = "[{Class: rviz_common/Displays, Name: Displays}]"
+    rviz.load(configuration(map_display(), panels=displays))
+    world.map.replace(disc((1, 0, 0)))
+    # The dialog lists what rviz2 has discovered when it opens.
+    rviz.until_status("Map", "Topic", "Ok", "1 batches")
     rviz.ask("open add dialog")
     world.spin_until(lambda: "GaussianMap" in str(offered(rviz)))
     rviz.ask("add topic", path=["/gaussians", "GaussianMap"])
