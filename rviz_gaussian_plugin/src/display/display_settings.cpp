@@ -16,7 +16,7 @@ namespace {
 using namespace rviz_common::properties;
 
 enum class Quality { kFast, kBalanced, kExact };
-// Of trained scenes this costs 45 to 71 dB; twice as much would cost 34 to 62 (docs/accuracy.md).
+// Leaves 49 dB of a trained scene, twice as much 40 ("least worth" in docs/accuracy.md). [px]
 // [px]
 constexpr float kFastLeastWorth = 1.0f;
 
@@ -76,8 +76,8 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
        {"Off", OrderSource::kOff}});
   rasterizer_ = choice<Rasterizer>(
       "Rasterizer", "Auto",
-      "What blends the splats. Tiles: compute shaders, more exact and on a graphics card about ten "
-      "times as fast. Quads: fixed-function blending, faster in software. Auto: the faster one.",
+      "What blends the splats. Tiles: compute shaders, more exact and on a graphics card five to "
+      "ten times as fast. Quads: fixed-function blending, faster in software. Auto: the faster one.",
       display,
       {{"Auto", Rasterizer::kAuto}, {"Tiles", Rasterizer::kTiles}, {"Quads", Rasterizer::kQuads}});
   profile_ = new BoolProperty("Profile", false,
