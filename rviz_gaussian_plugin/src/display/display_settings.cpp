@@ -17,7 +17,6 @@ using namespace rviz_common::properties;
 
 enum class Quality { kFast, kBalanced, kExact };
 // Leaves 49 dB of a trained scene, twice as much 40 ("least worth" in docs/accuracy.md). [px]
-// [px]
 constexpr float kFastLeastWorth = 1.0f;
 
 template <typename Value>
@@ -77,7 +76,8 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
   rasterizer_ = choice<Rasterizer>(
       "Rasterizer", "Auto",
       "What blends the splats. Tiles: compute shaders, more exact and on a graphics card five to "
-      "ten times as fast. Quads: fixed-function blending, faster in software. Auto: the faster one.",
+      "ten times as fast. Quads: fixed-function blending, faster in software. Auto: the faster "
+      "one.",
       display,
       {{"Auto", Rasterizer::kAuto}, {"Tiles", Rasterizer::kTiles}, {"Quads", Rasterizer::kQuads}});
   profile_ = new BoolProperty("Profile", false,
