@@ -213,6 +213,50 @@ def test_publish_camera_means_the_view_of_rviz(rviz: Rviz, world: World) -> None
     assert near(paths[-1].poses[-2], 2)
 
 
+def test_each_view_says_who_sorted_it_and_asks_until_the_sidecar_did(
+    rviz: Rviz, world: World
+) -> None:
+    """A sidecar that answers the camera alone: the other view is sorted here, and asks on."""
+    from rosplat_msgs.msg import SplatOrder, ViewCamera
+    from rosplat_tools.qos import ORDER
+
+    orders = world.node.create_publisher(SplatOrder, "gaussians/order", ORDER)
+    asked: dict[bool, int] = {}
+
+    def answer(camera: ViewCamera) -> None:
+        of_robot = camera.width == 320
+        asked[of_robot] = camera.sequence
+        if of_robot:
+            orders.publish(
+                SplatOrder(
+                    view_id=camera.view_id, sequence=camera.sequence, map_id=world.map.map_id,
+                    revision=world.map.revision, backend="test", slots=[0],
+                )
+            )  # fmt: skip
+
+    world.node.create_subscription(ViewCamera, "gaussians/view", answer, ORDER)
+    RobotCamera(world, width=320, height=240)
+    world.place()
+    rviz.load(configuration(CAMERA, map_display()))
+    world.map.replace(disc((1, 0, 0)))
+
+    def sorted_by(whom: str, view: bool) -> bool:
+        texts = [
+            text
+            for name, (_, text) in rviz.status("Map").items()
+            if name.startswith("Order (view") == view and name.startswith("Order")
+        ]
+        return len(texts) == 1 and f"by {whom}" in texts[0] and "fresh" in texts[0]
+
+    world.spin_until(lambda: sorted_by("built-in", False) and sorted_by("sidecar (test)", True))
+    before = dict(asked)
+    world.spin_until(lambda: asked[False] > before[False] + 2)
+    assert asked[True] == before[True]
+    assert sorted_by("built-in", False) and sorted_by("sidecar (test)", True)
+    rviz.set("Camera", value=False)
+    world.spin_until(lambda: not any("view" in name for name in rviz.status("Map")))
+
+
 def test_each_view_has_its_own_order(rviz: Rviz, world: World) -> None:
     """Blue over red from above, red over blue from below, with a sidecar and without."""
     from rosplat_tools.splats import concatenate

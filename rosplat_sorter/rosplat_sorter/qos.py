@@ -18,11 +18,11 @@ MAP_VOLATILE = QoSProfile(
     depth=1000,
 )
 
-# Cameras and orders: only the newest counts.
+# Cameras and orders: the newest of each view counts, and all views share the topics.
 VIEW = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
     history=HistoryPolicy.KEEP_LAST,
-    depth=1,
+    depth=32,  # views
 )
 ORDER = VIEW

@@ -192,6 +192,16 @@ def test_of_a_burst_of_views_the_last_is_answered(peer, make_batch, make_look):
     peer.order(100)
 
 
+def test_views_shown_at_once_are_all_answered(peer, make_batch, make_look):
+    peer.edit(make_batch())
+    views = [f"view {number}" for number in range(8)]
+    for sequence in range(1, 6):
+        for view in views:
+            peer.look(make_look(view, sequence, x=0.001 * sequence))
+        for view in views:
+            peer.answer(view, sequence)
+
+
 def test_a_publisher_that_does_not_latch_is_received(sorter, make_batch, make_look):
     peer = Peer(qos.MAP_VOLATILE)
     try:

@@ -28,11 +28,11 @@ MAP_VOLATILE = QoSProfile(
     depth=HISTORY_DEPTH,
 )
 
-# Only the newest camera and the newest order matter, but those must arrive.
+# Cameras and orders: the newest of each view must arrive, and all views share the topics.
 VIEW = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
     history=HistoryPolicy.KEEP_LAST,
-    depth=1,
+    depth=32,  # views
 )
 ORDER = VIEW

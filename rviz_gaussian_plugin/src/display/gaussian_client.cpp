@@ -12,8 +12,8 @@ namespace {
 
 using namespace std::chrono_literals;
 
-// Only the newest view matters, and its order.
-rclcpp::QoS viewQos() { return rclcpp::QoS(rclcpp::KeepLast(1)).reliable().durability_volatile(); }
+// The newest camera and order of each view matter: as deep as a sorter serves views.
+rclcpp::QoS viewQos() { return rclcpp::QoS(rclcpp::KeepLast(32)).reliable().durability_volatile(); }
 // All of what one box of the mouse picks.
 rclcpp::QoS pickedQos() {
   return rclcpp::QoS(rclcpp::KeepLast(100)).reliable().durability_volatile();

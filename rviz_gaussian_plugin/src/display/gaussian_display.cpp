@@ -41,6 +41,8 @@ constexpr double kAskAgain =
 constexpr double kUnseen = 2.0;  // after which a view that isn't drawn is gone [s]
 constexpr const char* kUnchanged = "As Started";
 constexpr double kStatusPeriod = 0.5;  // [s]
+constexpr const char* kOrderStatus = "Order";
+constexpr const char* kFrameStatus = "Frame";
 
 double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -208,8 +210,8 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   for (auto& [viewport, view] : views_) {
     if (view.sequence == 0 || now() - view.published < kKeepAlive) continue;
     // A view or an order may have been lost while display and sorter got to know each other.
-    const bool by_sidecar = cloud_->report().order_source.rfind("sidecar", 0) == 0;
-    if (!by_sidecar || !cloud_->report().order_fresh) askAgain(view);
+    const FrameReport report = cloud_->scene().report(view.id);
+    if (report.order_source.rfind("sidecar", 0) != 0 || !report.order_fresh) askAgain(view);
     publish(view);
   }
   if (now() - status_time_ > kStatusPeriod) {
@@ -242,6 +244,10 @@ void GaussianDisplay::forgetUnseenViews() {
       continue;
     }
     cloud_->scene().forget(view->second.id);
+    for (const char* entry : {kOrderStatus, kFrameStatus}) {
+      const QString name = statusName(entry, view->second);
+      if (shown_status_.erase(name) > 0) deleteStatus(name);
+    }
     view = views_.erase(view);
   }
 }
@@ -250,7 +256,10 @@ std::string GaussianDisplay::onView(Ogre::Viewport* viewport, const SplatCamera&
   serveRenderRequests();  // here, where the context is current
   selection_->refresh();
   View& view = views_[viewport];
-  if (view.id.empty()) view.id = instance_ + "/" + std::to_string(++view_count_);
+  if (view.id.empty()) {
+    view.number = ++view_count_;
+    view.id = instance_ + "/" + std::to_string(view.number);
+  }
   view.drawn = now();
   view.main = viewport == context_->getViewManager()->getCurrent()->getCamera()->getViewport();
   if (view.sequence == 0 || !(view.camera == camera)) {
@@ -390,7 +399,6 @@ void GaussianDisplay::setStatusOnce(StatusProperty::Level level, const QString& 
 void GaussianDisplay::updateStatus() {
   const GaussianClient::Status received = client_->status();
   const MapState map = cloud_->scene().state();
-  const FrameReport& frame = cloud_->report();
 
   if (received.refused > 0) {
     setStatusOnce(
@@ -438,21 +446,32 @@ void GaussianDisplay::updateStatus() {
 
   if (!cloud_->error().empty()) {
     setStatusOnce(StatusProperty::Error, "OpenGL", cloud_->error());
-  } else if (!frame.order_source.empty()) {
-    setStatusOnce(
-        StatusProperty::Ok, "Order",
-        concat(frame.splats, " splats by ", frame.order_source,
-               frame.sort_time > 0 ? concat(" in ", frame.sort_time * 1e3, " ms") : "", ", ",
-               frame.order_fresh ? "fresh" : concat(frame.order_age * 1e3, " ms old")));
-    setStatusOnce(StatusProperty::Ok, "Memory",
-                  concat("GPU ", cloud_->scene().gpuBytes() >> 20, " MiB, host ",
-                         cloud_->scene().hostBytes() >> 20, " MiB"));
-    std::string text = concat(frame.draw_time * 1e3, " ms to draw in ", frame.rasterizer);
-    for (const auto& [stage, time] : frame.profile) {
-      text += concat(", ", stage, " ", std::setprecision(2), time * 1e3);
-    }
-    setStatusOnce(StatusProperty::Ok, "Frame", text);
+    return;
   }
+  if (received.batches == 0) return;
+  for (const auto& [viewport, view] : views_) showFrame(view);
+  setStatusOnce(StatusProperty::Ok, "Memory",
+                concat("GPU ", cloud_->scene().gpuBytes() >> 20, " MiB, host ",
+                       cloud_->scene().hostBytes() >> 20, " MiB"));
+}
+
+QString GaussianDisplay::statusName(const char* entry, const View& view) {
+  return view.main ? QString(entry) : QString("%1 (view %2)").arg(entry).arg(view.number);
+}
+
+void GaussianDisplay::showFrame(const View& view) {
+  const FrameReport frame = cloud_->scene().report(view.id);
+  if (frame.order_source.empty()) return;
+  setStatusOnce(
+      StatusProperty::Ok, statusName(kOrderStatus, view),
+      concat(frame.splats, " splats by ", frame.order_source,
+             frame.sort_time > 0 ? concat(" in ", frame.sort_time * 1e3, " ms") : "", ", ",
+             frame.order_fresh ? "fresh" : concat(frame.order_age * 1e3, " ms old")));
+  std::string text = concat(frame.draw_time * 1e3, " ms to draw in ", frame.rasterizer);
+  for (const auto& [stage, time] : frame.profile) {
+    text += concat(", ", stage, " ", std::setprecision(2), time * 1e3);
+  }
+  setStatusOnce(StatusProperty::Ok, statusName(kFrameStatus, view), text);
 }
 
 }  // namespace rosplat

@@ -52,6 +52,7 @@ class GaussianDisplay : public rviz_common::Display {
   // A viewport that the map is drawn in.
   struct View {
     std::string id;
+    std::size_t number = 0;
     std::uint64_t sequence = 0;
     SplatCamera camera;
     double published = 0;  // when the camera last went out [s]
@@ -72,6 +73,8 @@ class GaussianDisplay : public rviz_common::Display {
   bool toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const;
   void updateTransform();
   void updateStatus();
+  void showFrame(const View& view);
+  static QString statusName(const char* entry, const View& view);
   void setStatusOnce(rviz_common::properties::StatusProperty::Level level, const QString& name,
                      const std::string& text);
 

@@ -123,7 +123,7 @@ FrameReport OffscreenRenderer::draw(const std::string& view_id, bool built_in) {
   camera_->setCustomProjectionMatrix(true, projection);
   camera_->setCustomViewMatrix(true, Ogre::Affine3(view));
   update();
-  return cloud_->report();
+  return cloud_->scene().report(view_id);
 }
 
 void OffscreenRenderer::setBox(const std::array<float, 3>& centre,

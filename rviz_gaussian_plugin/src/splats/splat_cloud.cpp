@@ -127,7 +127,7 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
       }
     }
     if (seen) {
-      report_ = scene_->draw(on_view_(viewport, camera), settings_, canvas, built_in_);
+      scene_->draw(on_view_(viewport, camera), settings_, canvas, built_in_);
     } else if (touched) {
       scene_->drawSurface(camera, settings_, canvas, camera_->getFarClipDistance());
     } else {  // first the map that a pixel shows, then the slot

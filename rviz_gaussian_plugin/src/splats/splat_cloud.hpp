@@ -32,8 +32,7 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
   // What rviz's selection knows the map by, 24 bits; 0: it can't be selected.
   void setPickHandle(std::uint32_t handle) { pick_handle_ = handle; }
 
-  // The last frame; an error is a sentence for the user, and ends drawing until clearError().
-  const FrameReport& report() const { return report_; }
+  // A sentence for the user; it ends drawing until clearError().
   const std::string& error() const { return error_; }
   void clearError() { error_.clear(); }
 
@@ -60,7 +59,6 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
   RenderSettings settings_;
   bool built_in_ = false;
   std::uint32_t pick_handle_ = 0;
-  FrameReport report_;
   std::string error_;
   Ogre::MaterialPtr material_;
   Ogre::AxisAlignedBox box_ = Ogre::AxisAlignedBox::BOX_INFINITE;

@@ -110,8 +110,8 @@ void SplatScene::useOrder(const OrderPtr& order) {
   uploaded_order_ = order;
 }
 
-FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
-                             Canvas canvas, bool built_in) {
+const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
+                                    Canvas canvas, bool built_in) {
   const double start = now();
   prepare();
   takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
@@ -149,7 +149,12 @@ FrameReport SplatScene::draw(const std::string& view_id, const RenderSettings& s
     report.sort_time = choice.order->sort_time;
   }
   report.draw_time = now() - start;
-  return report;
+  return reports_[view_id] = std::move(report);
+}
+
+FrameReport SplatScene::report(const std::string& view_id) const {
+  const auto found = reports_.find(view_id);
+  return found == reports_.end() ? FrameReport{} : found->second;
 }
 
 void SplatScene::drawSurface(const SplatCamera& camera, const RenderSettings& settings,
@@ -177,6 +182,7 @@ std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>&
 
 void SplatScene::forget(const std::string& view_id) {
   cameras_.erase(view_id);
+  reports_.erase(view_id);
   book_.forget(view_id);
 }
 

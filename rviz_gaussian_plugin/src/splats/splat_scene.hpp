@@ -50,8 +50,10 @@ class SplatScene {
   bool answered(const std::string& view_id);
   // Render thread: uploads what waits, chooses an order and draws into the current framebuffer.
   // With built_in the order is sorted here, and waited for. Throws gl::Error.
-  FrameReport draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
-                   bool built_in = false);
+  const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
+                          bool built_in = false);
+  // Render thread: what draw() drew last of a view; of no order source before.
+  FrameReport report(const std::string& view_id) const;
   // Render thread: writes where the surface is; see SplatRenderer. Sorts, and waits for it.
   void drawSurface(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
                    double far_clip);
@@ -97,6 +99,7 @@ class SplatScene {
   BuiltInSorter sorter_;
   OrderBook book_{sorter_};
   std::map<std::string, SplatCamera> cameras_;
+  std::map<std::string, FrameReport> reports_;
   MapState drawn_map_;
   std::uint64_t surface_sequence_ = 0;
   OrderPtr uploaded_order_;
