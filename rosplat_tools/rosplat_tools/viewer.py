@@ -291,11 +291,11 @@ class Viewer(Node):
             return
         try:
             figures = self.draw_still(request.camera, "render", request.order_timeout)
-        except (ValueError, RuntimeError) as error:
+            response.color = _image(self.renderer.read_color(), "32FC4")
+            response.depth = _image(self.renderer.read_depth(), "32FC1")
+        except (ValueError, RuntimeError, MemoryError) as error:
             response.message = str(error)
             return
-        response.color = _image(self.renderer.read_color(), "32FC4")
-        response.depth = _image(self.renderer.read_depth(), "32FC1")
         for image in (response.color, response.depth):
             image.header.frame_id, image.header.stamp = frame or self.frame_id, stamp
         response.splats = figures.drawn

@@ -163,12 +163,19 @@ def test_what_can_t_be_drawn_is_answered_with_the_reason(
     answer = listener.call(RenderView, "gaussians/render", camera=camera)
     assert not answer.success
     assert "moon" in answer.message
-    for field, value in (("width", 0), ("fx", float("nan")), ("near_clip", -1.0)):
+    for field, value in (
+        ("width", 0),
+        ("width", 2**32 - 1),
+        ("height", 2**32 - 1),
+        ("projection", 9),
+        ("fx", float("nan")),
+        ("near_clip", -1.0),
+    ):
         camera = view_camera(CAMERA)
         setattr(camera, field, value)
         answer = listener.call(RenderView, "gaussians/render", camera=camera)
         assert not answer.success
-        assert answer.message
+        assert field in answer.message
     assert draw(listener).success
 
 

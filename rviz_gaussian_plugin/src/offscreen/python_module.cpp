@@ -61,8 +61,11 @@ py::dict apply(OffscreenRenderer& renderer, std::uint8_t operation, std::uint32_
 
 void setCamera(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
                const std::array<double, 3>& position, const std::array<double, 4>& orientation,
-               int projection, double fx, double fy, double cx, double cy, int width, int height,
-               double near_clip, double far_clip) {
+               int projection, double fx, double fy, double cx, double cy, double width,
+               double height, double near_clip, double far_clip) {
+  if (projection != 0 && projection != 1) {
+    throw std::invalid_argument("projection " + std::to_string(projection) + " is unknown");
+  }
   renderer.setCamera(view_id, sequence,
                      makeCamera(position, orientation, projection == 1, fx, fy, cx, cy, width,
                                 height, near_clip, far_clip));
