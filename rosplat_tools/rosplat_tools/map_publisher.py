@@ -107,12 +107,15 @@ class MapPublisher:
         """Makes splats the map, in slots 0 to n - 1.
 
         expected_slots is how many slots the finished map will need, by default n; stamp is the time
-        of the map, by default now.
+        of the map, by default now. Raises ValueError for more splats than a map has slots.
         """
+        if len(splats) > GaussianArray.MAX_SLOTS:
+            raise ValueError(f"{len(splats)} splats: a map has {GaussianArray.MAX_SLOTS} slots")
+        splats = splats.without_empty_bands()
         with self._lock:
-            self._map = SlotMap(splats.without_empty_bands())
+            self._map = SlotMap(splats)
             self._expected_slots = len(splats) if expected_slots is None else expected_slots
-            self._send_map(stamp, progress)
+            self._send_map(range(len(splats)), splats, stamp, progress)
 
     def upsert(self, slots: Slots, splats: Splats, *, stamp: Time | None = None) -> None:
         """Writes the i-th splat to the i-th slot, in use or not.
@@ -160,7 +163,8 @@ class MapPublisher:
         """
         if 0 < self._in_history <= self._depth - batches:
             return True
-        needed = len(list(self._large_chunks(self._map.snapshot()[1])))
+        slots, splats = self._map.snapshot()
+        needed = len(list(self._large_chunks(splats)))
         repeatable = (
             needed <= self._revision
             and needed <= self._depth - batches
@@ -169,16 +173,17 @@ class MapPublisher:
         )
         if repeatable:
             self._revision -= needed
-        self._send_map(stamp)
+        self._send_map(slots, splats, stamp)
         return repeatable
 
     def _large_chunks(self, splats: Splats) -> Iterator[slice]:
         half_history = splats.nbytes // (self._depth // 2) + 1
         return chunks(splats, max(self._chunk_bytes, half_history))
 
-    def _send_map(self, stamp: Time | None, progress: Progress | None = None) -> None:
+    def _send_map(
+        self, slots: Slots, splats: Splats, stamp: Time | None, progress: Progress | None = None
+    ) -> None:
         self._start_history()
-        slots, splats = self._map.snapshot()
         operation = GaussianArray.REPLACE
         for part in self._large_chunks(splats):
             self._send_splats(operation, slots[part], splats[part], stamp)
@@ -240,13 +245,16 @@ def _no_splats() -> Splats:
 
 
 def _checked(slots: Slots) -> range | NDArray[np.uint32]:
-    numbers = np.asarray([slots.start, slots.stop]) if isinstance(slots, range) else slots
-    if len(numbers) and (numbers.min() < 0 or numbers.max() > np.iinfo(np.uint32).max):
-        raise ValueError("slots: a slot is a number from 0 to 2^32 - 1")
+    if len(slots):
+        low, high = (
+            (slots[0], slots[-1]) if isinstance(slots, range) else (slots.min(), slots.max())
+        )
+        if low < 0 or high >= GaussianArray.MAX_SLOTS:
+            raise ValueError(f"slots: a slot is a number from 0 to {GaussianArray.MAX_SLOTS - 1}")
     if isinstance(slots, range):
         if slots.step != 1:
             raise ValueError(f"slots: a range must be contiguous, got {slots}")
         return slots
-    if len(np.unique(numbers)) < len(numbers):
+    if len(np.unique(slots)) < len(slots):
         raise ValueError("slots: each slot may be named once")
-    return numbers.astype(np.uint32)
+    return slots.astype(np.uint32)

@@ -175,12 +175,18 @@ def test_slots_are_checked_before_anything_is_sent(node: Node, random_splats: Ma
         (np.array([1, 2, 1]), "once"),
         (np.array([-1, 2, 3]), "0 to"),
         (range(-3, 0), "0 to"),
-        (np.array([0, 1, 2**32]), "0 to"),
+        (np.array([0, 1, 2**25]), "0 to"),
+        (range(2**25 - 2, 2**25 + 1), "0 to"),
         (range(5), "3 splats for 5 slots"),
         (range(0, 6, 2), "contiguous"),
     ):
         with pytest.raises(ValueError, match=match):
             publisher.upsert(slots, random_splats(3))
+    n = 2**25 + 1  # which take no memory as long as nobody looks at them
+    shapes = {"positions": (n, 3), "orientations": (n, 4), "scales": (n, 3), "opacities": (n,)}
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    with pytest.raises(ValueError, match="33554433 splats"):
+        publisher.replace(Splats(**zeros, sh=np.zeros((n, 1, 3), np.float32)))
     with pytest.raises(ValueError, match="once"):
         publisher.delete(np.array([4, 4]))
     with pytest.raises(ValueError, match="antialiased"):
