@@ -478,7 +478,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         save(options.output, generate(options.count, options.seed, options.sh_degree))
     except (SceneError, MemoryError) as error:
-        print(f"generate: {error or 'not enough memory'}", file=sys.stderr)
+        print(f"generate: {str(error) or 'not enough memory'}", file=sys.stderr)
         return 1
     print(f"{options.output}: {options.count:,} splats")
     return 0

@@ -79,7 +79,10 @@ class PlyPublisher(Node):
                     self._go_on()
                     bar.update(count)
 
-                self._map.replace(splats, progress=published)
+                try:
+                    self._map.replace(splats, progress=published)
+                except MemoryError as error:
+                    raise SceneError(f"{path}: too large for this machine's memory") from error
         text = (
             f"{path}: {len(splats):,} splats, SH degree {splats.without_empty_bands().sh_degree}, "
             f"loaded and sent in {time.monotonic() - start:.1f} s"
@@ -120,8 +123,8 @@ class PlyPublisher(Node):
             response.splats = len(splats)
             response.message = f"{request.path}: {len(splats):,} splats"
             response.success = True
-        except (SceneError, OSError) as error:
-            response.message = str(error)
+        except (SceneError, OSError, MemoryError) as error:
+            response.message = str(error) or "not enough memory"
         return response
 
 

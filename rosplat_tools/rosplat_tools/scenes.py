@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+
+from rosplat_sorter.edits import MAX_SLOTS
 from rosplat_tools import formats
 from rosplat_tools.formats import Progress, Warn
 from rosplat_tools.generate import generate
@@ -13,10 +16,29 @@ NAMES = ".ply, .spz, .sog, a SOG folder, or procedural:COUNT[:SEED]"
 
 
 def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:
-    """Reads a scene file, or generates COUNT splats; as formats.load. Raises SceneError."""
-    if not name.startswith(PROCEDURAL):
-        return formats.load(name, progress, warn)
-    count, _, seed = name.removeprefix(PROCEDURAL).partition(":")
-    if not (count.isdecimal() and (seed or "0").isdecimal()):
+    """Reads a scene file, or generates COUNT splats; as formats.load.
+
+    Raises SceneError, also for more splats than a map or this machine's memory holds.
+    """
+    if name.startswith(PROCEDURAL):
+        return _generated(name)
+    splats = formats.load(name, progress, warn)
+    _check(name, len(splats))
+    return splats
+
+
+def _generated(name: str) -> Splats:
+    match = re.fullmatch(r"(\d{1,18})(?::(\d{1,18}))?", name.removeprefix(PROCEDURAL))
+    if not match:
         raise SceneError(f"{name}: expected procedural:COUNT[:SEED]")
-    return generate(int(count), int(seed or 0))
+    count, seed = (int(number or 0) for number in match.groups())
+    _check(name, count)
+    try:
+        return generate(count, seed)
+    except MemoryError as error:
+        raise SceneError(f"{name}: too large for this machine's memory") from error
+
+
+def _check(name: str, count: int) -> None:
+    if count > MAX_SLOTS:
+        raise SceneError(f"{name}: {count:,} splats; a map has at most {MAX_SLOTS:,}")

@@ -70,7 +70,8 @@ def test_a_scene_that_can_t_be_loaded_leaves_the_map_as_it_was(
     listener.wait_for(5000)
     broken = tmp_path / "broken.ply"
     broken.write_bytes(ply.read_bytes()[:-1000])
-    for path in (broken, tmp_path / "none.ply"):
+    impossible = ("procedural:1000000000000", "procedural:" + "9" * 5000, "procedural:")
+    for path in (broken, tmp_path / "none.ply", *impossible):
         answer = listener.call(LoadScene, "ply_publisher/load", path=str(path))
         assert (answer.success, answer.splats) == (False, 5000)
         assert str(path) in answer.message

@@ -66,7 +66,8 @@ def load(
 def save(path: str | Path, splats: Splats) -> None:
     """Writes a scene; the path's ending chooses the format. Replaces a file that exists, whole.
 
-    Raises SceneError for an ending that can't be written or a place that can't be written to.
+    Raises SceneError for an ending that can't be written, a place that can't be written to, or too
+    little memory.
     """
     path = Path(path)
     writers = {module.SUFFIX: module for module in FORMATS if hasattr(module, "write")}
@@ -78,5 +79,7 @@ def save(path: str | Path, splats: Splats) -> None:
         partial.replace(path)  # a reader sees the old file or the new one, never a part
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise SceneError(f"{path}: too large for this machine's memory") from error
     finally:
         partial.unlink(missing_ok=True)
