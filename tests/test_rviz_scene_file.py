@@ -11,6 +11,7 @@ import pytest
 
 from rosplat_tools import formats
 from rosplat_tools.generate import generate
+from rosplat_tools.processes import Processes
 from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz, red
 
 pytestmark = needs_rviz
@@ -101,6 +102,35 @@ def test_what_cannot_be_loaded_is_said_in_the_status(rviz_alone: Rviz, tmp_path:
     missing = tmp_path / "missing.ply"
     rviz_alone.set("Map", "Scene File", value=str(missing))
     rviz_alone.until_status("Map", "Scene File", "Error", str(missing))
+
+
+def test_a_publisher_that_starts_with_rviz_is_asked(tmp_path: Path, world: World) -> None:
+    """A saved configuration with a Scene File, and a publisher from the same launch file."""
+    scene = tmp_path / "disc.ply"
+    formats.save(scene, disc((1, 0, 0)))
+    remap = ("--ros-args", "-r", f"gaussians:={TOPIC}")
+    config = configuration(map_display(topic=TOPIC, **{"Scene File": str(scene)}))
+    with Processes(tmp_path / "publisher") as processes:
+        processes.node("rosplat_tools", "ply_publisher", *remap)
+        rviz = Rviz(tmp_path, config=config)
+        try:
+            rviz.until(lambda s: red(s).sum() > 3000)
+            rviz.until_status("Map", "Scene File", "Ok", f"{scene}: 1 splats", "loaded")
+            world.spin_until(lambda: publishers(world) == 1)
+        finally:
+            rviz.close()
+
+
+def test_publishers_that_clear_each_others_map_are_named(rviz: Rviz, world: World) -> None:
+    from rosplat_tools.map_publisher import MapPublisher
+
+    world.place()
+    others = [MapPublisher(world.node, frame_id=world.frame) for _ in range(2)]
+    for x in range(2):
+        for publisher in others:
+            publisher.upsert(range(x, x + 1), disc((1, 0, 0), x=x))
+            time.sleep(0.1)  # or they might arrive in another order
+    rviz.until_status("Map", "Topic", "Warn", "clear each other's map", "world, world")
 
 
 def test_a_publisher_without_the_service_is_named(rviz: Rviz, world: World, scene: Path) -> None:

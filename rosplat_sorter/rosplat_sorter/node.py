@@ -17,7 +17,7 @@ from rosplat_sorter.backends import AUTO, BACKENDS
 from rosplat_sorter.order_slots import pack
 from rosplat_sorter.worker import Answer, Worker
 
-THROTTLE = 5.0  # least time between two warnings of one kind [s]
+THROTTLE = 5.0  # least time between two lines of the log of one kind [s]
 CHOICES = (AUTO, *BACKENDS)
 
 
@@ -26,7 +26,7 @@ class SorterNode(Node):
 
     def __init__(self) -> None:
         super().__init__("rosplat_sorter")
-        self._warned: dict[str, float] = {}
+        self._said: dict[str, float] = {}
         self.declare_parameter(
             "backend",
             AUTO,
@@ -87,14 +87,20 @@ class SorterNode(Node):
         if self.context.ok():
             self._order.publish(message)
 
-    def inform(self, text: str) -> None:
-        self.get_logger().info(text)
+    def inform(self, subject: str, text: str) -> None:
+        if self._may_say(f"info {subject}"):
+            self.get_logger().info(text)
 
     def warn(self, subject: str, text: str) -> None:
-        now = time.monotonic()
-        if now - self._warned.get(subject, -THROTTLE) >= THROTTLE:
-            self._warned[subject] = now
+        if self._may_say(subject):
             self.get_logger().warning(text)
+
+    def _may_say(self, subject: str) -> bool:
+        now = time.monotonic()
+        silent = now - self._said.get(subject, -THROTTLE) < THROTTLE
+        if not silent:
+            self._said[subject] = now
+        return not silent
 
     # --- What ROS calls ---------------------------------------------------------------------------
 

@@ -54,10 +54,10 @@ class Host(Protocol):
 
     def publish(self, answer: Answer) -> None: ...
 
-    def inform(self, text: str) -> None: ...
+    def inform(self, subject: str, text: str) -> None:
+        """May be called often, as warn may; to be throttled by subject."""
 
-    def warn(self, subject: str, text: str) -> None:
-        """May be called often; to be throttled by subject."""
+    def warn(self, subject: str, text: str) -> None: ...
 
 
 @dataclass
@@ -192,7 +192,7 @@ class Worker:
             return
         if edit.map_id != known_map:
             known_missed = 0
-            self._host.inform(f"map '{edit.map_id}' begins, in frame '{edit.frame_id}'")
+            self._host.inform("map", f"map '{edit.map_id}' begins, in frame '{edit.frame_id}'")
         if self._map.missed > known_missed:
             self._host.warn(
                 "gap",
@@ -299,8 +299,9 @@ class Worker:
         ):
             self._introduced = (self._map.map_id, self._backend.name, max(1, len(self._map)))
             self._host.inform(
+                f"sort {self._backend.name}",
                 f"map '{self._map.map_id}': {len(slots)} of {len(self._map)} splats in view, "
-                f"sorted in {1000 * sort_time:.1f} ms with {_describe(self._backend)}"
+                f"sorted in {1000 * sort_time:.1f} ms with {_describe(self._backend)}",
             )
         answer = Answer(
             header=viewer.message.header,
@@ -321,7 +322,7 @@ class Worker:
         try:
             return SharedOrders()
         except OSError as error:
-            self._host.inform(f"no shared memory for orders: {error}")
+            self._host.inform("memory", f"no shared memory for orders: {error}")
             return None
 
     def _share(self, viewer: _Viewer) -> bool:
@@ -361,7 +362,7 @@ class Worker:
             )
         else:
             others = "".join(f"; no {name}: {reason}" for name, reason in reasons.items())
-            self._host.inform(choice + others)
+            self._host.inform(f"backend {self._backend.name}", choice + others)
         self._backend.update(self._map, slice(0, len(self._map)))
 
     def _fall_back(self, error: Exception) -> None:

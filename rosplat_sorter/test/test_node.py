@@ -156,11 +156,15 @@ def test_a_sorter_that_joins_late_gets_the_latched_map(ros, make_batch, make_loo
         order = peer.order(1, revision=2)
         assert peer.reader.read(order).tolist() == [3, 1, 2, 0]
         assert order.backend == "numpy"
+        for number in range(5):  # as two publishers that clear each other's map
+            peer.edit(make_batch(2, revision=3, map_id=f"other {number}"))
+        peer.wait(lambda: peer.orders[-1].map_id == "other 4", "the last map")
     finally:
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=20)
         peer.close()
     assert "sorting with numpy" in output
+    assert output.count("begins") == 1
     assert "splats in view, sorted in" in output
     assert "Traceback" not in output
 

@@ -30,13 +30,13 @@ class Recorder:
             self.answers.append(answer)
             self._told.notify()
 
-    def inform(self, text):
+    def inform(self, subject, text):
         with self._told:
             self.lines.append(text)
             self._told.notify()
 
     def warn(self, subject, text):
-        self.inform(text)
+        self.inform(subject, text)
 
     def wait(self, condition):
         with self._told:

@@ -80,6 +80,10 @@ void GaussianClient::receive(const GaussianArray& message) {
     if (report.duplicate) return;
     const std::lock_guard lock(mutex_);
     ++status_.batches;
+    if (message.map_id != maps_[0]) {
+      status_.contended |= message.map_id == maps_[1];
+      maps_ = {message.map_id, maps_[0]};
+    }
     status_.frame_id = message.header.frame_id;
   } catch (const BatchError& error) {
     RCLCPP_ERROR_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000,
@@ -117,8 +121,10 @@ void GaussianClient::watchPublishers() {
   // both, and what comes twice is dropped by its revision.
   bool any_volatile = false, any_best_effort = false;
   std::string other_type;
+  std::vector<std::string> names;
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {
+    names.push_back(publisher.node_name());
     if (publisher.topic_type() != mapType()) other_type = publisher.topic_type();
     any_volatile |= publisher.qos_profile().durability() == rclcpp::DurabilityPolicy::Volatile;
     any_best_effort |=
@@ -130,7 +136,8 @@ void GaussianClient::watchPublishers() {
     volatile_map_ = subscribe(rclcpp::QoS(qos_).durability_volatile());
   }
   const std::lock_guard lock(mutex_);
-  status_.publishers = publishers.size();
+  status_.publishers = std::move(names);
+  if (status_.publishers.size() < 2) status_.contended = false;
   status_.other_type = other_type;
   status_.best_effort =
       any_best_effort && qos_.reliability() == rclcpp::ReliabilityPolicy::Reliable;

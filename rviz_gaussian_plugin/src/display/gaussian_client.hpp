@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <deque>
 #include <geometry_msgs/msg/pose_stamped.hpp>
@@ -16,6 +17,7 @@
 #include <set>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include "../splats/splat_scene.hpp"
 #include "rosplat_sorter/order_slots.hpp"
@@ -41,12 +43,13 @@ class GaussianClient {
   struct Status {
     std::string frame_id;  // of the map
     std::uint64_t batches = 0;
-    std::uint64_t refused = 0;   // batches that contradict themselves
-    std::string refusal;         // why, of the last one
-    std::size_t publishers = 0;  // of the map's topic
-    std::string other_type;      // that one of them publishes
-    bool best_effort = false;    // one of them offers no more, and more is asked for
-    std::string sidecar;         // what became of switchBackend()
+    std::uint64_t refused = 0;            // batches that contradict themselves
+    std::string refusal;                  // why, of the last one
+    std::vector<std::string> publishers;  // nodes that publish on the map's topic
+    bool contended = false;               // a map came back that another had replaced
+    std::string other_type;               // that one of them publishes
+    bool best_effort = false;             // one of them offers no more, and more is asked for
+    std::string sidecar;                  // what became of switchBackend()
     bool sidecar_failed = false;
   };
 
@@ -101,6 +104,7 @@ class GaussianClient {
 
   mutable std::mutex mutex_;  // status_, requests_, views_
   Status status_;
+  std::array<std::string, 2> maps_;  // the newest, and the one before
   std::deque<RenderRequest> requests_;
   std::set<std::string> views_;  // that asked for orders
 

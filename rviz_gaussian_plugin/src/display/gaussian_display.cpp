@@ -411,10 +411,15 @@ void GaussianDisplay::updateStatus() {
   } else if (received.batches == 0) {
     setStatusOnce(
         StatusProperty::Warn, "Topic",
-        received.publishers == 0 ? "Nobody publishes on this topic"
+        received.publishers.empty() ? "Nobody publishes on this topic"
         : received.best_effort
             ? "No batch received: a publisher is best effort, so must the Reliability Policy be"
             : "No batch received yet");
+  } else if (received.contended) {
+    std::string names;
+    for (const std::string& name : received.publishers) names += (names.empty() ? "" : ", ") + name;
+    setStatusOnce(StatusProperty::Warn, "Topic",
+                  concat("Publishers clear each other's map, end all but one of: ", names));
   } else {
     setStatusOnce(StatusProperty::Ok, "Topic", concat(received.batches, " batches received"));
   }

@@ -1,38 +1,68 @@
 #include "scene_loader.hpp"
 
 #include <QStringList>
-#include <QTimer>
+#include <algorithm>
 #include <ament_index_cpp/get_package_prefix.hpp>
 
 namespace rosplat {
 
 namespace {
-constexpr int kGrace = 3000;  // what a publisher gets to end by itself [ms]
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+
+constexpr int kGrace = 3000;      // what a publisher gets to end by itself [ms]
+constexpr auto kDiscovery = 5s;   // until a node knows those that were started with it
+constexpr auto kMeeting = 500ms;  // until a new client knows its service
+constexpr auto kLookAgain = 100ms;
+}  // namespace
+
+SceneLoader::SceneLoader(rclcpp::Node::SharedPtr node, std::string topic)
+    : node_(std::move(node)), topic_(std::move(topic)) {
+  static const Clock::time_point all_known = Clock::now() + kDiscovery;
+  choice_ends_ = all_known;
+  QObject::connect(&choice_, &QTimer::timeout, &choice_, [this] { choosePublisher(); });
 }
 
 void SceneLoader::load(const std::string& path) {
   path_ = path;
+  status_ = "looking for a publisher of " + topic_;
   loading_ = true;
   failed_ = false;
+  choice_ends_ = std::max(choice_ends_, Clock::now() + kMeeting);
+  choice_.start(kLookAgain);
+  choosePublisher();
+}
+
+void SceneLoader::choosePublisher() {
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {
     std::string name = publisher.node_namespace();
     if (name.back() != '/') name += '/';
     name += publisher.node_name() + "/load";
-    client_ = node_->create_client<LoadScene>(name);
-    if (!client_->service_is_ready()) continue;  // a SLAM node, say
-    status_ = "loading " + path;
-    request(path);
+    auto& candidate = candidates_[name];
+    if (!candidate) candidate = node_->create_client<LoadScene>(name);
+    if (!candidate->service_is_ready()) continue;  // a SLAM node, say
+    client_ = candidate;
+    endChoice();
+    status_ = "loading " + path_;
+    request(path_);
     return;
   }
+  if (Clock::now() < choice_ends_) return;
+  endChoice();
   client_.reset();
   if (process_ || publishers.empty()) {  // one of its own may not have a service yet
     stopPublisher();
-    startPublisher(path);
+    startPublisher(path_);
   } else {
     report("the publisher of " + topic_ + " has no service to load scenes; choose another topic",
            true);
   }
+}
+
+void SceneLoader::endChoice() {
+  choice_.stop();
+  candidates_.clear();
 }
 
 void SceneLoader::request(const std::string& path) {
@@ -77,7 +107,9 @@ void SceneLoader::stopPublisher() {
 }
 
 void SceneLoader::cancel() {
-  if (process_) {
+  const bool choosing = choice_.isActive();
+  endChoice();
+  if (process_ || choosing) {
     stopPublisher();
     report("cancelled", false);
   } else if (loading_ && client_) {
@@ -108,7 +140,7 @@ void SceneLoader::readPublisher() {
 }
 
 const std::string& SceneLoader::status() {
-  if (process_ && !failed_) readPublisher();
+  if (process_ && !failed_ && !choice_.isActive()) readPublisher();
   return status_;
 }
 

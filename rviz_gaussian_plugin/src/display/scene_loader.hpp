@@ -1,6 +1,9 @@
 #pragma once
 
 #include <QProcess>
+#include <QTimer>
+#include <chrono>
+#include <map>
 #include <memory>
 #include <rclcpp/rclcpp.hpp>
 #include <rosplat_msgs/srv/load_scene.hpp>
@@ -9,11 +12,11 @@
 namespace rosplat {
 
 // Has a scene file published on a topic: by whoever publishes there already, else by a
-// ply_publisher of its own, which ends with the loader. Never blocks; status() tells how it goes.
+// ply_publisher of its own, which ends with the loader; that nobody publishes it only believes some
+// seconds after the process began. Never blocks; status() tells how it goes.
 class SceneLoader {
  public:
-  SceneLoader(rclcpp::Node::SharedPtr node, std::string topic)
-      : node_(std::move(node)), topic_(std::move(topic)) {}
+  SceneLoader(rclcpp::Node::SharedPtr node, std::string topic);
   ~SceneLoader() { stopPublisher(); }
 
   const std::string& topic() const { return topic_; }
@@ -31,6 +34,8 @@ class SceneLoader {
  private:
   using LoadScene = rosplat_msgs::srv::LoadScene;
 
+  void choosePublisher();
+  void endChoice();
   void request(const std::string& path);
   void startPublisher(const std::string& path);
   void stopPublisher();
@@ -39,6 +44,9 @@ class SceneLoader {
 
   rclcpp::Node::SharedPtr node_;
   std::string topic_;
+  std::map<std::string, rclcpp::Client<LoadScene>::SharedPtr> candidates_;  // by name
+  QTimer choice_;  // runs while there is no answer of one
+  std::chrono::steady_clock::time_point choice_ends_;
   rclcpp::Client<LoadScene>::SharedPtr client_;
   std::unique_ptr<QProcess> process_;
   std::string path_;
