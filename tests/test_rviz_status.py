@@ -49,10 +49,10 @@ def test_opengl_that_is_too_old(tmp_path: Path, world: World) -> None:
     world.map.replace(disc((1, 0, 0)))
     rviz = Rviz(tmp_path, config=configuration(map_display()), MESA_GL_VERSION_OVERRIDE="3.3COMPAT")
     try:
-        rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.3 is needed", "3.3", "driver")
+        rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.4 is needed", "3.3", "driver")
         rviz.set("Map", value=False)
         rviz.set("Map", value=True)
-        rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.3 is needed")
+        rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.4 is needed")
         assert not red(rviz.picture()).any()
         assert rviz.quit() == 0
     finally:

@@ -3,19 +3,24 @@
 layout(local_size_x = 256) in;
 layout(std430, binding = 0) readonly buffer Keys { uint keys[]; };
 layout(std430, binding = 4) writeonly buffer Counts { uint counts[]; };
+layout(std430, binding = 5) readonly buffer Length { Tally keys_tally; };
+layout(std430, binding = 6) readonly buffer Least { uint least; };  // key
 
-uniform uint count, blocks, shift;
+uniform uint shift;
 
 shared uint histogram[256];
 
+uint digitOf(uint key) { return key - least >> shift & 255u; }
+
 void main() {
-  uint local = gl_LocalInvocationIndex, block = workGroup();
+  uint local = gl_LocalInvocationIndex, block = workGroup(), count = keys_tally.count;
+  uint blocks = (count + kBlock - 1u) / kBlock;
   if (block >= blocks) return;
   histogram[local] = 0u;
   barrier();
-  for (uint k = 0u; k < kKeysEach; ++k) {
-    uint i = (block * kKeysEach + k) * 256u + local;
-    if (i < count) atomicAdd(histogram[(keys[i] >> shift) & 255u], 1u);
+  for (uint k = 0u; k < kBlock; k += 256u) {
+    uint i = block * kBlock + k + local;
+    if (i < count) atomicAdd(histogram[digitOf(keys[i])], 1u);
   }
   barrier();
   counts[local * blocks + block] = histogram[local];

@@ -1,19 +1,25 @@
 // One pass of a stable radix sort: keys and values go to where their digit's turn is. Lanes of 32
-// find those with the same digit by ballots, one for each bit (Ashkiani et al. 2016).
+// find those with the same digit by ballots, one for each bit (Ashkiani et al. 2016). A block is
+// put in order in shared memory first, so that what is next to each other is written together.
 
 layout(local_size_x = 256) in;
 layout(std430, binding = 0) readonly buffer Keys { uint keys[]; };
 layout(std430, binding = 1) readonly buffer Values { uint values[]; };
 layout(std430, binding = 2) writeonly buffer SortedKeys { uint sorted_keys[]; };
 layout(std430, binding = 3) writeonly buffer SortedValues { uint sorted_values[]; };
-layout(std430, binding = 4) readonly buffer Firsts { uint firsts[]; };  // prefix sum of the counts
+layout(std430, binding = 4) readonly buffer Firsts { uint firsts[]; };  // as radix_sum.comp says
+layout(std430, binding = 5) readonly buffer Length { Tally keys_tally; };
+layout(std430, binding = 6) readonly buffer Least { uint least; };  // key
 
-uniform uint count, blocks, shift;
+uniform uint shift;
 uniform bool first_pass;  // the values are 0, 1, 2...
+uniform bool last_pass;   // nobody needs the keys any more
 
-const uint kWarps = 8u;
+const uint kWarps = 8u, kEach = kBlock / 256u;
 
-shared uint turns[kWarps][256];  // of each digit within a warp's keys, then within the array
+shared uint turns[kWarps][256];  // of each digit: within a warp's keys, then within the block
+shared uint block_order[kBlock];
+shared uint block_start[256];    // a digit's first place among all keys, less that in the block
 
 #ifdef SUBGROUPS
 void agree() { subgroupMemoryBarrierShared(); subgroupBarrier(); }
@@ -50,39 +56,62 @@ uint peers(uint warp, uint lane, uint digit, bool valid) {
 }
 #endif
 
+uint digitOf(uint key) { return key - least >> shift & 255u; }
+
 void main() {
   uint local = gl_LocalInvocationIndex, lane = local & 31u, warp = local >> 5, block = workGroup();
+  uint count = keys_tally.count, blocks = (count + kBlock - 1u) / kBlock;
   if (block >= blocks) return;
   for (uint w = 0u; w < kWarps; ++w) turns[w][local] = 0u;
   barrier();
 
-  uint first = block * kKeysEach * 256u + warp * kKeysEach * 32u + lane;
-  uint key[kKeysEach], turn[kKeysEach];
-  for (uint k = 0u; k < kKeysEach; ++k) {
+  uint first = block * kBlock + warp * kEach * 32u + lane;
+  uint key[kEach], place[kEach];
+  for (uint k = 0u; k < kEach; ++k) {
     uint i = first + 32u * k;
     bool valid = i < count;
     key[k] = valid ? keys[i] : 0u;
-    uint digit = key[k] >> shift & 255u;
+    uint digit = digitOf(key[k]);
     uint same = peers(warp, lane, digit, valid);
     uint earlier = uint(bitCount(same & ((1u << lane) - 1u)));
-    turn[k] = turns[warp][digit] + earlier;
+    place[k] = turns[warp][digit] + earlier;
     agree();
     if (valid && earlier == 0u) turns[warp][digit] += uint(bitCount(same));
     agree();
   }
   barrier();
-  uint next = firsts[local * blocks + block];
+  uint here = 0u, all;
+  for (uint w = 0u; w < kWarps; ++w) here += turns[w][local];
+  uint next = groupSum(here, all);
+  block_start[local] = groupSum(firsts[256u * blocks + local], all) +
+                       firsts[local * blocks + block] - next;
   for (uint w = 0u; w < kWarps; ++w) {
-    uint here = turns[w][local];
+    uint mine = turns[w][local];
     turns[w][local] = next;
-    next += here;
+    next += mine;
   }
   barrier();
-  for (uint k = 0u; k < kKeysEach; ++k) {
+
+  uint size = min(count - block * kBlock, kBlock), target[kEach];
+  for (uint k = 0u; k < kEach; ++k) {
+    place[k] += turns[warp][digitOf(key[k])];
+    if (first + 32u * k < count) block_order[place[k]] = key[k];
+  }
+  barrier();
+  for (uint k = 0u; k < kEach; ++k) {
+    uint i = 256u * k + local;
+    if (i >= size) break;
+    target[k] = block_start[digitOf(block_order[i])] + i;
+    if (!last_pass) sorted_keys[target[k]] = block_order[i];
+  }
+  barrier();
+  for (uint k = 0u; k < kEach; ++k) {
     uint i = first + 32u * k;
-    if (i >= count) return;
-    uint target = turns[warp][key[k] >> shift & 255u] + turn[k];
-    sorted_keys[target] = key[k];
-    sorted_values[target] = first_pass ? i : values[i];
+    if (i < count) block_order[place[k]] = first_pass ? i : values[i];
+  }
+  barrier();
+  for (uint k = 0u; k < kEach; ++k) {
+    uint i = 256u * k + local;
+    if (i < size) sorted_values[target[k]] = block_order[i];
   }
 }

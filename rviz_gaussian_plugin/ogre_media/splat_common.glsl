@@ -16,6 +16,26 @@ uint workGroup() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID
 uint invocation() { return workGroup() * 256u + gl_LocalInvocationIndex; }
 #endif
 
+const uint kBlock = 4096u;  // values that a work group sums up or sorts
+
+// A number that the CPU does not wait for, with the work that it makes; tally.hpp has the same.
+struct Tally {
+  uint count;      // no more than there is room for
+  uint wanted;     // what the count would be with room for all
+  uint groups[3];  // to dispatch: 256 a work group
+  uint blocks[3];  // the same for kBlock a work group, one at least
+  uint quads[4];   // to draw: the count as instances
+};
+
+Tally tallied(uint wanted, uint room) {
+  uint count = min(wanted, room);
+  uvec2 groups = uvec2((count + 255u) / 256u, max((count + kBlock - 1u) / kBlock, 1u));
+  uvec2 rows = (groups + 65534u) / 65535u;
+  uvec2 columns = (groups + max(rows, 1u) - 1u) / max(rows, 1u);
+  return Tally(count, wanted, uint[3](columns.x, max(rows.x, 1u), 1u),
+               uint[3](columns.y, rows.y, 1u), uint[4](4u, count, 0u, 0u));
+}
+
 // A splat in the picture.
 struct Ellipse {
   vec2 centre;    // [px]
@@ -46,6 +66,16 @@ Ellipse unpackEllipse(uvec4 a, uvec4 b) {
 vec2 minorAxis(Ellipse e) { return e.minor * normalize(vec2(-e.major.y, e.major.x)); }
 
 float cutoffSigmas(float opacity) { return min(kMaxSigmas, sqrt(2.0 * log(255.0 * opacity))); }
+
+// What depths are sorted by: grows with them, over negative ones too.
+uint depthKey(float depth) {
+  uint bits = floatBitsToUint(depth + 0.0);  // the sum makes one depth of -0 and 0
+  return bits ^ (uint(int(bits) >> 31) | 0x80000000u);
+}
+
+float keyDepth(uint key) {
+  return uintBitsToFloat((key & 0x80000000u) != 0u ? key ^ 0x80000000u : ~key);
+}
 
 // Google's Turbo, blue to red over 0 to 1 (polynomial of Mikhailov 2019).
 vec3 turbo(float t) {

@@ -6,10 +6,12 @@ layout(std430, binding = 8) writeonly buffer Drawn { uint drawn[]; };
 
 uniform uint count;     // of the order
 uniform uint capacity;  // slots of the map as it is uploaded; an order may know more
+uniform uint room;      // for visible splats
 
 void main() {
   uint i = invocation();
   if (i >= count) return;
   uint slot = order[i];
-  drawn[count - 1u - i] = slot < capacity && isVisible(slot) ? visibleIndex(slot) : kNone;
+  uint index = slot < capacity && isVisible(slot) ? visibleIndex(slot) : kNone;
+  drawn[count - 1u - i] = index < room ? index : kNone;
 }

@@ -5,9 +5,9 @@
 layout(local_size_x = 16, local_size_y = 16) in;
 layout(std430, binding = 4) readonly buffer Drawn { uint drawn[]; };     // nearest first
 layout(std430, binding = 7) writeonly buffer Picked { uint picked[]; };  // slot, or kNone
+layout(std430, binding = 8) readonly buffer Length { Tally drawn_tally; };
 layout(binding = 0) uniform sampler2D scene_depth;
 
-uniform uint count;      // drawn
 uniform uint words;      // of the visible slots' bits
 uniform ivec2 picture;   // [px]
 uniform bool top_first;  // the target's first row is the picture's top
@@ -41,7 +41,7 @@ void main() {
   ivec2 texel = ivec2(pixel.x, top_first ? pixel.y : picture.y - 1 - pixel.y);
   float hidden_from = inside ? texelFetch(scene_depth, texel, 0).r : 0.0;
   float transmittance = inside ? 1.0 : 0.0, most = kLeastContribution;
-  uint winner = kNone;
+  uint winner = kNone, count = drawn_tally.count;
 
   for (uint taken = 0u; taken < count; taken += kBatch) {
     if (lane < kWords) reaching[lane] = 0u;
@@ -54,8 +54,10 @@ void main() {
     if (index != kNone) e = ellipse(index);
     bool reaches = false;
     if (e.opacity > 0.0) {
-      ivec4 rectangle = tileRectangle(e);
-      reaches = all(greaterThanEqual(tile, rectangle.xy)) && all(lessThan(tile, rectangle.zw));
+      Outline outline = outlineOf(e);
+      ivec2 rows = tileRows(outline), columns = tileColumns(outline, tile.y);
+      reaches = all(greaterThanEqual(tile, ivec2(columns.x, rows.x))) &&
+                all(lessThan(tile, ivec2(columns.y, rows.y)));
     }
     if (reaches) atomicOr(reaching[lane / 32u], 1u << (lane % 32u));
     barrier();

@@ -9,8 +9,7 @@ layout(std430, binding = 8) readonly buffer Band2 { uint band2[]; };
 layout(std430, binding = 9) readonly buffer Band3 { uint band3[]; };
 // What the visible splats are sorted by: grows with their depth.
 layout(std430, binding = 10) writeonly buffer Keys { uint keys[]; };
-// Nearest and farthest depth drawn, as float bits.
-layout(std430, binding = 11) buffer DepthRange { uint nearest, farthest; };
+layout(std430, binding = 11) buffer DepthRange { uint nearest, farthest; };  // keys drawn
 
 uniform uint first_slot;  // of this page
 uniform mat3 rotation;    // map -> camera: x right, y down, z forward
@@ -31,6 +30,9 @@ uniform float near_fade;  // [m]
 uniform float least_worth;  // of the alphas of all its pixels, added up
 uniform float now;        // as slotAge() reads it
 uniform float age_range;  // what is old [s]
+uniform uint room;        // for visible splats
+
+shared uint group_nearest, group_farthest;
 
 const float kLowPass = 0.3;  // [px^2], part of the trained model
 
@@ -159,18 +161,32 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   return e;
 }
 
-void main() {
-  uint slot = invocation();
-  if (slot >= slot_count || !isVisible(first_slot + slot)) return;
+// The key of a slot's depth, if it is drawn.
+uint projected(uint slot) {
   vec3 mean = slotPosition(slot);
   precise vec3 p = ((rotation[0] * mean.x + rotation[1] * mean.y) + rotation[2] * mean.z) + translation;
   Ellipse e = project(slot, mean, p);
   uint index = visibleIndex(first_slot + slot);
+  if (index >= room) return kNone;
   keep(index, e);
-  uint bits = floatBitsToUint(p.z + 0.0);  // the sum makes one depth of -0 and 0
-  keys[index] = bits ^ (uint(int(bits) >> 31) | 0x80000000u);
-  if (mode == kDepth && e.opacity > 0.0) {
-    atomicMin(nearest, floatBitsToUint(max(p.z, 0.0)));
-    atomicMax(farthest, floatBitsToUint(max(p.z, 0.0)));
+  return keys[index] = e.opacity > 0.0 ? depthKey(p.z) : kNone;
+}
+
+void main() {
+  uint slot = invocation(), key = kNone;
+  if (gl_LocalInvocationIndex == 0u) {
+    group_nearest = kNone;
+    group_farthest = 0u;
+  }
+  barrier();
+  if (slot < slot_count && isVisible(first_slot + slot)) key = projected(slot);
+  if (key != kNone) {
+    atomicMin(group_nearest, key);
+    atomicMax(group_farthest, key);
+  }
+  barrier();
+  if (gl_LocalInvocationIndex == 0u && group_nearest <= group_farthest) {
+    atomicMin(nearest, group_nearest);
+    atomicMax(farthest, group_farthest);
   }
 }

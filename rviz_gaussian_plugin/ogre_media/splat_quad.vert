@@ -2,8 +2,8 @@
 
 layout(std430, binding = 4) readonly buffer Drawn { uint drawn[]; };  // nearest first
 layout(std430, binding = 5) readonly buffer DepthRange { uint nearest, farthest; };
+layout(std430, binding = 6) readonly buffer Length { Tally drawn_tally; };
 
-uniform uint count;        // drawn
 uniform vec2 picture;      // [px]
 uniform float up;          // 1, or -1 where the target's first row is the picture's top
 uniform int mode;
@@ -14,7 +14,7 @@ flat out vec4 colour;  // rgb, opacity
 out vec2 sigmas;       // from the centre along the ellipse's axes
 
 void main() {
-  uint index = drawn[count - 1u - uint(gl_InstanceID)];
+  uint index = drawn[drawn_tally.count - 1u - uint(gl_InstanceID)];
   Ellipse e;
   e.opacity = 0.0;
   if (index != kNone) e = ellipse(index);
@@ -30,7 +30,7 @@ void main() {
   } else if (mode == kDepth) {
     colour.rgb = depthColour(e.depth, depth_range.y > depth_range.x
                                           ? depth_range
-                                          : uintBitsToFloat(uvec2(nearest, farthest)));
+                                          : vec2(keyDepth(nearest), keyDepth(farthest)));
   }
   vec2 corner = vec2((gl_VertexID & 1) * 2 - 1, (gl_VertexID >> 1) * 2 - 1);
   sigmas = corner * cutoffSigmas(e.opacity);

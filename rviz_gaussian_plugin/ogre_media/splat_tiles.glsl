@@ -3,13 +3,46 @@ const int kTile = 16;
 
 uniform ivec2 tiles;  // in the picture, across and down
 
-// The tiles of the rectangle around a splat's 1/255 ellipse: first, and one past the last.
-ivec4 tileRectangle(Ellipse e) {
+// A splat's 1/255 ellipse, as rows of the picture cut it.
+struct Outline {
+  vec2 centre, reach;  // of the rectangle around it [px]
+  float half_width;    // of the row through its centre [px]
+  float lean;          // of a row's middle, a pixel down [px]
+  float rightmost;     // how far down its rightmost point is, and up its leftmost [px]
+};
+
+Outline outlineOf(Ellipse e) {
+  float sigmas = cutoffSigmas(e.opacity);
   vec2 minor = minorAxis(e);
-  vec2 reach = cutoffSigmas(e.opacity) * sqrt(e.major * e.major + minor * minor);
+  vec2 variance = e.major * e.major + minor * minor;
+  float covariance = e.major.x * e.major.y + minor.x * minor.y;
+  return Outline(e.centre, sigmas * sqrt(variance),
+                 sigmas * length(e.major) * e.minor / sqrt(variance.y), covariance / variance.y,
+                 sigmas * covariance / sqrt(variance.x));
+}
+
+// From where to where pixels may be covered, whose centres are so far down. [px]
+vec2 across(Outline o, float top, float bottom) {
+  vec2 rows = clamp(vec2(top, bottom) - o.centre.y, -o.reach.y, o.reach.y);
+  vec2 down = clamp(vec2(-o.rightmost, o.rightmost), rows.x, rows.y);
+  vec2 half_width = o.half_width * sqrt(max(1.0 - down * down / (o.reach.y * o.reach.y), 0.0));
+  return o.centre.x + o.lean * down + vec2(-half_width.x, half_width.y);
+}
+
+// Which of so many cells of a size hold centres of pixels in a range: first, and one past the last.
+ivec2 cellsIn(vec2 range, float size, int cells) {
+  float slack = 0.05 + 1e-5 * (range.y - range.x);  // for rounding
+  vec2 pixels = vec2(ceil(range.x - 0.5 - slack), floor(range.y - 0.5 + slack));
+  if (!(pixels.x <= pixels.y)) return ivec2(0);
   // Clamped as floats: integers end sooner.
-  vec2 limit = vec2(tiles);
-  vec2 low = clamp(floor((e.centre - reach) / float(kTile)), vec2(0.0), limit);
-  vec2 high = clamp(floor((e.centre + reach) / float(kTile)) + 1.0, vec2(0.0), limit);
-  return ivec4(low, max(low, high));
+  return ivec2(clamp(floor(pixels / size) + vec2(0.0, 1.0), 0.0, float(cells)));
+}
+
+ivec2 tileRows(Outline o) {
+  return cellsIn(o.centre.y + vec2(-o.reach.y, o.reach.y), float(kTile), tiles.y);
+}
+
+ivec2 tileColumns(Outline o, int row) {
+  float top = float(kTile * row) + 0.5;
+  return cellsIn(across(o, top, top + float(kTile - 1)), float(kTile), tiles.x);
 }

@@ -3,18 +3,21 @@
 layout(local_size_x = 256) in;
 layout(std430, binding = 4) readonly buffer Drawn { uint drawn[]; };
 layout(std430, binding = 5) writeonly buffer Counts { uint counts[]; };
-
-uniform uint count;  // drawn
+layout(std430, binding = 6) readonly buffer Length { Tally drawn_tally; };
 
 void main() {
   uint i = invocation();
-  if (i >= count) return;
+  if (i >= drawn_tally.count) return;
   uint touched = 0u;
   if (drawn[i] != kNone) {
     Ellipse e = ellipse(drawn[i]);
     if (e.opacity > 0.0) {
-      ivec4 rectangle = tileRectangle(e);
-      touched = uint((rectangle.z - rectangle.x) * (rectangle.w - rectangle.y));
+      Outline outline = outlineOf(e);
+      ivec2 rows = tileRows(outline);
+      for (int row = rows.x; row < rows.y; ++row) {
+        ivec2 columns = tileColumns(outline, row);
+        touched += uint(columns.y - columns.x);
+      }
     }
   }
   counts[i] = touched;

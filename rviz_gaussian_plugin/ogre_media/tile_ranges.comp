@@ -1,15 +1,19 @@
-// Where each tile's splats begin and end in the list, sorted by tile.
+// Where each tile's splats begin in the list, sorted by tile. They end where the next tile's begin.
 
 layout(local_size_x = 256) in;
 layout(std430, binding = 4) readonly buffer Tiles { uint tile_of[]; };
-layout(std430, binding = 5) writeonly buffer Ranges { uint ranges[]; };  // begin, end
+layout(std430, binding = 5) writeonly buffer Begins { uint begins[]; };
+layout(std430, binding = 6) readonly buffer Length { Tally listed; };
 
-uniform uint listed;
+uniform uint tile_count;
 
 void main() {
-  uint i = invocation();
-  if (i >= listed) return;
-  uint tile = tile_of[i];
-  if (i == 0u || tile_of[i - 1u] != tile) ranges[2u * tile] = i;
-  if (i + 1u == listed || tile_of[i + 1u] != tile) ranges[2u * tile + 1u] = i + 1u;
+  uint tile = invocation();
+  if (tile > tile_count) return;
+  uint low = 0u, high = listed.count;
+  while (low < high) {
+    uint middle = (low + high) / 2u;
+    if (tile_of[middle] < tile) low = middle + 1u; else high = middle;
+  }
+  begins[tile] = low;
 }

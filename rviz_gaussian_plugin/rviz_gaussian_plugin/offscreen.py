@@ -25,7 +25,7 @@ class Renderer(_offscreen.Renderer):  # type: ignore[misc]
     """An Ogre scene that holds one map and draws it into a texture.
 
     One in a process; every call but `apply` and `set_order` from the thread that made it. Needs an
-    X display (`ensure_display`) with OpenGL 4.3; raises RuntimeError where it finds none.
+    X display (`ensure_display`) with OpenGL 4.4; raises RuntimeError where it finds none.
     """
 
     def __init__(self) -> None:

@@ -32,7 +32,7 @@ NO_SLOTS = np.zeros(0, np.uint32)
 class Bench:
     """Shows maps, orders and draws them, and takes the times. One in a process.
 
-    Raises RuntimeError where there is no display or no OpenGL 4.3.
+    Raises RuntimeError where there is no display or no OpenGL 4.4.
     """
 
     def __init__(self, threads: int = 0, repeats: int = 3) -> None:

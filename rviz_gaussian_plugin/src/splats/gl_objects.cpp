@@ -1,5 +1,6 @@
 #include "gl_objects.hpp"
 
+#include <algorithm>
 #include <array>
 #include <functional>
 #include <map>
@@ -44,12 +45,50 @@ void Buffer::read(std::size_t offset, void* data, std::size_t bytes) const {
 void Buffer::reserve(std::size_t bytes) {
   if (bytes_ >= bytes) return;
   *this = Buffer();  // first, so that there is never room for both
-  *this = Buffer(bytes + bytes / 4, GL_DYNAMIC_COPY);
+  *this = Buffer(bytes, GL_DYNAMIC_COPY);
 }
 
 void Buffer::zero() {
   glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
   glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
+}
+
+Readback::Readback() {
+  constexpr GLsizeiptr kBytes = kMost * sizeof(GLuint);
+  constexpr GLbitfield kAccess = GL_MAP_READ_BIT | GL_MAP_PERSISTENT_BIT | GL_MAP_COHERENT_BIT;
+  glGenBuffers(1, &words_);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, words_);
+  glBufferStorage(GL_COPY_WRITE_BUFFER, kBytes, nullptr, kAccess);
+  mapped_ =
+      static_cast<const GLuint*>(glMapBufferRange(GL_COPY_WRITE_BUFFER, 0, kBytes, kAccess));
+  if (!mapped_) throw Error("the graphics driver maps no buffers");
+}
+
+Readback::~Readback() {
+  if (copied_) glDeleteSync(copied_);
+  glDeleteBuffers(1, &words_);
+}
+
+void Readback::ask(std::initializer_list<Word> words) {
+  GLintptr target = 0;
+  glBindBuffer(GL_COPY_WRITE_BUFFER, words_);
+  for (const Word& word : words) {
+    glBindBuffer(GL_COPY_READ_BUFFER, word.buffer.id());
+    glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER,
+                        static_cast<GLintptr>(word.index * sizeof(GLuint)), target, sizeof(GLuint));
+    target += sizeof(GLuint);
+  }
+  if (copied_) glDeleteSync(copied_);
+  copied_ = glFenceSync(GL_SYNC_GPU_COMMANDS_COMPLETE, 0);
+}
+
+std::array<GLuint, Readback::kMost> Readback::wait() {
+  constexpr GLuint64 kSecond = 1'000'000'000;
+  while (glClientWaitSync(copied_, GL_SYNC_FLUSH_COMMANDS_BIT, kSecond) == GL_TIMEOUT_EXPIRED) {
+  }
+  std::array<GLuint, kMost> words;
+  std::copy_n(mapped_, kMost, words.begin());
+  return words;
 }
 
 namespace {
@@ -265,13 +304,13 @@ std::string unsupported() {
   const int version = epoxy_gl_version();
   const auto* renderer = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
   const std::string driver = std::string(" (driver: ") + (renderer ? renderer : "unknown") + ")";
-  if (!epoxy_is_desktop_gl() || version < 43) {
-    return "OpenGL 4.3 is needed to draw splats, this is " + std::to_string(version / 10) + "." +
+  if (!epoxy_is_desktop_gl() || version < 44) {
+    return "OpenGL 4.4 is needed to draw splats, this is " + std::to_string(version / 10) + "." +
            std::to_string(version % 10) + driver + "; update the graphics driver";
   }
   GLint vertex_buffers = 0;
   glGetIntegerv(GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS, &vertex_buffers);
-  if (vertex_buffers < 6) {
+  if (vertex_buffers < 7) {
     return "the graphics driver reads no storage buffers in vertex shaders" + driver;
   }
   GLint compute_buffers = 0;

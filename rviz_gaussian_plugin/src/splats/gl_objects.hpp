@@ -2,7 +2,9 @@
 
 #include <epoxy/gl.h>
 
+#include <array>
 #include <cstddef>
+#include <initializer_list>
 #include <map>
 #include <stdexcept>
 #include <string>
@@ -33,7 +35,7 @@ class Buffer {
   // Waits for the graphics card.
   void read(std::size_t offset, void* data, std::size_t bytes) const;
   void zero();
-  // Makes room for so many bytes, and a quarter as many again; what was in it is lost if it grows.
+  // Makes room for so many bytes; what was in it is lost if it grows.
   void reserve(std::size_t bytes);
   void bind(GLuint storage_binding) const {
     glBindBufferBase(GL_SHADER_STORAGE_BUFFER, storage_binding, id_);
@@ -42,6 +44,31 @@ class Buffer {
  private:
   GLuint id_ = 0;
   std::size_t bytes_ = 0;
+};
+
+// Copies of words in other buffers, which the CPU waits for while the graphics card goes on.
+class Readback {
+ public:
+  static constexpr std::size_t kMost = 4;
+  struct Word {
+    const Buffer& buffer;
+    std::size_t index;
+  };
+
+  Readback();
+  ~Readback();
+  Readback(const Readback&) = delete;
+  Readback& operator=(const Readback&) = delete;
+
+  // Asks for at most kMost words, as they are between what was submitted and what comes next.
+  void ask(std::initializer_list<Word> words);
+  // Waits for what was asked for last.
+  std::array<GLuint, kMost> wait();
+
+ private:
+  GLuint words_ = 0;
+  const GLuint* mapped_ = nullptr;
+  GLsync copied_ = nullptr;
 };
 
 // A linked program; uniforms are set by name. What is destroyed waits for the next program of the

@@ -26,26 +26,33 @@ Projection::Projection(const Shaders& shaders)
       project_(shaders.compute(
           {"splat_slot.glsl", "splat_visible.glsl", "splat_ellipses.glsl", "splat_project.comp"})),
       prefix_sum_(shaders),
-      part_size_(shaders.partSize()) {}
+      part_size_(shaders.partSize()),
+      depth_range_(2 * sizeof(GLuint), GL_DYNAMIC_COPY) {}
 
-void Projection::run(const SlotStore& store, const SplatCamera& camera, const MapState& map,
-                     const RenderSettings& settings, double now) {
-  if (!depth_range_.id()) depth_range_ = gl::Buffer(2 * sizeof(GLuint), GL_DYNAMIC_COPY);
-  const std::array<GLuint, 2> no_range{0x7f800000u, 0u};  // infinity, zero
-  depth_range_.write(0, no_range.data(), sizeof(no_range));
-  count_ = 0;
-  if (store.pages().empty()) return;
-
-  cull(store, camera, map, settings);
-  GLuint count = 0;
-  total_.read(0, &count, sizeof(count));
+void Projection::reserve(std::size_t count) {
+  if (count <= room_) return;
   if (count > Shaders::kEllipseParts * part_size_) {
     throw gl::Error("the graphics driver's buffers hold " +
                     std::to_string(Shaders::kEllipseParts * part_size_) +
                     " visible splats, this view has " + std::to_string(count));
   }
-  count_ = count;
-  if (count_ > 0) project(store, camera, map, settings, now);
+  for (std::size_t part = 0; part * part_size_ < count; ++part) {
+    ellipses_[part].reserve(std::min(part_size_, count - part * part_size_) *
+                            Shaders::kEllipseBytes);
+  }
+  room_ = count;
+}
+
+void Projection::run(const SlotStore& store, const SplatCamera& camera, const MapState& map,
+                     const RenderSettings& settings, double now, const gl::Buffer& keys) {
+  const std::array<GLuint, 2> no_range{~0u, 0u};
+  depth_range_.write(0, no_range.data(), sizeof(no_range));
+  if (store.pages().empty()) {
+    visible_count_.set(0);
+    return;
+  }
+  cull(store, camera, map, settings);
+  project(store, camera, map, settings, now, keys);
 }
 
 void Projection::cull(const SlotStore& store, const SplatCamera& camera, const MapState& map,
@@ -55,7 +62,8 @@ void Projection::cull(const SlotStore& store, const SplatCamera& camera, const M
   const std::size_t bytes = (words + page_words - 1) / page_words * page_words * sizeof(GLuint);
   visible_.reserve(bytes);
   before_.reserve(bytes);
-  total_.reserve(sizeof(GLuint));
+  prefix_sum_.reserve(words);
+  words_.set(words);
   if (store.pages().size() * page_words < words) {  // pages without slots are never written
     visible_.zero();
     before_.zero();
@@ -84,17 +92,12 @@ void Projection::cull(const SlotStore& store, const SplatCamera& camera, const M
     gl::dispatch(groups(count));
   }
   gl::storageBarrier();
-  prefix_sum_.run(before_, words, total_, 0);
+  visible_count_.forget();
+  prefix_sum_.run(before_, words_, visible_count_, room_);
 }
 
 void Projection::project(const SlotStore& store, const SplatCamera& camera, const MapState& map,
-                         const RenderSettings& settings, double now) {
-  for (std::size_t part = 0; part * part_size_ < count_; ++part) {
-    ellipses_[part].reserve(std::min(part_size_, count_ - part * part_size_) *
-                            Shaders::kEllipseBytes);
-  }
-  keys_.reserve(count_ * sizeof(GLuint));
-
+                         const RenderSettings& settings, double now, const gl::Buffer& keys) {
   // Rebased in double precision: neither the map's origin nor the camera's position reaches
   // float32.
   const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
@@ -131,9 +134,10 @@ void Projection::project(const SlotStore& store, const SplatCamera& camera, cons
   project_.set("least_worth", settings.least_worth);
   project_.set("now", static_cast<float>(now));
   project_.set("age_range", settings.age_range);
+  project_.set("room", static_cast<GLuint>(room_));
   bindEllipses(project_);
   bindVisible();
-  keys_.bind(10);
+  keys.bind(10);
   depth_range_.bind(11);
   for (const auto& [first, page] : store.pages()) {
     const std::size_t count = std::min(SlotStore::kPageSlots, store.capacity() - first);
@@ -163,7 +167,7 @@ void Projection::bindVisible() const {
 }
 
 std::size_t Projection::bytes() const {
-  std::size_t bytes = visible_.bytes() + before_.bytes() + keys_.bytes() + prefix_sum_.bytes();
+  std::size_t bytes = visible_.bytes() + before_.bytes() + prefix_sum_.bytes();
   for (const gl::Buffer& part : ellipses_) bytes += part.bytes();
   return bytes;
 }

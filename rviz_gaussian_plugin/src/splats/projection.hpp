@@ -9,41 +9,46 @@
 #include "shaders.hpp"
 #include "slot_store.hpp"
 #include "splat_camera.hpp"
+#include "tally.hpp"
 
 namespace rosplat {
 
 // What the camera sees of a map: the slots that may be visible are found, counted and projected to
-// ellipses that lie one after the other, in the order of their slots.
+// ellipses that lie one after the other, in the order of their slots. Only the graphics card knows
+// how many; of more than there is room for, the last are left out.
 class Projection {
  public:
   explicit Projection(const Shaders& shaders);
 
-  // now: the clock of `change` in packed_slot.hpp. Throws gl::Error where the driver has no memory.
-  void run(const SlotStore& store, const SplatCamera& camera, const MapState& map,
-           const RenderSettings& settings, double now);
+  // Makes room for so many visible splats. Throws gl::Error where the driver has none.
+  void reserve(std::size_t count);
+  std::size_t room() const { return room_; }
 
-  std::size_t count() const { return count_; }          // ellipses
+  // keys: room for as many. now: the clock of `change` in packed_slot.hpp.
+  void run(const SlotStore& store, const SplatCamera& camera, const MapState& map,
+           const RenderSettings& settings, double now, const gl::Buffer& keys);
+
+  const Tally& visible() const { return visible_count_; }
   void bindEllipses(const gl::Program& program) const;  // storage bindings 0 to 3
   void bindVisible() const;                             // storage bindings 5 and 6
+  // The least and the largest key drawn, depthKey() of their depths.
   const gl::Buffer& depthRange() const { return depth_range_; }
-  // Grow with the ellipses' depths; whoever sorts may take the buffer.
-  gl::Buffer& keys() { return keys_; }
   std::size_t bytes() const;
 
  private:
   void cull(const SlotStore& store, const SplatCamera& camera, const MapState& map,
             const RenderSettings& settings);
   void project(const SlotStore& store, const SplatCamera& camera, const MapState& map,
-               const RenderSettings& settings, double now);
+               const RenderSettings& settings, double now, const gl::Buffer& keys);
 
   gl::Program cull_, project_;
   PrefixSum prefix_sum_;
   std::size_t part_size_;
-  gl::Buffer visible_, before_, total_;
+  gl::Buffer visible_, before_;
+  Tally words_, visible_count_;
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
-  gl::Buffer keys_;
-  gl::Buffer depth_range_;  // nearest and farthest depth drawn, as float bits
-  std::size_t count_ = 0;
+  gl::Buffer depth_range_;
+  std::size_t room_ = 0;
 };
 
 }  // namespace rosplat

@@ -5,66 +5,83 @@
 namespace rosplat {
 
 namespace {
-constexpr std::size_t kSumBlock = 2048;  // as in prefix_sum.comp
-constexpr std::size_t kDigits = 256;
-constexpr std::size_t kSortBlock = 256 * Shaders::kKeysEach;
+constexpr std::size_t kDigits = 1u << RadixSort::kDigitBits;
+
+std::size_t blocks(std::size_t count) { return (count + Tally::kBlock - 1) / Tally::kBlock; }
 }  // namespace
 
-void PrefixSum::run(const gl::Buffer& values, std::size_t count, const gl::Buffer& total,
-                    std::size_t index) {
-  const std::size_t blocks = (count + kSumBlock - 1) / kSumBlock;
-  sums_.reserve((blocks + 1) * sizeof(GLuint));
+void PrefixSum::reserve(std::size_t count) { sums_.reserve((blocks(count) + 1) * sizeof(GLuint)); }
+
+void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& total,
+                    std::size_t room) {
   sum_.use();
-  sum_.set("count", static_cast<GLuint>(count));
-  sum_.set("total_index", static_cast<GLuint>(index));
+  sum_.set("room", static_cast<GLuint>(room));
   values.bind(0);
   sums_.bind(1);
-  total.bind(2);
-  for (GLuint pass = 0; pass < 3; ++pass) {
+  count.bind(2);
+  total.bind(3);
+  for (GLuint pass = 0; pass < 2; ++pass) {
     sum_.set("pass", pass);
-    gl::dispatch(pass == 1 ? 1 : blocks);
+    count.dispatchBlocks();
     gl::storageBarrier();
+  }
+  glMemoryBarrier(GL_COMMAND_BARRIER_BIT);  // the total is work to dispatch
+}
+
+void RadixSort::reserve(std::size_t count) {
+  for (gl::Buffer* buffer : {&keys_, &values_, &next_keys_, &next_values_}) {
+    buffer->reserve(count * sizeof(GLuint));
+  }
+  counts_.reserve((blocks(count) + 1) * kDigits * sizeof(GLuint));
+}
+
+void RadixSort::pass(const Tally& count, const gl::Buffer& least, int shift, bool first, bool last,
+                     const gl::Buffer& sorted_values) {
+  keys_.bind(0);
+  values_.bind(1);
+  next_keys_.bind(2);
+  sorted_values.bind(3);
+  counts_.bind(4);
+  count.bind(5);
+  least.bind(6);
+  count_.use();
+  count_.set("shift", static_cast<GLuint>(shift));
+  count.dispatchBlocks();
+  gl::storageBarrier();
+
+  sum_.use();
+  gl::dispatch(kDigits);
+  gl::storageBarrier();
+
+  scatter_.use();
+  scatter_.set("shift", static_cast<GLuint>(shift));
+  scatter_.set("first_pass", int(first));
+  scatter_.set("last_pass", int(last));
+  count.dispatchBlocks();
+  gl::storageBarrier();
+}
+
+void RadixSort::sort(const Tally& count, const gl::Buffer& least, int bits) {
+  for (int shift = 0; shift < bits; shift += kDigitBits) {
+    pass(count, least, shift, false, false, next_values_);
+    std::swap(keys_, next_keys_);
+    std::swap(values_, next_values_);
   }
 }
 
-void RadixSort::sort(gl::Buffer& keys, gl::Buffer& values, std::size_t count, int bits,
-                     bool has_values) {
-  const std::size_t blocks = (count + kSortBlock - 1) / kSortBlock;
-  keys_.reserve(count * sizeof(GLuint));
-  values_.reserve(count * sizeof(GLuint));
-  counts_.reserve(blocks * kDigits * sizeof(GLuint));
-  total_.reserve(sizeof(GLuint));
-  for (int shift = 0; shift < bits; shift += 8) {
-    count_.use();
-    count_.set("count", static_cast<GLuint>(count));
-    count_.set("blocks", static_cast<GLuint>(blocks));
-    count_.set("shift", static_cast<GLuint>(shift));
-    keys.bind(0);
-    counts_.bind(4);
-    gl::dispatch(blocks);
-    gl::storageBarrier();
-
-    prefix_sum_.run(counts_, blocks * kDigits, total_, 0);
-
-    scatter_.use();
-    scatter_.set("count", static_cast<GLuint>(count));
-    scatter_.set("blocks", static_cast<GLuint>(blocks));
-    scatter_.set("shift", static_cast<GLuint>(shift));
-    scatter_.set("first_pass", shift == 0 && !has_values ? 1 : 0);
-    keys.bind(0);
-    values.bind(1);
-    keys_.bind(2);
-    values_.bind(3);
-    counts_.bind(4);
-    gl::dispatch(blocks);
-    gl::storageBarrier();
-    std::swap(keys, keys_);
-    std::swap(values, values_);
+void RadixSort::order(const Tally& count, const gl::Buffer& least, int bits,
+                      const gl::Buffer& places) {
+  for (int shift = 0; shift < bits; shift += kDigitBits) {
+    const bool last = shift + kDigitBits >= bits;
+    pass(count, least, shift, shift == 0, last, last ? places : next_values_);
+    std::swap(keys_, next_keys_);
+    std::swap(values_, next_values_);
   }
 }
 
 std::size_t RadixSort::bytes() const {
-  return keys_.bytes() + values_.bytes() + counts_.bytes() + prefix_sum_.bytes();
+  return keys_.bytes() + values_.bytes() + next_keys_.bytes() + next_values_.bytes() +
+         counts_.bytes();
 }
 
 }  // namespace rosplat

@@ -4,16 +4,24 @@
 
 #include "gl_objects.hpp"
 #include "shaders.hpp"
+#include "tally.hpp"
 
 namespace rosplat {
+
+// How many bits a number takes.
+constexpr int bitsOf(std::size_t value) { return value ? 1 + bitsOf(value >> 1) : 0; }
 
 // Exclusive prefix sums on the GPU.
 class PrefixSum {
  public:
-  explicit PrefixSum(const Shaders& shaders) : sum_(shaders.compute({"prefix_sum.comp"})) {}
+  explicit PrefixSum(const Shaders& shaders)
+      : sum_(shaders.compute({"group_sum.glsl", "prefix_sum.comp"})) {}
 
-  // Sums up the first count uint32 of a buffer in place; their total goes to total[index].
-  void run(const gl::Buffer& values, std::size_t count, const gl::Buffer& total, std::size_t index);
+  // Makes room for so many values.
+  void reserve(std::size_t count);
+  // Sums up as many uint32 of a buffer as a tally says, in place; their total becomes another
+  // tally, for which there is room for so many.
+  void run(const gl::Buffer& values, const Tally& count, const Tally& total, std::size_t room);
 
   std::size_t bytes() const { return sums_.bytes(); }
 
@@ -22,24 +30,40 @@ class PrefixSum {
   gl::Buffer sums_;
 };
 
-// A stable radix sort of uint32 keys with uint32 values on the GPU, the least first.
+// A stable radix sort of uint32 keys with uint32 values on the GPU, the least first. Keys and
+// values lie in buffers of its own, which are whoever's turn it is: what was sorted stays until
+// others sort.
 class RadixSort {
  public:
   explicit RadixSort(const Shaders& shaders)
       : count_(shaders.compute({"radix_count.comp"})),
-        scatter_(shaders.compute({"radix_scatter.comp"})),
-        prefix_sum_(shaders) {}
+        sum_(shaders.compute({"group_sum.glsl", "radix_sum.comp"})),
+        scatter_(shaders.compute({"group_sum.glsl", "radix_scatter.comp"})) {}
 
-  // Sorts by the lowest `bits` bits of the keys. Without values, they are the keys' places. Both
-  // buffers hold the result, and may be others than before.
-  void sort(gl::Buffer& keys, gl::Buffer& values, std::size_t count, int bits, bool has_values);
+  // Makes room for so many; what was in the buffers may be lost.
+  void reserve(std::size_t count);
+
+  const gl::Buffer& keys() const { return keys_; }
+  const gl::Buffer& values() const { return values_; }
+  // Free until sort() is called.
+  const gl::Buffer& spare() const { return next_values_; }
+
+  // Sorts by the lowest `bits` bits of the keys' distances from the first word of `least`.
+  void sort(const Tally& count, const gl::Buffer& least, int bits);
+  // Writes where the keys were before, in their new order, to another buffer; keys and values are
+  // used up.
+  void order(const Tally& count, const gl::Buffer& least, int bits, const gl::Buffer& places);
 
   std::size_t bytes() const;
 
+  static constexpr int kDigitBits = 8;
+
  private:
-  gl::Program count_, scatter_;
-  PrefixSum prefix_sum_;
-  gl::Buffer keys_, values_, counts_, total_;
+  void pass(const Tally& count, const gl::Buffer& least, int shift, bool first, bool last,
+            const gl::Buffer& sorted_values);
+
+  gl::Program count_, sum_, scatter_;
+  gl::Buffer keys_, values_, next_keys_, next_values_, counts_;
 };
 
 }  // namespace rosplat

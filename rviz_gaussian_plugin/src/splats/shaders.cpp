@@ -31,7 +31,7 @@ Shaders::Shaders(ShaderSource source) : source_(std::move(source)), subgroups_(h
 void Shaders::attach(gl::Program& program, GLenum stage, Files files) const {
   std::string text = "#version 430\n#define PARTS " + std::to_string(parts_) + "\n";
   if (stage == GL_COMPUTE_SHADER) {
-    text += "#define COMPUTE\nconst uint kKeysEach = " + std::to_string(kKeysEach) + "u;\n";
+    text += "#define COMPUTE\n";
     if (subgroups_) {
       text.insert(text.find('\n') + 1,
                   "#extension GL_KHR_shader_subgroup_basic : require\n"

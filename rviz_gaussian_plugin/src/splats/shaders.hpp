@@ -27,7 +27,6 @@ class Shaders {
 
   static constexpr std::size_t kEllipseBytes = 32;  // as splat_common.glsl packs them
   static constexpr std::size_t kEllipseParts = 4;
-  static constexpr std::size_t kKeysEach = 16;  // keys an invocation of radix_*.comp
 
  private:
   void attach(gl::Program& program, GLenum stage, Files files) const;

@@ -9,6 +9,9 @@ namespace rosplat {
 
 namespace {
 
+constexpr std::size_t kLeastRoom = 65536;  // for visible splats
+constexpr int kPatience = 16;              // frames until fewer bits are sorted
+
 void clearDepth() {
   const GLfloat farthest = 1.0f;
   glDepthMask(GL_TRUE);
@@ -67,6 +70,7 @@ double SplatRenderer::clock() const {
 void SplatRenderer::setOrder(const std::uint32_t* slots, std::size_t count) {
   order_.given = true;
   order_.count = count;
+  order_.tally.set(count);
   order_.slots.reserve(count * sizeof(std::uint32_t));
   if (count > 0) order_.slots.write(0, slots, count * sizeof(std::uint32_t));
   prepared_.reset();
@@ -77,24 +81,14 @@ void SplatRenderer::sortByDepth() {
   order_.given = false;
 }
 
-void SplatRenderer::begin(const SplatCamera& camera, const MapState& map,
-                          const RenderSettings& settings, Canvas canvas, gl::Target& target,
-                          GLenum format, gl::Stopwatch& stopwatch) {
+void SplatRenderer::setTarget(gl::Target& target, GLenum format, const SplatCamera& camera,
+                              const RenderSettings& settings, Canvas canvas) {
   if (target.width() != camera.width || target.height() != camera.height ||
       target.format() != format) {
     target = gl::Target(format, camera.width, camera.height);
   }
   raster_ = {canvas != Canvas::kWindow, camera.orthographic, camera.ndc_scale,
              camera.ndc_offset,         settings.mode,       settings.depth_range};
-  if (!prepared(camera, map, settings)) {
-    prepared_.reset();
-    projection_.run(store_, camera, map, settings, clock());
-    stopwatch.lap("project");
-    putInOrder();
-    stopwatch.lap("sort");
-    tiles_.forget();
-    prepared_ = Prepared{camera, settings, map.origin, map.antialiased};
-  }
   for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
                            GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
     glDisable(off);
@@ -110,30 +104,93 @@ bool SplatRenderer::prepared(const SplatCamera& camera, const MapState& map,
          settings.mode != DrawMode::kAge;  // which changes with time
 }
 
+bool SplatRenderer::prepare(const SplatCamera& camera, const MapState& map,
+                            const RenderSettings& settings, gl::Stopwatch& stopwatch) {
+  if (prepared(camera, map, settings)) return false;
+  prepared_.reset();
+  tiles_.forget();
+  projection_.reserve(std::min<std::size_t>(store_.capacity(), kLeastRoom));
+  sort_.reserve(projection_.room());
+  projection_.run(store_, camera, map, settings, clock(), sort_.keys());
+  stopwatch.lap("project");
+  putInOrder();
+  stopwatch.lap("sort");
+  return true;
+}
+
+void SplatRenderer::prepareAndCheck(const SplatCamera& camera, const MapState& map,
+                                    const RenderSettings& settings) {
+  gl::Stopwatch stopwatch(false);
+  bool in_tiles = false, unknown = false;
+  do {
+    unknown = prepare(camera, map, settings, stopwatch);
+    if (unknown) askForCounts();
+  } while (unknown && !checkRoom(map, in_tiles));
+  prepared_ = Prepared{camera, settings, map.origin, map.antialiased};
+}
+
 void SplatRenderer::putInOrder() {
-  drawn_count_ = order_.given ? order_.count : projection_.count();
-  if (projection_.count() == 0) drawn_count_ = 0;
-  if (drawn_count_ == 0) return;
-  drawn_.reserve(drawn_count_ * sizeof(GLuint));
+  drawn_.reserve(std::max(projection_.room(), order_.given ? order_.count : 0) * sizeof(GLuint));
   if (!order_.given) {
-    sort_.sort(projection_.keys(), drawn_, drawn_count_, 32, false);
+    sort_.order(projection_.visible(), projection_.depthRange(), key_bits_, drawn_);
     return;
   }
   order_program_.use();
   projection_.bindVisible();
   order_.slots.bind(7);
   drawn_.bind(8);
-  order_program_.set("count", static_cast<GLuint>(drawn_count_));
+  order_program_.set("count", static_cast<GLuint>(order_.count));
   order_program_.set("capacity", static_cast<GLuint>(store_.capacity()));
-  gl::dispatch((drawn_count_ + 255) / 256);
+  order_program_.set("room", static_cast<GLuint>(projection_.room()));
+  gl::dispatch((order_.count + 255) / 256);
   gl::storageBarrier();
+}
+
+void SplatRenderer::askForCounts() {
+  counts_.ask({{projection_.visible().words(), Tally::kWanted},
+               {tiles_.pairs().words(), Tally::kWanted},
+               {projection_.depthRange(), 0},
+               {projection_.depthRange(), 1}});
+}
+
+bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
+  const auto [visible, pairs, nearest, farthest] = counts_.wait();
+  drawn_count_ = order_.given ? order_.count : visible;
+  // What is still to come will be as visible as what is there.
+  const double growth = std::max(1.0, double(map.expected) / std::max(1u, store_.capacity()));
+  const auto grown = [growth](std::size_t count) {
+    return static_cast<std::size_t>(growth * double(withSlack(count)));
+  };
+  bool enough = true;
+  if (visible > projection_.room()) {
+    projection_.reserve(std::min<std::size_t>(
+        grown(visible), std::max(store_.capacity(), std::min(map.expected, kMaxSlots))));
+    enough = false;
+  }
+  if (in_tiles && pairs > tiles_.room()) {
+    in_tiles = tiles_.reserve(pairs, grown(pairs));
+    enough = false;
+  }
+  const int bits = farthest > nearest ? bitsOf(farthest - nearest) : 1;
+  const int key_bits = (bits + RadixSort::kDigitBits - 1) / RadixSort::kDigitBits *
+                       RadixSort::kDigitBits;
+  fewer_bits_for_ = key_bits < key_bits_ ? fewer_bits_for_ + 1 : 0;
+  if (key_bits > key_bits_ || fewer_bits_for_ > kPatience) {
+    enough = enough && key_bits < key_bits_;
+    key_bits_ = key_bits;
+    fewer_bits_for_ = 0;
+  }
+  if (!enough) {
+    prepared_.reset();
+    tiles_.forget();
+  }
+  return enough;
 }
 
 void SplatRenderer::drawQuads(const gl::Target& target, bool raw_depth) const {
   glViewport(0, 0, target.width(), target.height());
   const std::array<float, 4> nothing{};
   glClearBufferfv(GL_COLOR, 0, nothing.data());
-  if (drawn_count_ == 0) return;
   glEnable(GL_BLEND);
   glBlendEquation(GL_FUNC_ADD);
   glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
@@ -142,14 +199,14 @@ void SplatRenderer::drawQuads(const gl::Target& target, bool raw_depth) const {
   glDepthMask(GL_FALSE);
   quads_.use();
   raster_.set(quads_);
-  quads_.set("count", static_cast<GLuint>(drawn_count_));
   quads_.set("picture", target.width(), target.height());
   quads_.set("up", raster_.top_first ? -1.0f : 1.0f);
   quads_.set("raw_depth", int(raw_depth));
   projection_.bindEllipses(quads_);
   drawn_.bind(4);
   projection_.depthRange().bind(5);
-  glDrawArraysInstanced(GL_TRIANGLE_STRIP, 0, 4, static_cast<GLsizei>(drawn_count_));
+  drawnTally().bind(6);
+  drawnTally().drawQuads();
 }
 
 void SplatRenderer::layOver(const gl::Program& program, GLuint framebuffer,
@@ -171,22 +228,34 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   const GLint x = viewport[0], y = viewport[1];
-  begin(camera, map, settings, canvas, color_, settings.float_blending ? GL_RGBA32F : GL_RGBA16F,
-        stopwatch);
-
+  setTarget(color_, settings.float_blending ? GL_RGBA32F : GL_RGBA16F, camera, settings, canvas);
+  bool unknown = prepare(camera, map, settings, stopwatch);
   const gl::DrawScope scope(color_);
   clearDepth();
   if (canvas != Canvas::kNone) copyDepth(guard.drawFramebuffer(), x, y, color_);
-  const bool in_tiles = settings.rasterizer == Rasterizer::kTiles ||
-                        (settings.rasterizer == Rasterizer::kAuto && accelerated_);
-  if (in_tiles && drawn_count_ > 0 &&
-      tiles_.draw(projection_, drawn_, drawn_count_, color_, raster_, stopwatch)) {
-    rasterizer_ = "tiles";
-  } else {
-    drawQuads(color_, false);
-    rasterizer_ = "quads";
-    stopwatch.lap("quads");
+  bool in_tiles = settings.rasterizer == Rasterizer::kTiles ||
+                  (settings.rasterizer == Rasterizer::kAuto && accelerated_);
+  while (true) {
+    if (in_tiles) {
+      if (!tiles_.listed(color_)) {
+        const std::size_t most = order_.given ? order_.count : projection_.room();
+        tiles_.list(projection_, drawn_, drawnTally(), most, color_, stopwatch,
+                    [this] { askForCounts(); });
+        unknown = true;
+      }
+      tiles_.blend(projection_, color_, raster_);
+      stopwatch.lap("blend");
+    } else {
+      if (unknown) askForCounts();
+      drawQuads(color_, false);
+      stopwatch.lap("quads");
+    }
+    // All is submitted: the graphics card goes on while this waits for what it counted first.
+    if (!unknown || checkRoom(map, in_tiles)) break;
+    unknown = prepare(camera, map, settings, stopwatch);
   }
+  prepared_ = Prepared{camera, settings, map.origin, map.antialiased};
+  rasterizer_ = in_tiles ? "tiles" : "quads";
   if (canvas != Canvas::kNone) {
     glEnable(GL_BLEND);
     glBlendEquation(GL_FUNC_ADD);
@@ -200,11 +269,11 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
 void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
                                 const RenderSettings& settings, Canvas canvas, double far_clip) {
   const gl::StateGuard guard;
-  gl::Stopwatch stopwatch(false);
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   const GLint x = viewport[0], y = viewport[1];
-  begin(camera, map, settings, canvas, surface_depth_, GL_RGBA32F, stopwatch);
+  setTarget(surface_depth_, GL_RGBA32F, camera, settings, canvas);
+  prepareAndCheck(camera, map, settings);
   const gl::DrawScope scope(surface_depth_);
   clearDepth();
   copyDepth(guard.drawFramebuffer(), x, y, surface_depth_);
@@ -218,11 +287,11 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
 void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
                              const RenderSettings& settings, Canvas canvas, std::uint32_t handle) {
   const gl::StateGuard guard;
-  gl::Stopwatch stopwatch(false);
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   const GLint x = viewport[0], y = viewport[1];
-  begin(camera, map, settings, canvas, pick_depth_, GL_RGBA16F, stopwatch);
+  setTarget(pick_depth_, GL_RGBA16F, camera, settings, canvas);
+  prepareAndCheck(camera, map, settings);
   const gl::DrawScope scope(pick_depth_);
   clearDepth();
   if (canvas != Canvas::kNone) copyDepth(guard.drawFramebuffer(), x, y, pick_depth_);
@@ -240,10 +309,10 @@ void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
     glUniform2i(pick_.at("tiles"), across, down);
     glUniform2i(pick_.at("picture"), width, height);
     pick_.set("top_first", int(raster_.top_first));
-    pick_.set("count", static_cast<GLuint>(drawn_count_));
     pick_.set("words", (store_.capacity() + 31u) / 32u);
     drawn_.bind(4);
     picked_.bind(7);
+    drawnTally().bind(8);
     glActiveTexture(GL_TEXTURE0);
     glBindTexture(GL_TEXTURE_2D, pick_depth_.depth());
     gl::dispatch(std::size_t(across) * std::size_t(down));

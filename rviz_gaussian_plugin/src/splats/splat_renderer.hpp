@@ -17,6 +17,7 @@
 #include "shaders.hpp"
 #include "slot_store.hpp"
 #include "splat_camera.hpp"
+#include "tally.hpp"
 #include "tile_rasterizer.hpp"
 
 namespace rosplat {
@@ -28,7 +29,7 @@ enum class Canvas {
   kNone,     // nothing: there is no opaque scene, and the picture is only read back
 };
 
-// Draws a map with OpenGL 4.3: what is visible is projected once a frame, then blended in a given
+// Draws a map with OpenGL 4.4: what is visible is projected once a frame, then blended in a given
 // order or in one found here, as quads or in tiles. Knows no Ogre; runs in the render thread only.
 class SplatRenderer {
  public:
@@ -86,6 +87,7 @@ class SplatRenderer {
     bool given = false;
     gl::Buffer slots;  // farthest first
     std::size_t count = 0;
+    Tally tally;  // the same
   };
   // What the projected, ordered splats answer.
   struct Prepared {
@@ -95,14 +97,26 @@ class SplatRenderer {
     bool antialiased = false;
   };
 
-  void begin(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-             Canvas canvas, gl::Target& target, GLenum format, gl::Stopwatch& stopwatch);
+  void setTarget(gl::Target& target, GLenum format, const SplatCamera& camera,
+                 const RenderSettings& settings, Canvas canvas);
   bool prepared(const SplatCamera& camera, const MapState& map,
                 const RenderSettings& settings) const;
+  // Submits what projects and sorts what is visible; false where that is there already.
+  bool prepare(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
+               gl::Stopwatch& stopwatch);
+  // The same, and sees to it that there is room for all.
+  void prepareAndCheck(const SplatCamera& camera, const MapState& map,
+                       const RenderSettings& settings);
+  // Submits copies of what is counted so far; checkRoom() waits for them.
+  void askForCounts();
+  // Whether there was room for all that prepare() and, in_tiles, its lists were to hold; else makes
+  // it, or gives up tiles, and all has to be submitted again.
+  bool checkRoom(const MapState& map, bool& in_tiles);
   void putInOrder();
   void drawQuads(const gl::Target& target, bool raw_depth) const;
   void layOver(const gl::Program& program, GLuint framebuffer, const gl::Target& target, GLint x,
                GLint y) const;
+  const Tally& drawnTally() const { return order_.given ? order_.tally : projection_.visible(); }
   double clock() const;  // of `change` in packed_slot.hpp
 
   bool accelerated_;
@@ -118,6 +132,9 @@ class SplatRenderer {
   std::optional<Prepared> prepared_;
   gl::Buffer drawn_;  // indices of ellipses, nearest first
   std::size_t drawn_count_ = 0;
+  int key_bits_ = 32;     // by which depths are sorted
+  int fewer_bits_for_ = 0;  // frames for which fewer would have done
+  gl::Readback counts_;
   gl::Target color_, depth_, surface_depth_, pick_depth_;
   gl::Buffer picked_;  // slots, of pick_depth_'s pixels
   Raster raster_;      // of what was drawn last

@@ -2,11 +2,13 @@
 
 #include <array>
 #include <cstddef>
+#include <functional>
 
 #include "gl_objects.hpp"
 #include "projection.hpp"
 #include "radix_sort.hpp"
 #include "shaders.hpp"
+#include "tally.hpp"
 
 namespace rosplat {
 
@@ -28,10 +30,23 @@ class TileRasterizer {
   // The sort may be one that others use too.
   TileRasterizer(const Shaders& shaders, RadixSort& sort);
 
-  // drawn: indices of ellipses, nearest first. Overwrites the target's colour where its depth lets
-  // a splat pass. False, and nothing is drawn, where the lists would take too much memory.
-  bool draw(const Projection& projection, const gl::Buffer& drawn, std::size_t count,
-            const gl::Target& target, const Raster& raster, gl::Stopwatch& stopwatch);
+  // Lists `drawn`, indices of ellipses, nearest first, at most so many; of more pairs than there is
+  // room for, the last are left out. `counted` is called as soon as all is submitted that tells how
+  // many there are.
+  void list(const Projection& projection, const gl::Buffer& drawn, const Tally& drawn_count,
+            std::size_t most, const gl::Target& target, gl::Stopwatch& stopwatch,
+            const std::function<void()>& counted);
+  // Whether what was listed last is for a target like this.
+  bool listed(const gl::Target& target) const;
+
+  // Overwrites the target's colour by what is listed, where its depth lets a splat pass.
+  void blend(const Projection& projection, const gl::Target& target, const Raster& raster) const;
+
+  // Pairs of a splat and a tile that it touches.
+  const Tally& pairs() const { return pair_count_; }
+  // Makes room for so many, better for more; false where that takes too much memory.
+  bool reserve(std::size_t pairs, std::size_t better);
+  std::size_t room() const { return room_; }
 
   // The splats or their order aren't those of the last draw() any more.
   void forget() { listed_width_ = 0; }
@@ -39,14 +54,12 @@ class TileRasterizer {
   std::size_t bytes() const;
 
  private:
-  bool list(const Projection& projection, const gl::Buffer& drawn, std::size_t count, int across,
-            int down, gl::Stopwatch& stopwatch);
-
   gl::Program count_, list_, ranges_, blend_;
   PrefixSum prefix_sum_;
   RadixSort& sort_;
-  gl::Buffer counts_, total_, tiles_, splats_, tile_ranges_;
-  std::size_t most_listed_;
+  Tally pair_count_;
+  gl::Buffer begins_, zero_;
+  std::size_t most_pairs_, room_ = 0;
   int listed_width_ = 0, listed_height_ = 0;  // the picture that the lists are for [px]
 };
 
