@@ -59,8 +59,7 @@ Readback::Readback() {
   glGenBuffers(1, &words_);
   glBindBuffer(GL_COPY_WRITE_BUFFER, words_);
   glBufferStorage(GL_COPY_WRITE_BUFFER, kBytes, nullptr, kAccess);
-  mapped_ =
-      static_cast<const GLuint*>(glMapBufferRange(GL_COPY_WRITE_BUFFER, 0, kBytes, kAccess));
+  mapped_ = static_cast<const GLuint*>(glMapBufferRange(GL_COPY_WRITE_BUFFER, 0, kBytes, kAccess));
   if (!mapped_) throw Error("the graphics driver maps no buffers");
 }
 

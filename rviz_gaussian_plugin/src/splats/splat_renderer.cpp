@@ -172,8 +172,8 @@ bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
     enough = false;
   }
   const int bits = farthest > nearest ? bitsOf(farthest - nearest) : 1;
-  const int key_bits = (bits + RadixSort::kDigitBits - 1) / RadixSort::kDigitBits *
-                       RadixSort::kDigitBits;
+  const int key_bits =
+      (bits + RadixSort::kDigitBits - 1) / RadixSort::kDigitBits * RadixSort::kDigitBits;
   fewer_bits_for_ = key_bits < key_bits_ ? fewer_bits_for_ + 1 : 0;
   if (key_bits > key_bits_ || fewer_bits_for_ > kPatience) {
     enough = enough && key_bits < key_bits_;

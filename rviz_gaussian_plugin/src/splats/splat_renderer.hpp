@@ -132,7 +132,7 @@ class SplatRenderer {
   std::optional<Prepared> prepared_;
   gl::Buffer drawn_;  // indices of ellipses, nearest first
   std::size_t drawn_count_ = 0;
-  int key_bits_ = 32;     // by which depths are sorted
+  int key_bits_ = 32;       // by which depths are sorted
   int fewer_bits_for_ = 0;  // frames for which fewer would have done
   gl::Readback counts_;
   gl::Target color_, depth_, surface_depth_, pick_depth_;

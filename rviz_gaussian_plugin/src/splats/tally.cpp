@@ -23,9 +23,10 @@ void Tally::set(std::size_t count) {
   const GLuint groups = ceilDiv(count, 256), blocks = std::max(ceilDiv(count, kBlock), 1u);
   const GLuint group_rows = std::max(ceilDiv(groups, 65535), 1u);
   const GLuint block_rows = ceilDiv(blocks, 65535);
-  const std::array<GLuint, 12> words{
-      n, n, ceilDiv(groups, group_rows), group_rows, 1, ceilDiv(blocks, block_rows), block_rows, 1,
-      4, n, 0,                           0};
+  const std::array<GLuint, 12> words{n,          n, ceilDiv(groups, group_rows),
+                                     group_rows, 1, ceilDiv(blocks, block_rows),
+                                     block_rows, 1, 4,
+                                     n,          0, 0};
   words_.write(0, words.data(), sizeof(words));
 }
 
