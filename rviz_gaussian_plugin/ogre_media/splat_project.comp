@@ -169,7 +169,9 @@ uint projected(uint slot) {
   uint index = visibleIndex(first_slot + slot);
   if (index >= room) return kNone;
   keep(index, e);
-  return keys[index] = e.opacity > 0.0 ? depthKey(p.z) : kNone;
+  uint key = e.opacity > 0.0 ? depthKey(p.z) : kNone;
+  keys[index] = key;
+  return key;
 }
 
 void main() {
