@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
-from rosplat_tools.processes import Processes
+from rosplat_tools.processes import Processes, quoted
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 DOCS = Path(__file__).parent
@@ -109,7 +109,7 @@ def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
     with Processes(folder) as processes:
         processes.node(
             "rosplat_tools", "ply_publisher", "--ros-args",
-            "-p", f"path:={scene}", "-p", "frame_id:=scene",
+            "-p", f"path:={quoted(scene)}", "-p", "frame_id:=scene",
         )  # fmt: skip
         processes.node("rosplat_sorter", "sorter")
         processes.start("rviz2", ["rviz2", "-d", str(config)])

@@ -83,13 +83,13 @@ def test_what_cannot_be_drawn_is_said_in_a_line(
         json.dumps([{"id": 0, "width": 8, "height": 8, "fx": 8, "fy": 8, "cx": 4, "cy": 4,
                      "world_to_camera": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}])
     )  # fmt: skip
-    broken = tmp_path / "broken.ply"
+    broken = tmp_path / "broken #2: it's.ply"
     broken.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 5\n")
     out = str(tmp_path / "out")
     assert render.main([str(tmp_path / "no.ply"), str(cameras), out]) == 1
     assert "no.ply" in capsys.readouterr().err
     assert render.main([str(broken), str(cameras), out]) == 1
-    assert "broken.ply" in capsys.readouterr().err
+    assert str(broken) in capsys.readouterr().err
     cameras.write_text("[]")
     assert render.main([str(broken), str(cameras), out]) == 1
     assert "cameras.json" in capsys.readouterr().err

@@ -37,10 +37,11 @@ def programs_of(out: Path) -> list[str]:
 
 
 def test_pictures_and_figures(tmp_path: Path) -> None:
-    output, _ = (process := start("procedural:5000", tmp_path)).communicate(timeout=180)
+    out = tmp_path / "pictures #2"
+    output, _ = (process := start("procedural:5000", out)).communicate(timeout=180)
     assert process.returncode == 0
-    assert (tmp_path / "demo.png").stat().st_size > 10_000
-    assert (tmp_path / "demo.webp").stat().st_size > 10_000
+    assert (out / "demo.png").stat().st_size > 10_000
+    assert (out / "demo.webp").stat().st_size > 10_000
     figures = next(line for line in output.splitlines() if "splats" in line)
     assert "5,000 splats" in figures
     assert "sorted by sidecar (native" in figures
@@ -49,10 +50,11 @@ def test_pictures_and_figures(tmp_path: Path) -> None:
 
 
 def test_a_scene_that_is_none_is_named_in_a_line(tmp_path: Path) -> None:
-    output, _ = (process := start("/nowhere/scene.ply", tmp_path)).communicate(timeout=60)
+    scene = "/nowhere/scene #2: it's.ply"
+    output, _ = (process := start(scene, tmp_path)).communicate(timeout=60)
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
-    assert "/nowhere/scene.ply" in output
+    assert scene in output
     assert not programs_of(tmp_path)
 
 

@@ -29,8 +29,8 @@ def rviz_alone(rviz: Rviz) -> Iterator[Rviz]:
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    """A red disc."""
-    path = tmp_path / "disc.ply"
+    """A red disc, whose name is not a plain one to YAML."""
+    path = tmp_path / "disc #2: it's.ply"
     formats.save(path, disc((1, 0, 0)))
     return path
 

@@ -10,7 +10,7 @@ import time
 import uuid
 from pathlib import Path
 
-from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals
+from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals, quoted
 
 PROCEDURAL = "procedural:200000"
 
@@ -41,7 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
     try:
         with Processes(options.out / "log") as processes:
-            processes.node("rosplat_tools", "ply_publisher", *remap, "-p", f"path:={options.scene}")
+            scene = f"path:={quoted(options.scene)}"
+            processes.node("rosplat_tools", "ply_publisher", *remap, "-p", scene)
             processes.node("rosplat_sorter", "sorter", *remap)
             if rviz:
                 from ament_index_python.packages import get_package_share_directory
@@ -58,7 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
                 if screen:
                     print("the viewer is opening; close it or press Q to end the demo", flush=True)
                 up = [float(value) for value in options.up]
-                output = [] if screen else ["-p", f"output:={options.out}"]
+                output = [] if screen else ["-p", f"output:={quoted(options.out)}"]
                 viewer = processes.node(
                     "rosplat_tools", "viewer", *remap, "-p", f"up:={up}", *output
                 )

@@ -49,6 +49,11 @@ def fast_dds_profile(environment: Mapping[str, str]) -> dict[str, str]:
     return dict.fromkeys(names, str(profile))
 
 
+def quoted(text: object) -> str:
+    """Text as the value of a parameter, `-p name:=value`: as it is, ROS reads it as YAML."""
+    return "'" + str(text).replace("'", "''") + "'"
+
+
 def interrupt_by_signals() -> None:
     """Makes SIGTERM end this program as Ctrl-C does: by KeyboardInterrupt, block by block."""
     for number in ENDINGS:

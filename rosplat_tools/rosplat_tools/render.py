@@ -29,7 +29,7 @@ from tqdm import tqdm
 from rosplat_msgs.srv import RenderView
 from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.metrics import compare
-from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals
+from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals, quoted
 from rosplat_tools.scenes import NAMES, PROCEDURAL
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
@@ -230,7 +230,7 @@ def main(arguments: list[str] | None = None) -> int:
         # rclpy's own handlers shut ROS down under code that is just using it.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         render(
-            ("ply_publisher", "-p", f"path:={options.scene}"), cameras,
+            ("ply_publisher", "-p", f"path:={quoted(options.scene)}"), cameras,
             via=options.via, order_timeout=options.order_timeout,
             float_blending=options.float_blending,
             log_folder=options.out / "log", on_picture=keep,

@@ -13,6 +13,7 @@ from rclpy.node import Node
 
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_tools import formats
+from rosplat_tools.processes import quoted
 from rosplat_tools.splats import Splats
 
 Maker = Callable[..., Splats]
@@ -104,6 +105,12 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
     assert len(output.strip().splitlines()) == 1
     assert output.startswith("ply_publisher: ")
     assert all(str(value) in output for value in parameters.values())
+
+
+@pytest.mark.parametrize("path", ["/data/my scene #2/it's.ply", "/data/a: b/c.ply", "2024", "yes"])
+def test_a_path_that_yaml_would_take_for_something_else(start: Start, path: str) -> None:
+    output, _ = start("ply_publisher", path=quoted(path)).communicate(timeout=30)
+    assert output == f"ply_publisher: {path}: No such file or directory\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -11,7 +11,7 @@ import numpy as np
 from rosplat_tools.bench import live, scenes
 from rosplat_tools.bench.plan import Plan
 from rosplat_tools.bench.records import Doing, Event, Measurement, Skipped
-from rosplat_tools.processes import ProcessError
+from rosplat_tools.processes import ProcessError, quoted
 
 SIZES, QUICK_SIZES = (100_000, 500_000, 1_000_000), (50_000,)
 RATES = (30.0, 60.0)  # at which the camera moves [Hz]
@@ -34,7 +34,8 @@ def measure(plan: Plan) -> Iterator[Event]:
         yield Doing(f"{name}, {backend}, {rate:.0f} Hz", number / len(jobs))
         try:
             seen = live.watch(
-                plan.out, ("ply_publisher", "-p", f"path:={name}"), backend=backend, rate=rate,
+                plan.out, ("ply_publisher", "-p", f"path:={quoted(name)}"),
+                backend=backend, rate=rate,
                 picture=QUICK_PICTURE if plan.quick else PICTURE,
                 until=live.for_seconds(QUICK_SECONDS if plan.quick else SECONDS),
             )  # fmt: skip

@@ -14,7 +14,7 @@ from typing import Any
 
 from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
 from rosplat_tools.bench import machine, records
-from rosplat_tools.processes import Processes
+from rosplat_tools.processes import Processes, quoted
 from rosplat_tools.splats import SceneError
 
 GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
@@ -68,7 +68,7 @@ def watch(
             "viewer",
             [
                 sys.executable, "-m", "rosplat_tools.bench.moving_viewer", *remap,
-                "-p", f"trace:={trace}", "-p", f"rate:={rate}", "-p", f"radius:={radius}",
+                "-p", f"trace:={quoted(trace)}", "-p", f"rate:={rate}", "-p", f"radius:={radius}",
                 "-p", f"width:={picture[0]}", "-p", f"height:={picture[1]}",
                 "-p", f"order:={order_source(backend)}",
             ],

@@ -14,6 +14,11 @@ constexpr int kGrace = 3000;      // what a publisher gets to end by itself [ms]
 constexpr auto kDiscovery = 5s;   // until a node knows those that were started with it
 constexpr auto kMeeting = 500ms;  // until a new client knows its service
 constexpr auto kLookAgain = 100ms;
+
+// As the value of a parameter on the command line: as it is, ROS reads it as YAML.
+QString quoted(const std::string& text) {
+  return "'" + QString::fromStdString(text).replace("'", "''") + "'";
+}
 }  // namespace
 
 SceneLoader::SceneLoader(rclcpp::Node::SharedPtr node, std::string topic)
@@ -84,9 +89,9 @@ void SceneLoader::startPublisher(const std::string& path) {
     process_->setProcessChannelMode(QProcess::MergedChannels);
     // By the Python on the path: a virtual environment may have what the one in its first line
     // lacks.
-    process_->start("python3", {QString::fromStdString(program), "--ros-args", "-p",
-                                QString::fromStdString("path:=" + path), "-r",
-                                QString::fromStdString("gaussians:=" + topic_)});
+    process_->start("python3",
+                    {QString::fromStdString(program), "--ros-args", "-p", "path:=" + quoted(path),
+                     "-r", QString::fromStdString("gaussians:=" + topic_)});
     status_ = "loading " + path;
   } catch (const ament_index_cpp::PackageNotFoundError&) {
     report("rosplat_tools is not installed: nothing can publish " + path, true);
