@@ -38,7 +38,6 @@ from rviz_gaussian_plugin.offscreen import BatchError, Renderer, ensure_display
 ASK_AGAIN = 0.25  # how long a still waits for an order before it asks for another [s]
 KEEP_ALIVE = 1.0  # a view goes out at least this often, for sorters that start late [s]
 QUIET = 2.0  # a map that has not grown for so long is taken as complete [s]
-SAMPLES = 2000  # positions of a batch that the first look at a map is framed by
 STILL = (1280, 720)
 ORBIT = (480, 270)
 ORBIT_FRAMES = 36
@@ -100,7 +99,7 @@ class Viewer(Node):
         self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
         self.frame_id = ""
         self.last_batch = math.inf
-        self._samples: list[NDArray[np.float64]] = []
+        self._sample = Sample()
         self._instance = f"viewer_{uuid.uuid4().hex[:8]}"
         self._sequence = 0
         self._orders = OrderReader()
@@ -147,10 +146,9 @@ class Viewer(Node):
                 throttle_duration_sec=5.0,
             )
         if message.operation == GaussianArray.REPLACE:
-            self._samples.clear()
-        positions = _array(message.positions).reshape(-1, 3)[:: message.count // SAMPLES + 1]
-        origin = (message.origin.x, message.origin.y, message.origin.z)
-        self._samples.append(positions[np.isfinite(positions).all(axis=1)] + np.array(origin))
+            self._sample = Sample()
+        origin = np.array([message.origin.x, message.origin.y, message.origin.z])
+        self._sample.add(_array(message.positions).reshape(-1, 3), origin)
         self.frame_id = message.header.frame_id
         self.last_batch = time.monotonic()
 
@@ -209,12 +207,8 @@ class Viewer(Node):
         return time.monotonic() - self.last_batch > QUIET
 
     def bounds(self) -> tuple[NDArray[np.float64], float]:
-        """Centre and radius of the middle of the map, which a few far splats don't change. [m]"""
-        positions = np.concatenate(self._samples) if self._samples else np.zeros((0, 3))
-        if not len(positions):
-            return np.zeros(3), 1.0
-        low, high = np.quantile(positions, [0.05, 0.95], axis=0)
-        return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+        """Centre and radius of the map. [m]"""
+        return self._sample.bounds()
 
     def look(self, camera: ViewCamera, name: str) -> str:
         """Poses the camera of a view and asks for its order; returns the view's id."""
@@ -329,6 +323,34 @@ def _image(pixels: NDArray[np.float32], encoding: str) -> Image:
     image.step = pixels.nbytes // pixels.shape[0]
     image.data.frombytes(memoryview(np.ascontiguousarray(pixels)).cast("B"))
     return image
+
+
+class Sample:
+    """Some of a map's positions, however many batches come: the more recent, the more of them."""
+
+    OF_BATCH = 2000
+    BATCHES = 100
+
+    def __init__(self) -> None:
+        self._parts: list[NDArray[np.float64]] = []
+
+    def __len__(self) -> int:
+        return sum(map(len, self._parts))
+
+    def add(self, positions: NDArray[np.float32], origin: NDArray[np.float64]) -> None:
+        """Takes some of (n, 3) positions, relative to the origin (3,). [m]"""
+        some = positions[:: len(positions) // self.OF_BATCH + 1]
+        self._parts.append(some[np.isfinite(some).all(axis=1)] + origin)
+        if len(self._parts) > self.BATCHES:
+            self._parts = [np.concatenate(self._parts)[::2]]
+
+    def bounds(self) -> tuple[NDArray[np.float64], float]:
+        """Centre and radius of the middle, which a few far splats don't change. [m]"""
+        positions = np.concatenate(self._parts) if self._parts else np.zeros((0, 3))
+        if not len(positions):
+            return np.zeros(3), 1.0
+        low, high = np.quantile(positions, [0.05, 0.95], axis=0)
+        return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 
 
 @dataclass

@@ -244,6 +244,23 @@ def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
     )
 
 
+def test_a_map_that_grows_for_hours_is_framed_by_a_bounded_sample() -> None:
+    from rosplat_tools.viewer import Sample
+
+    sample = Sample()
+    assert sample.bounds()[1] == 1
+    rng = np.random.default_rng(0)
+    origin = np.array([4.5e6, 0, 0])
+    for _ in range(3000):
+        positions = rng.uniform(-1, 1, (1000, 3)).astype(np.float32)
+        positions[0] = np.nan
+        sample.add(positions, origin)
+    assert len(sample) < 250_000
+    centre, radius = sample.bounds()
+    np.testing.assert_allclose(centre, origin, atol=0.02)
+    assert radius == pytest.approx(0.9 * 3**0.5, rel=0.02)
+
+
 @pytest.fixture
 def display(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     with offscreen.ensure_display() as name:
