@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import flip_evaluator
 import numpy as np
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
@@ -59,8 +58,13 @@ def ssim(test: Image, reference: Image) -> float:
 def flip(test: Image, reference: Image) -> float:
     """Mean LDR-FLIP, 0 if equal: what is seen when one flips between the two.
 
-    Andersson et al. 2020, at their tool's default of 67 pixels per degree.
+    Andersson et al. 2020, at their tool's default of 67 pixels per degree. Raises RuntimeError
+    where that isn't installed.
     """
+    try:
+        import flip_evaluator
+    except ImportError as error:
+        raise RuntimeError("FLIP needs flip-evaluator: pip install flip-evaluator") from error
     test, reference = (image.astype(np.float32) for image in _checked(test, reference))
     _, mean, _ = flip_evaluator.evaluate(reference, test, "LDR", applyMagma=False)
     return float(mean)

@@ -29,7 +29,7 @@ from tqdm import tqdm
 from rosplat_msgs.srv import RenderView
 from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.metrics import compare
-from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals, quoted
+from rosplat_tools.processes import Processes, interrupt_by_signals, quoted
 from rosplat_tools.scenes import NAMES, PROCEDURAL
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
@@ -235,7 +235,7 @@ def main(arguments: list[str] | None = None) -> int:
             float_blending=options.float_blending,
             log_folder=options.out / "log", on_picture=keep,
         )  # fmt: skip
-    except (SceneError, RenderError, ProcessError, OSError, ValueError) as error:
+    except (RuntimeError, OSError, ValueError) as error:
         print(f"render: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -1,6 +1,7 @@
 """Metrics: known values, known limits, and pictures that can't be compared."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -35,6 +36,13 @@ def test_the_worst_pixel_hides_in_no_mean() -> None:
     changed[3, 5, 1] += 0.15
     assert worst(changed, picture()) == pytest.approx(0.15)
     assert psnr(changed, picture()) > 50
+
+
+def test_without_flip_evaluator_the_rest_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    assert psnr(picture(), picture()) == math.inf
+    with pytest.raises(RuntimeError, match="pip install flip-evaluator"):
+        compare(picture(), picture())
 
 
 def test_what_a_screen_cannot_show_does_not_count() -> None:
