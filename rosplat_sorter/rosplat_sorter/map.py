@@ -17,17 +17,16 @@ class SplatMap:
     """
 
     def __init__(self) -> None:
-        self._start("")
+        self._start("", np.zeros(3), 0)
 
-    def _start(self, map_id: str) -> None:
+    def _start(self, map_id: str, origin: NDArray[np.float64], slots: int) -> None:
+        self._positions, self._extents = _empty(slots)  # or nothing changes
         self.map_id = map_id
         self.revision = 0
         self.frame_id = ""
-        self.origin = np.zeros(3)
+        self.origin = origin
         self.missed = 0
         self._count = 0
-        self._positions = np.zeros((0, 3), np.float32)
-        self._extents = np.zeros(0, np.float32)
 
     @property
     def positions(self) -> NDArray[np.float32]:
@@ -51,8 +50,7 @@ class SplatMap:
         """
         begins = edit.map_id != self.map_id or self.revision == 0
         if begins:
-            self._start(edit.map_id)
-            self.origin = edit.origin
+            self._start(edit.map_id, edit.origin, 0 if edit.operation == DELETE else edit.end)
         elif edit.revision <= self.revision:
             return None
         if edit.operation != DELETE:
@@ -90,9 +88,11 @@ class SplatMap:
         """Makes room for so many slots, at least doubling what there is."""
         if slots <= len(self._extents):
             return
-        capacity = max(slots, 2 * len(self._extents))
-        positions = np.zeros((capacity, 3), np.float32)
-        extents = np.full(capacity, INVISIBLE, np.float32)
+        positions, extents = _empty(max(slots, 2 * len(self._extents)))
         positions[: self._count] = self.positions
         extents[: self._count] = self.extents
         self._positions, self._extents = positions, extents
+
+
+def _empty(slots: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    return np.zeros((slots, 3), np.float32), np.full(slots, INVISIBLE, np.float32)

@@ -25,7 +25,7 @@ class SorterNode(Node):
     """Subscribes to `gaussians` and `gaussians/view`, publishes `gaussians/order`."""
 
     def __init__(self) -> None:
-        super().__init__("rosplat_sorter")
+        super().__init__("sorter")
         self._said: dict[str, float] = {}
         self.declare_parameter(
             "backend",

@@ -185,7 +185,7 @@ class Worker:
             self._host.warn(
                 "batch",
                 f"gaussians: batch {message.revision} of map '{message.map_id}' dropped: "
-                f"{error or 'out of memory'} ({self._dropped_batches} dropped so far)",
+                f"{str(error) or 'out of memory'} ({self._dropped_batches} dropped so far)",
             )
             return
         if changed is None:

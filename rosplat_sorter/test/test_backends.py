@@ -145,6 +145,18 @@ def test_one_splat_nothing_visible_and_no_map(backend, make_camera, make_edit):
     assert assert_equal_to_reference(backend, splats, make_camera(far_clip=1.0)) == 0
 
 
+def test_torch_without_a_number_of_threads_takes_all_again():
+    torch = pytest.importorskip("torch")
+    if torch.cuda.is_available():
+        pytest.skip("with a GPU, threads are none of this backend's business")
+    open_backend("torch")
+    all_of_them = torch.get_num_threads()
+    open_backend("torch", threads=all_of_them + 1)
+    assert torch.get_num_threads() == all_of_them + 1
+    open_backend("torch", threads=0)
+    assert torch.get_num_threads() == all_of_them
+
+
 def test_zeros_of_both_signs_tie(backend, make_camera, make_edit):
     splats = SplatMap()
     splats.apply(make_edit([[0, 0, z] for z in (0.0, -0.0, 1e-40, 0.0, -1e-40, -0.0)]))

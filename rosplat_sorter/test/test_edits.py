@@ -1,6 +1,7 @@
 """Messages are checked before use: dropped whole, or splat by splat."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,6 +125,18 @@ def test_a_new_map_starts_empty_even_with_an_upsert(make_batch):
     apply(splats, make_batch(5, revision=9, operation=0))
     apply(splats, make_batch(1, map_id="next"))
     assert (len(splats), splats.map_id, splats.revision, splats.missed) == (1, "next", 1, 0)
+
+
+@pytest.mark.parametrize("map_id", ["map", "next"])
+def test_what_memory_can_t_hold_leaves_the_map_as_it_was(make_batch, map_id):
+    splats = SplatMap()
+    apply(splats, make_batch(3))
+    edit = replace(decode(make_batch(1, map_id=map_id, revision=2)), end=1 << 50)
+    with pytest.raises(MemoryError):
+        splats.apply(edit)
+    assert (splats.map_id, splats.revision, splats.missed) == ("map", 1, 0)
+    assert (splats.extents >= 0).tolist() == [True] * 3
+    assert splats.positions[2].tolist() == [0, 0, 3]
 
 
 def test_duplicates_are_ignored_and_gaps_counted(make_batch):

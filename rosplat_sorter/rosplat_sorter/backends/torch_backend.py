@@ -12,6 +12,8 @@ from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
 
+ALL_THREADS = torch.get_num_threads()
+
 
 class TorchBackend:
     """Keeps the map on the device.
@@ -25,8 +27,8 @@ class TorchBackend:
         gpu = torch.cuda.is_available()
         if gpu_only and not gpu:
             raise Unavailable("torch finds no GPU")
-        if threads and not gpu:
-            torch.set_num_threads(threads)
+        if not gpu:
+            torch.set_num_threads(threads or ALL_THREADS)
         self._device = torch.device("cuda" if gpu else "cpu")
         self.device = torch.cuda.get_device_name() if gpu else "CPU"
         self._positions = torch.empty((0, 3), device=self._device)
