@@ -217,8 +217,10 @@ def test_a_publisher_that_does_not_latch_is_received(sorter, make_batch, make_lo
         peer.close()
 
 
-def test_garbage_does_not_stop_it(peer, make_batch, make_look):
+def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypatch):
     nan, inf = float("nan"), float("inf")
+    warnings = []
+    monkeypatch.setattr(sorter, "warn", lambda subject, text: warnings.append((subject, text)))
     peer.edit(make_batch(3))
     for wrong in (
         {"positions": [0.0]},
@@ -232,15 +234,22 @@ def test_garbage_does_not_stop_it(peer, make_batch, make_look):
     ):
         peer.edit(make_batch(3, **({"revision": 2} | wrong)))
     peer.edit(make_batch(3, revision=2, positions=[nan] * 9, scales=[-inf] * 9, first_slot=3))
-    for look in (
-        make_look(fx=nan),
-        make_look(width=0),
-        make_look(near_clip=inf),
-        make_look(frame_id="elsewhere"),
-        make_look(projection=9),
-        make_look(view_id="", cx=1e308),
+    peer.wait(lambda: warnings and warnings[-1][0] == "splats", "no word of splats with NaN")
+    assert [subject for subject, _ in warnings] == ["batch"] * 8 + ["splats"]
+    for wrong, reason in (
+        ({"fx": nan}, "fx"),
+        ({"width": 0}, "width"),
+        ({"near_clip": inf}, "near_clip"),
+        ({"frame_id": "elsewhere"}, "elsewhere"),
+        ({"projection": 9}, "projection"),
+        ({"view_id": "", "cx": 1e308}, "offset_x"),
     ):
-        peer.look(look)
+        warnings.clear()
+        peer.look(make_look(**wrong))  # the next would take its place before it has arrived
+        peer.wait(lambda: warnings, f"{wrong} was not dropped")
+        ((subject, text),) = warnings
+        assert subject == "view"
+        assert reason in text
     peer.look(make_look(sequence=5))
     assert peer.slots(5, 2) == [2, 1, 0]
 
