@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz, red
 
@@ -44,15 +47,57 @@ def test_bad_input_is_explained(rviz: Rviz, world: World, tmp_path: Path) -> Non
     assert rviz.status("Map").get("Scene File", ("Ok", ""))[0] == "Ok"
 
 
-def test_opengl_that_is_too_old(tmp_path: Path, world: World) -> None:
-    world.place()
+def ask_for_picture(world: World, frame: str = "", topic: str = "/gaussians") -> Any:
+    """What the display answers to a camera that looks up at the map from a metre below."""
+    from rosplat_msgs.srv import RenderView
+    from rosplat_tools.cameras import Camera
+    from rosplat_tools.view_messages import view_camera
+
+    below = np.eye(4)
+    below[2, 3] = 1.0
+    camera = view_camera(
+        Camera(id=0, width=16, height=16, fx=16, fy=16, cx=8, cy=8, world_to_camera=below)
+    )
+    camera.header.frame_id = frame
+    client = world.node.create_client(RenderView, f"{topic}/render")
+    world.spin_until(client.service_is_ready)
+    future = client.call_async(RenderView.Request(camera=camera))
+    world.spin_until(future.done)
+    return future.result()
+
+
+def test_pictures_are_answered_whatever_is_seen(rviz: Rviz, world: World) -> None:
+    """Before there is a map, and while nobody knows where it belongs: it is kept all the same."""
+    answer = ask_for_picture(world)
+    assert answer.success and not answer.map_complete
     world.map.replace(disc((1, 0, 0)))
-    rviz = Rviz(tmp_path, config=configuration(map_display()), MESA_GL_VERSION_OVERRIDE="3.3COMPAT")
+    rviz.until_status("Map", "Transform", "Error", world.frame)
+    for frame in ["", world.frame]:
+        answer = ask_for_picture(world, frame)
+        assert answer.map_complete and answer.splats == 1
+        color = np.frombuffer(answer.color.data, np.float32).reshape(16, 16, 4)
+        assert color[8, 8, 0] > 0.9
+    answer = ask_for_picture(world, "elsewhere")
+    assert not answer.success and "elsewhere" in answer.message
+    assert not red(rviz.picture()).any()
+    world.place()
+    rviz.until(lambda s: red(s).any())
+
+
+def test_opengl_that_is_too_old(tmp_path: Path, world: World) -> None:
+    topic = "/too_old"  # the other rviz2 answers for /gaussians
+    rviz = Rviz(
+        tmp_path,
+        config=configuration(map_display(topic=topic)),
+        MESA_GL_VERSION_OVERRIDE="3.3COMPAT",
+    )
     try:
         rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.4 is needed", "3.3", "driver")
         rviz.set("Map", value=False)
         rviz.set("Map", value=True)
         rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.4 is needed")
+        answer = ask_for_picture(world, topic=topic)
+        assert not answer.success and "OpenGL 4.4 is needed" in answer.message
         assert not red(rviz.picture()).any()
         assert rviz.quit() == 0
     finally:

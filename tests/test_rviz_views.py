@@ -92,6 +92,8 @@ class Views:
 
     def of_size(self, width: int, height: int) -> ViewCamera:
         """The camera of the view with that many pixels."""
+        settled = time.monotonic() + 0.5  # what still waits to be received
+        self._world.spin_until(lambda: time.monotonic() > settled)
         (camera,) = [c for c in self.cameras.values() if (c.width, c.height) == (width, height)]
         return camera
 

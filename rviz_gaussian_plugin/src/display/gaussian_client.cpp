@@ -12,6 +12,8 @@ namespace {
 
 using namespace std::chrono_literals;
 
+constexpr std::size_t kMostRequests = 64;  // for pictures, that wait
+
 // The newest camera and order of each view matter: as deep as a sorter serves views.
 rclcpp::QoS viewQos() { return rclcpp::QoS(rclcpp::KeepLast(32)).reliable().durability_volatile(); }
 // All of what one box of the mouse picks.
@@ -20,6 +22,20 @@ rclcpp::QoS pickedQos() {
 }
 
 }  // namespace
+
+void GaussianClient::RenderRequest::answer(RenderView::Response& response) const {
+  try {
+    service->send_response(*id, response);
+  } catch (const std::exception& error) {  // a picture too large for the middleware, say
+    RCLCPP_ERROR(rclcpp::get_logger("rosplat"), "a picture isn't sent: %s", error.what());
+  }
+}
+
+void GaussianClient::RenderRequest::refuse(const std::string& why) const {
+  RenderView::Response response;
+  response.message = why;
+  answer(response);
+}
 
 const char* GaussianClient::mapType() {
   return rosidl_generator_traits::name<rosplat_msgs::msg::GaussianArray>();
@@ -47,8 +63,13 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
       topic_ + "/render",
       [this](std::shared_ptr<rclcpp::Service<RenderView>> service,
              std::shared_ptr<rmw_request_id_t> id, std::shared_ptr<RenderView::Request> request) {
+        RenderRequest asked{std::move(service), std::move(id), std::move(request)};
         const std::lock_guard lock(mutex_);
-        requests_.push_back({std::move(service), std::move(id), std::move(request)});
+        if (requests_.size() < kMostRequests) {
+          requests_.push_back(std::move(asked));
+        } else {
+          asked.refuse("too many pictures are asked for at once");
+        }
       },
       serviceQos(), group_);
   watch_ = node_->create_wall_timer(1s, [this] { watchPublishers(); }, group_);

@@ -36,7 +36,8 @@ class GaussianClient {
     std::shared_ptr<rclcpp::Service<RenderView>> service;
     std::shared_ptr<rmw_request_id_t> id;
     std::shared_ptr<RenderView::Request> request;
-    void answer(RenderView::Response& response) const { service->send_response(*id, response); }
+    void answer(RenderView::Response& response) const;
+    void refuse(const std::string& why) const;
   };
 
   // What has arrived.

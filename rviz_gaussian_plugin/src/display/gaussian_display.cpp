@@ -37,8 +37,9 @@ constexpr const char* kResourceGroup = "rviz_rendering";
 // A view's camera goes out at least this often, so that a sorter that starts late learns of it. [s]
 constexpr double kKeepAlive = 1.0;
 constexpr double kAskAgain =
-    0.25;                        // how long a picture waits for an order before it asks again [s]
-constexpr double kUnseen = 2.0;  // after which a view that isn't drawn is gone [s]
+    0.25;                          // how long a picture waits for an order before it asks again [s]
+constexpr double kUnserved = 1.0;  // after which nobody will draw what services ask for [s]
+constexpr double kUnseen = 2.0;    // after which a view that isn't drawn is gone [s]
 constexpr const char* kUnchanged = "As Started";
 constexpr double kStatusPeriod = 0.5;  // [s]
 constexpr const char* kOrderStatus = "Order";
@@ -126,9 +127,11 @@ void GaussianDisplay::reset() {
 }
 
 void GaussianDisplay::unsubscribe() {
+  if (client_) refuseRenderRequests("the display was turned off");
   client_.reset();
   selection_.reset();
-  request_.reset();
+  served_ = true;
+  placed_ = false;
   if (cloud_ && cloud_->isAttached()) cloud_->detachFromParent();
   cloud_.reset();
   views_.clear();
@@ -207,6 +210,7 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   if (!client_) return;
   updateTransform();
   forgetUnseenViews();
+  refuseUnserved();
   for (auto& [viewport, view] : views_) {
     if (view.sequence == 0 || now() - view.published < kKeepAlive) continue;
     // A view or an order may have been lost while display and sorter got to know each other.
@@ -227,7 +231,9 @@ void GaussianDisplay::updateTransform() {
   const bool known =
       frame.empty() || context_->getFrameManager()->getTransform(frame, position, orientation);
   // Where the map belongs nobody knows: showing it somewhere would be wrong.
-  scene_node_->setVisible(known && !frame.empty());
+  placed_ = known && !frame.empty();
+  scene_node_->setVisible(placed_);
+  cloud_->setVisible(true);  // or it would neither upload nor draw pictures for services
   if (!known) {
     setMissingTransformToFixedFrame(frame);
   } else if (!frame.empty()) {
@@ -255,6 +261,7 @@ void GaussianDisplay::forgetUnseenViews() {
 std::string GaussianDisplay::onView(Ogre::Viewport* viewport, const SplatCamera& camera) {
   serveRenderRequests();  // here, where the context is current
   selection_->refresh();
+  if (!placed_) return "";
   View& view = views_[viewport];
   if (view.id.empty()) {
     view.number = ++view_count_;
@@ -320,7 +327,23 @@ bool GaussianDisplay::toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const {
   return true;
 }
 
+void GaussianDisplay::refuseUnserved() {
+  if (std::exchange(served_, false)) {
+    unserved_ = now();
+  } else if (now() - unserved_ > kUnserved) {
+    refuseRenderRequests(cloud_->error().empty() ? "rviz draws nothing" : cloud_->error());
+  }
+}
+
+void GaussianDisplay::refuseRenderRequests(const std::string& why) {
+  if (!request_) request_ = client_->takeRenderRequest();
+  for (; request_; request_ = client_->takeRenderRequest()) {
+    request_->refuse(why);
+  }
+}
+
 void GaussianDisplay::serveRenderRequests() {
+  served_ = true;
   if (!client_) return;
   if (!request_) {
     request_ = client_->takeRenderRequest();
@@ -334,9 +357,7 @@ void GaussianDisplay::serveRenderRequests() {
       still_.id = instance_ + "/render";
       still_.camera = toCamera(camera);
     } catch (const std::invalid_argument& error) {
-      GaussianClient::RenderView::Response response;
-      response.message = error.what();
-      request_->answer(response);
+      request_->refuse(error.what());
       request_.reset();
       return;
     }
@@ -449,10 +470,14 @@ void GaussianDisplay::updateStatus() {
                   text);
   }
 
-  if (!cloud_->error().empty()) {
-    setStatusOnce(StatusProperty::Error, "OpenGL", cloud_->error());
-    return;
+  const std::string& error =
+      cloud_->error().empty() ? cloud_->scene().uploadError() : cloud_->error();
+  if (!error.empty()) {
+    setStatusOnce(StatusProperty::Error, "OpenGL", error);
+  } else if (shown_status_.erase("OpenGL") > 0) {
+    deleteStatus("OpenGL");
   }
+  if (!cloud_->error().empty()) return;
   if (received.batches == 0) return;
   for (const auto& [viewport, view] : views_) showFrame(view);
   setStatusOnce(StatusProperty::Ok, "Memory",

@@ -68,6 +68,8 @@ class GaussianDisplay : public rviz_common::Display {
   void askAgain(View& view);
   void publish(View& view);
   void serveRenderRequests();
+  void refuseUnserved();
+  void refuseRenderRequests(const std::string& why);
   void answer(const GaussianClient::RenderRequest& request, bool built_in);
   void publishPicked(const std::vector<SplatValues>& splats);
   bool toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const;
@@ -97,6 +99,9 @@ class GaussianDisplay : public rviz_common::Display {
   View still_;                  // of the pictures that services ask for
   std::optional<GaussianClient::RenderRequest> request_;
   double request_deadline_ = 0;
+  bool served_ = false;  // requests were looked at since the last update
+  double unserved_ = 0;  // since when they were not [s]
+  bool placed_ = false;  // there is a map, and where it belongs is known
   double status_time_ = 0;
   std::map<QString, std::pair<rviz_common::properties::StatusProperty::Level, std::string>>
       shown_status_;

@@ -112,7 +112,9 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
   const bool seen = scheme == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
   const bool touched = scheme == "Depth";
   const bool picked = pick_handle_ && (scheme == "Pick" || scheme == "Pick1");
-  if (!(seen || touched || picked) || !error_.empty() || !camera_) return false;
+  if (!(seen || touched || picked) || !camera_) return false;
+  const auto now = std::chrono::steady_clock::now();
+  if (!error_.empty() && (scene_->unusable() || now < error_ends_)) return false;
   SplatCamera camera = cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
                                 viewport->getActualWidth(), viewport->getActualHeight());
   camera.extent_scale = std::max(1.0f, settings_.scale);
@@ -120,21 +122,29 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
       viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
   try {
     if (seen) {
-      seen_[viewport] = camera;
-    } else {
-      for (const auto& [of, whole] : seen_) {
-        if (makePart(camera, whole)) break;
+      const std::string view = on_view_(viewport, camera);
+      if (view.empty()) {
+        seen_.clear();
+        scene_->upload();
+      } else {
+        seen_[viewport] = camera;
+        scene_->draw(view, settings_, canvas, built_in_);
       }
+      error_.clear();
+      return false;
     }
-    if (seen) {
-      scene_->draw(on_view_(viewport, camera), settings_, canvas, built_in_);
-    } else if (touched) {
+    if (seen_.empty()) return false;  // what isn't seen can't be touched
+    for (const auto& [of, whole] : seen_) {
+      if (makePart(camera, whole)) break;
+    }
+    if (touched) {
       scene_->drawSurface(camera, settings_, canvas, camera_->getFarClipDistance());
     } else {  // first the map that a pixel shows, then the slot
       scene_->drawPick(camera, settings_, canvas, scheme == "Pick" ? pick_handle_ : 0);
     }
   } catch (const std::exception& error) {
     error_ = error.what();
+    error_ends_ = now + std::chrono::seconds(1);
   }
   return false;
 }

@@ -3,6 +3,7 @@
 #include <OgreMovableObject.h>
 #include <OgreRenderable.h>
 
+#include <chrono>
 #include <functional>
 #include <map>
 #include <memory>
@@ -18,6 +19,7 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
  public:
   // Names the view that a viewport shows and registers its camera with the scene; called in the
   // render thread before each draw. `camera` is what the viewport's Ogre camera sees of the map.
+  // Without a name nothing is drawn, and the map only kept up to date.
   using ViewCallback = std::function<std::string(Ogre::Viewport*, const SplatCamera& camera)>;
 
   // Shaders are read from the Ogre resource group that holds ogre_media.
@@ -32,7 +34,7 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
   // What rviz's selection knows the map by, 24 bits; 0: it can't be selected.
   void setPickHandle(std::uint32_t handle) { pick_handle_ = handle; }
 
-  // A sentence for the user; it ends drawing until clearError().
+  // A sentence for the user; drawing pauses for a second, or until clearError().
   const std::string& error() const { return error_; }
   void clearError() { error_.clear(); }
 
@@ -60,6 +62,7 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
   bool built_in_ = false;
   std::uint32_t pick_handle_ = 0;
   std::string error_;
+  std::chrono::steady_clock::time_point error_ends_;
   Ogre::MaterialPtr material_;
   Ogre::AxisAlignedBox box_ = Ogre::AxisAlignedBox::BOX_INFINITE;
   Ogre::Camera* camera_ = nullptr;

@@ -29,7 +29,7 @@ BatchReport SplatScene::apply(const GaussianBatch& batch) {
   BatchReport report;
   const std::lock_guard lock(map_mutex_);
   auto edit = map_.apply(batch, report);
-  if (edit) {
+  if (edit && !unusable_) {
     sorter_.apply(edit, map_.state().id);
     const std::lock_guard queue_lock(queue_mutex_);
     if (edit->clear) arrivals_.clear();  // never to be seen
@@ -50,7 +50,20 @@ MapState SplatScene::state() const {
 }
 
 void SplatScene::prepare() {
-  if (!renderer_) renderer_.emplace(shaders_);
+  if (renderer_) return;
+  try {
+    renderer_.emplace(shaders_);
+  } catch (...) {
+    unusable_ = true;
+    const std::lock_guard lock(queue_mutex_);
+    arrivals_.clear();
+    throw;
+  }
+}
+
+void SplatScene::upload() {
+  prepare();
+  takeArrivals(kUploadBytesPerFrame);
 }
 
 void SplatScene::takeArrivals(std::size_t budget) {
@@ -63,8 +76,15 @@ void SplatScene::takeArrivals(std::size_t budget) {
       arrival = std::move(arrivals_.front());
       arrivals_.pop_front();
     }
-    if (arrival.edit->clear) uploaded_order_ = nullptr;
-    renderer_->apply(*arrival.edit);
+    if (arrival.edit->clear) {
+      uploaded_order_ = nullptr;
+      upload_error_.clear();
+    }
+    try {
+      renderer_->apply(*arrival.edit);
+    } catch (const gl::Error& error) {  // the rest of the map is still worth seeing
+      upload_error_ = error.what();
+    }
     uploaded += bytes(*arrival.edit);
     drawn_map_ = std::move(arrival.state);
     book_.mapChanged(drawn_map_, now());

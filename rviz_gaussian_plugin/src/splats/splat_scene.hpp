@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <deque>
 #include <map>
@@ -45,6 +46,8 @@ class SplatScene {
 
   // Render thread: the camera of a view; sequence grows by one with each.
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
+  // Render thread: uploads some of what waits, for a map that isn't to be seen. Throws gl::Error.
+  void upload();
   // Render thread: uploads what waits; whether an order of the sidecar is there for the view's
   // newest camera and the whole map. Throws gl::Error.
   bool answered(const std::string& view_id);
@@ -66,6 +69,11 @@ class SplatScene {
   // Render thread: the map as it is drawn.
   const MapState& drawnMap() const { return drawn_map_; }
   void forget(const std::string& view_id);
+
+  // Whether the driver can't draw at all; what is received is then forgotten.
+  bool unusable() const { return unusable_; }
+  // Render thread: why a part of the map is missing, empty where none is.
+  const std::string& uploadError() const { return upload_error_; }
 
   // Render thread: what draw() drew last; see SplatRenderer.
   std::vector<float> readColor() const { return renderer_->readColor(); }
@@ -92,9 +100,11 @@ class SplatScene {
   GaussianMap map_;
   std::deque<Arrival> arrivals_;
   std::map<std::string, OrderPtr> orders_;  // newest by view
+  std::atomic<bool> unusable_{false};
 
   // Render thread only.
   ShaderSource shaders_;
+  std::string upload_error_;
   std::optional<SplatRenderer> renderer_;
   BuiltInSorter sorter_;
   OrderBook book_{sorter_};
