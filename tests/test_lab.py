@@ -29,11 +29,16 @@ def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
     assert psnr("sorter native") > 70
     assert psnr("sorter native") == psnr("sorter numpy") == psnr("keys z 32 bit")
     assert psnr("keys linear 20 bit") > psnr("keys linear 12 bit") > psnr("keys linear 8 bit")
-    assert psnr("rotation, 1 frames old") > psnr("rotation, 10 frames old") > psnr("unsorted")
+    aged = [f"rotation at 1/s, {frames} frames old" for frames in (1, 10)]
+    assert psnr(aged[0]) > psnr(aged[1]) > psnr("unsorted")
     assert psnr("stochastic 64") > psnr("stochastic 1")
     assert psnr("budget 90%") > psnr("budget 25%")
     assert by_method["stochastic 1"]["sort_ms"] is None
-    assert by_method["sorter native"]["draw_ms"] > 0
+    native = by_method["sorter native"]
+    assert native["pose_ms"] >= native["ms"] > native["draw_ms"] > 0
+    # An order that is drawn ten frames late is ten frames old, whatever it costs.
+    assert by_method[aged[1]]["pose_ms"] > 10_000 / 60 > native["pose_ms"]
+    assert 10 < psnr("RVizSplat 1.0.0") < 45
 
     page = (tmp_path / "lab.html").read_text()
     assert "http-equiv" not in page and 'src="http' not in page  # needs nothing else

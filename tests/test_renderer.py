@@ -11,6 +11,7 @@ import pytest
 
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.reference import projection
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin.offscreen import (
     Antialiasing,
@@ -551,6 +552,36 @@ def test_what_adds_up_to_little_can_be_left_out(host: Host) -> None:
     assert not host.draw(ABOVE).any()
     host.show(one())
     assert host.draw(ABOVE).any()
+
+
+def test_what_is_left_out_is_what_the_reference_finds_to_add_up_to_little(host: Host) -> None:
+    """Of all shapes, at the picture's border, too: culling takes none that is worth it."""
+    splats = cloud(200)
+    splats = replace(splats, scales=splats.scales * np.float32(0.1))
+    view = CAMERAS["outside"]
+    projected = projection.project(splats, view)
+    xx, xy, yy = projected.conics.T
+    worth = 2 * np.pi * projected.opacities / np.sqrt(xx * yy - xy * xy)
+    middle = np.sort(worth)[len(worth) // 3 : -len(worth) // 3]
+    gap = np.diff(np.log(middle)).argmax()  # where rounding can't decide
+    least = float(middle[gap : gap + 2].mean())
+    kept = splats[projected.slots[worth >= least]]
+    host.show(splats)
+    host.set(float_blending=True, least_worth=least)
+    assert decibels(host.draw(view), reference.render(kept, view).rgba) >= 70
+    assert decibels(host.draw(view), reference.render(splats, view).rgba) < 60
+
+
+def test_where_the_processor_draws_pictures_are_kept_in_floats_unasked(host: Host) -> None:
+    """For it, half floats are no faster."""
+    if "llvmpipe" not in host.renderer.renderer_info:
+        pytest.skip("a graphics card draws")
+    host.show(cloud(2000))
+    unasked = host.draw(CAMERAS["outside"])
+    host.set(float_blending=True)
+    np.testing.assert_array_equal(host.draw(CAMERAS["outside"]), unasked)
+    host.set(float_blending=False)
+    assert (host.draw(CAMERAS["outside"]) != unasked).any()
 
 
 def test_who_waits_for_an_order_never_sees_an_old_one(host: Host) -> None:

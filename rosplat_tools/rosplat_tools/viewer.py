@@ -95,7 +95,8 @@ class Viewer(Node):
         if len(self.up) != 3 or not any(self.up):
             raise SceneError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
         self.renderer = Renderer()
-        self.renderer.settings.float_blending = float_blending
+        if float_blending:
+            self.renderer.settings.float_blending = True
         self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
         self.frame_id = ""
         self.last_batch = math.inf

@@ -14,7 +14,7 @@ from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.lab import fragments, motion, orders, rays
+from rosplat_tools.lab import fragments, motion, orders, rays, viewers
 from rosplat_tools.lab.fragments import Fragments
 from rosplat_tools.lab.pareto import front, summarise
 from rosplat_tools.lab.points import Point, Store
@@ -119,6 +119,45 @@ def test_a_cut_off_ends_quads_early(random_splats: Make) -> None:
     np.testing.assert_array_equal(whole, same)  # alpha is below 1/255 there
     cut = fragments.picture(splats, CAMERA, fragments.over, cutoff_sigmas=1.0)
     assert cut.sum() < 0.9 * whole.sum()
+
+
+def test_samples_differ_only_where_quads_end(random_splats: Make) -> None:
+    """There a fragment is as faint as 1/255, so a layer can't change by more than a quarter of it
+    for each sample outside."""
+    one = random_splats(1)
+    one = replace(one, positions=np.zeros((1, 3), np.float32), scales=0.3 * one.scales**0)
+    whole = fragments.picture(one, CAMERA, fragments.over)
+    sampled = fragments.multisampled(one, CAMERA)
+    assert 0 < np.abs(sampled - whole).max() <= whole.max() / 255 * 1.5
+
+
+# --- Other viewers --------------------------------------------------------------------------------
+
+
+def ball(**changes: object) -> Splats:
+    """One white, round splat before the camera."""
+    fields = {
+        "positions": np.array([[0.0, 0.0, 2.0]], np.float32),
+        "orientations": np.array([[0, 0, 0, 1]], np.float32),
+        "scales": np.full((1, 3), 0.2, np.float32), "opacities": np.full(1, 0.9, np.float32),
+        "sh": np.full((1, 1, 3), 0.5 / 0.28209479, np.float32),
+    }  # fmt: skip
+    return Splats(**(fields | changes))  # type: ignore[arg-type]
+
+
+def test_rvizsplat_leaves_out_faint_splats_and_faint_rims() -> None:
+    camera = replace(CAMERA, world_to_camera=np.eye(4))
+    assert not viewers.rvizsplat(ball(opacities=np.full(1, 0.39, np.float32)), camera).any()
+    seen = viewers.rvizsplat(ball(), camera)[24, :, 0]
+    assert seen.max() == pytest.approx(0.9, abs=0.02)
+    assert seen[seen > 0].min() >= 0.05 - 0.5 / 255
+
+
+def test_the_seed_brightens_before_it_blends() -> None:
+    camera = replace(CAMERA, world_to_camera=np.eye(4))
+    grey = ball(sh=np.full((1, 1, 3), (0.25 - 0.5) / 0.28209479, np.float32))
+    bright, plain = viewers.seed(grey, camera), viewers.seed(grey, camera, gamma=1.0)
+    assert bright.max() / plain.max() == pytest.approx(0.25 ** (1 / 2.2) / 0.25, rel=0.02)
 
 
 def test_rays_meet_round_splats_beside_their_middle() -> None:
@@ -276,9 +315,10 @@ def test_cameras_turn_to_their_right_and_orbit_at_a_distance() -> None:
 def point(method: str, ms: float | None, psnr: float, **changes: object) -> Point:
     """A point with nothing special about the rest."""
     fields = {
-        "key": f"{method} {ms} {psnr}", "method": method, "family": "f", "model": ms is None,
+        "key": f"{method} {ms} {psnr}", "method": method, "family": "f", "aside": "",
         "scene": "s", "camera": 0, "splats": 1, "sort_ms": None if ms is None else 0.25 * ms,
-        "draw_ms": None if ms is None else 0.75 * ms, "psnr": psnr, "ssim": 1.0, "flip": 1 / psnr,
+        "draw_ms": None if ms is None else 0.75 * ms,
+        "pose_ms": None if ms is None else 3 * ms, "psnr": psnr, "ssim": 1.0, "flip": 1 / psnr,
         "worst": 0.1, "machine": "m", "gpu": "g", "commit": "c", "command": "lab",
     }  # fmt: skip
     return Point(**(fields | changes))  # type: ignore[arg-type]
@@ -293,6 +333,18 @@ def test_the_front_by_hand() -> None:
     summaries = summarise(points)
     for metric in ("psnr", "flip"):
         assert [s.method for s in front(summaries, metric)] == ["f", "a", "c"]
+
+
+def test_what_is_to_be_seen_aside_beats_nobody() -> None:
+    points = [point("a", 10, 40), point("late", 1, 90, aside="under motion")]
+    assert [s.method for s in front(summarise(points))] == ["a"]
+
+
+def test_a_front_may_be_of_the_time_from_pose_to_draw() -> None:
+    points = [point("a", 10, 40), point("b", 5, 30, pose_ms=100.0), point("c", 20, 60)]
+    summaries = summarise(points)
+    assert [s.method for s in front(summaries)] == ["b", "a", "c"]
+    assert [s.method for s in front(summaries, time="pose_ms")] == ["a", "c"]
 
 
 def test_a_summary_is_the_median_over_cameras() -> None:

@@ -4,6 +4,8 @@
 const int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNormals = 5, kOpacity = 6,
           kAge = 7;
 
+const float kTwoPi = 6.2831853;
+const float kLowPass = 0.3;  // [px^2], part of the trained model
 const float kCutoffAlpha = 1.0 / 255.0;
 const float kMaxSigmas = 3.33;  // where the most opaque splat falls below the cutoff
 const float kMaxAlpha = 0.99;   // as in Kerbl et al. 2023; nothing is ever fully opaque

@@ -34,8 +34,6 @@ uniform uint room;        // for visible splats
 
 shared uint group_nearest, group_farthest;
 
-const float kLowPass = 0.3;  // [px^2], part of the trained model
-
 mat3 rotationMatrix(vec4 q) {
   q = normalize(q);
   vec3 d = 2.0 * q.xyz;
@@ -138,7 +136,7 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   float det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
   if (antialiased) opacity *= sqrt(det0 / det);
   if (!(opacity >= kCutoffAlpha)) return e;
-  if (6.2831853 * opacity * sqrt(det) < least_worth) return e;
+  if (kTwoPi * opacity * sqrt(det) < least_worth) return e;
 
   float mid = 0.5 * (a + c), radius = length(vec2(0.5 * (a - c), b));
   float major = mid + radius;

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
+from rosplat_tools.lab.methods import MODEL
 from rosplat_tools.lab.pareto import Summary, front, summarise
 from rosplat_tools.lab.points import Point
 
@@ -105,8 +106,8 @@ def write(folder: Path, points: Sequence[Point]) -> Path:
     for family, members in families.items():
         lines += ["", f"## {family[0].upper()}{family[1:]}", "", LESSONS.get(family, ""), ""]
         lines += [
-            "| method | ms | PSNR | SSIM | FLIP | worst |",
-            "| --- | --- | --- | --- | --- | --- |",
+            "| method | frame | pose to draw | PSNR | SSIM | FLIP | worst |",
+            "| --- | --- | --- | --- | --- | --- | --- |",
         ]
         lines += [_row(summary) for summary in members]
     path = folder / "accuracy.md"
@@ -125,8 +126,9 @@ def _caution() -> list[str]:
 def _row(summary: Summary) -> str:
     low, middle, high = summary.values["psnr"]
     cells = [
-        summary.method + (" (model)" if summary.model else ""),
+        summary.method + (f" ({summary.aside})" if summary.aside == MODEL else ""),
         f"{summary.ms[1]:.3g}" if summary.ms else "",
+        f"{summary.pose_ms[1]:.3g}" if summary.pose_ms else "",
         f"**{middle:.1f}** ({low:.1f}, {high:.1f})",
         f"{summary.values['ssim'][1]:.5f}",
         f"{summary.values['flip'][1]:.4f}",

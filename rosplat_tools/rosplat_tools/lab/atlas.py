@@ -26,6 +26,7 @@ from rosplat_tools.lab.orders import Order
 from rosplat_tools.lab.points import MOST_PSNR
 from rosplat_tools.metrics import psnr
 from rosplat_tools.reference import harmonics
+from rosplat_tools.reference.projection import rotation_matrices
 from rosplat_tools.splats import Splats, concatenate
 
 Curves = dict[str, list[float]]
@@ -142,14 +143,14 @@ def decibels(picture: Image, expected: Image) -> float:
 def shown(bench: Bench, splats: Splats, camera: Camera, **settings: Any) -> Image:
     """By the real renderer in exact order, in 32-bit floats unless told otherwise."""
     bench.show(splats)
-    order, _ = bench.order(camera)
-    return bench.draw(camera, order, **({"float_blending": True} | settings))[0]
+    order = bench.order(camera)
+    return bench.draw(camera, order, **({"float_blending": True} | settings))
 
 
 def ordered(bench: Bench, splats: Splats, camera: Camera, order: Order) -> Image:
     """By the real renderer in another order."""
     bench.show(splats)
-    return bench.draw(camera, order, float_blending=True)[0]
+    return bench.draw(camera, order, float_blending=True)
 
 
 def some(values: Sequence[float], quick: bool, count: int = 3) -> list[float]:
@@ -274,11 +275,11 @@ def orthographic(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
     return spans, curves
 
 
-@case("Viewports", "width and height [px]")
+@case("Viewports, resized between order and picture", "width and height [px]")
 def viewports(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
     sizes = [1, 17, 333] if quick else [1, 2, 3, 17, 64, 333, 1024]
     splats = cloud(400)
-    curves: Curves = {"ours, resized each time": []}
+    curves: Curves = {"ours, resized each time": [], "the order of another size": []}
     for side in map(int, sizes):
         camera = replace(
             outside(), width=side, height=side, fx=side * 0.8, fy=side * 0.8,
@@ -287,7 +288,30 @@ def viewports(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
         curves["ours, resized each time"].append(
             decibels(shown(bench, splats, camera), truth(splats, camera))
         )
+        before = replace(camera, width=max(1, side // 2), cx=max(1, side // 2) / 2)
+        late = ordered(bench, splats, camera, bench.order(before))
+        curves["the order of another size"].append(decibels(late, truth(splats, camera)))
     return sizes, curves
+
+
+@case("Off-centre pictures: stereo, tiles of a wall", "axis beside the picture's middle [widths]")
+def off_centre(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
+    """A sheared frustum: the same view direction, another part of the picture plane."""
+    shifts = some([0, 0.5, 1, 2, 4], quick)
+    random = np.random.default_rng(0)
+    across = np.column_stack([random.uniform(-6, 2, 3000), random.uniform(-1, 1, (3000, 2))])
+    splats = replace(cloud(3000), positions=(across + _floats(0, 0, 2)).astype(np.float32))
+    splats = splats[np.flatnonzero(splats.positions[:, 2] > 0.9)]
+    curves: Curves = {"ours": [], "ours in squashed pixels, 1:4": []}
+    for shift in shifts:
+        camera = ahead()
+        camera = replace(camera, cx=camera.cx + shift * camera.width)
+        curves["ours"].append(decibels(shown(bench, splats, camera), truth(splats, camera)))
+        squashed = replace(camera, fy=camera.fy / 4)
+        curves["ours in squashed pixels, 1:4"].append(
+            decibels(shown(bench, splats, squashed), truth(splats, squashed))
+        )
+    return shifts, curves
 
 
 # --- Coordinates ----------------------------------------------------------------------------------
@@ -338,6 +362,49 @@ def scaled(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
         seen = shown(bench, flipped, replace(camera, world_to_camera=facing))
         curves["scaled and mirrored"].append(decibels(seen[:, ::-1], truth(splats, outside())))
     return factors, curves
+
+
+@case("Sheared maps", "shear, metres a metre")
+def sheared(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
+    """Against the map as it was, seen by a camera that is sheared in its place."""
+    shears = some([0, 0.1, 0.3, 1, 3, 10], quick)
+    splats = cloud(400, degree=0)
+    curves: Curves = {"axes found anew": [], "means alone sheared": []}
+    for shear in shears:
+        change = np.eye(4)
+        change[0, 1] = shear
+        slanted = outside(
+            near=1e-3
+        )  # no camera has such a pose, but the projection is linear in it
+        object.__setattr__(slanted, "world_to_camera", slanted.world_to_camera @ change)
+        expected = truth(splats, slanted)
+        moved = replace(splats, positions=(splats.positions @ change[:3, :3].T).astype("f4"))
+        curves["axes found anew"].append(
+            decibels(shown(bench, _reshaped(moved, change[:3, :3]), outside(near=1e-3)), expected)
+        )
+        curves["means alone sheared"].append(
+            decibels(shown(bench, moved, outside(near=1e-3)), expected)
+        )
+    return shears, curves
+
+
+def _reshaped(splats: Splats, change: NDArray[np.float64]) -> Splats:
+    """With the covariances M C M^T of a linear change (3, 3), as orientations and scales again."""
+    axes = rotation_matrices(splats.orientations.astype(np.float64))
+    roots = change @ axes * splats.scales.astype(np.float64)[:, None, :]
+    axes, scales, _ = np.linalg.svd(roots)
+    axes *= np.linalg.det(axes)[:, None, None]
+    quaternions = np.array([_looking(turn).orientation for turn in axes])
+    return replace(
+        splats, orientations=quaternions.astype(np.float32), scales=scales.astype(np.float32)
+    )
+
+
+def _looking(turn: NDArray[np.float64]) -> Camera:
+    """The camera that a rotation (3, 3) turns from looking along z."""
+    pose = np.eye(4)
+    pose[:3, :3] = turn.T
+    return ahead(world_to_camera=pose)
 
 
 def _mirrored_harmonics() -> NDArray[np.float64]:
@@ -398,6 +465,9 @@ def depth_range(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
     return ratios, curves
 
 
+BY_RENDERER = "sorted by the renderer"
+
+
 @case("Ties: coplanar splats, 60 static frames", "frame", "frames that differ from the first")
 def ties(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
     flat = cloud(2000)
@@ -406,12 +476,12 @@ def ties(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
     frames = 6 if quick else 60
     curves: Curves = {}
     first: bytes | None = None
-    for name, backend in bench.backends.items():
+    for name in [*bench.backends, BY_RENDERER]:
         bench.show(flat)
         differ = 0
         for _ in range(frames):
-            order = backend.order(bench.view(camera)).copy()
-            pixels = bench.draw(camera, order)[0].tobytes()
+            order = None if name == BY_RENDERER else bench.order(camera, name)
+            pixels = bench.draw(camera, order).tobytes()
             first = first or pixels
             differ += pixels != first
         curves[name] = [float(differ)]
@@ -450,7 +520,7 @@ def _stale(bench: Bench, quick: bool, kind: str, amounts: Sequence[float]) -> Cu
         curves[name] = []
         for amount in amounts:
             past = motion.before(camera, kind, amount, 1.0, target)
-            order, _ = bench.order(widened(past, factor / OVERSCAN))
+            order = bench.order(widened(past, factor / OVERSCAN))
             curves[name].append(decibels(ordered(bench, splats, camera, order), expected))
     return curves
 
@@ -524,7 +594,7 @@ def edits(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
         moved.positions[:count] = cloud(2000, seed=7).positions[:count]
         expected = truth(moved, camera)
         bench.show(replace(splats))  # a map of its own each time
-        order, _ = bench.order(camera)
+        order = bench.order(camera)
         bench.draw(camera, order)
         if count:
             bench.edit(UPSERT, 0, moved[:count])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +16,39 @@ from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.edits import REPLACE, Edit
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
+from rosplat_tools.bench.baselines import Positions
+from rosplat_tools.bench.baselines import Sort as Baseline
+from rosplat_tools.bench.embedded import gl_finish
 from rosplat_tools.cameras import Camera
+from rosplat_tools.lab.motion import FRAME_RATE
 from rosplat_tools.lab.orders import Order
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin.offscreen import OrderSource, Renderer, RenderSettings
 
 Image = NDArray[np.float64]
-T = TypeVar("T")
+Sort = Callable[["Bench", Camera], Order | None]
+"""Finds an order; None where the renderer is to sort by itself."""
 
 VIEW_ID = "lab"
+PATIENCE = 0.5  # after so long a picture is made for the last time [s]
 EXACT = ("native", "numpy")  # whose orders are drawn where the backend is not the question
 NO_SLOTS = np.zeros(0, np.uint32)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture and what it cost."""
+
+    picture: Image
+    """(height, width, 3) RGB over black."""
+    sort_ms: float
+    """Of finding the order, its share of a frame if several draw it."""
+    draw_ms: float
+    """Of uploading the order and drawing, until the graphics are done."""
+    pose_ms: float
+    """From a camera's pose until the picture drawn by its order is complete."""
+    splats: int | None
+    """How many were drawn; None where the renderer sorts."""
 
 
 class Bench:
@@ -39,6 +61,8 @@ class Bench:
         """threads: of backends on the CPU, 0 for all. repeats: the fastest of so many counts."""
         self.renderer = Renderer()
         self.graphics: str = self.renderer.renderer_info
+        self.accelerated = "llvmpipe" not in self.graphics
+        self._finish = gl_finish()
         self.repeats = repeats
         self.backends: dict[str, Backend] = {}
         self.unavailable: dict[str, str] = {}
@@ -48,6 +72,7 @@ class Bench:
             except Unavailable as reason:
                 self.unavailable[name] = str(reason)
         self.splats: Splats
+        self._baselines: dict[object, Baseline] = {}
         self._maps = 0
         self._revision = 0
         self._sequence = 0
@@ -57,6 +82,7 @@ class Bench:
         if self._maps and splats is self.splats:
             return
         self.splats = splats
+        self._baselines.clear()
         self._maps += 1
         self._revision = 0
         self.edit(REPLACE, 0, splats)
@@ -94,37 +120,70 @@ class Bench:
             self.splats.origin,
         )  # fmt: skip
 
-    def order(self, camera: Camera, backend: str = "") -> tuple[Order, float]:
-        """A backend's order, by default of the first that there is in EXACT, and its time [ms]."""
+    def order(self, camera: Camera, backend: str = "") -> Order:
+        """A backend's order, by default of the first that there is in EXACT."""
         backend = backend or next(name for name in EXACT if name in self.backends)
-        view = self.view(camera)
-        slots, milliseconds = self.timed(lambda: self.backends[backend].order(view))
-        return slots.copy(), milliseconds
+        order: Order = self.backends[backend].order(self.view(camera)).copy()
+        return order
 
-    def draw(self, camera: Camera, order: Order | None, **settings: Any) -> tuple[Image, float]:
-        """(height, width, 3) RGB over black of an order, and the time until it could be read [ms].
+    def baseline(self, make: Callable[[Positions], Baseline], camera: Camera) -> Order:
+        """The order that another viewer's sort finds, of all slots."""
+        if make not in self._baselines:
+            self._baselines[make] = make(self.splats.positions)
+        slots: Order = self._baselines[make](self.view(camera)).ravel().view(np.uint32)
+        return slots
 
-        order: None where the renderer is to sort on the GPU. settings: of RenderSettings, by name.
-        Raises KeyError for one that the renderer lacks.
+    def draw(self, camera: Camera, order: Order | None, **settings: Any) -> Image:
+        """(height, width, 3) RGB over black of an order; None lets the renderer sort.
+
+        settings: of RenderSettings, by name. Raises KeyError for one that the renderer lacks.
         """
+        self._use(order is None, settings)
+        self._look(camera, order)
+        self.renderer.draw(VIEW_ID)
+        pixels: NDArray[np.float32] = self.renderer.read_color()
+        return pixels[..., :3].astype(np.float64)
+
+    def shoot(self, camera: Camera, sort: Sort, age: int = 0, **settings: Any) -> Shot:
+        """A picture by an order that is found for each of age + 1 frames and drawn age frames late.
+
+        settings: as those of draw. Of each time the least of what the bench repeats.
+        """
+        times: list[tuple[float, float, float]] = []
+        left = self.repeats
+        while left:
+            left = 0 if sum(posing for _, _, posing in times) > PATIENCE else left - 1
+            # What stays is not drawn again: each but the last looks a little past the camera.
+            looking = replace(camera, cx=camera.cx + 1e-3 * left)
+            start = time.perf_counter()
+            order = sort(self, looking)
+            sorted_at = time.perf_counter()
+            self._use(order is None, settings)
+            self._look(looking, order)
+            looked = time.perf_counter()
+            self.renderer.draw(VIEW_ID)
+            self._finish()
+            end = time.perf_counter()
+            times.append((sorted_at - start, end - looked, end - start))
+        sorting, drawing, posing = map(min, zip(*times, strict=True))
+        pixels: NDArray[np.float32] = self.renderer.read_color()
+        return Shot(
+            pixels[..., :3].astype(np.float64),
+            0.0 if order is None else 1e3 * sorting / (age + 1),
+            1e3 * drawing,
+            1e3 * (posing + age / FRAME_RATE),
+            None if order is None else len(order),
+        )
+
+    def _use(self, renderer_sorts: bool, settings: dict[str, Any]) -> None:
         rendering = RenderSettings()
         for name, value in settings.items():
             if not hasattr(rendering, name):
                 raise KeyError(f"the renderer has no setting {name}")
             setattr(rendering, name, value)
-        if order is None:
+        if renderer_sorts:
             rendering.order = OrderSource.GPU
         self.renderer.settings = rendering
-        best = float("inf")
-        for left in reversed(range(self.repeats)):
-            # What stays is not drawn again: each but the last looks a little past the camera.
-            self._look(replace(camera, cx=camera.cx + 1e-3 * left), order)
-            start = time.perf_counter()
-            self.renderer.draw(VIEW_ID)
-            pixels: NDArray[np.float32] = self.renderer.read_color()
-            best = min(best, time.perf_counter() - start)
-        _, reading = self.timed(self.renderer.read_color)  # nothing to wait for: the copy alone
-        return pixels[..., :3].astype(np.float64), max(0.0, best * 1e3 - reading)
 
     def _look(self, camera: Camera, order: Order | None) -> None:
         """Tells the renderer of a camera and of its order, and uploads what the map still lacks."""
@@ -140,12 +199,3 @@ class Bench:
             )
         if not self.renderer.has_order(VIEW_ID) and order is not None:
             raise RuntimeError("the renderer refused the order")
-
-    def timed(self, work: Callable[[], T]) -> tuple[T, float]:
-        """What work answers, and the least of its times [ms]."""
-        best = float("inf")
-        for _ in range(self.repeats):
-            start = time.perf_counter()
-            result = work()
-            best = min(best, time.perf_counter() - start)
-        return result, best * 1e3

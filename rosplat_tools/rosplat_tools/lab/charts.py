@@ -11,20 +11,37 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogFormatter
 
-from rosplat_tools.lab.pareto import Summary, front, summarise
+from rosplat_tools.lab.pareto import TIMES, Summary, front, summarise
 from rosplat_tools.lab.points import Point
 
 STYLE: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False,
          "axes.spines.right": False, "legend.frameon": False}  # fmt: skip
+# What the families of a colour have in common.
+GROUPS = {
+    "exact order": ("sorter",),
+    "keys": ("keys",),
+    "old order": ("age",),
+    "blending": ("blend", "order", "stochastic"),
+    "what a splat holds": ("SH degree", "precision", "packed"),
+    "fewer or smaller splats": ("budget", "least", "cut-off"),
+    "other viewers": ("other",),
+    "Quality": ("quality",),
+}
+COLORS = ["#222222", "#1f77b4", "#9467bd", "#2ca02c", "#ff7f0e", "#8c564b", "#d62728", "#e6b800"]
+NAMED = ("quality", "other viewers")  # besides those that nothing beats
 # Which number in a method's name its family varies.
 CURVES = {
     "sort keys": (["keys linear", "keys adaptive", "keys float"], "bits", False),
-    "age of the order, 1 rad/s, 60 Hz": (
-        ["age rotation", "age rotation, culled 1x", "age orbit", "age dolly"], "frames", False,
+    "age of the order, 60 Hz": (
+        ["age rotation, 0.3/s", "age rotation, 1/s", "age rotation, 3/s",
+         "age rotation, 1/s, culled 1x", "age orbit, 1/s", "age dolly, 1/s"], "frames", False,
     ),
     "stochastic transparency": (["stochastic"], "samples", True),
-    "splats that are drawn": (["budget"], "% of those visible", False),
+    "splats left out": (["least worth"], "alphas that add up to less than [px]", True),
 }  # fmt: skip
 
 
@@ -40,44 +57,88 @@ def write(folder: Path, points: Sequence[Point]) -> list[Path]:
 
 
 def _scatter(path: Path, summaries: list[Summary], points: Sequence[Point]) -> Path:
-    figure, (axes, models) = plt.subplots(
-        1, 2, figsize=(9, 5), sharey=True, width_ratios=(4, 1), constrained_layout=True
+    figure, (frame, pose, models) = plt.subplots(
+        1, 3, figsize=(12, 6), sharey=True, width_ratios=(4, 3, 2.2), constrained_layout=True
     )
-    families = list(dict.fromkeys(summary.family for summary in summaries))
-    colors = {family: plt.get_cmap("tab20")(i % 20) for i, family in enumerate(families)}
-    untimed = [summary for summary in summaries if not summary.ms]
-    labelled: set[str] = set()
-    for summary in summaries:
-        low, middle, high = summary.values["psnr"]
-        target, x = (axes, summary.ms[1]) if summary.ms else (models, float(untimed.index(summary)))
-        target.errorbar(
-            x, middle, yerr=[[middle - low], [high - middle]],
-            xerr=[[x - summary.ms[0]], [summary.ms[2] - x]] if summary.ms else None,
-            fmt="s" if summary.model else "o", color=colors[summary.family], markersize=5,
-            elinewidth=0.6, alpha=0.9,
-            label=None if summary.family in labelled else summary.family,
-        )  # fmt: skip
-        labelled.add(summary.family)
-    best = front(summaries)
-    if best:
+    for axes, time in ((frame, "ms"), (pose, "pose_ms")):
+        for summary in summaries:
+            if spread := getattr(summary, time):
+                _dot(axes, spread, summary, hollow=bool(summary.aside))
+        best = front(summaries, time=time)
         axes.plot(
-            [s.ms[1] for s in best if s.ms], [s.values["psnr"][1] for s in best],
-            "--", color="0.25", linewidth=1, label="beaten by nobody",
+            [getattr(s, time)[1] for s in best], [s.values["psnr"][1] for s in best],
+            "--", color="0.4", linewidth=1, zorder=1, label="not beaten in both",
         )  # fmt: skip
-    for summary in best:
-        if summary.ms:
-            axes.annotate(
-                summary.method, (summary.ms[1], summary.values["psnr"][1]), fontsize=7,
-                xytext=(4, 4), textcoords="offset points",
-            )  # fmt: skip
-    axes.set(xscale="log", xlabel="sorting and drawing [ms]", ylabel="PSNR [dB], more is better")
-    models.set(xlabel="models,\nwithout a time", xticks=[])
-    figure.legend(loc="outside lower center", ncols=6, fontsize=7)
+        axes.set(xscale="log", xlabel=f"{TIMES[time]} [ms]")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.6)))
+        _name(axes, [s for s in summaries if s in best or s.family in NAMED], time)
+    untimed = sorted((s for s in summaries if not s.ms), key=lambda s: s.values["psnr"][1])
+    for number, summary in enumerate(untimed):
+        x = float(number % 2)
+        _dot(models, (x, x, x), summary, hollow=True)
+        models.annotate(
+            summary.method, (x, summary.values["psnr"][1]), fontsize=6, va="center",
+            xytext=(6, 0), textcoords="offset points",
+        )  # fmt: skip
+    models.set(xlabel="models, without a time", xticks=[], xlim=(-0.2, 2.3))
+    frame.set_ylabel("PSNR [dB], more is better")
+    handles = [
+        Line2D([], [], marker="o", linestyle="", color=color, label=group)
+        for group, color in zip(GROUPS, COLORS, strict=True)
+    ]
+    handles += [
+        Line2D([], [], marker="o", linestyle="", markerfacecolor="white", color="0.4",
+                   label="not held against others"),
+        *frame.get_legend_handles_labels()[0],
+    ]  # fmt: skip
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8)
     scenes = ", ".join(dict.fromkeys(point.scene for point in points))
-    figure.suptitle(f"{scenes}; {points[0].gpu}, {points[0].machine}", fontsize=7)
-    figure.savefig(path, dpi=130)
+    views = len({(point.scene, point.camera) for point in points})
+    figure.suptitle(f"{views} views of {scenes}; {points[0].gpu.partition('/')[0]}", fontsize=9)
+    figure.savefig(path, dpi=110)
     plt.close(figure)
     return path
+
+
+def _dot(axes: Any, spread: tuple[float, float, float], summary: Summary, hollow: bool) -> None:
+    """A median with its 10 % and 90 % quantiles both ways."""
+    low, middle, high = summary.values["psnr"]
+    left, x, right = spread
+    color = COLORS[_group(summary)]
+    axes.errorbar(
+        x, middle, yerr=[[middle - low], [high - middle]], xerr=[[x - left], [right - x]],
+        fmt="*" if summary.family == "quality" else "o", color=color,
+        markerfacecolor="white" if hollow else color, elinewidth=0.5, ecolor=(*to_rgb(color), 0.35),
+        markersize=12 if summary.family == "quality" else 4.5,
+        zorder=4 if summary.family == "quality" else 2,
+    )  # fmt: skip
+
+
+def _group(summary: Summary) -> int:
+    return next(
+        number for number, families in enumerate(GROUPS.values())
+        if summary.family.startswith(families)
+    )  # fmt: skip
+
+
+def _name(axes: Any, summaries: Sequence[Summary], time: str) -> None:
+    """Names dots, as far as names don't lie on each other."""
+    axes.figure.canvas.draw()  # which settles the scales
+    taken: list[Any] = []
+    for summary in summaries:
+        if not (spread := getattr(summary, time)):
+            continue
+        for offset in ((6, 3), (6, -9), (6, 14), (6, -20)):
+            text = axes.annotate(
+                summary.method, (spread[1], summary.values["psnr"][1]), xytext=offset,
+                textcoords="offset points", fontsize=7,
+            )  # fmt: skip
+            box = text.get_window_extent()
+            if not any(box.overlaps(other) for other in taken):
+                taken.append(box)
+                break
+            text.remove()
 
 
 def _curves(path: Path, summaries: list[Summary]) -> Path:

@@ -10,113 +10,150 @@ import argparse
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
-from rosplat_tools import reference
 from rosplat_tools.bench.machine import commit, machine
 from rosplat_tools.cameras import Camera
 from rosplat_tools.lab import accuracy, atlas, charts, motion, points, report, stability
-from rosplat_tools.lab.bench import Bench, Image
+from rosplat_tools.lab.bench import Bench
 from rosplat_tools.lab.methods import METHODS, Method
 from rosplat_tools.lab.points import MOST_PSNR, Point, Store
-from rosplat_tools.metrics import compare
+from rosplat_tools.lab.workers import Comparison, Image, Reference, Workers
 from rosplat_tools.processes import interrupt_by_signals
 from rosplat_tools.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_tools.splats import SceneError, Splats
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 QUICK_CAMERAS = 3
+HELD_FOR_EACH_CORE = 8  # pictures that wait to be compared
 
 
 @dataclass(frozen=True)
 class Scene:
     """What is looked at, and from where."""
 
+    path: str
     name: str
     splats: Splats
     cameras: list[Camera]
 
 
-def load(name: str, options: argparse.Namespace) -> Scene:
+@dataclass(frozen=True)
+class Job:
+    """A point to be measured: what it will be but its figures."""
+
+    method: Method
+    camera: Camera
+    truth: Path
+    point: Point
+
+
+def load(path: str, options: argparse.Namespace) -> Scene:
     """A scene and the cameras around it. Raises SceneError."""
-    if not name.startswith(PROCEDURAL) and not Path(name).exists():
-        raise SceneError(f"{name}: no such file")
-    splats = load_scene(name, lambda done: None, lambda text: print(text, file=sys.stderr))
+    procedural = path.startswith(PROCEDURAL)
+    if not procedural and not Path(path).exists():
+        raise SceneError(f"{path}: no such file")
+    splats = load_scene(path, lambda done: None, lambda text: print(text, file=sys.stderr))
     if len(splats) == 0:
-        raise SceneError(f"{name}: holds no splats")
-    up = options.up or ((0, 0, 1) if name.startswith(PROCEDURAL) else (0, -1, 0))
+        raise SceneError(f"{path}: holds no splats")
+    up = options.up or ((0, 0, 1) if procedural else (0, -1, 0))
     cameras = motion.around(splats, options.cameras, up, options.width, options.height)
-    return Scene(name if name.startswith(PROCEDURAL) else Path(name).stem, splats, cameras)
-
-
-def truths(scene: Scene, store: Store, version: str) -> list[Image]:
-    """(height, width, 3) RGB over black for each camera, by the reference renderer."""
-    pictures = []
-    content = points.scene_key(scene.splats)
-    for camera in tqdm(scene.cameras, f"{scene.name}: reference", unit="picture", disable=None):
-        key = points.key("truth", content, points.camera_key(camera), version)
-        picture = store.picture(key)
-        if picture is None:
-            picture = reference.render(scene.splats, camera).rgba[..., :3]
-            store.add_picture(key, picture)
-        pictures.append(picture)
-    return pictures
+    return Scene(path, path if procedural else Path(path).stem, splats, cameras)
 
 
 def measure(
-    scene: Scene, methods: Sequence[Method], bench: Bench, store: Store, command: str
-) -> Iterator[Point]:
+    scene: Scene, methods: Sequence[Method], bench: Bench, workers: Workers, store: Store,
+    command: str,
+) -> list[Point]:  # fmt: skip
     """A point for each method and camera; those that the store has are not measured again."""
-    version = points.code_version()
-    origin: dict[str, Any] = {
-        "machine": machine(),
-        "gpu": bench.graphics,
-        "commit": commit(),
+    jobs = list(_jobs(scene, methods, bench, store, command))
+    missing = [job for job in jobs if not store.get(job.point.key)]
+    undrawn = {
+        job.truth: Reference(scene.path, job.camera, job.truth)
+        for job in missing
+        if not job.truth.exists()
     }
-    content = points.scene_key(scene.splats)
-    expected = truths(scene, store, version)
-    progress = tqdm(
-        total=len(methods) * len(scene.cameras), desc=scene.name, unit="picture", disable=None
-    )
-    for method in methods:
-        shown: Splats | None = None
-        for camera, truth in zip(scene.cameras, expected, strict=True):
-            key = points.key(
-                method.name,
-                content,
-                points.camera_key(camera),
-                version,
-                origin["machine"],
-                origin["gpu"],
-            )
-            point = store.get(key)
-            if point is None:
-                if shown is None:
-                    shown = method.change(scene.splats) if method.change else scene.splats
-                bench.show(shown)
-                try:
-                    shot = method.shoot(bench, camera)
-                except RuntimeError as error:  # what the graphics here can't do
-                    tqdm.write(f"without {method.name}: {error}", file=sys.stderr)
-                    break
-                values: dict[str, Any] = compare(shot.picture, truth)
+    references = tqdm(
+        workers.run(undrawn.values()), f"{scene.name}: reference", len(undrawn), unit="picture",
+        disable=None if undrawn else True,
+    )  # fmt: skip
+    for _ in references:
+        pass
+    with tqdm(
+        total=len(jobs), initial=len(jobs) - len(missing), desc=scene.name, unit="picture",
+        disable=None,
+    ) as progress:  # fmt: skip
+
+        def compare(part: Sequence[tuple[Job, Image | None]]) -> None:
+            tasks = [_comparison(job, picture, scene, store) for job, picture in part]
+            for number, values in workers.run(tasks):
                 values["psnr"] = min(values["psnr"], MOST_PSNR)
-                point = Point(
-                    key=key, method=method.name, family=method.family, model=method.model,
-                    scene=scene.name, camera=camera.id, splats=shot.splats,
-                    sort_ms=shot.sort_ms, draw_ms=shot.draw_ms, command=command,
-                    **values, **origin,
-                )  # fmt: skip
-                if camera is scene.cameras[0]:
-                    report.save_strip(store.folder, key, shot.picture, truth)
-                store.add(point)
-            progress.update()
-            yield point
-    progress.close()
+                store.add(replace(part[number][0].point, **values))
+                progress.update()
+
+        compare([(job, None) for job in missing if not job.method.shoot])
+        shot: list[tuple[Job, Image | None]] = []
+        for job, picture in _shots([job for job in missing if job.method.shoot], scene, bench):
+            shot.append((job, picture))
+            if len(shot) == HELD_FOR_EACH_CORE * workers.count:
+                compare(shot)
+                shot.clear()
+        compare(shot)
+    return [point for job in jobs if (point := store.get(job.point.key))]
+
+
+def _jobs(
+    scene: Scene, methods: Sequence[Method], bench: Bench, store: Store, command: str
+) -> Iterator[Job]:
+    version, content = points.code_version(), points.scene_key(scene.splats)
+    unmeasured = Point(
+        key="", method="", family="", aside="", scene=scene.name, camera=0, splats=None,
+        sort_ms=None, draw_ms=None, pose_ms=None, psnr=0, ssim=0, flip=0, worst=0,
+        machine=machine(), gpu=bench.graphics, commit=commit(), command=command,
+    )  # fmt: skip
+    for method in methods:
+        for camera in scene.cameras:
+            place = (content, points.camera_key(camera), version)
+            key = points.key(method.name, *place, unmeasured.machine, unmeasured.gpu)
+            point = replace(
+                unmeasured, key=key, method=method.name, family=method.family, aside=method.aside,
+                camera=camera.id,
+            )  # fmt: skip
+            yield Job(method, camera, store.truth(points.key("truth", *place)), point)
+
+
+def _shots(jobs: Sequence[Job], scene: Scene, bench: Bench) -> Iterator[tuple[Job, Image | None]]:
+    """The jobs with their times, and their pictures where these are not a model's."""
+    method: Method | None = None
+    for job in jobs:
+        if job.method is not method:
+            method, failed = job.method, False
+            changed = method.change(scene.splats) if method.change else scene.splats
+        if failed:
+            continue
+        bench.show(changed)
+        assert method.shoot
+        try:
+            shot = method.shoot(bench, job.camera)
+        except RuntimeError as error:  # what the graphics here can't do
+            tqdm.write(f"without {method.name}: {error}", file=sys.stderr)
+            failed = True
+            continue
+        point = replace(
+            job.point, splats=shot.splats, sort_ms=shot.sort_ms, draw_ms=shot.draw_ms,
+            pose_ms=shot.pose_ms,
+        )  # fmt: skip
+        yield replace(job, point=point), None if method.model else shot.picture.astype("f4")
+
+
+def _comparison(job: Job, picture: Image | None, scene: Scene, store: Store) -> Comparison:
+    first = job.camera is scene.cameras[0]
+    strip = report.strip(store.folder, job.point.key) if first else None
+    return Comparison(scene.path, job.camera, job.method.name, job.truth, picture, strip)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -172,9 +209,12 @@ def run(scenes: list[Scene], store: Store, options: argparse.Namespace, command:
         if options.only in f"{method.name} {method.family}" and method.available(bench)
     ]
     if options.part != "atlas":
-        measured = [
-            point for scene in scenes for point in measure(scene, wanted, bench, store, command)
-        ]
+        with closing(Workers()) as workers:
+            measured = [
+                point
+                for scene in scenes
+                for point in measure(scene, wanted, bench, workers, store, command)
+            ]
         if not measured:
             raise SceneError(f"no method's name or family holds {options.only!r}")
         points.save(store.folder / "lab.json", measured)

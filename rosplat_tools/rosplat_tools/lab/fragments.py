@@ -27,6 +27,8 @@ from rosplat_tools.splats import Splats
 
 MAX_ALPHA = 0.99
 BAND_FRAGMENTS = 3_000_000  # about as many candidates are held at once
+# The customary places of 4 samples in a pixel, from its middle. [px]
+SAMPLES = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,14 @@ Blend = Callable[[Fragments], Array]
 """Makes (p, 3) RGB over black of a band's fragments."""
 
 
+@dataclass(frozen=True)
+class Alphas:
+    """Which fragments count, and how much at most."""
+
+    least: float = MIN_ALPHA
+    most: float = MAX_ALPHA
+
+
 def picture(
     splats: Splats,
     camera: Camera,
@@ -84,18 +94,52 @@ def picture(
     *,
     ray_depths: bool = False,
     cutoff_sigmas: float = math.inf,
+    alphas: Alphas = Alphas(),
 ) -> Array:
     """(height, width, 3) RGB over black of splats blended in another way.
 
     ray_depths: a fragment's depth is where its pixel's ray meets the most of the splat, not the
-    mean's z. cutoff_sigmas: a splat ends there, unless its alpha falls below MIN_ALPHA before.
+    mean's z. cutoff_sigmas: a splat ends there, unless its alpha falls below the least before.
     """
-    projected = project(splats, camera)
-    projected = projected[np.argsort(projected.depths, kind="stable")]
+    projected = nearest_first(project(splats, camera))
     rays = _RayDepths(splats[projected.slots], camera) if ray_depths else None
+    return blended(projected, camera, blend, rays=rays, cutoff_sigmas=cutoff_sigmas, alphas=alphas)
+
+
+def multisampled(splats: Splats, camera: Camera) -> Array:
+    """(height, width, 3) RGB over black with 4 samples a pixel and quads to the 1/255 ellipse.
+
+    A fragment is shaded once, at the pixel's middle, and blended into the samples that its quad
+    covers: only the quads' edges differ.
+    """
+    projected = nearest_first(project(splats, camera))
+    samples = [blended(projected, camera, over, sample=place) for place in SAMPLES]
+    mean: Array = np.mean(samples, axis=0)
+    return mean
+
+
+def nearest_first(projected: Projected) -> Projected:
+    """By z; of equal depths the lower slot first."""
+    return projected[np.argsort(projected.depths, kind="stable")]
+
+
+def blended(
+    projected: Projected,
+    camera: Camera,
+    blend: Blend,
+    *,
+    rays: _RayDepths | None = None,
+    cutoff_sigmas: float = math.inf,
+    alphas: Alphas = Alphas(),
+    sample: tuple[float, float] | None = None,
+) -> Array:
+    """The same of splats that are projected already, nearest first; rays are of these.
+
+    sample: where in a pixel, from its middle, a splat's quad must be to count there [px].
+    """
     rgb = np.zeros((camera.height * camera.width, 3))
     for first, rows in _bands(projected, camera):
-        band = _fragments(projected, camera, first, rows, cutoff_sigmas, rays)
+        band = _fragments(projected, camera, first, rows, cutoff_sigmas, rays, alphas, sample)
         start = first * camera.width
         rgb[start : start + band.pixel_count] = blend(band)
     return rgb.reshape(camera.height, camera.width, 3)
@@ -256,6 +300,8 @@ def _fragments(
     rows: int,
     cutoff_sigmas: float,
     rays: _RayDepths | None,
+    allowed: Alphas,
+    sample: tuple[float, float] | None,
 ) -> Fragments:
     top, bottom, left, right = _boxes(projected, camera, first, first + rows)
     widths = right - left
@@ -268,8 +314,11 @@ def _fragments(
     dy = y + 0.5 - projected.centers[splat, 1]
     xx, xy, yy = projected.conics[splat].T
     square = xx * dx**2 + yy * dy**2 + 2 * xy * dx * dy
-    alphas = np.minimum(MAX_ALPHA, projected.opacities[splat] * np.exp(-0.5 * square))
-    kept = np.flatnonzero((alphas >= MIN_ALPHA) & (square <= cutoff_sigmas**2))
+    alphas = np.minimum(allowed.most, projected.opacities[splat] * np.exp(-0.5 * square))
+    kept = np.flatnonzero((alphas >= allowed.least) & (square <= cutoff_sigmas**2))
+    if sample:
+        place = np.column_stack([dx[kept], dy[kept]]) + sample
+        kept = kept[_in_quad(projected, splat[kept], place)]
     pixels = (y[kept] - first) * camera.width + x[kept]
     kept = kept[np.argsort(pixels, kind="stable")]
     splat, x, y = splat[kept], x[kept], y[kept]
@@ -280,3 +329,13 @@ def _fragments(
         depths=rays(splat, x + 0.5, y + 0.5) if rays else projected.depths[splat],
         pixel_count=rows * camera.width,
     )
+
+
+def _in_quad(projected: Projected, splat: NDArray[np.intp], offsets: Array) -> NDArray[np.bool_]:
+    """Whether points at (m, 2) offsets from splats' centres [px] are in their 1/255 squares."""
+    xx, xy, yy = projected.conics.T
+    inverses, axes = np.linalg.eigh(np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2))
+    along = np.einsum("mij,mi->mj", axes[splat], offsets) * np.sqrt(inverses[splat])
+    reach = np.sqrt(2 * np.log(projected.opacities[splat] / MIN_ALPHA))
+    inside: NDArray[np.bool_] = (np.abs(along) <= reach[:, None]).all(axis=1)
+    return inside

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,33 +12,24 @@ from numpy.typing import NDArray
 
 from rosplat_sorter.backends import BACKENDS
 from rosplat_sorter.view import OVERSCAN
+from rosplat_tools.bench import baselines
 from rosplat_tools.cameras import Camera
-from rosplat_tools.lab import fragments, motion, orders
-from rosplat_tools.lab.bench import Bench, Image
+from rosplat_tools.lab import fragments, motion, orders, viewers
+from rosplat_tools.lab.bench import Bench, Image, Shot, Sort
 from rosplat_tools.lab.orders import Order
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin.offscreen import Rasterizer
 
-
-@dataclass(frozen=True)
-class Shot:
-    """A picture and what it cost."""
-
-    picture: Image
-    """(height, width, 3) RGB over black."""
-    sort_ms: float | None = None
-    """None for models: they have no time."""
-    draw_ms: float | None = None
-    splats: int | None = None
-    """How many were drawn."""
-
-
 Shoot = Callable[[Bench, Camera], Shot]
-Sort = Callable[[Bench, Camera], tuple[Order, float]]
-"""An order and its time [ms]."""
-OwnSort = Callable[[Bench, Camera], tuple[None, float]]
-"""No order: the renderer sorts."""
+Model = Callable[[Splats, Camera], Image]
+"""Draws (height, width, 3) RGB over black without a renderer."""
 Change = Callable[[Splats], Splats]
+
+# Why a method's time or error isn't held against others'.
+MODEL = "a model"
+MOVING = "under motion"
+NUMPY = "sorted or culled by NumPy"
+ELSEWHERE = "another viewer's"
 
 
 @dataclass(frozen=True)
@@ -48,12 +40,25 @@ class Method:
     """Unique, and new when its meaning changes: results are kept by it."""
     family: str
     """What it varies: methods of a family are one curve."""
-    shoot: Shoot
-    model: bool = False
-    """A NumPy model of what the renderer can't do, not a setting of the renderer."""
+    shoot: Shoot | None = None
+    """By the renderer; None: it has no time."""
+    model: Model | None = None
+    """In NumPy, where the renderer can't; then the picture is this one."""
+    aside: str = ""
+    """Why it is not held against others, empty where it is."""
     change: Change | None = None
     """Made of the map before it is shown; its function has a result for the same argument once."""
     available: Callable[[Bench], bool] = lambda bench: True
+
+
+def modelled(name: str, family: str, model: Model) -> Method:
+    """A method that has an error, but no time."""
+    return Method(name, family, model=model, aside=MODEL)
+
+
+def blending(blend: fragments.Blend, **options: Any) -> Model:
+    """A model of another blend."""
+    return lambda splats, camera: fragments.picture(splats, camera, blend, **options)
 
 
 def sorted_by(backend: str) -> Sort:
@@ -61,14 +66,23 @@ def sorted_by(backend: str) -> Sort:
     return lambda bench, camera: bench.order(camera, backend)
 
 
+def as_displayed(bench: Bench, camera: Camera) -> Order | None:
+    """As the Display does it at rest: a graphics card sorts by itself, else a sorter does."""
+    return None if bench.accelerated else bench.order(camera)
+
+
+def by_renderer(bench: Bench, camera: Camera) -> None:
+    """The renderer's own sort on the GPU, whose time is part of drawing."""
+
+
+def by_baseline(make: Callable[[baselines.Positions], baselines.Sort]) -> Sort:
+    """Another viewer's sort, of all that there is."""
+    return lambda bench, camera: bench.baseline(make, camera)
+
+
 def by_keys(quantise: orders.Quantise, distance: Any = orders.by_z) -> Sort:
     """An order by other keys, made in NumPy."""
-
-    def sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
-        view = bench.view(camera)
-        return bench.timed(lambda: orders.keyed(view, bench.map, quantise, distance))
-
-    return sort
+    return lambda bench, camera: orders.keyed(bench.view(camera), bench.map, quantise, distance)
 
 
 def widened(camera: Camera, factor: float) -> Camera:
@@ -84,44 +98,28 @@ def widened(camera: Camera, factor: float) -> Camera:
 
 
 def stale(frames: int, kind: str, speed: float = 1.0, culled: float = OVERSCAN) -> Sort:
-    """The exact order of some frames ago, its time shared by the frames that draw it.
+    """The exact order of some frames ago, culled for a picture so many times as wide."""
 
-    culled: for a picture so many times as wide.
-    """
-
-    def sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
+    def sort(bench: Bench, camera: Camera) -> Order:
         target = motion.typical_bounds(bench.splats).mean(axis=0)
-        seconds = frames / motion.FRAME_RATE
-        past = motion.before(camera, kind, speed, seconds, target)
-        order, milliseconds = bench.order(widened(past, culled / OVERSCAN))
-        return order, milliseconds / (frames + 1)
+        past = motion.before(camera, kind, speed, frames / motion.FRAME_RATE, target)
+        return bench.order(widened(past, culled / OVERSCAN))
 
     return sort
 
 
-def by_renderer(bench: Bench, camera: Camera) -> tuple[None, float]:
-    """The renderer's own sort on the GPU, whose time is part of drawing."""
-    return None, 0.0
-
-
-def no_sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
+def no_sort(bench: Bench, camera: Camera) -> Order:
     """What is visible, as it lies in the map."""
-    view = bench.view(camera)
-    return bench.timed(lambda: orders.unsorted(view, bench.map))
+    return orders.unsorted(bench.view(camera), bench.map)
 
 
-def most_worth(share: float, of: Sort) -> Sort:
-    """The part of an order with the largest opacity times area."""
+def most_worth(share: float) -> Sort:
+    """The part of the exact order with the largest opacity times area."""
 
-    def sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
-        order, milliseconds = of(bench, camera)
-
-        def cull() -> Order:
-            sizes = orders.radii(bench.view(camera), bench.map, order)
-            return orders.budget(order, bench.splats.opacities[order] * sizes**2, share)
-
-        kept, culling = bench.timed(cull)
-        return kept, milliseconds + culling
+    def sort(bench: Bench, camera: Camera) -> Order:
+        order = bench.order(camera)
+        sizes = orders.radii(bench.view(camera), bench.map, order)
+        return orders.budget(order, bench.splats.opacities[order] * sizes**2, share)
 
     return sort
 
@@ -129,37 +127,19 @@ def most_worth(share: float, of: Sort) -> Sort:
 def large_enough(pixels: float) -> Sort:
     """The exact order without splats of a smaller half size."""
 
-    def sort(bench: Bench, camera: Camera) -> tuple[Order, float]:
-        order, milliseconds = bench.order(camera)
-
-        def cull() -> Order:
-            return orders.at_least(
-                order, orders.radii(bench.view(camera), bench.map, order), pixels
-            )
-
-        kept, culling = bench.timed(cull)
-        return kept, milliseconds + culling
+    def sort(bench: Bench, camera: Camera) -> Order:
+        order = bench.order(camera)
+        return orders.at_least(order, orders.radii(bench.view(camera), bench.map, order), pixels)
 
     return sort
 
 
-EXACT = sorted_by("")
-
-
-def drawn(sort: Sort | OwnSort = EXACT, float_blending: bool = True, **settings: Any) -> Shoot:
+def drawn(
+    sort: Sort = as_displayed, age: int = 0, float_blending: bool = True, **settings: Any
+) -> Shoot:
     """By the renderer. In 32-bit floats, so that only what a method varies makes its error."""
-
-    def shoot(bench: Bench, camera: Camera) -> Shot:
-        order, sort_ms = sort(bench, camera)
-        picture, draw_ms = bench.draw(camera, order, float_blending=float_blending, **settings)
-        return Shot(picture, sort_ms, draw_ms, None if order is None else len(order))
-
-    return shoot
-
-
-def modelled(blend: fragments.Blend, **options: Any) -> Shoot:
-    """By a model of blending."""
-    return lambda bench, camera: Shot(fragments.picture(bench.splats, camera, blend, **options))
+    settings["float_blending"] = float_blending
+    return lambda bench, camera: bench.shoot(camera, sort, age, **settings)
 
 
 def halves(*names: str) -> Change:
@@ -219,76 +199,87 @@ def _sorter(name: str) -> Method:
     )
 
 
+def _aged(frames: int, kind: str, speed: float) -> Method:
+    return Method(
+        f"{kind} at {speed:g}/s, {frames} frames old", f"age {kind}, {speed:g}/s",
+        drawn(stale(frames, kind, speed), age=frames), aside=MOVING,
+    )  # fmt: skip
+
+
+def _seed(library: str, make: Callable[[baselines.Positions], baselines.Sort]) -> Method:
+    """Its own sort and all splats drawn, here as our quads; the picture as its shaders make it."""
+    return Method(
+        f"shadygm/ROSplat, {library}", "other viewers",
+        drawn(by_baseline(make), float_blending=False, rasterizer=Rasterizer.QUADS),
+        model=viewers.seed, aside=ELSEWHERE,
+        available=lambda b: library not in BACKENDS or (library in b.backends and b.accelerated),
+    )  # fmt: skip
+
+
 HALF = ("scales", "orientations", "opacities", "sh")
+BITS = (20, 16, 12, 10, 8)
 
 METHODS: tuple[Method, ...] = (
-    # The same order from each backend: what the time of sorting is made of.
+    # The same order from each backend, and from the renderer.
     *(_sorter(name) for name in BACKENDS),
+    Method("sorted by the renderer", "sorter", drawn(by_renderer)),
     # What the keys hold.
-    Method("keys z 32 bit", "keys", drawn(by_keys(orders.full))),
+    Method("keys z 32 bit", "keys", drawn(by_keys(orders.full)), aside=NUMPY),
     *(
-        Method(f"keys linear {bits} bit", "keys linear", drawn(by_keys(orders.linear(bits))))
-        for bits in (20, 16, 12, 10, 8)
+        Method(
+            f"keys {name} {bits} bit", f"keys {name}", drawn(by_keys(quantise(bits))), aside=NUMPY
+        )
+        for name, quantise in (
+            ("linear", orders.linear), ("adaptive", orders.equalised), ("float", orders.truncated),
+        )
+        for bits in BITS
     ),
-    *(
-        Method(f"keys adaptive {b} bit", "keys adaptive", drawn(by_keys(orders.equalised(b))))
-        for b in (20, 16, 12, 10, 8)
+    Method(
+        "keys radial 32 bit", "keys", drawn(by_keys(orders.full, orders.by_distance)), aside=NUMPY
     ),
+    Method("unsorted", "keys", drawn(no_sort), aside=NUMPY),
+    # How old the order is: speeds in rad/s, or in distances to the scene a second.
     *(
-        Method(f"keys float {bits} bit", "keys float", drawn(by_keys(orders.truncated(bits))))
-        for bits in (20, 16, 12, 10, 8)
-    ),
-    Method("keys radial 32 bit", "keys", drawn(by_keys(orders.full, orders.by_distance))),
-    Method("unsorted", "keys", drawn(no_sort)),
-    # How old the order is, under motion of 1 rad/s, or 1 distance to the scene a second.
-    *(
-        Method(f"{kind}, {frames} frames old", f"age {kind}", drawn(stale(frames, kind)))
-        for kind in ("rotation", "orbit", "dolly")
+        _aged(frames, kind, speed)
+        for kind, speeds in (("rotation", (0.3, 1, 3)), ("orbit", (0.3, 1, 3)), ("dolly", (1, 3)))
+        for speed in speeds
         for frames in (1, 2, 5, 10)
     ),
     *(
         Method(
-            f"rotation, {frames} frames old, culled {culled:g}x",
-            f"age rotation, culled {culled:g}x", drawn(stale(frames, "rotation", culled=culled)),
+            f"rotation at 1/s, {frames} frames old, culled {culled:g}x",
+            f"age rotation, 1/s, culled {culled:g}x",
+            drawn(stale(frames, "rotation", culled=culled), age=frames), aside=MOVING,
         )
         for culled in (1.0, 1.5)
         for frames in (1, 2, 5, 10)
     ),
     # What is blended, and in what.
-    Method("blend RGBA32F", "blend", drawn(rasterizer=Rasterizer.QUADS)),
+    Method("quads, to RGBA32F", "blend", drawn(rasterizer=Rasterizer.QUADS)),
     Method(
-        "blend RGBA16F", "blend", drawn(float_blending=False, rasterizer=Rasterizer.QUADS)
+        "quads, to RGBA16F", "blend", drawn(float_blending=False, rasterizer=Rasterizer.QUADS)
     ),
-    Method("tiles, to RGBA32F", "tiles", drawn(rasterizer=Rasterizer.TILES)),
+    Method("tiles, to RGBA32F", "blend", drawn(rasterizer=Rasterizer.TILES)),
     Method(
-        "tiles, to RGBA16F", "tiles", drawn(float_blending=False, rasterizer=Rasterizer.TILES)
+        "tiles, to RGBA16F", "blend", drawn(float_blending=False, rasterizer=Rasterizer.TILES)
     ),
-    Method(
-        "tiles, sorted by the renderer", "tiles",
-        drawn(by_renderer, rasterizer=Rasterizer.TILES),
+    modelled("quads, to RGBA8", "blend", blending(fragments.rounded(255))),
+    modelled(
+        "front to back, to RGBA8", "blend", blending(fragments.rounded(255, front_to_back=True))
     ),
-    Method(
-        "quads, sorted by the renderer", "blend",
-        drawn(by_renderer, rasterizer=Rasterizer.QUADS),
-    ),
-    Method("blend RGBA8", "blend", modelled(fragments.rounded(255)), model=True),
-    Method(
-        "blend RGBA8, front to back", "blend",
-        modelled(fragments.rounded(255, front_to_back=True)), model=True,
-    ),
-    Method(
+    modelled("quads, 4 samples a pixel", "blend", fragments.multisampled),
+    modelled(
         "sorted for each pixel", "order of pixels",
-        modelled(fragments.over_by_pixel, ray_depths=True), model=True,
+        blending(fragments.over_by_pixel, ray_depths=True),
     ),
-    Method("weighted blended OIT", "order-free", modelled(fragments.weighted_oit), model=True),
+    modelled("weighted blended OIT", "order-free", blending(fragments.weighted_oit)),
     *(
-        Method(f"stochastic {n}", "stochastic", modelled(fragments.stochastic(n)), model=True)
+        modelled(f"stochastic {n}", "stochastic", blending(fragments.stochastic(n)))
         for n in (1, 4, 16, 64)
     ),
     *(
-        Method(
-            f"quads to {name} sigma", "cut-off",
-            modelled(fragments.over, cutoff_sigmas=sigmas), model=True,
+        modelled(
+            f"quads to {name} sigma", "cut-off", blending(fragments.over, cutoff_sigmas=sigmas)
         )
         for name, sigmas in (("3", 3.0), ("sqrt 8", 8**0.5), ("2.5", 2.5), ("2", 2.0))
     ),
@@ -299,27 +290,30 @@ METHODS: tuple[Method, ...] = (
     Method("half floats, SH alone", "precision", drawn(), change=halves("sh")),
     Method("packed, SH in 8 bits", "packed", drawn(), change=packed(8)),
     Method("packed, SH in 4 bits", "packed", drawn(), change=packed(4)),
-    # How many splats are drawn.
+    # How many splats are drawn, and how much of them.
     *(
-        Method(f"budget {share:.0%}", "budget", drawn(most_worth(share, EXACT)))
+        Method(f"budget {share:.0%}", "budget", drawn(most_worth(share)), aside=NUMPY)
         for share in (0.9, 0.75, 0.5, 0.25)
     ),
     *(
-        Method(f"from {pixels} px", "least size", drawn(large_enough(pixels)))
+        Method(f"from {pixels} px", "least size", drawn(large_enough(pixels)), aside=NUMPY)
         for pixels in (0.5, 1, 2)
     ),
     *(
         Method(f"worth {pixels} px", "least worth", drawn(least_worth=float(pixels)))
         for pixels in (0.25, 0.5, 1, 2, 4)
     ),
+    # What others do.
+    _seed("torch", baselines.torch_uploading),
+    _seed("cupy", baselines.cupy_uploading),
+    _seed("np.argsort", baselines.argsort),
+    modelled(
+        "shadygm/ROSplat without its gamma", "other viewers",
+        partial(viewers.seed, gamma=1.0),
+    ),
+    modelled("RVizSplat 1.0.0", "other viewers", viewers.rvizsplat),
     # All at once: the Display's property Quality.
     Method("quality exact", "quality", drawn()),
-    Method(
-        "quality balanced", "quality",
-        drawn(stale(1, "rotation"), float_blending=False),
-    ),
-    Method(
-        "quality fast", "quality",
-        drawn(stale(1, "rotation"), float_blending=False, least_worth=1.0),
-    ),
+    Method("quality balanced", "quality", drawn(float_blending=False)),
+    Method("quality fast", "quality", drawn(float_blending=False, least_worth=1.0)),
 )  # fmt: skip

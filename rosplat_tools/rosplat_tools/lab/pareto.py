@@ -11,6 +11,7 @@ import numpy as np
 from rosplat_tools.lab.points import Point
 
 METRICS = {"psnr": True, "ssim": True, "flip": False, "worst": False}  # whether more is better
+TIMES = {"ms": "sorting and drawing", "pose_ms": "pose to draw"}
 
 Spread = tuple[float, float, float]
 """10 %, 50 % and 90 % quantile."""
@@ -22,9 +23,10 @@ class Summary:
 
     method: str
     family: str
-    model: bool
+    aside: str
     count: int
     ms: Spread | None
+    pose_ms: Spread | None
     values: dict[str, Spread]
     """By the names of METRICS."""
 
@@ -38,9 +40,10 @@ def summarise(points: Iterable[Point]) -> list[Summary]:
         Summary(
             method,
             group[0].family,
-            group[0].model,
+            group[0].aside,
             len(group),
             _spread([point.ms for point in group if point.ms is not None]),
+            _spread([point.pose_ms for point in group if point.pose_ms is not None]),
             {
                 name: _spread([getattr(point, name) for point in group]) or (0, 0, 0)
                 for name in METRICS
@@ -57,13 +60,17 @@ def _spread(values: Sequence[float]) -> Spread | None:
     return float(low), float(middle), float(high)
 
 
-def front(summaries: Iterable[Summary], metric: str = "psnr") -> list[Summary]:
-    """Those with a time that no other beats in both time and metric (by medians), fastest first.
+def front(summaries: Iterable[Summary], metric: str = "psnr", time: str = "ms") -> list[Summary]:
+    """Those that no other beats in both a time of TIMES and a metric (by medians), fastest first.
 
-    Of equals the first stays.
+    Of equals the first stays. What is to be seen aside, or has no time, is left out.
     """
     better = 1 if METRICS[metric] else -1
-    timed = [(s.ms[1], -better * s.values[metric][1], s) for s in summaries if s.ms]
+    timed = [
+        (spread[1], -better * s.values[metric][1], s)
+        for s in summaries
+        if (spread := getattr(s, time)) and not s.aside
+    ]
     best, chosen = float("inf"), []
     for _, loss, summary in sorted(timed, key=lambda entry: entry[:2]):
         if loss < best:

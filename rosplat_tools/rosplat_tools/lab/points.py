@@ -10,11 +10,10 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera
-from rosplat_tools.lab import bench, fragments, motion, orders
+from rosplat_tools.lab import bench, fragments, motion, orders, viewers
 from rosplat_tools.splats import Splats
 
 MOST_PSNR = 150.0  # what equal pictures count as: JSON knows no infinity [dB]
@@ -27,13 +26,16 @@ class Point:
     key: str
     method: str
     family: str
-    model: bool
+    aside: str
+    """Why the method is not held against others, empty where it is."""
     scene: str
     camera: int
     splats: int | None
-    """Drawn, None for models."""
+    """Drawn, None for models and where the renderer sorts."""
     sort_ms: float | None
     draw_ms: float | None
+    pose_ms: float | None
+    """As in Shot; models have no times."""
     psnr: float
     ssim: float
     flip: float
@@ -45,7 +47,7 @@ class Point:
 
     @property
     def ms(self) -> float | None:
-        """Sorting and drawing; None for models."""
+        """What a frame costs, sorting and drawing; None for models."""
         return None if self.sort_ms is None or self.draw_ms is None else self.sort_ms + self.draw_ms
 
 
@@ -68,19 +70,9 @@ class Store:
         with self._file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(asdict(point)) + "\n")
 
-    def picture(self, key: str) -> NDArray[np.float64] | None:
-        """The reference picture of a key, if it was drawn."""
-        path = self.folder / "truth" / f"{key}.npy"
-        if not path.exists():
-            return None
-        pixels: NDArray[np.float64] = np.load(path)
-        return pixels
-
-    def add_picture(self, key: str, pixels: NDArray[np.float64]) -> None:
-        """Keeps a reference picture."""
-        path = self.folder / "truth" / f"{key}.npy"
-        path.parent.mkdir(exist_ok=True)
-        np.save(path, pixels)
+    def truth(self, key: str) -> Path:
+        """Where the reference picture of a key is, or is to be."""
+        return self.folder / "truth" / f"{key}.npy"
 
 
 def _read(path: Path) -> Iterator[Point]:
@@ -120,7 +112,9 @@ def code_version() -> str:
     import rviz_gaussian_plugin._offscreen as renderer
     from rviz_gaussian_plugin.offscreen import _media_folder
 
-    sources = [Path(module.__file__ or "") for module in (bench, fragments, motion, orders)]
+    sources = [
+        Path(module.__file__ or "") for module in (bench, fragments, motion, orders, viewers)
+    ]
     sources += sorted(Path(reference.__file__).parent.glob("*.py"))
     binaries = [Path(renderer.__file__ or ""), *sorted(_media_folder().iterdir())]
     digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in binaries]

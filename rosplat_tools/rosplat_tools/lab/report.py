@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_tools.lab.pareto import METRICS, Summary, front, summarise
+from rosplat_tools.lab.pareto import METRICS, TIMES, Summary, front, summarise
 from rosplat_tools.lab.points import Point
 
 STRIP_WIDTH = 320  # of the pictures in the report [px]
@@ -23,9 +23,12 @@ MOST_STRIPS = 3_000_000  # the report stays below 5 MB [bytes]
 ALL_SCENES = "all scenes"
 
 
-def save_strip(
-    folder: Path, key: str, picture: NDArray[np.float64], truth: NDArray[np.float64]
-) -> None:
+def strip(folder: Path, key: str) -> Path:
+    """Where the small pictures of a point are kept."""
+    return folder / "strips" / f"{key}.webp"
+
+
+def save_strip(path: Path, picture: NDArray[np.float64], truth: NDArray[np.float64]) -> None:
     """Keeps small pictures for the report: truth, picture and their difference, side by side."""
     picture, truth = np.clip(picture, 0, 1), np.clip(truth, 0, 1)
     error = np.abs(picture - truth).max(axis=2)
@@ -37,7 +40,6 @@ def save_strip(
     ]
     height = round(STRIP_WIDTH * truth.shape[0] / truth.shape[1])
     small = [cv2.resize(t, (STRIP_WIDTH, height), interpolation=cv2.INTER_AREA) for t in tiles]
-    path = folder / "strips" / f"{key}.webp"
     path.parent.mkdir(exist_ok=True)
     if not cv2.imwrite(str(path), np.hstack(small), [cv2.IMWRITE_WEBP_QUALITY, 70]):
         raise OSError(f"{path}: can't be written")
@@ -69,7 +71,10 @@ def _chart(points: Sequence[Point]) -> dict[str, object]:
     summaries = summarise(points)
     return {
         "methods": [_rounded(summary) for summary in summaries],
-        "fronts": {name: [s.method for s in front(summaries, name)] for name in METRICS},
+        "fronts": {
+            time: {name: [s.method for s in front(summaries, name, time)] for name in METRICS}
+            for time in TIMES
+        },
     }
 
 
@@ -81,6 +86,7 @@ def _rounded(summary: Summary) -> dict[str, object]:
 
     return asdict(summary) | {
         "ms": four(summary.ms),
+        "pose_ms": four(summary.pose_ms),
         "values": {
             name: [float(f"{value:.5g}") for value in spread]
             for name, spread in summary.values.items()
@@ -92,7 +98,7 @@ def _strips(folder: Path, points: Sequence[Point]) -> list[dict[str, str]]:
     """The pictures that there are, as long as they fit."""
     strips, size = [], 0
     for point in points:
-        path = folder / "strips" / f"{point.key}.webp"
+        path = strip(folder, point.key)
         if not path.exists():
             continue
         encoded = base64.b64encode(path.read_bytes()).decode()

@@ -76,9 +76,18 @@ NOTES = {
     ),
     "viewports": Note(
         "Buffers of the last size are drawn into, or read from, after a resize; tiles end where "
-        "the picture doesn't.",
-        "Targets of the viewport's very size.",
-        "A new target with each new size; one pixel or a thousand, the picture is right.",
+        "the picture doesn't; the order at hand was culled for the old size, here half as wide.",
+        "Targets of the viewport's very size, and a new order.",
+        "A new target with each new size; one pixel or a thousand, the picture is right. With the "
+        "order of the narrower view it lacks what came in, until the next one is there: a graphics "
+        "card has it in the same frame.",
+    ),
+    "off_centre": Note(
+        "Stereo and walls of screens look beside the optical axis. There, the tangent at which the "
+        "Jacobian stops to grow is not the same to both sides, and a cull that takes the picture "
+        "to be centred loses its border.",
+        "Clamp and cull by the picture's own edges.",
+        "That, in pixels that aren't square, too.",
     ),
     "far_away": Note(
         "In UTM coordinates or a planet's, float32 keeps centimetres to metres: splats jump to "
@@ -89,10 +98,18 @@ NOTES = {
     ),
     "scaled": Note(
         "The unit of a map without scale (monocular SLAM) is arbitrary, and a map may have to "
-        "be mirrored to be right-handed. TF knows rigid transforms only, so a shear can't "
-        "occur.",
+        "be mirrored to be right-handed.",
         "Everything relative: no metres in any threshold.",
         "The same picture over twelve decades, and mirrored by quaternions and harmonics.",
+    ),
+    "sheared": Note(
+        "A shear is no motion: who applies one to a map must apply it to covariances as well. "
+        "With the means alone the map tears.",
+        "Singular values: M R S is another rotation times other scales. Harmonics can't follow, "
+        "so the case is without.",
+        "TF knows rigid transforms only and a batch holds quaternions and scales, so the Display "
+        "never meets a shear; what a publisher shears by singular values is drawn as the reference "
+        "draws it.",
     ),
     "outliers": Note(
         "Linear keys divide the depths from the nearest to the farthest splat: one stray far "
@@ -110,7 +127,8 @@ NOTES = {
         "Splats of equal depth have no order; a sort that isn't stable, or culls in another "
         "order, draws them one way now and another way next, and a still picture flickers.",
         "A rule for ties.",
-        "Of equal depths the higher slot is behind, on every backend: orders are equal to the bit.",
+        "Of equal depths the higher slot is behind, on every backend and on the graphics card: "
+        "orders are equal to the bit.",
     ),
     "stale_turning": Note(
         "An order by z depends on where the camera looks and on nothing else. Turning spoils it "
@@ -150,7 +168,8 @@ NOTES = {
         "them: there the error of thousands of layers adds up, and RGBA8 with rounding is "
         "better.",
         "Float32; half floats where the driver rounds (NVIDIA's does).",
-        "*Float Blending*, off by default.",
+        "32-bit floats wherever the processor draws, since they take no longer there; on a "
+        "graphics card, tiles add in 32 bits whatever the target. *Float Blending* for its quads.",
     ),
     "faint": Note(
         "What is fainter than 1/255 isn't drawn. Fog of very faint splats thins out and "

@@ -100,12 +100,12 @@ def _covariances_2d(splats: Splats, means: Array, camera: Camera) -> Array:
     """(n, 2, 2) covariances in the picture, J W R S S^T R^T W^T J^T. [px^2]"""
     axes = rotation_matrices(splats.orientations.astype(np.float64))
     axes *= splats.scales.astype(np.float64)[:, None, :]
-    half = _jacobians(means, camera) @ camera.world_to_camera[:3, :3] @ axes
+    half = jacobians(means, camera) @ camera.world_to_camera[:3, :3] @ axes
     product: Array = half @ half.transpose(0, 2, 1)
     return product
 
 
-def _jacobians(means: Array, camera: Camera) -> Array:
+def jacobians(means: Array, camera: Camera) -> Array:
     """(n, 2, 3) derivatives of the picture's x, y [px] by the mean (n, 3) in the camera [m]."""
     jacobians = np.zeros((len(means), 2, 3))
     if camera.orthographic:

@@ -101,9 +101,9 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       {{"Fast", Quality::kFast}, {"Balanced", Quality::kBalanced}, {"Exact", Quality::kExact}});
   float_blending_ =
       new BoolProperty("Float Blending", false,
-                       "Keep 32-bit instead of 16-bit floats. Tiles blend in 32 bits anyway and "
-                       "only round their sum; "
-                       "quads round each splat, and take two to five times as long in 32 bits.",
+                       "Keep 32-bit instead of 16-bit floats, as is always done where no graphics "
+                       "card draws. Tiles blend in 32 bits anyway and only round their sum; quads "
+                       "round each splat, and take two to five times as long in 32 bits.",
                        display);
   near_fade_ = number("Near Fade", 0.0f, "Splats closer than this to the near plane fade out. [m]",
                       display, 0.0f);
@@ -166,7 +166,7 @@ RenderSettings DisplaySettings::get() const {
   settings.profile = profile_->getBool();
   settings.antialiasing = static_cast<Antialiasing>(antialiasing_->getOptionInt());
   const auto quality = static_cast<Quality>(quality_->getOptionInt());
-  settings.float_blending = float_blending_->getBool() || quality == Quality::kExact;
+  if (float_blending_->getBool() || quality == Quality::kExact) settings.float_blending = true;
   settings.wait_for_order = quality == Quality::kExact;
   if (quality == Quality::kFast) settings.least_worth = kFastLeastWorth;
   settings.near_fade = near_fade_->getFloat();

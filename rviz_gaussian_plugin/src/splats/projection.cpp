@@ -76,6 +76,9 @@ void Projection::cull(const SlotStore& store, const SplatCamera& camera, const M
   cull_.set("half_size", view.half_width, view.half_height);
   cull_.set("slope", view.slope_x, view.slope_y);
   cull_.set("opacity_modifier", settings.opacity);
+  cull_.set("scale_modifier", settings.scale);
+  // Billboards may be larger than the bound that culling takes.
+  cull_.set("least_worth", settings.mode == DrawMode::kBillboard ? 0.0f : settings.least_worth);
   const ClipBox& box = settings.clip_box;
   std::array<float, 3> box_centre{};
   for (int i = 0; i < 3; ++i) box_centre[i] = static_cast<float>(box.centre[i] - map.origin[i]);

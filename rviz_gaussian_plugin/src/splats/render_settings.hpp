@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 
 #include "gaussian_map.hpp"
 
@@ -46,8 +47,10 @@ struct ClipBox {
 struct RenderSettings {
   DrawMode mode = DrawMode::kColor;
   int max_sh_degree = kMaxShDegree;
-  int only_band = -1;           // draw one band of spherical harmonics alone; -1: all
-  bool float_blending = false;  // in 32-bit floats, slower by a factor of 2 to 5 on a GPU
+  int only_band = -1;  // draw one band of spherical harmonics alone; -1: all
+  // In 32-bit floats instead of 16-bit ones. Unset: where the processor draws, which takes as long
+  // either way ("blend" in docs/accuracy.md); on a GPU, quads take two to five times as long.
+  std::optional<bool> float_blending;
   bool wait_for_order = false;  // sort in the frame rather than draw an order that isn't fresh
   float least_worth = 0;        // splats whose alphas add up to less are left out [px]
   float scale = 1;              // of the splats' size

@@ -228,7 +228,8 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   const GLint x = viewport[0], y = viewport[1];
-  setTarget(color_, settings.float_blending ? GL_RGBA32F : GL_RGBA16F, camera, settings, canvas);
+  const bool floats = settings.float_blending.value_or(!accelerated_);
+  setTarget(color_, floats ? GL_RGBA32F : GL_RGBA16F, camera, settings, canvas);
   bool unknown = prepare(camera, map, settings, stopwatch);
   const gl::DrawScope scope(color_);
   clearDepth();
