@@ -172,7 +172,9 @@ def main(arguments: list[str] | None = None) -> int:
         "--up", type=float, nargs=3, metavar=("X", "Y", "Z"),
         help="the scenes' vertical; files have 0 -1 0, procedural scenes 0 0 1",
     )  # fmt: skip
-    parser.add_argument("--only", default="", help="methods whose name or family holds this")
+    parser.add_argument(
+        "--only", nargs="+", default=[""], help="methods whose name or family holds one of these"
+    )
     parser.add_argument(
         "--threads", type=int, default=0, help="of sorters on the CPU (0: as many as there are)"
     )
@@ -206,7 +208,8 @@ def run(scenes: list[Scene], store: Store, options: argparse.Namespace, command:
     wanted = [
         method
         for method in METHODS
-        if options.only in f"{method.name} {method.family}" and method.available(bench)
+        if any(text in f"{method.name} {method.family}" for text in options.only)
+        and method.available(bench)
     ]
     if options.part != "atlas":
         with closing(Workers()) as workers:
