@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("launch_xml")
-LAUNCH = Path(__file__).resolve().parents[1] / "rviz_gaussian_plugin/launch/view.launch.xml"
+LAUNCH = Path(__file__).resolve().parents[1] / "rosplat_tools/launch/view.launch.xml"
 
 
 def started(**arguments: str) -> dict[str, list[str]]:

@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
                 from ament_index_python.packages import get_package_share_directory
 
                 processes.node("rosplat_tools", "demo_sensors", *remap)
-                share = Path(get_package_share_directory("rviz_gaussian_plugin"))
+                share = Path(get_package_share_directory("rosplat_tools"))
                 viewer = processes.start(
                     "rviz2", ["rviz2", "-d", str(share / "config/rosplat.rviz")]
                 )
