@@ -9,6 +9,9 @@ done
 if ! command -v rviz2 >/dev/null; then
   printf '\n\033[1;33mSKIPPED: no rviz2 here, the rviz Display was neither built nor tested.\033[0m\n\n'
 fi
+if ! python -c 'import ros2bag' 2>/dev/null; then
+  printf '\n\033[1;33mSKIPPED: no rosbag2 here, no bag was played into rviz.\033[0m\n\n'
+fi
 # One run for each, from a folder where no package's sources hide the installed ones.
 cd tests
 for package in rosplat_sorter rosplat_tools; do

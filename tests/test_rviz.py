@@ -74,8 +74,8 @@ def test_orders_reach_the_display_through_shared_memory(rviz: Rviz, world: World
     import rclpy
 
     from rosplat_msgs.msg import SplatOrder
+    from rosplat_sorter.qos import ORDER
     from rosplat_sorter.shared_orders import FOLDER
-    from rosplat_tools.qos import ORDER
 
     shared: list[str] = []
 
@@ -123,7 +123,7 @@ def test_garbage_does_not_end_rviz(rviz: Rviz, world: World) -> None:
     import rclpy
 
     from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-    from rosplat_tools.qos import MAP, ORDER, VIEW
+    from rosplat_sorter.qos import MAP, ORDER, VIEW
 
     garbage = world.node.create_publisher(GaussianArray, "gaussians", MAP)
     orders = world.node.create_publisher(SplatOrder, "gaussians/order", ORDER)
@@ -231,6 +231,8 @@ def test_the_quality_of_service_of_the_topic_can_be_edited(rviz: Rviz, world: Wo
     time.sleep(1)
     assert not red(rviz.picture()).any()
     rviz.set("Map", "Topic", "Reliability Policy", value="Best Effort")
+    rviz.until_status("Map", "Topic", "Warn", "volatile", "Durability Policy")
+    rviz.set("Map", "Topic", "Durability Policy", value="Volatile")
     revisions = itertools.count(2)
     rviz.until(lambda s: publish(next(revisions)) or red(s).sum() > 3000)
     world.node.destroy_publisher(publisher)

@@ -57,8 +57,8 @@ def test_a_stamp_that_tf_does_not_have(rviz: Rviz, world: World) -> None:
     from std_msgs.msg import Header
 
     from rosplat_msgs.msg import GaussianArray
+    from rosplat_sorter.qos import MAP
     from rosplat_tools.messages import encode
-    from rosplat_tools.qos import MAP
 
     now = world.node.get_clock().now().to_msg()
 

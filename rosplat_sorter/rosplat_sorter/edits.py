@@ -33,7 +33,7 @@ class Edit:
     origin: float64 (3,) [m]. slots: the n slots touched, all below `end`. positions: float32 (n, 3)
     [m], relative to the origin. extents: float32 (n,) [m], see depth.splat_extents; negative where
     the slot becomes empty. A DELETE has neither. rejected: how many splats were not usable and
-    become empty slots.
+    become empty slots. snapshot: repeats what the edits up to this revision have left.
     """
 
     map_id: str
@@ -46,6 +46,7 @@ class Edit:
     positions: NDArray[np.float32]
     extents: NDArray[np.float32]
     rejected: int
+    snapshot: bool = False
 
 
 def decode(message: GaussianArray) -> Edit:
@@ -90,6 +91,7 @@ def decode(message: GaussianArray) -> Edit:
         positions=positions,
         extents=extents,
         rejected=splats - int(np.count_nonzero(usable)),
+        snapshot=message.snapshot,
     )
 
 

@@ -43,21 +43,24 @@ class SplatMap:
         return self._count
 
     def apply(self, edit: Edit) -> Slots | None:
-        """Applies an edit; answers which slots it changed, None for one that was known already.
+        """Applies an edit; answers which slots it changed, None for a snapshot of what is known.
 
         The slots by which the map grew count as changed even where the answer leaves them out.
         Raises MemoryError, without applying the edit, where the map can't grow so far.
         """
         begins = edit.map_id != self.map_id or self.revision == 0
+        back = not begins and edit.revision <= self.revision
+        if back and edit.snapshot and not self.missed:
+            return None
         if begins:
             self._start(edit.map_id, edit.origin, 0 if edit.operation == DELETE else edit.end)
-        elif edit.revision <= self.revision:
-            return None
         if edit.operation != DELETE:
             self._reserve(edit.end)
+        if back:  # played once more; not from its beginning, it lacks all before
+            self.revision = self.missed = 0
         if edit.operation == REPLACE:  # what came before it is not missed
             self.extents[:] = INVISIBLE
-            self._count = 0
+            self._count = self.missed = 0
         else:
             self.missed += edit.revision - self.revision - 1
         self.revision = edit.revision

@@ -9,11 +9,11 @@ from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersR
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy
 
-from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter import qos
 from rosplat_sorter.backends import AUTO, BACKENDS
+from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.order_slots import pack
 from rosplat_sorter.worker import Answer, Worker
 
@@ -54,10 +54,8 @@ class SorterNode(Node):
         self._worker = Worker(self, backend, self.get_parameter("threads").value)
         self.add_on_set_parameters_callback(self._on_parameters)
 
-        self._map = self.create_subscription(GaussianArray, "gaussians", self._worker.edit, qos.MAP)
-        self._volatile_map = None
+        MapSubscription(self, self._worker.edit)
         self.create_subscription(ViewCamera, f"{topic}/view", self._worker.look, qos.VIEW)
-        self.create_timer(1.0, self._meet_publishers)
 
     def destroy_node(self) -> None:
         self._worker.close()
@@ -114,20 +112,6 @@ class SorterNode(Node):
                 values.get("threads", self.get_parameter("threads").value),
             )
         return SetParametersResult(successful=True)
-
-    def _meet_publishers(self) -> None:
-        """A subscription that asks for latched edits doesn't match a publisher that has none."""
-        volatile = any(
-            publisher.qos_profile.durability == DurabilityPolicy.VOLATILE
-            for publisher in self.get_publishers_info_by_topic(self._map.topic_name)
-        )
-        if volatile and self._volatile_map is None:
-            self._volatile_map = self.create_subscription(
-                GaussianArray, "gaussians", self._worker.edit, qos.MAP_VOLATILE
-            )
-        elif not volatile and self._volatile_map is not None:
-            self.destroy_subscription(self._volatile_map)
-            self._volatile_map = None
 
 
 def _unknown(backend: str) -> str:

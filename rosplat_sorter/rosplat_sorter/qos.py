@@ -2,21 +2,29 @@
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-# Edits of a map, all of them since it began: latched, as deep as a map may have chunks.
-MAP = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1000,
-)
+HISTORY_DEPTH = 1000
 
-# Edits of a publisher that doesn't latch.
-MAP_VOLATILE = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1000,
-)
+
+def map_qos(
+    history_depth: int = HISTORY_DEPTH,
+    durability: DurabilityPolicy = DurabilityPolicy.TRANSIENT_LOCAL,
+) -> QoSProfile:
+    """`gaussians`: nothing is lost, and a late joiner gets the last history_depth batches.
+
+    A reader needs the depth as well: a late joiner's history arrives at once.
+    """
+    return QoSProfile(
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=durability,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=history_depth,
+    )
+
+
+MAP = map_qos()
+
+# From publishers that keep nothing for late joiners.
+MAP_VOLATILE = map_qos(durability=DurabilityPolicy.VOLATILE)
 
 # Cameras and orders: the newest of each view counts, and all views share the topics.
 VIEW = QoSProfile(

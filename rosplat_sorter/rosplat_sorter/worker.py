@@ -176,7 +176,11 @@ class Worker:
     # --- Edits ------------------------------------------------------------------------------------
 
     def _apply(self, message: GaussianArray) -> None:
-        known_map, known_missed = self._map.map_id, self._map.missed
+        known_map, known_missed, known_revision = (
+            self._map.map_id,
+            self._map.missed,
+            self._map.revision,
+        )
         try:
             edit = edits.decode(message)
             changed = self._map.apply(edit)
@@ -190,8 +194,11 @@ class Worker:
             return
         if changed is None:
             return
-        if edit.map_id != known_map:
+        if edit.map_id != known_map or edit.revision <= known_revision:
             known_missed = 0
+            for viewer in self._viewers.values():
+                viewer.answered = None  # its revisions say nothing about these
+        if edit.map_id != known_map:
             self._host.inform("map", f"map '{edit.map_id}' begins, in frame '{edit.frame_id}'")
         if self._map.missed > known_missed:
             self._host.warn(

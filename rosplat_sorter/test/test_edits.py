@@ -139,17 +139,37 @@ def test_what_memory_can_t_hold_leaves_the_map_as_it_was(make_batch, map_id):
     assert splats.positions[2].tolist() == [0, 0, 3]
 
 
-def test_duplicates_are_ignored_and_gaps_counted(make_batch):
+def test_gaps_are_counted(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(3))
+    apply(splats, make_batch(1, revision=4))
+    assert (splats.revision, splats.missed) == (4, 2)
+    apply(splats, make_batch(1, revision=9, operation=0))  # nothing before it is missed
+    assert (splats.revision, splats.missed) == (9, 0)
+
+
+def test_a_snapshot_is_taken_only_where_something_is_missing(make_batch):
     splats = SplatMap()
     apply(splats, make_batch(3))
     apply(splats, make_batch(1, revision=2, first_slot=3))
-    for revision in (1, 2):
-        assert apply(splats, make_batch(9, revision=revision)) is None
-    assert (len(splats), splats.missed) == (4, 0)
-    apply(splats, make_batch(1, revision=5))
-    assert (splats.revision, splats.missed) == (5, 2)
-    apply(splats, make_batch(1, revision=9, operation=0))  # nothing before it is missed
-    assert (splats.revision, splats.missed) == (9, 2)
+    snapshot = make_batch(9, revision=2, operation=0)
+    snapshot.snapshot = True
+    assert apply(splats, snapshot) is None
+    assert len(splats) == 4
+    apply(splats, make_batch(1, revision=4))  # without the third
+    assert apply(splats, snapshot) == slice(0, 9)
+    assert (splats.revision, splats.missed) == (2, 0)
+
+
+def test_a_map_is_played_once_more(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(5, operation=0))
+    apply(splats, make_batch(5, revision=2, first_slot=5))
+    apply(splats, make_batch(5, revision=3, first_slot=10))
+    assert apply(splats, make_batch(5, revision=2, first_slot=5)) == slice(5, 10)
+    assert (len(splats), splats.revision, splats.missed) == (15, 2, 1)
+    assert apply(splats, make_batch(5, operation=0)) == slice(0, 5)
+    assert (len(splats), splats.revision, splats.missed) == (5, 1, 0)
 
 
 def test_a_late_joiner_misses_what_came_before(make_batch):

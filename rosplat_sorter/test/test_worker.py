@@ -176,7 +176,9 @@ def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch,
     worker.look(make_look(sequence=2))
     second = host.answer(2)
     assert second.slots is first.slots
-    worker.edit(make_batch())  # a duplicate
+    snapshot = make_batch()
+    snapshot.snapshot = True
+    worker.edit(snapshot)
     worker.look(make_look(sequence=3))
     host.answer(3)
     assert GatedBackend.sorts == 1
@@ -184,6 +186,16 @@ def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch,
     worker.look(make_look(sequence=4, x=1.0))
     host.answer(4)
     assert GatedBackend.sorts == 2
+
+
+def test_a_map_that_is_played_once_more_is_sorted_again(start, make_batch, make_look):
+    worker, host = start()
+    worker.edit(make_batch(operation=0))
+    worker.look(make_look(sequence=1))
+    assert len(host.answer(1).slots) == 3
+    worker.edit(make_batch(5, operation=0))  # of the same revision
+    worker.look(make_look(sequence=2))
+    assert len(host.answer(2).slots) == 5
 
 
 def test_silent_views_are_forgotten(start, make_batch, make_look, monkeypatch):

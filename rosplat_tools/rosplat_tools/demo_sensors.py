@@ -28,11 +28,11 @@ from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.cameras import Camera
 from rosplat_tools.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
 from rosplat_tools.messages import decode
 from rosplat_tools.parameters import declare
-from rosplat_tools.qos import MAP
 from rosplat_tools.running import run, spinning, wait_for_end
 from rosplat_tools.view_messages import view_camera
 
@@ -159,7 +159,7 @@ class DemoSensors(Node):
             self.get_logger().info(f"waiting for a map on {topic} to fly around")
             self._samples: list[NDArray[np.float64]] = []
             self._begun: float | None = None
-            self.create_subscription(GaussianArray, "gaussians", self._on_batch, MAP)
+            MapSubscription(self, self._on_batch)
         self.create_timer(self._imu_beat.period / SECOND, self._tick)
 
     # --- The path ---------------------------------------------------------------------------------

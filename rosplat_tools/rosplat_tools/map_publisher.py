@@ -15,8 +15,8 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.qos import HISTORY_DEPTH, map_qos
 from rosplat_tools.messages import Slots, chunks, encode, encode_deletion
-from rosplat_tools.qos import HISTORY_DEPTH, map_qos
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
 
@@ -40,7 +40,7 @@ class MapPublisher:
     REPLACE starts a new writer, whose history is empty. An edit that the history has no room for
     sends the whole map first, as a REPLACE and UPSERTs of large chunks. These fill at most half
     the history, so the next such snapshot is history_depth / 2 edits away or farther. They repeat
-    the last revisions: subscribers that have those drop them as duplicates, and see no snapshot.
+    the last revisions, marked as a snapshot: subscribers that have those drop them.
 
     Calls are serialised, from any thread; they return when the middleware has taken the batches.
     """
@@ -173,7 +173,7 @@ class MapPublisher:
         )
         if repeatable:
             self._revision -= needed
-        self._send_map(slots, splats, stamp)
+        self._send_map(slots, splats, stamp, snapshot=repeatable)
         return repeatable
 
     def _large_chunks(self, splats: Splats) -> Iterator[slice]:
@@ -181,18 +181,28 @@ class MapPublisher:
         return chunks(splats, max(self._chunk_bytes, half_history))
 
     def _send_map(
-        self, slots: Slots, splats: Splats, stamp: Time | None, progress: Progress | None = None
+        self,
+        slots: Slots,
+        splats: Splats,
+        stamp: Time | None,
+        progress: Progress | None = None,
+        snapshot: bool = False,
     ) -> None:
         self._start_history()
         operation = GaussianArray.REPLACE
         for part in self._large_chunks(splats):
-            self._send_splats(operation, slots[part], splats[part], stamp)
+            self._send_splats(operation, slots[part], splats[part], stamp, snapshot)
             operation = GaussianArray.UPSERT
             if progress:
                 progress(len(slots[part]))
 
     def _send_splats(
-        self, operation: int, slots: Slots, splats: Splats, stamp: Time | None
+        self,
+        operation: int,
+        slots: Slots,
+        splats: Splats,
+        stamp: Time | None,
+        snapshot: bool = False,
     ) -> None:
         self._revision += 1
         self._send(
@@ -204,6 +214,7 @@ class MapPublisher:
                 revision=self._revision,
                 operation=operation,
                 expected_slots=self._expected_slots,
+                snapshot=snapshot,
             )
         )
 

@@ -25,6 +25,7 @@ def encode(
     revision: int,
     operation: int,
     expected_slots: int = 0,
+    snapshot: bool = False,
 ) -> GaussianArray:
     """A REPLACE or UPSERT that writes the i-th splat to the i-th slot.
 
@@ -34,6 +35,7 @@ def encode(
     if len(slots) != len(splats):
         raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
     message = _batch(slots, header, map_id, revision, operation, expected_slots)
+    message.snapshot = snapshot
     message.sh_degree = splats.sh_degree
     message.encoding = GaussianArray.ENCODING_FLOAT32
     message.antialiased = splats.antialiased

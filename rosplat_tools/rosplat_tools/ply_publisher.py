@@ -13,10 +13,10 @@ from rclpy.node import Node
 from tqdm import tqdm
 
 from rosplat_msgs.srv import LoadScene, SaveMap
+from rosplat_sorter.qos import HISTORY_DEPTH
 from rosplat_tools import formats
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.parameters import declare
-from rosplat_tools.qos import HISTORY_DEPTH
 from rosplat_tools.running import Cancelled, run, spinning, wait_for_end
 from rosplat_tools.scenes import NAMES, load_scene
 from rosplat_tools.splats import SceneError

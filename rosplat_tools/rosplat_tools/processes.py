@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -119,9 +118,7 @@ class Processes:
             program = Path(get_package_prefix(package)) / "lib" / package / executable
         except PackageNotFoundError as error:
             raise ProcessError(f"{package} is not installed: source its workspace") from error
-        # The script's own first line may name another Python than the one that finds the packages.
-        launcher = [sys.executable] if _is_python(program) else []
-        return self.start(name or executable, [*launcher, str(program), *arguments])
+        return self.start(name or executable, [str(program), *arguments])
 
     def log(self, name: str) -> Path:
         """Where a program's output goes."""
@@ -164,15 +161,6 @@ class Processes:
         self._running.clear()
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _is_python(program: Path) -> bool:
-    try:
-        with program.open("rb") as file:
-            first = file.readline(200)
-    except OSError as error:
-        raise ProcessError(f"{program} is not installed: {error.strerror}") from error
-    return first.startswith(b"#!") and b"python" in first
 
 
 def _signal(process: subprocess.Popen[bytes], number: signal.Signals) -> None:

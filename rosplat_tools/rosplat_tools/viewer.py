@@ -21,15 +21,15 @@ from PIL import Image as Picture
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy
 from sensor_msgs.msg import Image
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.order_slots import OrderError, OrderReader
+from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.parameters import declare
-from rosplat_tools.qos import MAP, MAP_VOLATILE, ORDER, VIEW
 from rosplat_tools.running import run, spinning
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
@@ -108,18 +108,13 @@ class Viewer(Node):
         self._requests: queue.Queue[_Request] = queue.Queue()
 
         own = MutuallyExclusiveCallbackGroup
-        maps = own()
-        self._map = self.create_subscription(
-            GaussianArray, "gaussians", self._on_batch, MAP, callback_group=maps
-        )
-        self._volatile_map = None
-        topic = self._map.topic_name
+        self._map = MapSubscription(self, self._on_batch, own())
+        topic = self._map.topic
         self._views = self.create_publisher(ViewCamera, f"{topic}/view", VIEW)
         self.create_subscription(
             SplatOrder, f"{topic}/order", self._on_order, ORDER, callback_group=own()
         )
         self.create_service(RenderView, f"{topic}/render", self._on_render, callback_group=own())
-        self.create_timer(1.0, self._meet_publishers, callback_group=maps)
 
     # --- Executor threads -------------------------------------------------------------------------
 
@@ -132,17 +127,18 @@ class Viewer(Node):
                 _array(message.positions), _array(message.orientations), _array(message.scales),
                 _array(message.opacities), _array(message.sh),
                 message.map_id, message.revision, message.expected_slots, message.encoding,
+                message.snapshot,
             )  # fmt: skip
         except BatchError as error:
             self.get_logger().error(
-                f"{self._map.topic_name}: a batch is refused: {error}", throttle_duration_sec=5.0
+                f"{self._map.topic}: a batch is refused: {error}", throttle_duration_sec=5.0
             )
             return
         if report["duplicate"]:
             return
         if report["missed"] or report["dropped"]:
             self.get_logger().warning(
-                f"{self._map.topic_name}: {report['missed']} batches lost, "
+                f"{self._map.topic}: {report['missed']} batches missing, "
                 f"{report['dropped']} splats with invalid values left out",
                 throttle_duration_sec=5.0,
             )
@@ -160,7 +156,7 @@ class Viewer(Node):
             slots = self._orders.read(message)
         except OrderError as error:
             self.get_logger().warning(
-                f"{self._map.topic_name}/order: an order is dropped: {error}",
+                f"{self._map.topic}/order: an order is dropped: {error}",
                 throttle_duration_sec=5.0,
             )
             return
@@ -179,22 +175,6 @@ class Viewer(Node):
                 response.message = "the viewer ended"
                 break
         return response
-
-    def _meet_publishers(self) -> None:
-        """A subscription that asks for latched batches doesn't match a publisher that has none."""
-        topic = self._map.topic_name
-        volatile = any(
-            publisher.qos_profile.durability == DurabilityPolicy.VOLATILE
-            for publisher in self.get_publishers_info_by_topic(topic)
-        )
-        if volatile and self._volatile_map is None:
-            self._volatile_map = self.create_subscription(
-                GaussianArray, topic, self._on_batch, MAP_VOLATILE,
-                callback_group=self._map.callback_group,
-            )  # fmt: skip
-        elif not volatile and self._volatile_map is not None:
-            self.destroy_subscription(self._volatile_map)
-            self._volatile_map = None
 
     # --- The drawing thread -----------------------------------------------------------------------
 

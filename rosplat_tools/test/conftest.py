@@ -17,8 +17,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.qos import MAP
 from rosplat_tools.messages import decode
-from rosplat_tools.qos import MAP
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
 

@@ -11,8 +11,8 @@ import numpy as np
 import rclpy
 
 from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.qos import MAP, MAP_VOLATILE
 from rosplat_tools.messages import decode
-from rosplat_tools.qos import MAP, MAP_VOLATILE
 from rosplat_tools.slot_map import SlotMap
 
 TIMEOUT = 60.0
@@ -23,8 +23,8 @@ built: list[SlotMap] = []
 
 
 def receive(message: GaussianArray) -> None:
-    if batches and message.revision <= batches[-1][0]:
-        return  # a duplicate
+    if message.snapshot and batches and message.revision <= batches[-1][0]:
+        return  # is here already
     batches.append((message.revision, message.operation))
     slots, splats = decode(message)
     if message.operation == GaussianArray.DELETE:

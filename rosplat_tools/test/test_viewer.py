@@ -14,9 +14,9 @@ from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
 from rosplat_tools.cameras import Camera
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.qos import MAP_VOLATILE, ORDER, VIEW
 from rosplat_tools.splats import Splats
 from rosplat_tools.view_messages import view_camera
 

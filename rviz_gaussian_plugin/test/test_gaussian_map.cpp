@@ -102,14 +102,39 @@ TEST_F(GaussianMapTest, SortsSphericalHarmonicsIntoBands) {
   EXPECT_TRUE(edit->bands[2].empty());
 }
 
-TEST_F(GaussianMapTest, IgnoresDuplicatesAndCountsLosses) {
+TEST_F(GaussianMapTest, CountsLosses) {
   apply(Batch(1, GaussianBatch::REPLACE, 0, 1));
-  EXPECT_EQ(apply(Batch(1, GaussianBatch::REPLACE, 0, 1)), nullptr);
-  EXPECT_TRUE(report.duplicate);
   apply(Batch(5, GaussianBatch::UPSERT, 1, 1));
   EXPECT_EQ(report.missed, 3u);
   apply(Batch(9, GaussianBatch::REPLACE, 0, 1));
   EXPECT_EQ(map.state().missed, 0u);  // a REPLACE needs nothing before it
+}
+
+TEST_F(GaussianMapTest, TakesASnapshotOnlyWhereSomethingIsMissing) {
+  Batch snapshot(2, GaussianBatch::REPLACE, 0, 7);
+  snapshot.snapshot = true;
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 1));
+  apply(Batch(2, GaussianBatch::UPSERT, 1, 1));
+  EXPECT_EQ(apply(snapshot), nullptr);
+  EXPECT_TRUE(report.duplicate);
+  EXPECT_EQ(map.state().splats, 2u);
+  apply(Batch(4, GaussianBatch::UPSERT, 2, 1));  // without the third
+  EXPECT_TRUE(apply(snapshot)->clear);
+  EXPECT_EQ(map.state().splats, 7u);
+  EXPECT_EQ(map.state().missed, 0u);
+}
+
+TEST_F(GaussianMapTest, IsPlayedOnceMore) {
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 5));
+  apply(Batch(2, GaussianBatch::UPSERT, 5, 5));
+  apply(Batch(3, GaussianBatch::UPSERT, 10, 5));
+  EXPECT_FALSE(apply(Batch(2, GaussianBatch::UPSERT, 5, 5))->clear);  // not from its beginning
+  EXPECT_EQ(map.state().revision, 2u);
+  EXPECT_EQ(map.state().splats, 15u);
+  EXPECT_EQ(map.state().missed, 1u);
+  EXPECT_TRUE(apply(Batch(1, GaussianBatch::REPLACE, 0, 5))->clear);
+  EXPECT_EQ(map.state().splats, 5u);
+  EXPECT_EQ(map.state().missed, 0u);
 }
 
 TEST_F(GaussianMapTest, AnotherMapIdStartsAnew) {

@@ -21,7 +21,9 @@ class OrderBookTest : public testing::Test {
     camera.width = camera.height = 100;
   }
 
-  void upsert(std::uint32_t first, const std::vector<float>& depths, double now) {
+  // The map's next batch, or that revision once more; the first replaces the map.
+  void upsert(std::uint32_t first, const std::vector<float>& depths, double now,
+              std::uint64_t revision = 0) {
     std::vector<float> position, orientation, scale, opacity, sh;
     for (float depth : depths) {
       position.insert(position.end(), {0.0f, 0.0f, depth});
@@ -32,7 +34,7 @@ class OrderBookTest : public testing::Test {
     }
     GaussianBatch batch;
     batch.map_id = "map";
-    batch.revision = map.state().revision + 1;
+    batch.revision = revision ? revision : map.state().revision + 1;
     batch.operation = batch.revision == 1 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
     batch.first_slot = first;
     batch.count = static_cast<std::uint32_t>(depths.size());
@@ -134,6 +136,25 @@ TEST_F(OrderBookTest, AnOrderAheadOfTheMapWaitsForIt) {
   EXPECT_FALSE(book.answered("view"));
   upsert(3, {2.5f}, 0.1);
   EXPECT_TRUE(book.answered("view"));
+}
+
+TEST_F(OrderBookTest, OrdersOfTheTimeBeforeAreForgottenWhenTheMapIsPlayedOnceMore) {
+  upsert(0, {1, 3, 2}, 0.0);
+  book.setCamera("view", 1, camera, 0.0);
+  book.offer(sidecar(1, 1, {1, 2, 0}), 0.0);
+  upsert(0, {3, 1}, 0.1, 1);
+  EXPECT_FALSE(book.answered("view"));
+  const auto choice = chooseUntil("built-in", 0.2);
+  ASSERT_TRUE(choice.order);
+  EXPECT_EQ(choice.order->slots, (Slots{0, 1}));
+  // Not from its beginning: what has changed since an order is not known any more.
+  upsert(2, {2}, 0.3);
+  upsert(2, {4}, 0.4);
+  upsert(1, {5}, 0.5, 2);
+  book.offer(sidecar(1, 1, {0, 1}), 0.5);
+  const auto back = chooseUntil("built-in", 0.6);
+  ASSERT_TRUE(back.order);
+  EXPECT_EQ(back.order->slots, (Slots{1, 2, 0}));
 }
 
 TEST_F(OrderBookTest, RefusesOrdersThatFitNothing) {

@@ -21,10 +21,10 @@ from std_msgs.msg import ColorRGBA, Header
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, OrderReader, pack
+from rosplat_sorter.qos import ORDER
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_tools.generate import generate
 from rosplat_tools.messages import decode, encode
-from rosplat_tools.qos import ORDER
 from rosplat_tools.running import run, spinning, wait_for_end
 from rosplat_tools.splats import Splats
 

@@ -18,6 +18,7 @@ from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_msgs.srv import LoadScene
 from rosplat_sorter import edits
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.qos import ORDER
 from rosplat_tools.bench import live, scenes
 from rosplat_tools.bench.peer import KINDS, ORDERS, QUESTIONS, topic
 from rosplat_tools.bench.plan import Plan
@@ -25,7 +26,6 @@ from rosplat_tools.bench.records import Budget, Doing, Event, Measurement, Skipp
 from rosplat_tools.map_publisher import CHUNK_BYTES
 from rosplat_tools.messages import chunks, encode
 from rosplat_tools.processes import ProcessError, Processes
-from rosplat_tools.qos import ORDER
 
 ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 QUICK_ORDER_SIZES = (100_000, 500_000)

@@ -138,30 +138,37 @@ void GaussianClient::publish(rosplat_msgs::msg::ViewCamera view) {
 }
 
 void GaussianClient::watchPublishers() {
-  // A latched subscription gets nothing from a volatile publisher; one that asks for less gets
-  // both, and what comes twice is dropped by its revision.
-  bool any_volatile = false, any_best_effort = false;
+  // A transient local subscription gets nothing from a volatile publisher. Never two of them: what
+  // comes twice would take the map back.
+  bool any_latched = false, any_volatile = false, any_best_effort = false;
   std::string other_type;
   std::vector<std::string> names;
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {
     names.push_back(publisher.node_name());
     if (publisher.topic_type() != mapType()) other_type = publisher.topic_type();
-    any_volatile |= publisher.qos_profile().durability() == rclcpp::DurabilityPolicy::Volatile;
+    const bool is_volatile =
+        publisher.qos_profile().durability() == rclcpp::DurabilityPolicy::Volatile;
+    (is_volatile ? any_volatile : any_latched) = true;
     any_best_effort |=
         publisher.qos_profile().reliability() == rclcpp::ReliabilityPolicy::BestEffort;
   }
-  if (!any_volatile || qos_.durability() != rclcpp::DurabilityPolicy::TransientLocal) {
-    volatile_map_.reset();
-  } else if (!volatile_map_) {
-    volatile_map_ = subscribe(rclcpp::QoS(qos_).durability_volatile());
+  const bool asks_latched = qos_.durability() == rclcpp::DurabilityPolicy::TransientLocal;
+  const bool make_volatile = any_volatile && !any_latched && asks_latched;
+  if (make_volatile != made_volatile_) {
+    made_volatile_ = make_volatile;
+    map_ = subscribe(make_volatile ? rclcpp::QoS(qos_).durability_volatile() : qos_);
   }
   const std::lock_guard lock(mutex_);
   status_.publishers = std::move(names);
   if (status_.publishers.size() < 2) status_.contended = false;
   status_.other_type = other_type;
-  status_.best_effort =
-      any_best_effort && qos_.reliability() == rclcpp::ReliabilityPolicy::Reliable;
+  status_.unheard.clear();
+  if (any_best_effort && qos_.reliability() == rclcpp::ReliabilityPolicy::Reliable) {
+    status_.unheard = "best effort, so must the Reliability Policy be";
+  } else if (any_volatile && any_latched && asks_latched) {
+    status_.unheard = "volatile beside one that is not, so must the Durability Policy be";
+  }
 }
 
 void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {

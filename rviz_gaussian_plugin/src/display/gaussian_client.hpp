@@ -49,18 +49,18 @@ class GaussianClient {
     std::vector<std::string> publishers;  // nodes that publish on the map's topic
     bool contended = false;               // a map came back that another had replaced
     std::string other_type;               // that one of them publishes
-    bool best_effort = false;             // one of them offers no more, and more is asked for
-    std::string sidecar;                  // what became of switchBackend()
+    std::string unheard;  // what one of them offers, too little to be heard, and the remedy
+    std::string sidecar;  // what became of switchBackend()
     bool sidecar_failed = false;
   };
 
-  // As publishers of maps offer it: reliable, transient local, and as deep as the history that they
   static const char* mapType();  // of the map's topic
+  // As publishers of maps offer it: reliable, transient local, and as deep as the history that they
   // keep.
   static rclcpp::QoS mapQos();
 
-  // The scene must outlive the client. A transient local subscription hears of volatile publishers
-  // too. Throws rclcpp's exceptions for a topic with an invalid name.
+  // The scene must outlive the client. Where all publishers are volatile, so is a subscription that
+  // should be transient local. Throws rclcpp's exceptions for a topic with an invalid name.
   GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
                  const rclcpp::QoS& qos, SplatScene& scene);
   ~GaussianClient();
@@ -90,8 +90,9 @@ class GaussianClient {
   std::string topic_;
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
-  rclcpp::QoS qos_;
-  rclcpp::Subscription<GaussianArray>::SharedPtr map_, volatile_map_;
+  rclcpp::QoS qos_;             // that is asked for
+  bool made_volatile_ = false;  // what is asked for instead
+  rclcpp::Subscription<GaussianArray>::SharedPtr map_;
   rclcpp::Subscription<SplatOrder>::SharedPtr orders_;
   rclcpp::Publisher<rosplat_msgs::msg::ViewCamera>::SharedPtr view_publisher_;
   rclcpp::Publisher<rosplat_msgs::msg::Gaussian>::SharedPtr picked_publisher_;

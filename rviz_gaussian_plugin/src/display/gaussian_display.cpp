@@ -430,12 +430,11 @@ void GaussianDisplay::updateStatus() {
                   concat("This topic is of type ", received.other_type, ": choose one of type ",
                          GaussianClient::mapType()));
   } else if (received.batches == 0) {
-    setStatusOnce(
-        StatusProperty::Warn, "Topic",
-        received.publishers.empty() ? "Nobody publishes on this topic"
-        : received.best_effort
-            ? "No batch received: a publisher is best effort, so must the Reliability Policy be"
-            : "No batch received yet");
+    setStatusOnce(StatusProperty::Warn, "Topic",
+                  received.publishers.empty() ? "Nobody publishes on this topic"
+                  : received.unheard.empty()
+                      ? "No batch received yet"
+                      : concat("No batch received: a publisher is ", received.unheard));
   } else if (received.contended) {
     std::string names;
     for (const std::string& name : received.publishers) names += (names.empty() ? "" : ", ") + name;
@@ -464,7 +463,7 @@ void GaussianDisplay::updateStatus() {
     std::string text = concat(map.splats, " splats");
     if (map.expected > map.splats) text += concat(" of ", map.expected);
     text += concat(", SH degree ", map.sh_degree, map.antialiased ? ", antialiased" : "");
-    if (map.missed > 0) text += concat("; ", map.missed, " batches were lost");
+    if (map.missed > 0) text += concat("; ", map.missed, " batches are missing");
     if (map.dropped > 0) text += concat("; ", map.dropped, " splats with invalid values left out");
     setStatusOnce(map.missed + map.dropped > 0 ? StatusProperty::Warn : StatusProperty::Ok, "Map",
                   text);

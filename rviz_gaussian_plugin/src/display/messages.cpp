@@ -24,6 +24,7 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   GaussianBatch batch;
   batch.map_id = message.map_id;
   batch.revision = message.revision;
+  batch.snapshot = message.snapshot;
   batch.operation = message.operation;
   batch.expected_slots = message.expected_slots;
   batch.first_slot = message.first_slot;

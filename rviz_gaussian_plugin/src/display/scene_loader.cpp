@@ -87,11 +87,9 @@ void SceneLoader::startPublisher(const std::string& path) {
         ament_index_cpp::get_package_prefix("rosplat_tools") + "/lib/rosplat_tools/ply_publisher";
     process_ = std::make_unique<QProcess>();
     process_->setProcessChannelMode(QProcess::MergedChannels);
-    // By the Python on the path: a virtual environment may have what the one in its first line
-    // lacks.
-    process_->start("python3",
-                    {QString::fromStdString(program), "--ros-args", "-p", "path:=" + quoted(path),
-                     "-r", QString::fromStdString("gaussians:=" + topic_)});
+    process_->start(QString::fromStdString(program),
+                    {"--ros-args", "-p", "path:=" + quoted(path), "-r",
+                     QString::fromStdString("gaussians:=" + topic_)});
     status_ = "loading " + path;
   } catch (const ament_index_cpp::PackageNotFoundError&) {
     report("rosplat_tools is not installed: nothing can publish " + path, true);

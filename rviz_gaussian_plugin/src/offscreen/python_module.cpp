@@ -32,7 +32,8 @@ py::dict apply(OffscreenRenderer& renderer, std::uint8_t operation, std::uint32_
                bool antialiased, const std::array<double, 3>& origin, const Array<float>& positions,
                const Array<float>& orientations, const Array<float>& scales,
                const Array<float>& opacities, const Array<float>& sh, const std::string& map_id,
-               std::uint64_t revision, std::uint32_t expected_slots, std::uint8_t encoding) {
+               std::uint64_t revision, std::uint32_t expected_slots, std::uint8_t encoding,
+               bool snapshot) {
   GaussianBatch batch;
   batch.operation = operation;
   batch.first_slot = first_slot;
@@ -50,6 +51,7 @@ py::dict apply(OffscreenRenderer& renderer, std::uint8_t operation, std::uint32_
   batch.revision = revision;
   batch.expected_slots = expected_slots;
   batch.encoding = encoding;
+  batch.snapshot = snapshot;
   BatchReport report;
   {
     const py::gil_scoped_release release;
@@ -165,7 +167,8 @@ PYBIND11_MODULE(_offscreen, module) {
       .def(py::init<const std::string&, const std::string&>(), "media"_a, "plugins"_a)
       .def("apply", &apply, "operation"_a, "first_slot"_a, "count"_a, "slots"_a, "sh_degree"_a,
            "antialiased"_a, "origin"_a, "positions"_a, "orientations"_a, "scales"_a, "opacities"_a,
-           "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0, "encoding"_a = 0)
+           "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0, "encoding"_a = 0,
+           "snapshot"_a = false)
       .def("set_camera", &setCamera, "view_id"_a, "sequence"_a, "position"_a, "orientation"_a,
            "projection"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "width"_a, "height"_a, "near"_a = 0.01,
            "far"_a = 1e10)

@@ -122,9 +122,11 @@ void BuiltInSorter::apply(const Edit& item) {
   if (edit.clear) {
     positions_.clear();
     extents_.clear();
-    changed_at_.clear();
+  }
+  if (edit.clear || edit.revision <= revision_) {  // revisions so far say nothing any more
+    changed_at_.assign(changed_at_.size(), 0);
     recent_.clear();
-    cleared_at_ = edit.revision;
+    begun_at_ = edit.revision;
   }
   map_id_ = item.map_id;
   revision_ = edit.revision;
@@ -155,7 +157,7 @@ OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request)
   order->revision = revision_;
   // Only an order of this map, not too far behind, can be brought up to date.
   const bool mergeable = request.base && request.base->map_id == map_id_ && !recent_.empty() &&
-                         request.base->revision >= cleared_at_ &&
+                         request.base->revision >= begun_at_ &&
                          request.base->revision + 1 >= recent_.front().revision;
   if (mergeable) {
     order->slots = merge(request);

@@ -89,7 +89,7 @@ class BuiltInSorter {
   // The worker's own, by slot.
   std::string map_id_;
   std::uint64_t revision_ = 0;
-  std::uint64_t cleared_at_ = 0;  // revision of the last clear
+  std::uint64_t begun_at_ = 0;  // revision since which it only grew
   std::vector<float> positions_, extents_;
   std::vector<std::uint64_t> changed_at_;  // revision of a slot's last change
   std::deque<Change> recent_;              // whose slots a merge sorts

@@ -23,6 +23,7 @@ struct GaussianBatch {
 
   std::string map_id;
   std::uint64_t revision = 0;
+  bool snapshot = false;
   std::uint8_t operation = REPLACE;
   std::uint32_t expected_slots = 0;
   std::uint32_t first_slot = 0;

@@ -71,7 +71,8 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
                                                        BatchReport& report) {
   check(batch);
   const bool new_map = batch.map_id != state_.id;
-  if (!new_map && batch.revision <= state_.revision) {
+  const bool back = !new_map && batch.revision <= state_.revision;
+  if (back && batch.snapshot && state_.missed == 0) {
     report.duplicate = true;
     return nullptr;
   }
@@ -86,7 +87,9 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     state_.antialiased = batch.antialiased;
     used_.clear();
   }
-  // A REPLACE makes whatever came before it unimportant.
+  // A REPLACE makes whatever came before it unimportant. A map that is played once more, but not
+  // from its beginning, lacks all before.
+  if (back) state_.revision = state_.missed = 0;
   if (!replace) report.missed = batch.revision - state_.revision - 1;
   state_.id = batch.map_id;
   state_.revision = batch.revision;

@@ -32,7 +32,7 @@ struct GaussianEdit {
 
 // What became of a batch.
 struct BatchReport {
-  bool duplicate = false;     // seen before, ignored
+  bool duplicate = false;     // a snapshot of what is here already, ignored
   std::uint64_t missed = 0;   // batches lost before this one
   std::uint64_t dropped = 0;  // splats with values that mean nothing; their slots are empty
 };

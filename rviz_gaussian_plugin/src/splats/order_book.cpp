@@ -22,9 +22,14 @@ void OrderBook::setCamera(const std::string& view_id, std::uint64_t sequence,
 }
 
 void OrderBook::mapChanged(const MapState& map, double now) {
+  // Another map, or the same that is played once more: its revisions begin again.
+  const bool begins = map.id != map_.id || map.revision <= map_.revision;
   for (auto& [id, view] : views_) {
     if (view.sidecar && fresh(view, *view.sidecar)) view.waiting_since = now;
-    if (map.id != map_.id) view.sidecar = view.built_in = view.drawn = nullptr;
+    if (begins) {
+      view.sidecar = view.built_in = view.drawn = nullptr;
+      view.requested_revision = 0;
+    }
   }
   map_ = map;
   for (auto& [id, view] : views_) {

@@ -1,0 +1,126 @@
+"""A bag of rosbag2 in a real rviz2: played, paused, looped and sought in."""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rviz_harness import (
+    Rviz,
+    World,
+    blue,
+    centre,
+    configuration,
+    disc,
+    map_display,
+    needs_rviz,
+    red,
+)
+
+pytestmark = [
+    *needs_rviz,
+    pytest.mark.skipif(
+        not importlib.util.find_spec("ros2bag"), reason="no rosbag2: no bag is played"
+    ),
+]
+
+SIMULATED_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
+BLUE_COMES, RED_GOES, END = 2.0, 4.0, 6.0  # [s]
+
+
+def way(seconds: float) -> float:
+    """Where the map's frame has come to [m]."""
+    return 0.5 * seconds - 1.5
+
+
+def qos() -> list[str]:
+    from ament_index_python.packages import get_package_share_directory
+
+    file = Path(get_package_share_directory("rosplat_msgs")) / "config/rosbag2.yaml"
+    return ["--qos-profile-overrides-path", str(file)]
+
+
+def record(robot: World, bag: Path) -> int:
+    """A red disc that moves, a blue one later, then only that; returns when it began [ns]."""
+    from rosplat_tools.processes import Processes
+
+    with Processes(bag.parent) as processes:
+        # One batch comes before the recorder, which has to ask for what was before it.
+        robot.map.replace(disc((1, 0, 0), y=-0.5, sigma=0.2))
+        processes.start(
+            "recorder",
+            ["ros2", "bag", "record", "-o", str(bag), *qos(), "--topics", "/gaussians", "/tf"],
+        )
+        node = robot.node
+        robot.place(stamp=node.get_clock().now().to_msg())
+        robot.spin_until(lambda: all(map(node.count_subscribers, ("/gaussians", "/tf"))))
+        begin = node.get_clock().now().nanoseconds
+        edits = [
+            (BLUE_COMES, lambda: robot.map.upsert(range(1, 2), disc((0, 0, 1), y=0.5, sigma=0.2))),
+            (RED_GOES, lambda: robot.map.delete(range(1))),
+        ]
+        while (seconds := (node.get_clock().now().nanoseconds - begin) / 1e9) < END:
+            robot.place(x=way(seconds), stamp=node.get_clock().now().to_msg())
+            while edits and seconds > edits[0][0]:
+                edits.pop(0)[1]()
+            time.sleep(0.02)
+    return begin
+
+
+def seen(picture: np.ndarray) -> tuple[bool, bool]:
+    """Whether the red disc is there, and the blue one."""
+    return red(picture).sum() > 300, blue(picture).sum() > 300
+
+
+def test_a_bag_is_played_paused_looped_and_sought_in(tmp_path: Path, world: World) -> None:
+    from builtin_interfaces.msg import Time
+    from rosbag2_interfaces.srv import Pause, Resume, Seek
+
+    robot = World(frame=world.frame)
+    begin = record(robot, tmp_path / "bag")
+    robot.close()
+
+    def command(kind: type, name: str, **request: object) -> None:
+        client = world.node.create_client(kind, f"/rosbag2_player/{name}")
+        world.spin_until(client.service_is_ready)
+        answer = client.call_async(kind.Request(**request))
+        world.spin_until(answer.done)
+
+    rviz = Rviz(tmp_path, *SIMULATED_TIME, config=configuration(map_display()))
+    try:
+        rviz.processes.node("rosplat_sorter", "sorter", *SIMULATED_TIME)
+        play = ["ros2", "bag", "play", str(tmp_path / "bag"), *qos()]
+        rviz.processes.start(
+            "player", [*play, "--clock", "50", "--loop", "--disable-keyboard-controls"]
+        )
+        for _ in range(2):
+            rviz.until(lambda s: seen(s) == (True, False))
+            rviz.until(lambda s: seen(s) == (True, True))
+            rviz.until(lambda s: seen(s) == (False, True))
+        rviz.until_status("Map", "Map", "Ok", "1 splats")
+        rviz.until_status("Map", "Order", "Ok", "sidecar")
+
+        rviz.until(lambda s: seen(s) == (True, True))
+        command(Pause, "pause")
+        time.sleep(0.5)
+        before = rviz.picture()
+        time.sleep(1.5)
+        np.testing.assert_array_equal(rviz.picture(), before)
+        rviz.until_status("Map", "Transform", "Ok")
+        command(Resume, "resume")
+
+        rviz.until(lambda s: seen(s) == (False, True))
+        to = begin + 10**9
+        command(Seek, "seek", time=Time(sec=to // 10**9, nanosec=to % 10**9))
+        # From the middle, what was before is not played: the map lacks it until it begins again.
+        rviz.until(lambda s: seen(s)[1] and centre(blue(s))[1] < s.shape[1] / 2 - 20)
+        rviz.until_status("Map", "Map", "Warn", "missing")
+        rviz.until(lambda s: seen(s) == (True, False))
+        rviz.until_status("Map", "Map", "Ok", "1 splats")
+        rviz.until_status("Map", "Transform", "Ok")
+    finally:
+        rviz.close()
