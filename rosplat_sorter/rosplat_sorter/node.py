@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 
 import rclpy
@@ -120,6 +121,8 @@ def _unknown(backend: str) -> str:
 
 def main() -> None:
     """Runs the node until it is told to end."""
+    # ROS's own handlers end it: a KeyboardInterrupt could come in the middle of an import.
+    signal.signal(signal.SIGINT, lambda *_: None)
     try:
         rclpy.init()
         node = SorterNode()
@@ -127,7 +130,7 @@ def main() -> None:
             rclpy.spin(node)
         finally:
             node.destroy_node()
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     except Exception:
         if rclpy.ok():  # else it was told to end while it began
