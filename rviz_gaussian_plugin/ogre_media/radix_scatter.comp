@@ -2,6 +2,8 @@
 // find those with the same digit by ballots, one for each bit (Ashkiani et al. 2016). A block is
 // put in order in shared memory first, so that what is next to each other is written together.
 
+#pragma optionNV(unroll all)  // or NVIDIA's compiler keeps arrays in memory instead of registers
+
 layout(local_size_x = 256) in;
 layout(std430, binding = 0) readonly buffer Keys { uint keys[]; };
 layout(std430, binding = 1) readonly buffer Values { uint values[]; };
@@ -21,24 +23,23 @@ shared uint turns[kWarps][256];  // of each digit: within a warp's keys, then wi
 shared uint block_order[kBlock];
 shared uint block_start[256];    // a digit's first place among all keys, less that in the block
 
+// How many of a warp's keys so far, and of the lanes before, have this digit too.
 #ifdef SUBGROUPS
-void agree() { subgroupMemoryBarrierShared(); subgroupBarrier(); }
-
-uint peers(uint warp, uint lane, uint digit, bool valid) {
+uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
   uint same = subgroupBallot(valid).x;
   for (uint bit = 0u; bit < 8u; ++bit) {
     bool set = (digit >> bit & 1u) != 0u;
     uint votes = subgroupBallot(set).x;
     same &= set ? votes : ~votes;
   }
-  return same;
+  uint earlier = uint(bitCount(same & ((1u << lane) - 1u))), turn = 0u;
+  if (valid && earlier == 0u) turn = atomicAdd(turns[warp][digit], uint(bitCount(same)));
+  return subgroupShuffle(turn, uint(findLSB(same)) & 31u) + earlier;
 }
 #else
 shared uint votes[kWarps][9];
 
-void agree() { barrier(); }
-
-uint peers(uint warp, uint lane, uint digit, bool valid) {
+uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
   if (lane < 9u) votes[warp][lane] = 0u;
   barrier();
   if (valid) {
@@ -52,7 +53,11 @@ uint peers(uint warp, uint lane, uint digit, bool valid) {
   for (uint bit = 0u; bit < 8u; ++bit) {
     same &= (digit >> bit & 1u) != 0u ? votes[warp][bit] : ~votes[warp][bit];
   }
-  return same;
+  uint earlier = uint(bitCount(same & ((1u << lane) - 1u))), turn = turns[warp][digit] + earlier;
+  barrier();
+  if (valid && earlier == 0u) turns[warp][digit] += uint(bitCount(same));
+  barrier();
+  return turn;
 }
 #endif
 
@@ -71,13 +76,7 @@ void main() {
     uint i = first + 32u * k;
     bool valid = i < count;
     key[k] = valid ? keys[i] : 0u;
-    uint digit = digitOf(key[k]);
-    uint same = peers(warp, lane, digit, valid);
-    uint earlier = uint(bitCount(same & ((1u << lane) - 1u)));
-    place[k] = turns[warp][digit] + earlier;
-    agree();
-    if (valid && earlier == 0u) turns[warp][digit] += uint(bitCount(same));
-    agree();
+    place[k] = takeTurn(warp, lane, digitOf(key[k]), valid);
   }
   barrier();
   uint here = 0u, all;

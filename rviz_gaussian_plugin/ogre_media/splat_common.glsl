@@ -48,20 +48,23 @@ struct Ellipse {
   float opacity;  // 0: not to be drawn
 };
 
-void packEllipse(Ellipse e, out uvec4 words[2]) {
-  words[0] = uvec4(floatBitsToUint(vec3(e.centre, e.depth)), packHalf2x16(e.colour.rg));
-  words[1] = uvec4(floatBitsToUint(vec3(e.major, e.minor)),
-                   packHalf2x16(vec2(e.colour.b, 0.0)) | packUnorm2x16(vec2(0.0, e.opacity)));
+struct PackedEllipse { uvec4 a, b; };
+
+PackedEllipse packEllipse(Ellipse e) {
+  return PackedEllipse(
+      uvec4(floatBitsToUint(vec3(e.centre, e.depth)), packHalf2x16(e.colour.rg)),
+      uvec4(floatBitsToUint(vec3(e.major, e.minor)),
+            packHalf2x16(vec2(e.colour.b, 0.0)) | packUnorm2x16(vec2(0.0, e.opacity))));
 }
 
-Ellipse unpackEllipse(uvec4 a, uvec4 b) {
+Ellipse unpackEllipse(PackedEllipse p) {
   Ellipse e;
-  e.centre = uintBitsToFloat(a.xy);
-  e.depth = uintBitsToFloat(a.z);
-  e.major = uintBitsToFloat(b.xy);
-  e.minor = uintBitsToFloat(b.z);
-  e.colour = vec3(unpackHalf2x16(a.w), unpackHalf2x16(b.w).x);
-  e.opacity = unpackUnorm2x16(b.w).y;
+  e.centre = uintBitsToFloat(p.a.xy);
+  e.depth = uintBitsToFloat(p.a.z);
+  e.major = uintBitsToFloat(p.b.xy);
+  e.minor = uintBitsToFloat(p.b.z);
+  e.colour = vec3(unpackHalf2x16(p.a.w), unpackHalf2x16(p.b.w).x);
+  e.opacity = unpackUnorm2x16(p.b.w).y;
   return e;
 }
 

@@ -12,13 +12,9 @@ uniform uint part_size;  // ellipses in a part
     case 2u: DO(2 % PARTS);      \
     default: DO(PARTS - 1);      \
   }
-#define READ(PART) return unpackEllipse(ellipses[PART].data[k], ellipses[PART].data[k + 1u])
-#define WRITE(PART) ellipses[PART].data[k] = words[0]; ellipses[PART].data[k + 1u] = words[1]; break
+#define READ(PART) return unpackEllipse(PackedEllipse(ellipses[PART].data[k], ellipses[PART].data[k + 1u]))
+#define WRITE(PART) ellipses[PART].data[k] = e.a; ellipses[PART].data[k + 1u] = e.b; break
 
 Ellipse ellipse(uint i) { IN_ITS_PART(READ) }
 
-void keep(uint i, Ellipse e) {
-  uvec4 words[2];
-  packEllipse(e, words);
-  IN_ITS_PART(WRITE)
-}
+void keep(uint i, PackedEllipse e) { IN_ITS_PART(WRITE) }

@@ -9,6 +9,7 @@ layout(std430, binding = 8) readonly buffer Band2 { uint band2[]; };
 layout(std430, binding = 9) readonly buffer Band3 { uint band3[]; };
 // What the visible splats are sorted by: grows with their depth.
 layout(std430, binding = 10) writeonly buffer Keys { uint keys[]; };
+layout(std430, binding = 12) writeonly buffer Boxes { uint boxes[]; };  // boxOf() the splats
 layout(std430, binding = 11) buffer DepthRange { uint nearest, farthest; };  // keys drawn
 
 uniform uint first_slot;  // of this page
@@ -166,7 +167,8 @@ uint projected(uint slot) {
   Ellipse e = project(slot, mean, p);
   uint index = visibleIndex(first_slot + slot);
   if (index >= room) return kNone;
-  keep(index, e);
+  keep(index, packEllipse(e));
+  boxes[index] = e.opacity > 0.0 ? boxOf(outlineOf(e)) : 0u;
   uint key = e.opacity > 0.0 ? depthKey(p.z) : kNone;
   keys[index] = key;
   return key;

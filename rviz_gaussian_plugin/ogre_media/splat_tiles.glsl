@@ -46,3 +46,23 @@ ivec2 tileColumns(Outline o, int row) {
   float top = float(kTile * row) + 0.5;
   return cellsIn(across(o, top, top + float(kTile - 1)), float(kTile), tiles.x);
 }
+
+// The rectangle of tiles around a splat in a word, 0 where there are none: its first column, its
+// first row, its width, its height. Not all pictures and splats fit: those have kLargeBox.
+const uint kLargeBox = kNone;
+
+uint boxOf(Outline o) {
+  ivec2 rows = tileRows(o);
+  ivec2 columns = cellsIn(o.centre.x + vec2(-o.reach.x, o.reach.x), float(kTile), tiles.x);
+  ivec2 size = ivec2(columns.y - columns.x, rows.y - rows.x);
+  if (size.x == 0 || size.y == 0) return 0u;
+  if (any(greaterThan(ivec4(size, columns.x, rows.x), ivec4(62, 62, 1023, 1023)))) return kLargeBox;
+  return uint(columns.x | rows.x << 10 | size.x << 20 | size.y << 26);
+}
+
+ivec2 boxColumns(uint box) { return int(box & 1023u) + ivec2(0, int(box >> 20 & 63u)); }
+
+ivec2 boxRows(uint box) { return int(box >> 10 & 1023u) + ivec2(0, int(box >> 26)); }
+
+// A splat touches all tiles of a box of one row or one column.
+bool fillsItsBox(uint box) { return (box >> 20 & 63u) == 1u || box >> 26 == 1u; }

@@ -7,6 +7,7 @@ layout(std430, binding = 6) readonly buffer Length { Tally drawn_tally; };
 layout(std430, binding = 7) readonly buffer Listed { Tally listed; };
 layout(std430, binding = 8) writeonly buffer Tiles { uint tile_of[]; };
 layout(std430, binding = 9) writeonly buffer Splats { uint splat_of[]; };
+layout(std430, binding = 10) readonly buffer Boxes { uint boxes[]; };
 
 // Splats on more tiles than this are listed by 32 lanes.
 const uint kLarge = 32u;
@@ -14,16 +15,18 @@ shared uint large_count;
 shared uint large[256];
 
 void list(uint i, uint lane, uint lanes) {
-  Outline outline = outlineOf(ellipse(drawn[i]));
-  ivec2 rows = tileRows(outline);
-  uint next = firsts[i];
+  uint splat = drawn[i], box = boxes[splat], next = firsts[i];
+  bool filled = fillsItsBox(box);
+  Outline outline;
+  if (!filled) outline = outlineOf(ellipse(splat));
+  ivec2 rows = filled ? boxRows(box) : tileRows(outline);
   for (int row = rows.x; row < rows.y; ++row) {
-    ivec2 columns = tileColumns(outline, row);
+    ivec2 columns = filled ? boxColumns(box) : tileColumns(outline, row);
     uint width = uint(columns.y - columns.x);
     for (uint k = lane; k < width; k += lanes) {
       if (next + k >= listed.count) return;
       tile_of[next + k] = uint(row * tiles.x + columns.x) + k;
-      splat_of[next + k] = drawn[i];
+      splat_of[next + k] = splat;
     }
     next += width;
   }

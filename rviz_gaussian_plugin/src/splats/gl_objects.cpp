@@ -1,6 +1,5 @@
 #include "gl_objects.hpp"
 
-#include <algorithm>
 #include <array>
 #include <functional>
 #include <map>
@@ -53,41 +52,41 @@ void Buffer::zero() {
   glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
 }
 
-Readback::Readback() {
-  constexpr GLsizeiptr kBytes = kMost * sizeof(GLuint);
+void Slice::write(const void* data) const {
+  glBindBuffer(GL_COPY_WRITE_BUFFER, buffer);
+  glBufferSubData(GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
+                  static_cast<GLsizeiptr>(bytes), data);
+}
+
+Readback::Readback(std::size_t words) {
+  const auto bytes = static_cast<GLsizeiptr>(words * sizeof(GLuint));
   constexpr GLbitfield kAccess = GL_MAP_READ_BIT | GL_MAP_PERSISTENT_BIT | GL_MAP_COHERENT_BIT;
-  glGenBuffers(1, &words_);
-  glBindBuffer(GL_COPY_WRITE_BUFFER, words_);
-  glBufferStorage(GL_COPY_WRITE_BUFFER, kBytes, nullptr, kAccess);
-  mapped_ = static_cast<const GLuint*>(glMapBufferRange(GL_COPY_WRITE_BUFFER, 0, kBytes, kAccess));
+  glGenBuffers(1, &copy_);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, copy_);
+  glBufferStorage(GL_COPY_WRITE_BUFFER, bytes, nullptr, kAccess);
+  mapped_ = static_cast<const GLuint*>(glMapBufferRange(GL_COPY_WRITE_BUFFER, 0, bytes, kAccess));
   if (!mapped_) throw Error("the graphics driver maps no buffers");
 }
 
 Readback::~Readback() {
   if (copied_) glDeleteSync(copied_);
-  glDeleteBuffers(1, &words_);
+  glDeleteBuffers(1, &copy_);
 }
 
-void Readback::ask(std::initializer_list<Word> words) {
-  GLintptr target = 0;
-  glBindBuffer(GL_COPY_WRITE_BUFFER, words_);
-  for (const Word& word : words) {
-    glBindBuffer(GL_COPY_READ_BUFFER, word.buffer.id());
-    glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER,
-                        static_cast<GLintptr>(word.index * sizeof(GLuint)), target, sizeof(GLuint));
-    target += sizeof(GLuint);
-  }
+void Readback::ask(const Buffer& buffer) {
+  glBindBuffer(GL_COPY_READ_BUFFER, buffer.id());
+  glBindBuffer(GL_COPY_WRITE_BUFFER, copy_);
+  glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, 0, 0,
+                      static_cast<GLsizeiptr>(buffer.bytes()));
   if (copied_) glDeleteSync(copied_);
   copied_ = glFenceSync(GL_SYNC_GPU_COMMANDS_COMPLETE, 0);
 }
 
-std::array<GLuint, Readback::kMost> Readback::wait() {
+const GLuint* Readback::wait() const {
   constexpr GLuint64 kSecond = 1'000'000'000;
   while (glClientWaitSync(copied_, GL_SYNC_FLUSH_COMMANDS_BIT, kSecond) == GL_TIMEOUT_EXPIRED) {
   }
-  std::array<GLuint, kMost> words;
-  std::copy_n(mapped_, kMost, words.begin());
-  return words;
+  return mapped_;
 }
 
 namespace {
@@ -314,9 +313,9 @@ std::string unsupported() {
   }
   GLint compute_buffers = 0;
   glGetIntegerv(GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS, &compute_buffers);
-  if (compute_buffers < 12) {
+  if (compute_buffers < 13) {
     return "the graphics driver gives a compute shader " + std::to_string(compute_buffers) +
-           " storage buffers, 12 are needed" + driver;
+           " storage buffers, 13 are needed" + driver;
   }
   return {};
 }

@@ -2,9 +2,7 @@
 
 #include <epoxy/gl.h>
 
-#include <array>
 #include <cstddef>
-#include <initializer_list>
 #include <map>
 #include <stdexcept>
 #include <string>
@@ -46,27 +44,36 @@ class Buffer {
   std::size_t bytes_ = 0;
 };
 
-// Copies of words in other buffers, which the CPU waits for while the graphics card goes on.
+// A part of a buffer for a shader to bind.
+struct Slice {
+  static constexpr std::size_t kAlignment = 256;  // of where it begins, for every driver
+
+  GLuint buffer = 0;
+  std::size_t offset = 0, bytes = 0;
+
+  void bind(GLuint storage_binding) const {
+    glBindBufferRange(GL_SHADER_STORAGE_BUFFER, storage_binding, buffer,
+                      static_cast<GLintptr>(offset), static_cast<GLsizeiptr>(bytes));
+  }
+  void write(const void* data) const;
+};
+
+// A copy of a small buffer, which the CPU waits for while the graphics card goes on.
 class Readback {
  public:
-  static constexpr std::size_t kMost = 4;
-  struct Word {
-    const Buffer& buffer;
-    std::size_t index;
-  };
-
-  Readback();
+  // Of a buffer of so many words.
+  explicit Readback(std::size_t words);
   ~Readback();
   Readback(const Readback&) = delete;
   Readback& operator=(const Readback&) = delete;
 
-  // Asks for at most kMost words, as they are between what was submitted and what comes next.
-  void ask(std::initializer_list<Word> words);
-  // Waits for what was asked for last.
-  std::array<GLuint, kMost> wait();
+  // Asks for the buffer as it is between what was submitted and what comes next.
+  void ask(const Buffer& buffer);
+  // Waits for what was asked for last: its words.
+  const GLuint* wait() const;
 
  private:
-  GLuint words_ = 0;
+  GLuint copy_ = 0;
   const GLuint* mapped_ = nullptr;
   GLsync copied_ = nullptr;
 };

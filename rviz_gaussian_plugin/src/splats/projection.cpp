@@ -21,13 +21,15 @@ void setView(const gl::Program& program, const rosplat_sorter::View& view) {
 
 }  // namespace
 
-Projection::Projection(const Shaders& shaders)
+Projection::Projection(const Shaders& shaders, const Tallies& tallies)
     : cull_(shaders.compute({"splat_slot.glsl", "splat_visible.glsl", "splat_cull.comp"})),
-      project_(shaders.compute(
-          {"splat_slot.glsl", "splat_visible.glsl", "splat_ellipses.glsl", "splat_project.comp"})),
+      project_(shaders.compute({"splat_slot.glsl", "splat_visible.glsl", "splat_ellipses.glsl",
+                                "splat_tiles.glsl", "splat_project.comp"})),
       prefix_sum_(shaders),
       part_size_(shaders.partSize()),
-      depth_range_(2 * sizeof(GLuint), GL_DYNAMIC_COPY) {}
+      words_(tallies.of(Tallies::kSlotWords)),
+      visible_count_(tallies.of(Tallies::kVisible)),
+      depth_range_(tallies.of(Tallies::kDepthRange)) {}
 
 void Projection::reserve(std::size_t count) {
   if (count <= room_) return;
@@ -40,13 +42,14 @@ void Projection::reserve(std::size_t count) {
     ellipses_[part].reserve(std::min(part_size_, count - part * part_size_) *
                             Shaders::kEllipseBytes);
   }
+  boxes_.reserve(count * sizeof(GLuint));
   room_ = count;
 }
 
 void Projection::run(const SlotStore& store, const SplatCamera& camera, const MapState& map,
                      const RenderSettings& settings, double now, const gl::Buffer& keys) {
-  const std::array<GLuint, 2> no_range{~0u, 0u};
-  depth_range_.write(0, no_range.data(), sizeof(no_range));
+  const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> no_range{~0u};
+  depth_range_.write(no_range.data());
   if (store.pages().empty()) {
     visible_count_.set(0);
     return;
@@ -137,11 +140,13 @@ void Projection::project(const SlotStore& store, const SplatCamera& camera, cons
   project_.set("least_worth", settings.least_worth);
   project_.set("now", static_cast<float>(now));
   project_.set("age_range", settings.age_range);
+  glUniform2i(project_.at("tiles"), tilesIn(camera.width), tilesIn(camera.height));
   project_.set("room", static_cast<GLuint>(room_));
   bindEllipses(project_);
   bindVisible();
   keys.bind(10);
   depth_range_.bind(11);
+  boxes_.bind(12);
   for (const auto& [first, page] : store.pages()) {
     const std::size_t count = std::min(SlotStore::kPageSlots, store.capacity() - first);
     page.slots.bind(4);
@@ -170,7 +175,7 @@ void Projection::bindVisible() const {
 }
 
 std::size_t Projection::bytes() const {
-  std::size_t bytes = visible_.bytes() + before_.bytes() + prefix_sum_.bytes();
+  std::size_t bytes = visible_.bytes() + before_.bytes() + boxes_.bytes() + prefix_sum_.bytes();
   for (const gl::Buffer& part : ellipses_) bytes += part.bytes();
   return bytes;
 }

@@ -18,7 +18,7 @@ namespace rosplat {
 // how many; of more than there is room for, the last are left out.
 class Projection {
  public:
-  explicit Projection(const Shaders& shaders);
+  Projection(const Shaders& shaders, const Tallies& tallies);
 
   // Makes room for so many visible splats. Throws gl::Error where the driver has none.
   void reserve(std::size_t count);
@@ -32,7 +32,8 @@ class Projection {
   void bindEllipses(const gl::Program& program) const;  // storage bindings 0 to 3
   void bindVisible() const;                             // storage bindings 5 and 6
   // The least and the largest key drawn, depthKey() of their depths.
-  const gl::Buffer& depthRange() const { return depth_range_; }
+  const gl::Slice& depthRange() const { return depth_range_; }
+  const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
   std::size_t bytes() const;
 
  private:
@@ -47,7 +48,8 @@ class Projection {
   gl::Buffer visible_, before_;
   Tally words_, visible_count_;
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
-  gl::Buffer depth_range_;
+  gl::Buffer boxes_;
+  gl::Slice depth_range_;
   std::size_t room_ = 0;
 };
 

@@ -35,7 +35,7 @@ void RadixSort::reserve(std::size_t count) {
   counts_.reserve((blocks(count) + 1) * kDigits * sizeof(GLuint));
 }
 
-void RadixSort::pass(const Tally& count, const gl::Buffer& least, int shift, bool first, bool last,
+void RadixSort::pass(const Tally& count, const gl::Slice& least, int shift, bool first, bool last,
                      const gl::Buffer& sorted_values) {
   keys_.bind(0);
   values_.bind(1);
@@ -61,7 +61,7 @@ void RadixSort::pass(const Tally& count, const gl::Buffer& least, int shift, boo
   gl::storageBarrier();
 }
 
-void RadixSort::sort(const Tally& count, const gl::Buffer& least, int bits) {
+void RadixSort::sort(const Tally& count, const gl::Slice& least, int bits) {
   for (int shift = 0; shift < bits; shift += kDigitBits) {
     pass(count, least, shift, false, false, next_values_);
     std::swap(keys_, next_keys_);
@@ -69,7 +69,7 @@ void RadixSort::sort(const Tally& count, const gl::Buffer& least, int bits) {
   }
 }
 
-void RadixSort::order(const Tally& count, const gl::Buffer& least, int bits,
+void RadixSort::order(const Tally& count, const gl::Slice& least, int bits,
                       const gl::Buffer& places) {
   for (int shift = 0; shift < bits; shift += kDigitBits) {
     const bool last = shift + kDigitBits >= bits;

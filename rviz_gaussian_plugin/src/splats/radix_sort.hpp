@@ -49,17 +49,17 @@ class RadixSort {
   const gl::Buffer& spare() const { return next_values_; }
 
   // Sorts by the lowest `bits` bits of the keys' distances from the first word of `least`.
-  void sort(const Tally& count, const gl::Buffer& least, int bits);
+  void sort(const Tally& count, const gl::Slice& least, int bits);
   // Writes where the keys were before, in their new order, to another buffer; keys and values are
   // used up.
-  void order(const Tally& count, const gl::Buffer& least, int bits, const gl::Buffer& places);
+  void order(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& places);
 
   std::size_t bytes() const;
 
   static constexpr int kDigitBits = 8;
 
  private:
-  void pass(const Tally& count, const gl::Buffer& least, int shift, bool first, bool last,
+  void pass(const Tally& count, const gl::Slice& least, int shift, bool first, bool last,
             const gl::Buffer& sorted_values);
 
   gl::Program count_, sum_, scatter_;

@@ -11,12 +11,13 @@ namespace {
 // Lanes of 32 that vote together; what asks for it falls back on shared memory.
 bool hasSubgroupsOf32() {
   if (!epoxy_has_gl_extension("GL_KHR_shader_subgroup")) return false;
+  constexpr GLint kNeeded =
+      GL_SUBGROUP_FEATURE_BALLOT_BIT_KHR | GL_SUBGROUP_FEATURE_SHUFFLE_BIT_KHR;
   GLint size = 0, features = 0, stages = 0;
   glGetIntegerv(GL_SUBGROUP_SIZE_KHR, &size);
   glGetIntegerv(GL_SUBGROUP_SUPPORTED_FEATURES_KHR, &features);
   glGetIntegerv(GL_SUBGROUP_SUPPORTED_STAGES_KHR, &stages);
-  return size == 32 && (features & GL_SUBGROUP_FEATURE_BALLOT_BIT_KHR) &&
-         (stages & GL_COMPUTE_SHADER_BIT);
+  return size == 32 && (features & kNeeded) == kNeeded && (stages & GL_COMPUTE_SHADER_BIT);
 }
 
 }  // namespace
@@ -35,7 +36,8 @@ void Shaders::attach(gl::Program& program, GLenum stage, Files files) const {
     if (subgroups_) {
       text.insert(text.find('\n') + 1,
                   "#extension GL_KHR_shader_subgroup_basic : require\n"
-                  "#extension GL_KHR_shader_subgroup_ballot : require\n#define SUBGROUPS\n");
+                  "#extension GL_KHR_shader_subgroup_ballot : require\n"
+                  "#extension GL_KHR_shader_subgroup_shuffle : require\n#define SUBGROUPS\n");
     }
   }
   text += source_("splat_common.glsl");

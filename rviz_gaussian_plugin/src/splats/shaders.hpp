@@ -8,6 +8,9 @@
 
 namespace rosplat {
 
+// Tiles of splat_tiles.glsl that cover so many pixels.
+constexpr int tilesIn(int pixels) { return (pixels + 15) / 16; }
+
 // Reads a shader's source by file name.
 using ShaderSource = std::function<std::string(const std::string& name)>;
 

@@ -12,16 +12,20 @@ namespace {
 constexpr std::size_t kLeastRoom = 65536;  // for visible splats
 constexpr int kPatience = 16;              // frames until fewer bits are sorted
 
-void clearDepth() {
-  const GLfloat farthest = 1.0f;
-  glDepthMask(GL_TRUE);
-  glClearBufferfv(GL_DEPTH, 0, &farthest);
-}
-
 // The opaque scene's depth at (x, y) of a framebuffer into the bound one, resolved to one sample a
-// pixel. A framebuffer without depth hides nothing.
-void copyDepth(GLuint source, GLint x, GLint y, const gl::Target& target) {
+// pixel. Where there is no scene or no depth, nothing is hidden.
+void copyDepth(Canvas canvas, GLuint source, GLint x, GLint y, const gl::Target& target) {
   glBindFramebuffer(GL_READ_FRAMEBUFFER, source);
+  GLint kind = GL_NONE;
+  glGetFramebufferAttachmentParameteriv(GL_READ_FRAMEBUFFER,
+                                        source == 0 ? GL_DEPTH : GL_DEPTH_ATTACHMENT,
+                                        GL_FRAMEBUFFER_ATTACHMENT_OBJECT_TYPE, &kind);
+  if (canvas == Canvas::kNone || kind == GL_NONE) {
+    const GLfloat farthest = 1.0f;
+    glDepthMask(GL_TRUE);
+    glClearBufferfv(GL_DEPTH, 0, &farthest);
+    return;
+  }
   glBlitFramebuffer(x, y, x + target.width(), y + target.height(), 0, 0, target.width(),
                     target.height(), GL_DEPTH_BUFFER_BIT, GL_NEAREST);
 }
@@ -45,10 +49,10 @@ const ShaderSource& checked(const ShaderSource& source) {
 SplatRenderer::SplatRenderer(const ShaderSource& source)
     : accelerated_(isAccelerated()),
       shaders_(checked(source)),
-      projection_(shaders_),
+      projection_(shaders_, tallies_),
       order_program_(shaders_.compute({"splat_visible.glsl", "splat_order.comp"})),
       sort_(shaders_),
-      tiles_(shaders_, sort_),
+      tiles_(shaders_, sort_, tallies_),
       quads_(shaders_.draw({"splat_ellipses.glsl", "splat_depth.glsl", "splat_quad.vert"},
                            {"splat_quad.frag"})),
       composite_(shaders_.draw({"splat_composite.vert"}, {"splat_composite.frag"})),
@@ -124,7 +128,7 @@ void SplatRenderer::prepareAndCheck(const SplatCamera& camera, const MapState& m
   bool in_tiles = false, unknown = false;
   do {
     unknown = prepare(camera, map, settings, stopwatch);
-    if (unknown) askForCounts();
+    if (unknown) tallies_.ask();
   } while (unknown && !checkRoom(map, in_tiles));
   prepared_ = Prepared{camera, settings, map.origin, map.antialiased};
 }
@@ -146,15 +150,11 @@ void SplatRenderer::putInOrder() {
   gl::storageBarrier();
 }
 
-void SplatRenderer::askForCounts() {
-  counts_.ask({{projection_.visible().words(), Tally::kWanted},
-               {tiles_.pairs().words(), Tally::kWanted},
-               {projection_.depthRange(), 0},
-               {projection_.depthRange(), 1}});
-}
-
 bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
-  const auto [visible, pairs, nearest, farthest] = counts_.wait();
+  const GLuint visible = tallies_.wait(Tallies::kVisible, Tally::kWanted),
+               pairs = tallies_.wait(Tallies::kPairs, Tally::kWanted),
+               nearest = tallies_.wait(Tallies::kDepthRange, 0),
+               farthest = tallies_.wait(Tallies::kDepthRange, 1);
   drawn_count_ = order_.given ? order_.count : visible;
   // What is still to come will be as visible as what is there.
   const double growth = std::max(1.0, double(map.expected) / std::max(1u, store_.capacity()));
@@ -231,9 +231,9 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
   const bool floats = settings.float_blending.value_or(!accelerated_);
   setTarget(color_, floats ? GL_RGBA32F : GL_RGBA16F, camera, settings, canvas);
   bool unknown = prepare(camera, map, settings, stopwatch);
+  glFlush();  // the graphics card begins while the rest is submitted
   const gl::DrawScope scope(color_);
-  clearDepth();
-  if (canvas != Canvas::kNone) copyDepth(guard.drawFramebuffer(), x, y, color_);
+  copyDepth(canvas, guard.drawFramebuffer(), x, y, color_);
   bool in_tiles = settings.rasterizer == Rasterizer::kTiles ||
                   (settings.rasterizer == Rasterizer::kAuto && accelerated_);
   while (true) {
@@ -241,13 +241,13 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
       if (!tiles_.listed(color_)) {
         const std::size_t most = order_.given ? order_.count : projection_.room();
         tiles_.list(projection_, drawn_, drawnTally(), most, color_, stopwatch,
-                    [this] { askForCounts(); });
+                    [this] { tallies_.ask(); });
         unknown = true;
       }
       tiles_.blend(projection_, color_, raster_);
       stopwatch.lap("blend");
     } else {
-      if (unknown) askForCounts();
+      if (unknown) tallies_.ask();
       drawQuads(color_, false);
       stopwatch.lap("quads");
     }
@@ -276,8 +276,7 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
   setTarget(surface_depth_, GL_RGBA32F, camera, settings, canvas);
   prepareAndCheck(camera, map, settings);
   const gl::DrawScope scope(surface_depth_);
-  clearDepth();
-  copyDepth(guard.drawFramebuffer(), x, y, surface_depth_);
+  copyDepth(canvas, guard.drawFramebuffer(), x, y, surface_depth_);
   drawQuads(surface_depth_, true);
   glDisable(GL_BLEND);
   surface_.use();
@@ -294,8 +293,7 @@ void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
   setTarget(pick_depth_, GL_RGBA16F, camera, settings, canvas);
   prepareAndCheck(camera, map, settings);
   const gl::DrawScope scope(pick_depth_);
-  clearDepth();
-  if (canvas != Canvas::kNone) copyDepth(guard.drawFramebuffer(), x, y, pick_depth_);
+  copyDepth(canvas, guard.drawFramebuffer(), x, y, pick_depth_);
 
   const int width = pick_depth_.width(), height = pick_depth_.height();
   picked_.reserve(sizeof(std::uint32_t) * std::size_t(width) * std::size_t(height));

@@ -84,6 +84,8 @@ class SplatRenderer {
 
  private:
   struct Order {
+    explicit Order(const Tallies& tallies) : tally(tallies.of(Tallies::kOrder)) {}
+
     bool given = false;
     gl::Buffer slots;  // farthest first
     std::size_t count = 0;
@@ -107,8 +109,6 @@ class SplatRenderer {
   // The same, and sees to it that there is room for all.
   void prepareAndCheck(const SplatCamera& camera, const MapState& map,
                        const RenderSettings& settings);
-  // Submits copies of what is counted so far; checkRoom() waits for them.
-  void askForCounts();
   // Whether there was room for all that prepare() and, in_tiles, its lists were to hold; else makes
   // it, or gives up tiles, and all has to be submitted again.
   bool checkRoom(const MapState& map, bool& in_tiles);
@@ -122,19 +122,19 @@ class SplatRenderer {
   bool accelerated_;
   Shaders shaders_;
   SlotStore store_;
+  Tallies tallies_;
   Projection projection_;
   gl::Program order_program_;
   RadixSort sort_;
   TileRasterizer tiles_;
   gl::Program quads_, composite_, surface_, pick_, pick_colour_;
 
-  Order order_;
+  Order order_{tallies_};
   std::optional<Prepared> prepared_;
   gl::Buffer drawn_;  // indices of ellipses, nearest first
   std::size_t drawn_count_ = 0;
   int key_bits_ = 32;       // by which depths are sorted
   int fewer_bits_for_ = 0;  // frames for which fewer would have done
-  gl::Readback counts_;
   gl::Target color_, depth_, surface_depth_, pick_depth_;
   gl::Buffer picked_;  // slots, of pick_depth_'s pixels
   Raster raster_;      // of what was drawn last

@@ -8,17 +8,15 @@ namespace rosplat {
 namespace {
 
 constexpr std::size_t kGroups = 2, kBlocks = 5, kQuads = 8;  // words
-constexpr std::size_t kUnknown = ~std::size_t{0};
 
 GLuint ceilDiv(std::size_t a, std::size_t b) { return static_cast<GLuint>((a + b - 1) / b); }
 
 }  // namespace
 
-Tally::Tally() : words_(kBytes, GL_DYNAMIC_COPY), known_(kUnknown) { set(0); }
-
 void Tally::set(std::size_t count) {
-  if (known_ == count) return;
-  known_ = count;
+  if (known_ && count_ == count) return;
+  known_ = true;
+  count_ = count;
   const auto n = static_cast<GLuint>(count);
   const GLuint groups = ceilDiv(count, 256), blocks = std::max(ceilDiv(count, kBlock), 1u);
   const GLuint group_rows = std::max(ceilDiv(groups, 65535), 1u);
@@ -27,14 +25,15 @@ void Tally::set(std::size_t count) {
                                      group_rows, 1, ceilDiv(blocks, block_rows),
                                      block_rows, 1, 4,
                                      n,          0, 0};
-  words_.write(0, words.data(), sizeof(words));
+  static_assert(sizeof(words) == kBytes);
+  words_.write(words.data());
 }
 
-void Tally::forget() { known_ = kUnknown; }
+void Tally::forget() { known_ = false; }
 
 void Tally::dispatch(std::size_t word) const {
-  glBindBuffer(GL_DISPATCH_INDIRECT_BUFFER, words_.id());
-  glDispatchComputeIndirect(static_cast<GLintptr>(word * sizeof(GLuint)));
+  glBindBuffer(GL_DISPATCH_INDIRECT_BUFFER, words_.buffer);
+  glDispatchComputeIndirect(static_cast<GLintptr>(words_.offset + word * sizeof(GLuint)));
 }
 
 void Tally::dispatchGroups() const { dispatch(kGroups); }
@@ -42,9 +41,9 @@ void Tally::dispatchGroups() const { dispatch(kGroups); }
 void Tally::dispatchBlocks() const { dispatch(kBlocks); }
 
 void Tally::drawQuads() const {
-  glBindBuffer(GL_DRAW_INDIRECT_BUFFER, words_.id());
+  glBindBuffer(GL_DRAW_INDIRECT_BUFFER, words_.buffer);
   glDrawArraysIndirect(GL_TRIANGLE_STRIP,
-                       reinterpret_cast<const void*>(kQuads * sizeof(GLuint)));  // an offset
+                       reinterpret_cast<const void*>(words_.offset + kQuads * sizeof(GLuint)));
   glBindBuffer(GL_DRAW_INDIRECT_BUFFER, 0);
 }
 

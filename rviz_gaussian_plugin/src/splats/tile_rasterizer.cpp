@@ -1,18 +1,16 @@
 #include "tile_rasterizer.hpp"
 
 #include <algorithm>
+#include <array>
 
 namespace rosplat {
 
 namespace {
 
-constexpr int kTile = 16;  // as in splat_tiles.glsl
 constexpr std::size_t kGroup = 256;
 constexpr std::size_t kMostPairs = std::size_t{1} << 26;  // 1 GiB with what sorts them
 
 std::size_t groups(std::size_t count) { return (count + kGroup - 1) / kGroup; }
-
-int tilesIn(int pixels) { return (pixels + kTile - 1) / kTile; }
 
 }  // namespace
 
@@ -23,7 +21,7 @@ void Raster::set(const gl::Program& program) const {
   glUniform2fv(program.at("depth_range"), 1, depth_range.data());
 }
 
-TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort)
+TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort, const Tallies& tallies)
     : count_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_count.comp"})),
       list_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_list.comp"})),
       ranges_(shaders.compute({"tile_ranges.comp"})),
@@ -31,9 +29,10 @@ TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort)
           {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "tile_blend.comp"})),
       prefix_sum_(shaders),
       sort_(sort),
-      zero_(sizeof(GLuint), GL_STATIC_DRAW) {
-  constexpr GLuint kZero = 0;
-  zero_.write(0, &kZero, sizeof(kZero));
+      pair_count_(tallies.of(Tallies::kPairs)),
+      zero_(tallies.of(Tallies::kZero)) {
+  const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> zeros{};
+  zero_.write(zeros.data());
   GLint64 largest = 0;
   glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &largest);
   most_pairs_ = std::min(kMostPairs, static_cast<std::size_t>(largest) / sizeof(GLuint));
@@ -65,6 +64,7 @@ void TileRasterizer::list(const Projection& projection, const gl::Buffer& drawn,
   drawn.bind(4);
   counts.bind(5);
   drawn_count.bind(6);
+  projection.boxes().bind(7);
   drawn_count.dispatchGroups();
   gl::storageBarrier();
   prefix_sum_.run(counts, drawn_count, pair_count_, room_);
@@ -79,6 +79,7 @@ void TileRasterizer::list(const Projection& projection, const gl::Buffer& drawn,
   pair_count_.bind(7);
   sort_.keys().bind(8);
   sort_.values().bind(9);
+  projection.boxes().bind(10);
   drawn_count.dispatchGroups();
   gl::storageBarrier();
   stopwatch.lap("list");

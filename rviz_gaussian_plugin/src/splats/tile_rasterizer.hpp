@@ -28,7 +28,7 @@ struct Raster {
 class TileRasterizer {
  public:
   // The sort may be one that others use too.
-  TileRasterizer(const Shaders& shaders, RadixSort& sort);
+  TileRasterizer(const Shaders& shaders, RadixSort& sort, const Tallies& tallies);
 
   // Lists `drawn`, indices of ellipses, nearest first, at most so many; of more pairs than there is
   // room for, the last are left out. `counted` is called as soon as all is submitted that tells how
@@ -42,9 +42,8 @@ class TileRasterizer {
   // Overwrites the target's colour by what is listed, where its depth lets a splat pass.
   void blend(const Projection& projection, const gl::Target& target, const Raster& raster) const;
 
-  // Pairs of a splat and a tile that it touches.
-  const Tally& pairs() const { return pair_count_; }
-  // Makes room for so many, better for more; false where that takes too much memory.
+  // Makes room for so many pairs of a splat and a tile that it touches, better for more; false
+  // where that takes too much memory.
   bool reserve(std::size_t pairs, std::size_t better);
   std::size_t room() const { return room_; }
 
@@ -58,7 +57,8 @@ class TileRasterizer {
   PrefixSum prefix_sum_;
   RadixSort& sort_;
   Tally pair_count_;
-  gl::Buffer begins_, zero_;
+  gl::Slice zero_;
+  gl::Buffer begins_;
   std::size_t most_pairs_, room_ = 0;
   int listed_width_ = 0, listed_height_ = 0;  // the picture that the lists are for [px]
 };
