@@ -1,6 +1,10 @@
-// Exclusive prefix sum over a work group of 256; `all` becomes the sum.
+// Exclusive prefix sum over a work group of 256; `all` becomes the sum. Sums end at kMostSum: none is
+// ever taken for a small one, and min(a + b, kMostSum) gives the same in whatever order.
 
+const uint kMostSum = 0x7fffffffu;
 shared uint partial[256];
+
+uint plus(uint a, uint b) { return min(a + b, kMostSum); }
 
 uint groupSum(uint value, out uint all) {
   uint local = gl_LocalInvocationIndex;
@@ -9,11 +13,11 @@ uint groupSum(uint value, out uint all) {
   for (uint reach = 1u; reach < 256u; reach *= 2u) {
     uint left = local >= reach ? partial[local - reach] : 0u;
     barrier();
-    partial[local] += left;
+    partial[local] = plus(partial[local], left);
     barrier();
   }
   all = partial[255];
-  uint before = partial[local] - value;
+  uint before = local > 0u ? partial[local - 1u] : 0u;
   barrier();
   return before;
 }

@@ -17,7 +17,7 @@ void main() {
   uint first = block * kBlock + local * kEach, mine[kEach], sum = 0u;
   for (uint k = 0u; k < kEach; ++k) {
     mine[k] = first + k < count ? values[first + k] : 0u;
-    sum += mine[k];
+    sum = plus(sum, mine[k]);
   }
   uint before = groupSum(sum, all);
   if (pass == 0u) {
@@ -25,12 +25,12 @@ void main() {
     return;
   }
   uint earlier = 0u, before_block;
-  for (uint k = local; k < block; k += 256u) earlier += sums[k];
+  for (uint k = local; k < block; k += 256u) earlier = plus(earlier, sums[k]);
   groupSum(earlier, before_block);
-  before += before_block;
+  before = plus(before, before_block);
   for (uint k = 0u; k < kEach; ++k) {
     if (first + k < count) values[first + k] = before;
-    before += mine[k];
+    before = plus(before, mine[k]);
   }
-  if (local == 0u && (block + 1u) * kBlock >= count) total = tallied(before_block + all, room);
+  if (local == 0u && (block + 1u) * kBlock >= count) total = tallied(plus(before_block, all), room);
 }
