@@ -41,6 +41,7 @@ QUIET = 2.0  # a map that has not grown for so long is taken as complete [s]
 STILL = (1280, 720)
 ORBIT = (480, 270)
 ORBIT_FRAMES = 36
+LONGEST_WAIT = 60.0  # for the order of a picture [s]
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,12 @@ class Viewer(Node):
             self, "up", [0.0, 0.0, 1.0], "Which way is up in the map's frame, for orbiting."
         )
         self.order_timeout: float = declare(
-            self, "order_timeout", 2.0, "How long a still waits for an order. [s]", 0.0, 60.0
+            self,
+            "order_timeout",
+            2.0,
+            "How long a still waits for an order. [s]",
+            0.0,
+            LONGEST_WAIT,
         )
         self.window_size = (
             declare(self, "width", STILL[0], "Width of the window. [px]", 64, 8192),
@@ -265,7 +271,9 @@ class Viewer(Node):
             )
             return
         try:
-            figures = self.draw_still(request.camera, "render", request.order_timeout)
+            figures = self.draw_still(
+                request.camera, "render", min(request.order_timeout, LONGEST_WAIT)
+            )
             response.color = _image(self.renderer.read_color(), "32FC4")
             response.depth = _image(self.renderer.read_depth(), "32FC1")
         except (ValueError, RuntimeError, MemoryError) as error:

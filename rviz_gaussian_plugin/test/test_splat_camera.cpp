@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <stdexcept>
+
 #include "../src/splats/splat_camera.hpp"
 
 namespace rosplat {
@@ -34,6 +36,16 @@ TEST(SplatCamera, aPartIsFoundAtAnyResolution) {
   const SplatCamera::Whole whole = part.whole();
   EXPECT_DOUBLE_EQ((whole.width - whole.cx) / part.fx, (640.0 - 310) / 500);
   EXPECT_DOUBLE_EQ(-whole.cy / part.fy, -250.0 / 400);
+}
+
+TEST(SplatCamera, picturesThatNobodyCanHoldAreRefused) {
+  const auto picture = [](double width, double height) {
+    return makeCamera({}, {0, 0, 0, 1}, false, 500, 400, 0, 0, width, height, 0.1, 100);
+  };
+  EXPECT_NO_THROW(picture(16384, 2048));
+  EXPECT_NO_THROW(picture(1, 16384));
+  EXPECT_THROW(picture(16384, 2049), std::invalid_argument);
+  EXPECT_THROW(picture(16385, 1), std::invalid_argument);
 }
 
 TEST(SplatCamera, noPartOfAPictureFromElsewhere) {

@@ -5,6 +5,7 @@
 #include <OgreSceneNode.h>
 #include <OgreViewport.h>
 
+#include <algorithm>
 #include <chrono>
 #include <cstring>
 #include <iomanip>
@@ -37,9 +38,10 @@ constexpr const char* kResourceGroup = "rviz_rendering";
 // A view's camera goes out at least this often, so that a sorter that starts late learns of it. [s]
 constexpr double kKeepAlive = 1.0;
 constexpr double kAskAgain =
-    0.25;                          // how long a picture waits for an order before it asks again [s]
-constexpr double kUnserved = 1.0;  // after which nobody will draw what services ask for [s]
-constexpr double kUnseen = 2.0;    // after which a view that isn't drawn is gone [s]
+    0.25;  // how long a picture waits for an order before it asks again [s]
+constexpr double kLongestWait = 60.0;  // for the order of a picture that a service asks for [s]
+constexpr double kUnserved = 1.0;      // after which nobody will draw what services ask for [s]
+constexpr double kUnseen = 2.0;        // after which a view that isn't drawn is gone [s]
 constexpr const char* kUnchanged = "As Started";
 constexpr double kStatusPeriod = 0.5;  // [s]
 constexpr const char* kOrderStatus = "Order";
@@ -364,7 +366,7 @@ void GaussianDisplay::serveRenderRequests() {
     ++still_.sequence;
     cloud_->scene().setCamera(still_.id, still_.sequence, still_.camera);
     publish(still_);
-    request_deadline_ = now() + request_->request->order_timeout;
+    request_deadline_ = now() + std::min(request_->request->order_timeout, kLongestWait);
   }
   const bool answered = cloud_->scene().answered(still_.id);
   if (!answered && now() - still_.published > kAskAgain) {

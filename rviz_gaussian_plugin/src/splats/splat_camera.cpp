@@ -9,7 +9,7 @@ SplatCamera makeCamera(const std::array<double, 3>& position,
                        const std::array<double, 4>& orientation, bool orthographic, double fx,
                        double fy, double cx, double cy, double width, double height,
                        double near_clip, double far_clip) {
-  constexpr double kLargestPicture = 16384;
+  constexpr double kLongestSide = 16384, kMostPixels = 1 << 25;  // 512 MiB of float colours
   const auto& [x, y, z, w] = orientation;
   const double norm = x * x + y * y + z * z + w * w;
   const auto check = [](bool good, const char* fault) {
@@ -18,8 +18,9 @@ SplatCamera makeCamera(const std::array<double, 3>& position,
   check(std::isfinite(position[0] + position[1] + position[2]), "pose.position is not finite");
   check(std::isnormal(norm), "pose.orientation is no rotation");
   check(fx > 0 && fy > 0 && std::isfinite(fx + fy + cx + cy), "fx, fy, cx, cy are no intrinsics");
-  check(width >= 1 && height >= 1 && width <= kLargestPicture && height <= kLargestPicture,
-        "width and height must be 1 to 16384");
+  check(width >= 1 && height >= 1 && width <= kLongestSide && height <= kLongestSide &&
+            width * height <= kMostPixels,
+        "width and height must be 1 to 16384, and 2^25 pixels at most");
   check(near_clip < far_clip && (orthographic || near_clip > 0),
         "near_clip and far_clip are no range of depths");
 
