@@ -1,6 +1,9 @@
 #include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <fstream>
 #include <memory>
 #include <string>
 #include <thread>
@@ -75,6 +78,22 @@ class OrderBookTest : public testing::Test {
   GaussianMap map;
   BuiltInSorter sorter;
   OrderBook book;
+};
+
+// The address space that this process may have, as it was once this ends.
+class MemoryLimit {
+ public:
+  explicit MemoryLimit(rlim_t more) {
+    getrlimit(RLIMIT_AS, &before_);
+    std::size_t pages = 0;
+    std::ifstream("/proc/self/statm") >> pages;
+    const rlimit limit{pages * rlim_t(sysconf(_SC_PAGESIZE)) + more, before_.rlim_max};
+    setrlimit(RLIMIT_AS, &limit);
+  }
+  ~MemoryLimit() { setrlimit(RLIMIT_AS, &before_); }
+
+ private:
+  rlimit before_{};
 };
 
 }  // namespace
@@ -178,4 +197,16 @@ TEST_F(OrderBookTest, SortNowMatchesTheDepthsExactly) {
                    [&](std::uint32_t a, std::uint32_t b) { return depths[a] < depths[b]; });
   std::reverse(expected.begin(), expected.end());
   EXPECT_EQ(book.sortNow("view").order->slots, expected);
+}
+
+TEST_F(OrderBookTest, aMapThatNoMemoryIsThereForIsSortedByNobody) {
+  book.setCamera("view", 1, camera, 0.0);
+  upsert(0, {1, 2}, 0.0);
+  {
+    const MemoryLimit limit(200u << 20);
+    upsert(kMaxSlots - 1, {3}, 0.0);  // 800 MB
+    const OrderBook::Choice choice = book.sortNow("view");
+    EXPECT_TRUE(choice.order->slots.empty());
+    EXPECT_EQ(choice.order->source, "built-in (out of memory)");
+  }
 }

@@ -1,6 +1,7 @@
 #include "gaussian_client.hpp"
 
 #include <chrono>
+#include <new>
 #include <utility>
 
 #include "messages.hpp"
@@ -76,7 +77,14 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   watchPublishers();
   executor_.add_callback_group(group_, node_->get_node_base_interface());
   thread_ = std::thread([this] {
-    while (!stop_ && rclcpp::ok()) executor_.spin_once(100ms);
+    while (!stop_ && rclcpp::ok()) {
+      try {
+        executor_.spin_once(100ms);
+      } catch (const std::exception& error) {  // of a message that memory is lacking for, say
+        RCLCPP_ERROR_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000, "%s: %s",
+                              topic_.c_str(), error.what());
+      }
+    }
   });
 }
 
@@ -107,12 +115,18 @@ void GaussianClient::receive(const GaussianArray& message) {
     }
     status_.frame_id = message.header.frame_id;
   } catch (const BatchError& error) {
-    RCLCPP_ERROR_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000,
-                          "%s: a batch is refused: %s", topic_.c_str(), error.what());
-    const std::lock_guard lock(mutex_);
-    ++status_.refused;
-    status_.refusal = error.what();
+    refuse(error.what());
+  } catch (const std::bad_alloc&) {
+    refuse("memory is lacking");
   }
+}
+
+void GaussianClient::refuse(const std::string& why) {
+  RCLCPP_ERROR_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000,
+                        "%s: a batch is refused: %s", topic_.c_str(), why.c_str());
+  const std::lock_guard lock(mutex_);
+  ++status_.refused;
+  status_.refusal = why;
 }
 
 void GaussianClient::receive(SplatOrder& message) {

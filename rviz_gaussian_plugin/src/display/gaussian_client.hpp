@@ -82,6 +82,7 @@ class GaussianClient {
 
   rclcpp::Subscription<GaussianArray>::SharedPtr subscribe(const rclcpp::QoS& qos);
   void receive(const GaussianArray& message);
+  void refuse(const std::string& why);
   void receive(SplatOrder& message);
   void watchPublishers();
   void reportSidecar(const std::string& text, bool failed);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <new>
 
 namespace rosplat {
 
@@ -122,6 +123,7 @@ void BuiltInSorter::apply(const Edit& item) {
   if (edit.clear) {
     positions_.clear();
     extents_.clear();
+    out_of_memory_ = false;
   }
   if (edit.clear || edit.revision <= revision_) {  // revisions so far say nothing any more
     changed_at_.assign(changed_at_.size(), 0);
@@ -130,6 +132,19 @@ void BuiltInSorter::apply(const Edit& item) {
   }
   map_id_ = item.map_id;
   revision_ = edit.revision;
+  if (out_of_memory_) return;
+  try {
+    hold(edit);
+  } catch (const std::bad_alloc&) {
+    positions_ = std::vector<float>();
+    extents_ = std::vector<float>();
+    changed_at_ = std::vector<std::uint64_t>();
+    recent_.clear();
+    out_of_memory_ = true;
+  }
+}
+
+void BuiltInSorter::hold(const GaussianEdit& edit) {
   if (extents_.size() < edit.capacity) {
     positions_.resize(3 * std::size_t{edit.capacity}, 0.0f);
     extents_.resize(edit.capacity, -1.0f);
@@ -159,14 +174,16 @@ OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request)
   const bool mergeable = request.base && request.base->map_id == map_id_ && !recent_.empty() &&
                          request.base->revision >= begun_at_ &&
                          request.base->revision + 1 >= recent_.front().revision;
-  if (mergeable) {
-    order->slots = merge(request);
-    order->source = request.base->source + " + built-in";
-  } else {
-    order->slots =
-        depth_order_.sort(request.view, positions_.data(), extents_.data(), extents_.size());
-    order->source = "built-in";
+  order->source = mergeable ? request.base->source + " + built-in" : "built-in";
+  bool lacking = out_of_memory_;
+  try {
+    order->slots = mergeable ? merge(request)
+                             : depth_order_.sort(request.view, positions_.data(), extents_.data(),
+                                                 extents_.size());
+  } catch (const std::bad_alloc&) {
+    lacking = true;
   }
+  if (lacking) order->source += " (out of memory)";
   order->sort_time =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return order;

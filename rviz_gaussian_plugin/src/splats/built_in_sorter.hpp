@@ -54,6 +54,7 @@ class BuiltInSorter {
                    const rosplat_sorter::View& view);
 
   void forget(const std::string& view_id);
+  // What it holds. Of a map that it has no memory for nothing, and its orders are empty and say so.
   std::size_t bytes() const;
 
  private:
@@ -75,6 +76,7 @@ class BuiltInSorter {
 
   void run();
   void apply(const Edit& edit);
+  void hold(const GaussianEdit& edit);
   OrderPtr sort(const std::string& view_id, const Request& request);
   std::vector<std::uint32_t> merge(const Request& request);
 
@@ -90,6 +92,7 @@ class BuiltInSorter {
   std::string map_id_;
   std::uint64_t revision_ = 0;
   std::uint64_t begun_at_ = 0;  // revision since which it only grew
+  bool out_of_memory_ = false;  // until the next clear
   std::vector<float> positions_, extents_;
   std::vector<std::uint64_t> changed_at_;  // revision of a slot's last change
   std::deque<Change> recent_;              // whose slots a merge sorts
