@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import time
 
 import numpy as np
@@ -89,9 +90,10 @@ def test_the_sidecar_changes_its_backend(rviz: Rviz, world: World) -> None:
             rviz.until_status("Map", "Order", "Ok", "sidecar")
             rviz.set("Map", "Sidecar Backend", value=backend)
             rviz.until_status("Map", "Sidecar", "Ok", backend)
-            # The order that is there stays until the camera moves.
-            rviz.set("X", value=rviz.properties(root="view")["X"] + 0.1, root="view")
-            rviz.until_status("Map", "Order", "Ok", f"sidecar ({backend}")
+            rviz.until_status("Map", "Order", "Ok", f"sidecar ({backend})")
+        rviz.set("Map", "Sidecar Backend", value="cupy")
+        if not importlib.util.find_spec("cupy"):
+            rviz.until_status("Map", "Sidecar", "Warn", "cupy", "sidecar (native)")
     finally:
         sorter.terminate()
         sorter.wait()

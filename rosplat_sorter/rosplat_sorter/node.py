@@ -1,4 +1,7 @@
-"""The sorter as a ROS 2 node: topics and parameters, wired to the worker."""
+"""Sorts a map's splats for each view of it, back to front: the sidecar of viewers.
+
+Topics and parameters, wired to the worker.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from rclpy.parameter import Parameter
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter import qos
+from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_sorter.backends import AUTO, BACKENDS
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.order_slots import pack
@@ -121,6 +125,7 @@ def _unknown(backend: str) -> str:
 
 def main() -> None:
     """Runs the node until it is told to end."""
+    take_ros_arguments_only("sorter", __doc__)
     # ROS's own handlers end it: a KeyboardInterrupt could come in the middle of an import.
     signal.signal(signal.SIGINT, lambda *_: None)
     try:

@@ -162,6 +162,8 @@ class Worker:
             self._wanted = inbox.backend
             self._failed = frozenset()
             self._open_backend()
+            for view_id, viewer in self._viewers.items():  # that they see who sorts
+                viewer.answered, self._due[view_id] = None, None
         for batch in inbox.edits:
             self._apply(batch)
         for message in inbox.views.values():

@@ -169,6 +169,8 @@ class DemoSensors(Node):
         if message.operation == GaussianArray.DELETE:
             return
         if message.operation == GaussianArray.REPLACE:
+            if message.snapshot and self._flight:
+                return  # of the map that it flies around
             self._samples, self._received, self._begun = [], 0, time.monotonic()
         if self._begun is None:
             return

@@ -20,6 +20,7 @@ from rclpy.executors import (
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_tools.processes import interrupt_by_signals
 from rosplat_tools.splats import SceneError
 
@@ -35,6 +36,7 @@ def run(program: str, body: Callable[[], None]) -> None:
 
     A SceneError, RuntimeError or OSError ends the program with its text and exit code 1.
     """
+    take_ros_arguments_only(program, sys.modules[body.__module__].__doc__)
     # rclpy's own handlers shut ROS down under code that is just using it.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     interrupt_by_signals()

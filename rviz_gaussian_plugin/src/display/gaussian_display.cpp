@@ -43,6 +43,7 @@ constexpr double kLongestWait = 60.0;  // for the order of a picture that a serv
 constexpr double kUnserved = 1.0;      // after which nobody will draw what services ask for [s]
 constexpr double kUnseen = 2.0;        // after which a view that isn't drawn is gone [s]
 constexpr const char* kUnchanged = "As Started";
+constexpr const char* kAnyBackend = "auto";
 constexpr double kStatusPeriod = 0.5;  // [s]
 constexpr const char* kOrderStatus = "Order";
 constexpr const char* kFrameStatus = "Frame";
@@ -86,7 +87,7 @@ GaussianDisplay::GaussianDisplay() : instance_(uniqueName()) {
       "Sidecar Backend", kUnchanged,
       "What the sidecar sorts with: sets its parameter 'backend'. The Status shows what it uses.",
       this, SLOT(switchBackend()));
-  for (const char* name : {kUnchanged, "auto", "cupy", "torch", "native", "numpy"}) {
+  for (const char* name : {kUnchanged, kAnyBackend, "cupy", "torch", "native", "numpy"}) {
     backend_->addOption(name);
   }
   publish_pose_ = new rviz_common::properties::BoolProperty(
@@ -457,8 +458,10 @@ void GaussianDisplay::updateStatus() {
     deleteStatus("Scene File");
   }
   if (!received.sidecar.empty()) {
-    setStatusOnce(received.sidecar_failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",
-                  received.sidecar);
+    const std::string unwanted = unwantedBackend();
+    const bool obeys = !received.sidecar_failed && unwanted.empty();
+    setStatusOnce(obeys ? StatusProperty::Ok : StatusProperty::Warn, "Sidecar",
+                  received.sidecar + unwanted);
   }
 
   if (received.batches > 0) {
@@ -484,6 +487,18 @@ void GaussianDisplay::updateStatus() {
   setStatusOnce(StatusProperty::Ok, "Memory",
                 concat("GPU ", cloud_->scene().gpuBytes() >> 20, " MiB, host ",
                        cloud_->scene().hostBytes() >> 20, " MiB"));
+}
+
+std::string GaussianDisplay::unwantedBackend() const {
+  const std::string wanted = backend_->getStdString();
+  if (wanted == kUnchanged || wanted == kAnyBackend) return "";
+  for (const auto& [viewport, view] : views_) {
+    const std::string source = cloud_->scene().report(view.id).order_source;
+    if (source.rfind("sidecar (", 0) == 0 && source.rfind("sidecar (" + wanted + ")", 0) != 0) {
+      return ", but the order is by " + source + ": its log says why";
+    }
+  }
+  return "";
 }
 
 QString GaussianDisplay::statusName(const char* entry, const View& view) {

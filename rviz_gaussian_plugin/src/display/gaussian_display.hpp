@@ -75,6 +75,8 @@ class GaussianDisplay : public rviz_common::Display {
   bool toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const;
   void updateTransform();
   void updateStatus();
+  // Says who sorts, where the sidecar uses another backend than it was asked for.
+  std::string unwantedBackend() const;
   void showFrame(const View& view);
   static QString statusName(const char* entry, const View& view);
   void setStatusOnce(rviz_common::properties::StatusProperty::Level level, const QString& name,
