@@ -155,9 +155,10 @@ class Viewer(Node):
         self.frame_id = message.header.frame_id
         self.last_batch = time.monotonic()
 
-    def _on_order(self, message: SplatOrder) -> None:
+    def _on_order(self, message: SplatOrder) -> bool:
+        """Whether it is this viewer's, and there to be drawn."""
         if not message.view_id.startswith(f"{self._instance}/"):
-            return  # another viewer's
+            return False
         try:
             slots = self._orders.read(message)
         except OrderError as error:
@@ -165,11 +166,12 @@ class Viewer(Node):
                 f"{self._map.topic}/order: an order is dropped: {error}",
                 throttle_duration_sec=5.0,
             )
-            return
+            return False
         self.renderer.set_order(
             message.view_id, message.sequence, message.map_id, message.revision,
             f"sidecar ({message.backend})", message.sort_time, slots,
         )  # fmt: skip
+        return True
 
     def _on_render(
         self, request: RenderView.Request, response: RenderView.Response

@@ -91,6 +91,10 @@ CHARTS = (
         parameter("backend", "by"), log=False, band=False,
     ),
     Chart(
+        "growth-orders", "growth", "orders", "Orders as the map grows", "orders a second",
+        parameter("backend", "by"), band=False,
+    ),
+    Chart(
         "growth-ram", "growth", "RAM", "Memory as the map grows", "resident [MB]",
         parameter("backend", "by"), parameter("process"), log=False, band=False,
     ),

@@ -27,7 +27,7 @@ from rosplat_tools.splats import Splats
 
 SIZE, QUICK_SIZE = 2_000_000, 100_000
 BATCH = 1000  # splats a message
-RATE = 50.0  # messages a second
+RATE = 200.0  # messages a second
 POINTS = 25  # numbers of splats at which it is reported
 GARDEN = 2.4  # radius of the procedural scene [m]
 LINGER = 1.0  # watched after the map is whole [s]
@@ -126,7 +126,7 @@ def _grow(size: int, backend: str, picture: tuple[int, int]) -> live.Watched:
         seen.frames.append(
             {
                 "time": ended, "frame": ended - started, "splats": shown,
-                "source": report["order_source"], "gpu_bytes": report["gpu_bytes"],
+                "source": report["order_source"], "orders": sorter.taken() if sorter else 0, "gpu_bytes": report["gpu_bytes"],
                 "renderer": renderer.renderer_info,
             }
         )  # fmt: skip
@@ -152,6 +152,7 @@ class SortingThread:
         self._map = SplatMap()
         self._wake = threading.Condition()
         self._question: tuple[int, int, Camera] | None = None
+        self._given = 0
         self._closing = False
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -161,6 +162,12 @@ class SortingThread:
         with self._wake:
             self._question = (count, number, camera)
             self._wake.notify()
+
+    def taken(self) -> int:
+        """How many orders were given since the last call."""
+        with self._wake:
+            given, self._given = self._given, 0
+        return given
 
     def close(self) -> None:
         """Ends the thread after the sort it is at."""
@@ -179,6 +186,8 @@ class SortingThread:
             self._grow(count)
             order = self._backend.order(view_of(camera, self._splats))
             self._view.give(number, self._map.revision, order)
+            with self._wake:
+                self._given += 1
 
     def _grow(self, count: int) -> None:
         first = len(self._map)
@@ -211,6 +220,9 @@ def _report(size: int, backend: str, by: str, seen: live.Watched) -> Iterator[Me
         yield Measurement.of("frame rate", "1/s", len(frames) / (until - since), **common)
         sidecar = sum(f["source"].startswith(SORTERS) for f in frames) / len(frames)
         yield Measurement.of("frames by the sorter's order", "%", 100 * sidecar, **common)
+        if backend in BACKENDS:
+            orders = sum(f["orders"] for f in frames)
+            yield Measurement.of("orders", "1/s", orders / (until - since), **common)
         yield Measurement.of("frame", "ms", [1e3 * f["frame"] for f in frames], **common)
         for program in dict.fromkeys(who for _, who, _ in seen.ram):
             used = [

@@ -51,7 +51,9 @@ class MovingViewer(Viewer):
         super()._on_batch(message)
         self.received = time.time()
 
-    def _on_order(self, message: SplatOrder) -> None:
+    def _on_order(self, message: SplatOrder) -> bool:
+        if not super()._on_order(message):
+            return False
         arrival = {
             "time": time.time(),
             "sequence": message.sequence,
@@ -59,9 +61,9 @@ class MovingViewer(Viewer):
             "sort_time": message.sort_time,
             "encoding": message.encoding,
         }
-        super()._on_order(message)
         with self._lock:
             self._arrivals.append(arrival)
+        return True
 
     def arrivals(self) -> list[dict[str, float]]:
         """The orders that came since the last call."""
@@ -133,6 +135,7 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
             "published": viewer.published,
             "received": viewer.received,
             "arrivals": arrivals,
+            "orders": len(arrivals),
             "latency": ended - looked[answered] if is_new else math.nan,
         }
         trace.write(json.dumps(line) + "\n")
