@@ -111,14 +111,8 @@ class Processes:
     def node(
         self, package: str, executable: str, *arguments: str, name: str | None = None
     ) -> subprocess.Popen[bytes]:
-        """Starts a node as `ros2 run` would, without needing ros2."""
-        from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-
-        try:
-            program = Path(get_package_prefix(package)) / "lib" / package / executable
-        except PackageNotFoundError as error:
-            raise ProcessError(f"{package} is not installed: source its workspace") from error
-        return self.start(name or executable, [str(program), *arguments])
+        """Starts a node. Raises ProcessError where it isn't there."""
+        return self.start(name or executable, node_command(package, executable, *arguments))
 
     def log(self, name: str) -> Path:
         """Where a program's output goes."""
@@ -161,6 +155,17 @@ class Processes:
         self._running.clear()
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def node_command(package: str, executable: str, *arguments: str) -> list[str]:
+    """What `ros2 run` would start, without needing ros2. Raises ProcessError where it lacks."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+    try:
+        program = Path(get_package_prefix(package)) / "lib" / package / executable
+    except PackageNotFoundError as error:
+        raise ProcessError(f"{package} is not installed: source its workspace") from error
+    return [str(program), *arguments]
 
 
 def _signal(process: subprocess.Popen[bytes], number: signal.Signals) -> None:

@@ -25,6 +25,7 @@ from rosplat_tools.processes import interrupt_by_signals
 from rosplat_tools.splats import SceneError
 
 GRACE = 0.5  # what callbacks get to end before ROS does [s]
+BREATH = 0.0002  # in which a thread begins with a callback [s]
 
 
 class Cancelled(Exception):
@@ -66,6 +67,10 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
             # Not executor.spin: only the end of ROS ends that, in the middle of a callback.
             while not ending.is_set():
                 executor.spin_once(0.1)
+                if threads > 1:
+                    # Until one of its threads begins with it, rclpy (up to Jazzy) hands a callback
+                    # to them again and again, and Python's lock to nobody.
+                    time.sleep(BREATH)
         except BaseException:
             node.context.try_shutdown()
             raise

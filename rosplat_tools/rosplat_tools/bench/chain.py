@@ -16,7 +16,7 @@ from rosplat_tools.processes import ProcessError, quoted
 SIZES, QUICK_SIZES = (100_000, 500_000, 1_000_000), (50_000,)
 RATES = (30.0, 60.0)  # at which the camera moves [Hz]
 QUICK_RATES = (30.0,)
-SECONDS, QUICK_SECONDS = 10.0, 3.0  # watched
+SECONDS, QUICK_SECONDS = 6.0, 3.0  # watched
 PICTURE, QUICK_PICTURE = (1920, 1080), (320, 180)
 ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
 

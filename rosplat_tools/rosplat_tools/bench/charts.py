@@ -83,6 +83,10 @@ CHARTS = (
         "time [ms]", parameter("backend"),
     ),
     Chart(
+        "network-orders", "network", "orders", "Orders over a line between two machines",
+        "orders a second", parameter("rate", "backend"), log=False, band=False,
+    ),
+    Chart(
         "chain-latency", "chain", "pose to picture", "From pose to picture", "time [ms]",
         parameter("rate", "backend"),
     ),

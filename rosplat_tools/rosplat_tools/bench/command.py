@@ -48,6 +48,7 @@ SUBJECTS = {
     "sort": Subject("depth orders by every backend, beside other ways to sort"),
     "frame": Subject("pictures by the embedded renderer"),
     "transport": Subject("orders and maps between processes", needs_ros=True),
+    "network": Subject("orders from a sorter on another machine", needs_ros=True),
     "chain": Subject("from a camera's pose to the picture that knows it", needs_ros=True),
     "growth": Subject("a map that grows by 1,000 splats a message", curve=True),
 }

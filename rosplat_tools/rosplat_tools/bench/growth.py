@@ -29,7 +29,6 @@ SIZE, QUICK_SIZE = 2_000_000, 100_000
 BATCH = 1000  # splats a message
 RATE = 200.0  # messages a second
 POINTS = 25  # numbers of splats at which it is reported
-GARDEN = 2.4  # radius of the procedural scene [m]
 LINGER = 1.0  # watched after the map is whole [s]
 STALLED = 60.0  # a map that hasn't grown for so long won't [s]
 SORTERS = ("sidecar", "bench")  # how an order's source begins that is not the renderer's own
@@ -67,7 +66,7 @@ def _over_ros(plan: Plan, size: int, backend: str, picture: tuple[int, int]) -> 
             "-p", f"batch_size:={BATCH}", "-p", "refine_fraction:=0.0",
             "-p", "prune_fraction:=0.0", "-p", f"history_depth:={2 * size // BATCH + 2}",
         ),
-        backend=backend, radius=GARDEN, picture=picture,
+        backend=backend, radius=scenes.GARDEN, picture=picture,
         until=lambda seen: _grown(seen, size, backend),
     )  # fmt: skip
 
@@ -126,7 +125,8 @@ def _grow(size: int, backend: str, picture: tuple[int, int]) -> live.Watched:
         seen.frames.append(
             {
                 "time": ended, "frame": ended - started, "splats": shown,
-                "source": report["order_source"], "orders": sorter.taken() if sorter else 0, "gpu_bytes": report["gpu_bytes"],
+                "source": report["order_source"], "orders": sorter.taken() if sorter else 0,
+                "gpu_bytes": report["gpu_bytes"],
                 "renderer": renderer.renderer_info,
             }
         )  # fmt: skip

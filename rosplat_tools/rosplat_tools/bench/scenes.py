@@ -13,6 +13,7 @@ from rosplat_tools.cameras import Camera, look_at, orbit
 from rosplat_tools.scenes import PROCEDURAL, load_scene
 from rosplat_tools.splats import Splats
 
+GARDEN = 2.4  # radius of the procedural scene [m]
 STEP = math.radians(1)  # by which the camera turns from picture to picture
 PICTURES = ((1280, 720), (1920, 1080))
 

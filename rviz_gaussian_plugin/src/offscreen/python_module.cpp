@@ -83,7 +83,10 @@ void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint
   order->revision = revision;
   order->source = backend;
   order->sort_time = sort_time;
-  order->slots.assign(slots.data(), slots.data() + slots.size());
+  const std::uint32_t* const first = slots.data();
+  const std::uint32_t* const last = first + slots.size();
+  const py::gil_scoped_release release;  // millions of slots take milliseconds to copy
+  order->slots.assign(first, last);
   renderer.scene().offer(std::move(order));
 }
 
