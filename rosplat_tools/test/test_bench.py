@@ -14,6 +14,7 @@ from rosplat_sorter.depth import order
 from rosplat_tools.bench import baselines, scenes, sort
 from rosplat_tools.bench.command import main
 from rosplat_tools.bench.isolation import isolated
+from rosplat_tools.bench.line import Line, NoLine
 from rosplat_tools.bench.records import Record, load
 from rosplat_tools.generate import generate
 
@@ -113,6 +114,24 @@ def test_messages_are_measured_in_every_form(tmp_path: Path) -> None:
     batches = {str(r.parameters["way"]).split(":")[0]: r for r in records if r.name == "batch"}
     assert {"GaussianArray", "PoseArray"} <= batches.keys()
     assert any(record.name == "publish to visible" for record in records)
+
+
+def test_orders_reach_a_viewer_on_another_machine(tmp_path: Path) -> None:
+    """By DDS alone: the two share neither memory nor anything but a line."""
+    try:
+        with Line("1gbit"):
+            pass
+    except NoLine as error:
+        pytest.skip(str(error))
+    records = bench(tmp_path, "network", "--sizes", "2000")
+    assert {record.parameters["orders"] for record in records} == {"packed"}
+    by_name = {record.name: record for record in records}
+    assert by_name["orders"].splats == 2000
+    assert by_name["bytes of an order"].value * 1e6 == 2000 * 11 / 8
+    # All of it came over the line that was made, and more than that: headers, cameras, DDS's own.
+    seconds = by_name["pose to order"].n / by_name["orders"].value
+    carried = by_name["on the line"].value * 1e6 / 8 * seconds
+    assert carried > by_name["pose to order"].n * 2000 * 11 / 8
 
 
 @pytest.mark.parametrize(

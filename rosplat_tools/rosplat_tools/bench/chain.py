@@ -17,6 +17,7 @@ SIZES, QUICK_SIZES = (100_000, 500_000, 1_000_000), (50_000,)
 RATES = (30.0, 60.0)  # at which the camera moves [Hz]
 QUICK_RATES = (30.0,)
 SECONDS, QUICK_SECONDS = 6.0, 3.0  # watched
+SETTLING = 1.0  # in which what was received is uploaded, and not measured [s]
 PICTURE, QUICK_PICTURE = (1920, 1080), (320, 180)
 ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
 
@@ -37,7 +38,7 @@ def measure(plan: Plan) -> Iterator[Event]:
                 plan.out, ("ply_publisher", "-p", f"path:={quoted(name)}"),
                 backend=backend, rate=rate,
                 picture=QUICK_PICTURE if plan.quick else PICTURE,
-                until=live.for_seconds(QUICK_SECONDS if plan.quick else SECONDS),
+                until=live.for_seconds(SETTLING + (QUICK_SECONDS if plan.quick else SECONDS)),
             )  # fmt: skip
         except (ProcessError, TimeoutError) as error:
             yield Skipped(f"{name}, {backend}, {rate:.0f} Hz: {error}")
@@ -45,9 +46,12 @@ def measure(plan: Plan) -> Iterator[Event]:
         yield from _report(name, backend, rate, seen)
 
 
-def _report(name: str, backend: str, rate: float, seen: live.Watched) -> Iterator[Measurement]:
-    first = next(index for index, frame in enumerate(seen.frames) if live.is_answered(frame))
-    frames = seen.frames[first:]
+def _report(name: str, backend: str, rate: float, seen: live.Watched) -> Iterator[Event]:
+    began = next(frame["time"] for frame in seen.frames if live.is_answered(frame))
+    frames = [frame for frame in seen.frames if frame["time"] >= began + SETTLING]
+    if not frames:
+        yield Skipped(f"{name}, {backend}, {rate:.0f} Hz: a frame takes longer than it is watched")
+        return
     arrivals = [arrival for frame in frames for arrival in frame["arrivals"]]
     common = {
         "scene": name, "splats": frames[-1]["splats"], "gpu": frames[-1]["renderer"],
