@@ -172,6 +172,21 @@ def test_matches_the_float64_renderer(host: Host, view: str, degree: int) -> Non
     assert expected.max() > 0.5  # there was something to see
 
 
+def test_needles_and_giants_in_a_wide_picture(host: Host) -> None:
+    """Diagonals touch few of the tiles around them; a giant's tiles don't fit in a word."""
+    splats = cloud(60, degree=0)
+    splats.scales[:40] = [1.0, 0.002, 0.002]
+    splats.scales[40:] = 3.0
+    splats = replace(splats, opacities=splats.opacities * np.float32(0.3))
+    camera = camera_at(
+        (2.0, 1.0, 0.7), width=1100, height=150, cx=550.0, cy=75.0, fx=500.0, fy=500.0
+    )
+    expected = reference.render(splats, camera).rgba
+    host.show(splats)
+    host.set(float_blending=True)
+    assert decibels(host.draw(camera), expected) >= 70
+
+
 def test_half_floats_stay_below_a_grey_level(host: Host) -> None:
     splats = cloud(400)
     expected = reference.render(splats, CAMERAS["outside"]).rgba
