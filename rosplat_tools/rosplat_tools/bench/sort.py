@@ -30,7 +30,7 @@ from rosplat_tools.cameras import Camera
 from rosplat_tools.splats import SceneError, Splats
 
 SIZES = (100_000, 250_000, 500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000)
-QUICK_SIZES = (100_000, 500_000)
+QUICK_SIZES = (50_000, 250_000)
 VIEWS = ("all", "inside")
 PICTURE = (1280, 720)
 STEPS = 16  # cameras that take turns, so that no order is the last one's
