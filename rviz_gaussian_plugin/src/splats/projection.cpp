@@ -38,6 +38,7 @@ void Projection::reserve(std::size_t count) {
                     std::to_string(Shaders::kEllipseParts * part_size_) +
                     " visible splats, this view has " + std::to_string(count));
   }
+  room_ = 0;  // should there be no memory
   for (std::size_t part = 0; part * part_size_ < count; ++part) {
     ellipses_[part].reserve(std::min(part_size_, count - part * part_size_) *
                             Shaders::kEllipseBytes);

@@ -156,8 +156,9 @@ bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
                nearest = tallies_.wait(Tallies::kDepthRange, 0),
                farthest = tallies_.wait(Tallies::kDepthRange, 1);
   drawn_count_ = order_.given ? order_.count : visible;
-  // What is still to come will be as visible as what is there.
-  const double growth = std::max(1.0, double(map.expected) / std::max(1u, store_.capacity()));
+  // What is still to come will be as visible as what is there; but not all comes that is announced.
+  const double growth =
+      std::clamp(double(map.expected) / std::max(1u, store_.capacity()), 1.0, 4.0);
   const auto grown = [growth](std::size_t count) {
     return static_cast<std::size_t>(growth * double(withSlack(count)));
   };

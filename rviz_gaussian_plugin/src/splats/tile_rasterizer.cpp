@@ -53,9 +53,11 @@ void TileRasterizer::list(const Projection& projection, const gl::Buffer& drawn,
                           gl::Stopwatch& stopwatch, const std::function<void()>& counted) {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
   const std::size_t tiles = std::size_t(across) * std::size_t(down);
-  room_ = std::max(room_, most);
+  const std::size_t room = std::max(room_, most);
+  room_ = 0;  // should there be no memory
   prefix_sum_.reserve(most);
-  sort_.reserve(room_);
+  sort_.reserve(room);
+  room_ = room;
   begins_.reserve((tiles + 1) * sizeof(GLuint));
   const gl::Buffer& counts = sort_.spare();
   count_.use();
