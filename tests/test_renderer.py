@@ -323,6 +323,36 @@ def test_opaque_objects_hide_and_are_hidden(host: Host) -> None:
     np.testing.assert_array_equal(behind, 255)
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_translucent_objects_are_between_splats(host: Host, orthographic: bool) -> None:
+    """A white veil, half opaque, before, between and behind splats of many opacities."""
+    focal_length = 50.0 if orthographic else 150.0
+    camera = camera_at((3.0, 0, 0), orthographic=orthographic, fx=focal_length, fy=focal_length)
+    splats = cloud(120, seed=4)
+    host.set(float_blending=True)
+
+    def blended(part: np.ndarray) -> np.ndarray:
+        host.show(splats[part])
+        return host.draw(camera).astype(np.float64)
+
+    try:
+        for x in (-2.0, 0.0, 2.0):
+            host.renderer.set_box((x - 0.005, 0, 0), (0.01, 9, 9), 0.5)  # its near face at x
+            host.show(splats)
+            host.draw(camera)
+            picture = host.renderer.read_color8((0, 0, 0))
+            host.renderer.set_box((0, 0, -1e6), (1, 1, 1))
+            before, behind = (
+                blended(part) for part in (splats.positions[:, 0] > x, splats.positions[:, 0] < x)
+            )
+            veiled = 0.5 + 0.5 * np.clip(behind[..., :3], 0, 1)
+            expected = before[..., :3] + (1 - before[..., 3:]) * veiled
+            np.testing.assert_allclose(picture, 255 * np.clip(expected, 0, 1), atol=2.5)
+    finally:
+        host.renderer.set_box((0, 0, -1e6), (1, 1, 1))
+    assert not host.renderer.failed()
+
+
 def test_the_gpu_finds_the_order_of_the_sorters(host: Host) -> None:
     """Bit by bit, ties included: a thousand splats in each of a hundred planes, across pages."""
     splats = cloud(100_000, degree=0, size=0.01)

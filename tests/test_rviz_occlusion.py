@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rosplat_tools.splats import concatenate
 from rviz_harness import (
     MARKERS,
+    TOP,
     Rviz,
     World,
     configuration,
     disc,
     display,
-    green,
     latched,
     map_display,
     needs_rviz,
@@ -108,13 +109,53 @@ def test_opaque_things(rviz: Rviz, world: World, what: str) -> None:
     rviz.until(lambda s: red(middle(s)).all())
 
 
-def test_translucent_markers(rviz: Rviz, world: World) -> None:
-    """Splats are laid over translucent objects, which is right where these are behind."""
+VIEWS = {
+    "orthographic": TOP,
+    "perspective": "{Class: rviz_default_plugins/Orbit, Distance: 8, Pitch: 1.57, Yaw: 0}",
+}
+
+
+@pytest.mark.parametrize("rasterizer", ["Quads", "Tiles"])
+@pytest.mark.parametrize("view", list(VIEWS))
+def test_translucent_markers(rviz: Rviz, world: World, view: str, rasterizer: str) -> None:
+    """They colour what is behind them, and are coloured by what is before them."""
+    rviz.load(configuration(MARKERS, map_display(Rasterizer=rasterizer), view=VIEWS[view]))
     world.place()
-    world.cube(z=-2.0, alpha=0.5)
-    rviz.until(lambda s: green(middle(s)).all())
+
+    def seen(*colour: int) -> None:
+        rviz.until(lambda s: (np.abs(middle(s) - colour) < 12).all())
+
     world.map.replace(disc((1, 0, 0), opacity=0.5))
-    half_red_over_half_green = [128, 64, 0]
-    rviz.until(lambda s: (np.abs(middle(s) - half_red_over_half_green) < 12).all())
+    world.cube(z=-2.0, alpha=0.5)
+    seen(128, 64, 0)
+    world.cube(z=2.0, alpha=0.5)
+    seen(64, 128, 0)
     world.map.replace(disc((1, 0, 0)))
-    rviz.until(lambda s: red(middle(s)).all())
+    seen(128, 128, 0)
+    world.cube(z=-2.0, alpha=0.5)
+    seen(255, 0, 0)
+    world.cube(z=2.0, alpha=0.5, colour=(0, 0, 1), id=1)  # the other one stays hidden
+    seen(128, 0, 128)
+    world.cube(z=0.0, alpha=0.5)
+    world.cube(z=0.0, alpha=0, id=1)
+    world.map.replace(concatenate([disc((1, 0, 0), z=2.0, opacity=0.5), disc((0, 0, 1), z=-2.0)]))
+    seen(128, 64, 64)
+
+
+@pytest.mark.parametrize("rasterizer", ["Quads", "Tiles"])
+def test_a_fine_grid_is_as_fine_before_splats(rviz: Rviz, world: World, rasterizer: str) -> None:
+    """Its lines are as bright as before nothing, to the last sample of a pixel."""
+    lines = {"Color": "0; 255; 0", "Alpha": 0.5, "Cell Size": 0.5}
+    rviz.load(configuration(display("Grid", "Grid", **lines), map_display(Rasterizer=rasterizer)))
+
+    def inner(picture: np.ndarray) -> np.ndarray:
+        row, column = picture.shape[0] // 2, picture.shape[1] // 2
+        return picture[row - 80 : row + 80, column - 80 : column + 80]
+
+    alone = inner(rviz.until(lambda s: s[..., 1].max() > 50))
+    world.place(z=-2.0)
+    world.map.replace(disc((1, 0, 0), sigma=9.0))
+    before = inner(rviz.until(lambda s: red(inner(s)).mean() > 0.9))
+    np.testing.assert_allclose(before[..., 1], alone[..., 1], atol=6)
+    world.place(z=2.0)
+    rviz.until(lambda s: red(inner(s)).all())

@@ -3,17 +3,27 @@
 flat in vec4 colour;
 in vec2 sigmas;
 layout(location = 0) out vec4 blended;
+#ifdef BEHIND
+layout(location = 1) out vec4 nearness;  // as in splat_hide.frag
+layout(binding = 0) uniform sampler2D scene_depth;
+#endif
 
 uniform int mode;
 
 void main() {
+#ifdef BEHIND
+  if (gl_FragCoord.z > texelFetch(scene_depth, ivec2(gl_FragCoord.xy), 0).r) discard;
+#endif
   float falloff = exp(-0.5 * dot(sigmas, sigmas));
-  if (mode == kFlatBall || mode == kGaussianBall) {
-    if (falloff < kBallEdge) discard;
-    blended = vec4(colour.rgb * (mode == kGaussianBall ? falloff : 1.0), 1.0);
-    return;
-  }
   float alpha = min(kMaxAlpha, colour.a * falloff);
+  vec3 rgb = colour.rgb;
+  if (mode == kFlatBall || mode == kGaussianBall) {
+    alpha = falloff < kBallEdge ? 0.0 : 1.0;
+    if (mode == kGaussianBall) rgb *= falloff;
+  }
   if (alpha < kCutoffAlpha) discard;
-  blended = vec4(colour.rgb * alpha, alpha);
+  blended = vec4(rgb * alpha, alpha);
+#ifdef BEHIND
+  nearness = vec4((1.0 - gl_FragCoord.z) * alpha, alpha, 0.0, alpha);
+#endif
 }

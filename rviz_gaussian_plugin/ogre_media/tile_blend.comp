@@ -6,6 +6,11 @@ layout(std430, binding = 5) readonly buffer Begins { uint begins[]; };
 layout(std430, binding = 6) readonly buffer DepthRange { uint nearest, farthest; };
 layout(binding = 0) uniform sampler2D scene_depth;
 layout(binding = 0) writeonly uniform image2D blended;
+#ifdef BEHIND
+layout(binding = 1) uniform sampler2D behind_depth;
+layout(binding = 1) writeonly uniform image2D blended_behind;
+layout(binding = 2) writeonly uniform image2D nearness_behind;  // as in splat_hide.frag
+#endif
 
 uniform ivec2 picture;     // [px]
 uniform bool top_first;    // the target's first row is the picture's top
@@ -59,6 +64,11 @@ void main() {
   vec2 range = depth_range.y > depth_range.x ? depth_range : vec2(keyDepth(nearest), keyDepth(farthest));
   vec3 colour = vec3(0.0);
   float transmittance = 1.0;
+#ifdef BEHIND
+  float behind_until = inside ? texelFetch(behind_depth, texel, 0).r : 0.0;
+  vec3 colour_behind = vec3(0.0);
+  float transmittance_behind = 1.0, nearness = 0.0;
+#endif
 
   uint index = uint(tile.y * tiles.x + tile.x);
   uint begin = begins[index], end = begins[index + 1u];
@@ -91,6 +101,16 @@ void main() {
           alpha = falloff < kBallEdge ? 0.0 : 1.0;
           if (mode == kGaussianBall) splat.rgb *= falloff;
         }
+#ifdef BEHIND
+        if (alpha >= kCutoffAlpha && shape.z > hidden_from && shape.z <= behind_until) {
+          colour_behind += transmittance_behind * alpha * splat.rgb;
+          nearness += transmittance_behind * alpha * (1.0 - shape.z);
+          transmittance_behind *= 1.0 - alpha;
+          done = transmittance * transmittance_behind < kTransparent;
+          if (done) atomicAdd(finished, 1u);
+          continue;
+        }
+#endif
         if (alpha < kCutoffAlpha || shape.z > hidden_from || shape.z < 0.0) continue;
         colour += transmittance * alpha * splat.rgb;
         transmittance *= 1.0 - alpha;
@@ -101,5 +121,10 @@ void main() {
     barrier();
     if (finished == kBatch) break;
   }
-  if (inside) imageStore(blended, texel, vec4(colour, 1.0 - transmittance));
+  if (!inside) return;
+  imageStore(blended, texel, vec4(colour, 1.0 - transmittance));
+#ifdef BEHIND
+  imageStore(blended_behind, texel, vec4(colour_behind, 1.0 - transmittance_behind));
+  imageStore(nearness_behind, texel, vec4(nearness, 1.0 - transmittance_behind, 0.0, 0.0));
+#endif
 }

@@ -126,11 +126,18 @@ FrameReport OffscreenRenderer::draw(const std::string& view_id, bool built_in) {
   return cloud_->scene().report(view_id);
 }
 
-void OffscreenRenderer::setBox(const std::array<float, 3>& centre,
-                               const std::array<float, 3>& size) {
+void OffscreenRenderer::setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size,
+                               float opacity) {
   if (manager_->hasManualObject("box")) manager_->destroyManualObject("box");
   Ogre::ManualObject* box = manager_->createManualObject("box");
-  const auto material = Ogre::MaterialManager::getSingleton().getDefaultMaterial(false);
+  auto& materials = Ogre::MaterialManager::getSingleton();
+  auto material = materials.getByName("box", kResourceGroup);
+  if (!material) {
+    material = materials.getDefaultMaterial(false)->clone("box", true, kResourceGroup);
+    material->getTechnique(0)->getPass(0)->setVertexColourTracking(Ogre::TVC_DIFFUSE);
+  }
+  material->setSceneBlending(opacity < 1 ? Ogre::SBT_TRANSPARENT_ALPHA : Ogre::SBT_REPLACE);
+  material->setDepthWriteEnabled(opacity >= 1);
   box->begin(material->getName(), Ogre::RenderOperation::OT_TRIANGLE_LIST, material->getGroup());
   for (int corner = 0; corner < 8; ++corner) {
     Ogre::Vector3 position;
@@ -138,7 +145,7 @@ void OffscreenRenderer::setBox(const std::array<float, 3>& centre,
       position[axis] = centre[axis] + (corner >> axis & 1 ? 0.5f : -0.5f) * size[axis];
     }
     box->position(position);
-    box->colour(Ogre::ColourValue::White);
+    box->colour(Ogre::ColourValue(1, 1, 1, opacity));
   }
   for (const std::array<Ogre::uint32, 4>& q : {std::array<Ogre::uint32, 4>{0, 2, 3, 1},
                                                {4, 5, 7, 6},

@@ -30,8 +30,8 @@ class OffscreenRenderer {
   // Draws the scene as a view's camera sees it, sorted here if built_in. Throws std::runtime_error.
   FrameReport draw(const std::string& view_id, bool built_in);
 
-  // An opaque box to hide splats behind and before, in the map's frame [m].
-  void setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size);
+  // A white box to hide splats behind and before, in the map's frame [m], or a veil of it.
+  void setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size, float opacity);
 
   std::vector<float> readColor() { return cloud_->scene().readColor(); }
   std::vector<float> readDepth() { return cloud_->scene().readDepth(); }

@@ -177,7 +177,7 @@ PYBIND11_MODULE(_offscreen, module) {
            "far"_a = 1e10)
       .def("set_order", &setOrder, "view_id"_a, "sequence"_a, "map_id"_a, "revision"_a, "backend"_a,
            "sort_time"_a, "slots"_a)
-      .def("set_box", &OffscreenRenderer::setBox, "centre"_a, "size"_a)
+      .def("set_box", &OffscreenRenderer::setBox, "centre"_a, "size"_a, "opacity"_a = 1.0f)
       .def_readwrite("settings", &OffscreenRenderer::settings)
       .def(
           "has_order",

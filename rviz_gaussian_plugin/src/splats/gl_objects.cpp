@@ -194,24 +194,27 @@ void storageBarrier() {
   glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_BUFFER_UPDATE_BARRIER_BIT);
 }
 
-Target::Target(GLenum color_format, int width, int height)
+Target::Target(GLenum color_format, int width, int height, GLenum second_format)
     : format_(color_format), width_(width), height_(height) {
-  const std::size_t pixel = color_format == GL_RGBA32F ? 16 : 8;
-  bytes_ = (pixel + 4) * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
-  glGenTextures(1, &color_);
-  glBindTexture(GL_TEXTURE_2D, color_);
-  glTexStorage2D(GL_TEXTURE_2D, 1, color_format, width, height);
-  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_NEAREST);
-  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
-  glGenTextures(1, &depth_);
-  glBindTexture(GL_TEXTURE_2D, depth_);
-  glTexStorage2D(GL_TEXTURE_2D, 1, GL_DEPTH24_STENCIL8, width, height);
-  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_NEAREST);
-  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
+  const auto texture = [&](GLenum format) {
+    GLuint id = 0;
+    glGenTextures(1, &id);
+    glBindTexture(GL_TEXTURE_2D, id);
+    glTexStorage2D(GL_TEXTURE_2D, 1, format, width, height);
+    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_NEAREST);
+    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
+    const std::size_t pixel = format == GL_RGBA32F ? 16 : format == GL_DEPTH24_STENCIL8 ? 4 : 8;
+    bytes_ += pixel * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
+    return id;
+  };
+  color_ = texture(color_format);
+  if (second_format) second_ = texture(second_format);
+  depth_ = texture(GL_DEPTH24_STENCIL8);
 }
 
 Target& Target::operator=(Target&& other) noexcept {
   std::swap(color_, other.color_);
+  std::swap(second_, other.second_);
   std::swap(depth_, other.depth_);
   std::swap(format_, other.format_);
   std::swap(width_, other.width_);
@@ -221,28 +224,89 @@ Target& Target::operator=(Target&& other) noexcept {
 }
 
 Target::~Target() {
-  if (color_) glDeleteTextures(1, &color_);
-  if (depth_) glDeleteTextures(1, &depth_);
+  for (const GLuint texture : {color_, second_, depth_}) {
+    if (texture) glDeleteTextures(1, &texture);
+  }
 }
 
-DrawScope::DrawScope(const Target& target) {
+DrawScope::DrawScope(const Target& target, GLuint depth) {
   glGenFramebuffers(1, &framebuffer_);
   glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
   glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, target.color(), 0);
-  glFramebufferTexture2D(GL_FRAMEBUFFER, GL_DEPTH_STENCIL_ATTACHMENT, GL_TEXTURE_2D, target.depth(),
-                         0);
+  glFramebufferTexture2D(GL_FRAMEBUFFER, GL_DEPTH_STENCIL_ATTACHMENT, GL_TEXTURE_2D, depth, 0);
+  if (target.second()) {
+    glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT1, GL_TEXTURE_2D, target.second(), 0);
+    constexpr std::array<GLenum, 2> both{GL_COLOR_ATTACHMENT0, GL_COLOR_ATTACHMENT1};
+    glDrawBuffers(GLsizei(both.size()), both.data());
+  }
   if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
     glDeleteFramebuffers(1, &framebuffer_);
     throw Error("the graphics driver can't blend into a floating-point picture of " +
                 std::to_string(target.width()) + "x" + std::to_string(target.height()) + " pixels");
   }
   glGenVertexArrays(1, &vertex_array_);
+  bind();
+}
+
+void DrawScope::bind() const {
+  glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
   glBindVertexArray(vertex_array_);
 }
 
 DrawScope::~DrawScope() {
   glDeleteVertexArrays(1, &vertex_array_);
   glDeleteFramebuffers(1, &framebuffer_);
+}
+
+SampledDepth::SampledDepth(int width, int height, int samples)
+    : width_(width), height_(height), samples_(samples) {
+  bytes_ = 4 * static_cast<std::size_t>(width) * static_cast<std::size_t>(height) *
+           static_cast<std::size_t>(samples);
+  glGenTextures(1, &texture_);
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, texture_);
+  // Not of immutable storage: Mesa 22.3 attaches that to a framebuffer only once.
+  glTexImage2DMultisample(GL_TEXTURE_2D_MULTISAMPLE, samples, GL_DEPTH_COMPONENT24, width, height,
+                          GL_TRUE);
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, 0);
+}
+
+SampledDepth& SampledDepth::operator=(SampledDepth&& other) noexcept {
+  std::swap(texture_, other.texture_);
+  std::swap(width_, other.width_);
+  std::swap(height_, other.height_);
+  std::swap(samples_, other.samples_);
+  std::swap(bytes_, other.bytes_);
+  return *this;
+}
+
+SampledDepth::~SampledDepth() {
+  if (texture_) glDeleteTextures(1, &texture_);
+}
+
+DepthScope::DepthScope(const SampledDepth& depth) {
+  glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &draw_framebuffer_);
+  glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read_framebuffer_);
+  glGetIntegerv(GL_VIEWPORT, viewport_.data());
+  glGenFramebuffers(1, &framebuffer_);
+  glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
+  glFramebufferTexture2D(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_TEXTURE_2D_MULTISAMPLE,
+                         depth.texture(), 0);
+  glDrawBuffer(GL_NONE);
+  glReadBuffer(GL_NONE);
+  glViewport(0, 0, depth.width(), depth.height());
+  glPushAttrib(GL_DEPTH_BUFFER_BIT | GL_SCISSOR_BIT);
+  glDisable(GL_SCISSOR_TEST);
+  glDepthMask(GL_TRUE);
+  const GLfloat farthest = 1.0f;
+  glClearBufferfv(GL_DEPTH, 0, &farthest);
+  glPopAttrib();
+}
+
+DepthScope::~DepthScope() {
+  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, static_cast<GLuint>(draw_framebuffer_));
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, static_cast<GLuint>(read_framebuffer_));
+  glDeleteFramebuffers(1, &framebuffer_);
+  glViewport(viewport_[0], viewport_[1], viewport_[2], viewport_[3]);
 }
 
 StateGuard::StateGuard() {

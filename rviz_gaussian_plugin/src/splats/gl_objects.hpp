@@ -2,6 +2,7 @@
 
 #include <epoxy/gl.h>
 
+#include <array>
 #include <cstddef>
 #include <map>
 #include <stdexcept>
@@ -122,16 +123,18 @@ void dispatch(std::size_t work_groups);
 // Makes what was written to storage buffers visible to the shaders that come next.
 void storageBarrier();
 
-// A single-sample colour texture with a depth-stencil texture.
+// A single-sample colour texture with a depth-stencil texture and, if it has a format, a second
+// colour texture.
 class Target {
  public:
   Target() = default;
-  Target(GLenum color_format, int width, int height);
+  Target(GLenum color_format, int width, int height, GLenum second_format = 0);
   Target(Target&& other) noexcept { *this = std::move(other); }
   Target& operator=(Target&& other) noexcept;
   ~Target();
 
   GLuint color() const { return color_; }
+  GLuint second() const { return second_; }
   GLuint depth() const { return depth_; }
   GLenum format() const { return format_; }
   int width() const { return width_; }
@@ -139,7 +142,7 @@ class Target {
   std::size_t bytes() const { return bytes_; }
 
  private:
-  GLuint color_ = 0, depth_ = 0;
+  GLuint color_ = 0, second_ = 0, depth_ = 0;
   GLenum format_ = 0;
   int width_ = 0, height_ = 0;
   std::size_t bytes_ = 0;
@@ -149,15 +152,54 @@ class Target {
 // buffers, but neither of these, and rviz has a context for each window.
 class DrawScope {
  public:
-  explicit DrawScope(const Target& target);
+  explicit DrawScope(const Target& target) : DrawScope(target, target.depth()) {}
+  // With the depth of another of its size.
+  DrawScope(const Target& target, GLuint depth);
   ~DrawScope();
   DrawScope(const DrawScope&) = delete;
   DrawScope& operator=(const DrawScope&) = delete;
 
+  // Once more, where another has been in between.
+  void bind() const;
   GLuint framebuffer() const { return framebuffer_; }
 
  private:
   GLuint framebuffer_ = 0, vertex_array_ = 0;
+};
+
+// A depth texture with as many samples a pixel as a window has.
+class SampledDepth {
+ public:
+  SampledDepth() = default;
+  SampledDepth(int width, int height, int samples);
+  SampledDepth(SampledDepth&& other) noexcept { *this = std::move(other); }
+  SampledDepth& operator=(SampledDepth&& other) noexcept;
+  ~SampledDepth();
+
+  GLuint texture() const { return texture_; }
+  int width() const { return width_; }
+  int height() const { return height_; }
+  int samples() const { return samples_; }
+  std::size_t bytes() const { return bytes_; }
+
+ private:
+  GLuint texture_ = 0;
+  int width_ = 0, height_ = 0, samples_ = 0;
+  std::size_t bytes_ = 0;
+};
+
+// Has all that Ogre draws in a scope leave its depth in a texture, cleared first, and nothing else.
+class DepthScope {
+ public:
+  explicit DepthScope(const SampledDepth& depth);
+  ~DepthScope();
+  DepthScope(const DepthScope&) = delete;
+  DepthScope& operator=(const DepthScope&) = delete;
+
+ private:
+  GLuint framebuffer_ = 0;
+  GLint draw_framebuffer_ = 0, read_framebuffer_ = 0;
+  std::array<GLint, 4> viewport_{};
 };
 
 // Puts back, at the end of its scope, the state that Ogre believes is set.

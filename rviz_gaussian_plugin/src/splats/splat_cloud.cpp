@@ -7,16 +7,39 @@
 #include <OgreResourceGroupManager.h>
 #include <OgreSceneManager.h>
 #include <OgreSceneNode.h>
+#include <OgreTechnique.h>
 #include <OgreViewport.h>
 
 #include <algorithm>
+#include <limits>
 
 namespace rosplat {
 
 namespace {
 
-// After the opaque and the transparent objects of the scene, before overlays.
+// After the opaque and the translucent objects of the scene, before overlays.
 constexpr Ogre::uint8 kRenderQueue = Ogre::RENDER_QUEUE_7;
+
+// Sorted with the translucent objects, the farthest first, but itself neither.
+Ogre::MaterialPtr layerMaterial() {
+  auto& materials = Ogre::MaterialManager::getSingleton();
+  const std::string name = "rosplat/Layer";
+  if (auto material =
+          materials.getByName(name, Ogre::ResourceGroupManager::DEFAULT_RESOURCE_GROUP_NAME))
+    return material;
+  auto material = materials.getDefaultMaterial(false)->clone(
+      name, true, Ogre::ResourceGroupManager::DEFAULT_RESOURCE_GROUP_NAME);
+  material->setSceneBlending(Ogre::SBT_TRANSPARENT_ALPHA);
+  material->setDepthWriteEnabled(false);
+  return material;
+}
+
+// Lists what a queue holds.
+struct Lister : Ogre::QueuedRenderableVisitor {
+  std::vector<Ogre::RenderablePass> found;
+  void visit(Ogre::RenderablePass* object) override { found.push_back(*object); }
+  void visit(const Ogre::Pass*, Ogre::RenderableList&) override {}
+};
 
 // What an Ogre camera sees of a map in the frame of a node, in the optical convention.
 SplatCamera cameraOf(const Ogre::Camera& ogre, const Ogre::Affine3& node, int width, int height) {
@@ -66,7 +89,7 @@ SplatCloud::SplatCloud(const std::string& name, const std::string& resource_grou
             ->getAsString();
       })),
       on_view_(std::move(on_view)),
-      material_(Ogre::MaterialManager::getSingleton().getDefaultMaterial(false)) {
+      material_(layerMaterial()) {
   setRenderQueueGroup(kRenderQueue);
   setCastShadows(false);
 }
@@ -86,35 +109,62 @@ void SplatCloud::_notifyCurrentCamera(Ogre::Camera* camera) {
 }
 
 void SplatCloud::_updateRenderQueue(Ogre::RenderQueue* queue) {
-  queue->addRenderable(this, mRenderQueueID, mRenderQueuePriority);
+  drawn_ = divided_ = false;
+  auto& [behind, hide, before] = layers_;
+  queue->addRenderable(&behind, Ogre::RENDER_QUEUE_MAIN, mRenderQueuePriority);
+  queue->addRenderable(&hide, Ogre::RENDER_QUEUE_MAIN, mRenderQueuePriority);
+  queue->addRenderable(&before, mRenderQueueID, mRenderQueuePriority);
 }
 
 void SplatCloud::visitRenderables(Ogre::Renderable::Visitor* visitor, bool) {
-  visitor->visit(this, 0, false);
+  for (Layer& layer : layers_) visitor->visit(&layer, 0, false);
 }
 
-void SplatCloud::getRenderOperation(Ogre::RenderOperation& operation) {
+void SplatCloud::Layer::getRenderOperation(Ogre::RenderOperation& operation) {
   operation.vertexData = nullptr;  // preRender() draws
 }
 
-void SplatCloud::getWorldTransforms(Ogre::Matrix4* transform) const {
-  *transform = _getParentNodeFullTransform();
+void SplatCloud::Layer::getWorldTransforms(Ogre::Matrix4* transform) const {
+  *transform = cloud_._getParentNodeFullTransform();
 }
 
-Ogre::Real SplatCloud::getSquaredViewDepth(const Ogre::Camera* camera) const {
-  return getParentNode()->getSquaredViewDepth(camera);
+// Farther than all that is translucent, so that it comes first.
+Ogre::Real SplatCloud::Layer::getSquaredViewDepth(const Ogre::Camera*) const {
+  const Ogre::Real farthest = std::numeric_limits<Ogre::Real>::max();
+  return turn_ == Turn::kBehind ? farthest : farthest / 2;
 }
 
-bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
-  Ogre::Viewport* viewport = manager->getCurrentViewport();
+bool SplatCloud::Layer::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
+  cloud_.draw(turn_, *manager);
+  return false;
+}
+
+std::vector<Ogre::RenderablePass> SplatCloud::translucent(Ogre::SceneManager& manager) const {
+  Lister lister;
+  auto priorities = manager.getRenderQueue()->getQueueGroup(Ogre::RENDER_QUEUE_MAIN)->getIterator();
+  while (priorities.hasMoreElements()) {
+    priorities.getNext()->getTransparents().acceptVisitor(
+        &lister, Ogre::QueuedRenderableCollection::OM_SORT_DESCENDING);
+  }
+  auto& found = lister.found;
+  found.erase(std::remove_if(found.begin(), found.end(),
+                             [this](const Ogre::RenderablePass& object) {
+                               return object.renderable->getMaterial() == material_;
+                             }),
+              found.end());
+  return std::move(found);
+}
+
+void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
+  Ogre::Viewport* viewport = manager.getCurrentViewport();
   // rviz's mouse tools draw the scene in schemes of their own.
   const std::string& scheme = viewport->getMaterialScheme();
   const bool seen = scheme == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
   const bool touched = scheme == "Depth";
   const bool picked = pick_handle_ && (scheme == "Pick" || scheme == "Pick1");
-  if (!(seen || touched || picked) || !camera_) return false;
+  if (!(seen || touched || picked) || !camera_) return;
   const auto now = std::chrono::steady_clock::now();
-  if (!error_.empty() && (scene_->unusable() || now < error_ends_)) return false;
+  if (!error_.empty() && (scene_->unusable() || now < error_ends_)) return;
   SplatCamera camera = cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
                                 viewport->getActualWidth(), viewport->getActualHeight());
   camera.extent_scale = std::max(1.0f, settings_.scale);
@@ -122,18 +172,11 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
       viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
   try {
     if (seen) {
-      const std::string view = on_view_(viewport, camera);
-      if (view.empty()) {
-        seen_.clear();
-        scene_->upload();
-      } else {
-        seen_[viewport] = camera;
-        scene_->draw(view, settings_, canvas, built_in_);
-      }
+      drawSeen(turn, manager, camera, canvas);
       error_.clear();
-      return false;
+      return;
     }
-    if (seen_.empty()) return false;  // what isn't seen can't be touched
+    if (turn != Turn::kBefore || seen_.empty()) return;  // what isn't seen can't be touched
     for (const auto& [of, whole] : seen_) {
       if (makePart(camera, whole)) break;
     }
@@ -146,7 +189,39 @@ bool SplatCloud::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
     error_ = error.what();
     error_ends_ = now + std::chrono::seconds(1);
   }
-  return false;
+}
+
+void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCamera& camera,
+                          Canvas canvas) {
+  if (drawn_) {
+    if (divided_ && turn == Turn::kHide) scene_->hideFarther();
+    if (divided_ && turn == Turn::kBefore) scene_->drawBefore();
+    return;
+  }
+  DrawTranslucent draw_translucent;
+  if (turn != Turn::kBefore) {
+    const auto objects = translucent(manager);
+    if (objects.empty()) return;
+    draw_translucent = [&manager, objects] {
+      for (const auto& [object, pass] : objects) {
+        const bool writes = pass->getDepthWriteEnabled();
+        pass->setDepthWriteEnabled(true);
+        manager._injectRenderWithPass(pass, object, false);
+        pass->setDepthWriteEnabled(writes);
+      }
+    };
+  }
+  drawn_ = true;
+  Ogre::Viewport* viewport = manager.getCurrentViewport();
+  const std::string view = on_view_(viewport, camera);
+  if (view.empty()) {
+    seen_.clear();
+    scene_->upload();
+    return;
+  }
+  seen_[viewport] = camera;
+  scene_->draw(view, settings_, canvas, built_in_, draw_translucent);
+  divided_ = bool(draw_translucent);
 }
 
 }  // namespace rosplat

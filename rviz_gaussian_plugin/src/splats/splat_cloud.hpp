@@ -1,21 +1,25 @@
 #pragma once
 
 #include <OgreMovableObject.h>
+#include <OgreRenderQueueSortingGrouping.h>
 #include <OgreRenderable.h>
 
+#include <array>
 #include <chrono>
 #include <functional>
 #include <map>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "splat_scene.hpp"
 
 namespace rosplat {
 
-// A map as a part of an Ogre scene: drawn after everything opaque, hidden by it, in the frame of
-// the scene node it is attached to (which must not scale or mirror).
-class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
+// A map as a part of an Ogre scene: drawn after everything opaque, hidden by it, before and behind
+// what is translucent, in the frame of the scene node it is attached to (which must not scale or
+// mirror).
+class SplatCloud : public Ogre::MovableObject {
  public:
   // Names the view that a viewport shows and registers its camera with the scene; called in the
   // render thread before each draw. `camera` is what the viewport's Ogre camera sees of the map.
@@ -46,21 +50,43 @@ class SplatCloud : public Ogre::MovableObject, public Ogre::Renderable {
   void _updateRenderQueue(Ogre::RenderQueue* queue) override;
   void visitRenderables(Ogre::Renderable::Visitor* visitor, bool debug) override;
 
-  // Ogre::Renderable
-  const Ogre::MaterialPtr& getMaterial() const override { return material_; }
-  void getRenderOperation(Ogre::RenderOperation& operation) override;
-  void getWorldTransforms(Ogre::Matrix4* transform) const override;
-  Ogre::Real getSquaredViewDepth(const Ogre::Camera* camera) const override;
-  const Ogre::LightList& getLights() const override { return queryLights(); }
-  bool preRender(Ogre::SceneManager* manager, Ogre::RenderSystem* system) override;
-
  private:
+  // When a part of the map is drawn, in this order.
+  enum class Turn {
+    kBehind,  // between the opaque and the translucent objects, if there are any
+    kHide,    // the same, once all maps are through with kBehind
+    kBefore,  // after both, before overlays
+  };
+  // What Ogre's queues hold.
+  class Layer : public Ogre::Renderable {
+   public:
+    Layer(SplatCloud& cloud, Turn turn) : cloud_(cloud), turn_(turn) {}
+    const Ogre::MaterialPtr& getMaterial() const override { return cloud_.material_; }
+    void getRenderOperation(Ogre::RenderOperation& operation) override;
+    void getWorldTransforms(Ogre::Matrix4* transform) const override;
+    Ogre::Real getSquaredViewDepth(const Ogre::Camera* camera) const override;
+    const Ogre::LightList& getLights() const override { return cloud_.queryLights(); }
+    bool preRender(Ogre::SceneManager* manager, Ogre::RenderSystem* system) override;
+
+   private:
+    SplatCloud& cloud_;
+    Turn turn_;
+  };
+
+  void draw(Turn turn, Ogre::SceneManager& manager);
+  void drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCamera& camera, Canvas canvas);
+  std::vector<Ogre::RenderablePass> translucent(Ogre::SceneManager& manager) const;
+
+  std::array<Layer, 3> layers_{Layer(*this, Turn::kBehind), Layer(*this, Turn::kHide),
+                               Layer(*this, Turn::kBefore)};
   std::unique_ptr<SplatScene> scene_;
   ViewCallback on_view_;
   std::map<Ogre::Viewport*, SplatCamera> seen_;  // as drawn last; mouse tools draw parts of them
   RenderSettings settings_;
   bool built_in_ = false;
   std::uint32_t pick_handle_ = 0;
+  bool drawn_ = false;    // in this frame
+  bool divided_ = false;  // at the translucent objects, so that kHide and kBefore have to follow
   std::string error_;
   std::chrono::steady_clock::time_point error_ends_;
   Ogre::MaterialPtr material_;

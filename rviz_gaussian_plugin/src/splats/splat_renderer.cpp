@@ -12,6 +12,24 @@ namespace {
 constexpr std::size_t kLeastRoom = 65536;  // for visible splats
 constexpr int kPatience = 16;              // frames until fewer bits are sorted
 
+// What Ogre may have left that would spoil a pass here.
+void resetState() {
+  for (const GLenum off :
+       {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST, GL_POLYGON_OFFSET_FILL,
+        GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
+    glDisable(off);
+  }
+  glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
+  glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
+}
+
+// For what is premultiplied.
+void blendOver() {
+  glEnable(GL_BLEND);
+  glBlendEquation(GL_FUNC_ADD);
+  glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
+}
+
 // The opaque scene's depth at (x, y) of a framebuffer into the bound one, resolved to one sample a
 // pixel. Where there is no scene or no depth, nothing is hidden.
 void copyDepth(Canvas canvas, GLuint source, GLint x, GLint y, const gl::Target& target) {
@@ -55,7 +73,14 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       tiles_(shaders_, sort_, tallies_),
       quads_(shaders_.draw({"splat_ellipses.glsl", "splat_depth.glsl", "splat_quad.vert"},
                            {"splat_quad.frag"})),
+      quads_behind_(shaders_.draw({"splat_ellipses.glsl", "splat_depth.glsl", "splat_quad.vert"},
+                                  {"splat_behind.glsl", "splat_quad.frag"})),
+      divide_(shaders_.draw({"splat_composite.vert"}, {"splat_divide.frag"})),
+      tile_depth_(shaders_.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_depth.comp"})),
+      divide_quads_(shaders_.compute(
+          {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "splat_divide.comp"})),
       composite_(shaders_.draw({"splat_composite.vert"}, {"splat_composite.frag"})),
+      hide_(shaders_.draw({"splat_composite.vert"}, {"splat_hide.frag"})),
       surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})),
       pick_(shaders_.compute({"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
                               "splat_depth.glsl", "splat_pick.comp"})),
@@ -93,12 +118,7 @@ void SplatRenderer::setTarget(gl::Target& target, GLenum format, const SplatCame
   }
   raster_ = {canvas != Canvas::kWindow, camera.orthographic, camera.ndc_scale,
              camera.ndc_offset,         settings.mode,       settings.depth_range};
-  for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
-                           GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
-    glDisable(off);
-  }
-  glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
-  glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
+  resetState();
 }
 
 bool SplatRenderer::prepared(const SplatCamera& camera, const MapState& map,
@@ -188,23 +208,79 @@ bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
   return enough;
 }
 
-void SplatRenderer::drawQuads(const gl::Target& target, bool raw_depth) const {
+// Has color_'s depth, so far the opaque scene's, let pass only what is before the translucent
+// objects, and keeps the opaque scene's in behind_.
+void SplatRenderer::divide() {
+  const int width = color_.width(), height = color_.height();
+  if (behind_.width() != width || behind_.height() != height ||
+      behind_.format() != color_.format()) {
+    behind_ = gl::Target(color_.format(), width, height, GL_RG32F);
+  }
+  glCopyImageSubData(color_.depth(), GL_TEXTURE_2D, 0, 0, 0, 0, behind_.depth(), GL_TEXTURE_2D, 0,
+                     0, 0, 0, width, height, 1);
+  divide_.use();
+  divide_.set("samples", translucent_.samples());
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, translucent_.texture());
+  glViewport(0, 0, width, height);
+  glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
+  glEnable(GL_DEPTH_TEST);
+  glDepthFunc(GL_LESS);
+  glDepthMask(GL_TRUE);
+  glDrawArrays(GL_TRIANGLES, 0, 3);
+  glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
+}
+
+// Lists the splats that may be seen before and behind the translucent objects, by tiles.
+void SplatRenderer::divideQuads() {
+  const int across = (color_.width() + 15) / 16, down = (color_.height() + 15) / 16;
+  if (tile_depths_.width() != across || tile_depths_.height() != down) {
+    tile_depths_ = gl::Target(GL_RG32F, across, down);
+  }
+  tile_depth_.use();
+  glUniform2i(tile_depth_.at("tiles"), across, down);
+  glUniform2i(tile_depth_.at("picture"), color_.width(), color_.height());
+  tile_depth_.set("top_first", int(raster_.top_first));
+  glActiveTexture(GL_TEXTURE1);
+  glBindTexture(GL_TEXTURE_2D, behind_.depth());
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, color_.depth());
+  glBindImageTexture(0, tile_depths_.color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, GL_RG32F);
+  gl::dispatch(std::size_t(across) * std::size_t(down));
+  glMemoryBarrier(GL_TEXTURE_FETCH_BARRIER_BIT);
+
+  drawn_before_.reserve(drawn_.bytes());
+  drawn_behind_.reserve(drawn_.bytes());
+  divide_quads_.use();
+  raster_.set(divide_quads_);
+  projection_.bindEllipses(divide_quads_);
+  glUniform2i(divide_quads_.at("tiles"), across, down);
+  glBindTexture(GL_TEXTURE_2D, tile_depths_.color());
+  drawn_.bind(4);
+  drawn_before_.bind(5);
+  drawn_behind_.bind(6);
+  drawnTally().bind(7);
+  drawnTally().dispatchGroups();
+  gl::storageBarrier();
+}
+
+void SplatRenderer::drawQuads(const gl::Target& target, const gl::Buffer& drawn, Quads what) const {
   glViewport(0, 0, target.width(), target.height());
   const std::array<float, 4> nothing{};
   glClearBufferfv(GL_COLOR, 0, nothing.data());
-  glEnable(GL_BLEND);
-  glBlendEquation(GL_FUNC_ADD);
-  glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
+  if (target.second()) glClearBufferfv(GL_COLOR, 1, nothing.data());
+  blendOver();
   glEnable(GL_DEPTH_TEST);
-  glDepthFunc(GL_LEQUAL);
+  glDepthFunc(what == Quads::kBehind ? GL_GREATER : GL_LEQUAL);
   glDepthMask(GL_FALSE);
-  quads_.use();
-  raster_.set(quads_);
-  quads_.set("picture", target.width(), target.height());
-  quads_.set("up", raster_.top_first ? -1.0f : 1.0f);
-  quads_.set("raw_depth", int(raw_depth));
-  projection_.bindEllipses(quads_);
-  drawn_.bind(4);
+  const gl::Program& program = what == Quads::kBehind ? quads_behind_ : quads_;
+  program.use();
+  raster_.set(program);
+  program.set("picture", target.width(), target.height());
+  program.set("up", raster_.top_first ? -1.0f : 1.0f);
+  program.set("raw_depth", int(what == Quads::kDepth));
+  projection_.bindEllipses(program);
+  drawn.bind(4);
   projection_.depthRange().bind(5);
   drawnTally().bind(6);
   drawnTally().drawQuads();
@@ -214,18 +290,32 @@ void SplatRenderer::layOver(const gl::Program& program, GLuint framebuffer,
                             const gl::Target& target, GLint x, GLint y) const {
   glBindFramebuffer(GL_DRAW_FRAMEBUFFER, framebuffer);
   glViewport(x, y, target.width(), target.height());
-  glDisable(GL_DEPTH_TEST);
   program.use();
   glUniform2i(program.at("corner"), x, y);
+  glActiveTexture(GL_TEXTURE1);
+  glBindTexture(GL_TEXTURE_2D, target.second());
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.color());
   glDrawArrays(GL_TRIANGLES, 0, 3);
 }
 
 void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
-                         const RenderSettings& settings, Canvas canvas) {
-  const gl::StateGuard guard;
+                         const RenderSettings& settings, Canvas canvas,
+                         const DrawTranslucent& translucent) {
   gl::Stopwatch stopwatch(settings.profile);
+  if (translucent) {
+    GLint samples = 0;
+    glGetIntegerv(GL_SAMPLES, &samples);
+    samples = std::max(samples, 1);
+    if (translucent_.width() != camera.width || translucent_.height() != camera.height ||
+        translucent_.samples() != samples) {
+      translucent_ = gl::SampledDepth(camera.width, camera.height, samples);
+    }
+    const gl::DepthScope scope(translucent_);
+    translucent();
+    stopwatch.lap("translucent");
+  }
+  const gl::StateGuard guard;
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   const GLint x = viewport[0], y = viewport[1];
@@ -235,6 +325,11 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
   glFlush();  // the graphics card begins while the rest is submitted
   const gl::DrawScope scope(color_);
   copyDepth(canvas, guard.drawFramebuffer(), x, y, color_);
+  if (translucent) {
+    divide();
+    stopwatch.lap("divide");
+  }
+  const gl::Target* behind = translucent ? &behind_ : nullptr;
   bool in_tiles = settings.rasterizer == Rasterizer::kTiles ||
                   (settings.rasterizer == Rasterizer::kAuto && accelerated_);
   while (true) {
@@ -245,11 +340,19 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
                     [this] { tallies_.ask(); });
         unknown = true;
       }
-      tiles_.blend(projection_, color_, raster_);
+      tiles_.blend(projection_, color_, behind, raster_);
       stopwatch.lap("blend");
     } else {
       if (unknown) tallies_.ask();
-      drawQuads(color_, false);
+      if (behind) {
+        divideQuads();
+        const gl::DrawScope behind_scope(behind_, color_.depth());
+        glActiveTexture(GL_TEXTURE0);
+        glBindTexture(GL_TEXTURE_2D, behind_.depth());
+        drawQuads(behind_, drawn_behind_, Quads::kBehind);
+        scope.bind();
+      }
+      drawQuads(color_, behind ? drawn_before_ : drawn_, Quads::kColour);
       stopwatch.lap("quads");
     }
     // All is submitted: the graphics card goes on while this waits for what it counted first.
@@ -259,13 +362,36 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
   prepared_ = Prepared{camera, settings, map.origin, map.antialiased};
   rasterizer_ = in_tiles ? "tiles" : "quads";
   if (canvas != Canvas::kNone) {
-    glEnable(GL_BLEND);
-    glBlendEquation(GL_FUNC_ADD);
-    glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
-    layOver(composite_, guard.drawFramebuffer(), color_, x, y);
+    blendOver();
+    glDisable(GL_DEPTH_TEST);
+    layOver(composite_, guard.drawFramebuffer(), behind ? behind_ : color_, x, y);
     stopwatch.lap("composite");
   }
   profile_ = stopwatch.laps();
+}
+
+void SplatRenderer::hideFarther() const {
+  const gl::StateGuard guard;
+  std::array<GLint, 4> viewport{};
+  glGetIntegerv(GL_VIEWPORT, viewport.data());
+  const gl::DrawScope scope(behind_);
+  resetState();
+  glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
+  glEnable(GL_DEPTH_TEST);
+  glDepthFunc(GL_LESS);
+  glDepthMask(GL_TRUE);
+  layOver(hide_, guard.drawFramebuffer(), behind_, viewport[0], viewport[1]);
+}
+
+void SplatRenderer::drawBefore() const {
+  const gl::StateGuard guard;
+  std::array<GLint, 4> viewport{};
+  glGetIntegerv(GL_VIEWPORT, viewport.data());
+  const gl::DrawScope scope(color_);
+  resetState();
+  blendOver();
+  glDisable(GL_DEPTH_TEST);
+  layOver(composite_, guard.drawFramebuffer(), color_, viewport[0], viewport[1]);
 }
 
 void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
@@ -278,8 +404,9 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
   prepareAndCheck(camera, map, settings);
   const gl::DrawScope scope(surface_depth_);
   copyDepth(canvas, guard.drawFramebuffer(), x, y, surface_depth_);
-  drawQuads(surface_depth_, true);
+  drawQuads(surface_depth_, drawn_, Quads::kDepth);
   glDisable(GL_BLEND);
+  glDisable(GL_DEPTH_TEST);
   surface_.use();
   surface_.set("far_clip", static_cast<float>(far_clip));
   layOver(surface_, guard.drawFramebuffer(), surface_depth_, x, y);
@@ -321,6 +448,7 @@ void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
   if (canvas == Canvas::kNone) return;
 
   glDisable(GL_BLEND);
+  glDisable(GL_DEPTH_TEST);
   pick_colour_.use();
   pick_colour_.set("width", width);
   pick_colour_.set("handle", handle);
@@ -374,7 +502,7 @@ std::vector<float> SplatRenderer::readDepth() {
   const gl::DrawScope scope(depth_);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, color.framebuffer());
   glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT, GL_NEAREST);
-  drawQuads(depth_, true);
+  drawQuads(depth_, drawn_, Quads::kDepth);
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
   std::vector<float> blended(4 * columns * rows), depths(columns * rows);
@@ -393,7 +521,8 @@ std::vector<float> SplatRenderer::readDepth() {
 std::size_t SplatRenderer::gpuBytes() const {
   return store_.bytes() + projection_.bytes() + sort_.bytes() + tiles_.bytes() +
          order_.slots.bytes() + drawn_.bytes() + color_.bytes() + depth_.bytes() +
-         surface_depth_.bytes() + pick_depth_.bytes() + picked_.bytes();
+         translucent_.bytes() + behind_.bytes() + tile_depths_.bytes() + drawn_before_.bytes() +
+         drawn_behind_.bytes() + surface_depth_.bytes() + pick_depth_.bytes() + picked_.bytes();
 }
 
 }  // namespace rosplat

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <optional>
 #include <string>
@@ -29,6 +30,9 @@ enum class Canvas {
   kNone,     // nothing: there is no opaque scene, and the picture is only read back
 };
 
+// Draws the translucent objects of the scene into the current framebuffer and viewport.
+using DrawTranslucent = std::function<void()>;
+
 // Draws a map with OpenGL 4.4: what is visible is projected once a frame, then blended in a given
 // order or in one found here, as quads or in tiles. Knows no Ogre; runs in the render thread only.
 class SplatRenderer {
@@ -47,9 +51,16 @@ class SplatRenderer {
 
   // Blends the splats of the order, hidden where the current framebuffer and viewport have
   // something nearer, into a target of its own; then over that viewport, which has the camera's
-  // size.
+  // size. Where the scene has translucent objects, which come next, the splats are divided at the
+  // nearest of them in each pixel, and only those behind it are laid over.
   void draw(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-            Canvas canvas);
+            Canvas canvas, const DrawTranslucent& translucent = nullptr);
+  // Lets the splats that a divided draw() has laid over hide what is translucent and farther, where
+  // they are more opaque than not.
+  void hideFarther() const;
+  // Lays over the splats that a divided draw() has kept back, once the translucent objects are
+  // drawn.
+  void drawBefore() const;
 
   // Writes where the splats' surface is, for rviz's mouse tools, into the current framebuffer and
   // viewport: mean depth / far_clip as 24-bit colour, lowest byte in blue.
@@ -91,6 +102,12 @@ class SplatRenderer {
     std::size_t count = 0;
     Tally tally;  // the same
   };
+  // What quads are drawn for.
+  enum class Quads {
+    kColour,
+    kDepth,   // instead of colour [m]
+    kBehind,  // colour and nearness, of what is behind translucent objects
+  };
   // What the projected, ordered splats answer.
   struct Prepared {
     SplatCamera camera;
@@ -113,7 +130,9 @@ class SplatRenderer {
   // it, or gives up tiles, and all has to be submitted again.
   bool checkRoom(const MapState& map, bool& in_tiles);
   void putInOrder();
-  void drawQuads(const gl::Target& target, bool raw_depth) const;
+  void divide();
+  void divideQuads();
+  void drawQuads(const gl::Target& target, const gl::Buffer& drawn, Quads what) const;
   void layOver(const gl::Program& program, GLuint framebuffer, const gl::Target& target, GLint x,
                GLint y) const;
   const Tally& drawnTally() const { return order_.given ? order_.tally : projection_.visible(); }
@@ -127,7 +146,8 @@ class SplatRenderer {
   gl::Program order_program_;
   RadixSort sort_;
   TileRasterizer tiles_;
-  gl::Program quads_, composite_, surface_, pick_, pick_colour_;
+  gl::Program quads_, quads_behind_, divide_, tile_depth_, divide_quads_, composite_, hide_;
+  gl::Program surface_, pick_, pick_colour_;
 
   Order order_{tallies_};
   std::optional<Prepared> prepared_;
@@ -136,8 +156,12 @@ class SplatRenderer {
   int key_bits_ = 32;       // by which depths are sorted
   int fewer_bits_for_ = 0;  // frames for which fewer would have done
   gl::Target color_, depth_, surface_depth_, pick_depth_;
-  gl::Buffer picked_;  // slots, of pick_depth_'s pixels
-  Raster raster_;      // of what was drawn last
+  gl::SampledDepth translucent_;  // of the nearest translucent objects
+  gl::Target behind_;       // the splats behind them, these splats' nearness; the scene's depth
+  gl::Target tile_depths_;  // nearest and farthest depth that divides the splats in a tile
+  gl::Buffer drawn_before_, drawn_behind_;  // like drawn_, kNone where a splat can't be seen there
+  gl::Buffer picked_;                       // slots, of pick_depth_'s pixels
+  Raster raster_;                           // of what was drawn last
   const char* rasterizer_ = "";
   std::map<std::string, double> profile_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();

@@ -131,7 +131,8 @@ void SplatScene::useOrder(const OrderPtr& order) {
 }
 
 const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
-                                    Canvas canvas, bool built_in) {
+                                    Canvas canvas, bool built_in,
+                                    const DrawTranslucent& translucent) {
   const double start = now();
   prepare();
   takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
@@ -149,7 +150,7 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
     if (settings.wait_for_order && !choice.fresh && ours_to_sort) choice = book_.sortNow(view_id);
     useOrder(choice.order);
   }
-  renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas);
+  renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas, translucent);
 
   FrameReport report;
   report.rasterizer = renderer_->rasterizer();

@@ -54,7 +54,10 @@ class SplatScene {
   // Render thread: uploads what waits, chooses an order and draws into the current framebuffer.
   // With built_in the order is sorted here, and waited for. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
-                          bool built_in = false);
+                          bool built_in = false, const DrawTranslucent& translucent = nullptr);
+  // Render thread: after a draw() with translucent objects; see SplatRenderer.
+  void hideFarther() const { renderer_->hideFarther(); }
+  void drawBefore() const { renderer_->drawBefore(); }
   // Render thread: what draw() drew last of a view; of no order source before.
   FrameReport report(const std::string& view_id) const;
   // Render thread: writes where the surface is; see SplatRenderer. Sorts, and waits for it.

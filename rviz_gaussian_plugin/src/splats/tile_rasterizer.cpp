@@ -27,6 +27,8 @@ TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort, const Ta
       ranges_(shaders.compute({"tile_ranges.comp"})),
       blend_(shaders.compute(
           {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "tile_blend.comp"})),
+      blend_divided_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
+                                      "splat_behind.glsl", "tile_blend.comp"})),
       prefix_sum_(shaders),
       sort_(sort),
       pair_count_(tallies.of(Tallies::kPairs)),
@@ -99,17 +101,24 @@ void TileRasterizer::list(const Projection& projection, const gl::Buffer& drawn,
 }
 
 void TileRasterizer::blend(const Projection& projection, const gl::Target& target,
-                           const Raster& raster) const {
+                           const gl::Target* behind, const Raster& raster) const {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
-  blend_.use();
-  projection.bindEllipses(blend_);
-  raster.set(blend_);
-  glUniform2i(blend_.at("tiles"), across, down);
-  glUniform2i(blend_.at("picture"), target.width(), target.height());
-  blend_.set("top_first", int(raster.top_first));
+  const gl::Program& program = behind ? blend_divided_ : blend_;
+  program.use();
+  projection.bindEllipses(program);
+  raster.set(program);
+  glUniform2i(program.at("tiles"), across, down);
+  glUniform2i(program.at("picture"), target.width(), target.height());
+  program.set("top_first", int(raster.top_first));
   sort_.values().bind(4);
   begins_.bind(5);
   projection.depthRange().bind(6);
+  if (behind) {
+    glActiveTexture(GL_TEXTURE1);
+    glBindTexture(GL_TEXTURE_2D, behind->depth());
+    glBindImageTexture(1, behind->color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, behind->format());
+    glBindImageTexture(2, behind->second(), 0, GL_FALSE, 0, GL_WRITE_ONLY, GL_RG32F);
+  }
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
   glBindImageTexture(0, target.color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, target.format());

@@ -39,8 +39,11 @@ class TileRasterizer {
   // Whether what was listed last is for a target like this.
   bool listed(const gl::Target& target) const;
 
-  // Overwrites the target's colour by what is listed, where its depth lets a splat pass.
-  void blend(const Projection& projection, const gl::Target& target, const Raster& raster) const;
+  // Overwrites the target's colour by what is listed, where its depth lets a splat pass; `behind`,
+  // if there is one, gets those that the target's depth hides and its own lets pass, and in its
+  // second colour their nearness, as splat_hide.frag reads it.
+  void blend(const Projection& projection, const gl::Target& target, const gl::Target* behind,
+             const Raster& raster) const;
 
   // Makes room for so many pairs of a splat and a tile that it touches, better for more; false
   // where that takes too much memory.
@@ -53,7 +56,7 @@ class TileRasterizer {
   std::size_t bytes() const;
 
  private:
-  gl::Program count_, list_, ranges_, blend_;
+  gl::Program count_, list_, ranges_, blend_, blend_divided_;
   PrefixSum prefix_sum_;
   RadixSort& sort_;
   Tally pair_count_;

@@ -1,0 +1,2 @@
+// For programs that also draw what is behind the scene's translucent objects.
+#define BEHIND

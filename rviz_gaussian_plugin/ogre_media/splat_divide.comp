@@ -1,0 +1,37 @@
+// Which splats any tile may show before its translucent objects, and which behind: spares quads.
+
+layout(local_size_x = 256) in;
+layout(std430, binding = 4) readonly buffer Drawn { uint drawn[]; };
+layout(std430, binding = 5) writeonly buffer Before { uint before[]; };  // or kNone
+layout(std430, binding = 6) writeonly buffer Behind { uint behind[]; };  // or kNone
+layout(std430, binding = 7) readonly buffer Length { Tally drawn_tally; };
+layout(binding = 0) uniform sampler2D tile_depths;  // as in tile_depth.comp
+
+uniform int mode;
+
+const int kMostTiles = 32;    // that are looked at
+const float kRounded = 2e-7;  // a depth by the rasterizer
+
+void main() {
+  uint i = invocation();
+  if (i >= drawn_tally.count) return;
+  uint index = drawn[i];
+  bvec2 seen = bvec2(mode == kFlatBall || mode == kGaussianBall);  // balls end beyond the outline
+  if (index != kNone) {
+    Ellipse e = ellipse(index);
+    float depth = windowDepth(e.depth);
+    Outline outline = outlineOf(e);
+    ivec2 rows = tileRows(outline);
+    int looked = 0;
+    for (int row = rows.x; row < rows.y && !all(seen); ++row) {
+      ivec2 columns = tileColumns(outline, row);
+      for (int column = columns.x; column < columns.y && !all(seen); ++column) {
+        vec2 range = texelFetch(tile_depths, ivec2(column, row), 0).rg;
+        seen = bvec2(seen.x || depth < range.y + kRounded, seen.y || depth > range.x - kRounded);
+        if (++looked > kMostTiles) seen = bvec2(true);
+      }
+    }
+  }
+  before[i] = seen.x ? index : kNone;
+  behind[i] = seen.y ? index : kNone;
+}

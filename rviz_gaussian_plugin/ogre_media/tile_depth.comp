@@ -1,0 +1,34 @@
+// What of a tile splats can be in: behind the first depth, where something translucent is before what
+// is opaque; before the second.
+
+layout(local_size_x = 16, local_size_y = 16) in;
+layout(binding = 0) uniform sampler2D divided;  // the nearest of what is translucent or opaque
+layout(binding = 1) uniform sampler2D scene_depth;
+layout(binding = 0) writeonly uniform image2D tile_depths;
+
+uniform ivec2 picture;   // [px]
+uniform bool top_first;  // the target's first row is the picture's top
+
+shared uint nearest, farthest;
+
+void main() {
+  ivec2 tile = ivec2(int(workGroup()) % tiles.x, int(workGroup()) / tiles.x);
+  if (tile.y >= tiles.y) return;
+  if (gl_LocalInvocationIndex == 0u) {
+    nearest = floatBitsToUint(2.0);
+    farthest = 0u;
+  }
+  barrier();
+  ivec2 pixel = tile * kTile + ivec2(gl_LocalInvocationID.xy);
+  if (all(lessThan(pixel, picture))) {
+    ivec2 texel = ivec2(pixel.x, top_first ? pixel.y : picture.y - 1 - pixel.y);
+    float depth = texelFetch(divided, texel, 0).r;
+    atomicMax(farthest, floatBitsToUint(depth));
+    if (depth < texelFetch(scene_depth, texel, 0).r) atomicMin(nearest, floatBitsToUint(depth));
+  }
+  barrier();
+  if (gl_LocalInvocationIndex == 0u) {
+    imageStore(tile_depths, tile,
+               vec4(uintBitsToFloat(nearest), uintBitsToFloat(farthest), 0.0, 0.0));
+  }
+}
