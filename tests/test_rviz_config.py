@@ -40,6 +40,7 @@ MAP: dict[str, Any] = {
     "Clip Box/Size/X": 4.5,
     "Clip Box/Size/Y": 5.5,
     "Clip Box/Size/Z": 6.5,
+    "Clip Box/Handles": False,
     "Sidecar Backend": "native",
     "Publish Camera": True,
     "Rasterizer": "Quads",

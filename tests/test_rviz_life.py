@@ -25,6 +25,11 @@ def gone(picture: np.ndarray) -> bool:
     return not red(picture).any()
 
 
+def outlined(picture: np.ndarray) -> bool:
+    """The edges of a clip box are there."""
+    return (picture.min(axis=-1) > 60).sum() > 300
+
+
 def turn_off_and_on(rviz: Rviz) -> None:
     rviz.set("Map", value=False)
     rviz.until(gone)
@@ -43,6 +48,13 @@ def remove_and_add(rviz: Rviz) -> None:
     rviz.ask("add", **{"class": "rviz_gaussian_plugin/GaussianMap", "name": "Map"})
     rviz.set("Map", "Topic", value="/gaussians")
     rviz.until(seen)
+
+
+def outline_a_box(rviz: Rviz) -> None:
+    rviz.set("Map", "Clip Box", value=True)
+    rviz.until(outlined)
+    rviz.set("Map", "Clip Box", value=False)
+    rviz.until(lambda s: not outlined(s))
 
 
 def endpoints(world: World) -> dict[str, int]:
@@ -71,7 +83,7 @@ def threads(process: int) -> int:
     return len(list(Path(f"/proc/{process}/task").iterdir()))
 
 
-@pytest.mark.parametrize("cycle", [turn_off_and_on, reset, remove_and_add])
+@pytest.mark.parametrize("cycle", [turn_off_and_on, reset, remove_and_add, outline_a_box])
 def test_nothing_stays_behind(rviz: Rviz, world: World, cycle: Callable[[Rviz], None]) -> None:
     def counters() -> tuple[object, ...]:
         return rviz.ask("gl"), threads(rviz.process.pid), endpoints(world)

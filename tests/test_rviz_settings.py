@@ -6,6 +6,7 @@ import importlib.util
 import time
 
 import numpy as np
+import pytest
 
 from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz
 
@@ -13,6 +14,7 @@ pytestmark = needs_rviz
 
 TILTED = """{Class: rviz_default_plugins/Orbit, Distance: 5, Yaw: 0.3, Pitch: 1.2,
   Near Clip Distance: 0.01}"""
+INTERACT = "{Class: rviz_default_plugins/Interact}"
 CHANGES = [
     ("Draw Mode", "Depth"),
     ("Draw Mode", "Billboard"),
@@ -98,3 +100,25 @@ def test_the_sidecar_changes_its_backend(rviz: Rviz, world: World) -> None:
         sorter.terminate()
         sorter.wait()
         rviz.processes.forget(sorter)
+
+
+def test_the_clip_box_is_pulled_by_its_handles(rviz: Rviz, world: World) -> None:
+    """From above, 100 px/m: the face of +x is half a metre right of the middle."""
+
+    def outlined(picture: np.ndarray) -> bool:
+        return (picture.min(axis=-1) > 60).sum() > 300
+
+    world.place()
+    world.map.replace(disc((1, 0, 0), sigma=0.01))
+    rviz.load(configuration(map_display(**{"Clip Box": {"Value": True}}), tools=INTERACT))
+    rviz.until(outlined)
+    rviz.keep("clip_box.png")
+    height, width, _ = rviz.picture().shape
+    rviz.drag((height // 2, width // 2 + 50), (height // 2, width // 2 + 150))
+    rviz.until(lambda s: rviz.properties("Map", "Clip Box")["Size/X"] > 1.5)
+    box = rviz.properties("Map", "Clip Box")
+    assert box["Size/X"] == pytest.approx(2, abs=0.1)
+    assert box["Center/X"] == pytest.approx(0.5, abs=0.05)
+    assert (box["Size/Y"], box["Center/Y"]) == (1, 0)
+    rviz.set("Map", "Clip Box", "Handles", value=False)
+    rviz.until(lambda s: not outlined(s))

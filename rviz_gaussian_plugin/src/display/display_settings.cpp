@@ -113,22 +113,25 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
                                     "Centre of the box in the map's frame. [m]", clip_);
   clip_size_ = new VectorProperty("Size", Ogre::Vector3(1, 1, 1),
                                   "Size of the box along the axes of the map's frame. [m]", clip_);
+  clip_handles_ = new BoolProperty(
+      "Handles", true,
+      "Show the box, and handles for the Interact tool: pull a face, move the middle.", clip_);
 
   const auto changed = [this, on_change = std::move(on_change)] {
     hideWithoutEffect();
     on_change();
   };
   for (Property* property :
-       {static_cast<Property*>(mode_), static_cast<Property*>(auto_range_),
-        static_cast<Property*>(nearest_), static_cast<Property*>(farthest_),
-        static_cast<Property*>(age_range_), static_cast<Property*>(alpha_),
-        static_cast<Property*>(scale_), static_cast<Property*>(sh_degree_),
-        static_cast<Property*>(sh_band_), static_cast<Property*>(order_),
-        static_cast<Property*>(rasterizer_), static_cast<Property*>(profile_),
-        static_cast<Property*>(antialiasing_), static_cast<Property*>(quality_),
+       {static_cast<Property*>(mode_),           static_cast<Property*>(auto_range_),
+        static_cast<Property*>(nearest_),        static_cast<Property*>(farthest_),
+        static_cast<Property*>(age_range_),      static_cast<Property*>(alpha_),
+        static_cast<Property*>(scale_),          static_cast<Property*>(sh_degree_),
+        static_cast<Property*>(sh_band_),        static_cast<Property*>(order_),
+        static_cast<Property*>(rasterizer_),     static_cast<Property*>(profile_),
+        static_cast<Property*>(antialiasing_),   static_cast<Property*>(quality_),
         static_cast<Property*>(float_blending_), static_cast<Property*>(near_fade_),
-        static_cast<Property*>(clip_), static_cast<Property*>(clip_centre_),
-        static_cast<Property*>(clip_size_)}) {
+        static_cast<Property*>(clip_),           static_cast<Property*>(clip_centre_),
+        static_cast<Property*>(clip_size_),      static_cast<Property*>(clip_handles_)}) {
     QObject::connect(property, &Property::changed, property, changed);
   }
   hideWithoutEffect();
@@ -144,6 +147,16 @@ void DisplaySettings::hideWithoutEffect() {
   age_range_->setHidden(mode != DrawMode::kAge);
   clip_centre_->setHidden(!clip_->getBool());
   clip_size_->setHidden(!clip_->getBool());
+  clip_handles_->setHidden(!clip_->getBool());
+}
+
+bool DisplaySettings::clipBoxIsDragged() const {
+  return clip_->getBool() && clip_handles_->getBool();
+}
+
+void DisplaySettings::setClipBox(const ClipBox& box) {
+  clip_centre_->setVector({box.centre[0], box.centre[1], box.centre[2]});
+  clip_size_->setVector({box.size[0], box.size[1], box.size[2]});
 }
 
 RenderSettings DisplaySettings::get() const {

@@ -22,6 +22,10 @@ class DisplaySettings {
 
   RenderSettings get() const;
 
+  // Whether the clip box has handles.
+  bool clipBoxIsDragged() const;
+  void setClipBox(const ClipBox& box);
+
  private:
   void hideWithoutEffect();
 
@@ -44,6 +48,7 @@ class DisplaySettings {
   rviz_common::properties::BoolProperty* clip_;
   rviz_common::properties::VectorProperty* clip_centre_;
   rviz_common::properties::VectorProperty* clip_size_;
+  rviz_common::properties::BoolProperty* clip_handles_;
 };
 
 }  // namespace rosplat

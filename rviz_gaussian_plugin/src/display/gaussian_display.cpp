@@ -133,6 +133,7 @@ void GaussianDisplay::unsubscribe() {
   if (client_) refuseRenderRequests("the display was turned off");
   client_.reset();
   selection_.reset();
+  handles_.reset();
   served_ = true;
   placed_ = false;
   if (cloud_ && cloud_->isAttached()) cloud_->detachFromParent();
@@ -212,6 +213,7 @@ void GaussianDisplay::switchBackend() {
 void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   if (!client_) return;
   updateTransform();
+  updateHandles();
   forgetUnseenViews();
   refuseUnserved();
   for (auto& [viewport, view] : views_) {
@@ -244,6 +246,18 @@ void GaussianDisplay::updateTransform() {
     scene_node_->setOrientation(orientation);
     setTransformOk();
   }
+}
+
+void GaussianDisplay::updateHandles() {
+  if (!placed_ || !settings_->clipBoxIsDragged()) {
+    handles_.reset();
+    return;
+  }
+  if (!handles_) {
+    handles_ = std::make_unique<ClipBoxHandles>(
+        context_, [this](const ClipBox& box) { settings_->setClipBox(box); });
+  }
+  handles_->show(settings_->get().clip_box, client_->status().frame_id);
 }
 
 void GaussianDisplay::forgetUnseenViews() {

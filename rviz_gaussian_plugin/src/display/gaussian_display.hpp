@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "../splats/splat_cloud.hpp"
+#include "clip_box_handles.hpp"
 #include "display_settings.hpp"
 #include "gaussian_client.hpp"
 #include "ros_versions.hpp"
@@ -74,6 +75,7 @@ class GaussianDisplay : public rviz_common::Display {
   void publishPicked(const std::vector<SplatValues>& splats);
   bool toMapFrame(rosplat_msgs::msg::ViewCamera& camera) const;
   void updateTransform();
+  void updateHandles();
   void updateStatus();
   // Says who sorts, where the sidecar uses another backend than it was asked for.
   std::string unwantedBackend() const;
@@ -96,6 +98,7 @@ class GaussianDisplay : public rviz_common::Display {
   std::shared_ptr<SplatSelection> selection_;
   std::unique_ptr<SceneLoader> loader_;
   std::unique_ptr<SceneDrop> drop_;
+  std::unique_ptr<ClipBoxHandles> handles_;
   std::map<Ogre::Viewport*, View> views_;
   std::size_t view_count_ = 0;  // that there ever were
   View still_;                  // of the pictures that services ask for

@@ -1,0 +1,54 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "../splats/render_settings.hpp"
+
+namespace Ogre {
+class SceneNode;
+}
+namespace rviz_common {
+class DisplayContext;
+}
+namespace rviz_default_plugins::displays {
+class InteractiveMarker;
+}
+
+namespace rosplat {
+
+// Handles on a clip box, for rviz's Interact tool: its faces are pulled, its middle moves it all.
+// They are rviz's interactive markers, without a server.
+class ClipBoxHandles {
+ public:
+  using DragCallback = std::function<void(const ClipBox& box)>;
+
+  ClipBoxHandles(rviz_common::DisplayContext* context, DragCallback on_drag);
+  ~ClipBoxHandles();
+
+  // Once a frame: puts them on a box of a frame, which they follow.
+  void show(const ClipBox& box, const std::string& frame_id);
+
+ private:
+  // Before it two faces of each axis, the lower one first.
+  static constexpr std::size_t kMiddle = 6;
+
+  void place(std::size_t handle);
+  void drag(std::size_t handle, const std::array<float, 3>& to);
+
+  rviz_common::DisplayContext* context_;
+  DragCallback on_drag_;
+  Ogre::SceneNode* node_;
+  ClipBox box_;
+  std::string frame_id_;
+  std::optional<std::size_t> dragged_;
+  std::array<std::unique_ptr<rviz_default_plugins::displays::InteractiveMarker>, kMiddle + 1>
+      markers_;
+};
+
+}  // namespace rosplat
