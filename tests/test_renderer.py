@@ -496,6 +496,13 @@ def test_a_single_band_alone(host: Host) -> None:
     host.set(only_band=1, float_blending=True)
     expected = reference.render(replace(splats, sh=band), CAMERAS["outside"]).rgba
     assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
+    # A band that the map lacks shows nothing, not another band.
+    low_splats = replace(splats, sh=splats.sh[:, :4])
+    host.show(low_splats)
+    host.set(only_band=3)
+    expected = reference.render(replace(low_splats, sh=0 * low_splats.sh), CAMERAS["outside"]).rgba
+    assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
+    host.show(splats)
     host.set(only_band=-1, max_sh_degree=1)
     low = reference.render(replace(splats, sh=splats.sh[:, :4]), CAMERAS["outside"]).rgba
     assert decibels(host.draw(CAMERAS["outside"]), low) >= 70

@@ -132,7 +132,7 @@ void Projection::project(const SlotStore& store, const SplatCamera& camera, cons
   project_.set("whole_principal_point", whole.cx, whole.cy);
   project_.set("whole_picture", whole.width, whole.height);
   project_.set("sh_degree", std::min(store.shDegree(), settings.max_sh_degree));
-  project_.set("only_band", std::min(settings.only_band, store.shDegree()));
+  project_.set("only_band", settings.only_band);
   project_.set("antialiased", int(antialiased));
   project_.set("mode", static_cast<int>(settings.mode));
   project_.set("scale_modifier", settings.scale);
