@@ -216,8 +216,7 @@ class OrderReader {
     if (encoding != kShared) {
       throw OrderError("encoding " + std::to_string(encoding) + " is unknown");
     }
-    key_ = 0;  // one that can't be read any more is asked for plainly
-    const SegmentReader reader(segment);
+    const SegmentReader reader = open(segment);
     key_ = reader.key();
     return reader.slots(count, generation);
   }
@@ -226,11 +225,19 @@ class OrderReader {
   std::uint64_t key() const { return key_; }
 
  private:
-  void learnKey(const std::string& segment) {
-    key_ = 0;
-    if (segment.empty()) return;
+  // Orders of a segment that can't be read any more are asked for plainly.
+  SegmentReader open(const std::string& segment) {
     try {
-      key_ = SegmentReader(segment).key();
+      return SegmentReader(segment);
+    } catch (const OrderError&) {
+      key_ = 0;
+      throw;
+    }
+  }
+
+  void learnKey(const std::string& segment) {
+    try {
+      key_ = segment.empty() ? 0 : open(segment).key();
     } catch (const OrderError&) {  // of another machine, container or user
     }
   }
