@@ -94,7 +94,9 @@ NOTES = {
         "a lattice.",
         "Rebasing in float64 before anything is float32.",
         "The map's origin and the camera's position stay float64, the GPU sees differences. A "
-        "publisher that sends large float32 positions without an origin has lost them already.",
+        "publisher that sends large float32 positions without an origin has lost them already. "
+        "In rviz2, whose own cameras and frames are float32, choose a Fixed Frame near what you "
+        "look at.",
     ),
     "scaled": Note(
         "The unit of a map without scale (monocular SLAM) is arbitrary, and a map may have to "
