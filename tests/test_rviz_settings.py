@@ -80,12 +80,27 @@ def test_each_property_acts(rviz: Rviz, world: World) -> None:
         rviz.until(lambda s: not differs(s), seconds=15)
 
 
+def test_a_saved_backend_is_told_to_each_sidecar_that_comes(rviz: Rviz, world: World) -> None:
+    world.place()
+    world.map.replace(disc((1, 0, 0)))
+    rviz.load(configuration(map_display(**{"Sidecar Backend": "numpy"})))
+    for _ in range(2):
+        rviz.until_status("Map", "Sidecar", "Warn", "no sidecar", "numpy")
+        sorter = rviz.processes.node("rosplat_sorter", "sorter")
+        rviz.until_status("Map", "Sidecar", "Ok", "asked for backend numpy")
+        rviz.until_status("Map", "Order", "Ok", "sidecar (numpy")
+        sorter.terminate()
+        sorter.wait()
+        rviz.processes.forget(sorter)
+
+
 def test_the_sidecar_changes_its_backend(rviz: Rviz, world: World) -> None:
     world.place()
     world.map.replace(disc((1, 0, 0)))
     rviz.set("Map", "Sidecar Backend", value="numpy")
     rviz.until_status("Map", "Sidecar", "Warn", "no sidecar")
     rviz.set("Map", "Sidecar Backend", value="As Started")
+    world.spin_until(lambda: "Sidecar" not in rviz.status("Map"))
     sorter = rviz.processes.node("rosplat_sorter", "sorter")
     try:
         for backend in ["native", "numpy"]:

@@ -187,6 +187,18 @@ def test_a_view_that_nobody_sees_keeps_no_sorter_busy(rviz: Rviz, world: World) 
     world.spin_until(lambda: len(views.heard(1.5)) == 2 and bright(rviz.picture("Camera")))
 
 
+def test_pictures_for_services_know_the_scale(rviz: Rviz, world: World) -> None:
+    """A splat just outside the picture reaches into it ten times as large."""
+    world.place()
+    views = Views(world)
+    rviz.load(configuration(map_display(Scale=10.0)))
+    world.map.replace(disc((1, 0, 0), x=6.0, sigma=0.2))
+    rviz.until(lambda s: red(s).any())
+    world.spin_until(views.cameras.__len__)
+    width, height = rviz.ask("places")["view"][2:]
+    assert red(views.expected(views.of_size(width, height))).any()
+
+
 def test_publish_camera_means_the_view_of_rviz(rviz: Rviz, world: World) -> None:
     from geometry_msgs.msg import PoseStamped
     from nav_msgs.msg import Path
@@ -213,6 +225,15 @@ def test_publish_camera_means_the_view_of_rviz(rviz: Rviz, world: World) -> None
     rviz.set("Position", "X", value=3.0, root="view")
     world.spin_until(lambda: paths and near(paths[-1].poses[-1], 3))
     assert near(paths[-1].poses[-2], 2)
+    count, started = len(paths), time.monotonic()
+    for x in np.arange(3.1, 3.7, 0.02).tolist():  # each a camera of its own
+        rviz.set("Position", "X", value=x, root="view")
+        world.spin_until(
+            lambda x=x: any(abs(c.pose.position.x - x) < 1e-3 for c in views.cameras.values())
+        )
+    world.spin_until(lambda: near(paths[-1].poses[-1], x))
+    # A path may be long: five times a second do.
+    assert len(paths) - count <= 5 * (time.monotonic() - started) + 2
 
 
 def test_each_view_says_who_sorted_it_and_asks_until_the_sidecar_did(

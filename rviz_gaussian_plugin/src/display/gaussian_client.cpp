@@ -73,7 +73,13 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
         }
       },
       serviceQos(), group_);
-  watch_ = node_->create_wall_timer(1s, [this] { watchPublishers(); }, group_);
+  watch_ = node_->create_wall_timer(
+      1s,
+      [this] {
+        watchPublishers();
+        tellSidecar();
+      },
+      group_);
   watchPublishers();
   executor_.add_callback_group(group_, node_->get_node_base_interface());
   thread_ = std::thread([this] {
@@ -187,6 +193,7 @@ void GaussianClient::watchPublishers() {
 
 void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {
   constexpr std::size_t kLongestPath = 10000;
+  constexpr auto kPathPeriod = 200ms;
   if (!pose_publisher_) {
     const auto qos = rclcpp::QoS(1).transient_local();
     pose_publisher_ =
@@ -197,30 +204,57 @@ void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {
   pose.header = view.header;
   pose.pose = view.pose;
   pose_publisher_->publish(pose);
-  if (!path_.poses.empty() && path_.poses.back().pose == pose.pose) return;
-  if (path_.header.frame_id != view.header.frame_id || path_.poses.size() >= kLongestPath) {
-    path_.poses.clear();
-  }
+  if (path_.header.frame_id != view.header.frame_id) path_.poses.clear();
   path_.header = view.header;
-  path_.poses.push_back(pose);
+  if (path_.poses.empty() || path_.poses.back().pose != pose.pose) {
+    if (path_.poses.size() >= kLongestPath) path_.poses.erase(path_.poses.begin());
+    path_.poses.push_back(pose);
+    path_grew_ = true;
+  }
+  const auto now = std::chrono::steady_clock::now();
+  if (!path_grew_ || now - path_published_ < kPathPeriod) return;
   path_publisher_->publish(path_);
+  path_published_ = now;
+  path_grew_ = false;
 }
 
 void GaussianClient::switchBackend(const std::string& backend) {
+  const std::lock_guard lock(mutex_);
+  backend_ = backend;
+  if (backend_.empty()) status_.sidecar.clear();
+}
+
+void GaussianClient::tellSidecar() {
+  std::string backend;
+  {
+    const std::lock_guard lock(mutex_);
+    backend = backend_;
+  }
+  if (backend.empty()) return;
   const auto sorters = node_->get_publishers_info_by_topic(topic_ + "/order");
   if (sorters.empty()) {
-    reportSidecar("no sidecar publishes " + topic_ + "/order: backend not switched", true);
+    parameters_.reset();
+    reportSidecar("no sidecar publishes " + topic_ + "/order that could switch to " + backend,
+                  true);
     return;
   }
-  std::string name = sorters.front().node_namespace();
-  if (name.back() != '/') name += '/';
-  name += sorters.front().node_name();
-  parameters_ = std::make_shared<rclcpp::AsyncParametersClient>(node_, name);
+  const auto& sorter = sorters.front();
+  if (!parameters_ || told_.first != sorter.endpoint_gid()) {
+    sidecar_ = sorter.node_namespace();
+    if (sidecar_.back() != '/') sidecar_ += '/';
+    sidecar_ += sorter.node_name();
+    parameters_ = std::make_shared<rclcpp::AsyncParametersClient>(node_, sidecar_);
+    told_ = {sorter.endpoint_gid(), ""};
+  }
+  if (told_.second == backend || !parameters_->service_is_ready()) return;
+  told_.second = backend;
   parameters_->set_parameters(
       {rclcpp::Parameter("backend", backend)},
-      [this, name,
+      [this, name = sidecar_,
        backend](std::shared_future<std::vector<rcl_interfaces::msg::SetParametersResult>> future) {
-        const auto result = future.get().front();
+        const auto results = future.get();
+        if (results.empty()) return reportSidecar(name + " knows no backends", true);
+        const auto& result = results.front();
         reportSidecar(result.successful ? name + " asked for backend " + backend : result.reason,
                       !result.successful);
       });

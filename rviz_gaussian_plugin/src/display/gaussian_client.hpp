@@ -2,6 +2,7 @@
 
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <deque>
 #include <geometry_msgs/msg/pose_stamped.hpp>
 #include <memory>
@@ -17,6 +18,7 @@
 #include <set>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "../splats/splat_scene.hpp"
@@ -71,7 +73,7 @@ class GaussianClient {
   void publish(const rosplat_msgs::msg::Gaussian& picked) { picked_publisher_->publish(picked); }
   // The pose of a view, and the path it has taken, for other displays.
   void publishPose(const rosplat_msgs::msg::ViewCamera& view);
-  // Sets the parameter `backend` of whoever publishes the orders.
+  // Has the parameter `backend` set of whoever publishes the orders, now or later; empty: no more.
   void switchBackend(const std::string& backend);
   std::optional<RenderRequest> takeRenderRequest();
   Status status() const;
@@ -85,6 +87,7 @@ class GaussianClient {
   void refuse(const std::string& why);
   void receive(SplatOrder& message);
   void watchPublishers();
+  void tellSidecar();
   void reportSidecar(const std::string& text, bool failed);
 
   rclcpp::Node::SharedPtr node_;
@@ -102,14 +105,19 @@ class GaussianClient {
   rclcpp::Publisher<geometry_msgs::msg::PoseStamped>::SharedPtr pose_publisher_;
   rclcpp::Publisher<nav_msgs::msg::Path>::SharedPtr path_publisher_;
   nav_msgs::msg::Path path_;
-  std::shared_ptr<rclcpp::AsyncParametersClient> parameters_;
+  bool path_grew_ = false;  // since it was published
+  std::chrono::steady_clock::time_point path_published_;
+  std::shared_ptr<rclcpp::AsyncParametersClient> parameters_;  // of sidecar_
+  std::string sidecar_;
+  std::pair<std::array<std::uint8_t, RMW_GID_STORAGE_SIZE>, std::string> told_;  // whom, backend
   rosplat_sorter::OrderReader reader_;
 
-  mutable std::mutex mutex_;  // status_, requests_, views_
+  mutable std::mutex mutex_;  // status_, requests_, views_, backend_
   Status status_;
   std::array<std::string, 2> maps_;  // the newest, and the one before
   std::deque<RenderRequest> requests_;
   std::set<std::string> views_;  // that asked for orders
+  std::string backend_;          // that the sidecar is to use
 
   rclcpp::executors::SingleThreadedExecutor executor_;
   std::atomic<bool> stop_{false};

@@ -205,9 +205,8 @@ bool GaussianDisplay::takeDrop(const QString& path) {
 }
 
 void GaussianDisplay::switchBackend() {
-  if (client_ && backend_->getStdString() != kUnchanged) {
-    client_->switchBackend(backend_->getStdString());
-  }
+  const std::string backend = backend_->getStdString();
+  if (client_) client_->switchBackend(backend == kUnchanged ? "" : backend);
 }
 
 void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
@@ -268,8 +267,7 @@ void GaussianDisplay::forgetUnseenViews() {
     }
     cloud_->scene().forget(view->second.id);
     for (const char* entry : {kOrderStatus, kFrameStatus}) {
-      const QString name = statusName(entry, view->second);
-      if (shown_status_.erase(name) > 0) deleteStatus(name);
+      removeStatus(statusName(entry, view->second));
     }
     view = views_.erase(view);
   }
@@ -373,6 +371,7 @@ void GaussianDisplay::serveRenderRequests() {
       }
       still_.id = instance_ + "/render";
       still_.camera = toCamera(camera);
+      still_.camera.extent_scale = extentScale(cloud_->settings());
     } catch (const std::invalid_argument& error) {
       request_->refuse(error.what());
       request_.reset();
@@ -434,6 +433,10 @@ void GaussianDisplay::setStatusOnce(StatusProperty::Level level, const QString& 
   setStatus(level, name, QString::fromStdString(text));
 }
 
+void GaussianDisplay::removeStatus(const QString& name) {
+  if (shown_status_.erase(name) > 0) deleteStatus(name);
+}
+
 void GaussianDisplay::updateStatus() {
   const GaussianClient::Status received = client_->status();
   const MapState map = cloud_->scene().state();
@@ -468,14 +471,16 @@ void GaussianDisplay::updateStatus() {
     }
     setStatusOnce(loader_->failed() ? StatusProperty::Error : StatusProperty::Ok, "Scene File",
                   text);
-  } else if (shown_status_.erase("Scene File") > 0) {
-    deleteStatus("Scene File");
+  } else {
+    removeStatus("Scene File");
   }
   if (!received.sidecar.empty()) {
     const std::string unwanted = unwantedBackend();
     const bool obeys = !received.sidecar_failed && unwanted.empty();
     setStatusOnce(obeys ? StatusProperty::Ok : StatusProperty::Warn, "Sidecar",
                   received.sidecar + unwanted);
+  } else {
+    removeStatus("Sidecar");
   }
 
   if (received.batches > 0) {
@@ -492,8 +497,8 @@ void GaussianDisplay::updateStatus() {
       cloud_->error().empty() ? cloud_->scene().uploadError() : cloud_->error();
   if (!error.empty()) {
     setStatusOnce(StatusProperty::Error, "OpenGL", error);
-  } else if (shown_status_.erase("OpenGL") > 0) {
-    deleteStatus("OpenGL");
+  } else {
+    removeStatus("OpenGL");
   }
   if (!cloud_->error().empty()) return;
   if (received.batches == 0) return;

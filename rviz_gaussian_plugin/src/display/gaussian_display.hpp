@@ -83,6 +83,7 @@ class GaussianDisplay : public rviz_common::Display {
   static QString statusName(const char* entry, const View& view);
   void setStatusOnce(rviz_common::properties::StatusProperty::Level level, const QString& name,
                      const std::string& text);
+  void removeStatus(const QString& name);
 
   rviz_common::properties::RosTopicProperty* topic_;
   rviz_common::properties::QosProfileProperty* qos_property_;

@@ -70,7 +70,7 @@ OffscreenRenderer::~OffscreenRenderer() {
 void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequence,
                                   const SplatCamera& camera) {
   SplatCamera& mine = cameras_[view_id] = camera;
-  mine.extent_scale = std::max(1.0f, settings.scale);
+  mine.extent_scale = extentScale(settings);
   const double near = camera.near_clip, far = depthRange(camera);
   mine.ndc_scale = camera.orthographic ? 2 / (far - near) : (far + near) / (far - near);
   mine.ndc_offset =

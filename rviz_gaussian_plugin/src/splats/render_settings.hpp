@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <optional>
 
@@ -72,5 +73,8 @@ struct RenderSettings {
            age_range == o.age_range;
   }
 };
+
+// How many times as large as in the map splats are culled: SplatCamera::extent_scale.
+inline double extentScale(const RenderSettings& settings) { return std::max(1.0f, settings.scale); }
 
 }  // namespace rosplat

@@ -167,7 +167,7 @@ void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
   if (!error_.empty() && (scene_->unusable() || now < error_ends_)) return;
   SplatCamera camera = cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
                                 viewport->getActualWidth(), viewport->getActualHeight());
-  camera.extent_scale = std::max(1.0f, settings_.scale);
+  camera.extent_scale = extentScale(settings_);
   const Canvas canvas =
       viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
   try {
