@@ -29,7 +29,7 @@ Image = NDArray[np.float64]
 Sort = Callable[["Bench", Camera], Order | None]
 """Finds an order; None where the renderer is to sort by itself."""
 
-VIEW_ID = "lab"
+VIEW_ID = SOURCE = "lab"
 PATIENCE = 0.5  # after so long a picture is made for the last time [s]
 EXACT = ("native", "numpy")  # whose orders are drawn where the backend is not the question
 NO_SLOTS = np.zeros(0, np.uint32)
@@ -161,11 +161,13 @@ class Bench:
             self._use(order is None, settings)
             self._look(looking, order)
             looked = time.perf_counter()
-            self.renderer.draw(VIEW_ID)
+            source = self.renderer.draw(VIEW_ID)["order_source"]
             self._finish()
             end = time.perf_counter()
             times.append((sorted_at - start, end - looked, end - start))
         sorting, drawing, posing = map(min, zip(*times, strict=True))
+        if order is not None and source != SOURCE:
+            raise RuntimeError(f"the renderer drew the order of {source}")
         pixels: NDArray[np.float32] = self.renderer.read_color()
         return Shot(
             pixels[..., :3].astype(np.float64),
@@ -181,8 +183,8 @@ class Bench:
             if not hasattr(rendering, name):
                 raise KeyError(f"the renderer has no setting {name}")
             setattr(rendering, name, value)
-        if renderer_sorts:
-            rendering.order = OrderSource.GPU
+        # Not Auto: a graphics card would then sort by itself whatever it is given.
+        rendering.order = OrderSource.GPU if renderer_sorts else OrderSource.SIDECAR
         self.renderer.settings = rendering
 
     def _look(self, camera: Camera, order: Order | None) -> None:
@@ -195,7 +197,7 @@ class Bench:
         )  # fmt: skip
         if order is not None:
             self.renderer.set_order(
-                VIEW_ID, self._sequence, str(self._maps), self._revision, "lab", 0.0, order
+                VIEW_ID, self._sequence, str(self._maps), self._revision, SOURCE, 0.0, order
             )
         if not self.renderer.has_order(VIEW_ID) and order is not None:
             raise RuntimeError("the renderer refused the order")
