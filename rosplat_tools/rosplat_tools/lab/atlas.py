@@ -20,7 +20,7 @@ from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.generate import generate
 from rosplat_tools.lab import fragments, motion, orders, rays
-from rosplat_tools.lab.bench import VIEW_ID, Bench, Image
+from rosplat_tools.lab.bench import SOURCE, VIEW_ID, Bench, Image
 from rosplat_tools.lab.methods import widened
 from rosplat_tools.lab.orders import Order
 from rosplat_tools.lab.points import MOST_PSNR
@@ -28,6 +28,7 @@ from rosplat_tools.metrics import psnr
 from rosplat_tools.reference import harmonics
 from rosplat_tools.reference.projection import rotation_matrices
 from rosplat_tools.splats import Splats, concatenate
+from rviz_gaussian_plugin.offscreen import OrderSource
 
 Curves = dict[str, list[float]]
 WIDTH, HEIGHT = 192, 128
@@ -602,8 +603,9 @@ def edits(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
         bench.renderer.draw(VIEW_ID)
         old = bench.renderer.read_color()[..., :3].astype(np.float64)
         curves["moved, old order"].append(decibels(old, expected))
+        bench.renderer.settings.order = OrderSource.AUTO  # from now on as the Display does
         deadline = time.monotonic() + 0.2  # within the display's patience with the sidecar
-        while count and bench.renderer.draw(VIEW_ID)["order_source"] == "lab":
+        while count and bench.renderer.draw(VIEW_ID)["order_source"] == SOURCE:
             if time.monotonic() > deadline:
                 break
             time.sleep(0.005)

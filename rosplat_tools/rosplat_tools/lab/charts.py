@@ -15,7 +15,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogFormatter
 
-from rosplat_tools.lab.pareto import TIMES, Summary, front, summarise
+from rosplat_tools.lab.methods import MODEL
+from rosplat_tools.lab.pareto import Summary, front, summarise
 from rosplat_tools.lab.points import Point
 
 STYLE: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False,
@@ -41,7 +42,7 @@ CURVES = {
          "age rotation, 1/s, culled 1x", "age orbit, 1/s", "age dolly, 1/s"], "frames", False,
     ),
     "stochastic transparency": (["stochastic"], "samples", True),
-    "splats left out": (["least worth"], "alphas that add up to less than [px]", True),
+    "splats left out": (["least worth"], "alphas add up to less than [px]", True),
 }  # fmt: skip
 
 
@@ -57,61 +58,71 @@ def write(folder: Path, points: Sequence[Point]) -> list[Path]:
 
 
 def _scatter(path: Path, summaries: list[Summary], points: Sequence[Point]) -> Path:
-    figure, (frame, pose, models) = plt.subplots(
-        1, 3, figsize=(12, 6), sharey=True, width_ratios=(4, 3, 2.2), constrained_layout=True
-    )
-    for axes, time in ((frame, "ms"), (pose, "pose_ms")):
-        for summary in summaries:
-            if spread := getattr(summary, time):
-                _dot(axes, spread, summary, hollow=bool(summary.aside))
-        best = front(summaries, time=time)
+    """A panel for each scene that has times, one for what has none."""
+    timed = {point.scene: 0 for point in points if point.ms is not None}
+    figure, panels = plt.subplots(
+        1, len(timed) + 1, figsize=(3.8 * len(timed) + 4.5, 5.6), sharey=True,
+        width_ratios=[4] * len(timed) + [3.2], constrained_layout=True, squeeze=False,
+    )  # fmt: skip
+    *scenes, models = panels[0]
+    for axes, scene in zip(scenes, timed, strict=True):
+        here = summarise(point for point in points if point.scene == scene)
+        for summary in here:
+            if summary.ms and summary.pose_ms:
+                _dot(axes, summary.ms[1], summary)
+                axes.plot(
+                    [summary.ms[1], summary.pose_ms[1]], [summary.values["psnr"][1]] * 2,
+                    color=COLORS[_group(summary)], linewidth=0.8, alpha=0.5, zorder=1,
+                )  # fmt: skip
+        best = front(here)
         axes.plot(
-            [getattr(s, time)[1] for s in best], [s.values["psnr"][1] for s in best],
+            [s.ms[1] for s in best if s.ms], [s.values["psnr"][1] for s in best],
             "--", color="0.4", linewidth=1, zorder=1, label="not beaten in both",
         )  # fmt: skip
-        axes.set(xscale="log", xlabel=f"{TIMES[time]} [ms]")
+        axes.set(xscale="log", xlabel="sorting and drawing; a line to pose to draw [ms]")
+        times = [spread[1] for s in here for spread in (s.ms, s.pose_ms) if spread]
+        axes.set_xlim(min(times) / 1.3, max(times) * 1.6)  # or noise would fill the panel
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.6)))
-        _name(axes, [s for s in summaries if s in best or s.family in NAMED], time)
-    untimed = sorted((s for s in summaries if not s.ms), key=lambda s: s.values["psnr"][1])
+        views = len({point.camera for point in points if point.scene == scene})
+        axes.set_title(f"{scene}, {views} views", fontsize=9)
+        _name(axes, [s for s in here if s in best or s.family in NAMED])
+    untimed = sorted((s for s in summaries if s.aside == MODEL), key=lambda s: s.values["psnr"][1])
     for number, summary in enumerate(untimed):
-        x = float(number % 2)
-        _dot(models, (x, x, x), summary, hollow=True)
+        column = 1.3 * (number % 2)
+        _dot(models, column, summary)
         models.annotate(
-            summary.method, (x, summary.values["psnr"][1]), fontsize=6, va="center",
+            summary.method, (column, summary.values["psnr"][1]), fontsize=6, va="center",
             xytext=(6, 0), textcoords="offset points",
         )  # fmt: skip
-    models.set(xlabel="models, without a time", xticks=[], xlim=(-0.2, 2.3))
-    frame.set_ylabel("PSNR [dB], more is better")
+    models.set(xticks=[], xlim=(-0.2, 2.4))
+    models.set_title("models, without a time", fontsize=9)
+    panels[0][0].set_ylabel("PSNR [dB], more is better")
     handles = [
         Line2D([], [], marker="o", linestyle="", color=color, label=group)
         for group, color in zip(GROUPS, COLORS, strict=True)
     ]
     handles += [
         Line2D([], [], marker="o", linestyle="", markerfacecolor="white", color="0.4",
-                   label="not held against others"),
-        *frame.get_legend_handles_labels()[0],
+               label="not held against others"),
+        *panels[0][0].get_legend_handles_labels()[0],
     ]  # fmt: skip
     figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8)
-    scenes = ", ".join(dict.fromkeys(point.scene for point in points))
-    views = len({(point.scene, point.camera) for point in points})
-    figure.suptitle(f"{views} views of {scenes}; {points[0].gpu.partition('/')[0]}", fontsize=9)
-    figure.savefig(path, dpi=110)
+    figure.suptitle(", ".join(dict.fromkeys(p.gpu.partition("/")[0] for p in points)), fontsize=9)
+    figure.savefig(path, dpi=100)
     plt.close(figure)
     return path
 
 
-def _dot(axes: Any, spread: tuple[float, float, float], summary: Summary, hollow: bool) -> None:
-    """A median with its 10 % and 90 % quantiles both ways."""
+def _dot(axes: Any, x: float, summary: Summary) -> None:
+    """A median with the 10 % and 90 % quantiles of its error."""
     low, middle, high = summary.values["psnr"]
-    left, x, right = spread
     color = COLORS[_group(summary)]
+    chosen = summary.family == "quality"
     axes.errorbar(
-        x, middle, yerr=[[middle - low], [high - middle]], xerr=[[x - left], [right - x]],
-        fmt="*" if summary.family == "quality" else "o", color=color,
-        markerfacecolor="white" if hollow else color, elinewidth=0.5, ecolor=(*to_rgb(color), 0.35),
-        markersize=12 if summary.family == "quality" else 4.5,
-        zorder=4 if summary.family == "quality" else 2,
+        x, middle, yerr=[[middle - low], [high - middle]], fmt="*" if chosen else "o", color=color,
+        markerfacecolor="white" if summary.aside else color, markersize=12 if chosen else 4.5,
+        elinewidth=0.5, ecolor=(*to_rgb(color), 0.35), zorder=4 if chosen else 2,
     )  # fmt: skip
 
 
@@ -122,16 +133,16 @@ def _group(summary: Summary) -> int:
     )  # fmt: skip
 
 
-def _name(axes: Any, summaries: Sequence[Summary], time: str) -> None:
+def _name(axes: Any, summaries: Sequence[Summary]) -> None:
     """Names dots, as far as names don't lie on each other."""
     axes.figure.canvas.draw()  # which settles the scales
     taken: list[Any] = []
     for summary in summaries:
-        if not (spread := getattr(summary, time)):
+        if not summary.ms:
             continue
         for offset in ((6, 3), (6, -9), (6, 14), (6, -20)):
             text = axes.annotate(
-                summary.method, (spread[1], summary.values["psnr"][1]), xytext=offset,
+                summary.method, (summary.ms[1], summary.values["psnr"][1]), xytext=offset,
                 textcoords="offset points", fontsize=7,
             )  # fmt: skip
             box = text.get_window_extent()
@@ -164,6 +175,6 @@ def _curves(path: Path, summaries: list[Summary]) -> Path:
 
 
 def _knob(method: str) -> float:
-    """The number in a method's name."""
-    found = re.search(r"\d+(\.\d+)?", method)
+    """The number in a method's name; of an old order, its frames."""
+    found = re.search(r"\d+(?= frames)", method) or re.search(r"\d+(\.\d+)?", method)
     return float(found.group()) if found else 0.0

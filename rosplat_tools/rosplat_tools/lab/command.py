@@ -7,6 +7,7 @@ Results are kept in the folder, so a run that was interrupted goes on where it w
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
@@ -62,7 +63,8 @@ def load(path: str, options: argparse.Namespace) -> Scene:
         raise SceneError(f"{path}: holds no splats")
     up = options.up or ((0, 0, 1) if procedural else (0, -1, 0))
     cameras = motion.around(splats, options.cameras, up, options.width, options.height)
-    return Scene(path, path if procedural else Path(path).stem, splats, cameras)
+    name = path if procedural else Path(path).stem
+    return Scene(path, f"{name}, {options.width}x{options.height}", splats, cameras)
 
 
 def measure(
@@ -180,6 +182,11 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--repeats", type=int, default=3, help="times are the fastest of so many")
     parser.add_argument(
+        "--points", type=Path, nargs="+", metavar="lab.json",
+        help="draw report and charts again from what earlier runs measured, instead of measuring",
+    )  # fmt: skip
+    parser.add_argument("--remark", default="", help="a line for accuracy.md")
+    parser.add_argument(
         "--part", choices=["all", "chart", "atlas"], default="all", help="what to measure"
     )
     options = parser.parse_args(arguments)
@@ -187,12 +194,16 @@ def main(arguments: list[str] | None = None) -> int:
     options.cameras = options.cameras or (QUICK_CAMERAS if options.quick else 8)
     command = shlex.join(["lab", *(sys.argv[1:] if arguments is None else arguments)])
     try:
+        if options.points:
+            kept = [point for path in options.points for point in points.load(path)]
+            write(Store(options.out).folder, kept, options)
+            return 0
         names = [] if options.part == "atlas" else options.scenes or [f"{PROCEDURAL}100000"]
         scenes = [load(name, options) for name in names]
         store = Store(options.out)
         with ensure_display():
             run(scenes, store, options, command)
-    except (SceneError, RuntimeError, OSError) as error:
+    except (SceneError, RuntimeError, OSError, ValueError, KeyError, TypeError) as error:
         print(f"lab: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -221,16 +232,33 @@ def run(scenes: list[Scene], store: Store, options: argparse.Namespace, command:
         if not measured:
             raise SceneError(f"no method's name or family holds {options.only!r}")
         points.save(store.folder / "lab.json", measured)
-        page = report.write(store.folder, measured)
-        folder = options.docs or store.folder
-        written = [page, accuracy.write(folder, measured), *charts.write(folder, measured)]
-        print(f"wrote {', '.join(map(str, written))}")
+        write(store.folder, measured, options)
     if options.part != "chart":
         findings = atlas.explore(bench, options.quick)
         atlas.save(store.folder / "stability.json", findings)
         facts = f"{bench.graphics}, {machine()}, commit {commit()}"
         print(f"wrote {stability.write(options.docs or store.folder, findings, facts)}")
     del bench  # its window before the display
+
+
+def write(folder: Path, measured: list[Point], options: argparse.Namespace) -> None:
+    """Writes the report, tables and charts of points."""
+    graphics = {" ".join(re.split(r"/| \(", point.gpu)[0].split()[:2]) for point in measured}
+    if len(graphics) > 1:  # each machine's scenes are scenes of their own
+        measured = [
+            replace(point, scene=f"{point.scene}, {name}")
+            for point in measured
+            for name in graphics
+            if point.gpu.startswith(name)
+        ]
+    docs = options.docs or folder
+    docs.mkdir(parents=True, exist_ok=True)
+    written = [
+        report.write(folder, measured),
+        accuracy.write(docs, measured, options.remark),
+        *charts.write(docs, measured),
+    ]
+    print(f"wrote {', '.join(map(str, written))}")
 
 
 if __name__ == "__main__":

@@ -135,7 +135,7 @@ def large_enough(pixels: float) -> Sort:
 
 
 def drawn(
-    sort: Sort = as_displayed, age: int = 0, float_blending: bool = True, **settings: Any
+    sort: Sort = as_displayed, age: int = 0, float_blending: bool | None = True, **settings: Any
 ) -> Shoot:
     """By the renderer. In 32-bit floats, so that only what a method varies makes its error."""
     settings["float_blending"] = float_blending
@@ -314,6 +314,6 @@ METHODS: tuple[Method, ...] = (
     modelled("RVizSplat 1.0.0", "other viewers", viewers.rvizsplat),
     # All at once: the Display's property Quality.
     Method("quality exact", "quality", drawn()),
-    Method("quality balanced", "quality", drawn(float_blending=False)),
-    Method("quality fast", "quality", drawn(float_blending=False, least_worth=1.0)),
+    Method("quality balanced", "quality", drawn(float_blending=None)),
+    Method("quality fast", "quality", drawn(float_blending=None, least_worth=1.0)),
 )  # fmt: skip

@@ -133,7 +133,28 @@ def _meaning(path: Path) -> str:
     return ast.dump(tree)
 
 
+RUN = ("machine", "gpu", "commit", "command")  # fields of a Point that many have in common
+
+
 def save(path: Path, points: Iterable[Point]) -> None:
-    """Writes points as one JSON list, for other programs."""
-    rows = [asdict(point) | {"ms": point.ms} for point in points]
-    path.write_text(json.dumps(rows, indent=0) + "\n", encoding="utf-8")
+    """Writes points for other programs: each names its run, by number."""
+    runs: dict[tuple[str, ...], int] = {}
+    rows = []
+    for point in points:
+        row = {name: _short(value) for name, value in asdict(point).items() if name not in RUN}
+        run = tuple(getattr(point, name) for name in RUN)
+        rows.append(json.dumps(row | {"run": runs.setdefault(run, len(runs))}))
+    heads = [json.dumps(dict(zip(RUN, run, strict=True))) for run in runs]
+    lines = ",\n".join(rows)
+    path.write_text(f'{{"runs": [{", ".join(heads)}],\n"points": [\n{lines}\n]}}\n', "utf-8")
+
+
+def load(path: Path) -> list[Point]:
+    """Reads what save wrote. Raises OSError, ValueError, KeyError or TypeError."""
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    return [Point(**kept["runs"][row.pop("run")], **row) for row in kept["points"]]
+
+
+def _short(value: object) -> object:
+    """Without digits that nobody reads."""
+    return float(f"{value:.5g}") if isinstance(value, float) else value

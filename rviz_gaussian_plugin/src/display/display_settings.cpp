@@ -16,7 +16,7 @@ namespace {
 using namespace rviz_common::properties;
 
 enum class Quality { kFast, kBalanced, kExact };
-// Leaves 49 dB of a trained scene, twice as much 40 ("least worth" in docs/accuracy.md). [px]
+// Leaves 51 to 61 dB, twice as much 41 to 52 ("least worth" in docs/accuracy.md). [px]
 constexpr float kFastLeastWorth = 1.0f;
 
 template <typename Value>
