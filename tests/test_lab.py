@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from pathlib import Path
+
+from rosplat_tools.lab.points import load
 
 
 def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
@@ -16,14 +17,14 @@ def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
     ]  # fmt: skip
     run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stderr
-    points = json.loads((tmp_path / "lab.json").read_text())
-    methods = {point["method"] for point in points}
+    points = load(tmp_path / "lab.json")
+    methods = {point.method for point in points}
     assert len(methods) >= 50
     assert len(points) == len(methods)
-    by_method = {point["method"]: point for point in points}
+    by_method = {point.method: point for point in points}
 
     def psnr(method: str) -> float:
-        return by_method[method]["psnr"]
+        return by_method[method].psnr
 
     # The real renderer is as good as its arithmetic, and each loss is seen for what it is.
     assert psnr("sorter native") > 70
@@ -33,11 +34,12 @@ def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
     assert psnr(aged[0]) > psnr(aged[1]) > psnr("unsorted")
     assert psnr("stochastic 64") > psnr("stochastic 1")
     assert psnr("budget 90%") > psnr("budget 25%")
-    assert by_method["stochastic 1"]["sort_ms"] is None
+    assert by_method["stochastic 1"].ms is None
     native = by_method["sorter native"]
-    assert native["pose_ms"] >= native["ms"] > native["draw_ms"] > 0
+    assert native.pose_ms and native.ms and native.draw_ms
+    assert native.ms > native.draw_ms > 0
     # An order that is drawn ten frames late is ten frames old, whatever it costs.
-    assert by_method[aged[1]]["pose_ms"] > 10_000 / 60 > native["pose_ms"]
+    assert (by_method[aged[1]].pose_ms or 0) > 10_000 / 60
     assert 10 < psnr("RVizSplat 1.0.0") < 45
 
     page = (tmp_path / "lab.html").read_text()
@@ -47,6 +49,11 @@ def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
 
     table = (tmp_path / "accuracy.md").read_text()
     assert all(f"| {method}" in table for method in methods)
+
+    # Drawn again from what is kept: the same tables.
+    drawing = [*command[:3], "--points", str(tmp_path / "lab.json"), "--out", str(tmp_path / "b")]
+    subprocess.run(drawing, check=True, timeout=300)
+    assert (tmp_path / "b" / "accuracy.md").read_text() == table
 
     kept = (tmp_path / "points.jsonl").read_bytes()
     again = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)

@@ -17,8 +17,8 @@ from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.lab import fragments, motion, orders, rays, viewers
 from rosplat_tools.lab.fragments import Fragments
 from rosplat_tools.lab.pareto import front, summarise
-from rosplat_tools.lab.points import Point, Store
-from rosplat_tools.splats import Splats, concatenate
+from rosplat_tools.lab.points import Point, Store, load, save
+from rosplat_tools.splats import SceneError, Splats, concatenate
 
 Make = Callable[..., Splats]
 
@@ -340,6 +340,12 @@ def test_what_is_to_be_seen_aside_beats_nobody() -> None:
     assert [s.method for s in front(summarise(points))] == ["a"]
 
 
+def test_what_was_seen_in_fewer_views_beats_nobody() -> None:
+    """A method that was measured in the easy scene alone is not the better one."""
+    points = [point("a", 10, 40), point("a", 100, 30, scene="large"), point("easy", 9, 41)]
+    assert [s.method for s in front(summarise(points))] == ["a"]
+
+
 def test_a_front_may_be_of_the_time_from_pose_to_draw() -> None:
     points = [point("a", 10, 40), point("b", 5, 30, pose_ms=100.0), point("c", 20, 60)]
     summaries = summarise(points)
@@ -353,6 +359,19 @@ def test_a_summary_is_the_median_over_cameras() -> None:
     assert summary.count == 3
     assert summary.ms is not None and summary.ms[1] == pytest.approx(3)
     assert summary.values["psnr"][1] == 40
+
+
+def test_points_are_read_as_they_were_written(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    kept = [point("a", 1, 40), point("b", None, 30.25), point("a", 2, 50, machine="another")]
+    save(tmp_path / "lab.json", kept)
+    assert load(tmp_path / "lab.json") == [replace(p, flip=float(f"{p.flip:.5g}")) for p in kept]
+
+
+def test_other_files_are_no_points(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    for text in ("", "[1, 2]", '{"runs": [], "points": [{"run": 3}]}'):
+        (tmp_path / "lab.json").write_text(text)
+        with pytest.raises(SceneError, match="not what lab writes"):
+            load(tmp_path / "lab.json")
 
 
 def test_an_interrupted_run_is_taken_up(tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -203,7 +203,7 @@ def main(arguments: list[str] | None = None) -> int:
         store = Store(options.out)
         with ensure_display():
             run(scenes, store, options, command)
-    except (SceneError, RuntimeError, OSError, ValueError, KeyError, TypeError) as error:
+    except (SceneError, RuntimeError, OSError) as error:
         print(f"lab: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -63,13 +63,16 @@ def _spread(values: Sequence[float]) -> Spread | None:
 def front(summaries: Iterable[Summary], metric: str = "psnr", time: str = "ms") -> list[Summary]:
     """Those that no other beats in both a time of TIMES and a metric (by medians), fastest first.
 
-    Of equals the first stays. What is to be seen aside, or has no time, is left out.
+    Of equals the first stays. What is to be seen aside, has no time, or was not measured in as many
+    views as others, is left out.
     """
     better = 1 if METRICS[metric] else -1
+    candidates = [s for s in summaries if getattr(s, time) and not s.aside]
+    most = max((s.count for s in candidates), default=0)
     timed = [
-        (spread[1], -better * s.values[metric][1], s)
-        for s in summaries
-        if (spread := getattr(s, time)) and not s.aside
+        (getattr(s, time)[1], -better * s.values[metric][1], s)
+        for s in candidates
+        if s.count == most
     ]
     best, chosen = float("inf"), []
     for _, loss, summary in sorted(timed, key=lambda entry: entry[:2]):

@@ -14,7 +14,7 @@ import numpy as np
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera
 from rosplat_tools.lab import bench, fragments, motion, orders, viewers
-from rosplat_tools.splats import Splats
+from rosplat_tools.splats import SceneError, Splats
 
 MOST_PSNR = 150.0  # what equal pictures count as: JSON knows no infinity [dB]
 
@@ -150,9 +150,12 @@ def save(path: Path, points: Iterable[Point]) -> None:
 
 
 def load(path: Path) -> list[Point]:
-    """Reads what save wrote. Raises OSError, ValueError, KeyError or TypeError."""
-    kept = json.loads(path.read_text(encoding="utf-8"))
-    return [Point(**kept["runs"][row.pop("run")], **row) for row in kept["points"]]
+    """Reads what save wrote. Raises OSError, or SceneError where it is something else."""
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        return [Point(**kept["runs"][row.pop("run")], **row) for row in kept["points"]]
+    except (ValueError, LookupError, TypeError) as error:
+        raise SceneError(f"{path}: not what lab writes: {error}") from error
 
 
 def _short(value: object) -> object:
