@@ -261,7 +261,8 @@ void GaussianDisplay::updateHandles() {
 
 void GaussianDisplay::forgetUnseenViews() {
   for (auto view = views_.begin(); view != views_.end();) {
-    if (now() - view->second.drawn < kUnseen) {
+    const bool by_a_slow_frame = ++view->second.updates == 1;
+    if (by_a_slow_frame || now() - view->second.drawn < kUnseen) {
       ++view;
       continue;
     }
@@ -283,6 +284,7 @@ std::string GaussianDisplay::onView(Ogre::Viewport* viewport, const SplatCamera&
     view.id = instance_ + "/" + std::to_string(view.number);
   }
   view.drawn = now();
+  view.updates = 0;
   view.main = viewport == context_->getViewManager()->getCurrent()->getCamera()->getViewport();
   if (view.sequence == 0 || !(view.camera == camera)) {
     view.camera = camera;

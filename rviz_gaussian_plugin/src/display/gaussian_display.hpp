@@ -58,6 +58,7 @@ class GaussianDisplay : public rviz_common::Display {
     SplatCamera camera;
     double published = 0;  // when the camera last went out [s]
     double drawn = 0;      // when it was last seen [s]
+    int updates = 0;       // of the display, since then
     bool main = false;     // rviz's own, not a Camera display's, say
   };
 
