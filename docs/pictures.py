@@ -16,7 +16,7 @@ from PIL import Image, ImageGrab
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import Marker
+from visualization_msgs.msg import Marker, MarkerArray
 
 from rosplat_tools.processes import Processes, quoted
 from rviz_gaussian_plugin.offscreen import ensure_display
@@ -38,8 +38,8 @@ Visualization Manager:
     - {Class: rviz_default_plugins/Grid, Name: Grid, Enabled: true, Value: true, Cell Size: 0.5,
        Plane Cell Count: 10, Alpha: 0.6}
     - {Class: rviz_default_plugins/TF, Name: TF, Enabled: true, Value: true, Marker Scale: 1.5}
-    - {Class: rviz_default_plugins/Marker, Name: Marker, Enabled: true, Value: true,
-       Topic: {Value: /marker, Durability Policy: Transient Local, Depth: 5}}
+    - {Class: rviz_default_plugins/MarkerArray, Name: MarkerArray, Enabled: true, Value: true,
+       Topic: {Value: /markers, Durability Policy: Transient Local, Depth: 5}}
     - {Class: rviz_gaussian_plugin/GaussianMap, Name: Gaussian Map, Enabled: true, Value: true,
        Topic: /gaussians}
   Global Options: {Fixed Frame: map, Background Color: 32; 34; 38, Frame Rate: 30}
@@ -87,7 +87,7 @@ def shipped_configuration(display: str, folder: Path, seconds: float) -> None:
 
 
 def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
-    """A scene in a frame of its own, a cube in it, before and behind splats; who sorted it."""
+    """A scene in a frame of its own; an opaque and a translucent cube in it; who sorted it."""
     rclpy.init()
     node = Node("pictures")
     transform = TransformStamped()
@@ -96,14 +96,17 @@ def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
     transform.transform.rotation.w = math.sqrt(0.5)
     tf = node.create_publisher(TFMessage, "/tf_static", LATCHED)
     tf.publish(TFMessage(transforms=[transform]))
-    cube = Marker(type=Marker.CUBE)
-    cube.header.frame_id = "map"
-    cube.pose.position.x, cube.pose.position.y, cube.pose.position.z = 0.1, -0.1, 0.42
-    cube.pose.orientation.w = 1.0
-    cube.scale.x = cube.scale.y = cube.scale.z = 0.42
-    cube.color.r, cube.color.g, cube.color.b, cube.color.a = 0.2, 0.75, 0.9, 1.0
-    markers = node.create_publisher(Marker, "/marker", LATCHED)
-    markers.publish(cube)
+    cubes = MarkerArray()
+    for position, size, alpha in (((0.1, -0.1, 0.42), 0.42, 1.0), ((0.75, 0.45, 0.3), 0.5, 0.4)):
+        cube = Marker(type=Marker.CUBE, id=len(cubes.markers))
+        cube.header.frame_id = "map"
+        cube.pose.position.x, cube.pose.position.y, cube.pose.position.z = position
+        cube.pose.orientation.w = 1.0
+        cube.scale.x = cube.scale.y = cube.scale.z = size
+        cube.color.r, cube.color.g, cube.color.b, cube.color.a = 0.2, 0.75, 0.9, alpha
+        cubes.markers.append(cube)
+    markers = node.create_publisher(MarkerArray, "/markers", LATCHED)
+    markers.publish(cubes)
     config = folder / "occlusion.rviz"
     config.write_text(OCCLUSION_CONFIG)
     with Processes(folder) as processes:
