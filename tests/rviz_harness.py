@@ -272,6 +272,15 @@ class Rviz:
             self._mouse(*self._move_to(row, column))
         self._mouse("mouseup", "1", *(["keyup", hold] if hold else []))
 
+    @contextlib.contextmanager
+    def held(self, key: str) -> Iterator[None]:
+        """A key of the keyboard is down."""
+        self._mouse("keydown", key)
+        try:
+            yield
+        finally:
+            self._mouse("keyup", key)
+
     def _move_to(self, row: int, column: int) -> list[str]:
         x, y, _, _ = self.ask("places")["view"]
         return ["mousemove", str(x + column), str(y + row)]

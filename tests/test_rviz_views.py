@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import TYPE_CHECKING
 
@@ -308,3 +309,40 @@ def test_each_view_has_its_own_order(rviz: Rviz, world: World) -> None:
         sorter.terminate()
         sorter.wait()
         rviz.processes.forget(sorter)
+
+
+def test_flying_by_keys_and_mouse(rviz: Rviz) -> None:
+    tools = "{Class: rviz_default_plugins/Interact}, {Class: rviz_default_plugins/Select}"  # by "s"
+    rviz.load(configuration(view=FLY, tools=tools))
+    yaw, pitch = 3.9, 0.4
+    ahead = np.array(
+        [math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), -math.sin(pitch)]
+    )
+    left, up = np.array([-math.sin(yaw), math.cos(yaw), 0]), np.array([0, 0, 1])
+
+    def position() -> np.ndarray:
+        values = rviz.properties(root="view")
+        return np.array([values[f"Position/{axis}"] for axis in "XYZ"])
+
+    def at_rest() -> np.ndarray:
+        before = None
+        while not np.array_equal(before, now := position()):
+            before = now
+            time.sleep(0.2)
+        return now
+
+    height, width, _ = rviz.picture().shape
+    rviz.click(height // 2, width // 2)
+    keys = {"w": ahead, "s": -ahead, "a": left, "d": -left, "e": up, "q": -up}
+    for key, direction in keys.items():
+        before = at_rest()
+        with rviz.held(key):
+            rviz.until(lambda _: np.linalg.norm(position() - before) > 0.3)  # noqa: B023
+        way = at_rest() - before
+        np.testing.assert_allclose(way / np.linalg.norm(way), direction, atol=0.02)
+    place = at_rest()
+    rviz.drag((height // 2, width // 2), (height // 2 + 40, width // 2 + 100))
+    looking = rviz.properties(root="view")
+    assert looking["Yaw"] == pytest.approx(yaw - 0.5, abs=0.05)
+    assert looking["Pitch"] == pytest.approx(pitch + 0.2, abs=0.05)
+    np.testing.assert_array_equal(position(), place)
