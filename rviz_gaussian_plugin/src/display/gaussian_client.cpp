@@ -239,19 +239,27 @@ void GaussianClient::tellSidecar() {
     return;
   }
   const auto& sorter = sorters.front();
-  if (!parameters_ || told_.first != sorter.endpoint_gid()) {
-    sidecar_ = sorter.node_namespace();
-    if (sidecar_.back() != '/') sidecar_ += '/';
-    sidecar_ += sorter.node_name();
-    parameters_ = std::make_shared<rclcpp::AsyncParametersClient>(node_, sidecar_);
+  std::string name = sorter.node_namespace();  // which may be heard of after its publisher
+  if (name.empty() || name.back() != '/') name += '/';
+  name += sorter.node_name();
+  if (!parameters_ || sidecar_ != name || told_.first != sorter.endpoint_gid()) {
+    sidecar_ = name;
+    parameters_ = std::make_shared<rclcpp::AsyncParametersClient>(node_, sidecar_,
+                                                                  rclcpp::ParametersQoS(), group_);
     told_ = {sorter.endpoint_gid(), ""};
   }
-  if (told_.second == backend || !parameters_->service_is_ready()) return;
+  if (!parameters_->service_is_ready()) return;
+  // While the two get to know each other, question or answer may be lost.
+  const auto now = std::chrono::steady_clock::now();
+  if (told_.second == backend && (sidecar_answered_ || now - told_at_ < 3s)) return;
   told_.second = backend;
+  told_at_ = now;
+  sidecar_answered_ = false;
   parameters_->set_parameters(
       {rclcpp::Parameter("backend", backend)},
       [this, name = sidecar_,
        backend](std::shared_future<std::vector<rcl_interfaces::msg::SetParametersResult>> future) {
+        sidecar_answered_ = true;
         const auto results = future.get();
         if (results.empty()) return reportSidecar(name + " knows no backends", true);
         const auto& result = results.front();

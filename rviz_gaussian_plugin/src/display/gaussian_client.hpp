@@ -110,6 +110,8 @@ class GaussianClient {
   std::shared_ptr<rclcpp::AsyncParametersClient> parameters_;  // of sidecar_
   std::string sidecar_;
   std::pair<std::array<std::uint8_t, RMW_GID_STORAGE_SIZE>, std::string> told_;  // whom, backend
+  std::chrono::steady_clock::time_point told_at_;
+  bool sidecar_answered_ = false;
   rosplat_sorter::OrderReader reader_;
 
   mutable std::mutex mutex_;  // status_, requests_, views_, backend_
