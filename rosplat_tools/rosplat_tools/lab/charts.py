@@ -33,6 +33,7 @@ GROUPS = {
     "Quality": ("quality",),
 }
 COLORS = ["#222222", "#1f77b4", "#9467bd", "#2ca02c", "#ff7f0e", "#8c564b", "#d62728", "#e6b800"]
+MOST_COLUMNS = 3  # of panels
 NAMED = ("quality", "other viewers")  # besides those that nothing beats
 # Which number in a method's name its family varies.
 CURVES = {
@@ -60,11 +61,15 @@ def write(folder: Path, points: Sequence[Point]) -> list[Path]:
 def _scatter(path: Path, summaries: list[Summary], points: Sequence[Point]) -> Path:
     """A panel for each scene that has times, one for what has none."""
     timed = {point.scene: 0 for point in points if point.ms is not None}
+    columns = min(MOST_COLUMNS, len(timed) + 1)
+    rows = -(-(len(timed) + 1) // columns)
     figure, panels = plt.subplots(
-        1, len(timed) + 1, figsize=(3.8 * len(timed) + 4.5, 5.6), sharey=True,
-        width_ratios=[4] * len(timed) + [3.2], constrained_layout=True, squeeze=False,
+        rows, columns, figsize=(4.3 * columns + 0.4, 4.1 * rows + 1.2), sharey=True,
+        constrained_layout=True, squeeze=False,
     )  # fmt: skip
-    *scenes, models = panels[0]
+    *scenes, models = panels.flat[: len(timed) + 1]
+    for unused in panels.flat[len(timed) + 1 :]:
+        unused.axis("off")
     for axes, scene in zip(scenes, timed, strict=True):
         here = summarise(point for point in points if point.scene == scene)
         for summary in here:
@@ -97,7 +102,8 @@ def _scatter(path: Path, summaries: list[Summary], points: Sequence[Point]) -> P
         )  # fmt: skip
     models.set(xticks=[], xlim=(-0.2, 2.4))
     models.set_title("models, without a time", fontsize=9)
-    panels[0][0].set_ylabel("PSNR [dB], more is better")
+    for row in panels:
+        row[0].set_ylabel("PSNR [dB], more is better")
     handles = [
         Line2D([], [], marker="o", linestyle="", color=color, label=group)
         for group, color in zip(GROUPS, COLORS, strict=True)
