@@ -14,9 +14,9 @@ from rclpy.node import Node
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import OrderReader
+from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.bench.scenes import GARDEN, STEP
 from rosplat_tools.parameters import declare
-from rosplat_tools.qos import ORDER, VIEW
 from rosplat_tools.running import run, spinning
 from rosplat_tools.view_messages import view_camera
 from rosplat_tools.viewer import OrbitCamera
