@@ -150,10 +150,20 @@ class Listener:
         return client.call_async(kind.Request(**request))
 
     def call(self, kind: Any, name: str, **request: object) -> Any:
-        """Calls a service and waits for its answer."""
-        future = self.request(kind, name, **request)
-        self.wait(future.done)
-        return future.result()
+        """Calls a service and waits for its answer; once more where that got lost.
+
+        A server that began just now may answer before it knows its client.
+        """
+        futures = [self.request(kind, name, **request)]
+        patient_until = time.monotonic() + 20
+
+        def answered() -> bool:
+            if len(futures) == 1 and time.monotonic() > patient_until:
+                futures.append(self.request(kind, name, **request))
+            return any(future.done() for future in futures)
+
+        self.wait(answered)
+        return next(future.result() for future in futures if future.done())
 
 
 @pytest.fixture
