@@ -26,9 +26,21 @@ def receiver(node: Node, until: int, out: Path, *options: str) -> Iterator[Recei
     """A subscriber in a process of its own, there in the block; what it got is there after it."""
     topic = node.resolve_topic_name("gaussians")
     command = [sys.executable, str(RECEIVER), topic, str(until), str(out), *options]
+
+    def matched() -> int:  # what is sent before a publisher knows a receiver may miss it
+        return sum(
+            publisher.get_subscription_count()
+            for publisher in node.publishers
+            if publisher.topic_name == topic
+        )
+
+    before = matched()
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout
         assert process.stdout.readline() == "listening\n"
+        patient_until = time.monotonic() + 5  # another receiver may leave meanwhile
+        while matched() == before and time.monotonic() < patient_until:
+            time.sleep(0.01)
         received: Received = {}
         try:
             yield received
