@@ -126,6 +126,9 @@ def test_publishers_that_clear_each_others_map_are_named(rviz: Rviz, world: Worl
 
     world.place()
     others = [MapPublisher(world.node, frame_id=world.frame) for _ in range(2)]
+    topic = world.node.resolve_topic_name("gaussians")
+    senders = [sender for sender in world.node.publishers if sender.topic_name == topic]
+    world.spin_until(lambda: all(sender.get_subscription_count() for sender in senders))
     for x in range(2):
         for publisher in others:
             publisher.upsert(range(x, x + 1), disc((1, 0, 0), x=x))
