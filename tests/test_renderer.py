@@ -275,7 +275,7 @@ def test_zero_bands_cost_no_memory(host: Host) -> None:
 def test_the_order_given_is_the_order_drawn(host: Host) -> None:
     splats = cloud(300)
     host.show(splats)
-    host.set(float_blending=True, order=OrderSource.AUTO)
+    host.set(float_blending=True, order=OrderSource.SIDECAR)
     host.look(CAMERAS["outside"])
     slots = np.random.default_rng(3).permutation(300)[:200].astype(np.uint32)
     host.renderer.set_order("test", host.sequence, str(host.map), 1, "mine", 0.001, slots)

@@ -122,4 +122,5 @@ def test_turning_leaves_orders_by_distance_alone(curves: dict[str, Curves]) -> N
 
 def test_opaque_layers_leak_a_hundredth_each(curves: dict[str, Curves]) -> None:
     ours, expected = curves["opaque"].values()
-    assert ours == pytest.approx(expected, rel=0.02)
+    ends_below = 1e-5  # what still shines through a pixel when tiles stop drawing it
+    assert ours == pytest.approx(expected, rel=0.02, abs=ends_below)
