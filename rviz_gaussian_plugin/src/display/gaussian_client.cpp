@@ -287,4 +287,16 @@ GaussianClient::Status GaussianClient::status() const {
   return status_;
 }
 
+std::string GaussianClient::frameId() const {
+  const std::lock_guard lock(mutex_);
+  return status_.frame_id;
+}
+
+std_msgs::msg::Header GaussianClient::header() const {
+  std_msgs::msg::Header header;
+  header.frame_id = frameId();
+  header.stamp = node_->now();
+  return header;
+}
+
 }  // namespace rosplat

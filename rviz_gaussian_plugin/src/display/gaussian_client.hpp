@@ -16,6 +16,7 @@
 #include <rosplat_msgs/msg/view_camera.hpp>
 #include <rosplat_msgs/srv/render_view.hpp>
 #include <set>
+#include <std_msgs/msg/header.hpp>
 #include <string>
 #include <thread>
 #include <utility>
@@ -77,6 +78,8 @@ class GaussianClient {
   void switchBackend(const std::string& backend);
   std::optional<RenderRequest> takeRenderRequest();
   Status status() const;
+  std::string frameId() const;           // of the map
+  std_msgs::msg::Header header() const;  // of what is said of the map now
 
  private:
   using GaussianArray = rosplat_msgs::msg::GaussianArray;

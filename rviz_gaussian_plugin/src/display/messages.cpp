@@ -61,11 +61,10 @@ OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message, rosplat_sorter::OrderRe
 }
 
 rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::string& view_id,
-                                        std::uint64_t sequence, const std::string& frame_id,
-                                        const builtin_interfaces::msg::Time& stamp) {
+                                        std::uint64_t sequence,
+                                        const std_msgs::msg::Header& header) {
   rosplat_msgs::msg::ViewCamera message;
-  message.header.frame_id = frame_id;
-  message.header.stamp = stamp;
+  message.header = header;
   message.view_id = view_id;
   message.sequence = sequence;
   const auto& r = camera.rotation;

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <builtin_interfaces/msg/time.hpp>
 #include <rosplat_msgs/msg/gaussian.hpp>
 #include <rosplat_msgs/msg/gaussian_array.hpp>
 #include <rosplat_msgs/msg/splat_order.hpp>
@@ -24,8 +23,8 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message);
 OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message, rosplat_sorter::OrderReader& reader);
 
 rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::string& view_id,
-                                        std::uint64_t sequence, const std::string& frame_id,
-                                        const builtin_interfaces::msg::Time& stamp);
+                                        std::uint64_t sequence,
+                                        const std_msgs::msg::Header& header);
 
 // With its orientation as a unit quaternion.
 rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::msg::Header& header,

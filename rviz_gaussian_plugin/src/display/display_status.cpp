@@ -1,0 +1,117 @@
+#include "display_status.hpp"
+
+#include <iomanip>
+#include <sstream>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+using rviz_common::properties::StatusProperty;
+
+template <typename... Parts>
+std::string concat(const Parts&... parts) {
+  std::ostringstream text;
+  text << std::fixed << std::setprecision(1);
+  (text << ... << parts);
+  return text.str();
+}
+
+std::string joined(const std::vector<std::string>& names) {
+  std::string text;
+  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
+  return text;
+}
+
+std::string nameOf(const char* line, const std::string& view) {
+  return view.empty() ? line : concat(line, " (", view, ")");
+}
+
+bool isBy(const FrameReport& frame, const std::string& sorter) {
+  return frame.order_source.rfind(sorter, 0) == 0;
+}
+
+}  // namespace
+
+StatusLine topicStatus(const GaussianClient::Status& received) {
+  const auto line = [](StatusProperty::Level level, std::string text) -> StatusLine {
+    return {level, "Topic", std::move(text)};
+  };
+  if (received.refused > 0) {
+    return line(StatusProperty::Error,
+                concat(received.refused, " batches refused, the last because ", received.refusal));
+  }
+  if (received.batches == 0) {
+    if (!received.other_type.empty()) {
+      return line(StatusProperty::Error,
+                  concat("This topic is of type ", received.other_type, ": choose one of type ",
+                         GaussianClient::mapType()));
+    }
+    if (received.publishers.empty()) {
+      return line(StatusProperty::Warn, "Nobody publishes on this topic");
+    }
+    if (received.unheard.empty()) return line(StatusProperty::Warn, "No batch received yet");
+    return line(StatusProperty::Warn, "No batch received: a publisher is " + received.unheard);
+  }
+  if (received.contended) {
+    return line(StatusProperty::Warn, "Publishers clear each other's map, end all but one of: " +
+                                          joined(received.publishers));
+  }
+  return line(StatusProperty::Ok, concat(received.batches, " batches received"));
+}
+
+StatusLine sceneFileStatus(const std::string& says, bool loading, bool failed,
+                           const MapState& map) {
+  std::string text = says;
+  if (loading && map.expected > map.splats) {
+    text += concat("; ", map.splats, " of ", map.expected, " splats are here");
+  }
+  return {failed ? StatusProperty::Error : StatusProperty::Ok, "Scene File", text};
+}
+
+StatusLine sidecarStatus(const GaussianClient::Status& received, const std::string& wanted,
+                         const std::vector<DrawnViews::Report>& views) {
+  for (const auto& [view, frame] : views) {
+    if (wanted.empty() || !isBy(frame, "sidecar (") || isBy(frame, "sidecar (" + wanted + ")")) {
+      continue;
+    }
+    return {StatusProperty::Warn, "Sidecar",
+            concat(received.sidecar, ", but the order is by ", frame.order_source,
+                   ": its log says why")};
+  }
+  return {received.sidecar_failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",
+          received.sidecar};
+}
+
+StatusLine mapStatus(const MapState& map) {
+  std::string text = concat(map.splats, " splats");
+  if (map.expected > map.splats) text += concat(" of ", map.expected);
+  text += concat(", SH degree ", map.sh_degree, map.antialiased ? ", antialiased" : "");
+  if (map.missed > 0) text += concat("; ", map.missed, " batches are missing");
+  if (map.dropped > 0) text += concat("; ", map.dropped, " splats with invalid values left out");
+  const bool whole = map.missed + map.dropped == 0;
+  return {whole ? StatusProperty::Ok : StatusProperty::Warn, "Map", text};
+}
+
+StatusLine orderStatus(const FrameReport& frame, const std::string& view) {
+  std::string text = concat(frame.splats, " splats by ", frame.order_source);
+  if (frame.sort_time > 0) text += concat(" in ", frame.sort_time * 1e3, " ms");
+  text += frame.order_fresh ? ", fresh" : concat(", ", frame.order_age * 1e3, " ms old");
+  return {StatusProperty::Ok, nameOf("Order", view), text};
+}
+
+StatusLine frameStatus(const FrameReport& frame, const std::string& view) {
+  std::string text = concat(frame.draw_time * 1e3, " ms to draw in ", frame.rasterizer);
+  for (const auto& [stage, time] : frame.profile) {
+    text += concat(", ", stage, " ", std::setprecision(2), time * 1e3);
+  }
+  return {StatusProperty::Ok, nameOf("Frame", view), text};
+}
+
+StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes) {
+  return {StatusProperty::Ok, "Memory",
+          concat("GPU ", gpu_bytes >> 20, " MiB, host ", host_bytes >> 20, " MiB")};
+}
+
+}  // namespace rosplat

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <rviz_common/properties/status_property.hpp>
+#include <string>
+#include <vector>
+
+#include "../splats/splat_scene.hpp"
+#include "drawn_views.hpp"
+#include "gaussian_client.hpp"
+
+// What the Status of a display says of what it knows.
+namespace rosplat {
+
+struct StatusLine {
+  rviz_common::properties::StatusProperty::Level level;
+  std::string name, text;
+
+  bool operator==(const StatusLine& o) const {
+    return level == o.level && name == o.name && text == o.text;
+  }
+};
+
+// Whether batches arrive, and if not, why.
+StatusLine topicStatus(const GaussianClient::Status& received);
+// How far the loading of a scene file is; `says` is the loader's own sentence.
+StatusLine sceneFileStatus(const std::string& says, bool loading, bool failed, const MapState& map);
+// What became of the wish for a backend (empty: any), beside what sorted the views.
+StatusLine sidecarStatus(const GaussianClient::Status& received, const std::string& wanted,
+                         const std::vector<DrawnViews::Report>& views);
+// What there is of the map, and what is missing.
+StatusLine mapStatus(const MapState& map);
+// Who sorted a frame, and what it took; `view` is empty for rviz's own.
+StatusLine orderStatus(const FrameReport& frame, const std::string& view);
+StatusLine frameStatus(const FrameReport& frame, const std::string& view);
+StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes);
+
+}  // namespace rosplat

@@ -1,0 +1,72 @@
+#include "drawn_views.hpp"
+
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+using namespace std::chrono_literals;
+
+// A view's camera goes out at least this often, so that a sorter that starts late learns of it.
+constexpr auto kKeepAlive = 1s;
+constexpr auto kUnseen = 2s;  // after which a view that isn't drawn is gone
+
+}  // namespace
+
+DrawnViews::DrawnViews(std::string name, SplatScene& scene, GaussianClient& client)
+    : name_(std::move(name)), scene_(scene), client_(client) {}
+
+View& DrawnViews::draw(const Ogre::Viewport* viewport, const SplatCamera& camera, bool main,
+                       bool publish_pose) {
+  auto found = views_.find(viewport);
+  if (found == views_.end()) {
+    const std::size_t number = ++count_;
+    View view(name_ + "/" + std::to_string(number), scene_, client_);
+    found = views_.emplace(viewport, Drawn{std::move(view), number}).first;
+  }
+  Drawn& drawn = found->second;
+  drawn.main = main;
+  drawn.time = std::chrono::steady_clock::now();
+  drawn.updates = 0;
+  drawn.view.setPosePublished(main && publish_pose);
+  drawn.view.look(camera);
+  return drawn.view;
+}
+
+void DrawnViews::update() {
+  forgetUnseen();
+  for (auto& [viewport, drawn] : views_) {
+    View& view = drawn.view;
+    if (view.age() < kKeepAlive) continue;
+    const FrameReport report = scene_.report(view.id());
+    if (report.order_fresh && report.order_source.rfind("sidecar", 0) == 0) {
+      view.publish();
+    } else {  // a view or an order may have been lost while the two got to know each other
+      view.ask(view.camera());
+    }
+  }
+}
+
+void DrawnViews::forgetUnseen() {
+  for (auto drawn = views_.begin(); drawn != views_.end();) {
+    const bool by_a_slow_frame = ++drawn->second.updates == 1;
+    if (by_a_slow_frame || std::chrono::steady_clock::now() - drawn->second.time < kUnseen) {
+      ++drawn;
+    } else {
+      scene_.forget(drawn->second.view.id());
+      drawn = views_.erase(drawn);
+    }
+  }
+}
+
+std::vector<DrawnViews::Report> DrawnViews::reports() const {
+  std::vector<Report> reports;
+  for (const auto& [viewport, drawn] : views_) {
+    reports.push_back(
+        {drawn.main ? "" : "view " + std::to_string(drawn.number), scene_.report(drawn.view.id())});
+  }
+  return reports;
+}
+
+}  // namespace rosplat

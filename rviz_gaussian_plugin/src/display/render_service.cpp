@@ -1,0 +1,138 @@
+#include "render_service.hpp"
+
+#include <OgreQuaternion.h>
+#include <OgreVector.h>
+
+#include <algorithm>
+#include <cstring>
+#include <rviz_common/frame_manager_iface.hpp>
+#include <sensor_msgs/msg/image.hpp>
+#include <stdexcept>
+#include <utility>
+#include <vector>
+
+#include "messages.hpp"
+
+namespace rosplat {
+
+namespace {
+
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+
+constexpr auto kAskAgain = 250ms;      // how long a picture waits for an order before it asks again
+constexpr double kLongestWait = 60.0;  // for the order of a picture [s]
+constexpr auto kUnserved = 1s;         // after which nobody will draw any
+
+sensor_msgs::msg::Image toImage(const std::vector<float>& pixels, const char* encoding,
+                                const rosplat_msgs::msg::ViewCamera& camera) {
+  sensor_msgs::msg::Image image;
+  image.header = camera.header;
+  image.width = camera.width;
+  image.height = camera.height;
+  image.encoding = encoding;
+  image.step = static_cast<std::uint32_t>(pixels.size() * sizeof(float) / image.height);
+  image.data.resize(pixels.size() * sizeof(float));
+  std::memcpy(image.data.data(), pixels.data(), image.data.size());
+  return image;
+}
+
+}  // namespace
+
+RenderService::RenderService(const std::string& view_id, SplatCloud& cloud, GaussianClient& client,
+                             rviz_common::FrameManagerIface& frames)
+    : cloud_(cloud), client_(client), frames_(frames), view_(view_id, cloud.scene(), client) {}
+
+void RenderService::serve() {
+  served_ = true;
+  if (!request_ && !take()) return;
+  const bool answered = cloud_.scene().answered(view_.id());
+  if (!answered && view_.age() > kAskAgain) view_.ask(view_.camera());
+  if (!answered && Clock::now() < deadline_) return;
+  auto response = draw(!answered);
+  request_->answer(response);
+  request_.reset();
+}
+
+bool RenderService::take() {
+  request_ = client_.takeRenderRequest();
+  if (!request_) return false;
+  try {
+    SplatCamera camera = toCamera(inMapFrame(request_->request->camera));
+    camera.extent_scale = extentScale(cloud_.settings());
+    view_.ask(camera);
+  } catch (const std::invalid_argument& error) {
+    request_->refuse(error.what());
+    request_.reset();
+    return false;
+  }
+  const double asked = request_->request->order_timeout;
+  const std::chrono::duration<double> wait(asked > 0 ? std::min(asked, kLongestWait) : 0.0);
+  deadline_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(wait);
+  return true;
+}
+
+rosplat_msgs::msg::ViewCamera RenderService::inMapFrame(
+    rosplat_msgs::msg::ViewCamera camera) const {
+  const std::string map_frame = client_.frameId();
+  const std::string& frame = camera.header.frame_id;
+  if (frame.empty() || frame == map_frame) return camera;
+  Ogre::Vector3 map_position, position;
+  Ogre::Quaternion map_orientation, orientation;
+  if (!frames_.getTransform(map_frame, map_position, map_orientation) ||
+      !frames_.transform(frame, rclcpp::Time(camera.header.stamp, RCL_ROS_TIME), camera.pose,
+                         position, orientation)) {
+    throw std::invalid_argument("camera.header.frame_id: no transform from '" + frame +
+                                "' to the map");
+  }
+  position = map_orientation.Inverse() * (position - map_position);
+  orientation = map_orientation.Inverse() * orientation;
+  camera.pose.position.x = position.x;
+  camera.pose.position.y = position.y;
+  camera.pose.position.z = position.z;
+  camera.pose.orientation.x = orientation.x;
+  camera.pose.orientation.y = orientation.y;
+  camera.pose.orientation.z = orientation.z;
+  camera.pose.orientation.w = orientation.w;
+  return camera;
+}
+
+GaussianClient::RenderView::Response RenderService::draw(bool built_in) {
+  GaussianClient::RenderView::Response response;
+  try {
+    SplatScene& scene = cloud_.scene();
+    const FrameReport report = scene.draw(view_.id(), cloud_.settings(), Canvas::kNone, built_in);
+    const auto& camera = request_->request->camera;
+    response.color = toImage(scene.readColor(), "32FC4", camera);
+    response.depth = toImage(scene.readDepth(), "32FC1", camera);
+    const MapState map = scene.state();
+    response.splats = report.splats;
+    response.order_source = report.order_source;
+    response.sort_time = report.sort_time;
+    response.draw_time = report.draw_time;
+    response.map_id = map.id;
+    response.revision = map.revision;
+    response.map_complete = map.splats > 0 && map.splats + map.dropped >= map.expected;
+    response.success = true;
+  } catch (const std::exception& error) {
+    response.message = error.what();
+  }
+  return response;
+}
+
+void RenderService::refuseUnserved() {
+  if (std::exchange(served_, false)) {
+    unserved_ = Clock::now();
+  } else if (Clock::now() - unserved_ > kUnserved) {
+    refuse(cloud_.error().empty() ? "rviz draws nothing" : cloud_.error());
+  }
+}
+
+void RenderService::refuse(const std::string& why) {
+  if (!request_) request_ = client_.takeRenderRequest();
+  for (; request_; request_ = client_.takeRenderRequest()) {
+    request_->refuse(why);
+  }
+}
+
+}  // namespace rosplat

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <chrono>
+#include <optional>
+#include <string>
+
+#include "../splats/splat_cloud.hpp"
+#include "gaussian_client.hpp"
+#include "view.hpp"
+
+namespace rviz_common {
+class FrameManagerIface;
+}
+
+namespace rosplat {
+
+// Draws the pictures that others ask for at <topic>/render, one after the other, each as soon as
+// its order is there. Render thread only.
+class RenderService {
+ public:
+  // All of them must outlive it; view_id names its view among all viewers'.
+  RenderService(const std::string& view_id, SplatCloud& cloud, GaussianClient& client,
+                rviz_common::FrameManagerIface& frames);
+
+  // Once a frame, where the context is current: draws what is due.
+  void serve();
+  // Once an update of the display: refuses what nobody will draw.
+  void refuseUnserved();
+  // Refuses all that wait.
+  void refuse(const std::string& why);
+
+ private:
+  bool take();
+  rosplat_msgs::msg::ViewCamera inMapFrame(rosplat_msgs::msg::ViewCamera camera) const;
+  GaussianClient::RenderView::Response draw(bool built_in);
+
+  SplatCloud& cloud_;
+  GaussianClient& client_;
+  rviz_common::FrameManagerIface& frames_;
+  View view_;
+  std::optional<GaussianClient::RenderRequest> request_;
+  std::chrono::steady_clock::time_point deadline_;  // of its order
+  bool served_ = true;                              // since the last update
+  std::chrono::steady_clock::time_point unserved_;  // since when they were not
+};
+
+}  // namespace rosplat

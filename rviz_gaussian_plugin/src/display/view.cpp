@@ -1,0 +1,34 @@
+#include "view.hpp"
+
+#include <utility>
+
+#include "messages.hpp"
+
+namespace rosplat {
+
+View::View(std::string id, SplatScene& scene, GaussianClient& client)
+    : id_(std::move(id)), scene_(scene), client_(client) {}
+
+std::chrono::steady_clock::duration View::age() const {
+  return std::chrono::steady_clock::now() - published_;
+}
+
+void View::ask(const SplatCamera& camera) {
+  camera_ = camera;
+  ++sequence_;
+  scene_.setCamera(id_, sequence_, camera_);
+  publish();
+}
+
+void View::look(const SplatCamera& camera) {
+  if (sequence_ == 0 || !(camera_ == camera)) ask(camera);
+}
+
+void View::publish() {
+  published_ = std::chrono::steady_clock::now();
+  const auto message = toMessage(camera_, id_, sequence_, client_.header());
+  client_.publish(message);
+  if (pose_published_) client_.publishPose(message);
+}
+
+}  // namespace rosplat

@@ -1,0 +1,42 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <string>
+
+#include "../splats/splat_scene.hpp"
+#include "gaussian_client.hpp"
+
+namespace rosplat {
+
+// A view of the map that asks for its orders: each of its cameras goes to the scene and out to
+// sidecars, under a number that the orders answer. Render thread only.
+class View {
+ public:
+  // Scene and client must outlive it.
+  View(std::string id, SplatScene& scene, GaussianClient& client);
+
+  const std::string& id() const { return id_; }
+  const SplatCamera& camera() const { return camera_; }
+  std::chrono::steady_clock::duration age() const;  // since it was published
+
+  // Asks for an order of this camera.
+  void ask(const SplatCamera& camera);
+  // The same, if it isn't what was asked for last.
+  void look(const SplatCamera& camera);
+  // Tells sidecars that start late.
+  void publish();
+  // Whether the camera's pose and path are published, too.
+  void setPosePublished(bool published) { pose_published_ = published; }
+
+ private:
+  std::string id_;
+  SplatScene& scene_;
+  GaussianClient& client_;
+  std::uint64_t sequence_ = 0;
+  SplatCamera camera_;
+  std::chrono::steady_clock::time_point published_;
+  bool pose_published_ = false;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,96 @@
+#include <gtest/gtest.h>
+
+#include "../src/display/display_status.hpp"
+
+namespace rosplat {
+
+namespace {
+
+using rviz_common::properties::StatusProperty;
+
+GaussianClient::Status heard(std::uint64_t batches) {
+  GaussianClient::Status received;
+  received.publishers = {"slam", "player"};
+  received.batches = batches;
+  return received;
+}
+
+DrawnViews::Report sortedBy(const std::string& source) {
+  FrameReport frame;
+  frame.splats = 7;
+  frame.order_source = source;
+  return {"", frame};
+}
+
+bool has(const StatusLine& line, const std::string& words) {
+  return line.text.find(words) != std::string::npos;
+}
+
+}  // namespace
+
+TEST(TopicStatus, saysWhyNothingArrives) {
+  EXPECT_TRUE(has(topicStatus({}), "Nobody publishes"));
+  GaussianClient::Status received = heard(0);
+  EXPECT_TRUE(has(topicStatus(received), "No batch received yet"));
+  received.unheard = "best effort";
+  EXPECT_TRUE(has(topicStatus(received), "a publisher is best effort"));
+  EXPECT_EQ(topicStatus(received).level, StatusProperty::Warn);
+  received.other_type = "std_msgs/msg/String";
+  EXPECT_TRUE(has(topicStatus(received), "This topic is of type std_msgs/msg/String"));
+  EXPECT_EQ(topicStatus(received).level, StatusProperty::Error);
+}
+
+TEST(TopicStatus, saysTheWorstFirst) {
+  GaussianClient::Status received = heard(3);
+  received.other_type = "std_msgs/msg/String";  // of another that nobody needs
+  EXPECT_EQ(topicStatus(received).level, StatusProperty::Ok);
+  received.contended = true;
+  EXPECT_TRUE(has(topicStatus(received), "end all but one of: slam, player"));
+  EXPECT_EQ(topicStatus(received).level, StatusProperty::Warn);
+  received.refused = 2;
+  received.refusal = "it ends early";
+  EXPECT_TRUE(has(topicStatus(received), "2 batches refused, the last because it ends early"));
+  EXPECT_EQ(topicStatus(received).level, StatusProperty::Error);
+}
+
+TEST(SidecarStatus, warnsOfAnotherBackendThanTheOneAskedFor) {
+  GaussianClient::Status received;
+  received.sidecar = "/sorter asked for backend torch";
+  EXPECT_EQ(sidecarStatus(received, "torch", {sortedBy("sidecar (torch)")}).level,
+            StatusProperty::Ok);
+  EXPECT_EQ(sidecarStatus(received, "torch", {sortedBy("built-in")}).level, StatusProperty::Ok);
+  EXPECT_EQ(sidecarStatus(received, "", {sortedBy("sidecar (native)")}).level, StatusProperty::Ok);
+  const StatusLine line =
+      sidecarStatus(received, "torch", {sortedBy("sidecar (torch)"), sortedBy("sidecar (native)")});
+  EXPECT_EQ(line.level, StatusProperty::Warn);
+  EXPECT_TRUE(has(line, "the order is by sidecar (native)"));
+  received.sidecar_failed = true;
+  EXPECT_EQ(sidecarStatus(received, "", {}).level, StatusProperty::Warn);
+}
+
+TEST(MapStatus, warnsOfWhatIsMissingNotOfWhatIsStillToCome) {
+  MapState map;
+  map.splats = 10;
+  map.expected = 20;
+  EXPECT_TRUE(has(mapStatus(map), "10 splats of 20"));
+  EXPECT_EQ(mapStatus(map).level, StatusProperty::Ok);
+  map.missed = 1;
+  EXPECT_EQ(mapStatus(map).level, StatusProperty::Warn);
+  map.missed = 0;
+  map.dropped = 1;
+  EXPECT_EQ(mapStatus(map).level, StatusProperty::Warn);
+}
+
+TEST(OrderStatus, isToldForEachView) {
+  FrameReport frame = sortedBy("gpu").frame;
+  frame.order_fresh = true;
+  EXPECT_EQ(orderStatus(frame, "").name, "Order");
+  EXPECT_EQ(orderStatus(frame, "").text, "7 splats by gpu, fresh");
+  frame.order_fresh = false;
+  frame.order_age = 0.25;
+  frame.sort_time = 0.004;
+  EXPECT_EQ(orderStatus(frame, "view 2").name, "Order (view 2)");
+  EXPECT_EQ(orderStatus(frame, "view 2").text, "7 splats by gpu in 4.0 ms, 250.0 ms old");
+}
+
+}  // namespace rosplat
