@@ -6,8 +6,6 @@ import contextlib
 import json
 import math
 import os
-import shutil
-import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -17,17 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rosplat_tools.driven_rviz import DrivenRviz, is_here
+from rosplat_tools.processes import Processes
+
 SCREEN = (1000, 800)
-DRIVEN_RVIZ = (
-    Path(__file__).resolve().parents[1] / "build/rviz_gaussian_plugin/driven_rviz"
-)  # the package's test/driven_rviz.cpp
 
 needs_rviz = [
     pytest.mark.rviz,
-    pytest.mark.skipif(
-        not (shutil.which("rviz2") and DRIVEN_RVIZ.exists()),
-        reason="no rviz2: the Display is not tested",
-    ),
+    pytest.mark.skipif(not is_here(), reason="no rviz2: the Display is not tested"),
 ]
 
 # 100 px/m, x to the right, y up; the point in view is the middle of the picture.
@@ -92,122 +87,28 @@ def own_screen() -> Iterator[str]:
     leave(before)
 
 
-class Refused(RuntimeError):
-    """rviz could not do what it was asked for."""
-
-
-class Rviz:
-    """A running rviz2; `load` gives it a configuration."""
+class Rviz(DrivenRviz):
+    """A running rviz2 on its screen, with a mouse."""
 
     def __init__(
         self, folder: Path, *arguments: str, config: str | None = None, **environment: str
     ) -> None:
         """Starts rviz2, with its logs in a folder, and waits until it can be driven."""
-        from rosplat_tools.processes import Processes
-
-        self.folder = folder
         self._screen = own_screen()
         self.screen_name = self._screen.__enter__()
-        self.processes = Processes(folder).__enter__()
-        address = f"/tmp/rosplat_rviz_{os.getpid()}_{time.monotonic_ns()}"
-        file = folder / "start.rviz"
-        file.write_text(config or configuration())
-        self.process = self.processes.start(
-            "rviz2",
-            [str(DRIVEN_RVIZ), "-d", str(file), *arguments],
+        super().__init__(
+            Processes(folder).__enter__(),
+            config or configuration(),
+            *arguments,
             DISPLAY=self.screen_name,
-            ROSPLAT_RVIZ_SOCKET=address,
             LIBGL_ALWAYS_SOFTWARE="1",
             **environment,
         )
-        self._connection = self._connect(address)
-
-    def _connect(self, address: str, seconds: float = 60.0) -> Any:
-        deadline = time.monotonic() + seconds
-        while True:
-            connection = socket.socket(socket.AF_UNIX)
-            try:
-                connection.connect(address)
-            except OSError:
-                connection.close()
-                self.processes.check()
-                if time.monotonic() > deadline:
-                    raise
-                time.sleep(0.03)
-            else:
-                connection.settimeout(seconds)
-                return connection.makefile("rw")
 
     def close(self) -> None:
         """Ends rviz2 and its screen."""
-        self._connection.close()
         self.processes.end()
         self._screen.__exit__(None, None, None)
-
-    def quit(self) -> int:
-        """The exit code of rviz2 after its window was closed."""
-        self.ask("quit")
-        self.processes.forget(self.process)
-        return self.process.wait(30)
-
-    # --- The remote control -----------------------------------------------------------------------
-
-    def ask(self, what: str, **request: object) -> Any:
-        """The answer to a request; see driven_rviz.cpp. Raises Refused."""
-        try:
-            self._connection.write(json.dumps({"do": what} | request) + "\n")
-            self._connection.flush()
-            line = self._connection.readline()
-        except OSError:
-            line = ""
-        if not line:
-            raise Refused(f"rviz2 ended at {what!r}: {self.processes.said('rviz2')[-500:]}")
-        reply = json.loads(line)
-        if "error" in reply:
-            raise Refused(f"{what!r}: {reply['error']}")
-        return reply["result"]
-
-    def load(self, config: str) -> None:
-        """Has a configuration loaded, which first takes away all that there was."""
-        file = self.folder / "loaded.rviz"
-        file.write_text(config)
-        self.ask("load", file=str(file))
-        places = None
-        while places != (places := self.ask("places")):  # the window finds its layout
-            time.sleep(0.2)
-
-    def save(self, file: Path) -> None:
-        """Has the configuration saved."""
-        self.ask("save", file=str(file))
-
-    def set(self, *path: str, value: object, root: str = "displays") -> None:
-        """Sets a property of a display (or of the view) as typing it would."""
-        self.ask("set", path=path, value=value, root=root)
-
-    def properties(self, *path: str, root: str = "displays") -> dict[str, Any]:
-        """The values below a property, but for its status, by names joined by slashes."""
-        found: dict[str, Any] = {}
-
-        def collect(property: dict[str, Any], prefix: str) -> None:
-            for child in property["children"]:
-                if child["name"].startswith("Status"):
-                    continue
-                name = f"{prefix}{child['name']}"
-                found[name] = child["value"]
-                collect(child, f"{name}/")
-
-        collect(self.ask("tree", path=path, root=root), "")
-        return found
-
-    def status(self, *path: str) -> dict[str, tuple[str, str]]:
-        """Level (Ok, Warn, Error) and text of each entry of a display's Status."""
-        tree = self.ask("tree", path=path, root="displays")
-        return {
-            entry["name"]: (entry["level"], entry["value"])
-            for child in tree["children"]
-            if child["name"].startswith("Status")
-            for entry in child["children"]
-        }
 
     def until_status(
         self, display: str, entry: str, level: str, *words: str, seconds: float = 30.0

@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 
+from rosplat_tools.driven_rviz import Refused
 from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz
 
 pytestmark = needs_rviz
@@ -111,8 +112,6 @@ def test_add_by_topic(rviz: Rviz, world: World) -> None:
 
 
 def offered(rviz: Rviz) -> Any:
-    from rviz_harness import Refused
-
     try:
         return rviz.ask("topics")
     except Refused:

@@ -1,6 +1,12 @@
-// rviz2 with a remote control, for tests: one JSON object a line comes in on the local socket
-// $ROSPLAT_RVIZ_SOCKET, one goes out. `tests/rviz_harness.py` speaks it.
+// rviz2 with a remote control and a stopwatch, for tests and benchmarks: one JSON object a line
+// comes in on the local socket $ROSPLAT_RVIZ_SOCKET, one goes out. rosplat_tools' driven_rviz.py
+// speaks it.
 
+#include <OgreFrameListener.h>
+#include <OgreRenderSystem.h>
+#include <OgreRenderTarget.h>
+#include <OgreRoot.h>
+#include <OgreViewport.h>
 #include <epoxy/gl.h>
 
 #include <QAbstractItemModel>
@@ -10,6 +16,8 @@
 #include <QDialogButtonBox>
 #include <QDockWidget>
 #include <QDragEnterEvent>
+#include <QFile>
+#include <QImage>
 #include <QJsonArray>
 #include <QJsonDocument>
 #include <QJsonObject>
@@ -22,6 +30,9 @@
 #include <QTreeWidget>
 #include <QUrl>
 #include <QWindow>
+#include <chrono>
+#include <cmath>
+#include <deque>
 #include <functional>
 #include <map>
 #include <memory>
@@ -41,8 +52,10 @@
 #include <rviz_common/visualization_frame.hpp>
 #include <rviz_common/visualization_manager.hpp>
 #include <rviz_common/visualizer_app.hpp>
+#include <rviz_rendering/render_window.hpp>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace {
@@ -190,13 +203,160 @@ QTreeWidget& topicTree() {
   return *tabs->currentWidget()->findChild<QTreeWidget*>();
 }
 
-QJsonValue answer(const QJsonObject& request) {
+// Makes the render panel as large as asked for, sooner or later; returns how large it is now.
+QJsonArray resize(const QSize& size) {
+  for (auto* dock : frame().findChildren<QDockWidget*>()) dock->hide();
+  const QSize panel = manager().getRenderPanel()->size();
+  frame().resize(frame().size() + size - panel);
+  return {panel.width(), panel.height()};
+}
+
+// Times the frames of rviz's window: while it runs, rviz draws as often as it can.
+class Stopwatch : public QObject, public Ogre::FrameListener {
+ public:
+  Stopwatch() {
+    Ogre::Root::getSingleton().addFrameListener(this);
+    connect(&manager(), &rviz_common::VisualizationManager::preUpdate, this, [this] { hurry(); });
+  }
+  ~Stopwatch() override { Ogre::Root::getSingleton().removeFrameListener(this); }
+
+  // The Orbit view turns by so much. [rad/s]
+  void start(double turn) {
+    turn_ = turn;
+    first_yaw_ = yaw().getValue().toDouble();
+    swaps_.clear();
+    drawing_ = {};
+    running_ = true;
+    began_ = Clock::now();
+  }
+
+  int frames() const { return static_cast<int>(swaps_.size()); }
+
+  // frame: between two swaps of the window's buffers. drawing: between a frame's begin and its
+  // swap, by the GPU's clock. [ms]
+  QJsonObject stop() {
+    running_ = false;
+    makeCurrent();
+    while (!pending_.empty()) collect();
+    QJsonArray frames;
+    for (std::size_t i = 1; i < swaps_.size(); ++i) {
+      frames.append(std::chrono::duration<double, std::milli>(swaps_[i] - swaps_[i - 1]).count());
+    }
+    return {{"frame", frames},
+            {"drawing", drawing_},
+            {"renderer", reinterpret_cast<const char*>(glGetString(GL_RENDERER))}};
+  }
+
+  // Writes the next frame as it will be shown; the file is there when it is whole.
+  void photograph(const QString& file) {
+    picture_ = file;
+    manager().queueRender();
+  }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  struct Span {
+    GLuint begin;
+    GLuint end;
+  };
+
+  static Property& yaw() { return *manager().getViewManager()->getCurrent()->subProp("Yaw"); }
+
+  static Ogre::RenderTarget& window() {
+    auto* panel = manager().getRenderPanel()->getRenderWindow();
+    return *rviz_rendering::RenderWindowOgreAdapter::getOgreViewport(panel)->getTarget();
+  }
+
+  // Queries belong to a context, of which each window has its own.
+  static void makeCurrent() {
+    Ogre::Root::getSingleton().getRenderSystem()->_setRenderTarget(&window());
+  }
+
+  void hurry() {
+    if (!running_) return;
+    manager().queueRender();
+    if (turn_ != 0) {
+      const std::chrono::duration<double> passed = Clock::now() - began_;
+      yaw().setValue(std::fmod(first_yaw_ + turn_ * passed.count(), 2 * M_PI));
+    }
+  }
+
+  bool frameStarted(const Ogre::FrameEvent& /*event*/) override {
+    drawn_ = running_;
+    if (!drawn_) return true;
+    makeCurrent();
+    pending_.push_back({});
+    glGenQueries(1, &pending_.back().begin);
+    glGenQueries(1, &pending_.back().end);
+    glQueryCounter(pending_.back().begin, GL_TIMESTAMP);
+    return true;
+  }
+
+  bool frameRenderingQueued(const Ogre::FrameEvent& /*event*/) override {
+    if (drawn_) {
+      makeCurrent();
+      glQueryCounter(pending_.back().end, GL_TIMESTAMP);
+      while (pending_.size() > 1 && isFinished(pending_.front())) collect();
+    }
+    if (!picture_.isEmpty()) write(std::exchange(picture_, {}));
+    return true;
+  }
+
+  bool frameEnded(const Ogre::FrameEvent& /*event*/) override {
+    if (drawn_) swaps_.push_back(Clock::now());
+    return true;
+  }
+
+  static bool isFinished(const Span& span) {
+    GLint available = 0;
+    glGetQueryObjectiv(span.end, GL_QUERY_RESULT_AVAILABLE, &available);
+    return available;
+  }
+
+  void collect() {
+    const Span& span = pending_.front();
+    GLuint64 begin = 0;
+    GLuint64 end = 0;
+    glGetQueryObjectui64v(span.begin, GL_QUERY_RESULT, &begin);
+    glGetQueryObjectui64v(span.end, GL_QUERY_RESULT, &end);
+    drawing_.append(static_cast<double>(end - begin) * 1e-6);
+    glDeleteQueries(1, &span.begin);
+    glDeleteQueries(1, &span.end);
+    pending_.pop_front();
+  }
+
+  static void write(const QString& file) {
+    Ogre::RenderTarget& target = window();
+    const Ogre::Box all(0, 0, target.getWidth(), target.getHeight());
+    QImage image(static_cast<int>(all.right), static_cast<int>(all.bottom),
+                 QImage::Format_RGBX8888);
+    target.copyContentsToMemory(all, Ogre::PixelBox(all, Ogre::PF_BYTE_RGBA, image.bits()),
+                                Ogre::RenderTarget::FB_BACK);
+    const QString part = file + ".part";
+    if (image.save(part, "PNG")) QFile::rename(part, file);
+  }
+
+  bool running_ = false;
+  bool drawn_ = false;  // the watch ran when this frame began
+  double turn_ = 0;
+  double first_yaw_ = 0;
+  Clock::time_point began_;
+  std::vector<Clock::time_point> swaps_;
+  QJsonArray drawing_;
+  std::deque<Span> pending_;
+  QString picture_;
+};
+
+QJsonValue answer(const QJsonObject& request, Stopwatch& watch) {
   const QString what = request["do"].toString();
   if (what == "tree") return describe(at(request));
   if (what == "options") return options(at(request));
   if (what == "places") return places();
   if (what == "gl") return glObjects();
   if (what == "drop") return drop(request["file"].toString());
+  if (what == "resize") return resize({request["width"].toInt(), request["height"].toInt()});
+  if (what == "frames") return watch.frames();
+  if (what == "stop watch") return watch.stop();
   if (what == "set") {
     if (!at(request).setValue(request["value"].toVariant())) throw Refusal("not changed");
   } else if (what == "load") {
@@ -231,6 +391,10 @@ QJsonValue answer(const QJsonObject& request) {
     }
     topicTree().setCurrentItem(item);
     dialog()->findChild<QDialogButtonBox*>()->button(QDialogButtonBox::Ok)->click();
+  } else if (what == "start watch") {
+    watch.start(request["turn"].toDouble());
+  } else if (what == "photograph") {
+    watch.photograph(request["file"].toString());
   } else if (what == "quit") {
     frame().setWindowModified(false);
     QMetaObject::invokeMethod(&frame(), "close", Qt::QueuedConnection);
@@ -240,12 +404,12 @@ QJsonValue answer(const QJsonObject& request) {
   return true;
 }
 
-void serve(QLocalSocket& socket) {
+void serve(QLocalSocket& socket, Stopwatch& watch) {
   while (socket.canReadLine()) {
     const QJsonObject request = QJsonDocument::fromJson(socket.readLine()).object();
     QJsonObject reply;
     try {
-      reply["result"] = answer(request);
+      reply["result"] = answer(request, watch);
     } catch (const std::exception& error) {
       reply["error"] = error.what();
     }
@@ -277,16 +441,16 @@ int main(int argc, char** argv) {
       [logger](const std::string& text, const std::string&, std::size_t) {
         RCLCPP_ERROR(logger, "%s", text.c_str());
       });
-  QLocalServer server;
-  QObject::connect(&server, &QLocalServer::newConnection, [&server] {
-    QLocalSocket* socket = server.nextPendingConnection();
-    QObject::connect(socket, &QLocalSocket::readyRead, [socket] { serve(*socket); });
-  });
   rviz_common::VisualizerApp rviz(
       std::make_unique<rviz_common::ros_integration::RosClientAbstraction>());
   rviz.setApp(&application);
-  if (!rviz.init(argc, argv) || !server.listen(qEnvironmentVariable("ROSPLAT_RVIZ_SOCKET"))) {
-    return 1;
-  }
+  if (!rviz.init(argc, argv)) return 1;
+  Stopwatch watch;
+  QLocalServer server;
+  QObject::connect(&server, &QLocalServer::newConnection, [&server, &watch] {
+    QLocalSocket* socket = server.nextPendingConnection();
+    QObject::connect(socket, &QLocalSocket::readyRead, [socket, &watch] { serve(*socket, watch); });
+  });
+  if (!server.listen(qEnvironmentVariable("ROSPLAT_RVIZ_SOCKET"))) return 1;
   return application.exec();
 }
