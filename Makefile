@@ -28,7 +28,7 @@ render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=
 	@$(ENTER); python -m rosplat_tools.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending)
 
 bench: setup ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" SCENES="a.ply b.spz" SIZES="500k 5M"
-	@$(ENTER); python -m rosplat_tools.bench $(SUBJECTS) $(if $(QUICK),--quick) $(if $(SIZES),--sizes $(SIZES)) $(if $(SCENES),--scenes $(SCENES))
+	@$(ENTER); python -m rosplat_tools.bench $(SUBJECTS) $(if $(QUICK),--quick) $(if $(SIZES),--sizes $(SIZES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(DISPLAYS),--displays $(DISPLAYS))
 
 lab: ## Chart error against time for all methods: [SCENE=path] [OUT=folder] [QUICK=1] [DOCS=folder]
 	@./setup.sh

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from rosplat_sorter.depth import order
-from rosplat_tools.bench import baselines, scenes, sort
+from rosplat_tools.bench import baselines, rviz, scenes, sort
 from rosplat_tools.bench.command import main
 from rosplat_tools.bench.isolation import isolated
 from rosplat_tools.bench.line import Line, NoLine
 from rosplat_tools.bench.records import Record, load
 from rosplat_tools.generate import generate
+from rosplat_tools.splats import SceneError
 
 
 def bench(out: Path, *arguments: str) -> list[Record]:
@@ -180,3 +181,14 @@ def test_isolated_work_runs_elsewhere_and_its_end_is_told() -> None:
         list(isolated(map, int, ["three"]))
     with pytest.raises(RuntimeError, match="ended with code 3"):
         list(isolated(map, os._exit, [3]))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [("a: [", "not YAML"), ("Class: x", "expected a list"), ("- {Class: x}", "Class and Name")],
+)
+def test_a_list_of_displays_is_refused_with_its_file(tmp_path: Path, text: str, why: str) -> None:
+    file = tmp_path / "displays.yaml"
+    file.write_text(text)
+    with pytest.raises(SceneError, match=f"displays.yaml: .*{why}"):
+        rviz.read_displays(file)

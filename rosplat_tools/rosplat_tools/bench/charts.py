@@ -71,6 +71,10 @@ CHARTS = (
         parameter("variant", "picture"), band=False,
     ),
     Chart(
+        "rviz-frame", "rviz", "frame", "Frame of rviz2", "time [ms]",
+        parameter("display"), parameter("camera", "view"),
+    ),
+    Chart(
         "transport-orders", "transport", "order", "An order between two processes", "time [ms]",
         parameter("way"), x="slots",
     ),

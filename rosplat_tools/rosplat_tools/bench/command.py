@@ -47,6 +47,7 @@ class Subject:
 SUBJECTS = {
     "sort": Subject("depth orders by every backend, beside other ways to sort"),
     "frame": Subject("pictures by the embedded renderer"),
+    "rviz": Subject("rviz2's own frames and pictures, by our Display and others", needs_ros=True),
     "transport": Subject("orders and maps between processes", needs_ros=True),
     "network": Subject("orders from a sorter on another machine", needs_ros=True),
     "chain": Subject("from a camera's pose to the picture that knows it", needs_ros=True),
@@ -110,6 +111,7 @@ def _measure(arguments: list[str], console: Console) -> int:
         scenes=tuple(options.scenes),
         backends=tuple(options.backends),
         variants=tuple(options.variants),
+        displays=tuple(options.displays),
         one_process=options.one_process,
         budget=QUICK_BUDGET if options.quick else FULL_BUDGET,
     )
@@ -177,6 +179,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
         help="of the renderer's settings, for the subject frame",
+    )  # fmt: skip
+    parser.add_argument(
+        "--displays", type=Path, nargs="+", default=[], metavar="FILE",
+        help="rviz: YAML lists of displays to measure as well, as `Displays` of an .rviz file; "
+        "{ply}, {topic} and {sh_degree} stand for what is measured",
     )  # fmt: skip
     parser.add_argument(
         "--seconds", type=float, metavar="S", help="how long to repeat each measurement"

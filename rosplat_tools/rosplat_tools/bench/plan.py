@@ -16,8 +16,8 @@ class Plan:
     """Empty sizes, backends and variants: each subject's own choice.
 
     sizes: of procedural scenes. scenes: by name, besides. backends: of the sorter. variants: of the
-    renderer's settings, see frame.VARIANTS. one_process: growth without ROS 2. out: a folder for
-    logs.
+    renderer's settings, see frame.VARIANTS. displays: files that list others, for rviz.
+    one_process: growth without ROS 2. out: a folder for logs.
     """
 
     out: Path = Path("out/bench")
@@ -26,5 +26,6 @@ class Plan:
     scenes: tuple[str, ...] = ()
     backends: tuple[str, ...] = ()
     variants: tuple[str, ...] = ()
+    displays: tuple[Path, ...] = ()
     one_process: bool = False
     budget: Budget = field(default=FULL_BUDGET)
