@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rosplat_sorter.order_slots import PACKED, SHARED, pack
+from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.reference import projection
@@ -18,6 +20,7 @@ from rviz_gaussian_plugin.offscreen import (
     BatchError,
     ClipBox,
     DrawMode,
+    OrderError,
     OrderSource,
     Rasterizer,
     Renderer,
@@ -285,6 +288,48 @@ def test_the_order_given_is_the_order_drawn(host: Host) -> None:
     assert report["order_source"] == "mine"
     assert report["splats"] == 200
     assert decibels(host.renderer.read_color(), expected) >= 70
+
+
+def test_orders_that_travelled_are_drawn_like_those_given(host: Host) -> None:
+    """Bit by bit and through shared memory, in turn through the same few buffers."""
+    host.show(cloud(300))
+    host.set(order=OrderSource.SIDECAR)
+    orders = SharedOrders()
+    buffer = OrderBuffer(orders)
+    random = np.random.default_rng(3)
+
+    def offer(**fields: Any) -> None:
+        host.renderer.read_order(
+            "test", host.sequence, str(host.map), 1, "mine", 0.001,
+            **{"packed": b"", "count": 0, "slot_bits": 0, "segment": "", "generation": 0} | fields,
+        )  # fmt: skip
+
+    def drawn() -> np.ndarray:
+        assert host.renderer.has_order("test")
+        host.renderer.draw("test")
+        return host.renderer.read_color()
+
+    try:
+        for count in (200, 300, 17, 250, 0):
+            slots = random.permutation(300)[:count].astype(np.uint32)
+            host.look(CAMERAS["outside"])
+            host.renderer.set_order("test", host.sequence, str(host.map), 1, "mine", 0.0, slots)
+            expected = drawn()
+            offer(encoding=PACKED, packed=pack(slots, 9), count=count, slot_bits=9)
+            np.testing.assert_array_equal(drawn(), expected)
+            buffer.begin(count)[:] = slots
+            segment, generation = buffer.finish()
+            offer(encoding=SHARED, count=count, segment=segment, generation=generation)
+            np.testing.assert_array_equal(drawn(), expected)
+            assert host.renderer.segment_key == orders.key
+    finally:
+        orders.close()
+    with pytest.raises(OrderError):
+        offer(encoding=SHARED, count=1, segment=segment, generation=generation)
+    assert host.renderer.segment_key == 0
+    host.look(CAMERAS["inside"])
+    offer(encoding=PACKED, packed=pack(np.array([300], np.uint32), 9), count=1, slot_bits=9)
+    assert not host.renderer.has_order("test")  # no such slot
 
 
 def test_depth_is_the_mean_along_the_axis(host: Host) -> None:

@@ -102,8 +102,8 @@ Slots readSlots(OrderReader& reader, std::uint8_t encoding, const py::buffer& pa
   std::vector<std::uint32_t> slots;
   {
     const py::gil_scoped_release release;
-    slots = reader.slots(encoding, static_cast<const std::uint8_t*>(bytes.ptr), size, count,
-                         slot_bits, segment, generation);
+    reader.read(encoding, static_cast<const std::uint8_t*>(bytes.ptr), size, count, slot_bits,
+                segment, generation, slots);
   }
   return toArray(std::move(slots));
 }

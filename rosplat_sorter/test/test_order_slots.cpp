@@ -4,9 +4,11 @@
 #include <algorithm>
 #include <atomic>
 #include <fstream>
+#include <numeric>
 #include <random>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "rosplat_sorter/order_slots.hpp"
@@ -15,6 +17,10 @@ namespace rosplat_sorter {
 namespace {
 
 using Slots = std::vector<std::uint32_t>;
+
+std::size_t plainBound(const Slots& slots) {
+  return slots.empty() ? 0 : *std::max_element(slots.begin(), slots.end()) + std::size_t{1};
+}
 
 // A segment of a sorter's, written by hand.
 class SegmentTest : public testing::Test {
@@ -42,7 +48,12 @@ class SegmentTest : public testing::Test {
   }
 
   Slots read(std::size_t count, std::uint64_t generation) {
-    return reader.slots(OrderReader::kShared, nullptr, 0, count, 0, name, generation);
+    Slots found;
+    const std::size_t bound =
+        reader.read(OrderReader::kShared, nullptr, 0, count, 0, name, generation, found);
+    EXPECT_EQ(found.size(), count);
+    EXPECT_EQ(bound, plainBound(found));
+    return found;
   }
 
   const std::string name =
@@ -69,19 +80,25 @@ TEST(PackedSlots, ComeBackAtAnyWidth) {
       for (auto& slot : slots) slot = static_cast<std::uint32_t>(random() >> (32 - bits));
       std::vector<std::uint8_t> packed(packedBytes(count, bits));
       packSlots(slots.data(), count, bits, packed.data());
-      EXPECT_EQ(unpackSlots(packed.data(), packed.size(), count, bits), slots) << bits;
+      Slots unpacked(5, 77);  // of an order before
+      EXPECT_EQ(unpackSlots(packed.data(), packed.size(), count, bits, unpacked),
+                plainBound(slots));
+      EXPECT_EQ(unpacked, slots) << bits;
     }
   }
 }
 
 TEST(PackedSlots, OfAnotherSizeAreRefused) {
   const std::uint8_t packed[8] = {};
-  EXPECT_EQ(unpackSlots(packed, 8, 3, 20).size(), 3u);
-  EXPECT_THROW(unpackSlots(packed, 7, 3, 20), OrderError);
-  EXPECT_THROW(unpackSlots(packed, 8, 4, 20), OrderError);
-  EXPECT_THROW(unpackSlots(packed, 0, 1, 0), OrderError);
-  EXPECT_THROW(unpackSlots(packed, 5, 1, 40), OrderError);
-  EXPECT_THROW(unpackSlots(packed, 0, std::size_t{1} << 62, 32), OrderError);  // 2^62 * 32 is 0
+  Slots slots;
+  EXPECT_EQ(unpackSlots(packed, 8, 3, 20, slots), 1u);
+  EXPECT_EQ(slots, Slots(3, 0));
+  EXPECT_THROW(unpackSlots(packed, 7, 3, 20, slots), OrderError);
+  EXPECT_THROW(unpackSlots(packed, 8, 4, 20, slots), OrderError);
+  EXPECT_THROW(unpackSlots(packed, 0, 1, 0, slots), OrderError);
+  EXPECT_THROW(unpackSlots(packed, 5, 1, 40, slots), OrderError);
+  const std::size_t overflowing = std::size_t{1} << 62;  // times 32 is 0
+  EXPECT_THROW(unpackSlots(packed, 0, overflowing, 32, slots), OrderError);
 }
 
 TEST_F(SegmentTest, HoldsTheOrderOfItsGeneration) {
@@ -100,6 +117,23 @@ TEST_F(SegmentTest, HoldsTheOrderOfItsGeneration) {
   EXPECT_THROW(read(kCapacity + 1, 4), OrderError);
   EXPECT_THROW(read(~std::size_t{0} / 4, 4), OrderError);
   EXPECT_EQ(reader.key(), kKey);  // the segment is there all the same
+}
+
+TEST_F(SegmentTest, IsReadWithItsBoundIntoMemoryThatIsThere) {
+  Slots found(kCapacity);
+  const std::uint32_t* const memory_before = found.data();
+  for (const std::size_t count : {kCapacity, std::size_t{16384}, std::size_t{16385}}) {
+    std::iota(slots, slots + count, 0u);
+    for (const std::size_t highest : {std::size_t{0}, count / 2, count - 1}) {
+      markSegment(memory, 2);
+      const std::uint32_t before = std::exchange(slots[highest], 0xffffffffu);
+      EXPECT_EQ(reader.read(OrderReader::kShared, nullptr, 0, count, 0, name, 2, found),
+                std::size_t{1} << 32);
+      EXPECT_TRUE(std::equal(found.begin(), found.end(), slots, slots + count));
+      EXPECT_EQ(found.data(), memory_before);
+      slots[highest] = before;
+    }
+  }
 }
 
 TEST_F(SegmentTest, IsNeverReadWhileItChanges) {
@@ -153,7 +187,9 @@ TEST_F(SegmentTest, OfAnotherKindIsRefused) {
         name + "/../" + name, std::string(SegmentHeader::kPrefix) + "../x",
         std::string(SegmentHeader::kPrefix) + std::string(1 << 20, 'a'),
         std::string("fastrtps_port7001"), name + std::string(1, '\0') + "x"}) {
-    EXPECT_THROW(reader.slots(OrderReader::kShared, nullptr, 0, 1, 0, bad, 2), OrderError) << bad;
+    Slots found;
+    EXPECT_THROW(reader.read(OrderReader::kShared, nullptr, 0, 1, 0, bad, 2, found), OrderError)
+        << bad;
     EXPECT_EQ(reader.key(), 0u);
   }
   ::unlink(at(link).c_str());
@@ -165,8 +201,10 @@ TEST_F(SegmentTest, OfAnotherKindIsRefused) {
 
 TEST_F(SegmentTest, KeyComesWithPackedOrdersToo) {
   const std::uint8_t packed[3] = {1, 2, 3};
+  Slots found;
   const auto unpack = [&](const std::string& segment) {
-    return reader.slots(OrderReader::kPacked, packed, 3, 3, 8, segment, 0);
+    reader.read(OrderReader::kPacked, packed, 3, 3, 8, segment, 0, found);
+    return found;
   };
   EXPECT_EQ(unpack(name), (Slots{1, 2, 3}));
   EXPECT_EQ(reader.key(), kKey);
@@ -174,7 +212,7 @@ TEST_F(SegmentTest, KeyComesWithPackedOrdersToo) {
   EXPECT_EQ(reader.key(), 0u);
   EXPECT_EQ(unpack(""), (Slots{1, 2, 3}));
   EXPECT_EQ(reader.key(), 0u);
-  EXPECT_THROW(reader.slots(9, packed, 3, 3, 8, name, 0), OrderError);
+  EXPECT_THROW(reader.read(9, packed, 3, 3, 8, name, 0, found), OrderError);
 }
 
 }  // namespace

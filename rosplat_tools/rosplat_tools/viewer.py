@@ -26,14 +26,13 @@ from sensor_msgs.msg import Image
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_sorter.order_slots import OrderError, OrderReader
 from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.parameters import declare
 from rosplat_tools.running import run, spinning
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
-from rviz_gaussian_plugin.offscreen import BatchError, Renderer, ensure_display
+from rviz_gaussian_plugin.offscreen import BatchError, OrderError, Renderer, ensure_display
 
 ASK_AGAIN = 0.25  # how long a still waits for an order before it asks for another [s]
 KEEP_ALIVE = 1.0  # a view goes out at least this often, for sorters that start late [s]
@@ -109,7 +108,6 @@ class Viewer(Node):
         self._sample = Sample()
         self._instance = f"viewer_{uuid.uuid4().hex[:8]}"
         self._sequence = 0
-        self._orders = OrderReader()
         self._published = 0.0
         self._requests: queue.Queue[_Request] = queue.Queue()
 
@@ -159,18 +157,24 @@ class Viewer(Node):
         """Whether it is this viewer's, and there to be drawn."""
         if not message.view_id.startswith(f"{self._instance}/"):
             return False
+        order = (
+            message.view_id, message.sequence, message.map_id, message.revision,
+            f"sidecar ({message.backend})", message.sort_time,
+        )  # fmt: skip
         try:
-            slots = self._orders.read(message)
+            if message.encoding == SplatOrder.SLOTS:
+                self.renderer.set_order(*order, _array(message.slots, np.uint32))
+            else:
+                self.renderer.read_order(
+                    *order, message.encoding, message.packed, message.count, message.slot_bits,
+                    message.segment, message.generation,
+                )  # fmt: skip
         except OrderError as error:
             self.get_logger().warning(
                 f"{self._map.topic}/order: an order is dropped: {error}",
                 throttle_duration_sec=5.0,
             )
             return False
-        self.renderer.set_order(
-            message.view_id, message.sequence, message.map_id, message.revision,
-            f"sidecar ({message.backend})", message.sort_time, slots,
-        )  # fmt: skip
         return True
 
     def _on_render(
@@ -217,7 +221,7 @@ class Viewer(Node):
         return view_id
 
     def _ask(self, camera: ViewCamera) -> None:
-        camera.segment_key = self._orders.key
+        camera.segment_key = self.renderer.segment_key
         self._views.publish(camera)
         self._published = time.monotonic()
 

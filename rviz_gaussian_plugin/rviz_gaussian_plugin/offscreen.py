@@ -16,6 +16,7 @@ Antialiasing = _offscreen.Antialiasing
 BatchError = _offscreen.BatchError
 ClipBox = _offscreen.ClipBox
 DrawMode = _offscreen.DrawMode
+OrderError = _offscreen.OrderError
 OrderSource = _offscreen.OrderSource
 Rasterizer = _offscreen.Rasterizer
 RenderSettings = _offscreen.RenderSettings
@@ -24,8 +25,9 @@ RenderSettings = _offscreen.RenderSettings
 class Renderer(_offscreen.Renderer):  # type: ignore[misc]
     """An Ogre scene that holds one map and draws it into a texture.
 
-    One in a process; every call but `apply` and `set_order` from the thread that made it. Needs an
-    X display (`ensure_display`) with OpenGL 4.4; raises RuntimeError where it finds none.
+    One in a process; every call but `apply`, `set_order` and `read_order` from the thread that made
+    it. Needs an X display (`ensure_display`) with OpenGL 4.4; raises RuntimeError where it finds
+    none.
     """
 
     def __init__(self) -> None:

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "../src/splats/order_book.hpp"
+#include "rosplat_sorter/order_slots.hpp"
 
 using namespace rosplat;
 
@@ -59,6 +60,7 @@ class OrderBookTest : public testing::Test {
     order->map_id = "map";
     order->revision = revision;
     order->source = "sidecar";
+    order->bound = rosplat_sorter::boundOf(slots.data(), slots.size());
     order->slots = std::move(slots);
     return order;
   }
@@ -76,7 +78,8 @@ class OrderBookTest : public testing::Test {
   using Slots = std::vector<std::uint32_t>;
   SplatCamera camera;
   GaussianMap map;
-  BuiltInSorter sorter;
+  OrderPool pool;
+  BuiltInSorter sorter{pool};
   OrderBook book;
 };
 
@@ -97,6 +100,29 @@ class MemoryLimit {
 };
 
 }  // namespace
+
+TEST(OrderPool, MakesOrdersInTheMemoryOfThoseThatAreForgotten) {
+  OrderPool pool;
+  auto kept = pool.make(), dropped = pool.make();
+  kept->slots.assign(1000, 1);
+  dropped->slots.assign(1000, 2);
+  const std::uint32_t* const memory = dropped->slots.data();
+  dropped.reset();
+  auto again = pool.make();
+  again->slots.resize(1000);
+  EXPECT_EQ(again->slots.data(), memory);
+  EXPECT_EQ(kept->slots, std::vector<std::uint32_t>(1000, 1));
+}
+
+TEST(OrderPool, MayEndBeforeItsOrders) {
+  std::shared_ptr<Order> order;
+  {
+    OrderPool pool;
+    order = pool.make();
+  }
+  order->slots.assign(1000, 1);
+  EXPECT_EQ(order.use_count(), 1);
+}
 
 TEST_F(OrderBookTest, SortsItselfWithoutASidecar) {
   upsert(0, {1, 3, 2}, 0.0);

@@ -12,6 +12,10 @@
 // looks at the generation once more: what was overwritten meanwhile it drops, a newer order is on
 // its way. Readers use read(), not mmap(): a file that somebody cuts short is then an error, not a
 // SIGBUS.
+//
+// What reads slots writes them into a vector of the caller's: pages that are new to a process cost
+// several times what filling them does, so that it pays to use a vector again. On the way it finds
+// the slots' bound, the least number that all of them are below, for a check against the map.
 
 #ifndef ROSPLAT_SORTER__ORDER_SLOTS_HPP_
 #define ROSPLAT_SORTER__ORDER_SLOTS_HPP_
@@ -68,9 +72,23 @@ inline void packSlots(const std::uint32_t* slots, std::size_t count, unsigned bi
   }
 }
 
-// Undoes packSlots(). Throws OrderError where bits or size don't fit.
-inline std::vector<std::uint32_t> unpackSlots(const std::uint8_t* packed, std::size_t size,
-                                              std::size_t count, unsigned bits) {
+// The bound of slots.
+inline std::size_t boundOf(const std::uint32_t* slots, std::size_t count) {
+  if (count == 0) return 0;
+  std::array<std::uint32_t, 8> highest{};  // side by side, to vectorise
+  std::size_t i = 0;
+  for (; i + highest.size() <= count; i += highest.size()) {
+    for (std::size_t lane = 0; lane < highest.size(); ++lane) {
+      highest[lane] = std::max(highest[lane], slots[i + lane]);
+    }
+  }
+  for (; i < count; ++i) highest[0] = std::max(highest[0], slots[i]);
+  return std::size_t{*std::max_element(highest.begin(), highest.end())} + 1;
+}
+
+// Undoes packSlots(); returns the slots' bound. Throws OrderError where bits or size don't fit.
+inline std::size_t unpackSlots(const std::uint8_t* packed, std::size_t size, std::size_t count,
+                               unsigned bits, std::vector<std::uint32_t>& slots) {
   if (bits < 1 || bits > 32) {
     throw OrderError("slot_bits is " + std::to_string(bits) + ", not 1 to 32");
   }
@@ -80,9 +98,10 @@ inline std::vector<std::uint32_t> unpackSlots(const std::uint8_t* packed, std::s
   }
   const std::uint64_t mask = (std::uint64_t{1} << bits) - 1;
   const std::uint8_t* const end = packed + size;
-  std::vector<std::uint32_t> slots(count);
+  slots.resize(count);
   std::uint64_t pending = 0;
   unsigned filled = 0;
+  std::uint32_t highest = 0;
   for (std::uint32_t& slot : slots) {
     if (filled < bits && end - packed >= 4) {  // four bytes, which compilers read as one
       const std::uint32_t next = packed[0] | std::uint32_t{packed[1]} << 8 |
@@ -93,10 +112,11 @@ inline std::vector<std::uint32_t> unpackSlots(const std::uint8_t* packed, std::s
     }
     for (; filled < bits; filled += 8) pending |= std::uint64_t{*packed++} << filled;
     slot = static_cast<std::uint32_t>(pending & mask);
+    highest = std::max(highest, slot);
     pending >>= bits;
     filled -= bits;
   }
-  return slots;
+  return count == 0 ? 0 : std::size_t{highest} + 1;
 }
 
 // What a segment begins with.
@@ -150,9 +170,10 @@ class SegmentReader {
 
   std::uint64_t key() const { return header().key; }
 
-  // The count slots that the segment holds in a generation. Throws OrderError where it holds
-  // others.
-  std::vector<std::uint32_t> slots(std::size_t count, std::uint64_t generation) const {
+  // Reads the count slots that the segment holds in a generation; returns their bound. Throws
+  // OrderError where it holds others.
+  std::size_t read(std::size_t count, std::uint64_t generation,
+                   std::vector<std::uint32_t>& slots) const {
     struct stat status;
     const std::size_t bytes = count * sizeof(std::uint32_t);
     if (count > kMostSlots || ::fstat(file_, &status) != 0 ||
@@ -162,13 +183,21 @@ class SegmentReader {
     if (generation % 2 != 0 || header().generation != generation) {
       throw OrderError(complaint("holds another order"));
     }
-    std::vector<std::uint32_t> slots(count);
-    const bool complete = read(slots.data(), bytes, SegmentHeader::kBytes);
+    slots.resize(count);
+    constexpr std::size_t kPart = 1u << 14;  // slots that stay in the cache until they are checked
+    std::size_t bound = 0;
+    bool complete = true;
+    for (std::size_t first = 0; complete && first < count; first += kPart) {
+      const std::size_t size = std::min(kPart, count - first);
+      complete = readBytes(&slots[first], size * sizeof(std::uint32_t),
+                           SegmentHeader::kBytes + first * sizeof(std::uint32_t));
+      bound = std::max(bound, boundOf(&slots[first], size));
+    }
     std::atomic_thread_fence(std::memory_order_acquire);  // the slots first, then the mark
     if (!complete || header().generation != generation) {
       throw OrderError(complaint("was overwritten while it was read"));
     }
-    return slots;
+    return bound;
   }
 
  private:
@@ -177,11 +206,11 @@ class SegmentReader {
   // Of no key where it can't be read.
   SegmentHeader header() const {
     SegmentHeader header;
-    const bool complete = read(&header, sizeof(header), 0);
+    const bool complete = readBytes(&header, sizeof(header), 0);
     return complete && header.magic == SegmentHeader::kMagic ? header : SegmentHeader();
   }
 
-  bool read(void* target, std::size_t size, std::size_t offset) const {
+  bool readBytes(void* target, std::size_t size, std::size_t offset) const {
     auto* bytes = static_cast<char*>(target);
     while (size > 0) {
       const ssize_t got = ::pread(file_, bytes, size, static_cast<off_t>(offset));
@@ -204,21 +233,21 @@ class OrderReader {
   // As in SplatOrder.
   enum Encoding : std::uint8_t { kSlots, kPacked, kShared };
 
-  // The slots of an order that doesn't carry them plainly; arguments as in SplatOrder. Throws
-  // OrderError.
-  std::vector<std::uint32_t> slots(std::uint8_t encoding, const std::uint8_t* packed,
-                                   std::size_t packed_size, std::size_t count, unsigned slot_bits,
-                                   const std::string& segment, std::uint64_t generation) {
+  // Reads the slots of an order that doesn't carry them plainly, arguments as in SplatOrder;
+  // returns their bound. Throws OrderError; what `slots` holds then is nobody's order.
+  std::size_t read(std::uint8_t encoding, const std::uint8_t* packed, std::size_t packed_size,
+                   std::size_t count, unsigned slot_bits, const std::string& segment,
+                   std::uint64_t generation, std::vector<std::uint32_t>& slots) {
     if (encoding == kPacked) {
       learnKey(segment);
-      return unpackSlots(packed, packed_size, count, slot_bits);
+      return unpackSlots(packed, packed_size, count, slot_bits, slots);
     }
     if (encoding != kShared) {
       throw OrderError("encoding " + std::to_string(encoding) + " is unknown");
     }
     const SegmentReader reader = open(segment);
     key_ = reader.key();
-    return reader.slots(count, generation);
+    return reader.read(count, generation, slots);
   }
 
   // For ViewCamera.segment_key; 0 while no segment can be read.

@@ -141,7 +141,9 @@ void GaussianClient::receive(SplatOrder& message) {
     if (views_.count(message.view_id) == 0) return;  // another viewer's
   }
   try {
-    scene_.offer(toOrder(message, reader_));
+    const auto order = scene_.newOrder();
+    toOrder(message, reader_, *order);
+    scene_.offer(order);
   } catch (const rosplat_sorter::OrderError& error) {
     RCLCPP_WARN_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000,
                          "%s/order: an order is dropped: %s", topic_.c_str(), error.what());

@@ -42,22 +42,22 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   return batch;
 }
 
-OrderPtr toOrder(rosplat_msgs::msg::SplatOrder& message, rosplat_sorter::OrderReader& reader) {
-  auto order = std::make_shared<Order>();
-  order->view_id = message.view_id;
-  order->sequence = message.sequence;
-  order->map_id = message.map_id;
-  order->revision = message.revision;
-  order->source = "sidecar (" + message.backend + ")";
-  order->sort_time = message.sort_time;
+void toOrder(rosplat_msgs::msg::SplatOrder& message, rosplat_sorter::OrderReader& reader,
+             Order& order) {
+  order.view_id = message.view_id;
+  order.sequence = message.sequence;
+  order.map_id = message.map_id;
+  order.revision = message.revision;
+  order.source = "sidecar (" + message.backend + ")";
+  order.sort_time = message.sort_time;
   if (message.encoding == rosplat_msgs::msg::SplatOrder::SLOTS) {
-    order->slots = std::move(message.slots);
+    order.slots = std::move(message.slots);
+    order.bound = rosplat_sorter::boundOf(order.slots.data(), order.slots.size());
   } else {
-    order->slots =
-        reader.slots(message.encoding, message.packed.data(), message.packed.size(), message.count,
-                     message.slot_bits, message.segment, message.generation);
+    order.bound =
+        reader.read(message.encoding, message.packed.data(), message.packed.size(), message.count,
+                    message.slot_bits, message.segment, message.generation, order.slots);
   }
-  return order;
 }
 
 rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::string& view_id,

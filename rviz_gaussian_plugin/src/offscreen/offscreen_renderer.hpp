@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "../splats/splat_cloud.hpp"
+#include "rosplat_sorter/order_slots.hpp"
 
 namespace rosplat {
 
@@ -24,7 +25,8 @@ class OffscreenRenderer {
   ~OffscreenRenderer();
 
   SplatScene& scene() { return cloud_->scene(); }
-  RenderSettings settings;  // of the next draw
+  RenderSettings settings;                   // of the next draw
+  rosplat_sorter::OrderReader order_reader;  // for one thread at a time
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
   // Draws the scene as a view's camera sees it, sorted here if built_in. Throws std::runtime_error.

@@ -73,21 +73,44 @@ void setCamera(OffscreenRenderer& renderer, const std::string& view_id, std::uin
                                 height, near_clip, far_clip));
 }
 
-void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
-              const std::string& map_id, std::uint64_t revision, const std::string& backend,
-              double sort_time, const Array<std::uint32_t>& slots) {
-  auto order = std::make_shared<Order>();
+// Fills the slots of an order and offers it, without Python's lock: millions take milliseconds.
+template <typename Fill>
+void offer(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
+           const std::string& map_id, std::uint64_t revision, const std::string& source,
+           double sort_time, const Fill& fill) {
+  const py::gil_scoped_release release;
+  const auto order = renderer.scene().newOrder();
   order->view_id = view_id;
   order->sequence = sequence;
   order->map_id = map_id;
   order->revision = revision;
-  order->source = backend;
+  order->source = source;
   order->sort_time = sort_time;
-  const std::uint32_t* const first = slots.data();
-  const std::uint32_t* const last = first + slots.size();
-  const py::gil_scoped_release release;  // millions of slots take milliseconds to copy
-  order->slots.assign(first, last);
-  renderer.scene().offer(std::move(order));
+  fill(*order);
+  renderer.scene().offer(order);
+}
+
+void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
+              const std::string& map_id, std::uint64_t revision, const std::string& source,
+              double sort_time, const Array<std::uint32_t>& slots) {
+  const ArrayView<std::uint32_t> given = view(slots);
+  offer(renderer, view_id, sequence, map_id, revision, source, sort_time, [&](Order& order) {
+    order.slots.assign(given.data, given.data + given.size);
+    order.bound = rosplat_sorter::boundOf(given.data, given.size);
+  });
+}
+
+void readOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
+               const std::string& map_id, std::uint64_t revision, const std::string& source,
+               double sort_time, std::uint8_t encoding, const py::buffer& packed, std::size_t count,
+               unsigned slot_bits, const std::string& segment, std::uint64_t generation) {
+  const py::buffer_info bytes = packed.request();
+  const auto size = static_cast<std::size_t>(bytes.size * bytes.itemsize);
+  offer(renderer, view_id, sequence, map_id, revision, source, sort_time, [&](Order& order) {
+    order.bound =
+        renderer.order_reader.read(encoding, static_cast<const std::uint8_t*>(bytes.ptr), size,
+                                   count, slot_bits, segment, generation, order.slots);
+  });
 }
 
 py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool built_in) {
@@ -120,6 +143,8 @@ py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>
 
 PYBIND11_MODULE(_offscreen, module) {
   py::register_exception<BatchError>(module, "BatchError", PyExc_ValueError);
+  // Local, for rosplat_sorter's own module has the same error.
+  py::register_local_exception<rosplat_sorter::OrderError>(module, "OrderError", PyExc_ValueError);
   py::enum_<DrawMode>(module, "DrawMode")
       .value("COLOR", DrawMode::kColor)
       .value("DEPTH", DrawMode::kDepth)
@@ -175,8 +200,13 @@ PYBIND11_MODULE(_offscreen, module) {
       .def("set_camera", &setCamera, "view_id"_a, "sequence"_a, "position"_a, "orientation"_a,
            "projection"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "width"_a, "height"_a, "near"_a = 0.01,
            "far"_a = 1e10)
-      .def("set_order", &setOrder, "view_id"_a, "sequence"_a, "map_id"_a, "revision"_a, "backend"_a,
+      .def("set_order", &setOrder, "view_id"_a, "sequence"_a, "map_id"_a, "revision"_a, "source"_a,
            "sort_time"_a, "slots"_a)
+      .def("read_order", &readOrder, "view_id"_a, "sequence"_a, "map_id"_a, "revision"_a,
+           "source"_a, "sort_time"_a, "encoding"_a, "packed"_a, "count"_a, "slot_bits"_a,
+           "segment"_a, "generation"_a)
+      .def_property_readonly("segment_key",
+                             [](OffscreenRenderer& r) { return r.order_reader.key(); })
       .def("set_box", &OffscreenRenderer::setBox, "centre"_a, "size"_a, "opacity"_a = 1.0f)
       .def_readwrite("settings", &OffscreenRenderer::settings)
       .def(

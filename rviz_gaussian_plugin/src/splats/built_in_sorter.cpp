@@ -30,7 +30,7 @@ rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<doub
   return part;
 }
 
-BuiltInSorter::BuiltInSorter() : thread_([this] { run(); }) {}
+BuiltInSorter::BuiltInSorter(OrderPool& pool) : pool_(pool), thread_([this] { run(); }) {}
 
 BuiltInSorter::~BuiltInSorter() {
   {
@@ -165,7 +165,7 @@ void BuiltInSorter::hold(const GaussianEdit& edit) {
 
 OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request) {
   const auto start = std::chrono::steady_clock::now();
-  auto order = std::make_shared<Order>();
+  auto order = pool_.make();
   order->view_id = view_id;
   order->sequence = request.sequence;
   order->map_id = map_id_;
@@ -177,19 +177,29 @@ OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request)
   order->source = mergeable ? request.base->source + " + built-in" : "built-in";
   bool lacking = out_of_memory_;
   try {
-    order->slots = mergeable ? merge(request)
-                             : depth_order_.sort(request.view, positions_.data(), extents_.data(),
-                                                 extents_.size());
+    if (mergeable) {
+      merge(request, order->slots);
+    } else {
+      depth_order_.sort(request.view, positions_.data(), extents_.data(), extents_.size(),
+                        [&order](std::size_t total) {
+                          order->slots.resize(total);
+                          return order->slots.data();
+                        });
+    }
   } catch (const std::bad_alloc&) {
     lacking = true;
   }
-  if (lacking) order->source += " (out of memory)";
+  if (lacking) {
+    order->slots.clear();
+    order->source += " (out of memory)";
+  }
+  order->bound = extents_.size();
   order->sort_time =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return order;
 }
 
-std::vector<std::uint32_t> BuiltInSorter::merge(const Request& request) {
+void BuiltInSorter::merge(const Request& request, std::vector<std::uint32_t>& merged) {
   const std::uint64_t known = request.base->revision;
   std::vector<std::uint32_t> changed;
   for (const Change& change : recent_) {
@@ -205,7 +215,7 @@ std::vector<std::uint32_t> BuiltInSorter::merge(const Request& request) {
   const std::vector<std::uint32_t>& fresh = depth_order_.sort(
       request.view, positions_.data(), extents_.data(), changed.data(), changed.size());
 
-  std::vector<std::uint32_t> merged;
+  merged.clear();
   merged.reserve(request.base->slots.size() + fresh.size());
   auto next = fresh.begin();
   const auto depth = [&](std::uint32_t slot) {
@@ -222,7 +232,6 @@ std::vector<std::uint32_t> BuiltInSorter::merge(const Request& request) {
     merged.push_back(slot);
   }
   merged.insert(merged.end(), next, fresh.end());
-  return merged;
 }
 
 }  // namespace rosplat

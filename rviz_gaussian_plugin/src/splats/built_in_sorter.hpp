@@ -13,28 +13,18 @@
 #include <vector>
 
 #include "gaussian_map.hpp"
+#include "order.hpp"
 #include "rosplat_sorter/depth_order.hpp"
 #include "splat_camera.hpp"
 
 namespace rosplat {
 
-// The visible slots of a view, farthest first, and what they answer.
-struct Order {
-  std::string view_id;
-  std::uint64_t sequence = 0;  // of the view's camera
-  std::string map_id;
-  std::uint64_t revision = 0;  // of the map
-  std::string source;          // who sorted
-  double sort_time = 0;        // [s]
-  std::vector<std::uint32_t> slots;
-};
-using OrderPtr = std::shared_ptr<const Order>;
-
 // The viewer's own sorter: a worker with the positions of the map, so that no frame waits for a
 // sort.
 class BuiltInSorter {
  public:
-  BuiltInSorter();
+  // The pool makes its orders, and must outlive it.
+  explicit BuiltInSorter(OrderPool& pool);
   ~BuiltInSorter();
 
   // Edits reach the worker in order, before any sort asked for later.
@@ -78,8 +68,9 @@ class BuiltInSorter {
   void apply(const Edit& edit);
   void hold(const GaussianEdit& edit);
   OrderPtr sort(const std::string& view_id, const Request& request);
-  std::vector<std::uint32_t> merge(const Request& request);
+  void merge(const Request& request, std::vector<std::uint32_t>& merged);
 
+  OrderPool& pool_;
   mutable std::mutex mutex_;
   std::condition_variable wake_, finished_;
   bool stop_ = false;

@@ -1,6 +1,5 @@
 #include "order_book.hpp"
 
-#include <algorithm>
 #include <numeric>
 #include <utility>
 
@@ -52,8 +51,7 @@ bool OrderBook::offer(const OrderPtr& order, double now) {
     return true;
   }
   if (view.sidecar && order->sequence < view.sidecar->sequence) return false;
-  const auto highest = std::max_element(order->slots.begin(), order->slots.end());
-  if (highest != order->slots.end() && *highest >= map_.capacity) return false;
+  if (order->bound > map_.capacity) return false;
   view.sidecar = order;
   view.waiting_since = now;
   return true;
@@ -91,6 +89,7 @@ OrderPtr OrderBook::unsorted() {
     order->source = "nobody";
     order->slots.resize(map_.capacity);
     std::iota(order->slots.begin(), order->slots.end(), 0u);
+    order->bound = map_.capacity;
     unsorted_ = std::move(order);
   }
   return unsorted_;

@@ -7,6 +7,7 @@
 
 #include "built_in_sorter.hpp"
 #include "gaussian_map.hpp"
+#include "order.hpp"
 #include "render_settings.hpp"
 #include "splat_camera.hpp"
 

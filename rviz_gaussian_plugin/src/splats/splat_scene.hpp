@@ -13,6 +13,7 @@
 
 #include "built_in_sorter.hpp"
 #include "gaussian_map.hpp"
+#include "order.hpp"
 #include "order_book.hpp"
 #include "splat_camera.hpp"
 #include "splat_renderer.hpp"
@@ -39,7 +40,8 @@ class SplatScene {
 
   // Any thread: checks a batch and queues it for the next frame. Throws BatchError.
   BatchReport apply(const GaussianBatch& batch);
-  // Any thread: a sidecar's order.
+  // Any thread: an order to fill, and a sidecar's to be drawn.
+  std::shared_ptr<Order> newOrder() { return pool_.make(); }
   void offer(OrderPtr order);
   // Any thread: the map as queued so far.
   MapState state() const;
@@ -100,6 +102,7 @@ class SplatScene {
 
   mutable std::mutex map_mutex_;    // map_
   mutable std::mutex queue_mutex_;  // arrivals_, orders_
+  OrderPool pool_;
   GaussianMap map_;
   std::deque<Arrival> arrivals_;
   std::map<std::string, OrderPtr> orders_;  // newest by view
@@ -109,7 +112,7 @@ class SplatScene {
   ShaderSource shaders_;
   std::string upload_error_;
   std::optional<SplatRenderer> renderer_;
-  BuiltInSorter sorter_;
+  BuiltInSorter sorter_{pool_};
   OrderBook book_{sorter_};
   std::map<std::string, SplatCamera> cameras_;
   std::map<std::string, FrameReport> reports_;
