@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_sorter import backends, camera, edits
-from rosplat_sorter.backends import AUTO, Backend
+from rosplat_sorter.backends import AUTO, Backend, Unavailable
 from rosplat_sorter.camera import Camera, CameraError
 from rosplat_sorter.edits import EditError
 from rosplat_sorter.map import SplatMap
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from std_msgs.msg import Header
 
     from rosplat_msgs.msg import GaussianArray, ViewCamera
+
+T = TypeVar("T")
 
 # Viewers show their cameras at least each second; who is silent for so long is gone. [s]
 FORGET_AFTER = 10.0
@@ -97,7 +100,7 @@ class Worker:
         self._map = SplatMap()
         self._viewers: dict[str, _Viewer] = {}  # the one seen longest ago first
         self._due: dict[str, None] = {}  # views to answer, in turn
-        self._backend: Backend
+        self._backend: Backend | None = None  # that has the whole map
         self._wanted = (backend, threads)
         self._failed: frozenset[str] = frozenset()
         self._dropped_batches = 0
@@ -150,25 +153,24 @@ class Worker:
                 if self._closing:
                     return
                 inbox, self._inbox = self._inbox, _Inbox()
-            try:
-                self._take(inbox)
-                if self._due:
-                    self._answer(next(iter(self._due)))
-            except Exception as error:  # no message and no device may end the node
-                self._host.warn("sort", f"could not sort: {type(error).__name__}: {error}")
+            if inbox.backend is not None:
+                self._attempt(self._use, inbox.backend)
+            for batch in inbox.edits:
+                self._attempt(self._apply, batch)
+            for message in inbox.views.values():
+                self._attempt(self._see, message)
+            self._attempt(self._forget_silent, time.monotonic())
+            if self._due:
+                self._attempt(self._answer, next(iter(self._due)))
 
-    def _take(self, inbox: _Inbox) -> None:
-        if inbox.backend is not None:
-            self._wanted = inbox.backend
-            self._failed = frozenset()
-            self._open_backend()
-            for view_id, viewer in self._viewers.items():  # that they see who sorts
-                viewer.answered, self._due[view_id] = None, None
-        for batch in inbox.edits:
-            self._apply(batch)
-        for message in inbox.views.values():
-            self._see(message)
-        now = time.monotonic()
+    def _attempt(self, do: Callable[[T], object], what: T) -> None:
+        """No message and no device may end the node, or take others' messages with it."""
+        try:
+            do(what)
+        except Exception as error:
+            self._host.warn("sort", f"could not sort: {type(error).__name__}: {error}")
+
+    def _forget_silent(self, now: float) -> None:
         for view_id, viewer in list(self._viewers.items()):
             if viewer.seen < now - FORGET_AFTER or len(self._viewers) > MAX_VIEWS:
                 viewer.unshare()
@@ -218,10 +220,13 @@ class Worker:
                 f"negative ({self._dropped_splats} dropped so far)",
             )
         self._due.update(dict.fromkeys(self._viewers))
-        try:
-            self._backend.update(self._map, changed)
-        except Exception as error:
-            self._fall_back(error)
+        if self._backend:
+            try:
+                self._backend.update(self._map, changed)
+                return
+            except Exception as error:
+                self._leave(self._backend, error)
+        self._open_backend()
 
     # --- Views ------------------------------------------------------------------------------------
 
@@ -293,24 +298,25 @@ class Worker:
         def allocate(count: int) -> NDArray[np.uint32]:
             return self._allocate(viewer, count)
 
-        begin = time.perf_counter()
-        try:
-            slots = self._backend.order(view, allocate)
-        except Exception as error:
-            self._fall_back(error)
+        slots = None
+        while slots is None:
+            backend = self._backend or self._open_backend()
             begin = time.perf_counter()
-            slots = self._backend.order(view, allocate)
+            try:
+                slots = backend.order(view, allocate)
+            except Exception as error:
+                self._leave(backend, error)
         sort_time = time.perf_counter() - begin
         known_map, known_backend, known_size = self._introduced
         if (
-            (known_map, known_backend) != (self._map.map_id, self._backend.name)
+            (known_map, known_backend) != (self._map.map_id, backend.name)
             or len(self._map) >= 2 * known_size  # a map that arrives in chunks is soon introduced
         ):
-            self._introduced = (self._map.map_id, self._backend.name, max(1, len(self._map)))
+            self._introduced = (self._map.map_id, backend.name, max(1, len(self._map)))
             self._host.inform(
-                f"sort {self._backend.name}",
+                f"sort {backend.name}",
                 f"map '{self._map.map_id}': {len(slots)} of {len(self._map)} splats in view, "
-                f"sorted in {1000 * sort_time:.1f} ms with {_describe(self._backend)}",
+                f"sorted in {1000 * sort_time:.1f} ms with {_describe(backend)}",
             )
         answer = Answer(
             header=viewer.message.header,
@@ -318,7 +324,7 @@ class Worker:
             sequence=viewer.message.sequence,
             map_id=self._map.map_id,
             revision=self._map.revision,
-            backend=self._backend.name,
+            backend=backend.name,
             sort_time=sort_time,
             slots=slots,
             slot_bits=max(1, (len(self._map) - 1).bit_length()),
@@ -361,25 +367,44 @@ class Worker:
 
     # --- Backends ---------------------------------------------------------------------------------
 
-    def _open_backend(self) -> None:
+    def _use(self, wanted: tuple[str, int]) -> None:
+        self._wanted = wanted
+        self._failed = frozenset()
+        for view_id, viewer in self._viewers.items():  # that they see who sorts
+            viewer.answered, self._due[view_id] = None, None
+        self._open_backend()
+
+    def _open_backend(self) -> Backend:
+        """Has the best of those left take over the map. Raises Unavailable where none does."""
+        self._backend = None  # whose memory others may need
         wanted, threads = self._wanted
-        self._backend, reasons = backends.choose(wanted, threads, self._failed)
-        choice = f"sorting with {_describe(self._backend)}"
+        while self._backend is None:
+            try:
+                backend, reasons = backends.choose(wanted, threads, self._failed)
+            except Unavailable:
+                self._failed = frozenset()  # another map may not be too large for them
+                raise
+            try:
+                backend.update(self._map, slice(0, len(self._map)))
+                self._backend = backend
+            except Exception as error:
+                self._leave(backend, error)
+        choice = f"sorting with {_describe(backend)}"
         if wanted in reasons:
             self._host.warn(
                 "backend", f"backend '{wanted}' is not available: {reasons.pop(wanted)}; {choice}"
             )
         else:
             others = "".join(f"; no {name}: {reason}" for name, reason in reasons.items())
-            self._host.inform(f"backend {self._backend.name}", choice + others)
-        self._backend.update(self._map, slice(0, len(self._map)))
+            self._host.inform(f"backend {backend.name}", choice + others)
+        return backend
 
-    def _fall_back(self, error: Exception) -> None:
-        """Leaves a backend that failed; what is left runs on the CPU."""
-        name = self._backend.name
-        self._host.warn("backend", f"backend '{name}' failed: {str(error) or type(error).__name__}")
-        self._failed |= {name}
-        self._open_backend()
+    def _leave(self, backend: Backend, error: Exception) -> None:
+        """Sorts with a backend that failed no more."""
+        reason = str(error) or type(error).__name__
+        self._host.warn(f"backend {backend.name}", f"backend '{backend.name}' failed: {reason}")
+        self._failed |= {backend.name}
+        self._backend = None
 
 
 def _describe(backend: Backend) -> str:

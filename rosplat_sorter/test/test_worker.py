@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from rosplat_msgs.msg import SplatOrder
+from rosplat_sorter import backends
 from rosplat_sorter.backends import BACKENDS, Entry
+from rosplat_sorter.backends.native_backend import NativeBackend
 from rosplat_sorter.backends.numpy_backend import NumpyBackend
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.shared_orders import FOLDER
@@ -78,18 +80,31 @@ class GatedBackend(NumpyBackend):
 
 
 class BrokenBackend(NumpyBackend):
-    """A GPU that runs out of memory."""
+    """A GPU that runs out of memory, with as much of the map as it had until then."""
 
     name = "broken"
     where = "order"
 
     def update(self, splats, changed):
-        super().update(splats, changed)
         if self.where == "update" and len(splats):
             raise RuntimeError("CUDA out of memory")
+        super().update(splats, changed)
 
     def order(self, view, allocate):
-        raise RuntimeError("CUDA out of memory")
+        if self.where == "order":
+            raise RuntimeError("CUDA out of memory")
+        return super().order(view, allocate)
+
+
+def has_room_for(count, update):
+    """A backend's update, of maps that are no larger."""
+
+    def limited(self, splats, changed):
+        if len(splats) > count:
+            raise MemoryError
+        update(self, splats, changed)
+
+    return limited
 
 
 @pytest.fixture(autouse=True)
@@ -251,6 +266,50 @@ def test_a_backend_that_fails_is_left_for_the_best_other(start, make_batch, make
     assert answer.backend in BACKENDS.keys() - {"broken"}
     assert list(answer.slots) == [2, 1, 0]
     host.said("backend 'broken' failed: CUDA out of memory")
+
+
+def test_what_replaces_a_backend_may_fail_too(start, make_batch, make_look, monkeypatch):
+    monkeypatch.setattr(backends, "_has_nvidia_driver", lambda: False)
+    monkeypatch.setattr(NativeBackend, "update", has_room_for(0, NativeBackend.update))
+    BrokenBackend.where = "update"
+    worker, host = start("broken")
+    with worker._wake:  # all at once
+        worker.edit(make_batch())
+        worker.edit(make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
+        worker.look(make_look())
+    answer = host.answer(revision=2)
+    assert (answer.backend, list(answer.slots)) == ("numpy", [2, 1, 7, 0])
+    host.said("backend 'broken' failed: CUDA out of memory")
+    host.said("backend 'native' failed: MemoryError")
+
+
+def test_a_backend_that_can_t_take_the_map_is_never_used(start, make_batch, make_look):
+    BrokenBackend.where = "update"
+    worker, host = start("numpy")
+    worker.edit(make_batch())
+    worker.look(make_look())
+    host.answer()
+    with worker._wake:
+        worker.use("broken", 1)
+        worker.edit(make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
+    assert list(host.answer(revision=2).slots) == [2, 1, 7, 0]
+    host.said("backend 'broken' failed: CUDA out of memory")
+    assert not [answer for answer in host.answers if answer.backend == "broken"]
+
+
+def test_a_map_that_no_backend_takes_leaves_room_for_the_next(
+    start, make_batch, make_look, monkeypatch
+):
+    monkeypatch.setattr(backends, "_has_nvidia_driver", lambda: False)
+    for backend in (NativeBackend, NumpyBackend):
+        monkeypatch.setattr(backend, "update", has_room_for(3, backend.update))
+    worker, host = start("native")
+    worker.look(make_look())
+    worker.edit(make_batch(5, operation=0))
+    host.said("could not sort: Unavailable")
+    worker.edit(make_batch(3, operation=0, revision=2))
+    assert len(host.answer(revision=2).slots) == 3
+    assert len(host.answers) == 1
 
 
 def test_backends_change_while_running(start, make_batch, make_look):
