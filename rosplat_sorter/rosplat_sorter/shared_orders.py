@@ -23,6 +23,19 @@ MAGIC = b"ROSPLAT1"
 HEADER_BYTES = 4096
 
 
+class Memory(mmap.mmap):
+    """A segment's, which a device may borrow for as long as the segment is there."""
+
+    def __init__(self, *_: object) -> None:
+        self.lent = contextlib.ExitStack()  # takes it back
+
+
+def memory_of(slots: NDArray[np.uint32]) -> Memory | None:
+    """What an array that a segment began lies in; None of any other."""
+    base = getattr(slots.base, "obj", slots.base)  # through a memoryview
+    return base if isinstance(base, Memory) else None
+
+
 class Segment:
     """A file in shared memory that holds one order at a time.
 
@@ -43,7 +56,7 @@ class Segment:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             os.posix_fallocate(self._file, 0, size)  # a full /dev/shm kills who writes to it
-            self._memory = mmap.mmap(self._file, size)
+            self._memory = Memory(self._file, size)
             self._memory[:16] = struct.pack("=8sQ", MAGIC, key)
             # An absolute path has no use for src_dir_fd, but without it Python links the link.
             os.link(f"/proc/self/fd/{self._file}", FOLDER / self.name, src_dir_fd=self._file)
@@ -63,7 +76,8 @@ class Segment:
         return self._generation
 
     def remove(self) -> None:
-        """Takes the file away; who has it open may still read it."""
+        """Takes the file away, and the memory from devices; who has it open may still read it."""
+        self._memory.lent.close()
         (FOLDER / self.name).unlink(missing_ok=True)
         os.close(self._file)
 

@@ -1,7 +1,5 @@
 """Every backend present equals the plain reference, to the bit."""
 
-import mmap
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -19,6 +17,7 @@ from rosplat_sorter.backends import (
 )
 from rosplat_sorter.edits import DELETE, REPLACE, UPSERT
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.shared_orders import Memory, OrderBuffer, SharedOrders, memory_of
 from rosplat_sorter.view import View
 
 CANDIDATES = [
@@ -128,11 +127,12 @@ def test_orders_in_shared_memory(backend, make_camera, make_edit):
 
 def orders_in_shared_memory(backend, view, capacity):
     """What stands in a file that two orders are written to; the next may come to the same place."""
-    memory = mmap.mmap(-1, 4096 + 4 * capacity)
-    for _ in range(2):
-        memory[:] = bytes(len(memory))
-        order = backend.order(view, lambda count: np.frombuffer(memory, np.uint32, count, 4096))
-        yield np.frombuffer(memory[4096:], np.uint32)[: len(order)]
+    memory = Memory(-1, 4096 + 4 * capacity)
+    with memory.lent:
+        for _ in range(2):
+            memory[:] = bytes(len(memory))
+            order = backend.order(view, lambda count: np.frombuffer(memory, np.uint32, count, 4096))
+            yield np.frombuffer(memory[4096:], np.uint32)[: len(order)]
 
 
 def test_one_splat_nothing_visible_and_no_map(backend, make_camera, make_edit):
@@ -155,6 +155,26 @@ def test_torch_without_a_number_of_threads_takes_all_again():
     assert torch.get_num_threads() == all_of_them + 1
     open_backend("torch", threads=0)
     assert torch.get_num_threads() == all_of_them
+
+
+@pytest.mark.gpu
+def test_memory_that_cupy_pinned_is_unpinned_when_its_segment_goes(make_camera, make_edit):
+    try:
+        backend = open_backend("cupy")
+    except Unavailable as error:
+        pytest.skip(f"no CuPy: {error}")
+    import cupy
+
+    splats = SplatMap()
+    splats.apply(make_edit([[0, 0, 3]]))
+    backend.update(splats, slice(0, 1))
+    orders = SharedOrders()
+    slots = backend.order(View.of(make_camera()), OrderBuffer(orders).begin)
+    orders.close()
+    memory = memory_of(slots)
+    address = np.frombuffer(memory, np.uint8).ctypes.data
+    cupy.cuda.runtime.hostRegister(address, len(memory), 0)  # refused if it still were
+    cupy.cuda.runtime.hostUnregister(address)
 
 
 def test_zeros_of_both_signs_tie(backend, make_camera, make_edit):

@@ -10,7 +10,14 @@ import pytest
 
 from rosplat_sorter import shared_orders
 from rosplat_sorter.order_slots import PACKED, SHARED, OrderError, OrderReader, pack
-from rosplat_sorter.shared_orders import FOLDER, OrderBuffer, SharedOrders, remove_stale
+from rosplat_sorter.shared_orders import (
+    FOLDER,
+    MAGIC,
+    OrderBuffer,
+    SharedOrders,
+    memory_of,
+    remove_stale,
+)
 
 
 @pytest.fixture
@@ -47,6 +54,21 @@ def test_a_reader_gets_what_was_written(orders):
     buffer.begin(4)  # and never finished: a crash in the middle of a sort
     with pytest.raises(OrderError, match="another order"):
         reader.read(second)
+
+
+def test_what_was_lent_is_taken_back_while_it_is_mapped(orders):
+    buffer, seen = OrderBuffer(orders), []
+    slots = buffer.begin(3)
+    memory = memory_of(slots)
+    memory.lent.callback(lambda: seen.append(memory[:8]))
+    buffer.begin(2)
+    assert not seen
+    slots = buffer.begin(100_000)  # in a larger segment
+    assert seen == [MAGIC]
+    memory_of(slots).lent.callback(seen.append, "the other")
+    orders.close()
+    assert seen[1:] == ["the other"]
+    assert memory_of(np.zeros(3, np.uint32)) is None
 
 
 def test_the_probe_s_key_comes_with_any_order(orders):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import mmap
 import weakref
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from rosplat_sorter.backends import Allocate, new_array
 from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.shared_orders import Memory, memory_of
 from rosplat_sorter.view import View
 
 # Sorted by digits, the lowest first; where the last is the same for all, it is left out.
@@ -75,7 +75,7 @@ class CupyBackend:
         self._sort_digit = module.get_function("sort_digit")
         self._visible = cupyx.empty_pinned(2, np.uint32)  # how many, and the largest key
         self._visible_known = cupy.cuda.Event(disable_timing=True)
-        self._pinned: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+        self._pinned: weakref.WeakSet[Memory] = weakref.WeakSet()
         self._reserve(0)
 
     def _reserve(self, capacity: int) -> None:
@@ -160,16 +160,16 @@ class CupyBackend:
     def _pin(self, result: NDArray[np.uint32]) -> None:
         """Lets the GPU itself write to a result in shared memory, at three times the speed.
 
-        That memory is pinned for as long as it is mapped.
+        That memory is pinned until its segment goes, which is before it is unmapped.
         """
-        memory = getattr(result.base, "obj", result.base)  # through a memoryview
-        if not isinstance(memory, mmap.mmap) or memory in self._pinned:
+        memory = memory_of(result)
+        if memory is None or memory in self._pinned:
             return
         self._pinned.add(memory)  # tried once
         whole = np.frombuffer(memory, np.uint8)
         with contextlib.suppress(cupy.cuda.runtime.CUDARuntimeError):  # just slower
             cupy.cuda.runtime.hostRegister(whole.ctypes.data, whole.nbytes, 0)
-            weakref.finalize(memory, _unpin, whole.ctypes.data).atexit = False
+            memory.lent.callback(_unpin, whole.ctypes.data)
 
     def _sort(self, place: int) -> None:
         source, target = place % 2, 1 - place % 2
