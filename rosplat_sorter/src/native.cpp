@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
@@ -21,6 +22,7 @@ using rosplat_sorter::DepthOrder;
 using rosplat_sorter::OrderError;
 using rosplat_sorter::OrderReader;
 using rosplat_sorter::SegmentHeader;
+using rosplat_sorter::SpareSlots;
 using rosplat_sorter::View;
 
 using Slots = py::array_t<std::uint32_t, py::array::c_style>;
@@ -86,27 +88,43 @@ Slots sort(DepthOrder& sorter, const py::object& view_object, const py::object& 
   return order;
 }
 
-// A one-dimensional array that takes the vector's memory over.
-Slots toArray(std::vector<std::uint32_t> values) {
-  auto* owner = new std::vector<std::uint32_t>(std::move(values));
-  const py::capsule capsule(owner,
-                            [](void* p) { delete static_cast<std::vector<std::uint32_t>*>(p); });
-  return Slots(static_cast<py::ssize_t>(owner->size()), owner->data(), capsule);
-}
-
-Slots readSlots(OrderReader& reader, std::uint8_t encoding, const py::buffer& packed,
-                std::size_t count, unsigned slot_bits, const std::string& segment,
-                std::uint64_t generation) {
-  const py::buffer_info bytes = packed.request();
-  const auto size = static_cast<std::size_t>(bytes.size * bytes.itemsize);
-  std::vector<std::uint32_t> slots;
-  {
-    const py::gil_scoped_release release;
-    reader.read(encoding, static_cast<const std::uint8_t*>(bytes.ptr), size, count, slot_bits,
-                segment, generation, slots);
+// What a reader has read, for as long as there is an array of it.
+struct ReadSlots {
+  explicit ReadSlots(std::shared_ptr<SpareSlots> from) : spare(std::move(from)) {
+    slots = spare->take();
   }
-  return toArray(std::move(slots));
-}
+  ~ReadSlots() { spare->keep(std::move(slots)); }
+  ReadSlots(const ReadSlots&) = delete;
+  ReadSlots& operator=(const ReadSlots&) = delete;
+
+  std::shared_ptr<SpareSlots> spare;
+  std::vector<std::uint32_t> slots;
+};
+
+// A reader for Python, whose arrays lie in the memory of former ones.
+class ArrayReader {
+ public:
+  std::uint64_t key() const { return reader_.key(); }
+
+  Slots read(std::uint8_t encoding, const py::buffer& packed, std::size_t count, unsigned slot_bits,
+             const std::string& segment, std::uint64_t generation) {
+    const py::buffer_info bytes = packed.request();
+    const auto size = static_cast<std::size_t>(bytes.size * bytes.itemsize);
+    auto owner = std::make_unique<ReadSlots>(spare_);
+    std::vector<std::uint32_t>& slots = owner->slots;
+    {
+      const py::gil_scoped_release release;
+      reader_.read(encoding, static_cast<const std::uint8_t*>(bytes.ptr), size, count, slot_bits,
+                   segment, generation, slots);
+    }
+    const py::capsule capsule(owner.release(), [](void* p) { delete static_cast<ReadSlots*>(p); });
+    return Slots(static_cast<py::ssize_t>(slots.size()), slots.data(), capsule);
+  }
+
+ private:
+  OrderReader reader_;
+  std::shared_ptr<SpareSlots> spare_ = std::make_shared<SpareSlots>();
+};
 
 void pack(const Slots& slots, unsigned bits, const py::buffer& packed) {
   const py::buffer_info bytes = packed.request(true);
@@ -146,11 +164,11 @@ PYBIND11_MODULE(_native, module) {
           "other sizes ValueError. One thread at a time.");
 
   py::register_exception<OrderError>(module, "OrderError", PyExc_ValueError);
-  py::class_<OrderReader>(module, "OrderReader", "A viewer's side of SplatOrder.")
+  py::class_<ArrayReader>(module, "OrderReader", "A viewer's side of SplatOrder.")
       .def(py::init<>())
-      .def_property_readonly("key", &OrderReader::key,
+      .def_property_readonly("key", &ArrayReader::key,
                              "For ViewCamera.segment_key; 0 while no segment can be read.")
-      .def("read", &readSlots, py::arg("encoding"), py::arg("packed"), py::arg("count"),
+      .def("read", &ArrayReader::read, py::arg("encoding"), py::arg("packed"), py::arg("count"),
            py::arg("slot_bits"), py::arg("segment"), py::arg("generation"),
            "The slots, uint32 (count,), of a packed or shared order. Raises OrderError.");
   module.def("pack", &pack, py::arg("slots"), py::arg("bits"), py::arg("packed"),

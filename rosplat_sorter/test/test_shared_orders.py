@@ -71,6 +71,20 @@ def test_what_was_lent_is_taken_back_while_it_is_mapped(orders):
     assert memory_of(np.zeros(3, np.uint32)) is None
 
 
+def test_memory_is_read_into_again_but_never_while_an_array_holds_it(orders):
+    buffer, reader = OrderBuffer(orders), OrderReader()
+    held = reader.read(write(buffer, np.arange(1000)))
+    dropped = reader.read(write(buffer, np.arange(1000, 2000)))
+    address = dropped.ctypes.data
+    part = dropped[10:20]
+    del dropped
+    assert reader.read(write(buffer, np.arange(5))).ctypes.data != address
+    assert part.tolist() == list(range(1010, 1020))
+    del part
+    assert reader.read(write(buffer, np.arange(999))).ctypes.data == address
+    np.testing.assert_array_equal(held, np.arange(1000))
+
+
 def test_the_probe_s_key_comes_with_any_order(orders):
     reader = OrderReader()
     slots = np.array([5, 1, 7], np.uint32)

@@ -13,9 +13,9 @@
 // its way. Readers use read(), not mmap(): a file that somebody cuts short is then an error, not a
 // SIGBUS.
 //
-// What reads slots writes them into a vector of the caller's: pages that are new to a process cost
-// several times what filling them does, so that it pays to use a vector again. On the way it finds
-// the slots' bound, the least number that all of them are below, for a check against the map.
+// What reads slots writes them into a vector of the caller's, which may be one of SpareSlots. On
+// the way it finds the slots' bound, the least number that all of them are below, for a check
+// against the map.
 
 #ifndef ROSPLAT_SORTER__ORDER_SLOTS_HPP_
 #define ROSPLAT_SORTER__ORDER_SLOTS_HPP_
@@ -30,8 +30,10 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <mutex>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace rosplat_sorter {
@@ -71,6 +73,32 @@ inline void packSlots(const std::uint32_t* slots, std::size_t count, unsigned bi
     *packed++ = static_cast<std::uint8_t>(pending);
   }
 }
+
+// The memory of orders that are forgotten, for those to come: pages that are new to a process cost
+// several times what filling them does. For any thread.
+class SpareSlots {
+ public:
+  // Some that were kept, as they were, or none.
+  std::vector<std::uint32_t> take() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    std::vector<std::uint32_t> taken;
+    if (!kept_.empty()) {
+      taken.swap(kept_.back());
+      kept_.pop_back();
+    }
+    return taken;
+  }
+  void keep(std::vector<std::uint32_t>&& slots) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (kept_.size() < kMost) kept_.push_back(std::move(slots));
+  }
+
+ private:
+  static constexpr std::size_t kMost = 3;  // an order is drawn while one waits and one is read
+
+  std::mutex mutex_;
+  std::vector<std::vector<std::uint32_t>> kept_;
+};
 
 // The bound of slots.
 inline std::size_t boundOf(const std::uint32_t* slots, std::size_t count) {

@@ -3,9 +3,11 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <string>
+#include <utility>
 #include <vector>
+
+#include "rosplat_sorter/order_slots.hpp"
 
 namespace rosplat {
 
@@ -22,8 +24,7 @@ struct Order {
 };
 using OrderPtr = std::shared_ptr<const Order>;
 
-// Makes orders whose slots lie in the memory of former ones: pages that are new to a process cost
-// several times what filling them does. Any thread may make and drop them.
+// Makes orders whose slots lie in the memory of former ones. Any thread may make and drop them.
 class OrderPool {
  public:
   // An order that answers nothing yet; its slots are what was left there.
@@ -37,30 +38,9 @@ class OrderPool {
   }
 
  private:
-  // Outlives the pool for as long as there are orders of it.
-  class Spare {
-   public:
-    std::vector<std::uint32_t> take() {
-      const std::lock_guard lock(mutex_);
-      if (slots_.empty()) return {};
-      std::vector<std::uint32_t> taken = std::move(slots_.back());
-      slots_.pop_back();
-      return taken;
-    }
-    void keep(std::vector<std::uint32_t>&& slots) {
-      const std::lock_guard lock(mutex_);
-      if (slots_.size() < kMost) slots_.push_back(std::move(slots));
-    }
-
-   private:
-    // One is drawn while one waits and one is read.
-    static constexpr std::size_t kMost = 3;
-
-    std::mutex mutex_;
-    std::vector<std::vector<std::uint32_t>> slots_;
-  };
-
-  std::shared_ptr<Spare> spare_ = std::make_shared<Spare>();
+  // Lives for as long as there are orders of it.
+  std::shared_ptr<rosplat_sorter::SpareSlots> spare_ =
+      std::make_shared<rosplat_sorter::SpareSlots>();
 };
 
 }  // namespace rosplat
