@@ -68,6 +68,7 @@ void Projection::cull(const SlotStore& store, const SplatCamera& camera, const M
   before_.reserve(bytes);
   prefix_sum_.reserve(words);
   words_.set(words);
+  slot_words_ = words;
   if (store.pages().size() * page_words < words) {  // pages without slots are never written
     visible_.zero();
     before_.zero();

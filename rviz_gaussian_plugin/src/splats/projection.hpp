@@ -29,8 +29,9 @@ class Projection {
            const RenderSettings& settings, double now, const gl::Buffer& keys);
 
   const Tally& visible() const { return visible_count_; }
-  void bindEllipses(const gl::Program& program) const;  // storage bindings 0 to 3
-  void bindVisible() const;                             // storage bindings 5 and 6
+  void bindEllipses(const gl::Program& program) const;   // storage bindings 0 to 3
+  void bindVisible() const;                              // storage bindings 5 and 6
+  std::size_t slotWords() const { return slot_words_; }  // of what these bind
   // The least and the largest key drawn, depthKey() of their depths.
   const gl::Slice& depthRange() const { return depth_range_; }
   const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
@@ -50,7 +51,7 @@ class Projection {
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
   gl::Buffer boxes_;
   gl::Slice depth_range_;
-  std::size_t room_ = 0;
+  std::size_t slot_words_ = 0, room_ = 0;
 };
 
 }  // namespace rosplat

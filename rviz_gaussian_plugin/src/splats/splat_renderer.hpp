@@ -6,29 +6,24 @@
 #include <cstdint>
 #include <functional>
 #include <map>
-#include <optional>
 #include <string>
 #include <vector>
 
+#include "canvas.hpp"
 #include "gaussian_map.hpp"
 #include "gl_objects.hpp"
-#include "projection.hpp"
+#include "ordered_splats.hpp"
+#include "quad_rasterizer.hpp"
 #include "radix_sort.hpp"
 #include "render_settings.hpp"
 #include "shaders.hpp"
 #include "slot_store.hpp"
 #include "splat_camera.hpp"
+#include "splat_picker.hpp"
 #include "tally.hpp"
 #include "tile_rasterizer.hpp"
 
 namespace rosplat {
-
-// What the current framebuffer and viewport are to draw().
-enum class Canvas {
-  kWindow,   // the opaque scene; its first row is the picture's bottom
-  kTexture,  // the same with the picture's top first
-  kNone,     // nothing: there is no opaque scene, and the picture is only read back
-};
 
 // Draws the translucent objects of the scene into the current framebuffer and viewport.
 using DrawTranslucent = std::function<void()>;
@@ -45,9 +40,9 @@ class SplatRenderer {
   void apply(const GaussianEdit& edit);
 
   // Makes slots[0..count) what draw() draws, farthest first.
-  void setOrder(const std::uint32_t* slots, std::size_t count);
+  void setOrder(const std::uint32_t* slots, std::size_t count) { splats_.setOrder(slots, count); }
   // Lets draw() sort what is visible itself, by the sorters' depth and with their ties.
-  void sortByDepth();
+  void sortByDepth() { splats_.sortByDepth(); }
 
   // Blends the splats of the order, hidden where the current framebuffer and viewport have
   // something nearer, into a target of its own; then over that viewport, which has the camera's
@@ -73,7 +68,7 @@ class SplatRenderer {
   void drawPick(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
                 Canvas canvas, std::uint32_t handle);
   // What drawPick() found: width * height slots, top row first; kNoSlot where there is none.
-  std::vector<std::uint32_t> readPick() const;
+  std::vector<std::uint32_t> readPick() const { return picker_.read(); }
 
   // The values of slots as they are drawn, positions relative to the map's origin.
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
@@ -86,7 +81,7 @@ class SplatRenderer {
 
   // Whether a graphics card draws, not the processor.
   bool accelerated() const { return accelerated_; }
-  std::size_t drawn() const { return drawn_count_; }
+  std::size_t drawn() const { return splats_.count(); }
   const char* rasterizer() const { return rasterizer_; }  // of the last draw()
   // Of the last draw(), by stage [s]; empty unless settings.profile asked for it.
   const std::map<std::string, double>& profile() const { return profile_; }
@@ -94,32 +89,8 @@ class SplatRenderer {
   std::size_t gpuBytes() const;
 
  private:
-  struct Order {
-    explicit Order(const Tallies& tallies) : tally(tallies.of(Tallies::kOrder)) {}
-
-    bool given = false;
-    gl::Buffer slots;  // farthest first
-    std::size_t count = 0;
-    Tally tally;  // the same
-  };
-  // What quads are drawn for.
-  enum class Quads {
-    kColour,
-    kDepth,   // instead of colour [m]
-    kBehind,  // colour and nearness, of what is behind translucent objects
-  };
-  // What the projected, ordered splats answer.
-  struct Prepared {
-    SplatCamera camera;
-    RenderSettings settings;
-    std::array<double, 3> origin{};
-    bool antialiased = false;
-  };
-
   void setTarget(gl::Target& target, GLenum format, const SplatCamera& camera,
                  const RenderSettings& settings, Canvas canvas);
-  bool prepared(const SplatCamera& camera, const MapState& map,
-                const RenderSettings& settings) const;
   // Submits what projects and sorts what is visible; false where that is there already.
   bool prepare(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
                gl::Stopwatch& stopwatch);
@@ -129,39 +100,24 @@ class SplatRenderer {
   // Whether there was room for all that prepare() and, in_tiles, its lists were to hold; else makes
   // it, or gives up tiles, and all has to be submitted again.
   bool checkRoom(const MapState& map, bool& in_tiles);
-  void putInOrder();
   void divide();
-  void divideQuads();
-  void drawQuads(const gl::Target& target, const gl::Buffer& drawn, Quads what) const;
-  void layOver(const gl::Program& program, GLuint framebuffer, const gl::Target& target, GLint x,
-               GLint y) const;
-  const Tally& drawnTally() const { return order_.given ? order_.tally : projection_.visible(); }
   double clock() const;  // of `change` in packed_slot.hpp
 
   bool accelerated_;
   Shaders shaders_;
   SlotStore store_;
   Tallies tallies_;
-  Projection projection_;
-  gl::Program order_program_;
   RadixSort sort_;
+  OrderedSplats splats_;
   TileRasterizer tiles_;
-  gl::Program quads_, quads_behind_, divide_, tile_depth_, divide_quads_, composite_, hide_;
-  gl::Program surface_, pick_, pick_colour_;
+  QuadRasterizer quads_;
+  SplatPicker picker_;
+  gl::Program divide_, composite_, hide_, surface_;
 
-  Order order_{tallies_};
-  std::optional<Prepared> prepared_;
-  gl::Buffer drawn_;  // indices of ellipses, nearest first
-  std::size_t drawn_count_ = 0;
-  int key_bits_ = 32;       // by which depths are sorted
-  int fewer_bits_for_ = 0;  // frames for which fewer would have done
   gl::Target color_, depth_, surface_depth_, pick_depth_;
   gl::SampledDepth translucent_;  // of the nearest translucent objects
-  gl::Target behind_;       // the splats behind them, these splats' nearness; the scene's depth
-  gl::Target tile_depths_;  // nearest and farthest depth that divides the splats in a tile
-  gl::Buffer drawn_before_, drawn_behind_;  // like drawn_, kNone where a splat can't be seen there
-  gl::Buffer picked_;                       // slots, of pick_depth_'s pixels
-  Raster raster_;                           // of what was drawn last
+  gl::Target behind_;  // the splats behind them, these splats' nearness; the scene's depth
+  Raster raster_;      // of what was drawn last
   const char* rasterizer_ = "";
   std::map<std::string, double> profile_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();

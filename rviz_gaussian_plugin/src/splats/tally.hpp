@@ -6,8 +6,10 @@
 
 namespace rosplat {
 
-// Room to make for a number that may be larger in the next frame.
-constexpr std::size_t withSlack(std::size_t count) { return count + count / 8; }
+// Room to make for a number that may be larger in the next frame, and grows by a factor.
+constexpr std::size_t withSlack(std::size_t count, double growth = 1) {
+  return static_cast<std::size_t>(growth * static_cast<double>(count + count / 8));
+}
 
 // A number that shaders find, with the work that it makes for those that follow, so that none of it
 // has to wait for the CPU. splat_common.glsl has the same.

@@ -14,13 +14,6 @@ std::size_t groups(std::size_t count) { return (count + kGroup - 1) / kGroup; }
 
 }  // namespace
 
-void Raster::set(const gl::Program& program) const {
-  program.set("orthographic", int(orthographic));
-  program.set("ndc_depth", ndc_scale, ndc_offset);
-  program.set("mode", static_cast<int>(mode));
-  glUniform2fv(program.at("depth_range"), 1, depth_range.data());
-}
-
 TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort, const Tallies& tallies)
     : count_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_count.comp"})),
       list_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_list.comp"})),
@@ -50,41 +43,40 @@ bool TileRasterizer::listed(const gl::Target& target) const {
   return listed_width_ == target.width() && listed_height_ == target.height();
 }
 
-void TileRasterizer::list(const Projection& projection, const gl::Buffer& drawn,
-                          const Tally& drawn_count, std::size_t most, const gl::Target& target,
+void TileRasterizer::list(const OrderedSplats& splats, const gl::Target& target,
                           gl::Stopwatch& stopwatch, const std::function<void()>& counted) {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
   const std::size_t tiles = std::size_t(across) * std::size_t(down);
-  const std::size_t room = std::max(room_, most);
+  const std::size_t room = std::max(room_, splats.most());
   room_ = 0;  // should there be no memory
-  prefix_sum_.reserve(most);
+  prefix_sum_.reserve(splats.most());
   sort_.reserve(room);
   room_ = room;
   begins_.reserve((tiles + 1) * sizeof(GLuint));
   const gl::Buffer& counts = sort_.spare();
   count_.use();
-  projection.bindEllipses(count_);
+  splats.projection().bindEllipses(count_);
   glUniform2i(count_.at("tiles"), across, down);
-  drawn.bind(4);
+  splats.drawn().bind(4);
   counts.bind(5);
-  drawn_count.bind(6);
-  projection.boxes().bind(7);
-  drawn_count.dispatchGroups();
+  splats.tally().bind(6);
+  splats.projection().boxes().bind(7);
+  splats.tally().dispatchGroups();
   gl::storageBarrier();
-  prefix_sum_.run(counts, drawn_count, pair_count_, room_);
+  prefix_sum_.run(counts, splats.tally(), pair_count_, room_);
   counted();
 
   list_.use();
-  projection.bindEllipses(list_);
+  splats.projection().bindEllipses(list_);
   glUniform2i(list_.at("tiles"), across, down);
-  drawn.bind(4);
+  splats.drawn().bind(4);
   counts.bind(5);
-  drawn_count.bind(6);
+  splats.tally().bind(6);
   pair_count_.bind(7);
   sort_.keys().bind(8);
   sort_.values().bind(9);
-  projection.boxes().bind(10);
-  drawn_count.dispatchGroups();
+  splats.projection().boxes().bind(10);
+  splats.tally().dispatchGroups();
   gl::storageBarrier();
   stopwatch.lap("list");
   sort_.sort(pair_count_, zero_, bitsOf(tiles - 1));
@@ -100,19 +92,19 @@ void TileRasterizer::list(const Projection& projection, const gl::Buffer& drawn,
   listed_height_ = target.height();
 }
 
-void TileRasterizer::blend(const Projection& projection, const gl::Target& target,
+void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target,
                            const gl::Target* behind, const Raster& raster) const {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
   const gl::Program& program = behind ? blend_divided_ : blend_;
   program.use();
-  projection.bindEllipses(program);
+  splats.projection().bindEllipses(program);
   raster.set(program);
   glUniform2i(program.at("tiles"), across, down);
   glUniform2i(program.at("picture"), target.width(), target.height());
   program.set("top_first", int(raster.top_first));
   sort_.values().bind(4);
   begins_.bind(5);
-  projection.depthRange().bind(6);
+  splats.projection().depthRange().bind(6);
   if (behind) {
     glActiveTexture(GL_TEXTURE1);
     glBindTexture(GL_TEXTURE_2D, behind->depth());

@@ -1,27 +1,16 @@
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <functional>
 
 #include "gl_objects.hpp"
-#include "projection.hpp"
+#include "ordered_splats.hpp"
 #include "radix_sort.hpp"
+#include "raster.hpp"
 #include "shaders.hpp"
 #include "tally.hpp"
 
 namespace rosplat {
-
-// How splats get into a target, beside their order.
-struct Raster {
-  bool top_first = false;  // the target's first row is the picture's top
-  bool orthographic = false;
-  double ndc_scale = 0, ndc_offset = 0;  // as in SplatCamera
-  DrawMode mode = DrawMode::kColor;
-  std::array<float, 2> depth_range{};  // of kDepth [m]; empty: that of what is drawn
-
-  void set(const gl::Program& program) const;
-};
 
 // Draws ordered splats in compute shaders (Kerbl et al. 2023): lists them by tiles of the picture,
 // then blends each pixel front to back in 32-bit floats and stops where nothing more can be seen.
@@ -30,11 +19,9 @@ class TileRasterizer {
   // The sort may be one that others use too.
   TileRasterizer(const Shaders& shaders, RadixSort& sort, const Tallies& tallies);
 
-  // Lists `drawn`, indices of ellipses, nearest first, at most so many; of more pairs than there is
-  // room for, the last are left out. `counted` is called as soon as all is submitted that tells how
-  // many there are.
-  void list(const Projection& projection, const gl::Buffer& drawn, const Tally& drawn_count,
-            std::size_t most, const gl::Target& target, gl::Stopwatch& stopwatch,
+  // Lists splats by tiles; of more pairs than there is room for, the last are left out. `counted`
+  // is called as soon as all is submitted that tells how many there are.
+  void list(const OrderedSplats& splats, const gl::Target& target, gl::Stopwatch& stopwatch,
             const std::function<void()>& counted);
   // Whether what was listed last is for a target like this.
   bool listed(const gl::Target& target) const;
@@ -42,7 +29,7 @@ class TileRasterizer {
   // Overwrites the target's colour by what is listed, where its depth lets a splat pass; `behind`,
   // if there is one, gets those that the target's depth hides and its own lets pass, and in its
   // second colour their nearness, as splat_hide.frag reads it.
-  void blend(const Projection& projection, const gl::Target& target, const gl::Target* behind,
+  void blend(const OrderedSplats& splats, const gl::Target& target, const gl::Target* behind,
              const Raster& raster) const;
 
   // Makes room for so many pairs of a splat and a tile that it touches, better for more; false

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "canvas.hpp"
+#include "gl_objects.hpp"
+#include "ordered_splats.hpp"
+#include "raster.hpp"
+#include "shaders.hpp"
+
+namespace rosplat {
+
+// Finds the splat that contributes most to each pixel, at least a twentieth of its colour.
+class SplatPicker {
+ public:
+  explicit SplatPicker(const Shaders& shaders);
+
+  // Among those that the depth of the target doesn't hide.
+  void pick(const OrderedSplats& splats, const gl::Target& target, const Raster& raster);
+  // Writes the map's handle for rviz's selection as 24-bit colour wherever there is a splat, or,
+  // without one, slot + 1 (slots of 24 bits only).
+  void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t handle) const;
+  // width * height slots, top row first; kNoSlot where there is none.
+  std::vector<std::uint32_t> read() const;
+
+  std::size_t bytes() const { return picked_.bytes(); }
+
+ private:
+  gl::Program pick_, colour_;
+  gl::Buffer picked_;  // slots
+  std::size_t width_ = 0, height_ = 0;
+  bool top_first_ = false;
+};
+
+}  // namespace rosplat
