@@ -55,7 +55,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   map_ = subscribe(qos_);
   orders_ = node_->create_subscription<SplatOrder>(
       topic_ + "/order", viewQos(),
-      [this](std::shared_ptr<SplatOrder> message) { receive(*message); }, options);
+      [this](std::unique_ptr<SplatOrder> message) { receive(*message); }, options);
   view_publisher_ =
       node_->create_publisher<rosplat_msgs::msg::ViewCamera>(topic_ + "/view", viewQos());
   picked_publisher_ =
@@ -246,8 +246,8 @@ void GaussianClient::tellSidecar() {
   name += sorter.node_name();
   if (!parameters_ || sidecar_ != name || told_.first != sorter.endpoint_gid()) {
     sidecar_ = name;
-    parameters_ = std::make_shared<rclcpp::AsyncParametersClient>(node_, sidecar_,
-                                                                  rclcpp::ParametersQoS(), group_);
+    parameters_ =
+        std::make_shared<rclcpp::AsyncParametersClient>(node_, sidecar_, parametersQos(), group_);
     told_ = {sorter.endpoint_gid(), ""};
   }
   if (!parameters_->service_is_ready()) return;

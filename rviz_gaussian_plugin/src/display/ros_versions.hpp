@@ -16,11 +16,13 @@ using UpdateDuration = std::chrono::nanoseconds;
 using UpdateDuration = float;
 #endif
 
-// What Node::create_service takes.
+// What Node::create_service and AsyncParametersClient take.
 #if RCLCPP_VERSION_MAJOR >= 17  // Iron
 inline rclcpp::QoS serviceQos() { return rclcpp::ServicesQoS(); }
+inline rclcpp::QoS parametersQos() { return rclcpp::ParametersQoS(); }
 #else
 inline rmw_qos_profile_t serviceQos() { return rmw_qos_profile_services_default; }
+inline rmw_qos_profile_t parametersQos() { return rmw_qos_profile_parameters; }
 #endif
 
 }  // namespace rosplat
