@@ -12,7 +12,17 @@ import pytest
 from rosplat_tools import formats
 from rosplat_tools.generate import generate
 from rosplat_tools.processes import Processes
-from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz, red
+from rviz_harness import (
+    Rviz,
+    World,
+    blue,
+    configuration,
+    disc,
+    green,
+    map_display,
+    needs_rviz,
+    red,
+)
 
 pytestmark = needs_rviz
 
@@ -119,6 +129,27 @@ def test_a_publisher_that_starts_with_rviz_is_asked(tmp_path: Path, world: World
             world.spin_until(lambda: publishers(world) == 1)
         finally:
             rviz.close()
+
+
+def test_each_display_of_a_namespaced_rviz_has_a_publisher_of_its_own(
+    tmp_path: Path, world: World
+) -> None:
+    scenes = {name: tmp_path / f"{name}.ply" for name in ("red", "green", "blue")}
+    for i, path in enumerate(scenes.values()):
+        formats.save(path, disc(tuple(float(i == k) for k in range(3)), x=1 - i, sigma=0.2))
+    left = map_display("Left", topic="left", **{"Scene File": str(scenes["red"])})
+    right = map_display("Right", topic="right", **{"Scene File": str(scenes["blue"])})
+    rviz = Rviz(tmp_path, "--ros-args", "-r", "__ns:=/robot", config=configuration(left, right))
+    try:
+        rviz.until(lambda s: red(s).any() and blue(s).any())
+        infos = map(world.node.get_publishers_info_by_topic, ("/robot/left", "/robot/right"))
+        assert len({publisher.node_name for info in infos for publisher in info}) == 2
+        rviz.set("Left", "Scene File", value=str(scenes["green"]))
+        rviz.until(lambda s: green(s).any() and not red(s).any())
+        rviz.until_status("Left", "Scene File", "Ok", str(scenes["green"]), "loaded")
+        assert blue(rviz.picture()).any()
+    finally:
+        rviz.close()
 
 
 def test_publishers_that_clear_each_others_map_are_named(rviz: Rviz, world: World) -> None:

@@ -1,6 +1,7 @@
 #include "scene_loader.hpp"
 
 #include <QStringList>
+#include <QUuid>
 #include <algorithm>
 #include <ament_index_cpp/get_package_prefix.hpp>
 
@@ -42,6 +43,7 @@ void SceneLoader::choosePublisher() {
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {
     std::string name = publisher.node_namespace();
+    if (name.empty()) continue;  // heard of before its node
     if (name.back() != '/') name += '/';
     name += publisher.node_name() + "/load";
     auto& candidate = candidates_[name];
@@ -87,9 +89,14 @@ void SceneLoader::startPublisher(const std::string& path) {
         ament_index_cpp::get_package_prefix("rosplat_tools") + "/lib/rosplat_tools/ply_publisher";
     process_ = std::make_unique<QProcess>();
     process_->setProcessChannelMode(QProcess::MergedChannels);
-    process_->start(QString::fromStdString(program),
-                    {"--ros-args", "-p", "path:=" + quoted(path), "-r",
-                     QString::fromStdString("gaussians:=" + topic_)});
+    // A name of its own, or its service would be that of other displays' publishers, too; and the
+    // topic as rviz2 resolves it, which may have a namespace and remappings.
+    const QString id = QUuid::createUuid().toString(QUuid::Id128).left(8);
+    const std::string topic = node_->get_node_topics_interface()->resolve_topic_name(topic_);
+    process_->start(
+        QString::fromStdString(program),
+        {"--ros-args", "-p", "path:=" + quoted(path), "-r", "__node:=ply_publisher_" + id, "-r",
+         QString::fromStdString("gaussians:=" + topic)});
     status_ = "loading " + path;
   } catch (const ament_index_cpp::PackageNotFoundError&) {
     report("rosplat_tools is not installed: nothing can publish " + path, true);
