@@ -25,7 +25,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/rosplat_tools"]),
         ("share/rosplat_tools", ["package.xml"]),
         ("share/rosplat_tools/config", ["config/rosplat.rviz"]),
-        ("share/rosplat_tools/launch", ["launch/view.launch.xml"]),
+        ("share/rosplat_tools/launch", ["launch/fast_dds.launch.py", "launch/view.launch.xml"]),
     ],
     install_requires=["setuptools"],
     # colcon test finds the tests of a Python package by this.

@@ -33,6 +33,7 @@ class MapSubscription:
         self._node, self._on_batch, self._group = node, on_batch, callback_group
         self.topic = node.resolve_topic_name("gaussians")
         self._qos = MAP
+        self._mixed = False  # what publishers keep
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         node.create_timer(WATCH_PERIOD, self._meet_publishers, callback_group, steady)
@@ -48,6 +49,13 @@ class MapSubscription:
             return
         durabilities = {publisher.qos_profile.durability for publisher in publishers}
         qos = MAP if DurabilityPolicy.TRANSIENT_LOCAL in durabilities else MAP_VOLATILE
+        mixed = len(durabilities) > 1
+        if mixed and not self._mixed:
+            self._node.get_logger().warning(
+                f"{self.topic}: a publisher is volatile beside one that is transient local, and "
+                "isn't heard: end one of them, or make it transient local, too"
+            )
+        self._mixed = mixed
         if qos is not self._qos:
             self._qos = qos
             self._node.destroy_subscription(self._subscription)

@@ -217,6 +217,21 @@ def test_a_publisher_that_does_not_latch_is_received(sorter, make_batch, make_lo
         peer.close()
 
 
+def test_a_volatile_publisher_beside_another_is_told_of(sorter, peer, capfd):
+    """One subscription can't hear both."""
+    silent = Peer(qos.MAP_VOLATILE)
+    said = []
+
+    def told():
+        said.append(capfd.readouterr().err)
+        return "a publisher is volatile" in "".join(said)
+
+    try:
+        peer.wait(told, "no warning")
+    finally:
+        silent.close()
+
+
 def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypatch):
     nan, inf = float("nan"), float("inf")
     warnings = []
