@@ -16,16 +16,21 @@ from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.qos import HISTORY_DEPTH, map_qos
-from rosplat_tools.messages import Slots, chunks, encode, encode_deletion
+from rosplat_tools.messages import Slots, array_bytes, chunks, encode, encode_deletion
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
 
 CHUNK_BYTES = 8_000_000
 
+# What a history takes at most, in maps, and what it may always take [bytes].
+HISTORY_MAPS = 2
+HISTORY_FLOOR = 64_000_000
+
 # How long a new writer waits for the subscribers of the one before it. [s]
 REMATCH_TIMEOUT = 1.0
 
-# How long slow subscribers are waited for before a snapshot; then they get it as a new map. [s]
+# How long slow subscribers are waited for before a snapshot that can't be put off; then they get it
+# as a new map. [s]
 ACKNOWLEDGE_TIMEOUT = 1.0
 
 Progress = Callable[[int], None]
@@ -41,6 +46,9 @@ class MapPublisher:
     sends the whole map first, as a REPLACE and UPSERTs of large chunks. These fill at most half
     the history, so the next such snapshot is history_depth / 2 edits away or farther. They repeat
     the last revisions, marked as a snapshot: subscribers that have those drop them.
+
+    The same is done for memory's sake where the history takes more than twice what the map takes.
+    While a subscriber lags behind, that waits until it takes four times as much.
 
     Calls are serialised, from any thread; they return when the middleware has taken the batches.
     """
@@ -75,6 +83,7 @@ class MapPublisher:
         self._expected_slots = 0
         self._publisher = node.create_publisher(GaussianArray, topic, self._qos)
         self._in_history = 0
+        self._history_bytes = 0
 
     @property
     def map_id(self) -> str:
@@ -161,20 +170,31 @@ class MapPublisher:
 
         Where they can't, the map as they leave it has been sent in their place.
         """
+        room = max(HISTORY_FLOOR, HISTORY_MAPS * self._map.nbytes)
         if 0 < self._in_history <= self._depth - batches:
-            return True
+            if self._history_bytes <= room:
+                return True
+            if self._history_bytes <= 2 * room and not self._all_have_all(0.0):
+                return True
         slots, splats = self._map.snapshot()
         needed = len(list(self._large_chunks(splats)))
         repeatable = (
             needed <= self._revision
             and needed <= self._depth - batches
-            # Who still lacks a revision that the snapshot repeats would take it for that one.
-            and self._publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT))
+            and self._all_have_all(ACKNOWLEDGE_TIMEOUT)
         )
         if repeatable:
             self._revision -= needed
         self._send_map(slots, splats, stamp, snapshot=repeatable)
         return repeatable
+
+    def _all_have_all(self, timeout: float) -> bool:
+        """Whether each subscriber has all that was sent, at the latest after a timeout [s].
+
+        Who still lacks a revision that a snapshot repeats would take it for that one.
+        """
+        acknowledged: bool = self._publisher.wait_for_all_acked(Duration(seconds=timeout))
+        return acknowledged
 
     def _large_chunks(self, splats: Splats) -> Iterator[slice]:
         half_history = splats.nbytes // (self._depth // 2) + 1
@@ -221,6 +241,7 @@ class MapPublisher:
     def _send(self, message: GaussianArray) -> None:
         self._publisher.publish(message)
         self._in_history += 1
+        self._history_bytes += array_bytes(message)
 
     def _header(self, stamp: Time | None) -> Header:
         return Header(stamp=stamp or self._node.get_clock().now().to_msg(), frame_id=self.frame_id)
@@ -234,7 +255,7 @@ class MapPublisher:
             return
         old = self._publisher
         self._publisher = self._node.create_publisher(GaussianArray, self._topic, self._qos)
-        self._in_history = 0
+        self._in_history = self._history_bytes = 0
         # A subscriber that asks for no history would miss what is sent before it knows the writer.
         deadline = time.monotonic() + REMATCH_TIMEOUT
         while (

@@ -97,6 +97,19 @@ def chunks(splats: Splats, chunk_bytes: int) -> Iterator[slice]:
         yield slice(start, min(start + step, len(splats)))
 
 
+def array_bytes(message: GaussianArray) -> int:
+    """Memory that a batch's arrays take: nearly all of it. [bytes]"""
+    arrays = (
+        message.slots,
+        message.positions,
+        message.orientations,
+        message.scales,
+        message.opacities,
+        message.sh,
+    )
+    return sum(len(values) * values.itemsize for values in arrays)
+
+
 def _batch(
     slots: Slots, header: Header, map_id: str, revision: int, operation: int, expected_slots: int
 ) -> GaussianArray:

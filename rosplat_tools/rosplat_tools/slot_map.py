@@ -27,6 +27,11 @@ class SlotMap:
         """Highest band of spherical harmonics that was ever written."""
         return self._arrays.sh_degree
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that a snapshot's splats take. [bytes]"""
+        return self._arrays.nbytes * len(self) // max(1, len(self._used))
+
     def write(self, slots: range | NDArray[np.integer], splats: Splats) -> None:
         """Puts the i-th splat into the i-th slot, in use or not.
 

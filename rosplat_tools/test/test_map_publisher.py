@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray
@@ -120,6 +121,44 @@ def test_who_has_the_map_never_sees_a_snapshot_for_latecomers(
     assert 1 < len(late["revisions"]) <= 12
     for received in (early, late):
         assert_same_map(received, publisher)
+
+
+def test_the_history_takes_no_more_than_some_maps(
+    node: Node, random_splats: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Edits far larger than the map: a latecomer gets few of them, who was there all, once."""
+    monkeypatch.setattr("rosplat_tools.map_publisher.HISTORY_FLOOR", 0)
+    publisher = MapPublisher(node)
+    last = 1 + 20
+    with receiver(node, last, tmp_path / "early.npz") as early:
+        publisher.replace(random_splats(300))
+        for step in range(last - 1):
+            publisher._publisher.wait_for_all_acked(Duration(seconds=5))
+            publisher.upsert(range(100, 200), random_splats(100, seed=step))
+        with receiver(node, last, tmp_path / "late.npz") as late:
+            pass
+    assert early["revisions"].tolist() == list(range(1, last + 1))
+    assert early["operations"].tolist().count(GaussianArray.REPLACE) == 1
+    assert late["operations"][0] == GaussianArray.REPLACE
+    assert len(late["revisions"]) <= 1 + 4  # the map, another, and what went over it
+    for received in (early, late):
+        assert_same_map(received, publisher)
+
+
+def test_who_lags_behind_puts_a_snapshot_off_for_a_while(
+    node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rosplat_tools.map_publisher.HISTORY_FLOOR", 0)
+    publisher = MapPublisher(node)
+    publisher.replace(random_splats(10))
+    monkeypatch.setattr(type(publisher._publisher), "wait_for_all_acked", lambda *_: False)
+    sent: list[GaussianArray] = []
+    monkeypatch.setattr(type(publisher._publisher), "publish", lambda _, m: sent.append(m))
+    for _ in range(8):
+        publisher.upsert(range(5), random_splats(5))
+    assert [message.revision for message in sent] == list(range(2, 10))
+    # The map, and edits until there are more than four: then the map again.
+    assert [message.operation for message in sent] == [1, 1, 1, 1, 1, 1, 1, 0]
 
 
 def test_who_lags_behind_gets_a_snapshot_as_a_new_map(
