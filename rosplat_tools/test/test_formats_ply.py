@@ -135,6 +135,34 @@ def test_2d_gaussians_are_flat(random_splats: Make, tmp_path: Path) -> None:
     assert flat.scales[:, :2].all()
 
 
+def test_mip_splatting_s_filter_is_applied_as_its_own_fused_ply_has_it(
+    random_splats: Make, tmp_path: Path
+) -> None:
+    splats = random_splats(50)
+    save(tmp_path / "a.ply", splats)
+    filters = np.random.default_rng(0).uniform(0, 0.1, 50).astype(np.float32)
+    rows = structured.append_fields(
+        rows_of(tmp_path / "a.ply"), "filter_3D", filters, usemask=False
+    )
+    write_rows(tmp_path / "filtered.ply", rows)
+    # After save_fused_ply() of Mip-Splatting.
+    squares = splats.scales.astype(np.float64) ** 2
+    wider = squares + filters[:, None] ** 2
+    fused = replace(
+        splats,
+        scales=np.sqrt(wider),
+        opacities=splats.opacities * np.sqrt(squares.prod(axis=1) / wider.prod(axis=1)),
+        antialiased=True,
+    )
+    assert_same(load(tmp_path / "filtered.ply"), fused, tolerance=1e-5)
+
+
+def test_a_compressed_ply_is_named(tmp_path: Path) -> None:
+    write_rows(tmp_path / "a.compressed.ply", np.zeros(5, [("packed_position", "u4")]))
+    with pytest.raises(SceneError, match=r"a\.compressed\.ply: a compressed PLY can't be read"):
+        load(tmp_path / "a.compressed.ply")
+
+
 def test_unusable_splats_are_dropped_and_counted(random_splats: Make, tmp_path: Path) -> None:
     save(tmp_path / "a.ply", random_splats(10))
     rows = rows_of(tmp_path / "a.ply")

@@ -176,9 +176,11 @@ def test_broken_zip(tmp_path: Path) -> None:
 
 
 def test_no_scene_at_all(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("not a scene")
+    for name in ("notes.txt", "web.ksplat"):
+        (tmp_path / name).write_text("not a scene")
     for path, reason in [
         ("notes.txt", "not a scene"),
+        ("web.ksplat", r"\.ksplat can't be read, only PLY, SPZ, SOG"),
         ("none", "No such file"),
         (".", "not a scene"),
     ]:

@@ -20,6 +20,9 @@ _log = logging.getLogger(__name__)
 # has write(path, splats) and SUFFIX as well.
 FORMATS: tuple[ModuleType, ...] = (ply, spz, sog)
 
+# Formats of web viewers that have no reader here.
+UNREADABLE = (".splat", ".ksplat")
+
 
 def format_of(path: str | Path) -> ModuleType:
     """The module that reads a file or folder. Raises SceneError when none does."""
@@ -35,6 +38,8 @@ def format_of(path: str | Path) -> ModuleType:
         if module.recognises(path, head):
             return module
     names = ", ".join(module.NAME for module in FORMATS)
+    if path.suffix.lower() in UNREADABLE:  # nothing in them tells
+        raise SceneError(f"{path}: {path.suffix} can't be read, only {names}: convert it")
     raise SceneError(f"{path}: not a scene of 3D Gaussians that can be read ({names})")
 
 

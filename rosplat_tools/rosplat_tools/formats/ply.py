@@ -28,6 +28,14 @@ ROTATION = ["rot_0", "rot_1", "rot_2", "rot_3"]
 # Brush's spelling for models trained as Mip-Splatting; splat-transform reads and writes it too.
 ANTIALIASED = "SplatRenderMode: mip"
 
+# Tells PlayCanvas's compressed PLY.
+PACKED = "packed_position"
+
+# Mip-Splatting's own PLYs hold its 3D smoothing filter beside what it is to be applied to. [m]
+FILTER = "filter_3D"
+
+TINY = np.finfo(np.float32).tiny
+
 # Rows decoded at a time: their columns are gathered while the rows are still in the cache.
 BLOCK = 1 << 14
 
@@ -38,15 +46,22 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, progress: Progress, warn: Warn) -> Splats:
-    """Reads the vertices of a PLY as splats; without scale_2 (2D Gaussians) they are flat."""
+    """Reads the vertices of a PLY as splats; without scale_2 (2D Gaussians) they are flat.
+
+    Mip-Splatting's 3D filter is applied, as its create_fused_ply.py does.
+    """
     file = _parse(path)
     if "vertex" not in file:
         raise SceneError(f"{path}: not a Gaussian splat: no element vertex")
     rows = file["vertex"].data
+    if PACKED in (rows.dtype.names or ()):
+        raise SceneError(f"{path}: a compressed PLY can't be read: convert it, to .sog say")
     has_third_scale = SCALE[2] in rows.dtype.names
     scale = SCALE if has_third_scale else SCALE[:2]
     rest = _rest(path, rows)
-    _require_numbers(path, rows, [*POSITION, "opacity", *COLOR, *scale, *ROTATION, *rest])
+    filters = [FILTER] if FILTER in rows.dtype.names else []
+    names = [*POSITION, "opacity", *COLOR, *scale, *ROTATION, *rest, *filters]
+    _require_numbers(path, rows, names)
 
     n, k = len(rows), 1 + len(rest) // 3
     positions = np.empty((n, 3))
@@ -61,6 +76,11 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         orientations[part] = np.roll(_columns(block, ROTATION), -1, axis=1)  # w first -> last
         scales[part, : len(scale)] = np.exp(_columns(block, scale))
         opacities[part] = _sigmoid(_columns(block, ["opacity"])[:, 0])
+        if filters:
+            before, width = scales[part, : len(scale)], _columns(block, filters)
+            after = np.hypot(before, width)
+            opacities[part] *= (before / np.maximum(after, TINY)).prod(axis=1)
+            scales[part, : len(scale)] = after
         sh[part, 0] = _columns(block, COLOR)
         if rest:
             by_channel = _columns(block, rest).reshape(len(block), 3, k - 1)
@@ -74,7 +94,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         scales=scales,
         opacities=opacities,
         sh=sh,
-        antialiased=any(line.strip() == ANTIALIASED for line in file.comments),
+        antialiased=bool(filters) or any(line.strip() == ANTIALIASED for line in file.comments),
     )
 
 
@@ -96,7 +116,7 @@ def write(path: Path, splats: Splats) -> None:
     _fill(rows, rest, splats.sh[:, 1:].transpose(0, 2, 1).reshape(len(splats), len(rest)))
     _fill(rows, ["opacity"], _logit(splats.opacities)[:, None])
     # A flat Gaussian's zero scale has no logarithm; the smallest float stands for it.
-    _fill(rows, SCALE, np.log(np.maximum(splats.scales, np.finfo(np.float32).tiny)))
+    _fill(rows, SCALE, np.log(np.maximum(splats.scales, TINY)))
     _fill(rows, ROTATION, np.roll(splats.orientations, 1, axis=1))
     comments = [ANTIALIASED] if splats.antialiased else []
     vertex = PlyElement.describe(rows, "vertex")
