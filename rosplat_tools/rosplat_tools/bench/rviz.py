@@ -34,6 +34,7 @@ PICTURE, QUICK_PICTURE = (1920, 1080), (640, 360)
 FRAME = (200, 200)  # what rviz2's window has around its view, at most [px]
 FOV = math.pi / 4  # height of an Orbit view, which nothing changes [rad]
 DISTANCES = {"overview": 2.5, "near": 1.0}  # of the camera, by the name of the view [radii]
+NEAREST = 0.001  # where a view's near plane may be [m]
 TURNS = {"standing": 0.0, "moving": math.radians(30)}  # of the camera [rad/s]
 ACCURATE = 1_000_000  # splats that the reference draws in minutes
 SETTLING, QUICK_SETTLING = 1.0, 0.3  # between what changes and what is measured [s]
@@ -124,8 +125,9 @@ def _scene(plan: Plan, name: str, displays: list[Display], part: float) -> Itera
     yield Doing(f"{name}: loading", part)
     splats = scenes.load(name)
     place = scenes.place(splats)
+    near = max(0.001 * place.radius, NEAREST)
     orbits = {
-        view: Orbit(place.centre, distance * place.radius, 0.001 * place.radius)
+        view: Orbit(place.centre, distance * place.radius, near)
         for view, distance in DISTANCES.items()
         if view == "overview" or not plan.quick
     }
@@ -280,7 +282,10 @@ def put(rviz: DrivenRviz, wanted: Display, root: str = "displays") -> None:
         if name not in found:
             raise Refused(f"{wanted['Class']} has no property {name}, it has: {', '.join(found)}")
         if not _is(found[name], value):
-            rviz.set(*above, *path, value=value, root=root)
+            try:
+                rviz.set(*above, *path, value=value, root=root)
+            except Refused as error:
+                raise Refused(f"{name} of {wanted['Class']} is {found[name]}: {error}") from error
 
 
 def _values(entry: dict[str, Any], *above: str) -> Iterator[tuple[tuple[str, ...], Any]]:
