@@ -1,13 +1,34 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdlib>
 #include <limits>
+#include <new>
 #include <string>
 #include <vector>
 
 #include "../src/splats/gaussian_map.hpp"
 
 using namespace rosplat;
+
+namespace {
+
+int allocations_left = -1;  // until memory runs out, once; never where negative
+
+}  // namespace
+
+void* operator new(std::size_t size) {
+  if (allocations_left == 0) {
+    allocations_left = -1;
+    throw std::bad_alloc();
+  }
+  if (allocations_left > 0) --allocations_left;
+  if (void* memory = std::malloc(size)) return memory;
+  throw std::bad_alloc();
+}
+
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 
 namespace {
 
@@ -212,4 +233,39 @@ TEST_F(GaussianMapTest, RefusesBatchesThatContradictThemselves) {
   bad = Batch(7, GaussianBatch::DELETE, 0, 2);
   bad.position.resize(6), bad.look(), refuses(bad, "positions");
   EXPECT_EQ(map.state().revision, 0u);  // none of them left a trace
+}
+
+// Wherever memory runs out, a batch leaves no trace, and the next one says that it is missing.
+TEST_F(GaussianMapTest, IsUnchangedByABatchThatMemoryIsLackingFor) {
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 10));
+  std::vector<Batch> batches{Batch(2, GaussianBatch::REPLACE, 5, 300, 3),
+                             Batch(2, GaussianBatch::UPSERT, 5, 300, 3)};
+  batches.push_back(batches.back());
+  batches.back().slot_list.resize(300);
+  for (std::uint32_t i = 0; i < 300; ++i) batches.back().slot_list[i] = 2 * i;
+  const Batch later(3, GaussianBatch::UPSERT, 0, 1);
+  for (Batch& batch : batches) {
+    batch.look();
+    int failures = 0;
+    for (bool done = false; !done; ++failures) {
+      GaussianMap trial = map;
+      BatchReport missed;
+      report = {};
+      allocations_left = failures;
+      try {
+        trial.apply(batch, report, [](const auto&, const MapState&) { std::string(100, 'x'); });
+        done = true;
+      } catch (const std::bad_alloc&) {
+        EXPECT_EQ(trial.state().revision, 1u);
+        EXPECT_EQ(trial.state().splats, 10u);
+        EXPECT_EQ(trial.state().capacity, 10u);
+        EXPECT_EQ(trial.state().sh_degree, 0);
+        EXPECT_FALSE(trial.apply(later, missed)->clear);
+        EXPECT_EQ(missed.missed, 1u);
+        EXPECT_EQ(trial.state().splats, 10u);
+      }
+      allocations_left = -1;
+    }
+    EXPECT_GT(failures, 8);  // the edit's arrays and what the map keeps
+  }
 }

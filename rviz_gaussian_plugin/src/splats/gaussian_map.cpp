@@ -68,7 +68,7 @@ float extent(const float* scale, float opacity) {
 }  // namespace
 
 std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
-                                                       BatchReport& report) {
+                                                       BatchReport& report, const Keep& keep) {
   check(batch);
   const bool new_map = batch.map_id != state_.id;
   const bool back = !new_map && batch.revision <= state_.revision;
@@ -81,19 +81,23 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   auto edit = std::make_shared<GaussianEdit>();
   edit->clear = new_map || replace;
   edit->revision = batch.revision;
+  // Memory may run out at any line until the last: the map is changed there.
+  MapState next;
+  std::vector<bool> used;
   if (edit->clear) {
-    state_ = {};
-    state_.origin = batch.origin;
-    state_.antialiased = batch.antialiased;
-    used_.clear();
+    next.origin = batch.origin;
+    next.antialiased = batch.antialiased;
+  } else {
+    next = state_;
+    used = used_;
   }
   // A REPLACE makes whatever came before it unimportant. A map that is played once more, but not
   // from its beginning, lacks all before.
-  if (back) state_.revision = state_.missed = 0;
-  if (!replace) report.missed = batch.revision - state_.revision - 1;
-  state_.id = batch.map_id;
-  state_.revision = batch.revision;
-  state_.expected = batch.expected_slots;
+  if (back) next.revision = next.missed = 0;
+  if (!replace) report.missed = batch.revision - next.revision - 1;
+  next.id = batch.map_id;
+  next.revision = batch.revision;
+  next.expected = batch.expected_slots;
 
   const std::size_t n = batch.count;
   if (batch.slots.empty()) {
@@ -116,12 +120,12 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   std::vector<bool> kept(n, false);
   if (values) {
     edit->sh_degree = batch.sh_degree;
-    state_.sh_degree = std::max<int>(state_.sh_degree, batch.sh_degree);
+    next.sh_degree = std::max<int>(next.sh_degree, batch.sh_degree);
     for (int band = 1; band <= batch.sh_degree; ++band) {
       edit->bands[band].resize(kBandWords[band] * n);
     }
     const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
-    const bool rebase = batch.origin != state_.origin;
+    const bool rebase = batch.origin != next.origin;
     for (std::size_t i = 0; i < n; ++i) {
       const float* q = &batch.orientations.data[4 * i];
       const float* scale = &batch.scales.data[3 * i];
@@ -130,7 +134,7 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
       float position[3];
       for (int k = 0; k < 3; ++k) {
         position[k] = rebase ? static_cast<float>(double(batch.positions[3 * i + k]) +
-                                                  batch.origin[k] - state_.origin[k])
+                                                  batch.origin[k] - next.origin[k])
                              : batch.positions[3 * i + k];
       }
       kept[i] = allFinite(position, 3) && allFinite(scale, 3) && std::isnormal(norm) &&
@@ -158,17 +162,20 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
 
   std::size_t i = 0;
   for (const auto& [first, count] : edit->runs) {
-    state_.capacity = values ? std::max(state_.capacity, first + count) : state_.capacity;
-    if (used_.size() < state_.capacity) used_.resize(state_.capacity);
+    next.capacity = values ? std::max(next.capacity, first + count) : next.capacity;
+    if (used.size() < next.capacity) used.resize(next.capacity);
     for (std::uint32_t slot = first; slot < first + count; ++slot, ++i) {
-      if (slot >= used_.size()) continue;  // a DELETE of slots never used
-      state_.splats += int(kept[i]) - int(used_[slot]);
-      used_[slot] = kept[i];
+      if (slot >= used.size()) continue;  // a DELETE of slots never used
+      next.splats += int(kept[i]) - int(used[slot]);
+      used[slot] = kept[i];
     }
   }
-  edit->capacity = state_.capacity;
-  state_.missed += report.missed;
-  state_.dropped += report.dropped;
+  edit->capacity = next.capacity;
+  next.missed += report.missed;
+  next.dropped += report.dropped;
+  if (keep) keep(edit, next);
+  state_ = std::move(next);
+  used_ = std::move(used);
   return edit;
 }
 

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -72,8 +73,14 @@ struct SplatValues {
 // Knows no GPU; holds no splats.
 class GaussianMap {
  public:
-  // Checks a batch and turns it into an edit; null for a duplicate. Throws BatchError.
-  std::shared_ptr<const GaussianEdit> apply(const GaussianBatch& batch, BatchReport& report);
+  // Gets an edit, and the state after it, before the map knows of it.
+  using Keep = std::function<void(const std::shared_ptr<const GaussianEdit>&, const MapState&)>;
+
+  // Checks a batch and turns it into an edit; null for a duplicate. Throws BatchError, or what
+  // `keep` throws, or std::bad_alloc: then the map is unchanged, and the next batch misses this
+  // one.
+  std::shared_ptr<const GaussianEdit> apply(const GaussianBatch& batch, BatchReport& report,
+                                            const Keep& keep = nullptr);
 
   const MapState& state() const { return state_; }
 

@@ -28,13 +28,13 @@ std::size_t bytes(const GaussianEdit& edit) {
 BatchReport SplatScene::apply(const GaussianBatch& batch) {
   BatchReport report;
   const std::lock_guard lock(map_mutex_);
-  auto edit = map_.apply(batch, report);
-  if (edit && !unusable_) {
-    sorter_.apply(edit, map_.state().id);
+  map_.apply(batch, report, [this](const auto& edit, const MapState& state) {
+    if (unusable_) return;
+    sorter_.apply(edit, state.id);
     const std::lock_guard queue_lock(queue_mutex_);
-    if (edit->clear) arrivals_.clear();  // never to be seen
-    arrivals_.push_back({std::move(edit), map_.state()});
-  }
+    arrivals_.push_back({edit, state});
+    if (edit->clear) arrivals_.erase(arrivals_.begin(), arrivals_.end() - 1);  // never to be seen
+  });
   return report;
 }
 
