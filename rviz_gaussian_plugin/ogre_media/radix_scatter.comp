@@ -23,8 +23,14 @@ shared uint turns[kWarps][256];  // of each digit: within a warp's keys, then wi
 shared uint block_order[kBlock];
 shared uint block_start[256];    // a digit's first place among all keys, less that in the block
 
-// How many of a warp's keys so far, and of the lanes before, have this digit too.
+// Warps are 32 lanes each; takeTurn() counts how many of a warp's keys so far, and of the lanes
+// before, have this digit too.
 #ifdef SUBGROUPS
+// What a driver calls a subgroup's size is the most that it may be: it may run smaller ones.
+bool haveWarps() { return gl_NumSubgroups == kWarps; }
+uint warpOf(uint local) { return gl_SubgroupID; }
+uint laneOf(uint local) { return gl_SubgroupInvocationID; }
+
 uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
   uint same = subgroupBallot(valid).x;
   for (uint bit = 0u; bit < 8u; ++bit) {
@@ -37,6 +43,10 @@ uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
   return subgroupShuffle(turn, uint(findLSB(same)) & 31u) + earlier;
 }
 #else
+bool haveWarps() { return true; }
+uint warpOf(uint local) { return local >> 5; }
+uint laneOf(uint local) { return local & 31u; }
+
 shared uint votes[kWarps][9];
 
 uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
@@ -64,9 +74,10 @@ uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
 uint digitOf(uint key) { return key - least >> shift & 255u; }
 
 void main() {
-  uint local = gl_LocalInvocationIndex, lane = local & 31u, warp = local >> 5, block = workGroup();
+  uint local = gl_LocalInvocationIndex, block = workGroup();
+  uint warp = warpOf(local), lane = laneOf(local);
   uint count = keys_tally.count, blocks = (count + kBlock - 1u) / kBlock;
-  if (block >= blocks) return;
+  if (block >= blocks || !haveWarps()) return;
   for (uint w = 0u; w < kWarps; ++w) turns[w][local] = 0u;
   barrier();
 

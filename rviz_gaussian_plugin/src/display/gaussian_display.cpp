@@ -10,6 +10,7 @@
 #include <random>
 #include <rviz_common/display_context.hpp>
 #include <rviz_common/frame_manager_iface.hpp>
+#include <rviz_common/logging.hpp>
 #include <rviz_common/properties/bool_property.hpp>
 #include <rviz_common/properties/enum_property.hpp>
 #include <rviz_common/properties/file_picker_property.hpp>
@@ -35,6 +36,7 @@ using rviz_common::properties::StatusProperty;
 constexpr const char* kResourceGroup = "rviz_rendering";
 constexpr const char* kUnchanged = "As Started";
 constexpr const char* kAnyBackend = "auto";
+constexpr const char* kGraphics = "OpenGL";  // the line of the Status
 constexpr std::chrono::milliseconds kStatusPeriod{500};
 
 std::string uniqueName() {
@@ -270,7 +272,9 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
   if (received.batches > 0) lines.push_back(mapStatus(map));
   const bool draws = cloud_->error().empty();
   if (const std::string& error = draws ? scene.uploadError() : cloud_->error(); !error.empty()) {
-    lines.push_back({StatusProperty::Error, "OpenGL", error});
+    lines.push_back({StatusProperty::Error, kGraphics, error});
+  } else if (const std::string warning = scene.warning(); !warning.empty()) {
+    lines.push_back({StatusProperty::Warn, kGraphics, warning});
   }
   if (!draws || received.batches == 0) return lines;
   for (const auto& [view, frame] : views) {
@@ -288,7 +292,9 @@ void GaussianDisplay::showStatus(std::vector<StatusLine> lines) {
   };
   for (const StatusLine& line : lines) {
     const auto same = [&](const StatusLine& other) { return other == line; };
-    if (!contains(shown_status_, same)) setStatusStd(line.level, line.name, line.text);
+    if (contains(shown_status_, same)) continue;
+    setStatusStd(line.level, line.name, line.text);
+    if (line.name == kGraphics) RVIZ_COMMON_LOG_WARNING_STREAM(getNameStd() << ": " << line.text);
   }
   for (const StatusLine& line : shown_status_) {
     const auto named = [&](const StatusLine& other) { return other.name == line.name; };

@@ -5,6 +5,7 @@
 namespace rosplat {
 
 CanvasScope::CanvasScope(Canvas canvas) : canvas_(canvas) {
+  if (canvas != Canvas::kNone) depth_format_ = gl::depthFormat(guard_.drawFramebuffer());
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   x_ = viewport[0];
@@ -20,18 +21,8 @@ CanvasScope::CanvasScope(Canvas canvas) : canvas_(canvas) {
 }
 
 void CanvasScope::copyDepth(const gl::Target& target) const {
-  const GLuint source = guard_.drawFramebuffer();
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, source);
-  GLint kind = GL_NONE;
-  glGetFramebufferAttachmentParameteriv(GL_READ_FRAMEBUFFER,
-                                        source == 0 ? GL_DEPTH : GL_DEPTH_ATTACHMENT,
-                                        GL_FRAMEBUFFER_ATTACHMENT_OBJECT_TYPE, &kind);
-  if (canvas_ == Canvas::kNone || kind == GL_NONE) {
-    const GLfloat farthest = 1.0f;
-    glDepthMask(GL_TRUE);
-    glClearBufferfv(GL_DEPTH, 0, &farthest);
-    return;
-  }
+  if (!depth_format_) return clearDepth();
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, guard_.drawFramebuffer());
   glBlitFramebuffer(x_, y_, x_ + target.width(), y_ + target.height(), 0, 0, target.width(),
                     target.height(), GL_DEPTH_BUFFER_BIT, GL_NEAREST);
 }
@@ -46,6 +37,12 @@ void CanvasScope::layOver(const gl::Program& program, const gl::Target& target) 
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.color());
   glDrawArrays(GL_TRIANGLES, 0, 3);
+}
+
+void clearDepth() {
+  const GLfloat farthest = 1.0f;
+  glDepthMask(GL_TRUE);
+  glClearBufferfv(GL_DEPTH, 0, &farthest);
 }
 
 void blendOver() {

@@ -17,8 +17,12 @@ class CanvasScope {
  public:
   explicit CanvasScope(Canvas canvas);
 
+  Canvas canvas() const { return canvas_; }
+  // The format that a target's depth must have for copyDepth(); 0 where there is no scene or no
+  // depth.
+  GLenum depthFormat() const { return depth_format_; }
   // The opaque scene's depth into the target that is bound, resolved to one sample a pixel. Where
-  // there is no scene or no depth, nothing is hidden.
+  // there is none, nothing is hidden.
   void copyDepth(const gl::Target& target) const;
   // Draws a target over the canvas by a program that knows how.
   void layOver(const gl::Program& program, const gl::Target& target) const;
@@ -26,8 +30,12 @@ class CanvasScope {
  private:
   gl::StateGuard guard_;
   Canvas canvas_;
+  GLenum depth_format_ = 0;
   GLint x_ = 0, y_ = 0;  // of the viewport
 };
+
+// Makes a target as deep as can be: nothing hides what is drawn there.
+void clearDepth();
 
 // Has premultiplied colours blended over what is there.
 void blendOver();

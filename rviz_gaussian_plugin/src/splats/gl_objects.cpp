@@ -8,8 +8,7 @@
 namespace rosplat::gl {
 
 Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
-  while (glGetError() != GL_NO_ERROR) {
-  }
+  dropErrors();
   glGenBuffers(1, &id_);
   glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
   glBufferData(GL_COPY_WRITE_BUFFER, static_cast<GLsizeiptr>(bytes), nullptr, usage);
@@ -194,8 +193,53 @@ void storageBarrier() {
   glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_BUFFER_UPDATE_BARRIER_BIT);
 }
 
-Target::Target(GLenum color_format, int width, int height, GLenum second_format)
-    : format_(color_format), width_(width), height_(height) {
+void dropErrors() {
+  // Not until there are none: without a context, drivers always find one.
+  for (int i = 0; i < 16 && glGetError() != GL_NO_ERROR; ++i) {
+  }
+}
+
+GLenum depthFormat(GLuint framebuffer) {
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer);
+  const GLenum attachment = framebuffer == 0 ? GL_DEPTH : GL_DEPTH_ATTACHMENT;
+  const auto ask = [attachment](GLenum what) {
+    GLint value = 0;
+    glGetFramebufferAttachmentParameteriv(GL_READ_FRAMEBUFFER, attachment, what, &value);
+    return value;
+  };
+  if (ask(GL_FRAMEBUFFER_ATTACHMENT_OBJECT_TYPE) == GL_NONE) return 0;
+  const GLint bits = ask(GL_FRAMEBUFFER_ATTACHMENT_DEPTH_SIZE);
+  if (ask(GL_FRAMEBUFFER_ATTACHMENT_COMPONENT_TYPE) == GL_FLOAT) {
+    return ask(GL_FRAMEBUFFER_ATTACHMENT_STENCIL_SIZE) > 0 ? GL_DEPTH32F_STENCIL8
+                                                           : GL_DEPTH_COMPONENT32F;
+  }
+  return bits == 16   ? GL_DEPTH_COMPONENT16
+         : bits == 32 ? GL_DEPTH_COMPONENT32
+                      : GL_DEPTH24_STENCIL8;
+}
+
+namespace {
+
+std::size_t pixelBytes(GLenum format) {
+  switch (format) {
+    case GL_RGBA32F:
+      return 16;
+    case GL_DEPTH_COMPONENT16:
+      return 2;
+    case GL_DEPTH24_STENCIL8:
+    case GL_DEPTH_COMPONENT32:
+    case GL_DEPTH_COMPONENT32F:
+      return 4;
+    default:
+      return 8;
+  }
+}
+
+}  // namespace
+
+Target::Target(GLenum color_format, int width, int height, GLenum depth_format,
+               GLenum second_format)
+    : format_(color_format), depth_format_(depth_format), width_(width), height_(height) {
   const auto texture = [&](GLenum format) {
     GLuint id = 0;
     glGenTextures(1, &id);
@@ -203,13 +247,13 @@ Target::Target(GLenum color_format, int width, int height, GLenum second_format)
     glTexStorage2D(GL_TEXTURE_2D, 1, format, width, height);
     glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_NEAREST);
     glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
-    const std::size_t pixel = format == GL_RGBA32F ? 16 : format == GL_DEPTH24_STENCIL8 ? 4 : 8;
-    bytes_ += pixel * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
+    bytes_ +=
+        pixelBytes(format) * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
     return id;
   };
   color_ = texture(color_format);
   if (second_format) second_ = texture(second_format);
-  depth_ = texture(GL_DEPTH24_STENCIL8);
+  depth_ = texture(depth_format);
 }
 
 Target& Target::operator=(Target&& other) noexcept {
@@ -217,6 +261,7 @@ Target& Target::operator=(Target&& other) noexcept {
   std::swap(second_, other.second_);
   std::swap(depth_, other.depth_);
   std::swap(format_, other.format_);
+  std::swap(depth_format_, other.depth_format_);
   std::swap(width_, other.width_);
   std::swap(height_, other.height_);
   std::swap(bytes_, other.bytes_);
@@ -229,11 +274,15 @@ Target::~Target() {
   }
 }
 
-DrawScope::DrawScope(const Target& target, GLuint depth) {
+DrawScope::DrawScope(const Target& target, const Target& depth) {
   glGenFramebuffers(1, &framebuffer_);
   glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
   glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, target.color(), 0);
-  glFramebufferTexture2D(GL_FRAMEBUFFER, GL_DEPTH_STENCIL_ATTACHMENT, GL_TEXTURE_2D, depth, 0);
+  const bool stencil =
+      depth.depthFormat() == GL_DEPTH24_STENCIL8 || depth.depthFormat() == GL_DEPTH32F_STENCIL8;
+  glFramebufferTexture2D(GL_FRAMEBUFFER,
+                         stencil ? GL_DEPTH_STENCIL_ATTACHMENT : GL_DEPTH_ATTACHMENT, GL_TEXTURE_2D,
+                         depth.depth(), 0);
   if (target.second()) {
     glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT1, GL_TEXTURE_2D, target.second(), 0);
     constexpr std::array<GLenum, 2> both{GL_COLOR_ATTACHMENT0, GL_COLOR_ATTACHMENT1};

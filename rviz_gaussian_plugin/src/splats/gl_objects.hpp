@@ -123,12 +123,20 @@ void dispatch(std::size_t work_groups);
 // Makes what was written to storage buffers visible to the shaders that come next.
 void storageBarrier();
 
-// A single-sample colour texture with a depth-stencil texture and, if it has a format, a second
-// colour texture.
+// Forgets what went wrong so far.
+void dropErrors();
+
+// The format of a texture that a framebuffer's depth can be copied to, 0 where it has no depth.
+// Binds the framebuffer for reading.
+GLenum depthFormat(GLuint framebuffer);
+
+// A single-sample colour texture with a depth texture and, if it has a format, a second colour
+// texture.
 class Target {
  public:
   Target() = default;
-  Target(GLenum color_format, int width, int height, GLenum second_format = 0);
+  Target(GLenum color_format, int width, int height, GLenum depth_format = GL_DEPTH24_STENCIL8,
+         GLenum second_format = 0);
   Target(Target&& other) noexcept { *this = std::move(other); }
   Target& operator=(Target&& other) noexcept;
   ~Target();
@@ -137,13 +145,14 @@ class Target {
   GLuint second() const { return second_; }
   GLuint depth() const { return depth_; }
   GLenum format() const { return format_; }
+  GLenum depthFormat() const { return depth_format_; }
   int width() const { return width_; }
   int height() const { return height_; }
   std::size_t bytes() const { return bytes_; }
 
  private:
   GLuint color_ = 0, second_ = 0, depth_ = 0;
-  GLenum format_ = 0;
+  GLenum format_ = 0, depth_format_ = 0;
   int width_ = 0, height_ = 0;
   std::size_t bytes_ = 0;
 };
@@ -152,9 +161,9 @@ class Target {
 // buffers, but neither of these, and rviz has a context for each window.
 class DrawScope {
  public:
-  explicit DrawScope(const Target& target) : DrawScope(target, target.depth()) {}
+  explicit DrawScope(const Target& target) : DrawScope(target, target) {}
   // With the depth of another of its size.
-  DrawScope(const Target& target, GLuint depth);
+  DrawScope(const Target& target, const Target& depth);
   ~DrawScope();
   DrawScope(const DrawScope&) = delete;
   DrawScope& operator=(const DrawScope&) = delete;

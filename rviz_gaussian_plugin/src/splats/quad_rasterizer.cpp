@@ -20,7 +20,7 @@ void QuadRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
                            const Raster& raster) {
   if (behind) {
     divide(splats, target, *behind, raster);
-    const gl::DrawScope behind_scope(*behind, target.depth());
+    const gl::DrawScope behind_scope(*behind, target);
     glActiveTexture(GL_TEXTURE0);
     glBindTexture(GL_TEXTURE_2D, behind->depth());
     draw(splats, drawn_behind_, *behind, raster, Quads::kBehind);

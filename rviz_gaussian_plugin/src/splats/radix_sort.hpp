@@ -35,10 +35,15 @@ class PrefixSum {
 // others sort.
 class RadixSort {
  public:
-  explicit RadixSort(const Shaders& shaders)
-      : count_(shaders.compute({"radix_count.comp"})),
-        sum_(shaders.compute({"group_sum.glsl", "radix_sum.comp"})),
-        scatter_(shaders.compute({"group_sum.glsl", "radix_scatter.comp"})) {}
+  // The shaders must outlive it.
+  explicit RadixSort(const Shaders& shaders);
+
+  // Sorts some keys and compares with what the CPU makes of them; where lanes don't vote as the
+  // driver says, from then on without that. False where nothing helps. What is in the buffers is
+  // lost.
+  bool check();
+  // Whether check() gave up what the driver says that it can.
+  bool lostBallots() const { return lost_ballots_; }
 
   // Makes room for so many; what was in the buffers may be lost.
   void reserve(std::size_t count);
@@ -62,6 +67,10 @@ class RadixSort {
   void pass(const Tally& count, const gl::Slice& least, int shift, bool first, bool last,
             const gl::Buffer& sorted_values);
 
+  bool sortsRight();
+
+  const Shaders& shaders_;
+  bool lost_ballots_ = false;
   gl::Program count_, sum_, scatter_;
   gl::Buffer keys_, values_, next_keys_, next_values_, counts_;
 };

@@ -8,7 +8,11 @@ namespace rosplat {
 
 namespace {
 
-// Lanes of 32 that vote together; what asks for it falls back on shared memory.
+constexpr const char* kSubgroups =
+    "#extension GL_KHR_shader_subgroup_basic : require\n"
+    "#extension GL_KHR_shader_subgroup_ballot : require\n"
+    "#extension GL_KHR_shader_subgroup_shuffle : require\n#define SUBGROUPS\n";
+
 bool hasSubgroupsOf32() {
   if (!epoxy_has_gl_extension("GL_KHR_shader_subgroup")) return false;
   constexpr GLint kNeeded =
@@ -29,33 +33,31 @@ Shaders::Shaders(ShaderSource source) : source_(std::move(source)), subgroups_(h
   parts_ = part_size_ >= kMaxSlots ? 1 : kEllipseParts;
 }
 
-void Shaders::attach(gl::Program& program, GLenum stage, Files files) const {
-  std::string text = "#version 430\n#define PARTS " + std::to_string(parts_) + "\n";
-  if (stage == GL_COMPUTE_SHADER) {
-    text += "#define COMPUTE\n";
-    if (subgroups_) {
-      text.insert(text.find('\n') + 1,
-                  "#extension GL_KHR_shader_subgroup_basic : require\n"
-                  "#extension GL_KHR_shader_subgroup_ballot : require\n"
-                  "#extension GL_KHR_shader_subgroup_shuffle : require\n#define SUBGROUPS\n");
-    }
-  }
+void Shaders::attach(gl::Program& program, GLenum stage, const char* extensions,
+                     Files files) const {
+  std::string text = "#version 430\n" + std::string(extensions);
+  text += "#define PARTS " + std::to_string(parts_) + "\n";
+  if (stage == GL_COMPUTE_SHADER) text += "#define COMPUTE\n";
   text += source_("splat_common.glsl");
   for (const char* file : files) text += "\n#line 1\n" + source_(file);
   program.attach(stage, *(files.end() - 1), text);
 }
 
-gl::Program Shaders::compute(Files files) const {
+gl::Program Shaders::compute(Files files) const { return compute("", files); }
+
+gl::Program Shaders::computeInSubgroups(Files files) const { return compute(kSubgroups, files); }
+
+gl::Program Shaders::compute(const char* extensions, Files files) const {
   gl::Program program;
-  attach(program, GL_COMPUTE_SHADER, files);
+  attach(program, GL_COMPUTE_SHADER, extensions, files);
   program.link(*(files.end() - 1));
   return program;
 }
 
 gl::Program Shaders::draw(Files vertex, Files fragment) const {
   gl::Program program;
-  attach(program, GL_VERTEX_SHADER, vertex);
-  attach(program, GL_FRAGMENT_SHADER, fragment);
+  attach(program, GL_VERTEX_SHADER, "", vertex);
+  attach(program, GL_FRAGMENT_SHADER, "", fragment);
   program.link(*(fragment.end() - 1));
   return program;
 }

@@ -23,6 +23,9 @@ class Shaders {
   using Files = std::initializer_list<const char*>;
   // The last file names the program. Throw gl::Error.
   gl::Program compute(Files files) const;
+  // For lanes of 32 that vote together; only where the driver says that it has them.
+  gl::Program computeInSubgroups(Files files) const;
+  bool subgroups() const { return subgroups_; }
   gl::Program draw(Files vertex, Files fragment) const;
 
   // Projected splats in one buffer of the driver's, and of the renderer's, at most kEllipseParts.
@@ -32,7 +35,8 @@ class Shaders {
   static constexpr std::size_t kEllipseParts = 4;
 
  private:
-  void attach(gl::Program& program, GLenum stage, Files files) const;
+  void attach(gl::Program& program, GLenum stage, const char* extensions, Files files) const;
+  gl::Program compute(const char* extensions, Files files) const;
 
   ShaderSource source_;
   std::size_t part_size_ = 0;

@@ -48,14 +48,57 @@ double SplatRenderer::clock() const {
   return std::fmod(age.count() * kTicksPerSecond, 65536.0);
 }
 
-void SplatRenderer::setTarget(gl::Target& target, GLenum format, const SplatCamera& camera,
-                              const RenderSettings& settings, Canvas canvas) {
-  if (target.width() != camera.width || target.height() != camera.height ||
-      target.format() != format) {
-    target = gl::Target(format, camera.width, camera.height);
+bool SplatRenderer::sorts() {
+  if (!sorts_) {
+    const gl::StateGuard guard;
+    sorts_ = sort_.check();
   }
-  raster_ = {canvas != Canvas::kWindow, camera.orthographic, camera.ndc_scale,
-             camera.ndc_offset,         settings.mode,       settings.depth_range};
+  return *sorts_;
+}
+
+std::string SplatRenderer::warning() const {
+  std::string text;
+  if (sorts_ && !*sorts_) {
+    text = "the graphics driver sorts wrongly: the processor does it, and quads are drawn";
+  } else if (sort_.lostBallots()) {
+    text = "the graphics driver gets its subgroups wrong: sorting does without them";
+  }
+  if (refused_depth_) {
+    text += text.empty() ? "" : "; ";
+    text += "the graphics driver keeps the depth of the opaque scene: nothing hides splats";
+  }
+  return text;
+}
+
+void SplatRenderer::setTarget(gl::Target& target, GLenum format, const SplatCamera& camera,
+                              const RenderSettings& settings, const CanvasScope& window) {
+  const GLenum depth_format = window.depthFormat() ? window.depthFormat() : GL_DEPTH24_STENCIL8;
+  if (target.width() != camera.width || target.height() != camera.height ||
+      target.format() != format || target.depthFormat() != depth_format) {
+    target = gl::Target(format, camera.width, camera.height, depth_format);
+  }
+  raster_ = {window.canvas() != Canvas::kWindow,
+             camera.orthographic,
+             camera.ndc_scale,
+             camera.ndc_offset,
+             settings.mode,
+             settings.depth_range};
+}
+
+void SplatRenderer::copyDepth(const CanvasScope& window, const gl::Target& target) {
+  const GLenum format = window.depthFormat();
+  if (format && format == refused_depth_) return clearDepth();
+  // Errors are asked for once: a driver with threads of its own would have to wait for them.
+  const bool tried = !format || format == copied_depth_;
+  if (!tried) gl::dropErrors();
+  window.copyDepth(target);
+  if (tried) return;
+  if (glGetError() == GL_NO_ERROR) {
+    copied_depth_ = format;
+  } else {
+    refused_depth_ = format;
+    clearDepth();
+  }
 }
 
 bool SplatRenderer::prepare(const SplatCamera& camera, const MapState& map,
@@ -99,8 +142,8 @@ bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
 void SplatRenderer::divide() {
   const int width = color_.width(), height = color_.height();
   if (behind_.width() != width || behind_.height() != height ||
-      behind_.format() != color_.format()) {
-    behind_ = gl::Target(color_.format(), width, height, GL_RG32F);
+      behind_.format() != color_.format() || behind_.depthFormat() != color_.depthFormat()) {
+    behind_ = gl::Target(color_.format(), width, height, color_.depthFormat(), GL_RG32F);
   }
   glCopyImageSubData(color_.depth(), GL_TEXTURE_2D, 0, 0, 0, 0, behind_.depth(), GL_TEXTURE_2D, 0,
                      0, 0, 0, width, height, 1);
@@ -135,18 +178,19 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
   }
   const CanvasScope window(canvas);
   const bool floats = settings.float_blending.value_or(!accelerated_);
-  setTarget(color_, floats ? GL_RGBA32F : GL_RGBA16F, camera, settings, canvas);
+  setTarget(color_, floats ? GL_RGBA32F : GL_RGBA16F, camera, settings, window);
+  bool in_tiles = (settings.rasterizer == Rasterizer::kTiles ||
+                   (settings.rasterizer == Rasterizer::kAuto && accelerated_)) &&
+                  sorts();
   bool unknown = prepare(camera, map, settings, stopwatch);
   glFlush();  // the graphics card begins while the rest is submitted
   const gl::DrawScope scope(color_);
-  window.copyDepth(color_);
+  copyDepth(window, color_);
   if (translucent) {
     divide();
     stopwatch.lap("divide");
   }
   const gl::Target* behind = translucent ? &behind_ : nullptr;
-  bool in_tiles = settings.rasterizer == Rasterizer::kTiles ||
-                  (settings.rasterizer == Rasterizer::kAuto && accelerated_);
   while (true) {
     if (in_tiles) {
       if (!tiles_.listed(color_)) {
@@ -196,10 +240,10 @@ void SplatRenderer::drawBefore() const {
 void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
                                 const RenderSettings& settings, Canvas canvas, double far_clip) {
   const CanvasScope window(canvas);
-  setTarget(surface_depth_, GL_RGBA32F, camera, settings, canvas);
+  setTarget(surface_depth_, GL_RGBA32F, camera, settings, window);
   prepareAndCheck(camera, map, settings);
   const gl::DrawScope scope(surface_depth_);
-  window.copyDepth(surface_depth_);
+  copyDepth(window, surface_depth_);
   quads_.blendDepth(splats_, surface_depth_, raster_);
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
@@ -211,10 +255,10 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
 void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
                              const RenderSettings& settings, Canvas canvas, std::uint32_t handle) {
   const CanvasScope window(canvas);
-  setTarget(pick_depth_, GL_RGBA16F, camera, settings, canvas);
+  setTarget(pick_depth_, GL_RGBA16F, camera, settings, window);
   prepareAndCheck(camera, map, settings);
   const gl::DrawScope scope(pick_depth_);
-  window.copyDepth(pick_depth_);
+  copyDepth(window, pick_depth_);
   picker_.pick(splats_, pick_depth_, raster_);
   if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, handle);
 }
@@ -241,14 +285,12 @@ std::vector<float> SplatRenderer::readColor() const {
 }
 
 std::vector<float> SplatRenderer::readDepth() {
-  const gl::StateGuard guard;
-  if (depth_.width() != color_.width() || depth_.height() != color_.height()) {
-    depth_ = gl::Target(GL_RGBA32F, color_.width(), color_.height());
+  const CanvasScope window(Canvas::kNone);
+  if (depth_.width() != color_.width() || depth_.height() != color_.height() ||
+      depth_.depthFormat() != color_.depthFormat()) {
+    depth_ = gl::Target(GL_RGBA32F, color_.width(), color_.height(), color_.depthFormat());
   }
   const int width = depth_.width(), height = depth_.height();
-  glDisable(GL_ALPHA_TEST);
-  glDisable(GL_SCISSOR_TEST);
-  glDisable(GL_CULL_FACE);
   const gl::DrawScope color(color_);
   const gl::DrawScope scope(depth_);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, color.framebuffer());

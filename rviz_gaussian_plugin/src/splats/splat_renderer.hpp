@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -79,6 +80,12 @@ class SplatRenderer {
   // is.
   std::vector<float> readDepth();
 
+  // Whether the GPU sorts right, which is tried when first asked: if not, nothing is drawn in
+  // tiles, nor may sortByDepth() be called.
+  bool sorts();
+  // What the driver can't do, and what is done instead, for the user; empty where nothing is.
+  std::string warning() const;
+
   // Whether a graphics card draws, not the processor.
   bool accelerated() const { return accelerated_; }
   std::size_t drawn() const { return splats_.count(); }
@@ -90,7 +97,9 @@ class SplatRenderer {
 
  private:
   void setTarget(gl::Target& target, GLenum format, const SplatCamera& camera,
-                 const RenderSettings& settings, Canvas canvas);
+                 const RenderSettings& settings, const CanvasScope& window);
+  // As the window's own, where the driver can.
+  void copyDepth(const CanvasScope& window, const gl::Target& target);
   // Submits what projects and sorts what is visible; false where that is there already.
   bool prepare(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
                gl::Stopwatch& stopwatch);
@@ -108,6 +117,7 @@ class SplatRenderer {
   SlotStore store_;
   Tallies tallies_;
   RadixSort sort_;
+  std::optional<bool> sorts_;
   OrderedSplats splats_;
   TileRasterizer tiles_;
   QuadRasterizer quads_;
@@ -115,7 +125,8 @@ class SplatRenderer {
   gl::Program divide_, composite_, hide_, surface_;
 
   gl::Target color_, depth_, surface_depth_, pick_depth_;
-  gl::SampledDepth translucent_;  // of the nearest translucent objects
+  GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver did, or wouldn't copy
+  gl::SampledDepth translucent_;                 // of the nearest translucent objects
   gl::Target behind_;  // the splats behind them, these splats' nearness; the scene's depth
   Raster raster_;      // of what was drawn last
   const char* rasterizer_ = "";

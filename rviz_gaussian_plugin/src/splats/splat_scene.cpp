@@ -116,7 +116,7 @@ void SplatScene::sortOnGpu() {
 }
 
 void SplatScene::sortNow(const SplatCamera& camera) {
-  if (renderer_->accelerated()) {
+  if (renderer_->accelerated() && renderer_->sorts()) {
     sortOnGpu();
   } else {
     book_.setCamera(kSurfaceView, ++surface_sequence_, camera, now());
@@ -138,15 +138,16 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
   takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
   // A graphics card sorts in less time than another's order takes to be uploaded.
   const bool on_gpu =
-      settings.order == OrderSource::kGpu ||
-      (settings.order == OrderSource::kAuto && !built_in && renderer_->accelerated());
+      (settings.order == OrderSource::kGpu ||
+       (settings.order == OrderSource::kAuto && !built_in && renderer_->accelerated())) &&
+      renderer_->sorts();
   OrderBook::Choice choice;
   if (on_gpu) {
     sortOnGpu();
   } else {
     choice = built_in ? book_.sortNow(view_id) : book_.choose(view_id, start, settings.order);
     const bool ours_to_sort =
-        settings.order == OrderSource::kAuto || settings.order == OrderSource::kBuiltIn;
+        settings.order != OrderSource::kSidecar && settings.order != OrderSource::kOff;
     if (settings.wait_for_order && !choice.fresh && ours_to_sort) choice = book_.sortNow(view_id);
     useOrder(choice.order);
   }

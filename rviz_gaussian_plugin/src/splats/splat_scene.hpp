@@ -77,6 +77,8 @@ class SplatScene {
 
   // Whether the driver can't draw at all; what is received is then forgotten.
   bool unusable() const { return unusable_; }
+  // Render thread: what the driver can't do; see SplatRenderer.
+  std::string warning() const { return renderer_ ? renderer_->warning() : ""; }
   // Render thread: why a part of the map is missing, empty where none is.
   const std::string& uploadError() const { return upload_error_; }
 
