@@ -7,18 +7,22 @@ cd "$(dirname "$0")"
 
 say() { printf '\033[1m%s\033[0m\n' "$*"; }
 
+installed() { dpkg-query -W -f '${Status}' "$1" 2>/dev/null | grep -q 'install ok installed'; }
+
 # --- System packages ------------------------------------------------------------------------------
 packages=(cmake g++ make pkg-config python3-dev python3-venv libepoxy-dev libgl1-mesa-dri libgtest-dev
   xauth xvfb)
 if command -v rviz2 >/dev/null; then
   packages+=(libqcustomplot-dev) # the IMU panel; Ogre comes with rviz
   if [ "${1:-}" = dev ]; then packages+=(xdotool); fi # the tests' mouse
+  # The demo's Imu display, where ROS comes by apt.
+  if installed "ros-$ROS_DISTRO-rviz2"; then packages+=("ros-$ROS_DISTRO-rviz-imu-plugin"); fi
 else
   packages+=(libogre-1.12-dev)
 fi
 missing=()
 for package in "${packages[@]}"; do
-  dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
+  installed "$package" || missing+=("$package")
 done
 if [ ${#missing[@]} -gt 0 ]; then
   install="apt-get install -y --no-install-recommends ${missing[*]}"
