@@ -54,6 +54,8 @@ def test_the_frame_of_the_scene_is_seen() -> None:
     """rviz2 keeps the configuration's Fixed Frame where it is given none."""
     assert started()["rviz2"][0][-1] == "--fixed-frame="
     assert started(frame_id="odom")["rviz2"][0][-1] == "--fixed-frame=odom"
+    upright = started(frame_id="scene", fixed_frame="map")
+    assert upright["rviz2"][0][-1] == "--fixed-frame=map"
 
 
 def test_fast_dds_gets_room_where_there_is_any_and_only_here(
