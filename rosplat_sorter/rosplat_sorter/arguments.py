@@ -10,10 +10,14 @@ from rclpy.utilities import remove_ros_args
 
 def take_ros_arguments_only(program: str, description: str | None) -> None:
     """Answers --help; ends the program at what only looks like an argument, a scene's path say."""
-    argparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         prog=program,
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         usage=f"{program} [--ros-args [-p PARAMETER:=VALUE] [-r TOPIC:=OTHER] ...]",
         epilog=f"`ros2 param describe /{program} PARAMETER` tells of a parameter while it runs.",
-    ).parse_args(remove_ros_args(sys.argv)[1:])
+    )
+    try:
+        parser.parse_args(remove_ros_args(sys.argv)[1:])
+    except RuntimeError as error:  # RCLInvalidROSArgsError, UnknownROSArgsError: not public
+        parser.error(f"--ros-args: {error}")

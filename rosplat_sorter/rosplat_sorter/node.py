@@ -6,10 +6,12 @@ Topics and parameters, wired to the worker.
 from __future__ import annotations
 
 import signal
+import sys
 import time
 
 import rclpy
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -50,9 +52,7 @@ class SorterNode(Node):
         )
         backend: str = self.get_parameter("backend").value
         if backend not in CHOICES:
-            self.get_logger().error(f"{_unknown(backend)}; taking '{AUTO}'")
-            backend = AUTO
-            self.set_parameters([Parameter("backend", value=backend)])
+            raise InvalidParameterValueException("backend", backend, _unknown(backend))
         # Remapping the map's topic takes the others along.
         topic = self.resolve_topic_name("gaussians")
         self._order = self.create_publisher(SplatOrder, f"{topic}/order", qos.ORDER)
@@ -124,7 +124,7 @@ def _unknown(backend: str) -> str:
 
 
 def main() -> None:
-    """Runs the node until it is told to end."""
+    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     take_ros_arguments_only("sorter", __doc__)
     # ROS's own handlers end it: a KeyboardInterrupt could come in the middle of an import.
     signal.signal(signal.SIGINT, lambda *_: None)
@@ -137,6 +137,9 @@ def main() -> None:
             node.destroy_node()
     except ExternalShutdownException:
         pass
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        print(f"sorter: {error}", file=sys.stderr)
+        sys.exit(1)
     except Exception:
         if rclpy.ok():  # else it was told to end while it began
             raise

@@ -172,21 +172,47 @@ def test_a_sorter_that_joins_late_gets_the_latched_map(ros, make_batch, make_loo
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_it_ends_in_silence(ros, stop):
     process = subprocess.Popen(
-        [EXECUTABLE, "--ros-args", "-r", f"__ns:={ros}", "-p", "backend:=nonsense"],
+        [EXECUTABLE, "--ros-args", "-r", f"__ns:={ros}"],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
     )
-    lines = []
     for line in process.stdout:
-        lines.append(line)
         if "sorting with" in line:
             break
     process.send_signal(stop)
     output, _ = process.communicate(timeout=20)
-    assert "unknown backend 'nonsense'" in "".join(lines)
     assert "Traceback" not in output
     assert process.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("parameter", "reason"),
+    [
+        ("backend:=nonsense", "unknown backend 'nonsense', known are auto, cupy"),
+        ("backend:=3", "'backend' to '3'"),
+        ("threads:=-1", "(-1)"),
+        ("threads:=x", "'threads' to 'x'"),
+    ],
+)
+def test_a_parameter_that_makes_no_sense_is_one_line_and_code_1(parameter, reason):
+    command = [EXECUTABLE, "--ros-args", "-p", parameter]
+    ended = subprocess.run(command, timeout=30, check=False, capture_output=True, text=True)
+    assert ended.returncode == 1
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("sorter: ")
+    assert reason in line
+
+
+@pytest.mark.parametrize("malformed", [("-p", "backend"), ("-r", "a"), ("--no-such-option",)])
+def test_malformed_ros_arguments_are_a_matter_of_usage(malformed):
+    command = [EXECUTABLE, "--ros-args", *malformed]
+    ended = subprocess.run(command, timeout=30, check=False, capture_output=True, text=True)
+    assert ended.returncode == 2
+    usage, reason = ended.stderr.splitlines()
+    assert usage.startswith("usage: sorter")
+    assert reason.startswith("sorter: error: --ros-args: ")
+    assert malformed[-1] in reason
 
 
 def test_of_a_burst_of_views_the_last_is_answered(peer, make_batch, make_look):
