@@ -9,7 +9,7 @@ from threading import RLock
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Header
@@ -118,6 +118,7 @@ class MapPublisher:
         expected_slots is how many slots the finished map will need, by default n; stamp is the time
         of the map, by default now. Raises ValueError for more splats than a map has slots.
         """
+        _check_type(splats)
         if len(splats) > GaussianArray.MAX_SLOTS:
             raise ValueError(f"{len(splats)} splats: a map has {GaussianArray.MAX_SLOTS} slots")
         splats = splats.without_empty_bands()
@@ -126,12 +127,15 @@ class MapPublisher:
             self._expected_slots = len(splats) if expected_slots is None else expected_slots
             self._send_map(range(len(splats)), splats, stamp, progress)
 
-    def upsert(self, slots: Slots, splats: Splats, *, stamp: Time | None = None) -> None:
+    def upsert(
+        self, slots: range | ArrayLike, splats: Splats, *, stamp: Time | None = None
+    ) -> None:
         """Writes the i-th splat to the i-th slot, in use or not.
 
         Raises ValueError, and sends nothing, where a slot is named twice or can't be one, where
         slots and splats differ in number, or where some of the map is antialiased and some is not.
         """
+        _check_type(splats)
         slots = _checked(slots)
         if len(slots) != len(splats):
             raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
@@ -147,7 +151,7 @@ class MapPublisher:
             for part in parts:
                 self._send_splats(GaussianArray.UPSERT, slots[part], splats[part], stamp)
 
-    def delete(self, slots: Slots, *, stamp: Time | None = None) -> None:
+    def delete(self, slots: range | ArrayLike, *, stamp: Time | None = None) -> None:
         """Empties slots. Raises ValueError where one is named twice, or can't be one."""
         slots = _checked(slots)
         with self._lock:
@@ -276,17 +280,28 @@ def _no_splats() -> Splats:
     )
 
 
-def _checked(slots: Slots) -> range | NDArray[np.uint32]:
+def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:
+    if isinstance(slots, range):
+        if slots.step != 1:
+            raise ValueError(f"slots: a range must be contiguous, got {slots}")
+    else:
+        slots = np.asarray(slots)
+        if not slots.size:
+            return np.zeros(0, np.uint32)  # NumPy takes an empty list for floats
+        if slots.ndim != 1 or not np.issubdtype(slots.dtype, np.integer):
+            raise ValueError(f"slots: expected (n,) integers, got {slots.shape} {slots.dtype}")
+        if len(np.unique(slots)) < len(slots):
+            raise ValueError("slots: each slot may be named once")
     if len(slots):
         low, high = (
             (slots[0], slots[-1]) if isinstance(slots, range) else (slots.min(), slots.max())
         )
         if low < 0 or high >= GaussianArray.MAX_SLOTS:
             raise ValueError(f"slots: a slot is a number from 0 to {GaussianArray.MAX_SLOTS - 1}")
-    if isinstance(slots, range):
-        if slots.step != 1:
-            raise ValueError(f"slots: a range must be contiguous, got {slots}")
-        return slots
-    if len(np.unique(slots)) < len(slots):
-        raise ValueError("slots: each slot may be named once")
-    return slots.astype(np.uint32)
+    return slots if isinstance(slots, range) else slots.astype(np.uint32)
+
+
+def _check_type(splats: Splats) -> None:
+    if not isinstance(splats, Splats):
+        kind = type(splats).__name__
+        raise TypeError(f"splats: expected Splats, got {kind}; scenes.load_scene reads a file")

@@ -230,6 +230,9 @@ def test_slots_are_checked_before_anything_is_sent(node: Node, random_splats: Ma
         (range(2**25 - 2, 2**25 + 1), "0 to"),
         (range(5), "3 splats for 5 slots"),
         (range(0, 6, 2), "contiguous"),
+        ([0.5, 1.0, 2.0], "float64"),
+        (np.array([True, False, True]), "bool"),
+        (7, "integers"),
     ):
         with pytest.raises(ValueError, match=match):
             publisher.upsert(slots, random_splats(3))
@@ -242,7 +245,13 @@ def test_slots_are_checked_before_anything_is_sent(node: Node, random_splats: Ma
         publisher.delete(np.array([4, 4]))
     with pytest.raises(ValueError, match="antialiased"):
         publisher.upsert(range(3), random_splats(3, antialiased=True))
+    for wrong in ("scene.ply", np.zeros((3, 3))):
+        with pytest.raises(TypeError, match="expected Splats"):
+            publisher.replace(wrong)  # type: ignore[arg-type]
     assert (publisher.revision, len(publisher)) == (1, 10)
+    publisher.delete([])
+    publisher.delete([2, 3])
+    assert (publisher.revision, len(publisher)) == (3, 8)
 
 
 def test_a_progress_that_raises_ends_the_sending(node: Node, random_splats: Maker) -> None:
