@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
-from rosplat_tools.formats import SceneError, load, save
+from rosplat_tools.formats import SceneError, check_output, save
+from rosplat_tools.scenes import NAMES, load_scene
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -14,7 +14,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="convert", description=__doc__, epilog="Coordinates stay as they are in the input."
     )
-    parser.add_argument("input", help="a .ply, .spz or .sog file, or a folder with SOG")
+    parser.add_argument("input", help=f"scene: {NAMES}")
     parser.add_argument("output", help="scene to write (.ply)")
     parser.add_argument(
         "--sh-degree",
@@ -25,15 +25,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--overwrite", action="store_true", help="replace an output that exists")
     options = parser.parse_args(arguments)
     try:
-        if Path(options.output).exists() and not options.overwrite:
-            raise SceneError(f"{options.output}: exists already (--overwrite replaces it)")
-        splats = load(options.input, warn=lambda text: print(f"convert: {text}", file=sys.stderr))
+        check_output(options.output, options.overwrite)
+        splats = load_scene(
+            options.input,
+            progress=lambda fraction: None,
+            warn=lambda text: print(f"convert: {text}", file=sys.stderr),
+        )
         if options.sh_degree is not None:
             splats = splats.with_sh_degree(min(options.sh_degree, splats.sh_degree))
         save(options.output, splats)
     except SceneError as error:
         print(f"convert: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        return 130
     print(f"{options.output}: {len(splats):,} splats, SH degree {splats.sh_degree}")
     return 0
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from rosplat_tools.formats import SceneError, save
+from rosplat_tools.formats import SceneError, check_output, save
 from rosplat_tools.reference import harmonics
 from rosplat_tools.splats import MAX_SH_DEGREE, Splats
 
@@ -73,10 +73,12 @@ def generate(count: int, seed: int = 0, sh_degree: int = 3) -> Splats:
     """Makes the garden of exactly count splats, the same for the same arguments.
 
     Their order is random, as a trained map's is: any part of them shows all of the garden, thinner.
-    Raises SceneError for a count below 1 or an sh_degree outside 0 to 3.
+    Raises SceneError for a count below 1, a seed below 0, or an sh_degree outside 0 to 3.
     """
     if count < 1:
         raise SceneError(f"count is {count}, expected 1 or more")
+    if seed < 0:
+        raise SceneError(f"seed is {seed}, expected 0 or more")
     if not 0 <= sh_degree <= MAX_SH_DEGREE:
         raise SceneError(f"SH degree is {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
     rng = np.random.default_rng(seed)
@@ -474,12 +476,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--sh-degree", type=int, default=3, choices=range(4), help="bands of spherical harmonics"
     )
+    parser.add_argument("--overwrite", action="store_true", help="replace an output that exists")
     options = parser.parse_args(arguments)
     try:
+        check_output(options.output, options.overwrite)
         save(options.output, generate(options.count, options.seed, options.sh_degree))
     except (SceneError, MemoryError) as error:
         print(f"generate: {str(error) or 'not enough memory'}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        return 130
     print(f"{options.output}: {options.count:,} splats")
     return 0
 

@@ -8,23 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
-from rosplat_tools.formats import SceneError, format_of, load
+from rosplat_tools.formats import SceneError, format_of
+from rosplat_tools.scenes import NAMES, PROCEDURAL, read_scene
 
 QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
 
 
 def describe(path: str | Path) -> str:
     """A report of several lines on a scene. Raises SceneError when it can't be read."""
-    path = Path(path)
     left_out: list[str] = []
-    splats = load(path, warn=left_out.append)
+    splats = read_scene(str(path), lambda fraction: None, left_out.append)
     used = splats.without_empty_bands()
     degree = f"{splats.sh_degree}"
     if used.sh_degree < splats.sh_degree:
         degree += f", but the bands above {used.sh_degree} are all zero"
     rows = {
         "scene": str(path),
-        "format": f"{format_of(path).NAME}, {_bytes(_file_size(path))}",
+        "format": _format(str(path)),
         "splats": f"{len(splats):,}",
         "SH degree": degree,
         "antialiased": "yes" if splats.antialiased else "no",
@@ -45,6 +45,13 @@ def describe(path: str | Path) -> str:
     return "\n".join(f"{name:<12} {value}" for name, value in rows.items())
 
 
+def _format(name: str) -> str:
+    if name.startswith(PROCEDURAL):
+        return "made by generate"
+    path = Path(name)
+    return f"{format_of(path).NAME}, {_bytes(_file_size(path))}"
+
+
 def _file_size(path: Path) -> int:
     """Size of a file, or of the files of the scene's folder. [bytes]"""
     folder = path if path.is_dir() else path.parent if path.name == "meta.json" else None
@@ -63,7 +70,7 @@ def _bytes(size: float) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Prints a report on each scene; 1 when any could not be read."""
     parser = argparse.ArgumentParser(prog="inspect", description=__doc__)
-    parser.add_argument("scene", nargs="+", help="a .ply, .spz or .sog file, or a folder with SOG")
+    parser.add_argument("scene", nargs="+", help=f"scene: {NAMES}")
     failed = False
     for index, path in enumerate(parser.parse_args(arguments).scene):
         try:
@@ -71,6 +78,8 @@ def main(arguments: list[str] | None = None) -> int:
         except SceneError as error:
             print(f"inspect: {error}", file=sys.stderr)
             failed = True
+        except KeyboardInterrupt:
+            return 130
     return int(failed)
 
 

@@ -16,6 +16,14 @@ NAMES = ".ply, .spz, .sog, a SOG folder, or procedural:COUNT[:SEED]"
 
 
 def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:
+    """Reads a scene to be shown; as read_scene, but raises SceneError for one without a splat."""
+    splats = read_scene(name, progress, warn)
+    if len(splats) == 0:
+        raise SceneError(f"{name}: holds no splats")
+    return splats
+
+
+def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
     """Reads a scene file, or generates COUNT splats; as formats.load.
 
     Raises SceneError, also for more splats than a map or this machine's memory holds.

@@ -8,6 +8,7 @@ import pytest
 
 from rosplat_tools.convert import main
 from rosplat_tools.formats import load, save
+from rosplat_tools.generate import generate
 from rosplat_tools.splats import Splats
 
 
@@ -17,6 +18,11 @@ def test_a_scene_is_converted(scene: Callable[[str], Path], tmp_path: Path) -> N
     before, after = load(source), load(target)
     np.testing.assert_array_equal(before.positions, after.positions)
     np.testing.assert_array_equal(before.sh, after.sh)
+
+
+def test_a_scene_may_be_generated(tmp_path: Path) -> None:
+    assert main(["procedural:40:7", str(tmp_path / "a.ply")]) == 0
+    np.testing.assert_array_equal(load(tmp_path / "a.ply").positions, generate(40, 7).positions)
 
 
 def test_bands_can_be_cut_off_but_not_made(
@@ -44,7 +50,13 @@ def test_an_output_that_exists_is_kept(
 
 @pytest.mark.parametrize(
     ("source", "target", "reason"),
-    [("none.ply", "b.ply", "none.ply: No such file"), ("a.ply", "b.spz", "b.spz: can't write")],
+    [
+        ("none.ply", "b.ply", "none.ply: No such file"),
+        ("empty.ply", "b.ply", "empty.ply: holds no splats"),
+        ("a.ply", "b.spz", "b.spz: can't write"),
+        ("a.ply", "a.ply/b.ply", "b.ply: Not a directory"),
+        ("a.ply", "b" * 300 + ".ply", "b.ply: File name too long"),
+    ],
 )
 def test_failures_are_told(
     random_splats: Callable[..., Splats],
@@ -55,6 +67,7 @@ def test_failures_are_told(
     reason: str,
 ) -> None:
     save(tmp_path / "a.ply", random_splats(4))
+    save(tmp_path / "empty.ply", random_splats(0))
     assert main([str(tmp_path / source), str(tmp_path / target)]) == 1
     assert reason in capsys.readouterr().err
-    assert not (tmp_path / target).exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "empty.ply"}

@@ -81,10 +81,10 @@ def test_sheen_depends_on_the_view() -> None:
     assert np.abs(left - right).max() > 0.1
 
 
-@pytest.mark.parametrize(("count", "degree"), [(0, 3), (-5, 3), (10, 4), (10, -1)])
-def test_what_cannot_be_made(count: int, degree: int) -> None:
+@pytest.mark.parametrize("wrong", [{"count": 0}, {"seed": -1}, {"sh_degree": 4}, {"sh_degree": -1}])
+def test_what_cannot_be_made(wrong: dict[str, int]) -> None:
     with pytest.raises(SceneError, match="expected"):
-        generate(count, sh_degree=degree)
+        generate(**({"count": 10} | wrong))
 
 
 def test_the_command_writes_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -92,6 +92,10 @@ def test_the_command_writes_a_scene(tmp_path: Path, capsys: pytest.CaptureFixtur
     splats = load(tmp_path / "a.ply")
     np.testing.assert_allclose(splats.positions, generate(300, 2).positions)
     assert (len(splats), splats.sh_degree) == (300, 1)
-    assert main([str(tmp_path / "a.ply"), "--count", "0"]) == 1
-    assert main([str(tmp_path / "a.obj")]) == 1
+    assert main([str(tmp_path / "a.ply"), "--count", "10"]) == 1
+    assert "a.ply: exists already" in capsys.readouterr().err
+    assert main([str(tmp_path / "a.ply"), "--count", "10", "--overwrite"]) == 0
+    assert len(load(tmp_path / "a.ply")) == 10
+    assert main([str(tmp_path / "b.ply"), "--count", "0"]) == 1
+    assert main([str(tmp_path / "a.obj"), "--count", "9" * 12]) == 1  # said before it is made
     assert "a.obj: can't write" in capsys.readouterr().err

@@ -47,6 +47,11 @@ def test_a_far_map_tells_its_origin(random_splats: Make, tmp_path: Path) -> None
     assert rows(describe(tmp_path / "a.ply"))["origin"].startswith("300")
 
 
+def test_a_generated_scene() -> None:
+    report = rows(describe("procedural:40"))
+    assert (report["format"], report["splats"]) == ("made by generate", "40")
+
+
 def test_an_empty_map(random_splats: Make, tmp_path: Path) -> None:
     save(tmp_path / "a.ply", random_splats(0))
     assert rows(describe(tmp_path / "a.ply"))["splats"] == "0"

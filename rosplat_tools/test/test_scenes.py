@@ -35,6 +35,16 @@ def test_a_file_of_more_splats_than_a_map_holds(
         load(str(path))
 
 
+def test_a_scene_without_a_usable_splat(tmp_path: Path) -> None:
+    splats = generate(3)
+    splats.opacities[:] = np.nan
+    for name, empty in (("no.ply", splats[:0]), ("nan.ply", splats)):
+        formats.save(tmp_path / name, empty)
+        with pytest.raises(SceneError, match=f"{name}: holds no splats"):
+            load(str(tmp_path / name))
+        assert len(scenes.read_scene(str(tmp_path / name), lambda _: None, lambda _: None)) == 0
+
+
 def test_too_little_memory_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise MemoryError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +13,7 @@ from rosplat_tools.formats import ply, sog, spz
 from rosplat_tools.formats.decoded import Progress, Warn
 from rosplat_tools.splats import SceneError, Splats
 
-__all__ = ["FORMATS", "Progress", "SceneError", "Warn", "format_of", "load", "save"]
+__all__ = ["FORMATS", "Progress", "SceneError", "Warn", "check_output", "format_of", "load", "save"]
 
 _log = logging.getLogger(__name__)
 
@@ -68,6 +69,18 @@ def load(
     return splats
 
 
+def check_output(path: str | Path, overwrite: bool = False) -> None:
+    """Raises SceneError for an ending that can't be written, and for a file that would be lost."""
+    path = Path(path)
+    _writer(path)
+    try:
+        exists = path.exists()
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+    if exists and not overwrite:
+        raise SceneError(f"{path}: exists already (--overwrite replaces it)")
+
+
 def save(path: str | Path, splats: Splats) -> None:
     """Writes a scene; the path's ending chooses the format. Replaces a file that exists, whole.
 
@@ -75,16 +88,24 @@ def save(path: str | Path, splats: Splats) -> None:
     little memory.
     """
     path = Path(path)
-    writers = {module.SUFFIX: module for module in FORMATS if hasattr(module, "write")}
-    if path.suffix.lower() not in writers:
-        raise SceneError(f"{path}: can't write this ending, only {', '.join(writers)}")
+    writer = _writer(path)
     partial = path.with_name(f".{path.name}.part")
     try:
-        writers[path.suffix.lower()].write(partial, splats)
+        writer.write(partial, splats)
         partial.replace(path)  # a reader sees the old file or the new one, never a part
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
         raise SceneError(f"{path}: too large for this machine's memory") from error
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # it was replaced, or its place is none
+            partial.unlink()
+
+
+def _writer(path: Path) -> ModuleType:
+    writers = {module.SUFFIX: module for module in FORMATS if hasattr(module, "write")}
+    try:
+        return writers[path.suffix.lower()]
+    except KeyError:
+        names = ", ".join(writers)
+        raise SceneError(f"{path}: can't write this ending, only {names}") from None

@@ -59,8 +59,6 @@ def load(path: str, options: argparse.Namespace) -> Scene:
     if not procedural and not Path(path).exists():
         raise SceneError(f"{path}: no such file")
     splats = load_scene(path, lambda done: None, lambda text: print(text, file=sys.stderr))
-    if len(splats) == 0:
-        raise SceneError(f"{path}: holds no splats")
     up = options.up or ((0, 0, 1) if procedural else (0, -1, 0))
     cameras = motion.around(splats, options.cameras, up, options.width, options.height)
     name = path if procedural else Path(path).stem
