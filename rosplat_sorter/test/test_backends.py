@@ -1,5 +1,7 @@
 """Every backend present equals the plain reference, to the bit."""
 
+import importlib.util
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -219,9 +221,10 @@ def test_any_history_of_edits(backend, make_camera, make_edit, data):
 
 def test_auto_takes_the_best_and_says_why_not_others(monkeypatch):
     monkeypatch.setattr(backends, "_has_nvidia_driver", lambda: False)
+    monkeypatch.setattr(importlib.util, "find_spec", {"torch": object()}.get)
     backend, reasons = choose(AUTO, threads=2)
     assert (backend.name, backend.device) == ("native", "2 threads")
-    assert reasons == {"cupy": "no NVIDIA driver", "torch": "no NVIDIA driver"}
+    assert reasons == {"cupy": "not installed", "torch": "no NVIDIA driver"}
 
 
 def test_torch_on_the_cpu_is_taken_only_when_asked_for(monkeypatch):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -112,7 +113,8 @@ def choose(
             continue
         try:
             if entry.gpu and not _has_nvidia_driver():  # spares the seconds that an import takes
-                raise Unavailable("no NVIDIA driver")
+                installed = importlib.util.find_spec(candidate)
+                raise Unavailable("no NVIDIA driver" if installed else "not installed")
             return open_backend(candidate, threads, gpu_only=entry.gpu), reasons
         except Unavailable as error:
             reasons[candidate] = str(error)
