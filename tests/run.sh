@@ -17,4 +17,4 @@ cd tests
 for package in rosplat_sorter rosplat_tools; do
   python -m pytest -q --rootdir "../$package" --config-file "../$package/pytest.ini" "../$package/test"
 done
-python -m pytest -q --rootdir .. --config-file ../pyproject.toml . "$@"
+python -m pytest -q --rootdir .. --config-file ../pyproject.toml -rs . "$@"

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from rosplat_tools import metrics, render
 from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.splats import SceneError
 
 VIAS = ["host", pytest.param("rviz", marks=pytest.mark.rviz)]
 
@@ -73,6 +77,28 @@ def test_a_map_that_grew_looks_like_one_that_was_loaded(tmp_path: Path) -> None:
     assert answer.revision > 20
     assert metrics.psnr(grown[..., :3], loaded[..., :3]) >= 60
     assert loaded.max() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"id": 4}, "camera 1: id 4 is that of camera 0"),
+        ({"width": 8192, "height": 8192}, "camera 1: 8192x8192, expected"),
+        ({"image": "none.png"}, "camera 1: .*none.png: No such file"),
+        ({"image": "cameras.json"}, "camera 1: .*cameras.json: not a picture"),
+        ({"image": "small.png"}, "camera 1: small.png is 6x4, expected 64x48"),
+    ],
+)
+def test_cameras_are_checked_before_anything_starts(
+    tmp_path: Path, change: dict[str, object], reason: str
+) -> None:
+    file = tmp_path / "cameras.json"
+    file.write_text("[]")
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((4, 6, 3), np.uint8))
+    good = Camera(4, 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
+    render.check(file, [good])
+    with pytest.raises(SceneError, match=f"cameras.json: {reason}"):
+        render.check(file, [good, replace(good, **({"id": 5} | change))])
 
 
 def test_what_cannot_be_drawn_is_said_in_a_line(

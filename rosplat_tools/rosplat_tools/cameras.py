@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,8 @@ class Camera:
                 or isinstance(value, bool)
                 or (name != "id" and value < 1)
             ):
-                raise ValueError(f"{name} is {value!r}, expected a whole number")
+                least = "" if name == "id" else " of 1 or more"
+                raise ValueError(f"{name} is {value!r}, expected a whole number{least}")
         for name in ("fx", "fy", "cx", "cy", "near", "far"):
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or not math.isfinite(value):
@@ -124,13 +125,12 @@ def load_cameras(path: str | Path) -> list[Camera]:
 def _camera(entry: Any, where: str) -> Camera:
     if not isinstance(entry, dict):
         raise SceneError(f"{where}: expected an object")
-    known = {field.name for field in fields(Camera)}
+    known = {field.name: field.default is MISSING for field in fields(Camera)}
+    missing = [name for name, required in known.items() if required and name not in entry]
+    if missing:
+        raise SceneError(f"{where}: no {', '.join(missing)}")
     try:
         return Camera(**{name: value for name, value in entry.items() if name in known})
-    except TypeError as error:  # says which arguments are missing
-        raise SceneError(
-            f"{where}: {str(error).partition('missing')[2] or error} missing"
-        ) from error
     except ValueError as error:
         raise SceneError(f"{where}: {error}") from error
 

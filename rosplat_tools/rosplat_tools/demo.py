@@ -72,6 +72,8 @@ def main(arguments: list[str] | None = None) -> int:
                 )
             if not rviz:
                 print(processes.said(name), end="")
+            for warning in processes.warnings("ply_publisher"):
+                print(f"demo: {warning}", file=sys.stderr)
     except ProcessError as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -138,6 +139,10 @@ class Processes:
         """What a program said last."""
         lines = self.said(name).strip().splitlines()
         return lines[-1] if lines else f"it said nothing in {self.log(name)}"
+
+    def warnings(self, name: str) -> list[str]:
+        """What a node has warned of."""
+        return re.findall(r"^\[WARN\] \[[^]]*\] \[[^]]*\]: (.*)$", self.said(name), re.MULTILINE)
 
     def end(self) -> None:
         """Ends every program: first by the signal of Ctrl-C, then by force."""

@@ -38,6 +38,7 @@ START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
 SETTLED = 1.0  # a complete map that hasn't changed for so long has all its edits [s]
 PUBLISHER = "publisher"  # its log
 CALL_TIMEOUT = 120.0  # for one picture [s]
+LONGEST_SIDE, MOST_PIXELS = 16384, 1 << 25  # that the renderer draws
 
 
 class RenderError(RuntimeError):
@@ -83,6 +84,8 @@ def render(
                 on_picture(camera, pixels.reshape(camera.height, camera.width, 4), answer)
         finally:
             node.destroy_node()
+        for warning in processes.warnings(PUBLISHER):
+            print(f"render: {warning}", file=sys.stderr)
 
 
 def start_rviz(processes: Processes, topic: str, float_blending: bool) -> None:
@@ -160,12 +163,49 @@ def _call(
     return answer
 
 
+def check(path: Path, cameras: Sequence[Camera]) -> None:
+    """Raises SceneError for cameras of a file that can't be drawn, or held against their images."""
+    if not cameras:
+        raise SceneError(f"{path}: holds no cameras")
+    first: dict[int, int] = {}
+    for index, camera in enumerate(cameras):
+        where = f"{path}: camera {index}"
+        if first.setdefault(camera.id, index) != index:
+            raise SceneError(f"{where}: id {camera.id} is that of camera {first[camera.id]}")
+        size = f"{camera.width}x{camera.height}"
+        if (
+            max(camera.width, camera.height) > LONGEST_SIDE
+            or camera.width * camera.height > MOST_PIXELS
+        ):
+            raise SceneError(
+                f"{where}: {size}, expected sides of at most {LONGEST_SIDE} "
+                f"and {MOST_PIXELS:,} pixels"
+            )
+        if camera.image:
+            try:
+                height, width = _pixels(path.parent / camera.image).shape[:2]
+            except SceneError as error:
+                raise SceneError(f"{where}: {error}") from error
+            if (width, height) != (camera.width, camera.height):
+                raise SceneError(f"{where}: {camera.image} is {width}x{height}, expected {size}")
+
+
 def read_picture(path: Path) -> NDArray[np.float64]:
     """(height, width, 3) RGB of a picture file, 8 or 16 bit, scaled to 0..1. Raises SceneError."""
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    pixels = _pixels(path)
+    return pixels[..., ::-1] / np.iinfo(pixels.dtype).max
+
+
+def _pixels(path: Path) -> NDArray[np.unsignedinteger]:
+    try:
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
+    pixels = cv2.imdecode(data, flags) if len(data) else None
     if pixels is None:
         raise SceneError(f"{path}: not a picture")
-    return pixels[..., ::-1] / np.iinfo(pixels.dtype).max
+    return pixels
 
 
 def write_picture(path: Path, color: NDArray[np.float32], form: str) -> Path:
@@ -222,8 +262,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     try:
         cameras = load_cameras(options.cameras)
-        if not cameras:
-            raise SceneError(f"{options.cameras}: holds no cameras")
+        check(options.cameras, cameras)
         if not options.scene.startswith(PROCEDURAL) and not Path(options.scene).exists():
             raise SceneError(f"{options.scene}: no such file")
         options.out.mkdir(parents=True, exist_ok=True)

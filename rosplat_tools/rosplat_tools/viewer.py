@@ -34,6 +34,7 @@ from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.offscreen import BatchError, OrderError, Renderer, ensure_display
 
+DISCOVERY = 5.0  # how long stills wait for a sorter to be found [s]
 ASK_AGAIN = 0.25  # how long a still waits for an order before it asks for another [s]
 KEEP_ALIVE = 1.0  # a view goes out at least this often, for sorters that start late [s]
 QUIET = 2.0  # a map that has not grown for so long is taken as complete [s]
@@ -97,7 +98,7 @@ class Viewer(Node):
         float_blending: bool = declare(
             self, "float_blending", False, "Blend in 32-bit instead of 16-bit floats."
         )
-        if len(self.up) != 3 or not any(self.up):
+        if len(self.up) != 3 or not any(self.up) or not np.isfinite(self.up).all():
             raise SceneError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
         self.renderer = Renderer()
         if float_blending:
@@ -105,6 +106,7 @@ class Viewer(Node):
         self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
         self.frame_id = ""
         self.last_batch = math.inf
+        self._discovered_until = math.inf
         self._sample = Sample()
         self._instance = f"viewer_{uuid.uuid4().hex[:8]}"
         self._sequence = 0
@@ -232,6 +234,11 @@ class Viewer(Node):
         while not (answered := self.renderer.has_order(view_id)) and time.monotonic() < deadline:
             if not self.context.ok():
                 raise ExternalShutdownException
+            if not self._views.get_subscription_count():
+                now = time.monotonic()
+                self._discovered_until = min(self._discovered_until, now + DISCOVERY)
+                if now > self._discovered_until:
+                    break
             # A view or an order may be lost while viewer and sorter get to know each other.
             if time.monotonic() - self._published > ASK_AGAIN:
                 self.look(camera, name)
@@ -344,7 +351,7 @@ class Sample:
         positions = np.concatenate(self._parts) if self._parts else np.zeros((0, 3))
         if not len(positions):
             return np.zeros(3), 1.0
-        low, high = np.quantile(positions, [0.05, 0.95], axis=0)
+        low, high = np.quantile(positions, [0.01, 0.99], axis=0)
         return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 
 
@@ -393,9 +400,13 @@ def _framed(viewer: Viewer) -> OrbitCamera:
 
 
 def _wait_for_map(viewer: Viewer) -> None:
+    discovered = time.monotonic() + QUIET
     while not viewer.complete():
         if not viewer.context.ok():
             raise ExternalShutdownException
+        topic = viewer.resolve_topic_name("gaussians")
+        if time.monotonic() > discovered and not viewer.count_publishers(topic):
+            viewer.get_logger().info(f"waiting for a map on {topic}", once=True)
         viewer.serve_requests(wait=0.05)
 
 

@@ -199,9 +199,12 @@ def test_it_ends_quietly_in_the_middle_of_a_request(
 def test_without_a_display_it_draws_a_still_and_a_turn(
     start: Start, node: Node, listener: Any, tmp_path: Path, random_splats: Callable[..., Splats]
 ) -> None:
+    process = start("viewer", output=tmp_path / "out", order_timeout=0.0)
+    assert process.stdout
+    said = next(line for line in process.stdout if "waiting" in line)
+    assert f"waiting for a map on {node.resolve_topic_name('gaussians')}" in said
     publisher = MapPublisher(node)
     publisher.replace(random_splats(500, 1))
-    process = start("viewer", output=tmp_path / "out", order_timeout=0.0)
     output, _ = process.communicate(timeout=120)
     assert process.returncode == 0
     assert "500 splats" in output
@@ -258,7 +261,7 @@ def test_a_map_that_grows_for_hours_is_framed_by_a_bounded_sample() -> None:
     assert len(sample) < 250_000
     centre, radius = sample.bounds()
     np.testing.assert_allclose(centre, origin, atol=0.02)
-    assert radius == pytest.approx(0.9 * 3**0.5, rel=0.02)
+    assert radius == pytest.approx(0.98 * 3**0.5, rel=0.02)
 
 
 @pytest.fixture
@@ -287,8 +290,9 @@ def test_with_a_display_a_window_asks_for_its_view(
     assert "Traceback" not in output
 
 
-def test_a_start_that_makes_no_sense_is_one_line_and_code_1(start: Start) -> None:
-    process = start("viewer", up=[0.0, 0.0, 0.0])
+@pytest.mark.parametrize("up", [[0.0, 0.0, 0.0], [float("nan"), 0.0, 1.0]])
+def test_a_start_that_makes_no_sense_is_one_line_and_code_1(start: Start, up: list[float]) -> None:
+    process = start("viewer", up=up)
     output, _ = process.communicate(timeout=30)
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
