@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from rosplat_tools.lab.command import main
 from rosplat_tools.lab.points import load
 
 
@@ -64,6 +69,38 @@ def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
 
 def _first_cells(table: str) -> list[str]:
     return [line.split("|")[1] for line in table.splitlines() if line.startswith("|")]
+
+
+def test_an_interrupted_run_ends_at_once_and_quietly(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rosplat_tools.lab", "procedural:300000", "--out", str(tmp_path)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env={name: value for name, value in os.environ.items() if name != "DISPLAY"},
+    )  # fmt: skip
+    assert process.stderr
+    before = ""
+    while ": reference: " not in before:  # workers begin
+        before = process.stderr.readline()
+        assert before
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, said = process.communicate(timeout=100)
+    assert process.returncode == 130
+    assert said == ""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--width", "-5"], ["--height", "99999"], ["--up", "0", "0", "0"], ["--cameras", "0"],
+        ["--width", "16384", "--height", "16384"], ["--repeats", "0"], ["--threads", "-1"],
+    ],
+)  # fmt: skip
+def test_an_option_that_makes_no_sense_is_named(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert arguments[0] in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:

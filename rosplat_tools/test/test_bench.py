@@ -16,6 +16,7 @@ from rosplat_tools.bench.command import main
 from rosplat_tools.bench.isolation import isolated
 from rosplat_tools.bench.line import Line, NoLine
 from rosplat_tools.bench.records import Record, load
+from rosplat_tools.formats import save as save_scene
 from rosplat_tools.generate import generate
 from rosplat_tools.splats import SceneError
 
@@ -139,6 +140,8 @@ def test_orders_reach_a_viewer_on_another_machine(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (["sort", "--sizes", "many"], "'many' is no number of splats"),
+        (["sort", "--sizes", "inf"], "'inf' is no number of splats"),
+        (["sort", "--seconds", "-1"], "--seconds: '-1' is no time"),
         (["sorting"], "unknown subject 'sorting'"),
     ],
 )
@@ -154,6 +157,28 @@ def test_a_scene_that_is_none_is_named(tmp_path: Path, capsys: pytest.CaptureFix
     assert main(["sort", "--sizes", "500", "--scenes", "no.ply", "--out", str(tmp_path)]) == 1
     assert "no.ply" in capsys.readouterr().out
     assert load([tmp_path / "sort.json"])  # what came before it is kept
+
+
+def test_a_scene_without_a_finite_splat_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    splats = generate(3)
+    splats.positions[:] = np.nan
+    save_scene(tmp_path / "none[0].ply", splats)
+    scene = str(tmp_path / "none[0].ply")
+    assert main(["sort", "--sizes", "500", "--scenes", scene, "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr().out
+    assert f"{scene}: holds no splats" in said  # with its brackets
+    assert "order in host memory [ms]" in said
+
+
+def test_a_file_in_the_place_of_the_folder_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "text.txt"
+    file.touch()
+    assert main(["sort", "--sizes", "500", "--out", str(file)]) == 1
+    assert capsys.readouterr().err == f"bench: {file}: no folder for results: File exists\n"
 
 
 def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:

@@ -95,10 +95,11 @@ def test_a_long_curve_has_a_column_for_each_eighth() -> None:
     assert row == "| native | 20 | 40 | 60 | 80 | 100 | 120 | 140 | 160 |"
 
 
+@pytest.mark.parametrize("text", ["?", "[]"])
 def test_a_file_without_records_is_named_in_a_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "x.json").write_text("?")
+    (tmp_path / "x.json").write_text(text)
     assert main(["charts", str(tmp_path / "x.json"), "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().err
     assert "x.json" in said

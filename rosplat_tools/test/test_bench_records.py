@@ -75,6 +75,14 @@ def test_a_file_without_records_is_named(tmp_path: Path, text: str | None) -> No
         load([path])
 
 
+def test_a_field_that_a_record_lacks_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "records.json"
+    save(path, [Record.of("sort", Measurement.of("order", "ms", 1), HERE)])
+    path.write_text(path.read_text().replace('"splats"', '"spalts"'))
+    with pytest.raises(RecordError, match=r"records\.json: .* record 0 lacks splats"):
+        load([path])
+
+
 def test_a_budget_repeats_at_least_at_most_and_for_its_time() -> None:
     def count(budget: Budget) -> list[float]:
         return budget.spend(float)

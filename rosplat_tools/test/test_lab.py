@@ -1,7 +1,10 @@
 """The laboratory's maths: blending models against closed forms, orders, the front."""
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from multiprocessing import active_children
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ from rosplat_tools.lab import fragments, motion, orders, rays, viewers
 from rosplat_tools.lab.fragments import Fragments
 from rosplat_tools.lab.pareto import front, summarise
 from rosplat_tools.lab.points import Point, Store, load, save
+from rosplat_tools.lab.workers import Workers
 from rosplat_tools.splats import SceneError, Splats, concatenate
 
 Make = Callable[..., Splats]
@@ -368,10 +372,24 @@ def test_points_are_read_as_they_were_written(tmp_path) -> None:  # type: ignore
 
 
 def test_other_files_are_no_points(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    for text in ("", "[1, 2]", '{"runs": [], "points": [{"run": 3}]}'):
+    texts = {
+        "": "Expecting value",
+        "[1, 2]": "no object with runs",
+        '{"runs": [], "points": []}': "no points",
+        '{"runs": [], "points": [{"run": 3}]}': "out of range",
+        '{"runs": [{}], "points": [{"run": 0, "psnr": 3}]}': "point 0 lacks, .* splats",
+    }
+    for text, why in texts.items():
         (tmp_path / "lab.json").write_text(text)
-        with pytest.raises(SceneError, match="not what lab writes"):
+        with pytest.raises(SceneError, match=f"lab.json: not what lab writes: .*{why}"):
             load(tmp_path / "lab.json")
+
+
+def test_workers_end_at_once_where_the_block_is_left_by_an_exception() -> None:
+    with pytest.raises(KeyboardInterrupt), Workers() as workers:
+        next(workers.run([partial(int, 1), partial(time.sleep, 1e6)]))
+        raise KeyboardInterrupt
+    assert not active_children()
 
 
 def test_an_interrupted_run_is_taken_up(tmp_path) -> None:  # type: ignore[no-untyped-def]

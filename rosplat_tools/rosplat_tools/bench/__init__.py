@@ -3,6 +3,17 @@
 Subjects that need ROS 2 import it when they begin, so sorting and drawing can be measured without.
 """
 
-from rosplat_tools.bench.command import main
+from __future__ import annotations
 
-__all__ = ["main"]
+from rosplat_tools.processes import interrupt_by_signals
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; 0 where all was measured that this machine can."""
+    interrupt_by_signals()
+    try:  # loading takes seconds, in which Ctrl-C is as quiet as later
+        from rosplat_tools.bench.command import main as run
+
+        return run(arguments)
+    except KeyboardInterrupt:
+        return 130

@@ -2,7 +2,7 @@
 
 import sys
 
-from rosplat_tools.bench.command import main
+from rosplat_tools.bench import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -11,11 +11,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from rosplat_sorter.backends import BACKENDS
+from rosplat_tools.arguments import make_folder, seconds
 from rosplat_tools.bench import live, machine
-from rosplat_tools.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
+from rosplat_tools.bench.plan import FULL_BUDGET, QUICK_BUDGET, VARIANTS, Plan
 from rosplat_tools.bench.records import (
     Circumstances,
     Doing,
@@ -27,7 +30,7 @@ from rosplat_tools.bench.records import (
     load,
     save,
 )  # fmt: skip
-from rosplat_tools.processes import ProcessError, interrupt_by_signals
+from rosplat_tools.processes import ProcessError
 from rosplat_tools.scenes import NAMES
 from rosplat_tools.splats import SceneError
 
@@ -62,7 +65,6 @@ def main(arguments: list[str] | None = None) -> int:
     if not console.is_terminal:
         console = Console(width=WIDTH)
     try:
-        interrupt_by_signals()
         if arguments[:1] == ["charts"]:
             return _draw(arguments[1:], console)
         if arguments[:1] == ["tables"]:
@@ -71,8 +73,6 @@ def main(arguments: list[str] | None = None) -> int:
     except (SceneError, RecordError, OSError) as error:
         print(f"bench: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
 
 
 def _draw(arguments: list[str], console: Console) -> int:
@@ -83,7 +83,10 @@ def _draw(arguments: list[str], console: Console) -> int:
         "--of", default="p50", choices=STATISTICS, help="what is drawn (default: the median)"
     )
     options = parser.parse_args(arguments)
-    _chart(load(options.files), options.out, console, options.of)
+    records = load(options.files)
+    if not records:
+        raise RecordError(f"{', '.join(map(str, options.files))}: no records, nothing to draw")
+    _chart(records, options.out, console, options.of)
     return 0
 
 
@@ -117,11 +120,12 @@ def _measure(arguments: list[str], console: Console) -> int:
     )
     if options.seconds is not None:
         plan = replace(plan, budget=replace(plan.budget, seconds=options.seconds))
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     circumstances = machine.circumstances(arguments)
     console.print(
         f"{circumstances.machine}; GPU: {circumstances.gpu or 'no NVIDIA'}; "
         f"load {circumstances.load:.1f}",
+        markup=False,
         soft_wrap=True,
     )
     failed = False
@@ -135,7 +139,7 @@ def _measure(arguments: list[str], console: Console) -> int:
         try:
             _follow(events, recorder, name, console)
         except (SceneError, ProcessError, RuntimeError, AssertionError, OSError) as error:
-            console.print(f"[red]{name} ended early: {error}", markup=True, soft_wrap=True)
+            console.print(f"[red]{name} ended early: {escape(str(error))}", soft_wrap=True)
             failed = True
         finally:
             if recorder.records:
@@ -143,7 +147,7 @@ def _measure(arguments: list[str], console: Console) -> int:
                 if subject.curve:
                     shown = last_of_each(shown)
                 console.print(*tables(shown))
-                console.print(f"wrote {recorder.path}")
+                console.print(f"wrote {recorder.path}", markup=False, soft_wrap=True)
                 _chart(recorder.records, options.out, console)
     return int(failed)
 
@@ -174,11 +178,13 @@ def _parser() -> argparse.ArgumentParser:
         "--scenes", nargs="+", default=[], metavar="SCENE", help=f"other scenes: {NAMES}"
     )
     parser.add_argument(
-        "--backends", nargs="+", default=[], metavar="NAME", help="of the sorter; all by default"
-    )
+        "--backends", nargs="+", default=[], metavar="NAME",
+        help=f"of the sorter: {', '.join(BACKENDS)}; chain and growth also {live.GPU}, growth "
+        f"{live.BUILT_IN}; all by default",
+    )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
-        help="of the renderer's settings, for the subject frame",
+        help=f"of the renderer's settings, for the subject frame: {', '.join(map(repr, VARIANTS))}",
     )  # fmt: skip
     parser.add_argument(
         "--displays", type=Path, nargs="+", default=[], metavar="FILE",
@@ -186,7 +192,7 @@ def _parser() -> argparse.ArgumentParser:
         "{ply}, {topic} and {sh_degree} stand for what is measured",
     )  # fmt: skip
     parser.add_argument(
-        "--seconds", type=float, metavar="S", help="how long to repeat each measurement"
+        "--seconds", type=seconds, metavar="S", help="how long to repeat each measurement"
     )
     parser.add_argument(
         "--one-process", action="store_true", help="growth: all in one process, without ROS 2"
@@ -207,7 +213,7 @@ def _size(text: str) -> int:
     digits, unit = (text[:-1], units[text[-1].lower()]) if text[-1:].lower() in units else (text, 1)
     try:
         size = round(float(digits) * unit)
-    except ValueError:
+    except (ValueError, OverflowError):  # the latter of inf
         size = 0
     if size < 1:
         raise argparse.ArgumentTypeError(f"'{text}' is no number of splats, such as 500k or 5M")
@@ -240,9 +246,11 @@ def _follow(events: Iterator[Event], recorder: Recorder, name: str, console: Con
         task = progress.add_task(name, total=1.0)
         for event in events:
             if isinstance(event, Doing):
-                progress.update(task, completed=event.part, description=f"{name}: {event.text}")
+                doing = escape(f"{name}: {event.text}")
+                progress.update(task, completed=event.part, description=doing)
             elif isinstance(event, Skipped):
-                progress.console.print(f"[yellow]skipped: {event.text}", soft_wrap=True)
+                skipped = escape(event.text)
+                progress.console.print(f"[yellow]skipped: {skipped}", soft_wrap=True)
             else:
                 recorder.add(event)
 
@@ -258,7 +266,8 @@ def tables(records: list[Record]) -> Iterator[Table]:
     for name in dict.fromkeys(record.name for record in records):
         mine = [record for record in records if record.name == name]
         keys = list(dict.fromkeys(key for record in mine for key in record.parameters))
-        shown = Table(title=f"{mine[0].subject}: {name} [{mine[0].unit}]", title_justify="left")
+        title = escape(f"{mine[0].subject}: {name} [{mine[0].unit}]")
+        shown = Table(title=title, title_justify="left")
         for column in ("scene", *keys):
             shown.add_column(column)
         shown.add_column("splats", justify="right")
@@ -266,9 +275,10 @@ def tables(records: list[Record]) -> Iterator[Table]:
             shown.add_column(column, justify="right")
         for record in mine:
             shown.add_row(
-                record.scene, *(_text(record.parameters.get(key, "")) for key in keys),
+                escape(record.scene),
+                *(escape(_text(record.parameters.get(key, ""))) for key in keys),
                 *(_text(getattr(record, key)) for key in ("splats", *STATISTICS)),
-            )  # fmt: skip
+            )
         yield shown
 
 
@@ -286,7 +296,7 @@ def _chart(records: list[Record], out: Path, console: Console, statistic: str = 
     try:
         from rosplat_tools.bench import charts
     except ImportError as error:
-        console.print(f"[yellow]charts skipped: {error}")
+        console.print(f"[yellow]charts skipped: {escape(str(error))}")
         return
     for path in charts.draw(records, out, statistic):
-        console.print(f"wrote {path}")
+        console.print(f"wrote {path}", markup=False, soft_wrap=True)

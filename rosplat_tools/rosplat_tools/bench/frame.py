@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rosplat_tools.bench import embedded, machine, scenes
 from rosplat_tools.bench.isolation import isolated
-from rosplat_tools.bench.plan import Plan
+from rosplat_tools.bench.plan import VARIANTS, Plan
 from rosplat_tools.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_tools.bench.sort import map_of, view_of
 from rosplat_tools.cameras import Camera
@@ -33,13 +33,6 @@ STEPS = 8  # cameras that take turns
 STREAM_TIMEOUT = 120.0  # [s]
 PROFILED = Budget(least=3, most=30, seconds=0.5)  # frames whose stages are measured
 
-# Fields of RenderSettings that differ, by the name of the variant.
-VARIANTS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "quads": {"rasterizer": "QUADS"},
-    "tiles": {"rasterizer": "TILES"},
-    "float blending": {"float_blending": True},
-}
 DEFAULT_ONLY = ("default",)  # of a quick run, and where no GPU draws
 
 

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from rosplat_tools.bench.records import Budget
 
 FULL_BUDGET = Budget(least=7, most=200, seconds=2.0)
 QUICK_BUDGET = Budget(least=3, most=30, seconds=0.3)
+
+# Fields of RenderSettings that differ, by the name of the variant.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "quads": {"rasterizer": "QUADS"},
+    "tiles": {"rasterizer": "TILES"},
+    "float blending": {"float_blending": True},
+}
 
 
 @dataclass(frozen=True)
@@ -16,7 +25,7 @@ class Plan:
     """Empty sizes, backends and variants: each subject's own choice.
 
     sizes: of procedural scenes. scenes: by name, besides. backends: of the sorter. variants: of the
-    renderer's settings, see frame.VARIANTS. displays: files that list others, for rviz.
+    renderer's settings, see VARIANTS. displays: files that list others, for rviz.
     one_process: growth without ROS 2. out: a folder for logs.
     """
 

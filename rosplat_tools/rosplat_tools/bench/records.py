@@ -142,10 +142,12 @@ def load(paths: Iterable[Path]) -> list[Record]:
     for path in paths:
         try:
             entries = json.loads(path.read_text(encoding="utf-8"))
-            records += [
-                Record(**{name: value for name, value in entry.items() if name in known})
-                for entry in entries
-            ]
+            for number, entry in enumerate(entries):
+                if not isinstance(entry, dict):
+                    raise ValueError(f"record {number} is no object")
+                if lacking := known - entry.keys():
+                    raise ValueError(f"record {number} lacks {', '.join(sorted(lacking))}")
+                records.append(Record(**{name: entry[name] for name in known}))
         except OSError as error:
             raise RecordError(f"{path}: {error.strerror or error}") from error
         except (ValueError, TypeError, AttributeError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -13,7 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from tqdm import tqdm
 
 from rosplat_sorter.view import OVERSCAN
 from rosplat_tools import reference
@@ -24,6 +24,7 @@ from rosplat_tools.lab.bench import SOURCE, VIEW_ID, Bench, Image
 from rosplat_tools.lab.methods import widened
 from rosplat_tools.lab.orders import Order
 from rosplat_tools.lab.points import MOST_PSNR
+from rosplat_tools.lab.progress import progress
 from rosplat_tools.metrics import psnr
 from rosplat_tools.reference import harmonics
 from rosplat_tools.reference.projection import rotation_matrices
@@ -75,12 +76,16 @@ def case(title: str, axis: str, unit: str = "PSNR [dB]") -> Callable[[Any], Any]
 def explore(bench: Bench, quick: bool, names: Sequence[str] = ()) -> list[Finding]:
     """What all cases find, or those of some names."""
     findings = []
-    for name in tqdm(names or CASES, "atlas", unit="case", disable=None):
-        entry = CASES[name]
-        xs, curves = entry.measure(bench, quick)
-        findings.append(
-            Finding(name, entry.title, entry.axis, entry.unit, [float(x) for x in xs], curves)
-        )
+    with progress("atlas", len(names or CASES), "case") as done:
+        for name in names or CASES:
+            entry = CASES[name]
+            if done.disable:  # no terminal
+                print(f"atlas: {entry.title}", file=sys.stderr, flush=True)
+            xs, curves = entry.measure(bench, quick)
+            findings.append(
+                Finding(name, entry.title, entry.axis, entry.unit, [float(x) for x in xs], curves)
+            )
+            done.update()
     return findings
 
 

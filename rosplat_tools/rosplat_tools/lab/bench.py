@@ -66,16 +66,24 @@ class Bench:
         self.repeats = repeats
         self.backends: dict[str, Backend] = {}
         self.unavailable: dict[str, str] = {}
-        for name in BACKENDS:
-            try:
-                self.backends[name] = open_backend(name, threads)
-            except Unavailable as reason:
-                self.unavailable[name] = str(reason)
+        try:
+            for name in BACKENDS:
+                try:
+                    self.backends[name] = open_backend(name, threads)
+                except Unavailable as reason:
+                    self.unavailable[name] = str(reason)
+        except BaseException:
+            self.close()
+            raise
         self.splats: Splats
         self._baselines: dict[object, Baseline] = {}
         self._maps = 0
         self._revision = 0
         self._sequence = 0
+
+    def close(self) -> None:
+        """Closes the renderer's window, which must be before its display closes."""
+        del self.renderer
 
     def show(self, splats: Splats) -> None:
         """Replaces the map, in the renderer and in every backend."""

@@ -15,21 +15,24 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from tqdm import tqdm
 
+from rosplat_tools.arguments import make_folder, whole
 from rosplat_tools.bench.machine import commit, machine
 from rosplat_tools.cameras import Camera
 from rosplat_tools.lab import accuracy, atlas, charts, motion, points, report, stability
 from rosplat_tools.lab.bench import Bench
 from rosplat_tools.lab.methods import METHODS, Method
 from rosplat_tools.lab.points import MOST_PSNR, Point, Store
+from rosplat_tools.lab.progress import progress
 from rosplat_tools.lab.workers import Comparison, Image, Reference, Workers
-from rosplat_tools.processes import interrupt_by_signals
 from rosplat_tools.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_tools.splats import SceneError, Splats
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 QUICK_CAMERAS = 3
+LONGEST_SIDE, MOST_PIXELS = 16384, 1 << 25  # as the renderer has them (splat_camera.cpp)
 HELD_FOR_EACH_CORE = 8  # pictures that wait to be compared
 
 
@@ -77,23 +80,18 @@ def measure(
         for job in missing
         if not job.truth.exists()
     }
-    references = tqdm(
-        workers.run(undrawn.values()), f"{scene.name}: reference", len(undrawn), unit="picture",
-        disable=None if undrawn else True,
-    )  # fmt: skip
-    for _ in references:
-        pass
-    with tqdm(
-        total=len(jobs), initial=len(jobs) - len(missing), desc=scene.name, unit="picture",
-        disable=None,
-    ) as progress:  # fmt: skip
+    if undrawn:
+        with progress(f"{scene.name}: reference", len(undrawn), "picture") as drawn:
+            for _ in workers.run(undrawn.values()):
+                drawn.update()
+    with progress(scene.name, len(jobs), "picture", len(jobs) - len(missing)) as measured:
 
         def compare(part: Sequence[tuple[Job, Image | None]]) -> None:
             tasks = [_comparison(job, picture, scene, store) for job, picture in part]
             for number, values in workers.run(tasks):
                 values["psnr"] = min(values["psnr"], MOST_PSNR)
                 store.add(replace(part[number][0].point, **values))
-                progress.update()
+                measured.update()
 
         compare([(job, None) for job in missing if not job.method.shoot])
         shot: list[tuple[Job, Image | None]] = []
@@ -165,9 +163,10 @@ def main(arguments: list[str] | None = None) -> int:
         "--docs", type=Path, help="folder for accuracy.md, stability.md and their pictures (--out)"
     )
     parser.add_argument("--quick", action="store_true", help="few cameras, small atlas: minutes")
-    parser.add_argument("--cameras", type=int, help="for each scene (8; quick: 3)")
-    parser.add_argument("--width", type=int, default=640, help="of the pictures [px]")
-    parser.add_argument("--height", type=int, default=360, help="of the pictures [px]")
+    parser.add_argument("--cameras", type=whole(1), help="for each scene (8; quick: 3)")
+    side = whole(1, LONGEST_SIDE)
+    parser.add_argument("--width", type=side, default=640, help="of the pictures [px]")
+    parser.add_argument("--height", type=side, default=360, help="of the pictures [px]")
     parser.add_argument(
         "--up", type=float, nargs=3, metavar=("X", "Y", "Z"),
         help="the scenes' vertical; files have 0 -1 0, procedural scenes 0 0 1",
@@ -176,9 +175,14 @@ def main(arguments: list[str] | None = None) -> int:
         "--only", nargs="+", default=[""], help="methods whose name or family holds one of these"
     )
     parser.add_argument(
-        "--threads", type=int, default=0, help="of sorters on the CPU (0: as many as there are)"
+        "--threads",
+        type=whole(0),
+        default=0,
+        help="of sorters on the CPU (0: as many as there are)",
     )
-    parser.add_argument("--repeats", type=int, default=3, help="times are the fastest of so many")
+    parser.add_argument(
+        "--repeats", type=whole(1), default=3, help="times are the fastest of so many"
+    )
     parser.add_argument(
         "--points", type=Path, nargs="+", metavar="lab.json",
         help="draw report and charts again from what earlier runs measured, instead of measuring",
@@ -188,7 +192,10 @@ def main(arguments: list[str] | None = None) -> int:
         "--part", choices=["all", "chart", "atlas"], default="all", help="what to measure"
     )
     options = parser.parse_args(arguments)
-    interrupt_by_signals()
+    if options.width * options.height > MOST_PIXELS:
+        parser.error("arguments --width, --height: 2^25 pixels at most")
+    if options.up and not (np.isfinite(options.up).all() and any(options.up)):
+        parser.error("argument --up: expected a direction, finite and not 0 0 0")
     options.cameras = options.cameras or (QUICK_CAMERAS if options.quick else 8)
     command = shlex.join(["lab", *(sys.argv[1:] if arguments is None else arguments)])
     try:
@@ -199,19 +206,21 @@ def main(arguments: list[str] | None = None) -> int:
         names = [] if options.part == "atlas" else options.scenes or [f"{PROCEDURAL}100000"]
         scenes = [load(name, options) for name in names]
         store = Store(options.out)
-        with ensure_display():
-            run(scenes, store, options, command)
+        with (
+            ensure_display(),
+            closing(Bench(options.threads, options.repeats)) as bench,
+        ):
+            run(bench, scenes, store, options, command)
     except (SceneError, RuntimeError, OSError) as error:
         print(f"lab: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
     return 0
 
 
-def run(scenes: list[Scene], store: Store, options: argparse.Namespace, command: str) -> None:
+def run(
+    bench: Bench, scenes: list[Scene], store: Store, options: argparse.Namespace, command: str
+) -> None:
     """Measures, and writes all there is to see into the store's folder."""
-    bench = Bench(options.threads, options.repeats)
     for name, reason in bench.unavailable.items():
         print(f"without the sorter {name}: {reason}", file=sys.stderr)
     wanted = [
@@ -221,7 +230,7 @@ def run(scenes: list[Scene], store: Store, options: argparse.Namespace, command:
         and method.available(bench)
     ]
     if options.part != "atlas":
-        with closing(Workers()) as workers:
+        with Workers() as workers:
             measured = [
                 point
                 for scene in scenes
@@ -236,7 +245,6 @@ def run(scenes: list[Scene], store: Store, options: argparse.Namespace, command:
         atlas.save(store.folder / "stability.json", findings)
         facts = f"{bench.graphics}, {machine()}, commit {commit()}"
         print(f"wrote {stability.write(options.docs or store.folder, findings, facts)}")
-    del bench  # its window before the display
 
 
 def write(folder: Path, measured: list[Point], options: argparse.Namespace) -> None:
@@ -250,7 +258,7 @@ def write(folder: Path, measured: list[Point], options: argparse.Namespace) -> N
             if point.gpu.startswith(name)
         ]
     docs = options.docs or folder
-    docs.mkdir(parents=True, exist_ok=True)
+    make_folder(docs)
     written = [
         report.write(folder, measured),
         accuracy.write(docs, measured, options.remark),

@@ -8,10 +8,12 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rosplat_tools import reference
+from rosplat_tools.arguments import make_folder
 from rosplat_tools.cameras import Camera
 from rosplat_tools.lab import bench, fragments, motion, orders, viewers
 from rosplat_tools.splats import SceneError, Splats
@@ -56,7 +58,7 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         self._file = folder / "points.jsonl"
         self._points = {point.key: point for point in _read(self._file)}
 
@@ -153,9 +155,23 @@ def load(path: Path) -> list[Point]:
     """Reads what save wrote. Raises OSError, or SceneError where it is something else."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        return [Point(**kept["runs"][row.pop("run")], **row) for row in kept["points"]]
+        if not isinstance(kept, dict):
+            raise ValueError("no object with runs and points")
+        points = [_point(kept["runs"], row, number) for number, row in enumerate(kept["points"])]
+        if not points:
+            raise ValueError("no points")
+    except KeyError as error:
+        raise SceneError(f"{path}: not what lab writes: no field {error}") from error
     except (ValueError, LookupError, TypeError) as error:
         raise SceneError(f"{path}: not what lab writes: {error}") from error
+    return points
+
+
+def _point(runs: list[dict[str, str]], row: dict[str, Any], number: int) -> Point:
+    values = runs[row["run"]] | {name: value for name, value in row.items() if name != "run"}
+    if wrong := values.keys() ^ {field.name for field in fields(Point)}:
+        raise ValueError(f"point {number} lacks, or is not to have, {', '.join(sorted(wrong))}")
+    return Point(**values)
 
 
 def _short(value: object) -> object:

@@ -9,10 +9,12 @@ import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from rosplat_tools.cameras import Camera
 from rosplat_tools.lab import report
 from rosplat_tools.lab.methods import METHODS
 from rosplat_tools.metrics import compare
+from rosplat_tools.processes import ENDINGS
 from rosplat_tools.scenes import load_scene
 from rosplat_tools.splats import Splats
 
@@ -71,29 +74,54 @@ class Comparison:
 
 
 class Workers:
-    """Processes for tasks: the above."""
+    """Processes for tasks: the above. Where the block is left by an exception, they end at once."""
 
     def __init__(self) -> None:
         self.count = len(os.sched_getaffinity(0))
         # Libraries read this when they are loaded: each process is to use one core.
         os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        self._pool = ProcessPoolExecutor(self.count, get_context("spawn"), _leave_interrupts)
+        self._pool = ProcessPoolExecutor(self.count, get_context("spawn"))
+
+    def __enter__(self) -> Workers:
+        return self
 
     def run(self, tasks: Iterable[Callable[[], Any]]) -> Iterator[tuple[int, Any]]:
         """The number of each task and what it answers, as they end."""
-        numbers = {self._pool.submit(task): number for number, task in enumerate(tasks)}
+        with _uninterrupted():  # processes start here
+            numbers = {self._pool.submit(task): number for number, task in enumerate(tasks)}
         for future in as_completed(numbers):
             yield numbers[future], future.result()
 
-    def close(self) -> None:
-        """Ends what runs, and forgets what waits."""
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if kind:
+            for process in active_children():
+                process.terminate()
         self._pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Interrupts after the block. Processes that start in it never hear Ctrl-C: the parent does."""
+    late: list[int] = []
+    handlers = {
+        number: signal.signal(number, lambda number, _: late.append(number)) for number in ENDINGS
+    }
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which processes inherit
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    if late:
+        raise KeyboardInterrupt
 
 
 @lru_cache(maxsize=1)
 def _scene(name: str) -> Splats:
     return load_scene(name, lambda done: None, lambda text: None)
-
-
-def _leave_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides

@@ -27,9 +27,10 @@ from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
 from rosplat_msgs.srv import RenderView
+from rosplat_tools.arguments import make_folder, seconds
 from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.metrics import compare
-from rosplat_tools.processes import Processes, interrupt_by_signals, quoted
+from rosplat_tools.processes import Processes, quoted
 from rosplat_tools.scenes import NAMES, PROCEDURAL
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
@@ -235,14 +236,13 @@ def main(arguments: list[str] | None = None) -> int:
         "--format", choices=["png16", "png8", "npy"], default="png16", help="of the pictures"
     )
     parser.add_argument(
-        "--order-timeout", type=float, default=10.0, metavar="S",
+        "--order-timeout", type=seconds, default=10.0, metavar="S",
         help="how long to wait for the sorter before the renderer sorts [s]",
     )  # fmt: skip
     parser.add_argument(
         "--float-blending", action="store_true", help="blend in 32-bit instead of 16-bit floats"
     )
     options = parser.parse_args(arguments)
-    interrupt_by_signals()
     rows: list[dict[str, object]] = []
 
     def keep(camera: Camera, color: NDArray[np.float32], answer: RenderView.Response) -> None:
@@ -265,7 +265,7 @@ def main(arguments: list[str] | None = None) -> int:
         check(options.cameras, cameras)
         if not options.scene.startswith(PROCEDURAL) and not Path(options.scene).exists():
             raise SceneError(f"{options.scene}: no such file")
-        options.out.mkdir(parents=True, exist_ok=True)
+        make_folder(options.out)
         # rclpy's own handlers shut ROS down under code that is just using it.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         render(
@@ -277,8 +277,6 @@ def main(arguments: list[str] | None = None) -> int:
     except (RuntimeError, OSError, ValueError) as error:
         print(f"render: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
     finally:
         rclpy.try_shutdown()
 
@@ -309,7 +307,3 @@ def _commit() -> str:
         ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
     )
     return git.stdout.strip()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,44 @@
+"""What commands check of their arguments, each refused by a line that names it."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+
+def whole(least: int, most: int = sys.maxsize) -> Callable[[str], int]:
+    """A type for argparse: whole numbers from least to most."""
+    wanted = f"{least} or more" if most == sys.maxsize else f"{least} to {most}"
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"'{text}' is no whole number, {wanted}")
+        return value
+
+    return parse
+
+
+def seconds(text: str) -> float:
+    """A type for argparse: finite times that are not negative. [s]"""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise argparse.ArgumentTypeError(f"'{text}' is no time in seconds, 0 or more")
+    return value
+
+
+def make_folder(folder: Path) -> None:
+    """Makes a folder for results where there is none. Raises OSError that says which, and why."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"{folder}: no folder for results: {error.strerror}") from error
