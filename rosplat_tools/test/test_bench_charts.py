@@ -53,6 +53,13 @@ def test_the_band_reaches_to_the_95th_percentile(orders: list[Record]) -> None:
     assert path.vertices[:, 1].max() == pytest.approx(19)  # between 10, 10 and 20
 
 
+def test_a_rate_says_its_unit() -> None:
+    chain = next(chart for chart in charts.CHARTS if chart.file == "chain-latency")
+    measured = Measurement.of("pose to picture", "ms", 1, "s", 10, rate=30.0, backend="native")
+    (legend,) = charts.figure(chain, [Record.of("chain", measured, HERE)]).legends
+    assert [text.get_text() for text in legend.get_texts()] == ["30 Hz, native"]
+
+
 def test_the_command_draws_files_and_only_what_they_hold(
     orders: list[Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rosplat_tools.arguments import make_folder
 from rosplat_tools.bench.records import Record
 
 Key = Callable[[Record], str]
@@ -22,6 +23,11 @@ def parameter(*names: str) -> Key:
     return lambda record: ", ".join(
         str(record.parameters[name]) for name in names if name in record.parameters
     )
+
+
+def at_rate(record: Record) -> str:
+    """The backend, and how often the camera moves."""
+    return f"{record.parameters['rate']:g} Hz, {record.parameters['backend']}"
 
 
 @dataclass(frozen=True)
@@ -88,11 +94,11 @@ CHARTS = (
     ),
     Chart(
         "network-orders", "network", "orders", "Orders over a line between two machines",
-        "orders a second", parameter("rate", "backend"), log=False, band=False,
+        "orders a second", at_rate, log=False, band=False,
     ),
     Chart(
         "chain-latency", "chain", "pose to picture", "From pose to picture", "time [ms]",
-        parameter("rate", "backend"),
+        at_rate,
     ),
     Chart(
         "growth-fps", "growth", "frame rate", "Frame rate as the map grows", "frames a second",
@@ -100,7 +106,7 @@ CHARTS = (
     ),
     Chart(
         "growth-orders", "growth", "orders", "Orders as the map grows", "orders a second",
-        parameter("backend", "by"), band=False,
+        parameter("backend", "by"), log=False, band=False,  # few splats may see no order: 0
     ),
     Chart(
         "growth-ram", "growth", "RAM", "Memory as the map grows", "resident [MB]",
@@ -162,7 +168,7 @@ def draw(records: Sequence[Record], folder: Path, statistic: str = "p50") -> lis
 
     statistic: the field of Record that is drawn.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     drawn = []
     for chart in CHARTS:
         mine = of_chart(chart, records)

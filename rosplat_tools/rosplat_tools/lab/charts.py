@@ -15,6 +15,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogFormatter
 
+from rosplat_tools.arguments import make_folder
 from rosplat_tools.lab.methods import MODEL
 from rosplat_tools.lab.pareto import Summary, front, summarise
 from rosplat_tools.lab.points import Point
@@ -33,6 +34,7 @@ GROUPS = {
     "Quality": ("quality",),
 }
 COLORS = ["#222222", "#1f77b4", "#9467bd", "#2ca02c", "#ff7f0e", "#8c564b", "#d62728", "#e6b800"]
+BELOW = (0.5, -0.18)  # an axis and its label, in its height
 MOST_COLUMNS = 3  # of panels
 NAMED = ("quality", "other viewers")  # besides those that nothing beats
 # Which number in a method's name its family varies.
@@ -50,7 +52,7 @@ CURVES = {
 def write(folder: Path, points: Sequence[Point]) -> list[Path]:
     """Writes accuracy.png and accuracy-curves.png."""
     summaries = summarise(points)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     with plt.rc_context(STYLE):
         return [
             _scatter(folder / "accuracy.png", summaries, points),
@@ -159,7 +161,7 @@ def _name(axes: Any, summaries: Sequence[Summary]) -> None:
 
 
 def _curves(path: Path, summaries: list[Summary]) -> Path:
-    figure, grid = plt.subplots(1, len(CURVES), figsize=(12, 3.2), constrained_layout=True)
+    figure, grid = plt.subplots(1, len(CURVES), figsize=(12, 4), constrained_layout=True)
     for axes, (title, (families, label, logarithmic)) in zip(grid, CURVES.items(), strict=True):
         for family in families:
             members = [summary for summary in summaries if summary.family == family]
@@ -173,7 +175,7 @@ def _curves(path: Path, summaries: list[Summary]) -> Path:
         if logarithmic:
             axes.set_xscale("log", base=2)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(fontsize=7)
+            axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=BELOW)
     grid[0].set_ylabel("PSNR [dB]")
     figure.savefig(path, dpi=110)
     plt.close(figure)

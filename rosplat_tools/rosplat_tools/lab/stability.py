@@ -12,6 +12,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from PIL import Image
 
+from rosplat_tools.arguments import make_folder
 from rosplat_tools.lab.atlas import Finding
 from rosplat_tools.lab.charts import STYLE
 
@@ -196,7 +197,7 @@ NOTES = {
 
 def write(folder: Path, findings: Sequence[Finding], facts: str) -> Path:
     """Writes stability.md and stability.png into a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     _chart(folder / "stability.png", findings)
     lines = [
         "# Where methods fail",
@@ -235,7 +236,7 @@ def _chart(path: Path, findings: Sequence[Finding]) -> None:
     rows = -(-len(curves) // COLUMNS)
     with plt.rc_context(STYLE | {"font.size": 7}):
         figure, grid = plt.subplots(
-            rows, COLUMNS, figsize=(3 * COLUMNS, 2.1 * rows), constrained_layout=True, squeeze=False
+            rows, COLUMNS, figsize=(3 * COLUMNS, 2.6 * rows), constrained_layout=True, squeeze=False
         )
         for axes in grid.flat[len(curves) :]:
             axes.axis("off")
@@ -251,7 +252,7 @@ def _chart(path: Path, findings: Sequence[Finding]) -> None:
             label = "" if finding.unit.startswith("PSNR") else f" ({finding.unit})"
             axes.set_title(finding.title + label, fontsize=7)
             axes.set_xlabel(finding.axis)
-            axes.legend(fontsize=5.5)
+            axes.legend(fontsize=5.5, loc="upper center", bbox_to_anchor=(0.5, -0.22))
         figure.savefig(path, dpi=90)
         plt.close(figure)
     with Image.open(path) as drawn:  # few colours: a third of the size
