@@ -2,8 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
+#include <iterator>
 #include <limits>
+#include <memory>
 #include <random>
+#include <thread>
 #include <vector>
 
 #include "rosplat_sorter/depth_order.hpp"
@@ -137,6 +141,47 @@ TEST(ThreadTeam, RunsEachMemberOnceARound) {
     team.run(1 + round % 4, [&](unsigned member) { ++runs[member]; });
   }
   EXPECT_EQ(runs, (std::vector<int>{1000, 750, 500, 250}));
+}
+
+#ifdef __linux__
+long threadsOfThisProcess() {
+  const auto tasks = std::filesystem::directory_iterator("/proc/self/task");
+  return std::distance(begin(tasks), end(tasks));
+}
+
+TEST(ThreadTeam, BeginsWithItsFirstWork) {
+  const long before = threadsOfThisProcess();
+  const DepthOrder idle(8);
+  ThreadTeam team(8);
+  EXPECT_EQ(threadsOfThisProcess(), before);
+  team.run(3, [](unsigned) {});
+  EXPECT_EQ(threadsOfThisProcess(), before + 2);
+  team.run(2, [](unsigned) {});
+  EXPECT_EQ(threadsOfThisProcess(), before + 2);
+}
+#endif
+
+TEST(ThreadTeam, IsOneForAllViewers) {
+  const auto team = ThreadTeam::ofViewers();
+  EXPECT_EQ(ThreadTeam::ofViewers(), team);
+  EXPECT_LE(team->size(), 16u);
+}
+
+TEST(ThreadTeam, ServesItsCallersInTurn) {
+  const auto team = std::make_shared<ThreadTeam>(3);
+  const Row row = cloud(200000, 0.5f);
+  const Slots expected = row.sort(lookAhead());
+  const auto sortOften = [&] {
+    DepthOrder sorter(team);
+    for (int i = 0; i < 20; ++i) {
+      EXPECT_EQ(
+          sorter.sort(lookAhead(), row.positions.data(), row.extents.data(), row.extents.size()),
+          expected);
+    }
+  };
+  std::thread other(sortOften);
+  sortOften();
+  other.join();
 }
 
 }  // namespace

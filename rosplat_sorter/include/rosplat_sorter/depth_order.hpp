@@ -15,6 +15,7 @@
 #include <cstdint>
 #include <cstring>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "rosplat_sorter/thread_team.hpp"
@@ -80,9 +81,15 @@ inline View makeView(const double rotation[9], const double translation[3], doub
 class DepthOrder {
  public:
   // Threads to sort with, the caller's included; 0 takes as many as the machine runs at once.
-  explicit DepthOrder(unsigned threads = 0) : team_(threads), parts_(team_.size()) {}
+  explicit DepthOrder(unsigned threads = 0) : DepthOrder(std::make_shared<ThreadTeam>(threads)) {}
+  // With a team that others sort with, too.
+  explicit DepthOrder(std::shared_ptr<ThreadTeam> team)
+      : team_(std::move(team)), parts_(team_->size()) {
+    // Here, where it may throw.
+    for (Part& part : parts_) part.buckets.reserve(std::size_t{1} << kDigitBits);
+  }
 
-  unsigned threads() const { return team_.size(); }
+  unsigned threads() const { return team_->size(); }
 
   // The visible slots of [0, count), back to front; of equal depths the higher slot first.
   // positions: 3 * count [m]; extents: count [m], negative for what is never visible.
@@ -177,8 +184,8 @@ class DepthOrder {
       for (auto& buffer : entries_) buffer.reset(new Entry[capacity_]);
     }
     const auto members =
-        static_cast<unsigned>(std::min<std::size_t>(team_.size(), 1 + count / kLeastShare));
-    team_.run(members, [&](unsigned member) {
+        static_cast<unsigned>(std::min<std::size_t>(team_->size(), 1 + count / kLeastShare));
+    team_->run(members, [&](unsigned member) {
       Part& part = parts_[member];
       part.begin = count * member / members;
       part.end = count * (member + 1) / members;
@@ -241,7 +248,7 @@ class DepthOrder {
       const unsigned shift = pass * digit_bits;
       const std::uint32_t mask = (1u << digit_bits) - 1;
       const auto digit = [=](const Entry& e) { return ((e.key - least) >> shift) & mask; };
-      team_.run(members, [&](unsigned member) {
+      team_->run(members, [&](unsigned member) {
         Part& part = parts_[member];
         if (pass > 0) {  // the first pass reads what each thread found, the next ones equal shares
           part.begin = total * member / members;
@@ -259,7 +266,7 @@ class DepthOrder {
         }
       }
       const bool last = pass + 1 == passes;
-      team_.run(members, [&](unsigned member) {
+      team_->run(members, [&](unsigned member) {
         const Part& part = parts_[member];
         std::size_t* target = parts_[member].buckets.data();
         if (last) {  // ascending depth, read from its end, is back to front
@@ -275,7 +282,7 @@ class DepthOrder {
     }
   }
 
-  ThreadTeam team_;
+  std::shared_ptr<ThreadTeam> team_;
   std::vector<Part> parts_;  // one for each thread
   std::array<std::unique_ptr<Entry[]>, 2> entries_;
   std::size_t capacity_ = 0;

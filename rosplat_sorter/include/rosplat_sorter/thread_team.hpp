@@ -5,22 +5,36 @@
 #include <condition_variable>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <utility>
 #include <vector>
 
 namespace rosplat_sorter {
 
-// Threads that wait for work between the short parallel steps of a sort. One caller at a time.
+// Threads that wait for work between the short parallel steps of a sort. They begin when there is
+// some first; callers take turns.
 class ThreadTeam {
  public:
   // threads counts the caller's own; 0 takes as many as the machine runs at once.
-  explicit ThreadTeam(unsigned threads) {
-    if (threads == 0) threads = std::max(1u, std::thread::hardware_concurrency());
-    for (unsigned member = 1; member < threads; ++member) {
-      workers_.emplace_back([this, member] { work(member); });
+  explicit ThreadTeam(unsigned threads) : size_(threads > 0 ? threads : machine()) {}
+
+  // The team of all who draw in a process, while any of them has it. A core stays theirs, but of
+  // two, sorting gains more than drawing loses.
+  static std::shared_ptr<ThreadTeam> ofViewers() {
+    constexpr unsigned kMost = 16;  // measured up to there
+    static std::mutex mutex;
+    static std::weak_ptr<ThreadTeam> team;
+    const std::lock_guard<std::mutex> lock(mutex);
+    std::shared_ptr<ThreadTeam> shared = team.lock();
+    if (!shared) {
+      const unsigned cores = machine();
+      shared = std::make_shared<ThreadTeam>(std::min(cores > 2 ? cores - 1 : cores, kMost));
+      team = shared;
     }
+    return shared;
   }
 
   ~ThreadTeam() {
@@ -35,29 +49,44 @@ class ThreadTeam {
   ThreadTeam(const ThreadTeam&) = delete;
   ThreadTeam& operator=(const ThreadTeam&) = delete;
 
-  unsigned size() const { return static_cast<unsigned>(workers_.size()) + 1; }
+  unsigned size() const { return size_; }
 
   // Runs task(0) ... task(members - 1) at once, task(0) in the caller, and returns when all are
   // done. members <= size(); the task must not throw.
   void run(unsigned members, const std::function<void(unsigned)>& task) {
-    if (members > 1) {
+    if (members < 2) return task(0);
+    const std::lock_guard<std::mutex> turn(callers_);
+    const unsigned helped = begin(members);
+    {
       const std::lock_guard<std::mutex> lock(mutex_);
       task_ = &task;
-      members_ = members;
-      running_ = members - 1;
+      members_ = helped;
+      running_ = helped - 1;
       ++round_;
       wake_.notify_all();
     }
     task(0);
-    if (members > 1) {
-      std::unique_lock<std::mutex> lock(mutex_);
-      done_.wait(lock, [this] { return running_ == 0; });
-    }
+    for (unsigned member = helped; member < members; ++member) task(member);
+    std::unique_lock<std::mutex> lock(mutex_);
+    done_.wait(lock, [this] { return running_ == 0; });
   }
 
  private:
-  void work(unsigned member) {
-    std::uint64_t seen = 0;
+  static unsigned machine() { return std::max(1u, std::thread::hardware_concurrency()); }
+
+  // Sees to it that there are so many, the caller included, or as many as the system lets be.
+  unsigned begin(unsigned members) {
+    try {
+      while (workers_.size() + 1 < members) {
+        const auto member = static_cast<unsigned>(workers_.size()) + 1;
+        workers_.emplace_back([this, member, seen = round_] { work(member, seen); });
+      }
+    } catch (const std::system_error&) {
+    }
+    return std::min(members, static_cast<unsigned>(workers_.size()) + 1);
+  }
+
+  void work(unsigned member, std::uint64_t seen) {
     std::unique_lock<std::mutex> lock(mutex_);
     while (true) {
       wake_.wait(lock, [&] { return stopping_ || round_ != seen; });
@@ -72,6 +101,8 @@ class ThreadTeam {
     }
   }
 
+  const unsigned size_;
+  std::mutex callers_;
   std::mutex mutex_;
   std::condition_variable wake_;
   std::condition_variable done_;

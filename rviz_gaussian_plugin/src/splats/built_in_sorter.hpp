@@ -87,7 +87,7 @@ class BuiltInSorter {
   std::vector<float> positions_, extents_;
   std::vector<std::uint64_t> changed_at_;  // revision of a slot's last change
   std::deque<Change> recent_;              // whose slots a merge sorts
-  rosplat_sorter::DepthOrder depth_order_;
+  rosplat_sorter::DepthOrder depth_order_{rosplat_sorter::ThreadTeam::ofViewers()};
   std::thread thread_;
 };
 
