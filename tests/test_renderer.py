@@ -749,8 +749,8 @@ def test_slots_are_read_back_as_they_were_sent(host: Host) -> None:
     splats = replace(cloud(70000, degree=2), origin=np.array([1e6, -2e6, 3.0]))
     host.show(splats)
     host.draw(CAMERAS["outside"])
-    for slot in (0, 65535, 65536, 69999):
-        (read,) = host.renderer.read_slots([slot])
+    slots = [69999, 0, 65536, 65535, 0]
+    for slot, read in zip(slots, host.renderer.read_slots(slots), strict=True):
         assert read["slot"] == slot
         np.testing.assert_allclose(
             read["position"], splats.positions[slot] + splats.origin, rtol=0, atol=1e-6

@@ -22,6 +22,7 @@ namespace {
 using rviz_common::interaction::Picked;
 using rviz_common::properties::Property;
 
+constexpr std::chrono::milliseconds kRefreshPeriod{250};  // of a map that changes all the time
 constexpr float kOutlineSigmas = 2;  // where a splat still has an eighth of its opacity
 constexpr float kBand0 = 0.28209479f;
 
@@ -125,6 +126,7 @@ void SplatSelection::onDeselect(const Picked& picked) {
 void SplatSelection::refresh() {
   const MapState& map = cloud_.scene().drawnMap();
   if (slots_.empty() || (map.id == read_map_ && map.revision == read_revision_)) return;
+  if (std::chrono::steady_clock::now() - read_at_ < kRefreshPeriod) return;
   read();
   shown_ = false;  // nor may it be now: the outlines are being drawn
 }
@@ -133,6 +135,7 @@ void SplatSelection::read() {
   const MapState& map = cloud_.scene().drawnMap();
   read_map_ = map.id;
   read_revision_ = map.revision;
+  read_at_ = std::chrono::steady_clock::now();
   std::vector<std::uint32_t> slots(slots_.begin(), slots_.end());
   slots.resize(std::min(slots.size(), kOutlined));
   splats_ = cloud_.scene().readSlots(slots);

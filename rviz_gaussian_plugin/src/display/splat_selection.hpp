@@ -2,6 +2,7 @@
 
 #include <OgreMaterial.h>
 
+#include <chrono>
 #include <functional>
 #include <map>
 #include <memory>
@@ -36,7 +37,7 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
                  SelectCallback on_select);
   ~SplatSelection() override;
 
-  // Render thread: reads the selected slots again where the map has changed.
+  // Render thread: reads the selected slots again where the map has changed, some times a second.
   void refresh();
 
   // rviz_common::interaction::SelectionHandler
@@ -64,6 +65,7 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
   std::vector<SplatValues> splats_;  // of the first kOutlined of them
   std::string read_map_;             // as it was when they were read
   std::uint64_t read_revision_ = 0;
+  std::chrono::steady_clock::time_point read_at_;
   bool shown_ = true;  // outlines and panel show what was read
   Ogre::SceneNode* outline_node_;
   std::unique_ptr<Ogre::ManualObject> outlines_;

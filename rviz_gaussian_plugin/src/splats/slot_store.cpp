@@ -90,28 +90,4 @@ std::size_t SlotStore::bytes() const {
   return bytes;
 }
 
-SplatValues SlotStore::read(std::uint32_t slot) const {
-  SplatValues values;
-  values.slot = slot;
-  const std::size_t offset = slot % kPageSlots;
-  const auto found = pages_.find(slot - slot % kPageSlots);
-  if (found == pages_.end()) return values;  // an empty slot
-  std::array<std::uint32_t, kSlotWords> words{};
-  std::array<std::array<std::uint32_t, kBandWords.back()>, kMaxShDegree + 1> bands{};
-  found->second.slots.read(offset * sizeof(words), words.data(), sizeof(words));
-  for (int band = 1; band <= sh_degree_; ++band) {
-    found->second.bands[band].read(offset * bandBytes(band), bands[band].data(), bandBytes(band));
-  }
-  const Splat splat = unpackSlot(words.data());
-  std::copy(splat.position.begin(), splat.position.end(), values.position.begin());
-  values.orientation = splat.orientation;
-  values.scale = splat.scale;
-  values.opacity = splat.opacity;
-  values.sh.assign(splat.color.begin(), splat.color.end());
-  const std::vector<float> sh = unpackHarmonics(
-      words.data(), sh_degree_, {nullptr, bands[1].data(), bands[2].data(), bands[3].data()});
-  values.sh.insert(values.sh.end(), sh.begin(), sh.end());
-  return values;
-}
-
 }  // namespace rosplat

@@ -31,9 +31,6 @@ class SlotStore {
   int shDegree() const { return sh_degree_; }
   std::size_t bytes() const;
 
-  // A slot as it is drawn, relative to the map's origin. Waits for the graphics card.
-  SplatValues read(std::uint32_t slot) const;
-
  private:
   Page& page(std::uint32_t first_slot, bool overwritten);
   void addBands(int degree);

@@ -28,6 +28,7 @@ const ShaderSource& checked(const ShaderSource& source) {
 SplatRenderer::SplatRenderer(const ShaderSource& source)
     : accelerated_(isAccelerated()),
       shaders_(checked(source)),
+      reader_(shaders_),
       sort_(shaders_),
       splats_(shaders_, sort_, tallies_),
       tiles_(shaders_, sort_, tallies_),
@@ -264,9 +265,8 @@ void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
 }
 
 std::vector<SplatValues> SplatRenderer::readSlots(const std::vector<std::uint32_t>& slots) const {
-  std::vector<SplatValues> splats;
-  for (const std::uint32_t slot : slots) splats.push_back(store_.read(slot));
-  return splats;
+  const gl::StateGuard guard;
+  return reader_.read(store_, slots);
 }
 
 std::vector<float> SplatRenderer::readColor() const {

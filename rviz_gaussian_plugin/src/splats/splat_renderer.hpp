@@ -18,6 +18,7 @@
 #include "radix_sort.hpp"
 #include "render_settings.hpp"
 #include "shaders.hpp"
+#include "slot_reader.hpp"
 #include "slot_store.hpp"
 #include "splat_camera.hpp"
 #include "splat_picker.hpp"
@@ -115,6 +116,7 @@ class SplatRenderer {
   bool accelerated_;
   Shaders shaders_;
   SlotStore store_;
+  SlotReader reader_;
   Tallies tallies_;
   RadixSort sort_;
   std::optional<bool> sorts_;
