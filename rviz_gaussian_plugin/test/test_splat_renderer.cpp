@@ -5,8 +5,10 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <fstream>
+#include <map>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -146,6 +148,149 @@ float greatestDifference(const std::vector<float>& a, const std::vector<float>& 
   return greatest;
 }
 
+// What others may have set, and rely on: values by name, unit or index, component.
+using State = std::map<std::array<GLuint, 3>, GLint>;
+
+State state() {
+  State values;
+  const auto get = [&](GLenum name, GLuint of = 0, GLuint count = 1) {
+    std::array<GLint, 4> got{};
+    glGetIntegerv(name, got.data());
+    for (GLuint i = 0; i < count; ++i) values[{name, of, i}] = got[i];
+  };
+  for (const GLenum name : {GL_CURRENT_PROGRAM,
+                            GL_VERTEX_ARRAY_BINDING,
+                            GL_ARRAY_BUFFER_BINDING,
+                            GL_DRAW_FRAMEBUFFER_BINDING,
+                            GL_READ_FRAMEBUFFER_BINDING,
+                            GL_RENDERBUFFER_BINDING,
+                            GL_COPY_READ_BUFFER_BINDING,
+                            GL_COPY_WRITE_BUFFER_BINDING,
+                            GL_DRAW_INDIRECT_BUFFER_BINDING,
+                            GL_DISPATCH_INDIRECT_BUFFER_BINDING,
+                            GL_PIXEL_PACK_BUFFER_BINDING,
+                            GL_PACK_ROW_LENGTH,
+                            GL_PACK_ALIGNMENT,
+                            GL_PACK_SKIP_PIXELS,
+                            GL_UNPACK_ROW_LENGTH,
+                            GL_DEPTH_TEST,
+                            GL_DEPTH_FUNC,
+                            GL_DEPTH_WRITEMASK,
+                            GL_BLEND,
+                            GL_BLEND_SRC_RGB,
+                            GL_BLEND_DST_RGB,
+                            GL_BLEND_SRC_ALPHA,
+                            GL_BLEND_DST_ALPHA,
+                            GL_BLEND_EQUATION_RGB,
+                            GL_ALPHA_TEST,
+                            GL_CULL_FACE,
+                            GL_SCISSOR_TEST,
+                            GL_STENCIL_TEST,
+                            GL_POLYGON_OFFSET_FILL,
+                            GL_SAMPLE_ALPHA_TO_COVERAGE,
+                            GL_FRAMEBUFFER_SRGB,
+                            GL_ATTRIB_STACK_DEPTH,
+                            GL_CLIENT_ATTRIB_STACK_DEPTH,
+                            GL_MATRIX_MODE,
+                            GL_DRAW_BUFFER,
+                            GL_READ_BUFFER,
+                            GL_ACTIVE_TEXTURE}) {
+    get(name);
+  }
+  for (const GLenum name : {GL_VIEWPORT, GL_SCISSOR_BOX, GL_COLOR_WRITEMASK}) get(name, 0, 4);
+  get(GL_POLYGON_MODE, 0, 2);
+  for (GLuint unit = 0; unit < 4; ++unit) {
+    glActiveTexture(GL_TEXTURE0 + unit);
+    for (const GLenum name :
+         {GL_TEXTURE_BINDING_2D, GL_TEXTURE_BINDING_2D_MULTISAMPLE, GL_TEXTURE_2D}) {
+      get(name, unit);
+    }
+  }
+  glActiveTexture(static_cast<GLenum>(values[{GL_ACTIVE_TEXTURE, 0, 0}]));
+  for (GLuint i = 0; i < 16; ++i) {
+    glGetIntegeri_v(GL_SHADER_STORAGE_BUFFER_BINDING, i,
+                    &values[{GL_SHADER_STORAGE_BUFFER_BINDING, i, 0}]);
+  }
+  for (GLuint i = 0; i < 4; ++i) {
+    glGetIntegeri_v(GL_IMAGE_BINDING_NAME, i, &values[{GL_IMAGE_BINDING_NAME, i, 0}]);
+  }
+  return values;
+}
+
+// What isn't as it was before, nothing at best.
+State changed(const State& before) {
+  State now = state();
+  for (const auto& [name, value] : before) {
+    if (now[name] == value) now.erase(name);
+  }
+  return now;
+}
+
+// Leaves the state as awkward as an Ogre that has drawn other things might.
+class OthersState {
+ public:
+  OthersState() {
+    glGenTextures(4, textures_.data());
+    for (GLenum unit = 0; unit < 3; ++unit) {
+      glActiveTexture(GL_TEXTURE0 + unit);
+      glBindTexture(GL_TEXTURE_2D, textures_[unit]);
+    }
+    glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, textures_[3]);
+    glActiveTexture(GL_TEXTURE0);
+    glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, textures_[3]);
+    glActiveTexture(GL_TEXTURE1);
+    glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, textures_[3]);
+    glGenBuffers(2, buffers_.data());
+    glBindBuffer(GL_ARRAY_BUFFER, buffers_[0]);
+    glBindBuffer(GL_PIXEL_PACK_BUFFER, buffers_[1]);
+    for (const GLenum target :
+         {GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, GL_DISPATCH_INDIRECT_BUFFER}) {
+      glBindBuffer(target, 0);
+    }
+    glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, 16, nullptr);
+    glBindImageTextures(0, 4, nullptr);
+    glPixelStorei(GL_PACK_ROW_LENGTH, 7);
+    glPixelStorei(GL_PACK_SKIP_PIXELS, 1);
+    for (const GLenum on : kOn) glEnable(on);
+    glAlphaFunc(GL_NEVER, 0);
+    glStencilFunc(GL_NEVER, 0, 0xff);
+    glScissor(1, 2, 3, 4);
+    glCullFace(GL_FRONT_AND_BACK);
+    glDepthFunc(GL_NEVER);
+    glDepthMask(GL_FALSE);
+    glColorMask(GL_FALSE, GL_TRUE, GL_FALSE, GL_TRUE);
+    glBlendFunc(GL_ZERO, GL_ZERO);
+    glBlendEquation(GL_FUNC_SUBTRACT);
+    glPolygonMode(GL_FRONT_AND_BACK, GL_LINE);
+  }
+  ~OthersState() {
+    glDeleteTextures(4, textures_.data());
+    glDeleteBuffers(2, buffers_.data());
+    glPixelStorei(GL_PACK_ROW_LENGTH, 0);
+    glPixelStorei(GL_PACK_SKIP_PIXELS, 0);
+    for (const GLenum on : kOn) glDisable(on);
+    glDepthFunc(GL_LESS);
+    glDepthMask(GL_TRUE);
+    glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
+    glBlendEquation(GL_FUNC_ADD);
+    glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
+  }
+  OthersState(const OthersState&) = delete;
+  OthersState& operator=(const OthersState&) = delete;
+
+ private:
+  static constexpr std::array<GLenum, 8> kOn{GL_ALPHA_TEST,
+                                             GL_STENCIL_TEST,
+                                             GL_SCISSOR_TEST,
+                                             GL_CULL_FACE,
+                                             GL_DEPTH_TEST,
+                                             GL_POLYGON_OFFSET_FILL,
+                                             GL_SAMPLE_ALPHA_TO_COVERAGE,
+                                             GL_BLEND};
+  std::array<GLuint, 4> textures_{};
+  std::array<GLuint, 2> buffers_{};
+};
+
 class SplatRendererTest : public testing::Test {
  protected:
   void SetUp() override {
@@ -218,4 +363,37 @@ TEST_F(SplatRendererTest, IsHiddenByAnOpaqueSceneInWhateverDepthFormat) {
     }
   }
   EXPECT_GT(greatestDifference(all, hidden.front()), 0.2f);
+}
+
+// Neither spoils what others have set a picture, nor what is drawn here theirs.
+TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
+  SplatScene scene(shaders());
+  fill(scene);
+  const Framebuffer window(GL_DEPTH24_STENCIL8, 4, windowDepth(6));
+  const RenderSettings settings;
+  const DrawTranslucent translucent = [] {};
+  for (const Rasterizer rasterizer : {Rasterizer::kQuads, Rasterizer::kTiles}) {
+    const auto expected = picture(scene, rasterizer, OrderSource::kGpu, Canvas::kWindow);
+    const auto depth = scene.readDepth();
+    const OthersState others;
+    const State before = state();
+    EXPECT_EQ(picture(scene, rasterizer, OrderSource::kGpu, Canvas::kWindow), expected);
+    EXPECT_EQ(changed(before), State());
+    const auto depth_now = scene.readDepth();
+    for (std::size_t i = 0; i < depth.size(); ++i) {
+      EXPECT_TRUE(depth_now[i] == depth[i] || std::isnan(depth[i])) << i;
+    }
+    EXPECT_EQ(changed(before), State());
+    scene.draw("view", settings, Canvas::kWindow, false, translucent);
+    EXPECT_EQ(changed(before), State());
+    scene.hideFarther();
+    scene.drawBefore();
+    EXPECT_EQ(changed(before), State());
+    scene.drawSurface(camera(), settings, Canvas::kWindow, 100);
+    EXPECT_EQ(changed(before), State());
+    scene.drawPick(camera(), settings, Canvas::kWindow, 0);
+    scene.readPick();
+    scene.readSlots({1, 2, 3});
+    EXPECT_EQ(changed(before), State());
+  }
 }

@@ -7,6 +7,10 @@
 
 namespace rosplat::gl {
 
+namespace {
+constexpr GLint kStorageBindings = 13, kImageUnits = 3;  // that shaders use
+}
+
 Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
   dropErrors();
   glGenBuffers(1, &id_);
@@ -82,10 +86,14 @@ void Readback::ask(const Buffer& buffer) {
 }
 
 const GLuint* Readback::wait() const {
-  constexpr GLuint64 kSecond = 1'000'000'000;
-  while (glClientWaitSync(copied_, GL_SYNC_FLUSH_COMMANDS_BIT, kSecond) == GL_TIMEOUT_EXPIRED) {
+  constexpr GLuint64 kMinute = 60'000'000'000;  // that no frame takes, not even in software
+  switch (glClientWaitSync(copied_, GL_SYNC_FLUSH_COMMANDS_BIT, kMinute)) {
+    case GL_TIMEOUT_EXPIRED:
+    case GL_WAIT_FAILED:
+      throw Error("the graphics card doesn't answer any more");
+    default:
+      return mapped_;
   }
-  return mapped_;
 }
 
 namespace {
@@ -311,12 +319,14 @@ SampledDepth::SampledDepth(int width, int height, int samples)
     : width_(width), height_(height), samples_(samples) {
   bytes_ = 4 * static_cast<std::size_t>(width) * static_cast<std::size_t>(height) *
            static_cast<std::size_t>(samples);
+  GLint bound = 0;
+  glGetIntegerv(GL_TEXTURE_BINDING_2D_MULTISAMPLE, &bound);
   glGenTextures(1, &texture_);
   glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, texture_);
   // Not of immutable storage: Mesa 22.3 attaches that to a framebuffer only once.
   glTexImage2DMultisample(GL_TEXTURE_2D_MULTISAMPLE, samples, GL_DEPTH_COMPONENT24, width, height,
                           GL_TRUE);
-  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, 0);
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, static_cast<GLuint>(bound));
 }
 
 SampledDepth& SampledDepth::operator=(SampledDepth&& other) noexcept {
@@ -358,6 +368,19 @@ DepthScope::~DepthScope() {
   glViewport(viewport_[0], viewport_[1], viewport_[2], viewport_[3]);
 }
 
+std::vector<float> readPixels(int width, int height) {
+  std::vector<float> pixels(4 * static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+  glPushClientAttrib(GL_CLIENT_PIXEL_STORE_BIT);
+  glBindBuffer(GL_PIXEL_PACK_BUFFER, 0);
+  for (const GLenum none : {GL_PACK_ROW_LENGTH, GL_PACK_SKIP_ROWS, GL_PACK_SKIP_PIXELS,
+                            GL_PACK_SWAP_BYTES, GL_PACK_LSB_FIRST}) {
+    glPixelStorei(none, 0);
+  }
+  glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, pixels.data());
+  glPopClientAttrib();
+  return pixels;
+}
+
 StateGuard::StateGuard() {
   GLint draw = 0, read = 0;
   glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &draw);
@@ -370,6 +393,7 @@ StateGuard::StateGuard() {
   glGetIntegerv(GL_ACTIVE_TEXTURE, &active_texture_);
   glActiveTexture(GL_TEXTURE0);
   glGetIntegerv(GL_TEXTURE_BINDING_2D, &texture_);
+  glGetIntegerv(GL_TEXTURE_BINDING_2D_MULTISAMPLE, &sampled_texture_);
   // rviz's context is a compatibility profile: the attribute stack holds the rest.
   glPushAttrib(GL_ALL_ATTRIB_BITS);
 }
@@ -381,10 +405,17 @@ StateGuard::~StateGuard() {
   glPopAttrib();
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, static_cast<GLuint>(texture_));
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, static_cast<GLuint>(sampled_texture_));
   glActiveTexture(static_cast<GLenum>(active_texture_));
   glBindVertexArray(static_cast<GLuint>(vertex_array_));
   glBindBuffer(GL_ARRAY_BUFFER, static_cast<GLuint>(array_buffer_));
   glUseProgram(static_cast<GLuint>(program_));
+  glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, kStorageBindings, nullptr);
+  glBindImageTextures(0, kImageUnits, nullptr);
+  for (const GLenum target :
+       {GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, GL_DISPATCH_INDIRECT_BUFFER}) {
+    glBindBuffer(target, 0);
+  }
 }
 
 Stopwatch::~Stopwatch() {
@@ -426,9 +457,9 @@ std::string unsupported() {
   }
   GLint compute_buffers = 0;
   glGetIntegerv(GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS, &compute_buffers);
-  if (compute_buffers < 13) {
+  if (compute_buffers < kStorageBindings) {
     return "the graphics driver gives a compute shader " + std::to_string(compute_buffers) +
-           " storage buffers, 13 are needed" + driver;
+           " storage buffers, " + std::to_string(kStorageBindings) + " are needed" + driver;
   }
   return {};
 }

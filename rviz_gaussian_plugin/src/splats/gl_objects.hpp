@@ -70,7 +70,7 @@ class Readback {
 
   // Asks for the buffer as it is between what was submitted and what comes next.
   void ask(const Buffer& buffer);
-  // Waits for what was asked for last: its words.
+  // Waits for what was asked for last: its words. Throws Error where the graphics card is gone.
   const GLuint* wait() const;
 
  private:
@@ -211,7 +211,11 @@ class DepthScope {
   std::array<GLint, 4> viewport_{};
 };
 
-// Puts back, at the end of its scope, the state that Ogre believes is set.
+// The colour of the framebuffer that is bound for reading: RGBA, its first row first.
+std::vector<float> readPixels(int width, int height);
+
+// Puts back, at the end of its scope, the state that Ogre believes is set, and lets go of what else
+// was bound: a context that draws no more would keep it in memory.
 class StateGuard {
  public:
   StateGuard();
@@ -222,7 +226,8 @@ class StateGuard {
   GLuint drawFramebuffer() const { return draw_framebuffer_; }
 
  private:
-  GLint program_ = 0, vertex_array_ = 0, active_texture_ = 0, texture_ = 0, array_buffer_ = 0;
+  GLint program_ = 0, vertex_array_ = 0, array_buffer_ = 0;
+  GLint active_texture_ = 0, texture_ = 0, sampled_texture_ = 0;
   GLuint draw_framebuffer_ = 0, read_framebuffer_ = 0;
 };
 

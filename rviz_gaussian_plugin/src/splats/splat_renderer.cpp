@@ -271,10 +271,9 @@ std::vector<SplatValues> SplatRenderer::readSlots(const std::vector<std::uint32_
 
 std::vector<float> SplatRenderer::readColor() const {
   const std::size_t row = 4 * static_cast<std::size_t>(color_.width());
-  std::vector<float> pixels(row * static_cast<std::size_t>(color_.height()));
   const gl::StateGuard guard;
   const gl::DrawScope scope(color_);
-  glReadPixels(0, 0, color_.width(), color_.height(), GL_RGBA, GL_FLOAT, pixels.data());
+  std::vector<float> pixels = gl::readPixels(color_.width(), color_.height());
   if (!raster_.top_first) {
     for (std::size_t top = 0, bottom = pixels.size() - row; top < bottom;
          top += row, bottom -= row) {
@@ -298,9 +297,9 @@ std::vector<float> SplatRenderer::readDepth() {
   quads_.blendDepth(splats_, depth_, raster_);
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
-  std::vector<float> blended(4 * columns * rows), depths(columns * rows);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
-  glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, blended.data());
+  const std::vector<float> blended = gl::readPixels(width, height);
+  std::vector<float> depths(columns * rows);
   for (std::size_t row = 0; row < rows; ++row) {
     const float* source = &blended[4 * columns * (raster_.top_first ? row : rows - 1 - row)];
     for (std::size_t column = 0; column < columns; ++column, source += 4) {
