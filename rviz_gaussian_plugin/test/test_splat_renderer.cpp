@@ -365,6 +365,32 @@ TEST_F(SplatRendererTest, IsHiddenByAnOpaqueSceneInWhateverDepthFormat) {
   EXPECT_GT(greatestDifference(all, hidden.front()), 0.2f);
 }
 
+// Stands for any reason: here the framebuffer isn't complete.
+TEST_F(SplatRendererTest, IsHiddenByNothingAndSaysSoWhereTheDriverKeepsTheDepth) {
+  SplatScene scene(shaders());
+  fill(scene);
+  const auto all = picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn);
+  const Framebuffer window(GL_DEPTH24_STENCIL8, 4, windowDepth(6));
+  GLuint other = 0;
+  glGenRenderbuffers(1, &other);
+  glBindRenderbuffer(GL_RENDERBUFFER, other);
+  glRenderbufferStorage(GL_RENDERBUFFER, GL_RGBA8, kSize, kSize);
+  glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_RENDERBUFFER, other);
+  for (int frame = 0; frame < 2; ++frame) {
+    EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn, Canvas::kWindow).size(),
+              all.size());
+    EXPECT_NE(scene.warning().find("nothing hides"), std::string::npos);
+  }
+  const auto now = scene.readColor();
+  for (std::size_t row = 0; row < kSize; ++row) {  // a window's first row is its last
+    for (std::size_t i = 0; i < 4 * kSize; ++i) {
+      EXPECT_NEAR(now[4 * kSize * row + i], all[4 * kSize * row + i], 1e-5f);
+    }
+  }
+  glDeleteRenderbuffers(1, &other);
+  gl::dropErrors();  // of laying the picture over such a framebuffer
+}
+
 // Neither spoils what others have set a picture, nor what is drawn here theirs.
 TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
   SplatScene scene(shaders());
