@@ -82,6 +82,13 @@ def test_a_program_that_ends_early_is_named_with_its_last_words(tmp_path: Path) 
             processes.check()
 
 
+def test_what_a_node_warned_of_is_told_without_the_rest_of_its_log(tmp_path: Path) -> None:
+    warn = "import rclpy.logging as l; n = l.get_logger('a.b'); n.info('one'); n.warning('[2]: x')"
+    with Processes(tmp_path) as processes:
+        processes.start("node", [sys.executable, "-c", warn]).wait(20)
+        assert processes.warnings("node") == ["[2]: x"]
+
+
 def test_what_is_not_there_can_t_be_started(tmp_path: Path) -> None:
     with Processes(tmp_path) as processes:
         with pytest.raises(ProcessError, match="ghost can't be started"):
