@@ -1,4 +1,7 @@
-"""rviz2 on a screen of its own, with a remote control: what the tests of the Display share."""
+"""rviz2 on a screen of its own, with a remote control: what the tests of the Display share.
+
+It draws in software on every machine, so that Order Source Auto asks a sidecar everywhere.
+"""
 
 from __future__ import annotations
 

@@ -30,7 +30,8 @@ def report(
         if via == "rviz" and not shutil.which("rviz2"):
             pytest.skip("no rviz2 here: the Display is not tested")
         cameras = reference_folder / scene / "cameras.json"
-        code = render.main([str(data_folder / file), str(cameras), str(tmp_path), "--via", via])
+        files = [str(data_folder / file), str(cameras), str(tmp_path)]
+        code = render.main([*files, "--via", via, "--sidecar", "native"])
         assert code == 0
         return json.loads((tmp_path / "report.json").read_text())
 

@@ -88,7 +88,7 @@ class Host:
 
     def draw(self, camera: Camera) -> np.ndarray:
         self.look(camera)
-        self.renderer.draw("test", built_in=True)
+        self.renderer.draw("test", sort_now=True)
         return self.renderer.read_color()
 
 
@@ -124,8 +124,7 @@ def default_settings(host: Host, request: pytest.FixtureRequest) -> Iterator[Non
     """Everything holds for both ways to blend, whoever sorts."""
     host.renderer.settings = RenderSettings()
     host.set(rasterizer=getattr(Rasterizer, request.param.upper()))
-    if request.param == "tiles":
-        host.set(order=OrderSource.GPU)
+    host.set(order=OrderSource.GPU if request.param == "tiles" else OrderSource.BUILT_IN)
     yield
     assert not host.renderer.failed(), "OpenGL reported an error"
 
@@ -700,6 +699,30 @@ def test_unsorted_and_built_in_orders_can_be_chosen(host: Host) -> None:
     assert host.renderer.draw("test")["order_source"] == "nobody"
     expected = reference.render(splats, CAMERAS["outside"], order=np.arange(300)).rgba
     assert decibels(host.renderer.read_color(), expected) >= 70
+
+
+def test_who_sorts_itself_wants_no_orders(host: Host) -> None:
+    software = "llvmpipe" in host.renderer.renderer_info
+    wants = {OrderSource.AUTO: software, OrderSource.SIDECAR: True}
+    for source in OrderSource.__members__.values():
+        host.set(order=source)
+        assert host.renderer.wants_orders() == wants.get(source, False)
+
+
+def test_what_is_sorted_now_is_sorted_where_that_takes_least(host: Host) -> None:
+    """By the graphics card where there is one, unless another is named."""
+    best = "built-in" if "llvmpipe" in host.renderer.renderer_info else "gpu"
+    named = {OrderSource.BUILT_IN: "built-in", OrderSource.GPU: "gpu", OrderSource.OFF: "nobody"}
+    splats = cloud(300)
+    host.show(splats)
+    for source in OrderSource.__members__.values():
+        host.set(order=source, float_blending=True)
+        host.look(CAMERAS["outside"])
+        report = host.renderer.draw("test", sort_now=True)
+        assert report["order_source"] == named.get(source, best)
+        unsorted = np.arange(300) if source == OrderSource.OFF else None
+        expected = reference.render(splats, CAMERAS["outside"], order=unsorted).rgba
+        assert decibels(host.renderer.read_color(), expected) >= 70
 
 
 @pytest.mark.parametrize("view", CAMERAS)

@@ -110,7 +110,7 @@ def test_the_sidecar_changes_its_backend(rviz: Rviz, world: World) -> None:
             rviz.until_status("Map", "Order", "Ok", f"sidecar ({backend})")
         rviz.set("Map", "Sidecar Backend", value="cupy")
         if not importlib.util.find_spec("cupy"):
-            rviz.until_status("Map", "Sidecar", "Warn", "cupy", "sidecar (native)")
+            rviz.until_status("Map", "Sidecar", "Warn", "cupy", "but the order is by sidecar (")
     finally:
         sorter.terminate()
         sorter.wait()

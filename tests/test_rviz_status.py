@@ -47,8 +47,10 @@ def test_bad_input_is_explained(rviz: Rviz, world: World, tmp_path: Path) -> Non
     assert rviz.status("Map").get("Scene File", ("Ok", ""))[0] == "Ok"
 
 
-def ask_for_picture(world: World, frame: str = "", topic: str = "/gaussians") -> Any:
-    """What the display answers to a camera that looks up at the map from a metre below."""
+def request_picture(
+    world: World, frame: str = "", topic: str = "/gaussians", order_timeout: float = 0.0
+) -> Any:
+    """The future of what the display answers to a camera that looks up from a metre below."""
     from rosplat_msgs.srv import RenderView
     from rosplat_tools.cameras import Camera
     from rosplat_tools.view_messages import view_camera
@@ -61,9 +63,14 @@ def ask_for_picture(world: World, frame: str = "", topic: str = "/gaussians") ->
     camera.header.frame_id = frame
     client = world.node.create_client(RenderView, f"{topic}/render")
     world.spin_until(client.service_is_ready)
-    future = client.call_async(RenderView.Request(camera=camera))
-    world.spin_until(future.done)
-    return future.result()
+    return client.call_async(RenderView.Request(camera=camera, order_timeout=order_timeout))
+
+
+def ask_for_picture(world: World, **request: Any) -> Any:
+    """What the display answers to that."""
+    picture = request_picture(world, **request)
+    world.spin_until(picture.done)
+    return picture.result()
 
 
 def test_pictures_are_answered_whatever_is_seen(rviz: Rviz, world: World) -> None:
@@ -73,15 +80,26 @@ def test_pictures_are_answered_whatever_is_seen(rviz: Rviz, world: World) -> Non
     world.map.replace(disc((1, 0, 0)))
     rviz.until_status("Map", "Transform", "Error", world.frame)
     for frame in ["", world.frame]:
-        answer = ask_for_picture(world, frame)
+        answer = ask_for_picture(world, frame=frame)
         assert answer.map_complete and answer.splats == 1
         color = np.frombuffer(answer.color.data, np.float32).reshape(16, 16, 4)
         assert color[8, 8, 0] > 0.9
-    answer = ask_for_picture(world, "elsewhere")
+    answer = ask_for_picture(world, frame="elsewhere")
     assert not answer.success and "elsewhere" in answer.message
     assert not red(rviz.picture()).any()
     world.place()
     rviz.until(lambda s: red(s).any())
+
+
+def test_pictures_wait_for_no_sidecar_where_the_display_sorts(rviz: Rviz, world: World) -> None:
+    world.map.replace(disc((1, 0, 0)))
+    rviz.until_status("Map", "Map", "Ok", "1 splats")
+    for source, sorter in [("GPU", "gpu"), ("Built-in", "built-in"), ("Off", "nobody")]:
+        rviz.set("Map", "Order Source", value=source)
+        answer = ask_for_picture(world, order_timeout=60.0)  # longer than this waits
+        assert answer.order_source == sorter
+    rviz.set("Map", "Order Source", value="Sidecar")
+    assert ask_for_picture(world, order_timeout=0.1).order_source == "built-in"
 
 
 def test_opengl_that_is_too_old(tmp_path: Path, world: World) -> None:

@@ -281,6 +281,37 @@ def test_each_view_says_who_sorted_it_and_asks_until_the_sidecar_did(
     world.spin_until(lambda: not any("view" in name for name in rviz.status("Map")))
 
 
+def test_a_display_that_sorts_itself_asks_no_sidecar(rviz: Rviz, world: World) -> None:
+    from geometry_msgs.msg import PoseStamped
+
+    views = Views(world)
+    poses: list[PoseStamped] = []
+    world.node.create_subscription(PoseStamped, "gaussians/camera/pose", poses.append, 10)
+    world.place()
+    itself = {"Order Source": "GPU", "Publish Camera": True}
+    rviz.load(configuration(map_display(**itself), view=FLY))
+    world.map.replace(cloud())
+    rviz.until_status("Map", "Order", "Ok", "by gpu", "fresh")
+    world.spin_until(lambda: poses and world.node.count_publishers("gaussians/view"))
+    rviz.set("Position", "X", value=3.0, root="view")
+    world.spin_until(lambda: poses[-1].pose.position.x == pytest.approx(3))
+    count = len(poses)
+    world.spin_until(lambda: len(poses) > count + 2)  # once a second
+    assert not views.cameras
+
+    rviz.set("Map", "Order Source", value="Sidecar")
+    world.spin_until(lambda: views.cameras)
+    (camera,) = views.cameras.values()
+    assert camera.pose.position.x == pytest.approx(3)
+    sorter = rviz.processes.node("rosplat_sorter", "sorter")
+    try:
+        rviz.until_status("Map", "Order", "Ok", "by sidecar", "fresh")
+    finally:
+        sorter.terminate()
+        sorter.wait()
+        rviz.processes.forget(sorter)
+
+
 def test_each_view_has_its_own_order(rviz: Rviz, world: World) -> None:
     """Blue over red from above, red over blue from below, with a sidecar and without."""
     from rosplat_tools.splats import concatenate

@@ -32,7 +32,13 @@ from rosplat_tools.parameters import declare
 from rosplat_tools.running import run, spinning
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
-from rviz_gaussian_plugin.offscreen import BatchError, OrderError, Renderer, ensure_display
+from rviz_gaussian_plugin.offscreen import (
+    BatchError,
+    OrderError,
+    OrderSource,
+    Renderer,
+    ensure_display,
+)
 
 DISCOVERY = 5.0  # how long stills wait for a sorter to be found [s]
 ASK_AGAIN = 0.25  # how long a still waits for an order before it asks for another [s]
@@ -42,6 +48,7 @@ STILL = (1280, 720)
 ORBIT = (480, 270)
 ORBIT_FRAMES = 36
 LONGEST_WAIT = 60.0  # for the order of a picture [s]
+ORDER_SOURCES = {name.lower(): source for name, source in OrderSource.__members__.items()}
 
 
 @dataclass(frozen=True)
@@ -83,11 +90,14 @@ class Viewer(Node):
         self.up: list[float] = declare(
             self, "up", [0.0, 0.0, 1.0], "Which way is up in the map's frame, for orbiting."
         )
+        order_source: str = declare(
+            self, "order_source", "auto", "Whose order is drawn: " + ", ".join(ORDER_SOURCES)
+        )
         self.order_timeout: float = declare(
             self,
             "order_timeout",
             2.0,
-            "How long a still waits for an order. [s]",
+            "How long a still waits for a sorter's order. [s]",
             0.0,
             LONGEST_WAIT,
         )
@@ -100,7 +110,13 @@ class Viewer(Node):
         )
         if len(self.up) != 3 or not any(self.up) or not np.isfinite(self.up).all():
             raise SceneError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
+        if order_source not in ORDER_SOURCES:
+            raise SceneError(
+                f"parameter order_source: expected one of {', '.join(ORDER_SOURCES)}, "
+                f"got '{order_source}'"
+            )
         self.renderer = Renderer()
+        self.renderer.settings.order = ORDER_SOURCES[order_source]
         if float_blending:
             self.renderer.settings.float_blending = True
         self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
@@ -206,7 +222,7 @@ class Viewer(Node):
         return self._sample.bounds()
 
     def look(self, camera: ViewCamera, name: str) -> str:
-        """Poses the camera of a view and asks for its order; returns the view's id."""
+        """Poses the camera of a view and asks for its order, if wanted; returns the view's id."""
         view_id = f"{self._instance}/{name}"
         self._sequence += 1
         camera.view_id, camera.sequence = view_id, self._sequence
@@ -223,15 +239,26 @@ class Viewer(Node):
         return view_id
 
     def _ask(self, camera: ViewCamera) -> None:
+        if not self.renderer.wants_orders():
+            self._published = 0.0  # once one is, it is asked for at once
+            return
         camera.segment_key = self.renderer.segment_key
         self._views.publish(camera)
         self._published = time.monotonic()
 
     def draw_still(self, camera: ViewCamera, name: str, order_timeout: float) -> Figures:
-        """Draws with the sorter's order, or after order_timeout [s] with one sorted here."""
+        """Draws with the sorter's order, or after order_timeout [s] with one sorted here.
+
+        Where no sorter's order is wanted, the renderer sorts at once.
+        """
         view_id = self.look(camera, name)
         deadline = time.monotonic() + order_timeout
-        while not (answered := self.renderer.has_order(view_id)) and time.monotonic() < deadline:
+        answered = False
+        while (
+            self.renderer.wants_orders()
+            and not (answered := self.renderer.has_order(view_id))
+            and time.monotonic() < deadline
+        ):
             if not self.context.ok():
                 raise ExternalShutdownException
             if not self._views.get_subscription_count():
@@ -243,7 +270,7 @@ class Viewer(Node):
             if time.monotonic() - self._published > ASK_AGAIN:
                 self.look(camera, name)
             time.sleep(0.001)
-        return self._figures(self.renderer.draw(view_id, built_in=not answered))
+        return self._figures(self.renderer.draw(view_id, sort_now=not answered))
 
     def draw_frame(self, view_id: str, camera: ViewCamera) -> Figures:
         """Draws with the best order there is."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from PIL import Image
 from rclpy.node import Node
 
@@ -17,6 +18,7 @@ from rosplat_msgs.srv import RenderView
 from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
 from rosplat_tools.cameras import Camera
 from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.running import spinning
 from rosplat_tools.splats import Splats
 from rosplat_tools.view_messages import view_camera
 
@@ -71,7 +73,8 @@ def await_map(listener: Any, publisher: MapPublisher) -> None:
 
 @pytest.fixture
 def viewer(start: Start) -> subprocess.Popen[str]:
-    return start("viewer", serve="true")
+    """On a graphics card, too, it asks for orders."""
+    return start("viewer", serve="true", order_source="sidecar")
 
 
 def test_a_picture_is_colour_alpha_and_depth(
@@ -183,7 +186,7 @@ def test_what_can_t_be_drawn_is_answered_with_the_reason(
 def test_it_ends_quietly_in_the_middle_of_a_request(
     start: Start, listener: Any, node: Node, number: signal.Signals
 ) -> None:
-    process = start("viewer", serve="true")
+    process = start("viewer", serve="true", order_source="sidecar")
     pending = listener.request(
         RenderView, "gaussians/render", camera=view_camera(CAMERA), order_timeout=60.0
     )
@@ -280,7 +283,7 @@ def test_with_a_display_a_window_asks_for_its_view(
     publisher.replace(discs((RED, 2.0)))
     views: list[ViewCamera] = []
     node.create_subscription(ViewCamera, "gaussians/view", views.append, VIEW)
-    process = start("viewer", width=320, height=240)
+    process = start("viewer", width=320, height=240, order_source="sidecar")
     listener.wait(lambda: views and views[-1].header.frame_id == "map")
     assert (views[-1].width, views[-1].height) == (320, 240)
     assert draw(listener).success  # it serves others meanwhile
@@ -290,10 +293,44 @@ def test_with_a_display_a_window_asks_for_its_view(
     assert "Traceback" not in output
 
 
-@pytest.mark.parametrize("up", [[0.0, 0.0, 0.0], [float("nan"), 0.0, 1.0]])
-def test_a_start_that_makes_no_sense_is_one_line_and_code_1(start: Start, up: list[float]) -> None:
-    process = start("viewer", up=up)
+def test_a_renderer_that_sorts_itself_asks_no_sorter(
+    display: str, node: Node, listener: Any
+) -> None:
+    from rosplat_tools.viewer import ORDER_SOURCES, Viewer
+
+    views: list[ViewCamera] = []
+    node.create_subscription(ViewCamera, "gaussians/view", views.append, VIEW)
+    publisher = MapPublisher(node)
+    publisher.replace(discs((RED, 2.0)))
+    namespace = f"__ns:={node.get_namespace()}"
+    rclpy.init(args=["--ros-args", "-r", namespace, "-p", "order_source:=gpu"])
+    viewer = Viewer()
+    try:
+        with spinning(viewer, threads=4):
+            listener.wait(lambda: viewer.complete() and viewer.count_subscribers("gaussians/view"))
+            camera = view_camera(CAMERA)
+            # Longer than any test waits for something.
+            assert viewer.draw_still(camera, "still", order_timeout=1e6).order_source == "gpu"
+            view_id = viewer.look(camera, "window")
+            assert viewer.draw_frame(view_id, camera).order_source == "gpu"
+            viewer.renderer.settings.order = ORDER_SOURCES["sidecar"]
+            viewer.draw_frame(view_id, camera)
+            listener.wait(lambda: views)
+            assert [view.view_id for view in views] == [view_id]  # and before it none
+    finally:
+        del viewer.renderer
+        rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("up", [0.0, 0.0, 0.0]), ("up", [float("nan"), 0.0, 1.0]), ("order_source", "nobody")],
+)
+def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
+    start: Start, name: str, value: object
+) -> None:
+    process = start("viewer", **{name: value})
     output, _ = process.communicate(timeout=30)
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
-    assert "up" in output
+    assert name in output

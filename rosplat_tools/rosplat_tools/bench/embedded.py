@@ -57,9 +57,9 @@ class View:
         """Gives the renderer a sorter's order for a camera of this view and a map's revision."""
         self._renderer.set_order(self.NAME, number, MAP, revision, "bench", 0.0, slots)
 
-    def draw(self, built_in: bool = False) -> dict[str, Any]:
-        """Draws, sorted in this call if built_in; returns what the renderer reports."""
-        report: dict[str, Any] = self._renderer.draw(self.NAME, built_in=built_in)
+    def draw(self, sort_now: bool = False) -> dict[str, Any]:
+        """Draws, sorted in this call if sort_now; returns what the renderer reports."""
+        report: dict[str, Any] = self._renderer.draw(self.NAME, sort_now=sort_now)
         return report
 
 

@@ -47,7 +47,7 @@ class Order:
 
 ORDERS = {
     "given": Order({"order": "SIDECAR"}, given=True),  # what a frame costs beside sorting
-    "sorted in the frame, CPU": Order(waits=True),
+    "sorted in the frame, CPU": Order({"order": "BUILT_IN"}, waits=True),
     "sorted beside it, CPU": Order({"order": "BUILT_IN"}),  # for a camera of some frames ago
     "sorted in the frame, GPU": Order({"order": "GPU"}),
 }
@@ -107,7 +107,7 @@ def _scene(plan: Plan, name: str, number: int, total: int) -> Iterator[Event]:
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
         orders = _sorted(splats, cameras)
         bench.view.look(cameras[0])
-        bench.view.draw(built_in=True)  # which uploads all that waits
+        bench.view.draw(sort_now=True)  # which uploads all that waits
         for variant in plan.variants:
             size = f"{picture[0]}x{picture[1]}"
             yield Doing(f"{name}, {size}, {view}, {variant}", (number + index / len(jobs)) / total)
@@ -165,7 +165,7 @@ class Bench:
                 self.view.give(number, self._renderer.revision, orders[which])
 
             def draw() -> None:
-                reports.append(self.view.draw(built_in=order.waits))
+                reports.append(self.view.draw(sort_now=order.waits))
                 self._finish()
 
             return milliseconds(draw)

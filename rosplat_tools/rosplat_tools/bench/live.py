@@ -70,7 +70,7 @@ def watch(
                 sys.executable, "-m", "rosplat_tools.bench.moving_viewer", *remap,
                 "-p", f"trace:={quoted(trace)}", "-p", f"rate:={rate}", "-p", f"radius:={radius}",
                 "-p", f"width:={picture[0]}", "-p", f"height:={picture[1]}",
-                "-p", f"order:={order_source(backend)}",
+                "-p", f"order_source:={order_source(backend).lower()}",
             ],
         )  # fmt: skip
         programs = {"viewer": viewer}

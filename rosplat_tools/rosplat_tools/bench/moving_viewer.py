@@ -14,7 +14,7 @@ from typing import TextIO
 import numpy as np
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-from rosplat_tools.bench.embedded import gl_finish, put
+from rosplat_tools.bench.embedded import gl_finish
 from rosplat_tools.bench.scenes import STEP
 from rosplat_tools.parameters import declare
 from rosplat_tools.running import run, spinning
@@ -38,7 +38,6 @@ class MovingViewer(Viewer):
         self.radius: float = declare(
             self, "radius", 0.0, "Of the map, around its origin; 0: as it is seen. [m]", 0.0, 1e9
         )
-        self.order: str = declare(self, "order", "AUTO", "Whose order is drawn: an OrderSource.")
         self.published = math.nan  # when the publisher made the map's first batch, of time.time()
         self.received = math.nan  # when the last batch had been taken
         self._arrivals: list[dict[str, float]] = []
@@ -74,7 +73,6 @@ class MovingViewer(Viewer):
 
 def watch(viewer: MovingViewer, trace: TextIO) -> None:
     """Draws until it is told to end."""
-    put(viewer.renderer.settings, {"order": viewer.order})
     finish = gl_finish()
     looked: dict[int, float] = {}  # when each camera was posed
     unseen: list[int] = []  # cameras that no picture knows yet

@@ -1,7 +1,7 @@
 """Draws the cameras of a file through the whole chain, and holds the pictures against references.
 
 Publisher, sorter and renderer run as separate processes; each camera is a call of the renderer's
-service, answered with the sorter's order.
+service, answered with the sorter's order, or on a graphics card with the renderer's own.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.backends import BACKENDS
 from rosplat_tools.arguments import make_folder, seconds
 from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.metrics import compare
@@ -52,6 +53,7 @@ def render(
     *,
     via: str = "host",
     order_timeout: float = 10.0,
+    sidecar: str = "",
     float_blending: bool = False,
     log_folder: Path = Path("out/log"),
     on_picture: Callable[[Camera, NDArray[np.float32], RenderView.Response], None],
@@ -60,7 +62,8 @@ def render(
 
     publisher: an executable of rosplat_tools and its arguments after --ros-args.
     via is "host", the embedded renderer, or "rviz", the Display in rviz2. on_picture gets the
-    camera, (height, width, 4) premultiplied RGBA and the rest of the answer. float_blending: in
+    camera, (height, width, 4) premultiplied RGBA and the rest of the answer. sidecar: the sorter's
+    backend, for a renderer that sorts nothing itself while the sorter does. float_blending: in
     32-bit instead of 16-bit floats. Raises RenderError, ProcessError.
     """
     # Nobody else's publishers, sorters or viewers.
@@ -68,11 +71,13 @@ def render(
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
     with Processes(log_folder) as processes:
         processes.node("rosplat_tools", publisher[0], *remap, *publisher[1:], name=PUBLISHER)
-        processes.node("rosplat_sorter", "sorter", *remap)
+        processes.node("rosplat_sorter", "sorter", *remap, "-p", f"backend:={sidecar or 'auto'}")
+        source = "Sidecar" if sidecar else "Auto"
         if via == "rviz":
-            start_rviz(processes, f"{namespace}/gaussians", float_blending)
+            start_rviz(processes, f"{namespace}/gaussians", source, float_blending)
         else:
-            settings = ["-p", "serve:=true", "-p", f"float_blending:={float_blending}"]
+            settings = ["-p", "serve:=true", "-p", f"order_source:={source.lower()}"]
+            settings += ["-p", f"float_blending:={float_blending}"]
             processes.node("rosplat_tools", "viewer", *remap, *settings)
         node = Node("render")
         try:
@@ -89,12 +94,18 @@ def render(
             print(f"render: {warning}", file=sys.stderr)
 
 
-def start_rviz(processes: Processes, topic: str, float_blending: bool) -> None:
+def start_rviz(
+    processes: Processes, topic: str, order_source: str = "Auto", float_blending: bool = False
+) -> None:
     """Starts rviz2 with a display of the topic; on a screen of its own where there is none."""
     if not shutil.which("rviz2"):
         raise RenderError("rviz2 is not installed here: use --via host")
     config = processes.folder / "render.rviz"
-    config.write_text(RVIZ_CONFIG.format(topic=topic, float_blending=str(float_blending).lower()))
+    config.write_text(
+        RVIZ_CONFIG.format(
+            topic=topic, order_source=order_source, float_blending=str(float_blending).lower()
+        )
+    )
     command = ["rviz2", "-d", str(config)]
     if not os.environ.get("DISPLAY"):
         command = ["xvfb-run", "-a", "-s", "-screen 0 1280x800x24", *command]
@@ -108,6 +119,7 @@ Visualization Manager:
       Name: Gaussian Map
       Enabled: true
       Topic: {topic}
+      Order Source: {order_source}
       Float Blending: {float_blending}
       Value: true
   Global Options:
@@ -237,7 +249,11 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument(
         "--order-timeout", type=seconds, default=10.0, metavar="S",
-        help="how long to wait for the sorter before the renderer sorts [s]",
+        help="how long a renderer that doesn't sort itself waits for the sorter before it does [s]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sidecar", choices=sorted(BACKENDS), default="",
+        help="draw the sorter's orders on a graphics card, too, by this backend",
     )  # fmt: skip
     parser.add_argument(
         "--float-blending", action="store_true", help="blend in 32-bit instead of 16-bit floats"
@@ -270,7 +286,7 @@ def main(arguments: list[str] | None = None) -> int:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         render(
             ("ply_publisher", "-p", f"path:={quoted(options.scene)}"), cameras,
-            via=options.via, order_timeout=options.order_timeout,
+            via=options.via, order_timeout=options.order_timeout, sidecar=options.sidecar,
             float_blending=options.float_blending,
             log_folder=options.out / "log", on_picture=keep,
         )  # fmt: skip

@@ -18,7 +18,7 @@ DrawnViews::DrawnViews(std::string name, SplatScene& scene, GaussianClient& clie
     : name_(std::move(name)), scene_(scene), client_(client) {}
 
 View& DrawnViews::draw(const Ogre::Viewport* viewport, const SplatCamera& camera, bool main,
-                       bool publish_pose) {
+                       bool orders_wanted, bool publish_pose) {
   auto found = views_.find(viewport);
   if (found == views_.end()) {
     const std::size_t number = ++count_;
@@ -30,6 +30,7 @@ View& DrawnViews::draw(const Ogre::Viewport* viewport, const SplatCamera& camera
   drawn.time = std::chrono::steady_clock::now();
   drawn.updates = 0;
   drawn.view.setPosePublished(main && publish_pose);
+  drawn.view.setOrdersWanted(orders_wanted);
   drawn.view.look(camera);
   return drawn.view;
 }

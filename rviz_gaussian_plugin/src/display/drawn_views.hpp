@@ -28,7 +28,7 @@ class DrawnViews {
 
   // Before each draw: the view of a viewport. main: it is rviz's own, not a Camera display's, say.
   View& draw(const Ogre::Viewport* viewport, const SplatCamera& camera, bool main,
-             bool publish_pose);
+             bool orders_wanted, bool publish_pose);
   // Once an update of the display: asks again for orders that don't come, and forgets views that
   // aren't drawn any more.
   void update();

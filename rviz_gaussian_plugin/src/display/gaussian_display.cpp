@@ -243,7 +243,8 @@ std::string GaussianDisplay::onView(const Ogre::Viewport* viewport, const SplatC
   if (!placed_) return "";
   const bool main =
       viewport == context_->getViewManager()->getCurrent()->getCamera()->getViewport();
-  return views_->draw(viewport, camera, main, publish_pose_->getBool()).id();
+  const bool orders_wanted = cloud_->scene().wantsOrders(cloud_->settings());
+  return views_->draw(viewport, camera, main, orders_wanted, publish_pose_->getBool()).id();
 }
 
 void GaussianDisplay::publishPicked(const std::vector<SplatValues>& splats) {

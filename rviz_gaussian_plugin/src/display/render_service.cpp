@@ -46,9 +46,13 @@ RenderService::RenderService(const std::string& view_id, SplatCloud& cloud, Gaus
 void RenderService::serve() {
   served_ = true;
   if (!request_ && !take()) return;
-  const bool answered = cloud_.scene().answered(view_.id());
-  if (!answered && view_.age() > kAskAgain) view_.ask(view_.camera());
-  if (!answered && Clock::now() < deadline_) return;
+  const bool wanted = cloud_.scene().wantsOrders(cloud_.settings());
+  view_.setOrdersWanted(wanted);
+  const bool answered = wanted && cloud_.scene().answered(view_.id());
+  if (wanted && !answered && Clock::now() < deadline_) {
+    if (view_.age() > kAskAgain) view_.ask(view_.camera());
+    return;
+  }
   auto response = draw(!answered);
   request_->answer(response);
   request_.reset();
@@ -97,11 +101,11 @@ rosplat_msgs::msg::ViewCamera RenderService::inMapFrame(
   return camera;
 }
 
-GaussianClient::RenderView::Response RenderService::draw(bool built_in) {
+GaussianClient::RenderView::Response RenderService::draw(bool sort_now) {
   GaussianClient::RenderView::Response response;
   try {
     SplatScene& scene = cloud_.scene();
-    const FrameReport report = scene.draw(view_.id(), cloud_.settings(), Canvas::kNone, built_in);
+    const FrameReport report = scene.draw(view_.id(), cloud_.settings(), Canvas::kNone, sort_now);
     const auto& camera = request_->request->camera;
     response.color = toImage(scene.readColor(), "32FC4", camera);
     response.depth = toImage(scene.readDepth(), "32FC1", camera);

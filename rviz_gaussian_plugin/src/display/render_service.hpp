@@ -15,7 +15,7 @@ class FrameManagerIface;
 namespace rosplat {
 
 // Draws the pictures that others ask for at <topic>/render, one after the other, each as soon as
-// its order is there. Render thread only.
+// its order is there, if it takes another's. Render thread only.
 class RenderService {
  public:
   // All of them must outlive it; view_id names its view among all viewers'.
@@ -32,7 +32,7 @@ class RenderService {
  private:
   bool take();
   rosplat_msgs::msg::ViewCamera inMapFrame(rosplat_msgs::msg::ViewCamera camera) const;
-  GaussianClient::RenderView::Response draw(bool built_in);
+  GaussianClient::RenderView::Response draw(bool sort_now);
 
   SplatCloud& cloud_;
   GaussianClient& client_;

@@ -24,10 +24,16 @@ void View::look(const SplatCamera& camera) {
   if (sequence_ == 0 || !(camera_ == camera)) ask(camera);
 }
 
+void View::setOrdersWanted(bool wanted) {
+  const bool begins = wanted && !orders_wanted_ && sequence_ > 0;
+  orders_wanted_ = wanted;
+  if (begins) publish();
+}
+
 void View::publish() {
   published_ = std::chrono::steady_clock::now();
   const auto message = toMessage(camera_, id_, sequence_, client_.header());
-  client_.publish(message);
+  if (orders_wanted_) client_.publish(message);
   if (pose_published_) client_.publishPose(message);
 }
 

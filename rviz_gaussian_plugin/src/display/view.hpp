@@ -9,8 +9,8 @@
 
 namespace rosplat {
 
-// A view of the map that asks for its orders: each of its cameras goes to the scene and out to
-// sidecars, under a number that the orders answer. Render thread only.
+// A view of the map that asks for its orders: each of its cameras goes to the scene and, if orders
+// are wanted, out to sidecars, under a number that the orders answer. Render thread only.
 class View {
  public:
   // Scene and client must outlive it.
@@ -26,6 +26,8 @@ class View {
   void look(const SplatCamera& camera);
   // Tells sidecars that start late.
   void publish();
+  // Whether sidecars are asked at all, from now on.
+  void setOrdersWanted(bool wanted);
   // Whether the camera's pose and path are published, too.
   void setPosePublished(bool published) { pose_published_ = published; }
 
@@ -36,6 +38,7 @@ class View {
   std::uint64_t sequence_ = 0;
   SplatCamera camera_;
   std::chrono::steady_clock::time_point published_;
+  bool orders_wanted_ = false;
   bool pose_published_ = false;
 };
 

@@ -90,11 +90,11 @@ void OffscreenRenderer::resize(int width, int height) {
   viewport->setOverlaysEnabled(false);
 }
 
-FrameReport OffscreenRenderer::draw(const std::string& view_id, bool built_in) {
+FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now) {
   const SplatCamera& camera = cameras_.at(view_id);
   resize(camera.width, camera.height);
   view_id_ = view_id;
-  cloud_->setBuiltIn(built_in);
+  cloud_->setSortNow(sort_now);
   cloud_->setSettings(settings);
 
   // Ogre's camera for the opaque objects; the splats are drawn with the exact one.

@@ -29,8 +29,8 @@ class OffscreenRenderer {
   rosplat_sorter::OrderReader order_reader;  // for one thread at a time
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
-  // Draws the scene as a view's camera sees it, sorted here if built_in. Throws std::runtime_error.
-  FrameReport draw(const std::string& view_id, bool built_in);
+  // Draws the scene as a view's camera sees it, sorted here if sort_now. Throws std::runtime_error.
+  FrameReport draw(const std::string& view_id, bool sort_now);
 
   // A white box to hide splats behind and before, in the map's frame [m], or a veil of it.
   void setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size, float opacity);

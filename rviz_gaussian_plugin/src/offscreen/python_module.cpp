@@ -113,11 +113,11 @@ void readOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uin
   });
 }
 
-py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool built_in) {
+py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort_now) {
   FrameReport report;
   {
     const py::gil_scoped_release release;  // or orders would wait for the frame
-    report = renderer.draw(view_id, built_in);
+    report = renderer.draw(view_id, sort_now);
   }
   return py::dict("splats"_a = report.splats, "order_source"_a = report.order_source,
                   "order_fresh"_a = report.order_fresh, "order_age"_a = report.order_age,
@@ -209,11 +209,12 @@ PYBIND11_MODULE(_offscreen, module) {
                              [](OffscreenRenderer& r) { return r.order_reader.key(); })
       .def("set_box", &OffscreenRenderer::setBox, "centre"_a, "size"_a, "opacity"_a = 1.0f)
       .def_readwrite("settings", &OffscreenRenderer::settings)
+      .def("wants_orders", [](OffscreenRenderer& r) { return r.scene().wantsOrders(r.settings); })
       .def(
           "has_order",
           [](OffscreenRenderer& r, const std::string& id) { return r.scene().answered(id); },
           "view_id"_a)
-      .def("draw", &draw, "view_id"_a, "built_in"_a = false)
+      .def("draw", &draw, "view_id"_a, "sort_now"_a = false)
       .def("read_color",
            [](OffscreenRenderer& r) { return toArray(r.readColor(), {r.height(), r.width(), 4}); })
       .def("read_depth",

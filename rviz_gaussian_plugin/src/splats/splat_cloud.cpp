@@ -220,7 +220,7 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCam
     return;
   }
   seen_[viewport] = camera;
-  scene_->draw(view, settings_, canvas, built_in_, draw_translucent);
+  scene_->draw(view, settings_, canvas, sort_now_, draw_translucent);
   divided_ = bool(draw_translucent);
 }
 

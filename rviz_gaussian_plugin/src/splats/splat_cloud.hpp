@@ -32,8 +32,8 @@ class SplatCloud : public Ogre::MovableObject {
   SplatScene& scene() { return *scene_; }
   const RenderSettings& settings() const { return settings_; }
   void setSettings(const RenderSettings& settings) { settings_ = settings; }
-  // Sort in the next draws, and wait for it, rather than take what order there is.
-  void setBuiltIn(bool built_in) { built_in_ = built_in; }
+  // Sort in the next draws rather than take what order there is.
+  void setSortNow(bool sort_now) { sort_now_ = sort_now; }
 
   // What rviz's selection knows the map by, 24 bits; 0: it can't be selected.
   void setPickHandle(std::uint32_t handle) { pick_handle_ = handle; }
@@ -83,7 +83,7 @@ class SplatCloud : public Ogre::MovableObject {
   ViewCallback on_view_;
   std::map<Ogre::Viewport*, SplatCamera> seen_;  // as drawn last; mouse tools draw parts of them
   RenderSettings settings_;
-  bool built_in_ = false;
+  bool sort_now_ = false;
   std::uint32_t pick_handle_ = 0;
   bool drawn_ = false;    // in this frame
   bool divided_ = false;  // at the translucent objects, so that kHide and kBefore have to follow

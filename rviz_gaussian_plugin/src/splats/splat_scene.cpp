@@ -103,6 +103,20 @@ void SplatScene::setCamera(const std::string& view_id, std::uint64_t sequence,
   book_.setCamera(view_id, sequence, camera, now());
 }
 
+// A graphics card sorts in less time than another's order takes to be uploaded.
+bool SplatScene::sortsOnGpu(OrderSource source) {
+  const bool may =
+      source == OrderSource::kGpu || (source == OrderSource::kAuto && renderer_->accelerated());
+  return may && renderer_->sorts();
+}
+
+bool SplatScene::wantsOrders(const RenderSettings& settings) {
+  prepare();
+  const bool others =
+      settings.order != OrderSource::kBuiltIn && settings.order != OrderSource::kOff;
+  return others && !sortsOnGpu(settings.order);
+}
+
 bool SplatScene::answered(const std::string& view_id) {
   prepare();
   takeArrivals(kEverything);
@@ -131,24 +145,25 @@ void SplatScene::useOrder(const OrderPtr& order) {
 }
 
 const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
-                                    Canvas canvas, bool built_in,
+                                    Canvas canvas, bool sort_now,
                                     const DrawTranslucent& translucent) {
   const double start = now();
   prepare();
-  takeArrivals(built_in ? kEverything : kUploadBytesPerFrame);
-  // A graphics card sorts in less time than another's order takes to be uploaded.
-  const bool on_gpu =
-      (settings.order == OrderSource::kGpu ||
-       (settings.order == OrderSource::kAuto && !built_in && renderer_->accelerated())) &&
-      renderer_->sorts();
+  takeArrivals(sort_now ? kEverything : kUploadBytesPerFrame);
+  const OrderSource named = settings.order;
+  // Who waited for a sidecar in vain takes what is best here.
+  const OrderSource source =
+      sort_now && named == OrderSource::kSidecar ? OrderSource::kAuto : named;
+  const bool on_gpu = sortsOnGpu(source);
   OrderBook::Choice choice;
   if (on_gpu) {
     sortOnGpu();
   } else {
-    choice = built_in ? book_.sortNow(view_id) : book_.choose(view_id, start, settings.order);
-    const bool ours_to_sort =
-        settings.order != OrderSource::kSidecar && settings.order != OrderSource::kOff;
-    if (settings.wait_for_order && !choice.fresh && ours_to_sort) choice = book_.sortNow(view_id);
+    const bool ours_to_sort = source != OrderSource::kSidecar && source != OrderSource::kOff;
+    const bool sorts = ours_to_sort && sort_now;
+    if (!sorts) choice = book_.choose(view_id, start, source);
+    const bool too_old = ours_to_sort && settings.wait_for_order && !choice.fresh;
+    if (sorts || too_old) choice = book_.sortNow(view_id);
     useOrder(choice.order);
   }
   renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas, translucent);

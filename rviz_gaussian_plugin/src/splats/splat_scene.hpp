@@ -50,13 +50,16 @@ class SplatScene {
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
   // Render thread: uploads some of what waits, for a map that isn't to be seen. Throws gl::Error.
   void upload();
+  // Render thread: whether a sidecar's orders are drawn, or only its own. Throws gl::Error.
+  bool wantsOrders(const RenderSettings& settings);
   // Render thread: uploads what waits; whether an order of the sidecar is there for the view's
   // newest camera and the whole map. Throws gl::Error.
   bool answered(const std::string& view_id);
   // Render thread: uploads what waits, chooses an order and draws into the current framebuffer.
-  // With built_in the order is sorted here, and waited for. Throws gl::Error.
+  // With sort_now none is waited for: it is sorted here, on the graphics card if there is one,
+  // unless the settings name another. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
-                          bool built_in = false, const DrawTranslucent& translucent = nullptr);
+                          bool sort_now = false, const DrawTranslucent& translucent = nullptr);
   // Render thread: after a draw() with translucent objects; see SplatRenderer.
   void hideFarther() const { renderer_->hideFarther(); }
   void drawBefore() const { renderer_->drawBefore(); }
@@ -98,6 +101,7 @@ class SplatScene {
 
   void prepare();
   void useOrder(const OrderPtr& order);
+  bool sortsOnGpu(OrderSource source);
   void sortOnGpu();
   void sortNow(const SplatCamera& camera);  // for the mouse tools
   void takeArrivals(std::size_t budget);
