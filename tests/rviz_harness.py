@@ -33,8 +33,9 @@ TOP = "{Class: rviz_default_plugins/TopDownOrtho, Scale: 100, X: 0, Y: 0, Angle:
 
 
 def map_display(name: str = "Map", topic: str = "/gaussians", **properties: object) -> str:
-    """A GaussianMap in an rviz configuration."""
-    return _display("rviz_gaussian_plugin/GaussianMap", name, Topic=topic, **properties)
+    """A GaussianMap in an rviz configuration, which draws pictures for others, too."""
+    serves = {"Render Service": True}
+    return _display("rviz_gaussian_plugin/GaussianMap", name, Topic=topic, **(serves | properties))
 
 
 def display(kind: str, name: str, **properties: object) -> str:

@@ -44,6 +44,7 @@ MAP: dict[str, Any] = {
     "Clip Box/Handles": False,
     "Sidecar Backend": "native",
     "Publish Camera": True,
+    "Render Service": False,
     "Rasterizer": "Quads",
     "Rasterizer/Profile": True,
 }

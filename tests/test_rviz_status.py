@@ -102,6 +102,33 @@ def test_pictures_wait_for_no_sidecar_where_the_display_sorts(rviz: Rviz, world:
     assert ask_for_picture(world, order_timeout=0.1).order_source == "built-in"
 
 
+def test_pictures_are_drawn_by_a_display_that_is_told_to(rviz: Rviz, world: World) -> None:
+    from rosplat_msgs.msg import ViewCamera
+    from rosplat_msgs.srv import RenderView
+    from rosplat_sorter.qos import VIEW
+
+    views: list[ViewCamera] = []
+    world.node.create_subscription(ViewCamera, "/gaussians/view", views.append, VIEW)
+    service = world.node.create_client(RenderView, "/gaussians/render")
+    as_it_comes = "{Class: rviz_gaussian_plugin/GaussianMap, Name: Map, Enabled: true, Value: true}"
+    rviz.load(configuration(f"    - {as_it_comes}\n"))
+    rviz.set("Map", "Order Source", value="Sidecar")  # of which there is none
+    rviz.set("Map", "Topic", value="/gaussians")
+    world.map.replace(disc((1, 0, 0)))
+    rviz.until_status("Map", "Map", "Ok", "1 splats")
+    for _ in range(2):
+        world.spin_until(lambda: not service.service_is_ready())
+        rviz.set("Map", "Render Service", value=True)
+        picture = request_picture(world, order_timeout=60.0)
+        world.spin_until(lambda: any(view.width == 16 for view in views))
+        rviz.set("Map", "Render Service", value=False)
+        world.spin_until(picture.done)
+        assert "turned off" in picture.result().message
+        views.clear()
+    rviz.set("Map", "Render Service", value=True)
+    assert ask_for_picture(world).success
+
+
 def test_opengl_that_is_too_old(tmp_path: Path, world: World) -> None:
     topic = "/too_old"  # the other rviz2 answers for /gaussians
     rviz = Rviz(

@@ -1,7 +1,8 @@
 """A viewer without rviz2: a node around the renderer that the rviz Display draws with.
 
-With a display it opens a window to orbit in; without one it draws a still and a short orbit. Both
-it and the rviz Display draw pictures for others at `gaussians/render` (RenderView).
+With a display it opens a window to orbit in; without one it draws a still and a short orbit. With
+`serve` it draws what others ask for at `gaussians/render` (RenderView) instead, as the rviz Display
+does if told to.
 """
 
 from __future__ import annotations
@@ -136,7 +137,10 @@ class Viewer(Node):
         self.create_subscription(
             SplatOrder, f"{topic}/order", self._on_order, ORDER, callback_group=own()
         )
-        self.create_service(RenderView, f"{topic}/render", self._on_render, callback_group=own())
+        if self.serves:
+            self.create_service(
+                RenderView, f"{topic}/render", self._on_render, callback_group=own()
+            )
 
     # --- Executor threads -------------------------------------------------------------------------
 
@@ -288,18 +292,16 @@ class Viewer(Node):
             order_age=report["order_age"],
         )
 
-    def serve_requests(self, wait: float = 0.0) -> None:
-        """Draws what others have asked for; waits up to `wait` for the first of it. [s]"""
+    def serve_request(self, wait: float) -> None:
+        """Draws what others ask for next, if they do within `wait`. [s]"""
         try:
-            while True:
-                job = self._requests.get(timeout=wait) if wait else self._requests.get_nowait()
-                wait = 0.0
-                try:
-                    self._serve(job.request, job.response)
-                finally:
-                    job.done.set()
+            job = self._requests.get(timeout=wait)
         except queue.Empty:
-            pass
+            return
+        try:
+            self._serve(job.request, job.response)
+        finally:
+            job.done.set()
 
     def _serve(self, request: RenderView.Request, response: RenderView.Response) -> None:
         frame = request.camera.header.frame_id
@@ -434,7 +436,7 @@ def _wait_for_map(viewer: Viewer) -> None:
         topic = viewer.resolve_topic_name("gaussians")
         if time.monotonic() > discovered and not viewer.count_publishers(topic):
             viewer.get_logger().info(f"waiting for a map on {topic}", once=True)
-        viewer.serve_requests(wait=0.05)
+        time.sleep(0.05)
 
 
 def show_stills(viewer: Viewer, folder: Path) -> None:
@@ -514,7 +516,6 @@ def show_window(viewer: Viewer) -> None:
             if time.monotonic() - said > 0.5:
                 said = time.monotonic()
                 pygame.display.set_caption(f"ROSplat: {figures}")
-            viewer.serve_requests()
             time.sleep(0.002)
     finally:
         pygame.display.quit()
@@ -524,7 +525,7 @@ def show_window(viewer: Viewer) -> None:
 def serve(viewer: Viewer) -> None:
     """Draws pictures for others until it is told to end."""
     while viewer.context.ok():
-        viewer.serve_requests(wait=0.1)
+        viewer.serve_request(wait=0.1)
 
 
 def main() -> None:

@@ -121,6 +121,7 @@ Visualization Manager:
       Topic: {topic}
       Order Source: {order_source}
       Float Blending: {float_blending}
+      Render Service: true
       Value: true
   Global Options:
     Fixed Frame: map

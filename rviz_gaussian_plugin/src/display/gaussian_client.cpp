@@ -60,19 +60,6 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
       node_->create_publisher<rosplat_msgs::msg::ViewCamera>(topic_ + "/view", viewQos());
   picked_publisher_ =
       node_->create_publisher<rosplat_msgs::msg::Gaussian>(topic_ + "/picked", pickedQos());
-  render_service_ = node_->create_service<RenderView>(
-      topic_ + "/render",
-      [this](std::shared_ptr<rclcpp::Service<RenderView>> service,
-             std::shared_ptr<rmw_request_id_t> id, std::shared_ptr<RenderView::Request> request) {
-        RenderRequest asked{std::move(service), std::move(id), std::move(request)};
-        const std::lock_guard lock(mutex_);
-        if (requests_.size() < kMostRequests) {
-          requests_.push_back(std::move(asked));
-        } else {
-          asked.refuse("too many pictures are asked for at once");
-        }
-      },
-      serviceQos(), group_);
   watch_ = node_->create_wall_timer(
       1s,
       [this] {
@@ -274,6 +261,23 @@ void GaussianClient::reportSidecar(const std::string& text, bool failed) {
   const std::lock_guard lock(mutex_);
   status_.sidecar = text;
   status_.sidecar_failed = failed;
+}
+
+void GaussianClient::setServing(bool serving) {
+  if (!serving) return render_service_.reset();
+  render_service_ = node_->create_service<RenderView>(
+      topic_ + "/render",
+      [this](std::shared_ptr<rclcpp::Service<RenderView>> service,
+             std::shared_ptr<rmw_request_id_t> id, std::shared_ptr<RenderView::Request> request) {
+        RenderRequest asked{std::move(service), std::move(id), std::move(request)};
+        const std::lock_guard lock(mutex_);
+        if (requests_.size() < kMostRequests) {
+          requests_.push_back(std::move(asked));
+        } else {
+          asked.refuse("too many pictures are asked for at once");
+        }
+      },
+      serviceQos(), group_);
 }
 
 std::optional<GaussianClient::RenderRequest> GaussianClient::takeRenderRequest() {

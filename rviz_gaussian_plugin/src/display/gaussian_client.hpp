@@ -29,7 +29,8 @@ namespace rosplat {
 
 // The ROS side of a display: feeds a scene from a map's topic and its sorter's, in a thread of its
 // own so that no message holds up the GUI. For a map on /gaussians: the views go out on
-// /gaussians/view, orders come in on /gaussians/order, pictures are asked for at /gaussians/render.
+// /gaussians/view, orders come in on /gaussians/order, pictures may be asked for at
+// /gaussians/render.
 class GaussianClient {
  public:
   using RenderView = rosplat_msgs::srv::RenderView;
@@ -76,6 +77,8 @@ class GaussianClient {
   void publishPose(const rosplat_msgs::msg::ViewCamera& view);
   // Has the parameter `backend` set of whoever publishes the orders, now or later; empty: no more.
   void switchBackend(const std::string& backend);
+  // Whether others may ask for pictures, from now on.
+  void setServing(bool serving);
   std::optional<RenderRequest> takeRenderRequest();
   Status status() const;
   std::string frameId() const;           // of the map

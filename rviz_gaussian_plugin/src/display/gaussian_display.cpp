@@ -52,8 +52,7 @@ GaussianDisplay::GaussianDisplay() {
   topic_ = new rviz_common::properties::RosTopicProperty(
       "Topic", "", GaussianClient::mapType(),
       "Map of 3D Gaussians (rosplat_msgs/GaussianArray). The display publishes its cameras on "
-      "<topic>/view and what is selected on <topic>/picked, takes orders from <topic>/order and "
-      "draws pictures for <topic>/render.",
+      "<topic>/view and what is selected on <topic>/picked and takes orders from <topic>/order.",
       this, SLOT(subscribe()));
   qos_property_ = new rviz_common::properties::QosProfileProperty(topic_, qos_);
   scene_file_ = new rviz_common::properties::FilePickerProperty(
@@ -75,6 +74,11 @@ GaussianDisplay::GaussianDisplay() {
       "and "
       "where it has been on <topic>/camera/path (nav_msgs/Path).",
       this);
+  serves_ = new rviz_common::properties::BoolProperty(
+      "Render Service", false,
+      "Draw the pictures that others ask for at <topic>/render (rosplat_msgs/RenderView). One "
+      "display is enough: each that serves draws each picture.",
+      this, SLOT(serve()));
 }
 
 GaussianDisplay::~GaussianDisplay() {
@@ -111,8 +115,7 @@ void GaussianDisplay::reset() {
 }
 
 void GaussianDisplay::unsubscribe() {
-  if (render_service_) render_service_->refuse("the display was turned off");
-  render_service_.reset();
+  endService();
   views_.reset();
   client_.reset();
   selection_.reset();
@@ -149,8 +152,7 @@ void GaussianDisplay::subscribe() {
     const auto node = context_->getRosNodeAbstraction().lock()->get_raw_node();
     client_ = std::make_unique<GaussianClient>(node, topic, qos_, cloud_->scene());
     views_ = std::make_unique<DrawnViews>(name, cloud_->scene(), *client_);
-    render_service_ = std::make_unique<RenderService>(name + "/render", *cloud_, *client_,
-                                                      *context_->getFrameManager());
+    serve();
     if (!loader_ || loader_->topic() != topic) {
       loader_ = std::make_unique<SceneLoader>(node, topic);
       openScene();
@@ -194,12 +196,27 @@ void GaussianDisplay::switchBackend() {
   if (client_) client_->switchBackend(backend == kUnchanged ? "" : backend);
 }
 
+void GaussianDisplay::serve() {
+  endService();
+  if (!client_ || !serves_->getBool()) return;
+  client_->setServing(true);
+  render_service_ = std::make_unique<RenderService>(cloud_->getName() + "/render", *cloud_,
+                                                    *client_, *context_->getFrameManager());
+}
+
+void GaussianDisplay::endService() {
+  if (!render_service_) return;
+  client_->setServing(false);
+  render_service_->refuse("the display was turned off, or its service");
+  render_service_.reset();
+}
+
 void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   if (!client_) return;
   updateTransform();
   updateHandles();
   views_->update();
-  render_service_->refuseUnserved();
+  if (render_service_) render_service_->refuseUnserved();
   if (const auto now = std::chrono::steady_clock::now(); now - status_time_ > kStatusPeriod) {
     status_time_ = now;
     showStatus(statusLines());

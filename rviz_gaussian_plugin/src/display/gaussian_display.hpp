@@ -50,9 +50,11 @@ class GaussianDisplay : public rviz_common::Display {
   void subscribe();
   void openScene();
   void switchBackend();
+  void serve();
 
  private:
   void unsubscribe();
+  void endService();
   bool takeDrop(const QString& path);
   void applySettings();
   std::string onView(const Ogre::Viewport* viewport, const SplatCamera& camera);
@@ -69,12 +71,13 @@ class GaussianDisplay : public rviz_common::Display {
   rviz_common::properties::FilePickerProperty* scene_file_;
   rviz_common::properties::EnumProperty* backend_;
   rviz_common::properties::BoolProperty* publish_pose_;
+  rviz_common::properties::BoolProperty* serves_;
   std::unique_ptr<DisplaySettings> settings_;
 
   std::unique_ptr<SplatCloud> cloud_;
-  std::unique_ptr<GaussianClient> client_;  // after cloud_: feeds it
-  std::unique_ptr<DrawnViews> views_;       // after client_, as the next
-  std::unique_ptr<RenderService> render_service_;
+  std::unique_ptr<GaussianClient> client_;         // after cloud_: feeds it
+  std::unique_ptr<DrawnViews> views_;              // after client_, as the next
+  std::unique_ptr<RenderService> render_service_;  // if it serves
   std::shared_ptr<SplatSelection> selection_;
   std::unique_ptr<SceneLoader> loader_;
   std::unique_ptr<SceneDrop> drop_;

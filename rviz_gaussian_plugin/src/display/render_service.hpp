@@ -21,6 +21,9 @@ class RenderService {
   // All of them must outlive it; view_id names its view among all viewers'.
   RenderService(const std::string& view_id, SplatCloud& cloud, GaussianClient& client,
                 rviz_common::FrameManagerIface& frames);
+  ~RenderService() { cloud_.scene().forget(view_.id()); }
+  RenderService(const RenderService&) = delete;
+  RenderService& operator=(const RenderService&) = delete;
 
   // Once a frame, where the context is current: draws what is due.
   void serve();
