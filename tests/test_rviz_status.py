@@ -129,6 +129,25 @@ def test_pictures_are_drawn_by_a_display_that_is_told_to(rviz: Rviz, world: Worl
     assert ask_for_picture(world).success
 
 
+def test_a_refused_batch_is_said_until_a_good_one_comes(tmp_path: Path, world: World) -> None:
+    """In the log, too, before a simulated clock begins."""
+    from rosplat_msgs.msg import GaussianArray
+    from rosplat_sorter.qos import MAP
+
+    simulated = ["--ros-args", "-p", "use_sim_time:=true"]
+    rviz = Rviz(tmp_path, *simulated, config=configuration(map_display()))
+    try:
+        publisher = world.node.create_publisher(GaussianArray, "gaussians", MAP)
+        world.spin_until(publisher.get_subscription_count)
+        publisher.publish(GaussianArray(map_id="broken", revision=1, count=1_000_000))
+        rviz.until_status("Map", "Topic", "Error", "1 refused", "because")
+        assert "a batch is refused" in rviz.processes.said("rviz2")
+        world.map.replace(disc((1, 0, 0)))
+        rviz.until_status("Map", "Topic", "Ok", "1 batches received, 1 refused")
+    finally:
+        rviz.close()
+
+
 def test_opengl_that_is_too_old(tmp_path: Path, world: World) -> None:
     topic = "/too_old"  # the other rviz2 answers for /gaussians
     rviz = Rviz(

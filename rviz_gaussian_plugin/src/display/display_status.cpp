@@ -38,9 +38,11 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
   const auto line = [](StatusProperty::Level level, std::string text) -> StatusLine {
     return {level, "Topic", std::move(text)};
   };
-  if (received.refused > 0) {
-    return line(StatusProperty::Error,
-                concat(received.refused, " batches refused, the last because ", received.refusal));
+  const std::string refused =
+      received.refused > 0 ? concat(", ", received.refused, " refused") : "";
+  if (!received.refusal.empty()) {
+    return line(StatusProperty::Error, concat(received.batches, " batches received", refused,
+                                              ", the last because ", received.refusal));
   }
   if (received.batches == 0) {
     if (!received.other_type.empty()) {
@@ -58,7 +60,7 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
     return line(StatusProperty::Warn, "Publishers clear each other's map, end all but one of: " +
                                           joined(received.publishers));
   }
-  return line(StatusProperty::Ok, concat(received.batches, " batches received"));
+  return line(StatusProperty::Ok, concat(received.batches, " batches received", refused));
 }
 
 StatusLine sceneFileStatus(const std::string& says, bool loading, bool failed,

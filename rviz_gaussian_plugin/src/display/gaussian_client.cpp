@@ -74,8 +74,8 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
       try {
         executor_.spin_once(100ms);
       } catch (const std::exception& error) {  // of a message that memory is lacking for, say
-        RCLCPP_ERROR_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000, "%s: %s",
-                              topic_.c_str(), error.what());
+        RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: %s", topic_.c_str(),
+                              error.what());
       }
     }
   });
@@ -107,6 +107,7 @@ void GaussianClient::receive(const GaussianArray& message) {
       maps_ = {message.map_id, maps_[0]};
     }
     status_.frame_id = message.header.frame_id;
+    status_.refusal.clear();
   } catch (const BatchError& error) {
     refuse(error.what());
   } catch (const std::bad_alloc&) {
@@ -115,8 +116,8 @@ void GaussianClient::receive(const GaussianArray& message) {
 }
 
 void GaussianClient::refuse(const std::string& why) {
-  RCLCPP_ERROR_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000,
-                        "%s: a batch is refused: %s", topic_.c_str(), why.c_str());
+  RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: a batch is refused: %s",
+                        topic_.c_str(), why.c_str());
   const std::lock_guard lock(mutex_);
   ++status_.refused;
   status_.refusal = why;
@@ -132,7 +133,7 @@ void GaussianClient::receive(SplatOrder& message) {
     toOrder(message, reader_, *order);
     scene_.offer(order);
   } catch (const rosplat_sorter::OrderError& error) {
-    RCLCPP_WARN_THROTTLE(node_->get_logger(), *node_->get_clock(), 5000,
+    RCLCPP_WARN_THROTTLE(node_->get_logger(), steady_clock_, 5000,
                          "%s/order: an order is dropped: %s", topic_.c_str(), error.what());
   }
 }

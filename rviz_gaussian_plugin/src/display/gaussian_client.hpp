@@ -49,7 +49,7 @@ class GaussianClient {
     std::string frame_id;  // of the map
     std::uint64_t batches = 0;
     std::uint64_t refused = 0;            // batches that contradict themselves
-    std::string refusal;                  // why, of the last one
+    std::string refusal;                  // why, if the last one did
     std::vector<std::string> publishers;  // nodes that publish on the map's topic
     bool contended = false;               // a map came back that another had replaced
     std::string other_type;               // that one of them publishes
@@ -97,6 +97,7 @@ class GaussianClient {
   void reportSidecar(const std::string& text, bool failed);
 
   rclcpp::Node::SharedPtr node_;
+  rclcpp::Clock steady_clock_{RCL_STEADY_TIME};  // simulated time may stand still
   std::string topic_;
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
