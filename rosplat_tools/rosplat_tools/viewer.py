@@ -214,7 +214,7 @@ class Viewer(Node):
 
     def complete(self) -> bool:
         """Whether the map has all that its publisher announced, or has stopped growing."""
-        if not self.renderer.splats:
+        if not self.renderer.splats or not len(self._sample):
             return False
         expected = self.renderer.expected
         if expected and self.renderer.splats + self.renderer.dropped >= expected:
@@ -230,8 +230,6 @@ class Viewer(Node):
         view_id = f"{self._instance}/{name}"
         self._sequence += 1
         camera.view_id, camera.sequence = view_id, self._sequence
-        camera.header.frame_id = self.frame_id
-        camera.header.stamp = self.get_clock().now().to_msg()
         position, orientation = camera.pose.position, camera.pose.orientation
         self.renderer.set_camera(
             view_id, self._sequence, (position.x, position.y, position.z),
@@ -246,6 +244,8 @@ class Viewer(Node):
         if not self.renderer.wants_orders():
             self._published = 0.0  # once one is, it is asked for at once
             return
+        camera.header.frame_id = self.frame_id
+        camera.header.stamp = self.get_clock().now().to_msg()
         camera.segment_key = self.renderer.segment_key
         self._views.publish(camera)
         self._published = time.monotonic()
