@@ -24,6 +24,7 @@ constexpr int kSize = 64;  // of the picture [px]
 
 // rviz's kind of context: the compatibility profile. False where there is none to be had.
 bool makeContext() {
+  if (!epoxy_has_egl_extension(EGL_NO_DISPLAY, "EGL_MESA_platform_surfaceless")) return false;
   const EGLDisplay display =
       eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
   const std::vector<EGLint> wanted{EGL_CONTEXT_MAJOR_VERSION,

@@ -246,6 +246,7 @@ PYBIND11_MODULE(_offscreen, module) {
                              [](OffscreenRenderer& r) { return r.scene().state().dropped; })
       .def_property_readonly("missed",
                              [](OffscreenRenderer& r) { return r.scene().state().missed; })
+      .def_property_readonly("warning", [](OffscreenRenderer& r) { return r.scene().warning(); })
       .def("failed", &OffscreenRenderer::failed)
       .def_property_readonly("renderer_info", &OffscreenRenderer::graphics);
 }
