@@ -33,7 +33,8 @@ STEPS = 8  # cameras that take turns
 STREAM_TIMEOUT = 120.0  # [s]
 PROFILED = Budget(least=3, most=30, seconds=0.5)  # frames whose stages are measured
 
-DEFAULT_ONLY = ("default",)  # of a quick run, and where no GPU draws
+QUICK_VARIANTS = ("default",)
+SOFTWARE_VARIANTS = ("default", "translucent")  # where no GPU draws
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def measure(plan: Plan) -> Iterator[Event]:
                 QUICK_SIZES if plan.quick else SOFTWARE_SIZES if software else SIZES
             )
             variants = plan.variants or (
-                DEFAULT_ONLY if plan.quick or software else tuple(VARIANTS)
+                QUICK_VARIANTS if plan.quick else SOFTWARE_VARIANTS if software else tuple(VARIANTS)
             )
             plan = replace(plan, variants=variants)
             names = scenes.names(sizes, plan.scenes)
@@ -109,6 +110,7 @@ def _scene(plan: Plan, name: str, number: int, total: int) -> Iterator[Event]:
         bench.view.look(cameras[0])
         bench.view.draw(sort_now=True)  # which uploads all that waits
         for variant in plan.variants:
+            bench.put_box(scenes.place(splats) if VARIANTS[variant].translucent else None)
             size = f"{picture[0]}x{picture[1]}"
             yield Doing(f"{name}, {size}, {view}, {variant}", (number + index / len(jobs)) / total)
             labels = {
@@ -117,7 +119,7 @@ def _scene(plan: Plan, name: str, number: int, total: int) -> Iterator[Event]:
             }  # fmt: skip
             for kind, order in ORDERS.items():
                 try:
-                    bench.use(VARIANTS[variant] | order.settings)
+                    bench.use(VARIANTS[variant].settings | order.settings)
                 except AttributeError as error:
                     if number == index == 0:
                         yield Skipped(f"{variant}, {kind}: this renderer has it not: {error}")
@@ -125,6 +127,7 @@ def _scene(plan: Plan, name: str, number: int, total: int) -> Iterator[Event]:
                 yield from bench.frames(
                     plan.budget, cameras, orders, order, labels | {"order": kind}
                 )
+    bench.put_box(None)
     report = bench.view.draw()
     del splats, orders
     memory = {"GPU memory": report["gpu_bytes"], "host memory": _trimmed_memory() - before}
@@ -150,6 +153,13 @@ class Bench:
         changed = type(self._untouched)()
         embedded.put(changed, values)
         self._renderer.settings = changed
+
+    def put_box(self, place: scenes.Place | None) -> None:
+        """A translucent box in the middle of a place, as wide as its radius, or none any more."""
+        if place:
+            self._renderer.set_box(tuple(place.centre.tolist()), (place.radius,) * 3, 0.5)
+        else:
+            self._renderer.set_box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)  # opaque, but nothing
 
     def frames(
         self, budget: Budget, cameras: list[Camera], orders: list[NDArray[np.uint32]],

@@ -11,12 +11,21 @@ from rosplat_tools.bench.records import Budget
 FULL_BUDGET = Budget(least=7, most=200, seconds=2.0)
 QUICK_BUDGET = Budget(least=3, most=30, seconds=0.3)
 
-# Fields of RenderSettings that differ, by the name of the variant.
-VARIANTS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "quads": {"rasterizer": "QUADS"},
-    "tiles": {"rasterizer": "TILES"},
-    "float blending": {"float_blending": True},
+
+@dataclass(frozen=True)
+class Variant:
+    """What is drawn otherwise: settings, fields of RenderSettings; a translucent box."""
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    translucent: bool = False
+
+
+VARIANTS = {
+    "default": Variant(),
+    "quads": Variant({"rasterizer": "QUADS"}),
+    "tiles": Variant({"rasterizer": "TILES"}),
+    "float blending": Variant({"float_blending": True}),
+    "translucent": Variant(translucent=True),  # a box amid the splats, before some, behind others
 }
 
 
