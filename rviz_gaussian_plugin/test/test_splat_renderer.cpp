@@ -143,6 +143,11 @@ std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, OrderSource
   return scene.readColor();
 }
 
+std::vector<std::uint32_t> picked(SplatScene& scene) {
+  scene.drawPick(camera(), RenderSettings(), Canvas::kNone, 0);
+  return scene.readPick();
+}
+
 float greatestDifference(const std::vector<float>& a, const std::vector<float>& b) {
   float greatest = 0;
   for (std::size_t i = 0; i < a.size(); ++i) greatest = std::max(greatest, std::abs(a[i] - b[i]));
@@ -331,6 +336,10 @@ TEST_F(SplatRendererTest, DrawsTheProcessorsOrderWhereTheGpuSortsWrongly) {
   SplatScene good(shaders());
   fill(good);
   const auto expected = picture(good, Rasterizer::kQuads, OrderSource::kBuiltIn);
+  const auto expected_picks = picked(good);
+  ASSERT_GT(std::count_if(expected_picks.begin(), expected_picks.end(),
+                          [](std::uint32_t slot) { return slot != kNoSlot; }),
+            100);
   // One that isn't stable, and one that loses keys.
   for (const Fault& fault :
        {Fault{"+ earlier", "+ 0u"}, Fault{"i < size) sorted_values", "i > 9u) sorted_values"}}) {
@@ -340,6 +349,7 @@ TEST_F(SplatRendererTest, DrawsTheProcessorsOrderWhereTheGpuSortsWrongly) {
     EXPECT_EQ(scene.report("view").order_source, "built-in");
     EXPECT_EQ(scene.report("view").rasterizer, "quads");
     EXPECT_NE(scene.warning().find("sorts wrongly"), std::string::npos);
+    EXPECT_EQ(picked(scene), expected_picks);  // without lists by tiles
   }
 }
 

@@ -9,8 +9,8 @@ SplatPicker::SplatPicker(const Shaders& shaders)
                              "splat_depth.glsl", "splat_pick.comp"})),
       colour_(shaders.draw({"splat_composite.vert"}, {"splat_pick.frag"})) {}
 
-void SplatPicker::pick(const OrderedSplats& splats, const gl::Target& target,
-                       const Raster& raster) {
+void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
+                       const gl::Target& target, const Raster& raster) {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
   width_ = static_cast<std::size_t>(target.width());
   height_ = static_cast<std::size_t>(target.height());
@@ -27,9 +27,11 @@ void SplatPicker::pick(const OrderedSplats& splats, const gl::Target& target,
   glUniform2i(pick_.at("picture"), target.width(), target.height());
   pick_.set("top_first", int(raster.top_first));
   pick_.set("words", static_cast<GLuint>(splats.projection().slotWords()));
+  pick_.set("listed", int(lists != nullptr));
   splats.drawn().bind(4);
   picked_.bind(7);
   splats.tally().bind(8);
+  if (lists) lists->bindLists(4, 9);
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
   gl::dispatch(std::size_t(across) * std::size_t(down));

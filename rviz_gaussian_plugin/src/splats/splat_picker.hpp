@@ -9,6 +9,7 @@
 #include "ordered_splats.hpp"
 #include "raster.hpp"
 #include "shaders.hpp"
+#include "tile_rasterizer.hpp"
 
 namespace rosplat {
 
@@ -17,8 +18,10 @@ class SplatPicker {
  public:
   explicit SplatPicker(const Shaders& shaders);
 
-  // Among those that the depth of the target doesn't hide.
-  void pick(const OrderedSplats& splats, const gl::Target& target, const Raster& raster);
+  // Among those that the depth of the target doesn't hide. They should be listed by the target's
+  // tiles: without, each tile walks all of them.
+  void pick(const OrderedSplats& splats, const TileRasterizer* lists, const gl::Target& target,
+            const Raster& raster);
   // Writes the map's handle for rviz's selection as 24-bit colour wherever there is a splat, or,
   // without one, slot + 1 (slots of 24 bits only).
   void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t handle) const;

@@ -109,15 +109,21 @@ bool SplatRenderer::prepare(const SplatCamera& camera, const MapState& map,
   return true;
 }
 
-void SplatRenderer::prepareAndCheck(const SplatCamera& camera, const MapState& map,
-                                    const RenderSettings& settings) {
+bool SplatRenderer::prepareAndCheck(const SplatCamera& camera, const MapState& map,
+                                    const RenderSettings& settings, const gl::Target* lists_for) {
   gl::Stopwatch stopwatch(false);
-  bool in_tiles = false, unknown = false;
+  bool in_tiles = lists_for, unknown = false;
   do {
     unknown = prepare(camera, map, settings, stopwatch);
-    if (unknown) tallies_.ask();
+    if (in_tiles && !tiles_.listed(*lists_for)) {
+      tiles_.list(splats_, *lists_for, stopwatch, [this] { tallies_.ask(); });
+      unknown = true;
+    } else if (unknown) {
+      tallies_.ask();
+    }
   } while (unknown && !checkRoom(map, in_tiles));
   splats_.keep();
+  return in_tiles;
 }
 
 bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
@@ -242,7 +248,7 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
                                 const RenderSettings& settings, Canvas canvas, double far_clip) {
   const CanvasScope window(canvas);
   setTarget(surface_depth_, GL_RGBA32F, camera, settings, window);
-  prepareAndCheck(camera, map, settings);
+  prepareAndCheck(camera, map, settings, nullptr);
   const gl::DrawScope scope(surface_depth_);
   copyDepth(window, surface_depth_);
   quads_.blendDepth(splats_, surface_depth_, raster_);
@@ -257,10 +263,10 @@ void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
                              const RenderSettings& settings, Canvas canvas, std::uint32_t handle) {
   const CanvasScope window(canvas);
   setTarget(pick_depth_, GL_RGBA16F, camera, settings, window);
-  prepareAndCheck(camera, map, settings);
+  const bool listed = prepareAndCheck(camera, map, settings, sorts() ? &pick_depth_ : nullptr);
   const gl::DrawScope scope(pick_depth_);
   copyDepth(window, pick_depth_);
-  picker_.pick(splats_, pick_depth_, raster_);
+  picker_.pick(splats_, listed ? &tiles_ : nullptr, pick_depth_, raster_);
   if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, handle);
 }
 

@@ -81,8 +81,8 @@ class SplatRenderer {
   // is.
   std::vector<float> readDepth();
 
-  // Whether the GPU sorts right, which is tried when first asked: if not, nothing is drawn in
-  // tiles, nor may sortByDepth() be called.
+  // Whether the GPU sorts right, which is tried when first asked: if not, nothing is drawn or
+  // picked in tiles, nor may sortByDepth() be called.
   bool sorts();
   // What the driver can't do, and what is done instead, for the user; empty where nothing is.
   std::string warning() const;
@@ -104,9 +104,10 @@ class SplatRenderer {
   // Submits what projects and sorts what is visible; false where that is there already.
   bool prepare(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
                gl::Stopwatch& stopwatch);
-  // The same, and sees to it that there is room for all.
-  void prepareAndCheck(const SplatCamera& camera, const MapState& map,
-                       const RenderSettings& settings);
+  // The same, and sees to it that there is room for all; lists it by the tiles of a target, if
+  // there is one, and returns whether that could be done.
+  bool prepareAndCheck(const SplatCamera& camera, const MapState& map,
+                       const RenderSettings& settings, const gl::Target* lists_for);
   // Whether there was room for all that prepare() and, in_tiles, its lists were to hold; else makes
   // it, or gives up tiles, and all has to be submitted again.
   bool checkRoom(const MapState& map, bool& in_tiles);

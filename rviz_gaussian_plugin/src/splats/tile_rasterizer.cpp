@@ -102,8 +102,7 @@ void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
   glUniform2i(program.at("tiles"), across, down);
   glUniform2i(program.at("picture"), target.width(), target.height());
   program.set("top_first", int(raster.top_first));
-  sort_.values().bind(4);
-  begins_.bind(5);
+  bindLists(4, 5);
   splats.projection().depthRange().bind(6);
   if (behind) {
     glActiveTexture(GL_TEXTURE1);

@@ -26,6 +26,12 @@ class TileRasterizer {
   // Whether what was listed last is for a target like this.
   bool listed(const gl::Target& target) const;
 
+  // What is listed: indices of ellipses, tile by tile, nearest first; where each tile's begin.
+  void bindLists(GLuint splats, GLuint begins) const {
+    sort_.values().bind(splats);
+    begins_.bind(begins);
+  }
+
   // Overwrites the target's colour by what is listed, where its depth lets a splat pass; `behind`,
   // if there is one, gets those that the target's depth hides and its own lets pass, and in its
   // second colour their nearness, as splat_hide.frag reads it.
