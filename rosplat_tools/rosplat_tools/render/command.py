@@ -40,6 +40,7 @@ START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
 SETTLED = 1.0  # a complete map that hasn't changed for so long has all its edits [s]
 PUBLISHER = "publisher"  # its log
 CALL_TIMEOUT = 120.0  # for one picture [s]
+ASK_AGAIN = 10.0  # after a picture's order should be there: an answer may get lost [s]
 LONGEST_SIDE, MOST_PIXELS = 16384, 1 << 25  # that the renderer draws
 
 
@@ -164,14 +165,18 @@ def _call(
     processes: Processes,
 ) -> RenderView.Response:
     request = RenderView.Request(camera=view_camera(camera), order_timeout=order_timeout)
-    future = client.call_async(request)
+    futures = [client.call_async(request)]
     deadline = time.monotonic() + CALL_TIMEOUT
-    while not future.done():
+    ask_again = time.monotonic() + order_timeout + ASK_AGAIN
+    while not any(future.done() for future in futures):
         rclpy.spin_once(node, timeout_sec=0.1)
         processes.check()
         if time.monotonic() > deadline:
             raise RenderError(f"camera {camera.id}: the renderer has not answered")
-    answer = future.result()
+        # A service that began just now may answer before it knows its client.
+        if len(futures) == 1 and time.monotonic() > ask_again:
+            futures.append(client.call_async(request))
+    answer = next(future.result() for future in futures if future.done())
     if not answer.success:
         raise RenderError(f"camera {camera.id}: {answer.message}")
     return answer

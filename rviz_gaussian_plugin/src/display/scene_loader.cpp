@@ -49,10 +49,7 @@ void SceneLoader::choosePublisher() {
     auto& candidate = candidates_[name];
     if (!candidate) candidate = node_->create_client<LoadScene>(name);
     if (!candidate->service_is_ready()) continue;  // a SLAM node, say
-    client_ = candidate;
-    endChoice();
-    status_ = "loading " + path_;
-    request(path_);
+    greet(candidate);
     return;
   }
   if (Clock::now() < choice_ends_) return;
@@ -65,6 +62,18 @@ void SceneLoader::choosePublisher() {
     report("the publisher of " + topic_ + " has no service to load scenes; choose another topic",
            true);
   }
+}
+
+void SceneLoader::greet(const rclcpp::Client<LoadScene>::SharedPtr& candidate) {
+  const auto answered = [this,
+                         weak = std::weak_ptr(candidate)](rclcpp::Client<LoadScene>::SharedFuture) {
+    if (!choice_.isActive()) return;  // a later answer, or it was cancelled
+    client_ = weak.lock();
+    endChoice();
+    status_ = "loading " + path_;
+    request(path_);
+  };
+  candidate->async_send_request(std::make_shared<LoadScene::Request>(), answered);
 }
 
 void SceneLoader::endChoice() {

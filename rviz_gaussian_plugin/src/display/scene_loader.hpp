@@ -35,6 +35,9 @@ class SceneLoader {
   using LoadScene = rosplat_msgs::srv::LoadScene;
 
   void choosePublisher();
+  // Asks for nothing until there is an answer: a service may not know a new client yet when it
+  // answers, and what it says of a scene would be lost.
+  void greet(const rclcpp::Client<LoadScene>::SharedPtr& candidate);
   void endChoice();
   void request(const std::string& path);
   void startPublisher(const std::string& path);
