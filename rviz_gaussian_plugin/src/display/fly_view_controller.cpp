@@ -57,6 +57,11 @@ bool FlyKeys::* flyKey(int key) {
   }
 }
 
+// A tool may ask for all keys; rviz's Select does, but takes none of these.
+bool isForTool(const rviz_common::Tool* tool) {
+  return tool && tool->accessAllKeys() && tool->getClassId() != "rviz_default_plugins/Select";
+}
+
 }  // namespace
 
 FlyViewController::FlyViewController() {
@@ -129,8 +134,7 @@ bool FlyViewController::handleFlyKey(const QKeyEvent& event) {
   if (!release) {
     if (event.modifiers() & (Qt::ControlModifier | Qt::AltModifier | Qt::MetaModifier))
       return false;
-    rviz_common::Tool* tool = context_->getToolManager()->getCurrentTool();
-    if (tool && tool->accessAllKeys()) return false;
+    if (isForTool(context_->getToolManager()->getCurrentTool())) return false;
   }
   if (event.type() == QEvent::ShortcutOverride) return true;
   // Held keys repeat as presses and releases.
