@@ -49,8 +49,13 @@ TEST(TopicStatus, saysTheWorstFirst) {
   EXPECT_EQ(topicStatus(received).level, StatusProperty::Warn);
   received.refused = 2;
   received.refusal = "it ends early";
-  EXPECT_TRUE(has(topicStatus(received), "2 batches refused, the last because it ends early"));
+  EXPECT_TRUE(
+      has(topicStatus(received), "3 batches received, 2 refused, the last because it ends early"));
   EXPECT_EQ(topicStatus(received).level, StatusProperty::Error);
+  received.contended = false;
+  received.refusal.clear();  // a good one followed
+  EXPECT_EQ(topicStatus(received).text, "3 batches received, 2 refused");
+  EXPECT_EQ(topicStatus(received).level, StatusProperty::Ok);
 }
 
 TEST(SidecarStatus, warnsOfAnotherBackendThanTheOneAskedFor) {
