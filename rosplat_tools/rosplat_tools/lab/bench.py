@@ -23,7 +23,7 @@ from rosplat_tools.cameras import Camera
 from rosplat_tools.lab.motion import FRAME_RATE
 from rosplat_tools.lab.orders import Order
 from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin.offscreen import OrderSource, Renderer, RenderSettings
+from rviz_gaussian_plugin.offscreen import OrderSource, Rasterizer, Renderer, RenderSettings
 
 Image = NDArray[np.float64]
 Sort = Callable[["Bench", Camera], Order | None]
@@ -148,7 +148,7 @@ class Bench:
         """
         self._use(order is None, settings)
         self._look(camera, order)
-        self.renderer.draw(VIEW_ID)
+        self._check(self.renderer.draw(VIEW_ID), order)
         pixels: NDArray[np.float32] = self.renderer.read_color()
         return pixels[..., :3].astype(np.float64)
 
@@ -169,13 +169,12 @@ class Bench:
             self._use(order is None, settings)
             self._look(looking, order)
             looked = time.perf_counter()
-            source = self.renderer.draw(VIEW_ID)["order_source"]
+            drawn = self.renderer.draw(VIEW_ID)
             self._finish()
             end = time.perf_counter()
             times.append((sorted_at - start, end - looked, end - start))
         sorting, drawing, posing = map(min, zip(*times, strict=True))
-        if order is not None and source != SOURCE:
-            raise RuntimeError(f"the renderer drew the order of {source}")
+        self._check(drawn, order)
         pixels: NDArray[np.float32] = self.renderer.read_color()
         return Shot(
             pixels[..., :3].astype(np.float64),
@@ -194,6 +193,15 @@ class Bench:
         # Not Auto: a graphics card would then sort by itself whatever it is given.
         rendering.order = OrderSource.GPU if renderer_sorts else OrderSource.SIDECAR
         self.renderer.settings = rendering
+
+    def _check(self, drawn: dict[str, Any], order: Order | None) -> None:
+        """Raises RuntimeError where something else was drawn than what was asked for."""
+        source = "gpu" if order is None else SOURCE
+        if drawn["order_source"] != source or not drawn["order_fresh"]:
+            raise RuntimeError(f"the renderer drew the order of {drawn['order_source']}")
+        wanted = self.renderer.settings.rasterizer
+        if wanted != Rasterizer.AUTO and wanted.name.lower() != drawn["rasterizer"]:
+            raise RuntimeError(f"the renderer drew in {drawn['rasterizer']}")
 
     def _look(self, camera: Camera, order: Order | None) -> None:
         """Tells the renderer of a camera and of its order, and uploads what the map still lacks."""
