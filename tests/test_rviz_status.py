@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz, red
+from rviz_harness import TOP, Rviz, World, configuration, disc, map_display, needs_rviz, red
 
 pytestmark = needs_rviz
 
@@ -146,6 +147,29 @@ def test_a_refused_batch_is_said_until_a_good_one_comes(tmp_path: Path, world: W
         rviz.until_status("Map", "Topic", "Ok", "1 batches received, 1 refused")
     finally:
         rviz.close()
+
+
+def test_where_pictures_fail_is_told_while_it_lasts(rviz: Rviz, world: World) -> None:
+    def silent() -> None:
+        world.spin_until(lambda: "Accuracy" not in rviz.status("Map"))
+
+    world.place()
+    world.map.replace(disc((1, 0, 0)))
+    rviz.until(lambda s: red(s).any())
+    rviz.until_status("Map", "Frame", "Ok")
+    silent()
+    millimetre = np.full((1, 3), 0.001, np.float32)  # a tenth of a pixel
+    world.map.replace(replace(disc((1, 0, 0)), scales=millimetre))
+    rviz.until_status("Map", "Accuracy", "Warn", "smaller than a pixel", "Antialiasing")
+    rviz.set("Map", "Antialiasing", value="On")
+    silent()
+    world.map.replace(disc((1, 0, 0), x=1e6, sigma=0.1))
+    rviz.until_status("Map", "Accuracy", "Warn", "relative to an origin")
+    world.map.replace(disc((1, 0, 0)))
+    silent()
+    world.place(1e6)
+    rviz.load(configuration(map_display(), view=TOP.replace("X: 0", "X: 1000000")))
+    rviz.until_status("Map", "Accuracy", "Warn", "Fixed Frame")
 
 
 def test_opengl_that_is_too_old(tmp_path: Path, world: World) -> None:

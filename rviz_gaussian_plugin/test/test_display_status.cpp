@@ -19,7 +19,7 @@ DrawnViews::Report sortedBy(const std::string& source) {
   FrameReport frame;
   frame.splats = 7;
   frame.order_source = source;
-  return {"", frame};
+  return {"", frame, {}};
 }
 
 bool has(const StatusLine& line, const std::string& words) {
@@ -96,6 +96,16 @@ TEST(OrderStatus, isToldForEachView) {
   frame.sort_time = 0.004;
   EXPECT_EQ(orderStatus(frame, "view 2").name, "Order (view 2)");
   EXPECT_EQ(orderStatus(frame, "view 2").text, "7 splats by gpu in 4.0 ms, 250.0 ms old");
+  EXPECT_EQ(orderStatus(frame, "").level, StatusProperty::Ok);
+  frame.order_age = 5;
+  EXPECT_EQ(orderStatus(frame, "").level, StatusProperty::Warn);
+  frame.order_fresh = true;
+  EXPECT_EQ(orderStatus(frame, "").level, StatusProperty::Ok);
+}
+
+TEST(AccuracyStatus, warnsOfAllRegimesInALine) {
+  EXPECT_EQ(accuracyStatus({"far", "wide"}).text, "far; wide");
+  EXPECT_EQ(accuracyStatus({"far"}).level, StatusProperty::Warn);
 }
 
 }  // namespace rosplat

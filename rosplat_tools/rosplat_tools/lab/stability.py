@@ -26,6 +26,8 @@ class Note:
     happens: str
     survives: str
     ours: str
+    warns: str = ""
+    """When the Display's Status does, where the failure stays."""
 
 
 NOTES = {
@@ -36,6 +38,7 @@ NOTES = {
         "for maps that were trained with EWA: they look right only as they were trained.",
         "Draws what EWA in float64 draws, at any angle. The "
         "tangent is clamped at 1.3 times the picture's edge, as in training.",
+        warns="a view reaches more than 50 degrees to a side.",
     ),
     "near_plane": Note(
         "A splat is drawn until its mean crosses the near plane, then it is gone in one frame.",
@@ -63,6 +66,7 @@ NOTES = {
         "Opacity compensation (Mip-Splatting).",
         "*Antialiasing*: As Trained by default, since a map trained without compensation needs "
         "the fat near by. For overviews, set it to On.",
+        warns="most splats in view have a standard deviation below half a pixel, uncompensated.",
     ),
     "huge": Note(
         "A splat of a kilometre's size, as sky or background, three of its sizes away.",
@@ -98,6 +102,10 @@ NOTES = {
         "publisher that sends large float32 positions without an origin has lost them already. "
         "In rviz2, whose own cameras and frames are float32, choose a Fixed Frame near what you "
         "look at.",
+        warns=(
+            "most splats are smaller than eight steps of their positions' floats, or rviz2's own "
+            "floats move what is in view by half a pixel."
+        ),
     ),
     "scaled": Note(
         "The unit of a map without scale (monocular SLAM) is arbitrary, and a map may have to "
@@ -141,6 +149,8 @@ NOTES = {
         "On a graphics card that sorts for itself no order is old. Elsewhere the last one is "
         "drawn for a quarter of a second at most, and orders are culled for a view wider than the "
         "picture, at the price of some 3 % more splats.",
+        warns="an order is older than a second, as of a sidecar that ended while *Order Source* "
+        "waits for it.",
     ),
     "stale_orbit": Note(
         "Orbiting turns the camera as well, but what it looks at stays in the picture.",
@@ -179,6 +189,7 @@ NOTES = {
         "vanishes; of stronger ones, the rims are cut.",
         "Nothing that is fast: the cut is what makes quads end. Maps are trained with it.",
         "As in training, so as the reference.",
+        warns="most splats are below 1/255, by themselves or by *Alpha*.",
     ),
     "opaque": Note(
         "Alpha is capped at 0.99, so that training can see through: a lamp behind a wall shines "
@@ -207,7 +218,10 @@ def write(folder: Path, findings: Sequence[Finding], facts: str) -> Path:
         "sees a difference, 150 stands for equal. What is called ours is the real renderer with a",
         "real sorter's order, blended in 32-bit floats unless it says otherwise. Its packed",
         "attributes (`packed_slot.hpp`) hold it to 80 dB or so; unpacked ones reach 120 to 150.",
-        "`tests/test_stability.py` holds the claims on every `make test`.",
+        "`tests/test_stability.py` holds the claims on every `make test`. Where a failure stays",
+        "and something helps, the Display's Status warns, under *Accuracy* or *Order*. Where it",
+        "is silent, the failure is gone, is part of what maps are trained with, or lasts a",
+        "moment.",
         "",
         f"Measured on {facts}.",
         "",
@@ -217,6 +231,7 @@ def write(folder: Path, findings: Sequence[Finding], facts: str) -> Path:
         note = NOTES[finding.name]
         lines += ["", f"## {finding.title}", "", f"**What happens.** {note.happens}", ""]
         lines += [f"**What survives.** {note.survives}", "", f"**ROSplat.** {note.ours}", ""]
+        lines += [f"**The Status warns** when {note.warns}", ""] if note.warns else []
         lines += _table(finding)
     path = folder / "stability.md"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

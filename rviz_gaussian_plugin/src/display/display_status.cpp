@@ -10,6 +10,9 @@ namespace {
 
 using rviz_common::properties::StatusProperty;
 
+// In a second of slow motion, half of what is seen may have come in since. [s]
+constexpr double kOldOrder = 1.0;
+
 template <typename... Parts>
 std::string concat(const Parts&... parts) {
   std::ostringstream text;
@@ -18,9 +21,9 @@ std::string concat(const Parts&... parts) {
   return text.str();
 }
 
-std::string joined(const std::vector<std::string>& names) {
+std::string joined(const std::vector<std::string>& parts, const char* by = ", ") {
   std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
+  for (const std::string& part : parts) text += (text.empty() ? "" : by) + part;
   return text;
 }
 
@@ -74,7 +77,7 @@ StatusLine sceneFileStatus(const std::string& says, bool loading, bool failed,
 
 StatusLine sidecarStatus(const GaussianClient::Status& received, const std::string& wanted,
                          const std::vector<DrawnViews::Report>& views) {
-  for (const auto& [view, frame] : views) {
+  for (const auto& [view, frame, camera] : views) {
     if (wanted.empty() || !isBy(frame, "sidecar (") || isBy(frame, "sidecar (" + wanted + ")")) {
       continue;
     }
@@ -84,6 +87,10 @@ StatusLine sidecarStatus(const GaussianClient::Status& received, const std::stri
   }
   return {received.sidecar_failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",
           received.sidecar};
+}
+
+StatusLine accuracyStatus(const std::vector<std::string>& regimes) {
+  return {StatusProperty::Warn, "Accuracy", joined(regimes, "; ")};
 }
 
 StatusLine mapStatus(const MapState& map) {
@@ -100,7 +107,8 @@ StatusLine orderStatus(const FrameReport& frame, const std::string& view) {
   std::string text = concat(frame.splats, " splats by ", frame.order_source);
   if (frame.sort_time > 0) text += concat(" in ", frame.sort_time * 1e3, " ms");
   text += frame.order_fresh ? ", fresh" : concat(", ", frame.order_age * 1e3, " ms old");
-  return {StatusProperty::Ok, nameOf("Order", view), text};
+  const bool old = !frame.order_fresh && frame.order_age > kOldOrder;
+  return {old ? StatusProperty::Warn : StatusProperty::Ok, nameOf("Order", view), text};
 }
 
 StatusLine frameStatus(const FrameReport& frame, const std::string& view) {

@@ -27,6 +27,8 @@ StatusLine sceneFileStatus(const std::string& says, bool loading, bool failed, c
 // What became of the wish for a backend (empty: any), beside what sorted the views.
 StatusLine sidecarStatus(const GaussianClient::Status& received, const std::string& wanted,
                          const std::vector<DrawnViews::Report>& views);
+// Why pictures may be worse than elsewhere: SplatScene::hardRegimes().
+StatusLine accuracyStatus(const std::vector<std::string>& regimes);
 // What there is of the map, and what is missing.
 StatusLine mapStatus(const MapState& map);
 // Who sorted a frame, and what it took; `view` is empty for rviz's own.

@@ -64,8 +64,8 @@ void DrawnViews::forgetUnseen() {
 std::vector<DrawnViews::Report> DrawnViews::reports() const {
   std::vector<Report> reports;
   for (const auto& [viewport, drawn] : views_) {
-    reports.push_back(
-        {drawn.main ? "" : "view " + std::to_string(drawn.number), scene_.report(drawn.view.id())});
+    reports.push_back({drawn.main ? "" : "view " + std::to_string(drawn.number),
+                       scene_.report(drawn.view.id()), drawn.view.camera()});
   }
   return reports;
 }

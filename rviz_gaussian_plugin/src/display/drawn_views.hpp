@@ -21,6 +21,7 @@ class DrawnViews {
   struct Report {
     std::string view;  // what the Status calls it, empty for rviz's own
     FrameReport frame;
+    SplatCamera camera;
   };
 
   // Scene and client must outlive it; the name is this display's alone among all viewers'.

@@ -295,11 +295,15 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
     lines.push_back({StatusProperty::Warn, kGraphics, warning});
   }
   if (!draws || received.batches == 0) return lines;
-  for (const auto& [view, frame] : views) {
+  std::vector<SplatCamera> cameras;
+  for (const auto& [view, frame, camera] : views) {
+    cameras.push_back(camera);
     if (frame.order_source.empty()) continue;  // nothing is sorted yet
     lines.push_back(orderStatus(frame, view));
     lines.push_back(frameStatus(frame, view));
   }
+  const auto regimes = scene.hardRegimes(cloud_->settings(), cameras);
+  if (!regimes.empty()) lines.push_back(accuracyStatus(regimes));
   lines.push_back(memoryStatus(scene.gpuBytes(), scene.hostBytes()));
   return lines;
 }

@@ -84,12 +84,14 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   // Memory may run out at any line until the last: the map is changed there.
   MapState next;
   std::vector<bool> used;
+  MapSample sample;
   if (edit->clear) {
     next.origin = batch.origin;
     next.antialiased = batch.antialiased;
   } else {
     next = state_;
     used = used_;
+    sample = sample_;
   }
   // A REPLACE makes whatever came before it unimportant. A map that is played once more, but not
   // from its beginning, lacks all before.
@@ -168,6 +170,15 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
       if (slot >= used.size()) continue;  // a DELETE of slots never used
       next.splats += int(kept[i]) - int(used[slot]);
       used[slot] = kept[i];
+      if (!kept[i]) {
+        sample.drop(slot);
+        continue;
+      }
+      const float* position = &edit->positions[3 * i];
+      const float* scale = &batch.scales.data[3 * i];
+      sample.keep(slot, {{position[0], position[1], position[2]},
+                         std::max({scale[0], scale[1], scale[2]}),
+                         batch.opacities[i]});
     }
   }
   edit->capacity = next.capacity;
@@ -176,6 +187,7 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   if (keep) keep(edit, next);
   state_ = std::move(next);
   used_ = std::move(used);
+  sample_ = std::move(sample);
   return edit;
 }
 

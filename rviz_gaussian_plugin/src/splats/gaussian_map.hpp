@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "gaussian_batch.hpp"
+#include "map_sample.hpp"
 #include "packed_slot.hpp"
 
 namespace rosplat {
@@ -70,7 +71,7 @@ struct SplatValues {
 };
 
 // Keeps the books of a map: which slots are in use, which revision this is, what is still missing.
-// Knows no GPU; holds no splats.
+// Knows no GPU; holds no splats but a sample.
 class GaussianMap {
  public:
   // Gets an edit, and the state after it, before the map knows of it.
@@ -83,9 +84,11 @@ class GaussianMap {
                                             const Keep& keep = nullptr);
 
   const MapState& state() const { return state_; }
+  const MapSample& sample() const { return sample_; }
 
  private:
   MapState state_;
+  MapSample sample_;
   std::vector<bool> used_;
 };
 

@@ -22,6 +22,7 @@ struct SplatCamera {
   struct Whole {
     double cx = 0, cy = 0, width = 0, height = 0;
   } part_of;
+  double rounding = 0;  // of where the host's own numbers put it [m]
   // How the scene's depth buffer sees it: ndc.z = (ndc_scale z + ndc_offset) / w, w = z or 1.
   double ndc_scale = 0, ndc_offset = 0;
 

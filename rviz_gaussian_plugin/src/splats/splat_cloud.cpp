@@ -11,6 +11,7 @@
 #include <OgreViewport.h>
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 namespace rosplat {
@@ -57,6 +58,11 @@ SplatCamera cameraOf(const Ogre::Camera& ogre, const Ogre::Affine3& node, int wi
     for (int j = 0; j < 3; ++j) sum += double(view[i][j]) * double(node[j][3]);
     camera.translation[i] = sign * sum;
   }
+  const auto farther = [](double d, double x) { return std::max(d, std::fabs(x)); };
+  for (int i = 0; i < 3; ++i) {
+    camera.rounding = farther(farther(camera.rounding, view[i][3]), node[i][3]);
+  }
+  camera.rounding *= 0.5 * std::numeric_limits<Ogre::Real>::epsilon();
   camera.orthographic = projection[3][3] != 0;  // whatever the type says: rviz sets matrices
   camera.width = width;
   camera.height = height;

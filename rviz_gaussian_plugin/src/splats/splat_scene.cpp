@@ -3,6 +3,8 @@
 #include <chrono>
 #include <limits>
 
+#include "hard_regimes.hpp"
+
 namespace rosplat {
 
 namespace {
@@ -47,6 +49,12 @@ void SplatScene::offer(OrderPtr order) {
 MapState SplatScene::state() const {
   const std::lock_guard lock(map_mutex_);
   return map_.state();
+}
+
+std::vector<std::string> SplatScene::hardRegimes(const RenderSettings& settings,
+                                                 const std::vector<SplatCamera>& cameras) const {
+  const std::lock_guard lock(map_mutex_);
+  return rosplat::hardRegimes(map_.state(), map_.sample(), settings, cameras);
 }
 
 void SplatScene::prepare() {

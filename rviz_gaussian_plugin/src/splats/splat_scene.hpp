@@ -45,6 +45,9 @@ class SplatScene {
   void offer(OrderPtr order);
   // Any thread: the map as queued so far.
   MapState state() const;
+  // Any thread: where that map and cameras in its frame are hard to draw; see hardRegimes().
+  std::vector<std::string> hardRegimes(const RenderSettings& settings,
+                                       const std::vector<SplatCamera>& cameras) const;
 
   // Render thread: the camera of a view; sequence grows by one with each.
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace rosplat {
+
+// What decides how well a splat can be drawn.
+struct SampledSplat {
+  std::array<float, 3> position{};  // relative to the map's origin [m]
+  float size = -1;                  // largest standard deviation [m], -1 of an empty slot
+  float opacity = 0;
+};
+
+// Every 2^k-th slot of a map, k such that a few thousand stay: for figures about the whole.
+class MapSample {
+ public:
+  static constexpr std::size_t kMost = 4096;
+
+  void keep(std::uint32_t slot, const SampledSplat& splat);
+  void drop(std::uint32_t slot) { keep(slot, {}); }
+
+  // Those that aren't empty.
+  std::vector<SampledSplat> splats() const;
+
+ private:
+  int k_ = 0;
+  std::vector<SampledSplat> splats_;  // by slot / 2^k
+};
+
+}  // namespace rosplat
