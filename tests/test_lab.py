@@ -144,7 +144,7 @@ def test_every_method_draws_the_very_order_it_finds(bench: Watched, rasterizer: 
     for method in METHODS:
         if not method.shoot or method.model or method.change or not method.available(bench):
             continue
-        if method.family in ("SH degree", "least worth", "quality"):  # no question of order
+        if method.family in ("SH degree", "resolution", "quality"):  # no question of order
             continue
         bench.show(splats)
         picture = np.clip(method.shoot(bench, camera).picture, 0, 1)

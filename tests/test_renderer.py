@@ -12,8 +12,9 @@ import pytest
 from rosplat_sorter.order_slots import PACKED, SHARED, pack
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_tools import reference
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.reference import projection
+from rosplat_tools.cameras import Camera, look_at, orbit
+from rosplat_tools.generate import generate
+from rosplat_tools.lab import motion
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin.offscreen import (
     Antialiasing,
@@ -640,33 +641,59 @@ def test_near_fade_thins_what_is_close(host: Host) -> None:
     assert host.draw(ABOVE)[CENTRE][3] == pytest.approx(solid / 2, rel=0.02)
 
 
-def test_what_adds_up_to_little_can_be_left_out(host: Host) -> None:
-    """Alphas of a Gaussian add up to 2 pi opacity sigma^2 [px]: one splat above, one below."""
-    faint = one(opacities=[0.05], scales=[[0.001] * 3], positions=[[0, 0.5, 0]])
-    host.show(faint)
-    assert host.draw(ABOVE).any()
-    host.set(least_worth=1.0)  # it is worth 6.28 * 0.05 * 0.3, the low-pass alone
-    assert not host.draw(ABOVE).any()
-    host.show(one())
-    assert host.draw(ABOVE).any()
+def test_half_resolution_stays_close_to_the_reference(host: Host) -> None:
+    """Of a scene with as much detail as pixels show, and of larger splats: docs/accuracy.md."""
+    for splats, least in ((generate(20_000), 30), (cloud(300), 38)):
+        (view,) = orbit(motion.typical_bounds(splats), 1, width=641, height=361)
+        host.show(splats)
+        host.set(float_blending=True, half_resolution=True)
+        expected = reference.render(splats, view).rgba
+        picture = host.draw(view)
+        assert picture.shape == expected.shape
+        assert decibels(picture, expected) > least
+        # What is smaller than a pixel is as bright in all.
+        assert picture.sum() == pytest.approx(expected.sum(), rel=0.01)
 
 
-def test_what_is_left_out_is_what_the_reference_finds_to_add_up_to_little(host: Host) -> None:
-    """Of all shapes, at the picture's border, too: culling takes none that is worth it."""
-    splats = cloud(200)
-    splats = replace(splats, scales=splats.scales * np.float32(0.1))
+@pytest.mark.parametrize("opacity", [1.0, 0.5])
+@pytest.mark.parametrize("view", ["perspective", "orthographic"])
+def test_at_half_resolution_other_things_keep_their_edges(
+    host: Host, view: str, opacity: float
+) -> None:
+    """A white bar before red and behind blue splats, which are smooth: only edges could differ."""
+    orthographic = view == "orthographic"
+    focal = 50.0 if orthographic else 150.0
+    camera = camera_at((3.0, 0, 0), orthographic=orthographic, fx=focal, fy=focal)
+    camera = replace(camera, width=WIDTH + 1, height=HEIGHT + 1)  # a half pixel is left
+    host.show(
+        one(positions=[[-1, 0, 0], [1, 0.5, 0.3]], orientations=[[0, 0, 0, 1]] * 2,
+            scales=[[0.1, 0.9, 0.9]] * 2, opacities=[0.9, 0.9],
+            sh=[[[1.7, -1.7, -1.7]], [[-1.7, -1.7, 1.7]]])
+    )  # fmt: skip
+    pictures = {}
+    try:
+        host.renderer.set_box((0, 0.1, -0.1), (0.2, 1.31, 0.07), opacity)
+        for half in (False, True):
+            host.set(float_blending=True, half_resolution=half)
+            host.draw(camera)
+            pictures[half] = host.renderer.read_color8((0, 0, 0)).astype(int)
+    finally:
+        host.renderer.set_box((0, 0, -1e6), (1, 1, 1))
+    assert (pictures[False].min(axis=2) > 30).sum() > 100  # of the bar
+    assert np.abs(pictures[True] - pictures[False]).max() < 12
+
+
+def test_depths_and_picks_know_no_half_resolution(host: Host) -> None:
+    host.show(cloud(300))
     view = CAMERAS["outside"]
-    projected = projection.project(splats, view)
-    xx, xy, yy = projected.conics.T
-    worth = 2 * np.pi * projected.opacities / np.sqrt(xx * yy - xy * xy)
-    middle = np.sort(worth)[len(worth) // 3 : -len(worth) // 3]
-    gap = np.diff(np.log(middle)).argmax()  # where rounding can't decide
-    least = float(middle[gap : gap + 2].mean())
-    kept = splats[projected.slots[worth >= least]]
-    host.show(splats)
-    host.set(float_blending=True, least_worth=least)
-    assert decibels(host.draw(view), reference.render(kept, view).rgba) >= 70
-    assert decibels(host.draw(view), reference.render(splats, view).rgba) < 60
+    host.draw(view)
+    depths, slots = host.renderer.read_depth(), host.renderer.pick("test", 0, 0, WIDTH, HEIGHT)
+    host.set(half_resolution=True)
+    host.draw(view)
+    seen = np.isfinite(depths) & np.isfinite(host.renderer.read_depth())
+    assert seen.sum() > 0.95 * np.isfinite(depths).sum()
+    assert np.median(np.abs(host.renderer.read_depth() - depths)[seen]) < 0.01
+    np.testing.assert_array_equal(host.renderer.pick("test", 0, 0, WIDTH, HEIGHT), slots)
 
 
 def test_where_the_processor_draws_pictures_are_kept_in_floats_unasked(host: Host) -> None:

@@ -142,11 +142,15 @@ def test_translucent_markers(rviz: Rviz, world: World, view: str, rasterizer: st
     seen(128, 64, 64)
 
 
+@pytest.mark.parametrize("quality", ["Balanced", "Fast"])
 @pytest.mark.parametrize("rasterizer", ["Quads", "Tiles"])
-def test_a_fine_grid_is_as_fine_before_splats(rviz: Rviz, world: World, rasterizer: str) -> None:
+def test_a_fine_grid_is_as_fine_before_splats(
+    rviz: Rviz, world: World, rasterizer: str, quality: str
+) -> None:
     """Its lines are as bright as before nothing, to the last sample of a pixel."""
     lines = {"Color": "0; 255; 0", "Alpha": 0.5, "Cell Size": 0.5}
-    rviz.load(configuration(display("Grid", "Grid", **lines), map_display(Rasterizer=rasterizer)))
+    splats = map_display(Rasterizer=rasterizer, Quality=quality)
+    rviz.load(configuration(display("Grid", "Grid", **lines), splats))
 
     def inner(picture: np.ndarray) -> np.ndarray:
         row, column = picture.shape[0] // 2, picture.shape[1] // 2

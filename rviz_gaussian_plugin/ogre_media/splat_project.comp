@@ -28,7 +28,7 @@ uniform bool antialiased;
 uniform int mode;
 uniform float scale_modifier, opacity_modifier;
 uniform float near_fade;  // [m]
-uniform float least_worth;  // of the alphas of all its pixels, added up
+uniform float trained_low_pass;  // [px^2], less than kLowPass where pixels are larger than the view's
 uniform float now;        // as slotAge() reads it
 uniform float age_range;  // what is old [s]
 uniform uint room;        // for visible splats
@@ -135,9 +135,13 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   float det0 = dot(area, area);  // of M M^T by Cauchy-Binet: no cancellation for needles
   float a = a0 + kLowPass, c = c0 + kLowPass;
   float det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
-  if (antialiased) opacity *= sqrt(det0 / det);
+  if (antialiased) {
+    opacity *= sqrt(det0 / det);
+  } else if (trained_low_pass < kLowPass) {  // as much in all as in smaller pixels
+    float low_pass = trained_low_pass;
+    opacity *= sqrt((det0 + low_pass * (a0 + c0) + low_pass * low_pass) / det);
+  }
   if (!(opacity >= kCutoffAlpha)) return e;
-  if (kTwoPi * opacity * sqrt(det) < least_worth) return e;
 
   float mid = 0.5 * (a + c), radius = length(vec2(0.5 * (a - c), b));
   float major = mid + radius;

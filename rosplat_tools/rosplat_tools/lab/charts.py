@@ -29,7 +29,7 @@ GROUPS = {
     "old order": ("age",),
     "blending": ("blend", "order", "stochastic"),
     "what a splat holds": ("SH degree", "precision", "packed"),
-    "fewer or smaller splats": ("budget", "least", "cut-off"),
+    "fewer splats or pixels": ("budget", "least", "resolution", "cut-off"),
     "other viewers": ("other",),
     "Quality": ("quality",),
 }
@@ -45,7 +45,7 @@ CURVES = {
          "age rotation, 1/s, culled 1x", "age orbit, 1/s", "age dolly, 1/s"], "frames", False,
     ),
     "stochastic transparency": (["stochastic"], "samples", True),
-    "splats left out": (["least worth"], "alphas add up to less than [px]", True),
+    "splats left out": (["budget"], "% of them kept", False),
 }  # fmt: skip
 
 

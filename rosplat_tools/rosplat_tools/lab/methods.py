@@ -299,10 +299,8 @@ METHODS: tuple[Method, ...] = (
         Method(f"from {pixels} px", "least size", drawn(large_enough(pixels)), aside=NUMPY)
         for pixels in (0.5, 1, 2)
     ),
-    *(
-        Method(f"worth {pixels} px", "least worth", drawn(least_worth=float(pixels)))
-        for pixels in (0.25, 0.5, 1, 2, 4)
-    ),
+    # In how many pixels.
+    Method("half resolution", "resolution", drawn(half_resolution=True)),
     # What others do.
     _seed("torch", baselines.torch_uploading),
     _seed("cupy", baselines.cupy_uploading),
@@ -315,5 +313,5 @@ METHODS: tuple[Method, ...] = (
     # All at once: the Display's property Quality.
     Method("quality exact", "quality", drawn()),
     Method("quality balanced", "quality", drawn(float_blending=None)),
-    Method("quality fast", "quality", drawn(float_blending=None, least_worth=1.0)),
+    Method("quality fast", "quality", drawn(float_blending=None, half_resolution=True)),
 )  # fmt: skip

@@ -16,8 +16,6 @@ namespace {
 using namespace rviz_common::properties;
 
 enum class Quality { kFast, kBalanced, kExact };
-// Leaves 51 to 61 dB, twice as much 41 to 52 ("least worth" in docs/accuracy.md). [px]
-constexpr float kFastLeastWorth = 1.0f;
 
 template <typename Value>
 EnumProperty* choice(const char* name, const char* preset, const char* description,
@@ -96,7 +94,7 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       "Quality", "Balanced",
       "Balanced: the last order is drawn until the next one is there. Exact: no order is ever "
       "old, a frame sorts for itself if it must, and pictures are kept in 32-bit floats. Fast: "
-      "leaves out splats whose alphas add up to less than a pixel.",
+      "splats are drawn at half the resolution, but for pictures for services.",
       display,
       {{"Fast", Quality::kFast}, {"Balanced", Quality::kBalanced}, {"Exact", Quality::kExact}});
   float_blending_ =
@@ -181,7 +179,7 @@ RenderSettings DisplaySettings::get() const {
   const auto quality = static_cast<Quality>(quality_->getOptionInt());
   if (float_blending_->getBool() || quality == Quality::kExact) settings.float_blending = true;
   settings.wait_for_order = quality == Quality::kExact;
-  if (quality == Quality::kFast) settings.least_worth = kFastLeastWorth;
+  settings.half_resolution = quality == Quality::kFast;  // "quality" in docs/accuracy.md
   settings.near_fade = near_fade_->getFloat();
   settings.clip_box = {clip_->getBool(), array(clip_centre_), array(clip_size_)};
   return settings;

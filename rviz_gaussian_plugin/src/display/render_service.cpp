@@ -105,7 +105,8 @@ GaussianClient::RenderView::Response RenderService::draw(bool sort_now) {
   GaussianClient::RenderView::Response response;
   try {
     SplatScene& scene = cloud_.scene();
-    const FrameReport report = scene.draw(view_.id(), cloud_.settings(), Canvas::kNone, sort_now);
+    const FrameReport report =
+        scene.draw(view_.id(), inFull(cloud_.settings()), Canvas::kNone, sort_now);
     const auto& camera = request_->request->camera;
     response.color = toImage(scene.readColor(), "32FC4", camera);
     response.depth = toImage(scene.readDepth(), "32FC1", camera);

@@ -180,7 +180,7 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("only_band", &RenderSettings::only_band)
       .def_readwrite("float_blending", &RenderSettings::float_blending)
       .def_readwrite("wait_for_order", &RenderSettings::wait_for_order)
-      .def_readwrite("least_worth", &RenderSettings::least_worth)
+      .def_readwrite("half_resolution", &RenderSettings::half_resolution)
       .def_readwrite("scale", &RenderSettings::scale)
       .def_readwrite("opacity", &RenderSettings::opacity)
       .def_readwrite("antialiasing", &RenderSettings::antialiasing)

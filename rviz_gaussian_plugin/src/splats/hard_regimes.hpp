@@ -10,8 +10,8 @@
 
 namespace rosplat {
 
-// In which of the places a map and its views are where pictures are known to fail, and what helps: a
-// sentence each. docs/stability.md measures these places, and names those that need no warning.
+// In which of the places a map and its views are where pictures are known to fail, and what helps:
+// a sentence each. docs/stability.md measures these places, and names those that need no warning.
 std::vector<std::string> hardRegimes(const MapState& map, const MapSample& sample,
                                      const RenderSettings& settings,
                                      const std::vector<SplatCamera>& cameras);

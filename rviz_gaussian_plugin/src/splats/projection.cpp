@@ -81,9 +81,6 @@ void Projection::cull(const SlotStore& store, const SplatCamera& camera, const M
   cull_.set("half_size", view.half_width, view.half_height);
   cull_.set("slope", view.slope_x, view.slope_y);
   cull_.set("opacity_modifier", settings.opacity);
-  cull_.set("scale_modifier", settings.scale);
-  // Billboards may be larger than the bound that culling takes.
-  cull_.set("least_worth", settings.mode == DrawMode::kBillboard ? 0.0f : settings.least_worth);
   const ClipBox& box = settings.clip_box;
   std::array<float, 3> box_centre{};
   for (int i = 0; i < 3; ++i) box_centre[i] = static_cast<float>(box.centre[i] - map.origin[i]);
@@ -139,7 +136,7 @@ void Projection::project(const SlotStore& store, const SplatCamera& camera, cons
   project_.set("scale_modifier", settings.scale);
   project_.set("opacity_modifier", settings.opacity);
   project_.set("near_fade", settings.near_fade);
-  project_.set("least_worth", settings.least_worth);
+  project_.set("trained_low_pass", settings.half_resolution ? 0.3f / 4 : 0.3f);
   project_.set("now", static_cast<float>(now));
   project_.set("age_range", settings.age_range);
   glUniform2i(project_.at("tiles"), tilesIn(camera.width), tilesIn(camera.height));

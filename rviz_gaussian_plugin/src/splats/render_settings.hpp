@@ -52,10 +52,10 @@ struct RenderSettings {
   // In 32-bit floats instead of 16-bit ones. Unset: where the processor draws, which takes as long
   // either way ("blend" in docs/accuracy.md); on a GPU, quads take two to five times as long.
   std::optional<bool> float_blending;
-  bool wait_for_order = false;  // sort in the frame rather than draw an order that isn't fresh
-  float least_worth = 0;        // splats whose alphas add up to less are left out [px]
-  float scale = 1;              // of the splats' size
-  float opacity = 1;            // of their opacity, 0 to 1
+  bool wait_for_order = false;   // sort in the frame rather than draw an order that isn't fresh
+  bool half_resolution = false;  // draw splats in pixels twice as wide and high, then smooth them
+  float scale = 1;               // of the splats' size
+  float opacity = 1;             // of their opacity, 0 to 1
   Antialiasing antialiasing = Antialiasing::kAsTrained;
   OrderSource order = OrderSource::kAuto;
   Rasterizer rasterizer = Rasterizer::kAuto;
@@ -68,7 +68,7 @@ struct RenderSettings {
   // Whether splats are projected alike.
   bool projectsAs(const RenderSettings& o) const {
     return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
-           least_worth == o.least_worth && scale == o.scale && opacity == o.opacity &&
+           half_resolution == o.half_resolution && scale == o.scale && opacity == o.opacity &&
            antialiasing == o.antialiasing && clip_box == o.clip_box && near_fade == o.near_fade &&
            age_range == o.age_range;
   }
@@ -76,5 +76,12 @@ struct RenderSettings {
 
 // How many times as large as in the map splats are culled: SplatCamera::extent_scale.
 inline double extentScale(const RenderSettings& settings) { return std::max(1.0f, settings.scale); }
+
+// The same without what is for the eye's speed alone: for the mouse, and for pictures that are
+// kept.
+inline RenderSettings inFull(RenderSettings settings) {
+  settings.half_resolution = false;
+  return settings;
+}
 
 }  // namespace rosplat

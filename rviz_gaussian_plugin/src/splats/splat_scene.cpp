@@ -206,14 +206,14 @@ void SplatScene::drawSurface(const SplatCamera& camera, const RenderSettings& se
                              Canvas canvas, double far_clip) {
   prepare();
   sortNow(camera);
-  renderer_->drawSurface(camera, drawn_map_, settings, canvas, far_clip);
+  renderer_->drawSurface(camera, drawn_map_, inFull(settings), canvas, far_clip);
 }
 
 void SplatScene::drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
                           std::uint32_t handle) {
   prepare();
   sortNow(camera);
-  renderer_->drawPick(camera, drawn_map_, settings, canvas, handle);
+  renderer_->drawPick(camera, drawn_map_, inFull(settings), canvas, handle);
 }
 
 std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {
