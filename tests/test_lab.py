@@ -7,21 +7,11 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
-from rosplat_tools import reference
-from rosplat_tools.cameras import Camera
-from rosplat_tools.generate import generate
-from rosplat_tools.lab import motion
-from rosplat_tools.lab.bench import Bench, Shot, Sort
 from rosplat_tools.lab.command import main
-from rosplat_tools.lab.methods import METHODS
 from rosplat_tools.lab.points import load
-from rosplat_tools.metrics import psnr
-from rviz_gaussian_plugin.offscreen import Rasterizer
 
 
 def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
@@ -111,50 +101,6 @@ def test_an_option_that_makes_no_sense_is_named(
     with pytest.raises(SystemExit):
         main(arguments)
     assert arguments[0] in capsys.readouterr().err.splitlines()[-1]
-
-
-class Watched(Bench):
-    """Keeps the orders that methods find, and has them all blended in one way."""
-
-    blended_in = Rasterizer.QUADS
-    found: Any = None
-
-    def shoot(self, camera: Camera, sort: Sort, age: int = 0, **settings: Any) -> Shot:
-        def watched(bench: Bench, there: Camera) -> Any:
-            self.found = sort(bench, there)
-            return self.found
-
-        exactly = {"float_blending": True, "rasterizer": self.blended_in}
-        return super().shoot(camera, watched, age, **(settings | exactly))
-
-
-@pytest.fixture(scope="module")
-def bench(display: str) -> Watched:
-    return Watched(threads=1, repeats=1)
-
-
-@pytest.mark.parametrize("rasterizer", [Rasterizer.QUADS, Rasterizer.TILES])
-def test_every_method_draws_the_very_order_it_finds(bench: Watched, rasterizer: Rasterizer) -> None:
-    """Graphics cards sort by themselves where they aren't told whose order to draw."""
-    bench.blended_in = rasterizer
-    splats = generate(3000)
-    (camera,) = motion.around(splats, 1, (0, 0, 1), 96, 54)
-    exact = reference.render(splats, camera).rgba[..., :3]
-    found, others = 0, 0
-    for method in METHODS:
-        if not method.shoot or method.model or method.change or not method.available(bench):
-            continue
-        if method.family in ("SH degree", "resolution", "quality"):  # no question of order
-            continue
-        bench.show(splats)
-        picture = np.clip(method.shoot(bench, camera).picture, 0, 1)
-        expected = exact
-        if bench.found is not None:
-            found += 1
-            expected = reference.render(splats, camera, order=bench.found).rgba[..., :3]
-            others += psnr(picture, np.clip(exact, 0, 1)) < 60
-        assert psnr(picture, np.clip(expected, 0, 1)) > 60, method.name
-    assert found > 40 and others > 15  # which would differ if the renderer sorted
 
 
 def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -57,9 +57,12 @@ class Bench:
     Raises RuntimeError where there is no display or no OpenGL 4.4.
     """
 
-    def __init__(self, threads: int = 0, repeats: int = 3) -> None:
-        """threads: of backends on the CPU, 0 for all. repeats: the fastest of so many counts."""
-        self.renderer = Renderer()
+    def __init__(
+        self, threads: int = 0, repeats: int = 3, renderer: Renderer | None = None
+    ) -> None:
+        """threads: of backends on the CPU, 0 for all. repeats: the fastest of so many counts.
+        renderer: one that there is, of which a process can have one."""
+        self.renderer = renderer or Renderer()
         self.graphics: str = self.renderer.renderer_info
         self.accelerated = "llvmpipe" not in self.graphics
         self._finish = gl_finish()
