@@ -94,7 +94,8 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       "Quality", "Balanced",
       "Balanced: the last order is drawn until the next one is there. Exact: no order is ever "
       "old, a frame sorts for itself if it must, and pictures are kept in 32-bit floats. Fast: "
-      "splats are drawn at half the resolution, but for pictures for services.",
+      "quads are drawn at half the resolution, but for pictures for services; tiles, as a graphics "
+      "card has them, gain nothing by that.",
       display,
       {{"Fast", Quality::kFast}, {"Balanced", Quality::kBalanced}, {"Exact", Quality::kExact}});
   float_blending_ =

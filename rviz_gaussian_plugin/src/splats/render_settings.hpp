@@ -53,7 +53,7 @@ struct RenderSettings {
   // either way ("blend" in docs/accuracy.md); on a GPU, quads take two to five times as long.
   std::optional<bool> float_blending;
   bool wait_for_order = false;   // sort in the frame rather than draw an order that isn't fresh
-  bool half_resolution = false;  // draw splats in pixels twice as wide and high, then smooth them
+  bool half_resolution = false;  // quads in pixels twice as wide and high, smoothed; tiles as ever
   float scale = 1;               // of the splats' size
   float opacity = 1;             // of their opacity, 0 to 1
   Antialiasing antialiasing = Antialiasing::kAsTrained;

@@ -190,9 +190,10 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
   bool in_tiles = (settings.rasterizer == Rasterizer::kTiles ||
                    (settings.rasterizer == Rasterizer::kAuto && accelerated_)) &&
                   sorts();
-  halved_ = settings.half_resolution;
+  halved_ = settings.half_resolution && !in_tiles;  // "quality" in docs/accuracy.md
   const SplatCamera drawn = halved_ ? halved(camera) : camera;
-  bool unknown = prepare(drawn, map, settings, stopwatch);
+  const RenderSettings shown = halved_ ? settings : inFull(settings);
+  bool unknown = prepare(drawn, map, shown, stopwatch);
   glFlush();  // the graphics card begins while the rest is submitted
   const gl::DrawScope scope(color_);
   copyDepth(window, color_);
@@ -225,7 +226,7 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
     }
     // All is submitted: the graphics card goes on while this waits for what it counted first.
     if (!unknown || checkRoom(map, in_tiles)) break;
-    unknown = prepare(drawn, map, settings, stopwatch);
+    unknown = prepare(drawn, map, shown, stopwatch);
   }
   splats_.keep();
   if (halved_) {
