@@ -139,11 +139,16 @@ def test_each_display_of_a_namespaced_rviz_has_a_publisher_of_its_own(
         formats.save(path, disc(tuple(float(i == k) for k in range(3)), x=1 - i, sigma=0.2))
     left = map_display("Left", topic="left", **{"Scene File": str(scenes["red"])})
     right = map_display("Right", topic="right", **{"Scene File": str(scenes["blue"])})
+
+    def publishers() -> set[str]:
+        """Names of those that have been heard of."""
+        infos = map(world.node.get_publishers_info_by_topic, ("/robot/left", "/robot/right"))
+        return {publisher.node_name for info in infos for publisher in info}
+
     rviz = Rviz(tmp_path, "--ros-args", "-r", "__ns:=/robot", config=configuration(left, right))
     try:
         rviz.until(lambda s: red(s).any() and blue(s).any())
-        infos = map(world.node.get_publishers_info_by_topic, ("/robot/left", "/robot/right"))
-        assert len({publisher.node_name for info in infos for publisher in info}) == 2
+        world.spin_until(lambda: len(publishers()) == 2)
         rviz.set("Left", "Scene File", value=str(scenes["green"]))
         rviz.until(lambda s: green(s).any() and not red(s).any())
         rviz.until_status("Left", "Scene File", "Ok", str(scenes["green"]), "loaded")
