@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "messages.hpp"
+#include "ros_graph.hpp"
 #include "ros_versions.hpp"
 
 namespace rosplat {
@@ -229,9 +230,8 @@ void GaussianClient::tellSidecar() {
     return;
   }
   const auto& sorter = sorters.front();
-  std::string name = sorter.node_namespace();  // which may be heard of after its publisher
-  if (name.empty() || name.back() != '/') name += '/';
-  name += sorter.node_name();
+  const std::string name = nodeOf(sorter);
+  if (name.empty()) return;
   if (!parameters_ || sidecar_ != name || told_.first != sorter.endpoint_gid()) {
     sidecar_ = name;
     parameters_ =

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <ament_index_cpp/get_package_prefix.hpp>
 
+#include "ros_graph.hpp"
+
 namespace rosplat {
 
 namespace {
@@ -29,6 +31,12 @@ SceneLoader::SceneLoader(rclcpp::Node::SharedPtr node, std::string topic)
   QObject::connect(&choice_, &QTimer::timeout, &choice_, [this] { choosePublisher(); });
 }
 
+SceneLoader::~SceneLoader() {
+  stopPublisher();
+  client_.reset();
+  endChoice();
+}
+
 void SceneLoader::load(const std::string& path) {
   path_ = path;
   status_ = "looking for a publisher of " + topic_;
@@ -42,19 +50,20 @@ void SceneLoader::load(const std::string& path) {
 void SceneLoader::choosePublisher() {
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {
-    std::string name = publisher.node_namespace();
-    if (name.empty()) continue;  // heard of before its node
-    if (name.back() != '/') name += '/';
-    name += publisher.node_name() + "/load";
+    const std::string name = nodeOf(publisher);
+    if (name.empty()) continue;
     auto& candidate = candidates_[name];
-    if (!candidate) candidate = node_->create_client<LoadScene>(name);
+    if (!candidate) candidate = node_->create_client<LoadScene>(name + "/load");
     if (!candidate->service_is_ready()) continue;  // a SLAM node, say
-    greet(candidate);
+    client_ = candidate;
+    endChoice();
+    status_ = "loading " + path_;
+    request(path_);
     return;
   }
   if (Clock::now() < choice_ends_) return;
-  endChoice();
   client_.reset();
+  endChoice();
   if (process_ || publishers.empty()) {  // one of its own may not have a service yet
     stopPublisher();
     startPublisher(path_);
@@ -64,21 +73,10 @@ void SceneLoader::choosePublisher() {
   }
 }
 
-void SceneLoader::greet(const rclcpp::Client<LoadScene>::SharedPtr& candidate) {
-  const auto answered = [this,
-                         weak = std::weak_ptr(candidate)](rclcpp::Client<LoadScene>::SharedFuture) {
-    if (!choice_.isActive()) return;  // a later answer, or it was cancelled
-    client_ = weak.lock();
-    endChoice();
-    status_ = "loading " + path_;
-    request(path_);
-  };
-  candidate->async_send_request(std::make_shared<LoadScene::Request>(), answered);
-}
-
 void SceneLoader::endChoice() {
   choice_.stop();
   candidates_.clear();
+  collectEntities(*node_);
 }
 
 void SceneLoader::request(const std::string& path) {

@@ -17,7 +17,7 @@ namespace rosplat {
 class SceneLoader {
  public:
   SceneLoader(rclcpp::Node::SharedPtr node, std::string topic);
-  ~SceneLoader() { stopPublisher(); }
+  ~SceneLoader();
 
   const std::string& topic() const { return topic_; }
 
@@ -35,9 +35,6 @@ class SceneLoader {
   using LoadScene = rosplat_msgs::srv::LoadScene;
 
   void choosePublisher();
-  // Asks for nothing until there is an answer: a service may not know a new client yet when it
-  // answers, and what it says of a scene would be lost.
-  void greet(const rclcpp::Client<LoadScene>::SharedPtr& candidate);
   void endChoice();
   void request(const std::string& path);
   void startPublisher(const std::string& path);
@@ -48,7 +45,7 @@ class SceneLoader {
   rclcpp::Node::SharedPtr node_;
   std::string topic_;
   std::map<std::string, rclcpp::Client<LoadScene>::SharedPtr> candidates_;  // by name
-  QTimer choice_;  // runs while there is no answer of one
+  QTimer choice_;  // runs while none of them is ready
   std::chrono::steady_clock::time_point choice_ends_;
   rclcpp::Client<LoadScene>::SharedPtr client_;
   std::unique_ptr<QProcess> process_;

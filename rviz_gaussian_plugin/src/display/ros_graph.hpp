@@ -1,0 +1,15 @@
+#pragma once
+
+#include <rclcpp/rclcpp.hpp>
+#include <string>
+
+namespace rosplat {
+
+// The full name of the node that a publisher or subscription belongs to; empty where that is not
+// known yet, for endpoints are heard of before their nodes.
+std::string nodeOf(const rclcpp::TopicEndpointInfo& endpoint);
+
+// After clients, services or subscriptions of a node were destroyed, for whoever spins it.
+void collectEntities(rclcpp::Node& node) noexcept;
+
+}  // namespace rosplat

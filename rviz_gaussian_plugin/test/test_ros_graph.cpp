@@ -1,0 +1,81 @@
+#include <gtest/gtest.h>
+#include <rcl/graph.h>
+
+#include <chrono>
+#include <memory>
+#include <rclcpp/rclcpp.hpp>
+#include <rosplat_msgs/srv/load_scene.hpp>
+
+#include "../src/display/ros_graph.hpp"
+
+namespace {
+
+using namespace std::chrono_literals;
+using rosplat_msgs::srv::LoadScene;
+
+rclcpp::TopicEndpointInfo endpoint(const char* space, const char* name) {
+  rcl_topic_endpoint_info_t info = rmw_get_zero_initialized_topic_endpoint_info();
+  info.node_namespace = space;
+  info.node_name = name;
+  info.topic_type = "";
+  return rclcpp::TopicEndpointInfo(info);
+}
+
+TEST(NodeOf, NamesANodeInFull) {
+  EXPECT_EQ(rosplat::nodeOf(endpoint("/", "slam")), "/slam");
+  EXPECT_EQ(rosplat::nodeOf(endpoint("/robot", "slam")), "/robot/slam");
+}
+
+TEST(NodeOf, IsEmptyForANodeNotHeardOf) {
+  EXPECT_EQ(rosplat::nodeOf(endpoint("", "")), "");
+  EXPECT_EQ(rosplat::nodeOf(endpoint("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_")), "");
+}
+
+// A node with a service that answers, and an executor that stays, as rviz2's does.
+class Spun : public testing::Test {
+ protected:
+  using Client = rclcpp::Client<LoadScene>;
+
+  void SetUp() override {
+    rclcpp::init(0, nullptr);
+    node_ = std::make_shared<rclcpp::Node>("spun");
+    service_ = node_->create_service<LoadScene>(
+        "load", [](const LoadScene::Request::SharedPtr, LoadScene::Response::SharedPtr) {});
+    executor_ = std::make_unique<rclcpp::executors::SingleThreadedExecutor>();
+    executor_->add_node(node_);
+  }
+
+  void TearDown() override {
+    executor_.reset();
+    service_.reset();
+    node_.reset();
+    rclcpp::shutdown();
+  }
+
+  Client::SharedPtr client() {
+    auto client = node_->create_client<LoadScene>("load");
+    client->wait_for_service(10s);
+    return client;
+  }
+
+  bool isAnswered(const Client::SharedPtr& client) {
+    const auto answer = client->async_send_request(std::make_shared<LoadScene::Request>());
+    return executor_->spin_until_future_complete(answer, 5s) == rclcpp::FutureReturnCode::SUCCESS;
+  }
+
+  rclcpp::Node::SharedPtr node_;
+  rclcpp::Service<LoadScene>::SharedPtr service_;
+  std::unique_ptr<rclcpp::executors::SingleThreadedExecutor> executor_;
+};
+
+TEST_F(Spun, AClientIsServedAfterItsNeighbourIsDestroyed) {
+  auto neighbour = client();
+  ASSERT_TRUE(isAnswered(neighbour));  // the executor knows it first
+  const auto kept = client();
+  ASSERT_TRUE(isAnswered(kept));
+  neighbour.reset();
+  rosplat::collectEntities(*node_);
+  EXPECT_TRUE(isAnswered(kept));
+}
+
+}  // namespace
