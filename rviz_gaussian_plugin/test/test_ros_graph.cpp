@@ -1,5 +1,4 @@
 #include <gtest/gtest.h>
-#include <rcl/graph.h>
 
 #include <chrono>
 #include <memory>
@@ -14,7 +13,7 @@ using namespace std::chrono_literals;
 using rosplat_msgs::srv::LoadScene;
 
 rclcpp::TopicEndpointInfo endpoint(const char* space, const char* name) {
-  rcl_topic_endpoint_info_t info = rmw_get_zero_initialized_topic_endpoint_info();
+  rmw_topic_endpoint_info_t info = rmw_get_zero_initialized_topic_endpoint_info();
   info.node_namespace = space;
   info.node_name = name;
   info.topic_type = "";
