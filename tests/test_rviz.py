@@ -6,6 +6,7 @@ import itertools
 import math
 import shutil
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,6 +68,26 @@ def test_the_picture_outlives_its_sidecar(rviz: Rviz, world: World) -> None:
     world.map.upsert(range(2, 3), disc((0, 1, 0), z=0.5, sigma=1.5))
     screen = rviz.until(lambda s: green(s).any())
     assert blue(screen)[spot[0], spot[1]]
+
+
+def test_remapping_the_map_takes_the_others_along(tmp_path: Path) -> None:
+    """A configuration of /gaussians shows a robot's map, sorted by the robot's sidecar."""
+    import rclpy
+
+    remap = ["--ros-args", "-r", "gaussians:=/robot/map"]
+    rclpy.init()
+    world = World(namespace="robot")
+    rviz = Rviz(tmp_path, *remap, config=configuration(map_display(**{"Publish Camera": True})))
+    try:
+        rviz.processes.node("rosplat_sorter", "sorter", *remap)
+        rviz.processes.node("rosplat_tools", "ply_publisher", *remap, "-p", "path:=procedural:100")
+        rviz.until_status("Map", "Order", "Ok", "sidecar")
+        world.spin_until(lambda: world.node.count_publishers("/robot/map/camera/pose"))
+        assert "/robot/map/render" in dict(world.node.get_service_names_and_types())
+    finally:
+        rviz.close()
+        world.close()
+        rclpy.shutdown()
 
 
 def test_orders_reach_the_display_through_shared_memory(rviz: Rviz, world: World) -> None:

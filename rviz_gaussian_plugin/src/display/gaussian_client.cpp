@@ -54,13 +54,14 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
   map_ = subscribe(qos_);
+  remapped_ = map_->get_topic_name();
   orders_ = node_->create_subscription<SplatOrder>(
-      topic_ + "/order", viewQos(),
+      remapped_ + "/order", viewQos(),
       [this](std::unique_ptr<SplatOrder> message) { receive(*message); }, options);
   view_publisher_ =
-      node_->create_publisher<rosplat_msgs::msg::ViewCamera>(topic_ + "/view", viewQos());
+      node_->create_publisher<rosplat_msgs::msg::ViewCamera>(remapped_ + "/view", viewQos());
   picked_publisher_ =
-      node_->create_publisher<rosplat_msgs::msg::Gaussian>(topic_ + "/picked", pickedQos());
+      node_->create_publisher<rosplat_msgs::msg::Gaussian>(remapped_ + "/picked", pickedQos());
   watch_ = node_->create_wall_timer(
       1s,
       [this] {
@@ -188,8 +189,8 @@ void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {
   if (!pose_publisher_) {
     const auto qos = rclcpp::QoS(1).transient_local();
     pose_publisher_ =
-        node_->create_publisher<geometry_msgs::msg::PoseStamped>(topic_ + "/camera/pose", qos);
-    path_publisher_ = node_->create_publisher<nav_msgs::msg::Path>(topic_ + "/camera/path", qos);
+        node_->create_publisher<geometry_msgs::msg::PoseStamped>(remapped_ + "/camera/pose", qos);
+    path_publisher_ = node_->create_publisher<nav_msgs::msg::Path>(remapped_ + "/camera/path", qos);
   }
   geometry_msgs::msg::PoseStamped pose;
   pose.header = view.header;
@@ -222,10 +223,10 @@ void GaussianClient::tellSidecar() {
     backend = backend_;
   }
   if (backend.empty()) return;
-  const auto sorters = node_->get_publishers_info_by_topic(topic_ + "/order");
+  const auto sorters = node_->get_publishers_info_by_topic(remapped_ + "/order");
   if (sorters.empty()) {
     parameters_.reset();
-    reportSidecar("no sidecar publishes " + topic_ + "/order that could switch to " + backend,
+    reportSidecar("no sidecar publishes " + remapped_ + "/order that could switch to " + backend,
                   true);
     return;
   }
@@ -267,7 +268,7 @@ void GaussianClient::reportSidecar(const std::string& text, bool failed) {
 void GaussianClient::setServing(bool serving) {
   if (!serving) return render_service_.reset();
   render_service_ = node_->create_service<RenderView>(
-      topic_ + "/render",
+      remapped_ + "/render",
       [this](std::shared_ptr<rclcpp::Service<RenderView>> service,
              std::shared_ptr<rmw_request_id_t> id, std::shared_ptr<RenderView::Request> request) {
         RenderRequest asked{std::move(service), std::move(id), std::move(request)};

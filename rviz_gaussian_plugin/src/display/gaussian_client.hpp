@@ -98,7 +98,8 @@ class GaussianClient {
 
   rclcpp::Node::SharedPtr node_;
   rclcpp::Clock steady_clock_{RCL_STEADY_TIME};  // simulated time may stand still
-  std::string topic_;
+  std::string topic_;                            // as it was given
+  std::string remapped_;                         // as ROS has it; the others' names begin with it
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
   rclcpp::QoS qos_;             // that is asked for
