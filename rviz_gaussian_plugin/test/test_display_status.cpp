@@ -12,6 +12,7 @@ GaussianClient::Status heard(std::uint64_t batches) {
   GaussianClient::Status received;
   received.publishers = {"slam", "player"};
   received.batches = batches;
+  received.frame_id = "map";
   return received;
 }
 
@@ -56,6 +57,13 @@ TEST(TopicStatus, saysTheWorstFirst) {
   received.refusal.clear();  // a good one followed
   EXPECT_EQ(topicStatus(received).text, "3 batches received, 2 refused");
   EXPECT_EQ(topicStatus(received).level, StatusProperty::Ok);
+}
+
+TEST(TopicStatus, saysWhyAMapWithoutAFrameIsNotDrawn) {
+  GaussianClient::Status received = heard(3);
+  received.frame_id.clear();
+  EXPECT_TRUE(has(topicStatus(received), "header.frame_id is empty"));
+  EXPECT_EQ(topicStatus(received).level, StatusProperty::Error);
 }
 
 TEST(SidecarStatus, warnsOfAnotherBackendThanTheOneAskedFor) {

@@ -59,6 +59,11 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
     if (received.unheard.empty()) return line(StatusProperty::Warn, "No batch received yet");
     return line(StatusProperty::Warn, "No batch received: a publisher is " + received.unheard);
   }
+  if (received.frame_id.empty()) {
+    return line(StatusProperty::Error,
+                concat(received.batches, " batches received", refused,
+                       ", but their header.frame_id is empty: nobody knows where the map is"));
+  }
   if (received.contended) {
     return line(StatusProperty::Warn, "Publishers clear each other's map, end all but one of: " +
                                           joined(received.publishers));
