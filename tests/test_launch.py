@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import pytest
 
@@ -13,8 +14,17 @@ LAUNCH = Path(__file__).resolve().parents[1] / "rosplat_tools/launch/view.launch
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 
-def started(**arguments: str) -> dict[str, tuple[list[str], str]]:
-    """Each program by its name, with rviz2's arguments and Fast DDS's profile."""
+class Program(NamedTuple):
+    """What a program is started with."""
+
+    words: list[str]  # rviz2's own
+    profile: str  # of Fast DDS
+    sim_time: bool
+    remappings: list[tuple[str, str]]
+
+
+def started(**arguments: str) -> dict[str, Program]:
+    """Each program by its name."""
     from launch import LaunchContext
     from launch.actions import IncludeLaunchDescription
     from launch.launch_description_sources import AnyLaunchDescriptionSource
@@ -33,7 +43,13 @@ def started(**arguments: str) -> dict[str, tuple[list[str], str]]:
             name = perform_substitutions(context, entity.node_executable)
             own = entity.cmd[1:4] if name == "rviz2" else []  # before what ROS adds
             words = [perform_substitutions(context, word) for word in own]
-            programs[name] = words, context.environment.get(PROFILE, "")
+            shared = context.launch_configurations  # of a group, for what ROS adds
+            programs[name] = Program(
+                words,
+                context.environment.get(PROFILE, ""),
+                dict(shared["global_params"])["use_sim_time"],
+                shared["ros_remaps"],
+            )
 
     visit(IncludeLaunchDescription(AnyLaunchDescriptionSource(str(LAUNCH))))
     return programs
@@ -52,10 +68,21 @@ def test_the_sorter_can_be_left_out() -> None:
 
 def test_the_frame_of_the_scene_is_seen() -> None:
     """rviz2 keeps the configuration's Fixed Frame where it is given none."""
-    assert started()["rviz2"][0][-1] == "--fixed-frame="
-    assert started(frame_id="odom")["rviz2"][0][-1] == "--fixed-frame=odom"
+    assert started()["rviz2"].words[-1] == "--fixed-frame="
+    assert started(frame_id="odom")["rviz2"].words[-1] == "--fixed-frame=odom"
     upright = started(frame_id="scene", fixed_frame="map")
-    assert upright["rviz2"][0][-1] == "--fixed-frame=map"
+    assert upright["rviz2"].words[-1] == "--fixed-frame=map"
+
+
+def test_topic_and_time_are_those_of_all() -> None:
+    for program in started(scene="a.ply", sensors="true").values():
+        assert program.remappings == [("/gaussians", "/gaussians")]
+        assert program.sim_time is False
+    bag = started(topic="/robot/map", use_sim_time="true")
+    assert len(bag) == 2
+    for program in bag.values():
+        assert program.remappings == [("/gaussians", "/robot/map")]
+        assert program.sim_time is True
 
 
 def test_fast_dds_gets_room_where_there_is_any_and_only_here(
@@ -66,7 +93,7 @@ def test_fast_dds_gets_room_where_there_is_any_and_only_here(
     for room, profile in ((2 << 30, "rosplat_msgs/config/fastdds.xml"), (64 << 20, "")):
         free = SimpleNamespace(free=room)
         monkeypatch.setattr("shutil.disk_usage", lambda path, free=free: free)
-        for _, environment in started(scene="a.ply").values():
-            assert environment.endswith(profile)
-            assert bool(environment) == bool(profile)
+        for program in started(scene="a.ply").values():
+            assert program.profile.endswith(profile)
+            assert bool(program.profile) == bool(profile)
         assert PROFILE not in os.environ
