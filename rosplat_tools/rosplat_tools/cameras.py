@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rosplat_tools.files import write_text
 from rosplat_tools.splats import SceneError
 
 UP = (0.0, 0.0, 1.0)  # REP-103
@@ -141,7 +142,7 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
         asdict(camera) | {"world_to_camera": camera.world_to_camera.tolist()} for camera in cameras
     ]
     try:
-        Path(path).write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
+        write_text(Path(path), json.dumps(entries, indent=1) + "\n")
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
 

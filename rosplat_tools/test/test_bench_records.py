@@ -1,5 +1,6 @@
 """Statistics of samples, records on disk, and the budget of repetitions."""
 
+import errno
 import json
 import math
 from dataclasses import replace
@@ -64,6 +65,24 @@ def test_records_come_back_from_disk_as_they_were(tmp_path: Path) -> None:
         "abc", "abc", "def",
     ]  # fmt: skip
     assert json.loads((tmp_path / "a.json").read_text())[1]["splats"] == 20
+
+
+def test_a_full_disk_leaves_the_records_that_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.json"
+    records = [Record.of("sort", Measurement.of("order", "ms", 1), HERE)]
+    save(path, records)
+
+    def fill(partial: Path, text: str, **_: str) -> None:
+        with partial.open("w") as file:
+            file.write(text[: len(text) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", fill)
+    with pytest.raises(OSError, match="No space"):
+        save(path, 2 * records)
+    assert load([path]) == records
 
 
 @pytest.mark.parametrize("text", [None, "{", "3", '[{"name": "order"}]', '["order"]'])

@@ -11,6 +11,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rosplat_tools.files import write_text
+
 Parameter = str | int | float | bool
 
 
@@ -130,9 +132,9 @@ class Record:
 
 
 def save(path: Path, records: Sequence[Record]) -> None:
-    """Writes a list of records, each on a line of its own."""
+    """Writes a list of records, each on a line of its own, in place of the file, if any."""
     lines = ",\n".join(json.dumps(asdict(record)) for record in records)
-    path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    write_text(path, f"[\n{lines}\n]\n")
 
 
 def load(paths: Iterable[Path]) -> list[Record]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
+from rosplat_tools.files import replacing
 from rosplat_tools.formats import ply, sog, spz
 from rosplat_tools.formats.decoded import Progress, Warn
 from rosplat_tools.splats import SceneError, Splats
@@ -89,17 +89,13 @@ def save(path: str | Path, splats: Splats) -> None:
     """
     path = Path(path)
     writer = _writer(path)
-    partial = path.with_name(f".{path.name}.part")
     try:
-        writer.write(partial, splats)
-        partial.replace(path)  # a reader sees the old file or the new one, never a part
+        with replacing(path) as partial:
+            writer.write(partial, splats)
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
         raise SceneError(f"{path}: too large for this machine's memory") from error
-    finally:
-        with contextlib.suppress(OSError):  # it was replaced, or its place is none
-            partial.unlink()
 
 
 def _writer(path: Path) -> ModuleType:

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
+from rosplat_tools.files import write_text
 from rosplat_tools.lab.methods import MODEL
 from rosplat_tools.lab.pareto import Summary, front, summarise
 from rosplat_tools.lab.points import Point
@@ -137,7 +138,7 @@ def write(folder: Path, points: Sequence[Point], remark: str = "") -> Path:
             lines.append(_row([name, *map(_cell, summaries), *rest]))
         lines.append("")
     path = folder / "accuracy.md"
-    path.write_text("\n".join(lines), encoding="utf-8")
+    write_text(path, "\n".join(lines))
     return path
 
 

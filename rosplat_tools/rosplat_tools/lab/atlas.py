@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from rosplat_sorter.view import OVERSCAN
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.files import write_text
 from rosplat_tools.generate import generate
 from rosplat_tools.lab import fragments, motion, orders, rays
 from rosplat_tools.lab.bench import SOURCE, VIEW_ID, Bench, Image
@@ -701,4 +702,4 @@ def overshoot(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
 
 def save(path: Path, findings: Sequence[Finding]) -> None:
     """Writes findings as JSON."""
-    path.write_text(json.dumps([asdict(f) for f in findings], indent=0) + "\n", encoding="utf-8")
+    write_text(path, json.dumps([asdict(f) for f in findings], indent=0) + "\n")

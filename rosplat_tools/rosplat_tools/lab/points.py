@@ -15,6 +15,7 @@ import numpy as np
 from rosplat_tools import reference
 from rosplat_tools.arguments import make_folder
 from rosplat_tools.cameras import Camera
+from rosplat_tools.files import write_text
 from rosplat_tools.lab import bench, fragments, motion, orders, viewers
 from rosplat_tools.splats import SceneError, Splats
 
@@ -148,7 +149,7 @@ def save(path: Path, points: Iterable[Point]) -> None:
         rows.append(json.dumps(row | {"run": runs.setdefault(run, len(runs))}))
     heads = [json.dumps(dict(zip(RUN, run, strict=True))) for run in runs]
     lines = ",\n".join(rows)
-    path.write_text(f'{{"runs": [{", ".join(heads)}],\n"points": [\n{lines}\n]}}\n', "utf-8")
+    write_text(path, f'{{"runs": [{", ".join(heads)}],\n"points": [\n{lines}\n]}}\n')
 
 
 def load(path: Path) -> list[Point]:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_tools.files import write_text
 from rosplat_tools.lab.pareto import METRICS, TIMES, Summary, front, summarise
 from rosplat_tools.lab.points import Point
 
@@ -63,7 +64,7 @@ def write(folder: Path, points: Sequence[Point]) -> Path:
         .replace("@STRIPS@", _script_json(_strips(folder, points)))
     )
     path = folder / "lab.html"
-    path.write_text(text, encoding="utf-8")
+    write_text(path, text)
     return path
 
 

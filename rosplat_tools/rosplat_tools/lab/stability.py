@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 from PIL import Image
 
 from rosplat_tools.arguments import make_folder
+from rosplat_tools.files import write_text
 from rosplat_tools.lab.atlas import Finding
 from rosplat_tools.lab.charts import STYLE
 
@@ -234,7 +235,7 @@ def write(folder: Path, findings: Sequence[Finding], facts: str) -> Path:
         lines += [f"**The Status warns** when {note.warns}", ""] if note.warns else []
         lines += _table(finding)
     path = folder / "stability.md"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
     return path
 
 

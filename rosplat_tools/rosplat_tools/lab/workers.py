@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera
+from rosplat_tools.files import replacing
 from rosplat_tools.lab import report
 from rosplat_tools.lab.methods import METHODS
 from rosplat_tools.metrics import compare
@@ -43,9 +44,8 @@ class Reference:
     def __call__(self) -> None:
         picture = reference.render(_scene(self.scene), self.camera).rgba[..., :3]
         self.path.parent.mkdir(exist_ok=True)
-        unfinished = self.path.with_suffix(".part.npy")
-        np.save(unfinished, picture)
-        unfinished.rename(self.path)
+        with replacing(self.path) as partial, partial.open("wb") as file:
+            np.save(file, picture)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from rosplat_msgs.srv import RenderView
 from rosplat_sorter.backends import BACKENDS
 from rosplat_tools.arguments import make_folder, seconds
 from rosplat_tools.cameras import Camera, load_cameras
+from rosplat_tools.files import write_text
 from rosplat_tools.metrics import compare
 from rosplat_tools.processes import Processes, quoted
 from rosplat_tools.scenes import NAMES, PROCEDURAL
@@ -311,7 +312,7 @@ def main(arguments: list[str] | None = None) -> int:
         "commit": _commit(),
         "cameras": rows,
     }
-    (options.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    write_text(options.out / "report.json", json.dumps(report, indent=1) + "\n")
     for row in rows:
         figures = f"camera {row['camera']}: {row['splats']:,} splats, {row['order_source']}"
         if "psnr" in row:

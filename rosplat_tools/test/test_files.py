@@ -1,0 +1,28 @@
+"""A file is replaced whole, or stays as it was."""
+
+from pathlib import Path
+
+import pytest
+
+from rosplat_tools.files import replacing, write_text
+
+
+def test_what_is_written_takes_the_file_s_place(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    for text in ("old", "größer"):
+        write_text(path, text)
+        assert path.read_text(encoding="utf-8") == text
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+def test_an_interrupted_writing_leaves_the_old_file(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
+    path = tmp_path / "a.json"
+    write_text(path, "old")
+    with pytest.raises(error), replacing(path) as partial:
+        partial.write_text("ne")
+        raise error
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
