@@ -99,10 +99,18 @@ def test_broken_streams(
 def test_truncated_and_damaged_gzip(random_splats: Callable[..., Splats], tmp_path: Path) -> None:
     whole = gzip.compress(packed(random_splats(10), 3))
     damaged = whole[:40] + bytes(b ^ 0x55 for b in whole[40:80]) + whole[80:]
-    for data in (whole[: len(whole) // 2], whole[:12], damaged):
+    wrong_sum = whole[:-8] + bytes(4) + whole[-4:]
+    for data in (whole[: len(whole) // 2], whole[:12], damaged, wrong_sum, whole[:-8]):
         (tmp_path / "broken.spz").write_bytes(data)
         with pytest.raises(SceneError, match=r"broken\.spz: "):
             load(tmp_path / "broken.spz")
+
+
+def test_what_follows_the_attributes_is_left_alone(
+    random_splats: Callable[..., Splats], tmp_path: Path
+) -> None:
+    (tmp_path / "a.spz").write_bytes(gzip.compress(packed(random_splats(10), 3) + bytes(3 << 20)))
+    assert len(load(tmp_path / "a.spz")) == 10
 
 
 def test_version_4_is_named(tmp_path: Path) -> None:

@@ -76,6 +76,8 @@ def _read(path: Path, stream: gzip.GzipFile, progress: Progress, warn: Warn) -> 
             )
         raw[name] = np.frombuffer(data, np.uint8).reshape(n, width)
         progress((i + 1) / (len(widths) + 1))
+    while stream.read(1 << 20):  # to the checksum, which is behind whatever else there is
+        pass
 
     sh = np.empty((n, 1 + bands, 3), np.float32)
     sh[:, 0] = (raw["colors"] / 255 - 0.5) / COLOR_SCALE
