@@ -20,7 +20,7 @@ from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.lab import fragments, motion, orders, rays, viewers
 from rosplat_tools.lab.fragments import Fragments
 from rosplat_tools.lab.pareto import front, summarise
-from rosplat_tools.lab.points import Point, Store, load, save
+from rosplat_tools.lab.points import Point, Store, load, save, scene_key
 from rosplat_tools.lab.workers import Workers
 from rosplat_tools.splats import SceneError, Splats, concatenate
 
@@ -400,6 +400,20 @@ def test_an_interrupted_run_is_taken_up(tmp_path) -> None:  # type: ignore[no-un
     again = Store(tmp_path)
     assert again.get(point("a", 1, 40).key) == point("a", 1, 40)
     assert again.get("cut off") is None
+    again.add(point("b", 2, 50))
+    assert Store(tmp_path).get(point("b", 2, 50).key) == point("b", 2, 50)
+
+
+def test_results_are_kept_by_all_that_a_scene_holds(random_splats: Make) -> None:
+    splats = random_splats(10)
+    changed = [
+        replace(splats, **{name: 1 - np.asarray(value)})
+        for name, value in vars(splats).items()
+        if name != "antialiased"
+    ]
+    changed.append(replace(splats, antialiased=True))
+    assert scene_key(splats) == scene_key(random_splats(10))
+    assert len({scene_key(which) for which in (splats, *changed)}) == 1 + len(changed)
 
 
 def test_splats_join_for_typical_bounds(random_splats: Make) -> None:

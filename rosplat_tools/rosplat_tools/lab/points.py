@@ -62,6 +62,9 @@ class Store:
         make_folder(folder)
         self._file = folder / "points.jsonl"
         self._points = {point.key: point for point in _read(self._file)}
+        if self._file.exists() and not self._file.read_bytes().endswith(b"\n"):
+            with self._file.open("ab") as file:  # to the line that an interrupted run was writing
+                file.write(b"\n")
 
     def get(self, key: str) -> Point | None:
         """The point of a key, if it was measured."""
@@ -99,8 +102,8 @@ def key(*parts: object) -> str:
 def scene_key(splats: Splats) -> str:
     """Of a scene's contents."""
     digest = hashlib.sha256()
-    for array in (splats.positions, splats.scales, splats.opacities, splats.sh, splats.origin):
-        digest.update(np.ascontiguousarray(array).tobytes())
+    for value in vars(splats).values():
+        digest.update(np.asarray(value).data)
     return digest.hexdigest()[:24]
 
 
