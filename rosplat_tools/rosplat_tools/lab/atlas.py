@@ -24,9 +24,8 @@ from rosplat_tools.lab import fragments, motion, orders, rays
 from rosplat_tools.lab.bench import SOURCE, VIEW_ID, Bench, Image
 from rosplat_tools.lab.methods import widened
 from rosplat_tools.lab.orders import Order
-from rosplat_tools.lab.points import MOST_PSNR
 from rosplat_tools.lab.progress import progress
-from rosplat_tools.metrics import psnr
+from rosplat_tools.metrics import MOST_PSNR, psnr
 from rosplat_tools.reference import harmonics
 from rosplat_tools.reference.projection import rotation_matrices
 from rosplat_tools.splats import Splats, concatenate

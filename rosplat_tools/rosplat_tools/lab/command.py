@@ -24,9 +24,10 @@ from rosplat_tools.cameras import Camera
 from rosplat_tools.lab import accuracy, atlas, charts, motion, points, report, stability
 from rosplat_tools.lab.bench import Bench
 from rosplat_tools.lab.methods import METHODS, Method
-from rosplat_tools.lab.points import MOST_PSNR, Point, Store
+from rosplat_tools.lab.points import Point, Store
 from rosplat_tools.lab.progress import progress
 from rosplat_tools.lab.workers import Comparison, Image, Reference, Workers
+from rosplat_tools.metrics import MOST_PSNR
 from rosplat_tools.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_tools.splats import SceneError, Splats
 from rviz_gaussian_plugin.offscreen import ensure_display

@@ -19,8 +19,6 @@ from rosplat_tools.files import write_text
 from rosplat_tools.lab import bench, fragments, motion, orders, viewers
 from rosplat_tools.splats import SceneError, Splats
 
-MOST_PSNR = 150.0  # what equal pictures count as: JSON knows no infinity [dB]
-
 
 @dataclass(frozen=True)
 class Point:

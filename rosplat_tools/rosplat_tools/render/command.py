@@ -9,14 +9,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
+import shlex
 import shutil
-import subprocess
 import sys
 import time
 import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,9 +29,10 @@ from tqdm import tqdm
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.backends import BACKENDS
 from rosplat_tools.arguments import make_folder, seconds
+from rosplat_tools.bench.machine import commit, machine
 from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.files import write_text
-from rosplat_tools.metrics import compare
+from rosplat_tools.metrics import MOST_PSNR, compare
 from rosplat_tools.processes import Processes, quoted
 from rosplat_tools.scenes import NAMES, PROCEDURAL
 from rosplat_tools.splats import SceneError
@@ -303,16 +304,13 @@ def main(arguments: list[str] | None = None) -> int:
     finally:
         rclpy.try_shutdown()
 
-    report = {
-        "scene": str(options.scene),
+    command = shlex.join(["render", *(sys.argv[1:] if arguments is None else arguments)])
+    settings = {
+        "scene": options.scene,
         "via": options.via,
         "float_blending": options.float_blending,
-        "command": " ".join(["render", *(arguments or sys.argv[1:])]),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}",
-        "commit": _commit(),
-        "cameras": rows,
     }
-    write_text(options.out / "report.json", json.dumps(report, indent=1) + "\n")
+    write_report(options.out / "report.json", settings | {"command": command}, rows)
     for row in rows:
         figures = f"camera {row['camera']}: {row['splats']:,} splats, {row['order_source']}"
         if "psnr" in row:
@@ -324,9 +322,10 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _commit() -> str:
-    """Of the checkout this runs from, empty where there is none."""
-    git = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    return git.stdout.strip()
+def write_report(path: Path, settings: dict[str, object], rows: Sequence[dict[str, Any]]) -> None:
+    """Writes what drew under which settings, and a row for each camera, as JSON."""
+    cameras = [
+        row | {"psnr": min(row["psnr"], MOST_PSNR)} if "psnr" in row else row for row in rows
+    ]
+    report = settings | {"machine": machine(), "commit": commit(), "cameras": cameras}
+    write_text(path, json.dumps(report, indent=1, allow_nan=False) + "\n")
