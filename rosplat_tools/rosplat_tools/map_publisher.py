@@ -116,11 +116,16 @@ class MapPublisher:
         """Makes splats the map, in slots 0 to n - 1.
 
         expected_slots is how many slots the finished map will need, by default n; stamp is the time
-        of the map, by default now. Raises ValueError for more splats than a map has slots.
+        of the map, by default now. Raises ValueError for more splats, or expected slots, than a map
+        has slots.
         """
         _check_type(splats)
-        if len(splats) > GaussianArray.MAX_SLOTS:
-            raise ValueError(f"{len(splats)} splats: a map has {GaussianArray.MAX_SLOTS} slots")
+        _check_stamp(stamp)
+        most = GaussianArray.MAX_SLOTS
+        if len(splats) > most:
+            raise ValueError(f"{len(splats)} splats: a map has {most} slots")
+        if expected_slots is not None and not 0 <= expected_slots <= most:
+            raise ValueError(f"expected_slots: from 0 to {most}, got {expected_slots}")
         splats = splats.without_empty_bands()
         with self._lock:
             self._map = SlotMap(splats)
@@ -136,6 +141,7 @@ class MapPublisher:
         slots and splats differ in number, or where some of the map is antialiased and some is not.
         """
         _check_type(splats)
+        _check_stamp(stamp)
         slots = _checked(slots)
         if len(slots) != len(splats):
             raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
@@ -153,6 +159,7 @@ class MapPublisher:
 
     def delete(self, slots: range | ArrayLike, *, stamp: Time | None = None) -> None:
         """Empties slots. Raises ValueError where one is named twice, or can't be one."""
+        _check_stamp(stamp)
         slots = _checked(slots)
         with self._lock:
             self._map.clear(slots)
@@ -305,3 +312,11 @@ def _check_type(splats: Splats) -> None:
     if not isinstance(splats, Splats):
         kind = type(splats).__name__
         raise TypeError(f"splats: expected Splats, got {kind}; scenes.load_scene reads a file")
+
+
+def _check_stamp(stamp: Time | None) -> None:
+    """Before the map changes: a batch that can't be made would be missing from its revisions."""
+    if not isinstance(stamp, Time | None):
+        raise TypeError(
+            f"stamp: expected a builtin_interfaces Time, as to_msg() makes, got {stamp}"
+        )

@@ -219,7 +219,7 @@ def test_a_slam_map_of_500_batches_reaches_a_latecomer(
     assert_same_map(late, publisher)
 
 
-def test_slots_are_checked_before_anything_is_sent(node: Node, random_splats: Maker) -> None:
+def test_arguments_are_checked_before_anything_is_sent(node: Node, random_splats: Maker) -> None:
     publisher = MapPublisher(node)
     publisher.replace(random_splats(10))
     for slots, match in (
@@ -248,9 +248,19 @@ def test_slots_are_checked_before_anything_is_sent(node: Node, random_splats: Ma
     for wrong in ("scene.ply", np.zeros((3, 3))):
         with pytest.raises(TypeError, match="expected Splats"):
             publisher.replace(wrong)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="expected_slots"):
+        publisher.replace(random_splats(3), expected_slots=-1)
+    now = node.get_clock().now()
+    for send in (
+        lambda: publisher.replace(random_splats(3), stamp=now),
+        lambda: publisher.upsert(range(3), random_splats(3), stamp=now),
+        lambda: publisher.delete([1], stamp=now),
+    ):
+        with pytest.raises(TypeError, match="to_msg"):
+            send()
     assert (publisher.revision, len(publisher)) == (1, 10)
     publisher.delete([])
-    publisher.delete([2, 3])
+    publisher.delete([2, 3], stamp=now.to_msg())
     assert (publisher.revision, len(publisher)) == (3, 8)
 
 
