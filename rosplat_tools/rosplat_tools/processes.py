@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -58,6 +60,22 @@ def interrupt_by_signals() -> None:
     """Makes SIGTERM end this program as Ctrl-C does: by KeyboardInterrupt, block by block."""
     for number in ENDINGS:
         signal.signal(number, signal.default_int_handler)
+
+
+def run_module(program: str, module: str, arguments: list[str] | None) -> int:
+    """The exit code of a module's main. Loading it takes seconds, interrupted as quietly as later.
+
+    A library, or rviz_gaussian_plugin, that is not here is named.
+    """
+    interrupt_by_signals()
+    try:
+        code: int = importlib.import_module(module).main(arguments)
+        return code
+    except ModuleNotFoundError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
 
 
 class Processes:

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rosplat_tools.processes import ProcessError, Processes, fast_dds_profile
+from rosplat_tools.processes import ProcessError, Processes, fast_dds_profile, run_module
 
 SLEEP = [sys.executable, "-c", "import time; print('awake', flush=True); time.sleep(600)"]
 # Ignores the signal of Ctrl-C, and has a child.
@@ -120,3 +120,11 @@ def test_a_signal_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) 
         os.kill(process.pid, number)
         process.wait(20)
     assert not is_alive(child)
+
+
+def test_a_library_that_a_command_lacks_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rosplat_tools.processes.interrupt_by_signals", lambda: None)
+    assert run_module("lab", "rosplat_tools.no_such.command", None) == 1
+    assert capsys.readouterr().err == "lab: No module named 'rosplat_tools.no_such'\n"

@@ -7,15 +7,9 @@ for failures, and `stability` writes them down.
 
 from __future__ import annotations
 
-from rosplat_tools.processes import interrupt_by_signals
+from rosplat_tools.processes import run_module
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; 0 if everything was measured."""
-    interrupt_by_signals()
-    try:  # loading takes seconds, in which Ctrl-C is as quiet as later
-        from rosplat_tools.lab.command import main as run
-
-        return run(arguments)
-    except KeyboardInterrupt:
-        return 130
+    return run_module("lab", "rosplat_tools.lab.command", arguments)
