@@ -1,5 +1,6 @@
 """PLY: every layout that trainers write comes back as the same splats, and broken files say why."""
 
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -59,6 +60,15 @@ def test_more_splats_than_a_block(random_splats: Make, tmp_path: Path) -> None:
     assert_same(load(tmp_path / "a.ply", progress=fractions.append), splats)
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1
+
+
+def test_writing_takes_little_memory_beside_the_splats(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(100_000)
+    tracemalloc.start()
+    save(tmp_path / "a.ply", splats)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < splats.nbytes / 2
 
 
 @given(opacity=st.floats(0, 1, width=32), scale=st.floats(0, 100, width=32))

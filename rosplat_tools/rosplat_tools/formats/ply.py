@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyElementParseError, PlyParseError
+from plyfile import PlyData, PlyElementParseError, PlyParseError
 
 from rosplat_tools.formats.decoded import Floats, Progress, Warn, decoded
 from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
@@ -36,7 +36,7 @@ FILTER = "filter_3D"
 
 TINY = np.finfo(np.float32).tiny
 
-# Rows decoded at a time: their columns are gathered while the rows are still in the cache.
+# Rows read or written at a time: their columns stay in the cache, and take little memory.
 BLOCK = 1 << 14
 
 
@@ -103,8 +103,25 @@ def write(path: Path, splats: Splats) -> None:
 
     Positions become doubles where the splats have an origin, so that none of it is lost.
     """
-    k = splats.sh.shape[1]
-    rest = [f"f_rest_{i}" for i in range(3 * (k - 1))]
+    comments = [f"comment {ANTIALIASED}"] if splats.antialiased else []
+    position = "double" if splats.origin.any() else "float"
+    properties = [
+        f"property {position if name in POSITION else 'float'} {name}"
+        for name in _rows(splats[:0]).dtype.names or ()
+    ]
+    header = [
+        "ply", "format binary_little_endian 1.0", *comments, f"element vertex {len(splats)}",
+        *properties, "end_header", "",
+    ]  # fmt: skip
+    with path.open("wb") as stream:
+        stream.write("\n".join(header).encode("ascii"))
+        for start in range(0, len(splats), BLOCK):
+            _rows(splats[start : start + BLOCK]).tofile(stream)
+
+
+def _rows(splats: Splats) -> NDArray[np.void]:
+    """The splats as a PLY holds them."""
+    rest = [f"f_rest_{i}" for i in range(3 * (splats.sh.shape[1] - 1))]
     position_type = "<f8" if splats.origin.any() else "<f4"
     names = [*NORMAL, *COLOR, *rest, "opacity", *SCALE, *ROTATION]
     rows = np.zeros(
@@ -118,10 +135,7 @@ def write(path: Path, splats: Splats) -> None:
     # A flat Gaussian's zero scale has no logarithm; the smallest float stands for it.
     _fill(rows, SCALE, np.log(np.maximum(splats.scales, TINY)))
     _fill(rows, ROTATION, np.roll(splats.orientations, 1, axis=1))
-    comments = [ANTIALIASED] if splats.antialiased else []
-    vertex = PlyElement.describe(rows, "vertex")
-    with path.open("wb") as stream:
-        PlyData([vertex], byte_order="<", comments=comments).write(stream)
+    return rows
 
 
 def _parse(path: Path) -> PlyData:

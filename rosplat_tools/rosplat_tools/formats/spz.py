@@ -81,7 +81,9 @@ def _read(path: Path, stream: gzip.GzipFile, progress: Progress, warn: Warn) -> 
 
     sh = np.empty((n, 1 + bands, 3), np.float32)
     sh[:, 0] = (raw["colors"] / 255 - 0.5) / COLOR_SCALE
-    sh[:, 1:] = (raw["sh"].reshape(n, bands, 3) - np.float32(128)) / 128
+    sh[:, 1:] = raw["sh"].reshape(n, bands, 3)
+    sh[:, 1:] -= 128  # in place: they are most of a scene
+    sh[:, 1:] /= 128
     return decoded(
         path,
         warn,
