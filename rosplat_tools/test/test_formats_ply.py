@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 
-from rosplat_tools.formats import SceneError, load, save
+from rosplat_tools.formats import SceneError, load, ply, save
 from rosplat_tools.splats import Splats
 
 Make = Callable[..., Splats]
@@ -60,6 +60,11 @@ def test_more_splats_than_a_block(random_splats: Make, tmp_path: Path) -> None:
     assert_same(load(tmp_path / "a.ply", progress=fractions.append), splats)
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1
+
+
+def test_a_full_disk_is_named(random_splats: Make) -> None:
+    with pytest.raises(OSError, match="No space left"):
+        ply.write(Path("/dev/full"), random_splats(20_000))
 
 
 def test_writing_takes_little_memory_beside_the_splats(random_splats: Make, tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def write(path: Path, splats: Splats) -> None:
     with path.open("wb") as stream:
         stream.write("\n".join(header).encode("ascii"))
         for start in range(0, len(splats), BLOCK):
-            _rows(splats[start : start + BLOCK]).tofile(stream)
+            stream.write(_rows(splats[start : start + BLOCK]).tobytes())
 
 
 def _rows(splats: Splats) -> NDArray[np.void]:
