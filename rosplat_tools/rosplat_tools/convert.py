@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 
+from tqdm import tqdm
+
 from rosplat_tools.formats import SceneError, check_output, save
+from rosplat_tools.progress import watched
 from rosplat_tools.scenes import NAMES, load_scene
 
 
@@ -26,11 +29,12 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         check_output(options.output, options.overwrite)
-        splats = load_scene(
-            options.input,
-            progress=lambda fraction: None,
-            warn=lambda text: print(f"convert: {text}", file=sys.stderr),
-        )
+        with watched("reading") as progress:
+            splats = load_scene(
+                options.input,
+                progress,
+                warn=lambda text: tqdm.write(f"convert: {text}", file=sys.stderr),
+            )
         if options.sh_degree is not None:
             splats = splats.with_sh_degree(min(options.sh_degree, splats.sh_degree))
         save(options.output, splats)

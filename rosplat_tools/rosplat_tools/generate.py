@@ -16,7 +16,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from rosplat_tools.formats import SceneError, check_output, save
+from rosplat_tools.formats import Progress, SceneError, check_output, save
+from rosplat_tools.progress import watched
 from rosplat_tools.reference import harmonics
 from rosplat_tools.splats import MAX_SH_DEGREE, Splats
 
@@ -69,11 +70,14 @@ class _Patch:
     sh: Array  # (n, 16, 3)
 
 
-def generate(count: int, seed: int = 0, sh_degree: int = 3) -> Splats:
+def generate(
+    count: int, seed: int = 0, sh_degree: int = 3, progress: Progress = lambda part: None
+) -> Splats:
     """Makes the garden of exactly count splats, the same for the same arguments.
 
     Their order is random, as a trained map's is: any part of them shows all of the garden, thinner.
-    Raises SceneError for a count below 1, a seed below 0, or an sh_degree outside 0 to 3.
+    progress is called with 0 to 1; what it raises ends the work. Raises SceneError for a count
+    below 1, a seed below 0, or an sh_degree outside 0 to 3.
     """
     if count < 1:
         raise SceneError(f"count is {count}, expected 1 or more")
@@ -98,6 +102,7 @@ def generate(count: int, seed: int = 0, sh_degree: int = 3) -> Splats:
     )
     numbers = rng.permutation(count)
     for block in range(0, count, BLOCK):
+        progress(block / count)
         block_numbers = numbers[block : block + BLOCK]
         parts = np.searchsorted(ends, block_numbers, side="right")
         for part, make in enumerate(makers):
@@ -480,7 +485,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         check_output(options.output, options.overwrite)
-        save(options.output, generate(options.count, options.seed, options.sh_degree))
+        with watched("generating") as progress:
+            splats = generate(options.count, options.seed, options.sh_degree, progress)
+        save(options.output, splats)
     except (SceneError, MemoryError) as error:
         print(f"generate: {str(error) or 'not enough memory'}", file=sys.stderr)
         return 1

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rosplat_tools.formats import SceneError, format_of
+from rosplat_tools.progress import watched
 from rosplat_tools.scenes import NAMES, PROCEDURAL, read_scene
 
 QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
@@ -17,7 +18,8 @@ QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
 def describe(path: str | Path) -> str:
     """A report of several lines on a scene. Raises SceneError when it can't be read."""
     left_out: list[str] = []
-    splats = read_scene(str(path), lambda fraction: None, left_out.append)
+    with watched("reading") as progress:
+        splats = read_scene(str(path), progress, left_out.append)
     used = splats.without_empty_bands()
     degree = f"{splats.sh_degree}"
     if used.sh_degree < splats.sh_degree:

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.node import Node
-from tqdm import tqdm
 
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_sorter.qos import HISTORY_DEPTH
 from rosplat_tools import formats
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.parameters import declare
+from rosplat_tools.progress import bar
 from rosplat_tools.running import Cancelled, run, spinning, wait_for_end
 from rosplat_tools.scenes import NAMES, load_scene
 from rosplat_tools.splats import SceneError
@@ -59,25 +59,25 @@ class PlyPublisher(Node):
         start = time.monotonic()
         self._newest = mine = next(self._requests)
         with self._busy:
-            with _bar("loading", 1.0) as bar:
+            with bar("loading") as shown:
 
                 def loaded(part: float) -> None:
                     self._go_on()
                     if self._newest != mine:
                         raise Cancelled
-                    bar.update(part - bar.n)
-                    if bar.disable:
+                    shown.update(part - shown.n)
+                    if shown.disable:
                         self.get_logger().info(
                             f"reading {path}: {part:.0%}", throttle_duration_sec=0.5
                         )
 
                 splats = load_scene(path, loaded, self.get_logger().warning)
                 loaded(1.0)
-            with _bar("publishing", len(splats)) as bar:
+            with bar("publishing", len(splats)) as shown:
 
                 def published(count: int) -> None:
                     self._go_on()
-                    bar.update(count)
+                    shown.update(count)
 
                 try:
                     self._map.replace(splats, progress=published)
@@ -126,11 +126,6 @@ class PlyPublisher(Node):
         except (SceneError, OSError, MemoryError) as error:
             response.message = str(error) or "not enough memory"
         return response
-
-
-def _bar(what: str, total: float) -> tqdm:
-    form = "{desc}: {percentage:3.0f}%|{bar}|"
-    return tqdm(desc=what, total=total, bar_format=form, disable=None, leave=False)
 
 
 def main() -> None:

@@ -29,20 +29,20 @@ def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
     Raises SceneError, also for more splats than a map or this machine's memory holds.
     """
     if name.startswith(PROCEDURAL):
-        return _generated(name)
+        return _generated(name, progress)
     splats = formats.load(name, progress, warn)
     _check(name, len(splats))
     return splats
 
 
-def _generated(name: str) -> Splats:
+def _generated(name: str, progress: Progress) -> Splats:
     match = re.fullmatch(r"(\d{1,18})(?::(\d{1,18}))?", name.removeprefix(PROCEDURAL))
     if not match:
         raise SceneError(f"{name}: expected procedural:COUNT[:SEED]")
     count, seed = (int(number or 0) for number in match.groups())
     _check(name, count)
     try:
-        return generate(count, seed)
+        return generate(count, seed, progress=progress)
     except MemoryError as error:
         raise SceneError(f"{name}: too large for this machine's memory") from error
 

@@ -1,5 +1,6 @@
 """Convert writes what it read, or says why it didn't."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -54,7 +55,8 @@ def test_an_output_that_exists_is_kept(
         ("none.ply", "b.ply", "none.ply: No such file"),
         ("empty.ply", "b.ply", "empty.ply: holds no splats"),
         ("a.ply", "b.spz", "b.spz: can't write"),
-        ("a.ply", "a.ply/b.ply", "b.ply: Not a directory"),
+        ("none.ply", "a.ply/b.ply", "a.ply is no folder"),
+        ("none.ply", "none/b.ply", "none is no folder"),
         ("a.ply", "b" * 300 + ".ply", "b.ply: File name too long"),
     ],
 )
@@ -71,3 +73,15 @@ def test_failures_are_told(
     assert main([str(tmp_path / source), str(tmp_path / target)]) == 1
     assert reason in capsys.readouterr().err
     assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "empty.ply"}
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_bar_is_for_a_terminal(
+    terminal: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    assert main(["procedural:40", str(tmp_path / "a.ply")]) == 0
+    assert ("reading:" in capsys.readouterr().err) == terminal

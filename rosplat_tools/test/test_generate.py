@@ -8,7 +8,7 @@ import pytest
 
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.formats import SceneError, load
-from rosplat_tools.generate import generate, main
+from rosplat_tools.generate import BLOCK, generate, main
 from rosplat_tools.reference import render
 from rosplat_tools.reference.projection import rotation_matrices
 
@@ -85,6 +85,19 @@ def test_sheen_depends_on_the_view() -> None:
 def test_what_cannot_be_made(wrong: dict[str, int]) -> None:
     with pytest.raises(SceneError, match="expected"):
         generate(**({"count": 10} | wrong))
+
+
+def test_its_progress_is_told_and_may_end_it() -> None:
+    told: list[float] = []
+    generate(2 * BLOCK + 1, progress=told.append)
+    assert told == sorted(told)
+    assert len(told) == 3
+
+    def stop(part: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate(10, progress=stop)
 
 
 def test_the_command_writes_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -46,7 +46,7 @@ def test_a_scene_without_a_usable_splat(tmp_path: Path) -> None:
 
 
 def test_too_little_memory_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise MemoryError
 
     monkeypatch.setattr(scenes, "generate", full)

@@ -70,13 +70,18 @@ def load(
 
 
 def check_output(path: str | Path, overwrite: bool = False) -> None:
-    """Raises SceneError for an ending that can't be written, and for a file that would be lost."""
+    """Raises SceneError, before there is anything to write, where save would fail.
+
+    For an ending that can't be written, a folder that isn't there, and a file that would be lost.
+    """
     path = Path(path)
     _writer(path)
     try:
         exists = path.exists()
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
+    if not path.parent.is_dir():
+        raise SceneError(f"{path}: {path.parent} is no folder")
     if exists and not overwrite:
         raise SceneError(f"{path}: exists already (--overwrite replaces it)")
 
