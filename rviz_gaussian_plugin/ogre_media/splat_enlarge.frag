@@ -31,8 +31,9 @@ void main() {
   vec4 other = max(difference(half_depth, full_depth, place, texel),
                    difference(half_depth_behind, full_depth_behind, place, texel));
   if (all(lessThanEqual(other, vec4(0.0)))) {
-    colour = texture(half_colour, place);
-    second = texture(half_second, place);
+    // With a level: derivatives mean nothing where neighbours go another way.
+    colour = textureLod(half_colour, place, 0.0);
+    second = textureLod(half_second, place, 0.0);
     return;
   }
   // As textureGather() goes round: from the lower left one counter-clockwise, but rows grow.
