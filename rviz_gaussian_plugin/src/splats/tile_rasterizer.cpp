@@ -114,7 +114,8 @@ void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
   glBindTexture(GL_TEXTURE_2D, target.depth());
   glBindImageTexture(0, target.color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, target.format());
   gl::dispatch(std::size_t(across) * std::size_t(down));
-  glMemoryBarrier(GL_TEXTURE_FETCH_BARRIER_BIT | GL_FRAMEBUFFER_BARRIER_BIT);
+  glMemoryBarrier(GL_TEXTURE_FETCH_BARRIER_BIT | GL_FRAMEBUFFER_BARRIER_BIT |
+                  GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);  // what comes may be blended once more
 }
 
 std::size_t TileRasterizer::bytes() const { return begins_.bytes() + prefix_sum_.bytes(); }
