@@ -20,6 +20,7 @@ if command -v rviz2 >/dev/null; then
 else
   packages+=(libogre-1.12-dev)
 fi
+if [ "${1:-}" = dev ]; then packages+=(glslang-tools); fi # the tests' judge of shaders
 missing=()
 for package in "${packages[@]}"; do
   installed "$package" || missing+=("$package")

@@ -3,10 +3,13 @@
 #include <epoxy/egl.h>
 #include <epoxy/gl.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <fstream>
 #include <map>
 #include <sstream>
@@ -205,7 +208,7 @@ State state() {
   }
   for (const GLenum name : {GL_VIEWPORT, GL_SCISSOR_BOX, GL_COLOR_WRITEMASK}) get(name, 0, 4);
   get(GL_POLYGON_MODE, 0, 2);
-  for (GLuint unit = 0; unit < 4; ++unit) {
+  for (GLuint unit = 0; unit < 7; ++unit) {
     glActiveTexture(GL_TEXTURE0 + unit);
     for (const GLenum name :
          {GL_TEXTURE_BINDING_2D, GL_TEXTURE_BINDING_2D_MULTISAMPLE, GL_TEXTURE_2D}) {
@@ -295,6 +298,61 @@ class OthersState {
                                              GL_BLEND};
   std::array<GLuint, 4> textures_{};
   std::array<GLuint, 2> buffers_{};
+};
+
+// A driver that is said to have larger buffers and subgroups, or not; notes the shaders that it
+// gets.
+class Disguise {
+ public:
+  Disguise(GLint64 largest_buffer, bool subgroups) {
+    largest_buffer_ = largest_buffer;
+    subgroups_ = subgroups;
+    epoxy_glGetInteger64v = [](GLenum name, GLint64* value) {
+      real<PFNGLGETINTEGER64VPROC>("glGetInteger64v")(name, value);
+      if (name == GL_MAX_SHADER_STORAGE_BLOCK_SIZE) *value = largest_buffer_;
+    };
+    epoxy_glGetIntegerv = [](GLenum name, GLint* value) {
+      const bool subgroup =
+          name >= GL_SUBGROUP_SIZE_KHR && name <= GL_SUBGROUP_SUPPORTED_FEATURES_KHR;
+      if (!subgroup) return real<PFNGLGETINTEGERVPROC>("glGetIntegerv")(name, value);
+      *value = name == GL_SUBGROUP_SIZE_KHR ? subgroups_ * 32 : ~0;
+    };
+    // The last of its extensions is another.
+    epoxy_glGetStringi = [](GLenum name, GLuint index) {
+      GLint count = 0;
+      glGetIntegerv(GL_NUM_EXTENSIONS, &count);
+      if (name == GL_EXTENSIONS && index + 1 == static_cast<GLuint>(count)) {
+        return reinterpret_cast<const GLubyte*>("GL_KHR_shader_subgroup");
+      }
+      return real<PFNGLGETSTRINGIPROC>("glGetStringi")(name, index);
+    };
+    epoxy_glShaderSource = [](GLuint shader, GLsizei count, const GLchar* const* text,
+                              const GLint* length) {
+      GLint stage = 0;
+      glGetShaderiv(shader, GL_SHADER_TYPE, &stage);
+      noted.emplace(*text, static_cast<GLenum>(stage));
+      real<PFNGLSHADERSOURCEPROC>("glShaderSource")(shader, count, text, length);
+    };
+  }
+  ~Disguise() {
+    epoxy_glGetInteger64v = real<PFNGLGETINTEGER64VPROC>("glGetInteger64v");
+    epoxy_glGetIntegerv = real<PFNGLGETINTEGERVPROC>("glGetIntegerv");
+    epoxy_glGetStringi = real<PFNGLGETSTRINGIPROC>("glGetStringi");
+    epoxy_glShaderSource = real<PFNGLSHADERSOURCEPROC>("glShaderSource");
+  }
+  Disguise(const Disguise&) = delete;
+  Disguise& operator=(const Disguise&) = delete;
+
+  static inline std::map<std::string, GLenum> noted;  // their stages
+
+ private:
+  template <typename Function>
+  static Function real(const char* name) {
+    return reinterpret_cast<Function>(eglGetProcAddress(name));
+  }
+
+  static inline GLint64 largest_buffer_ = 0;
+  static inline bool subgroups_ = false;
 };
 
 class SplatRendererTest : public testing::Test {
@@ -408,6 +466,8 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
   fill(scene);
   const Framebuffer window(GL_DEPTH24_STENCIL8, 4, windowDepth(6));
   const RenderSettings settings;
+  RenderSettings halved;
+  halved.half_resolution = true;
   const DrawTranslucent translucent = [] {};
   for (const Rasterizer rasterizer : {Rasterizer::kQuads, Rasterizer::kTiles}) {
     const auto expected = picture(scene, rasterizer, OrderSource::kGpu, Canvas::kWindow);
@@ -426,6 +486,8 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     scene.hideFarther();
     scene.drawBefore();
     EXPECT_EQ(changed(before), State());
+    scene.draw("view", halved, Canvas::kWindow, false);
+    EXPECT_EQ(changed(before), State());
     scene.drawSurface(camera(), settings, Canvas::kWindow, 100);
     EXPECT_EQ(changed(before), State());
     scene.drawPick(camera(), settings, Canvas::kWindow, 0);
@@ -433,4 +495,42 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     scene.readSlots({1, 2, 3});
     EXPECT_EQ(changed(before), State());
   }
+}
+
+// Drivers take more than the language has, each something else; the reference compiler doesn't.
+TEST_F(SplatRendererTest, GivesAnyDriverShadersThatConform) {
+  if (std::system("glslangValidator --version >/dev/null") != 0)
+    GTEST_SKIP() << "no glslangValidator";
+  for (const GLint64 largest_buffer : {GLint64{1} << 27, (GLint64{1} << 31) - 1}) {
+    for (const bool subgroups : {false, true}) {
+      const Disguise disguise(largest_buffer, subgroups);
+      try {
+        // Not the very texts of other tests, whose programs would be used again.
+        const SplatRenderer renderer(shaders({"void main() {", "void main() {  // noted\n"}));
+      } catch (const gl::Error&) {  // no subgroups after all: but it got the shader
+      }
+    }
+  }
+  gl::dropErrors();
+  const auto count = [](const std::string& text) {
+    return std::count_if(Disguise::noted.begin(), Disguise::noted.end(), [&](const auto& shader) {
+      return shader.first.find(text) != std::string::npos;
+    });
+  };
+  EXPECT_GT(count("#define PARTS 1\n"), 20);
+  EXPECT_GT(count("#define PARTS 4\n"), 20);
+  EXPECT_EQ(count("#define SUBGROUPS\n"), 2);
+  const std::string prefix = testing::TempDir() + "rosplat_" + std::to_string(getpid()) + "_";
+  std::string command = "glslangValidator";
+  std::vector<std::string> files;
+  for (const auto& [text, stage] : Disguise::noted) {
+    const char* const suffix = stage == GL_COMPUTE_SHADER  ? ".comp"
+                               : stage == GL_VERTEX_SHADER ? ".vert"
+                                                           : ".frag";
+    files.push_back(prefix + std::to_string(files.size()) + suffix);
+    std::ofstream(files.back()) << text;
+    command += " " + files.back();
+  }
+  EXPECT_EQ(std::system(command.c_str()), 0);
+  for (const std::string& file : files) std::remove(file.c_str());
 }
