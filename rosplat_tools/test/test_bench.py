@@ -32,7 +32,7 @@ def test_sorting_is_measured_for_every_backend_that_is_here(tmp_path: Path) -> N
     assert {record.scene for record in records} == {"procedural:2000", "procedural:3000"}
     methods = {str(record.parameters["method"]) for record in records}
     assert any(method.startswith("native") for method in methods)
-    assert "np.argsort of all (seed)" in methods
+    assert "shadygm/ROSplat, np.argsort" in methods
     every = [record for record in records if record.parameters["view"] == "all"]
     assert all(record.parameters["visible"] == record.splats for record in every)
     some = [record for record in records if record.parameters["view"] == "inside"]
@@ -49,7 +49,7 @@ def test_a_wrong_order_is_not_timed(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert not (tmp_path / "sort.json").exists()
 
 
-@pytest.mark.parametrize("name", ["np.argsort of all (seed)", "np.argsort of depths"])
+@pytest.mark.parametrize("name", ["shadygm/ROSplat, np.argsort", "np.argsort of depths"])
 def test_baselines_sort_as_we_do_where_all_is_visible(name: str) -> None:
     splats = generate(2000)
     (camera,) = scenes.all_of_it(splats, 640, 480, 1)

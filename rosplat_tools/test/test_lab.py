@@ -157,10 +157,10 @@ def test_rvizsplat_leaves_out_faint_splats_and_faint_rims() -> None:
     assert seen[seen > 0].min() >= 0.05 - 0.5 / 255
 
 
-def test_the_seed_brightens_before_it_blends() -> None:
+def test_shadygm_s_brightens_before_it_blends() -> None:
     camera = replace(CAMERA, world_to_camera=np.eye(4))
     grey = ball(sh=np.full((1, 1, 3), (0.25 - 0.5) / 0.28209479, np.float32))
-    bright, plain = viewers.seed(grey, camera), viewers.seed(grey, camera, gamma=1.0)
+    bright, plain = viewers.shadygm(grey, camera), viewers.shadygm(grey, camera, gamma=1.0)
     assert bright.max() / plain.max() == pytest.approx(0.25 ** (1 / 2.2) / 0.25, rel=0.02)
 
 

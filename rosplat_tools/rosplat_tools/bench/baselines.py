@@ -131,10 +131,10 @@ def cub_pairs(positions: Positions) -> Sort:
 
 
 IN_HOST_MEMORY: dict[str, Callable[[Positions], Sort]] = {
-    "np.argsort of all (seed)": argsort,
+    "shadygm/ROSplat, np.argsort": argsort,
     "np.argsort of depths": depth_argsort,
-    "torch, uploading (seed)": torch_uploading,
-    "cupy, uploading (seed)": cupy_uploading,
+    "shadygm/ROSplat, torch": torch_uploading,
+    "shadygm/ROSplat, cupy": cupy_uploading,
 }
 
 ON_DEVICE: dict[str, Callable[[Positions], Sort]] = {

@@ -206,12 +206,12 @@ def _aged(frames: int, kind: str, speed: float) -> Method:
     )  # fmt: skip
 
 
-def _seed(library: str, make: Callable[[baselines.Positions], baselines.Sort]) -> Method:
+def _shadygm(library: str, make: Callable[[baselines.Positions], baselines.Sort]) -> Method:
     """Its own sort and all splats drawn, here as our quads; the picture as its shaders make it."""
     return Method(
         f"shadygm/ROSplat, {library}", "other viewers",
         drawn(by_baseline(make), float_blending=False, rasterizer=Rasterizer.QUADS),
-        model=viewers.seed, aside=ELSEWHERE,
+        model=viewers.shadygm, aside=ELSEWHERE,
         available=lambda b: library not in BACKENDS or (library in b.backends and b.accelerated),
     )  # fmt: skip
 
@@ -302,12 +302,12 @@ METHODS: tuple[Method, ...] = (
     # In how many pixels.
     Method("half resolution", "resolution", drawn(half_resolution=True)),
     # What others do.
-    _seed("torch", baselines.torch_uploading),
-    _seed("cupy", baselines.cupy_uploading),
-    _seed("np.argsort", baselines.argsort),
+    _shadygm("torch", baselines.torch_uploading),
+    _shadygm("cupy", baselines.cupy_uploading),
+    _shadygm("np.argsort", baselines.argsort),
     modelled(
         "shadygm/ROSplat without its gamma", "other viewers",
-        partial(viewers.seed, gamma=1.0),
+        partial(viewers.shadygm, gamma=1.0),
     ),
     modelled("RVizSplat 1.0.0", "other viewers", viewers.rvizsplat),
     # All at once: the Display's property Quality.

@@ -72,7 +72,7 @@ def _rvizsplat(splats: Splats, camera: Camera) -> Projected:
     )[solid]
 
 
-def seed(splats: Splats, camera: Camera, gamma: float = GAMMA) -> Array:
+def shadygm(splats: Splats, camera: Camera, gamma: float = GAMMA) -> Array:
     """(height, width, 3) RGB over black, as shadygm/ROSplat draws; gamma 1 leaves colours alone."""
     projected = fragments.nearest_first(project(splats, camera))
     reach = np.abs(2 * projected.centers / (camera.width, camera.height) - 1).max(axis=1)
