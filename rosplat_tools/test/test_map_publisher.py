@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -276,3 +277,21 @@ def test_a_progress_that_raises_ends_the_sending(node: Node, random_splats: Make
     with pytest.raises(Cancelled):
         publisher.replace(random_splats(2000), progress=progress)
     assert publisher.revision == 3
+
+
+def test_calls_of_several_threads_take_turns(
+    node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publisher = MapPublisher(node)
+    publisher.replace(random_splats(0))
+    sent: list[int] = []
+
+    def publish(_: object, message: GaussianArray) -> None:
+        time.sleep(0.002)  # in which another thread would send
+        sent.append(message.revision)
+
+    monkeypatch.setattr(type(publisher._publisher), "publish", publish)
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(lambda n: publisher.upsert([n], random_splats(1)), range(40)))
+    assert sent == list(range(2, 42))
+    assert len(publisher) == 40
