@@ -109,4 +109,4 @@ def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert run.returncode == 1
-    assert run.stderr == "lab: nowhere.ply: no such file\n"
+    assert run.stderr == "lab: nowhere.ply: No such file or directory\n"

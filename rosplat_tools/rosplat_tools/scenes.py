@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 from rosplat_sorter.edits import MAX_SLOTS
 from rosplat_tools import formats
@@ -13,6 +14,15 @@ from rosplat_tools.splats import SceneError, Splats
 PROCEDURAL = "procedural:"
 
 NAMES = ".ply, .spz, .sog, a SOG folder, or procedural:COUNT[:SEED]"
+
+
+def check_scene(name: str) -> None:
+    """Raises SceneError, before other work, for a file that isn't there."""
+    try:
+        if not name.startswith(PROCEDURAL):
+            Path(name).stat()
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{name}: {getattr(error, 'strerror', None) or error}") from error
 
 
 def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:

@@ -156,9 +156,18 @@ def test_what_makes_no_sense_is_said(
     assert words in capsys.readouterr().err
 
 
+def test_a_scene_that_is_not_there_is_named_before_anything_is_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sort", "--scenes", "no.ply", "--out", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err == "bench: no.ply: No such file or directory\n"
+
+
 def test_a_scene_that_is_none_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sort", "--sizes", "500", "--scenes", "no.ply", "--out", str(tmp_path)]) == 1
-    assert "no.ply" in capsys.readouterr().out
+    scene = tmp_path / "none.ply"
+    scene.write_text("?")
+    assert main(["sort", "--sizes", "500", "--scenes", str(scene), "--out", str(tmp_path)]) == 1
+    assert "none.ply: not a scene" in capsys.readouterr().out.replace("\n", "")
     assert load([tmp_path / "sort.json"])  # what came before it is kept
 
 

@@ -107,7 +107,8 @@ def test_a_file_without_records_is_named_in_a_line(
     text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "x.json").write_text(text)
-    assert main(["charts", str(tmp_path / "x.json"), "--out", str(tmp_path)]) == 1
-    said = capsys.readouterr().err
-    assert "x.json" in said
-    assert len(said.splitlines()) == 1
+    for command in (["charts", "--out", str(tmp_path)], ["tables"]):
+        assert main([*command, str(tmp_path / "x.json")]) == 1
+        said = capsys.readouterr().err
+        assert "x.json" in said
+        assert len(said.splitlines()) == 1

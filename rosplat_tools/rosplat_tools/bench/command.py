@@ -31,7 +31,7 @@ from rosplat_tools.bench.records import (
     save,
 )  # fmt: skip
 from rosplat_tools.processes import ProcessError
-from rosplat_tools.scenes import NAMES
+from rosplat_tools.scenes import NAMES, check_scene
 from rosplat_tools.splats import SceneError
 
 WIDTH = 150  # of tables that go to a file
@@ -83,10 +83,7 @@ def _draw(arguments: list[str], console: Console) -> int:
         "--of", default="p50", choices=STATISTICS, help="what is drawn (default: the median)"
     )
     options = parser.parse_args(arguments)
-    records = load(options.files)
-    if not records:
-        raise RecordError(f"{', '.join(map(str, options.files))}: no records, nothing to draw")
-    _chart(records, options.out, console, options.of)
+    _chart(_some(options.files), options.out, console, options.of)
     return 0
 
 
@@ -101,12 +98,22 @@ def _tabulate(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     from rosplat_tools.bench import charts
 
-    print("\n\n".join(charts.tables(load(options.files), options.of)))
+    print("\n\n".join(charts.tables(_some(options.files), options.of)))
     return 0
+
+
+def _some(files: list[Path]) -> list[Record]:
+    """The records of files. Raises RecordError where there are none."""
+    records = load(files)
+    if not records:
+        raise RecordError(f"{', '.join(map(str, files))}: no records")
+    return records
 
 
 def _measure(arguments: list[str], console: Console) -> int:
     options = _parser().parse_args(arguments)
+    for name in options.scenes:
+        check_scene(name)
     plan = Plan(
         out=options.out,
         quick=options.quick,

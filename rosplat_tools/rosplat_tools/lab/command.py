@@ -28,7 +28,7 @@ from rosplat_tools.lab.points import Point, Store
 from rosplat_tools.lab.progress import progress
 from rosplat_tools.lab.workers import Comparison, Image, Reference, Workers
 from rosplat_tools.metrics import MOST_PSNR
-from rosplat_tools.scenes import NAMES, PROCEDURAL, load_scene
+from rosplat_tools.scenes import NAMES, PROCEDURAL, check_scene, load_scene
 from rosplat_tools.splats import SceneError, Splats
 from rviz_gaussian_plugin.offscreen import ensure_display
 
@@ -60,8 +60,6 @@ class Job:
 def load(path: str, options: argparse.Namespace) -> Scene:
     """A scene and the cameras around it. Raises SceneError."""
     procedural = path.startswith(PROCEDURAL)
-    if not procedural and not Path(path).exists():
-        raise SceneError(f"{path}: no such file")
     splats = load_scene(path, lambda done: None, lambda text: print(text, file=sys.stderr))
     up = options.up or ((0, 0, 1) if procedural else (0, -1, 0))
     cameras = motion.around(splats, options.cameras, up, options.width, options.height)
@@ -205,6 +203,8 @@ def main(arguments: list[str] | None = None) -> int:
             write(Store(options.out).folder, kept, options)
             return 0
         names = [] if options.part == "atlas" else options.scenes or [f"{PROCEDURAL}100000"]
+        for name in names:
+            check_scene(name)
         scenes = [load(name, options) for name in names]
         store = Store(options.out)
         with (

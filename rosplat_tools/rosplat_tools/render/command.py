@@ -34,7 +34,7 @@ from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.files import write_text
 from rosplat_tools.metrics import MOST_PSNR, compare
 from rosplat_tools.processes import Processes, quoted
-from rosplat_tools.scenes import NAMES, PROCEDURAL
+from rosplat_tools.scenes import NAMES, check_scene
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 
@@ -287,8 +287,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         cameras = load_cameras(options.cameras)
         check(options.cameras, cameras)
-        if not options.scene.startswith(PROCEDURAL) and not Path(options.scene).exists():
-            raise SceneError(f"{options.scene}: no such file")
+        check_scene(options.scene)
         make_folder(options.out)
         # rclpy's own handlers shut ROS down under code that is just using it.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
