@@ -27,7 +27,7 @@ render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=
 	@./setup.sh
 	@$(ENTER); python -m rosplat_tools.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending)
 
-bench: setup ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" SCENES="a.ply b.spz" SIZES="500k 5M"
+bench: setup ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" SCENES="a.ply b.spz" SIZES="500k 5M" DISPLAYS=file
 	@$(ENTER); python -m rosplat_tools.bench $(SUBJECTS) $(if $(QUICK),--quick) $(if $(SIZES),--sizes $(SIZES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(DISPLAYS),--displays $(DISPLAYS))
 
 lab: ## Chart error against time for all methods: [SCENE=path] [OUT=folder] [QUICK=1] [DOCS=folder]
@@ -42,8 +42,8 @@ test: ## Lint, then every test that this machine can run
 	@./setup.sh dev
 	@$(ENTER); tests/lint.sh && tests/run.sh
 
-pictures: setup ## Make the pictures of the documentation: SCENE=path, where rviz2 is
-	@$(ENTER); python docs/pictures.py "$(SCENE)"
+pictures: setup ## Make the documentation's pictures, where rviz2 is: SCENE=playbot UPRIGHT=wolf.spz [ONLY="demo rviz"]
+	@$(ENTER); python docs/pictures.py "$(SCENE)" "$(UPRIGHT)" $(if $(ONLY),--only $(ONLY))
 
 clean: ## Forget builds and pictures; .venv stays
 	rm -rf build install log out

@@ -171,9 +171,10 @@ def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
         time.sleep(seconds)
         processes.check()
         # Widen the panel and unfold the display's Status: rviz doesn't remember that.
-        drag = ["mousemove", "345", "600", "mousedown", "1", "mousemove", "400", "600"]
-        subprocess.run(["xdotool", *drag, "mousemove", "500", "600", "mouseup", "1"], check=True)
-        subprocess.run(["xdotool", "mousemove", "31", "208", "click", "1"], check=True)
+        for step in ("mousemove 342 600", "mousedown 1", "mousemove 400 600", "mousemove 460 600",
+                     "mouseup 1", "mousemove 31 208 click 1"):  # fmt: skip
+            subprocess.run(["xdotool", *step.split()], check=True)
+            time.sleep(seconds / 20)  # as long as frames take in software
         time.sleep(seconds / 2)
         shoot("occlusion.jpg", display)
     node.destroy_node()
@@ -199,11 +200,13 @@ def selection(display: str, folder: Path, seconds: float) -> None:
         shoot("selection.jpg", display)
 
 
-def embedded_viewer(folder: Path) -> None:
+def embedded_viewer(folder: Path, scene: Path) -> None:
     """The picture of `make demo` without a display."""
     with Processes(folder) as processes:
         demo = processes.start(
-            "host", [sys.executable, "-m", "rosplat_tools.demo", "--host", "--out", str(folder)],
+            "host",
+            [sys.executable, "-m", "rosplat_tools.demo", str(scene), "--up", "0", "1", "0",
+             "--host", "--out", str(folder)],
             DISPLAY="",
         )  # fmt: skip
         if demo.wait() != 0:
@@ -212,21 +215,33 @@ def embedded_viewer(folder: Path) -> None:
     print(f"wrote {DOCS / 'demo.jpg'}")
 
 
+PICTURES = ("comparison", "demo", "occlusion", "selection", "rviz")
+
+
 def main() -> None:
-    """Makes all of them."""
+    """Makes all of them, or some."""
     parser = argparse.ArgumentParser(prog="make pictures", description=__doc__)
     parser.add_argument("scene", type=Path, help="trained scene with y down, playbot in the README")
+    parser.add_argument(
+        "upright", type=Path, help="trained scene with y up, wolf.spz in the README"
+    )
+    parser.add_argument("--only", nargs="+", choices=PICTURES, default=PICTURES, metavar="PICTURE")
     parser.add_argument("--seconds", type=float, default=60, help="for rviz2 to come to rest")
     options = parser.parse_args()
     folder = Path("out/pictures")
     folder.mkdir(parents=True, exist_ok=True)
-    comparison()
-    embedded_viewer(folder)
+    if "comparison" in options.only:
+        comparison()
+    if "demo" in options.only:
+        embedded_viewer(folder, options.upright)
     os.environ.pop("DISPLAY", None)
     with ensure_display(*SIZE) as display:
-        occlusion(display, folder, options.scene, options.seconds)
-        selection(display, folder, options.seconds)
-        shipped_configuration(display, folder, options.seconds)
+        if "occlusion" in options.only:
+            occlusion(display, folder, options.scene, options.seconds)
+        if "selection" in options.only:
+            selection(display, folder, options.seconds)
+        if "rviz" in options.only:
+            shipped_configuration(display, folder, options.seconds)
 
 
 if __name__ == "__main__":
