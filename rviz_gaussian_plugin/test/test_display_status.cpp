@@ -10,6 +10,7 @@ using rviz_common::properties::StatusProperty;
 
 GaussianClient::Status heard(std::uint64_t batches) {
   GaussianClient::Status received;
+  received.topic = "/robot/map";
   received.publishers = {"slam", "player"};
   received.batches = batches;
   received.frame_id = "map";
@@ -30,14 +31,16 @@ bool has(const StatusLine& line, const std::string& words) {
 }  // namespace
 
 TEST(TopicStatus, saysWhyNothingArrives) {
-  EXPECT_TRUE(has(topicStatus({}), "Nobody publishes"));
   GaussianClient::Status received = heard(0);
+  received.publishers.clear();
+  EXPECT_EQ(topicStatus(received).text, "Nobody publishes on /robot/map");
+  received = heard(0);
   EXPECT_TRUE(has(topicStatus(received), "No batch received yet"));
   received.unheard = "best effort";
   EXPECT_TRUE(has(topicStatus(received), "a publisher is best effort"));
   EXPECT_EQ(topicStatus(received).level, StatusProperty::Warn);
   received.other_type = "std_msgs/msg/String";
-  EXPECT_TRUE(has(topicStatus(received), "This topic is of type std_msgs/msg/String"));
+  EXPECT_TRUE(has(topicStatus(received), "/robot/map is of type std_msgs/msg/String"));
   EXPECT_EQ(topicStatus(received).level, StatusProperty::Error);
 }
 

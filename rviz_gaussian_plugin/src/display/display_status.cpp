@@ -50,11 +50,11 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
   if (received.batches == 0) {
     if (!received.other_type.empty()) {
       return line(StatusProperty::Error,
-                  concat("This topic is of type ", received.other_type, ": choose one of type ",
-                         GaussianClient::mapType()));
+                  concat(received.topic, " is of type ", received.other_type,
+                         ": choose one of type ", GaussianClient::mapType()));
     }
     if (received.publishers.empty()) {
-      return line(StatusProperty::Warn, "Nobody publishes on this topic");
+      return line(StatusProperty::Warn, "Nobody publishes on " + received.topic);
     }
     if (received.unheard.empty()) return line(StatusProperty::Warn, "No batch received yet");
     return line(StatusProperty::Warn, "No batch received: a publisher is " + received.unheard);

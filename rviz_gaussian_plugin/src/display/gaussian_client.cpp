@@ -55,6 +55,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   options.callback_group = group_;
   map_ = subscribe(qos_);
   remapped_ = map_->get_topic_name();
+  status_.topic = remapped_;
   orders_ = node_->create_subscription<SplatOrder>(
       remapped_ + "/order", viewQos(),
       [this](std::unique_ptr<SplatOrder> message) { receive(*message); }, options);

@@ -46,6 +46,7 @@ class GaussianClient {
 
   // What has arrived.
   struct Status {
+    std::string topic;     // of the map, as it is remapped
     std::string frame_id;  // of the map
     std::uint64_t batches = 0;
     std::uint64_t refused = 0;            // batches that contradict themselves
