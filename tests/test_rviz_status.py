@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ def test_bad_input_is_explained(rviz: Rviz, world: World, tmp_path: Path) -> Non
     from std_msgs.msg import String
 
     rviz.set("Map", "Topic", value="/nobody")
-    rviz.until_status("Map", "Topic", "Warn", "Nobody publishes")
+    rviz.until_status("Map", "Topic", "Warn", "Nobody publishes on /nobody")
     rviz.set("Map", "Topic", value="")
     rviz.until_status("Map", "Topic", "Warn", "No topic set")
     rviz.set("Map", "Topic", value="no topic/at all")
@@ -67,6 +68,14 @@ def request_picture(
     return client.call_async(RenderView.Request(camera=camera, order_timeout=order_timeout))
 
 
+def watch_views(world: World, views: list[Any]) -> None:
+    """Lists the cameras that orders are asked for."""
+    from rosplat_msgs.msg import ViewCamera
+    from rosplat_sorter.qos import VIEW
+
+    world.node.create_subscription(ViewCamera, "/gaussians/view", views.append, VIEW)
+
+
 def ask_for_picture(world: World, **request: Any) -> Any:
     """What the display answers to that."""
     picture = request_picture(world, **request)
@@ -104,12 +113,10 @@ def test_pictures_wait_for_no_sidecar_where_the_display_sorts(rviz: Rviz, world:
 
 
 def test_pictures_are_drawn_by_a_display_that_is_told_to(rviz: Rviz, world: World) -> None:
-    from rosplat_msgs.msg import ViewCamera
     from rosplat_msgs.srv import RenderView
-    from rosplat_sorter.qos import VIEW
 
-    views: list[ViewCamera] = []
-    world.node.create_subscription(ViewCamera, "/gaussians/view", views.append, VIEW)
+    views: list[Any] = []
+    watch_views(world, views)
     service = world.node.create_client(RenderView, "/gaussians/render")
     as_it_comes = "{Class: rviz_gaussian_plugin/GaussianMap, Name: Map, Enabled: true, Value: true}"
     rviz.load(configuration(f"    - {as_it_comes}\n"))
@@ -126,8 +133,30 @@ def test_pictures_are_drawn_by_a_display_that_is_told_to(rviz: Rviz, world: Worl
         world.spin_until(picture.done)
         assert "turned off" in picture.result().message
         views.clear()
+    world.spin_until(lambda: not service.service_is_ready())
     rviz.set("Map", "Render Service", value=True)
     assert ask_for_picture(world).success
+
+
+def test_what_waits_for_a_picture_is_told_when_the_display_is_removed(
+    rviz: Rviz, world: World
+) -> None:
+    views: list[Any] = []
+    watch_views(world, views)
+
+    def told() -> bool:
+        rviz.load(configuration(map_display(**{"Order Source": "Sidecar"})))
+        rviz.until_status("Map", "Map", "Ok", "1 splats")
+        views.clear()
+        picture = request_picture(world, order_timeout=60.0)
+        world.spin_until(lambda: any(view.width == 16 for view in views))
+        rviz.ask("remove", path=["Map"])
+        asked = time.monotonic()
+        world.spin_until(lambda: picture.done() or time.monotonic() - asked > 5)
+        return picture.done() and "removed" in picture.result().message
+
+    world.map.replace(disc((1, 0, 0)))
+    assert any(told() for _ in range(5)), "a service that ends may take an answer along, not each"
 
 
 def test_a_refused_batch_is_said_until_a_good_one_comes(tmp_path: Path, world: World) -> None:

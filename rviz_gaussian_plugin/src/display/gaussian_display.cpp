@@ -82,7 +82,7 @@ GaussianDisplay::GaussianDisplay() {
 }
 
 GaussianDisplay::~GaussianDisplay() {
-  render_service_.reset();
+  endService();
   views_.reset();
   client_.reset();  // no more messages into the cloud
   selection_.reset();
@@ -207,7 +207,7 @@ void GaussianDisplay::serve() {
 void GaussianDisplay::endService() {
   if (!render_service_) return;
   client_->setServing(false);
-  render_service_->refuse("the display was turned off, or its service");
+  render_service_->refuse("the display was turned off or removed, or its service turned off");
   render_service_.reset();
 }
 
