@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rosplat_tools.formats import SceneError, load, save
+from rosplat_tools.formats import SceneError, load, save, sog
 
 COUNT = 6  # in pictures of 4 x 2 pixels, so that two stay unused
 
@@ -135,10 +135,13 @@ def test_reserved_quaternion_tags_drop_their_splats(tmp_path: Path) -> None:
         (["sh0", "codebook"], "no", r"sh0\.codebook: expected 256"),
         (["quats"], {}, r"no field quats\.files"),
         (["means", "files"], ["means_l.webp"], r"means\.files has no file name at 1"),
-        (["sh0", "files"], ["none.webp"], "can't read none.webp"),
+        (["means", "maxs"], [0, 0, 10**400], r"means\.maxs: expected 3"),
+        (["sh0", "files"], ["none.webp"], "can't read 'none.webp': .*No such file"),
+        (["sh0", "files"], ["none\0"], "can't read .*null byte"),
         (["sh0", "files"], ["../sh0.webp"], "not the name of a file beside"),
         (["sh0", "files"], ["meta.json"], "meta.json is no picture"),
         (["shN", "bands"], 4, r"shN\.bands is 4"),
+        (["shN", "bands"], 1.0, r"shN\.bands is 1\.0"),
         (["shN", "bands"], 2, "192 px wide, not 512"),
     ],
 )
@@ -162,7 +165,7 @@ def test_labels_beyond_the_palette(tmp_path: Path) -> None:
         load(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "3", "\udcff"])
+@pytest.mark.parametrize("text", ["{", "[]", "3", "\udcff", "[" * 100_000])
 def test_broken_json(tmp_path: Path, text: str) -> None:
     (tmp_path / "meta.json").write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(SceneError, match=r"meta\.json: "):
@@ -173,6 +176,23 @@ def test_broken_zip(tmp_path: Path) -> None:
     (tmp_path / "a.sog").write_bytes(b"PK\x03\x04 and nothing more")
     with pytest.raises(SceneError, match=r"a\.sog: broken zip"):
         load(tmp_path / "a.sog")
+
+
+def test_damaged_and_huge_files_in_a_zip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_scene(tmp_path / "a")
+    path = tmp_path / "a.sog"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as bundle:
+        for file in (tmp_path / "a").iterdir():
+            bundle.write(file, file.name)
+        place = bundle.getinfo("meta.json").header_offset + 30 + len("meta.json")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:place] + b"\xff\xff" + whole[place + 2 :])
+    with pytest.raises(SceneError, match=r"a\.sog: can't read 'meta\.json': .*decompressing"):
+        load(path)
+    path.write_bytes(whole)
+    monkeypatch.setattr(sog, "LARGEST_FILE", 1000)  # a bomb, say
+    with pytest.raises(SceneError, match=r"can't read 'meta\.json': .* bytes, expected 1,000"):
+        load(path)
 
 
 def test_no_scene_at_all(tmp_path: Path) -> None:

@@ -9,7 +9,9 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ NAME = "SOG"
 
 META = "meta.json"
 CENTROIDS_PER_ROW = 64
+LARGEST_FILE = 1 << 29  # unpacked: pictures of the most splats that a map has take less [bytes]
 LARGEST_TAG = 252  # alpha of a quaternion's pixel: 252 + index of the component left out
 
 
@@ -41,9 +44,16 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         )
     try:
         with zipfile.ZipFile(path) as bundle:
-            return _Reader(path, bundle.read).read(progress, warn)
+            return _Reader(path, partial(_unpack, bundle)).read(progress, warn)
     except (zipfile.BadZipFile, NotImplementedError) as error:
         raise SceneError(f"{path}: broken zip: {error}") from error
+
+
+def _unpack(bundle: zipfile.ZipFile, name: str) -> bytes:
+    size = bundle.getinfo(name).file_size
+    if size > LARGEST_FILE:
+        raise ValueError(f"{size:,} bytes, expected {LARGEST_FILE:,} at most")
+    return bundle.read(name)
 
 
 class _Reader:
@@ -52,9 +62,10 @@ class _Reader:
     def __init__(self, path: Path, read_bytes: Callable[[str], bytes]) -> None:
         self._path = path
         self._read_bytes = read_bytes
+        text = self._file(META)
         try:
-            self._meta = json.loads(self._file(META))
-        except ValueError as error:  # JSON or its encoding
+            self._meta = json.loads(text)
+        except (ValueError, RecursionError) as error:  # JSON or its encoding
             raise SceneError(f"{path}: broken {META}: {error}") from error
 
     def read(self, progress: Progress, warn: Warn) -> Splats:
@@ -97,7 +108,7 @@ class _Reader:
     def _higher_bands(self, n: int) -> Floats:
         """(n, k - 1, 3) coefficients: each splat's label names a row of a shared palette."""
         degree = self._field("shN", "bands")
-        if degree not in range(1, MAX_SH_DEGREE + 1):
+        if not isinstance(degree, int) or not 1 <= degree <= MAX_SH_DEGREE:
             raise SceneError(f"{self._path}: shN.bands is {degree!r}, expected 1, 2 or 3")
         k = sh_coefficients(degree) - 1
         values = self._numbers("shN", "codebook", 256).astype(np.float32)
@@ -139,8 +150,8 @@ class _Reader:
             raise SceneError(f"{self._path}: {name!r} is not the name of a file beside {META}")
         try:
             return self._read_bytes(name)
-        except (OSError, KeyError) as error:
-            raise SceneError(f"{self._path}: can't read {name}") from error
+        except (OSError, KeyError, EOFError, ValueError, RuntimeError, zlib.error) as error:
+            raise SceneError(f"{self._path}: can't read {name!r}: {error}") from error
 
     def _field(self, *names: str) -> Any:
         value: Any = self._meta
@@ -153,7 +164,7 @@ class _Reader:
     def _numbers(self, field: str, name: str, count: int) -> NDArray[np.float64]:
         try:
             values = np.asarray(self._field(field, name), np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             values = np.empty(0)
         if values.shape != (count,) or not np.isfinite(values).all():
             raise SceneError(f"{self._path}: {field}.{name}: expected {count} finite numbers")
