@@ -59,15 +59,19 @@ class Camera:
                 raise ValueError(f"{name} is {value!r}, expected a whole number{least}")
         for name in ("fx", "fy", "cx", "cy", "near", "far"):
             value = getattr(self, name)
-            if not isinstance(value, (int, float)) or not math.isfinite(value):
+            if not isinstance(value, (int, float)) or not _is_finite(value):
                 raise ValueError(f"{name} is {value!r}, expected a finite number")
+        if not isinstance(self.orthographic, bool):
+            raise ValueError(f"orthographic is {self.orthographic!r}, expected true or false")
+        if not isinstance(self.image, str | None):
+            raise ValueError(f"image is {self.image!r}, expected a name")
         if not (self.fx > 0 and self.fy > 0):
             raise ValueError(f"fx, fy are {self.fx}, {self.fy}, expected more than 0")
         if not 0 < self.near < self.far:
             raise ValueError(f"near, far are {self.near}, {self.far}, expected 0 < near < far")
         try:
             transform = np.asarray(self.world_to_camera, np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             transform = np.empty(0)
         if transform.shape != (4, 4) or not np.isfinite(transform).all():
             raise ValueError("world_to_camera: expected 4x4 finite numbers")
@@ -110,13 +114,20 @@ class Camera:
         return quaternion
 
 
+def _is_finite(value: float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number that no float holds
+        return False
+
+
 def load_cameras(path: str | Path) -> list[Camera]:
     """Reads a camera file. Raises SceneError naming the file, the camera and the field."""
     try:
         entries = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise SceneError(f"{path}: not JSON: {error}") from error
     if not isinstance(entries, list):
         raise SceneError(f"{path}: expected a list of cameras")

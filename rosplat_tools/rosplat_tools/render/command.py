@@ -220,8 +220,8 @@ def read_picture(path: Path) -> NDArray[np.float64]:
 def _pixels(path: Path) -> NDArray[np.unsignedinteger]:
     try:
         data = np.frombuffer(path.read_bytes(), np.uint8)
-    except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+    except (OSError, ValueError) as error:  # the latter for what can't be a name
+        raise SceneError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
     pixels = cv2.imdecode(data, flags) if len(data) else None
     if pixels is None:
