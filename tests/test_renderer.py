@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -507,6 +509,28 @@ def test_an_empty_map_is_an_empty_picture(host: Host) -> None:
     host.show(cloud(0))
     assert not host.draw(CAMERAS["outside"]).any()
     assert np.isnan(host.renderer.read_depth()).all()
+
+
+def test_what_was_never_drawn_is_not_read(display: str) -> None:
+    """In a process of its own: here, others have drawn."""
+    program = """
+from rviz_gaussian_plugin.offscreen import Renderer
+renderer = Renderer()
+refused = []
+for ask in (
+    renderer.read_color, renderer.read_depth, renderer.read_color8,
+    lambda: renderer.draw("view"), lambda: renderer.pick("view", 0, 0, 1, 1),
+):
+    try:
+        ask()
+    except RuntimeError as error:
+        refused.append(str(error))
+print(refused)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("there is no picture") == 3
+    assert done.stdout.count("view 'view' has no camera") == 2
 
 
 @pytest.mark.parametrize("scale", [0.5, 2.0])

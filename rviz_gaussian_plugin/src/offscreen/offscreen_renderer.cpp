@@ -78,6 +78,17 @@ void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequ
   cloud_->scene().setCamera(view_id, sequence, mine);
 }
 
+const SplatCamera& OffscreenRenderer::cameraOf(const std::string& view_id) const {
+  const auto found = cameras_.find(view_id);
+  if (found == cameras_.end()) throw std::runtime_error("view '" + view_id + "' has no camera");
+  return found->second;
+}
+
+SplatScene& OffscreenRenderer::drawn() {
+  if (!drawn_) throw std::runtime_error("there is no picture: nothing was drawn, or it failed");
+  return cloud_->scene();
+}
+
 void OffscreenRenderer::resize(int width, int height) {
   if (texture_ && this->width() == width && this->height() == height) return;
   if (texture_) Ogre::TextureManager::getSingleton().remove(texture_);
@@ -91,7 +102,8 @@ void OffscreenRenderer::resize(int width, int height) {
 }
 
 FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now) {
-  const SplatCamera& camera = cameras_.at(view_id);
+  const SplatCamera& camera = cameraOf(view_id);
+  drawn_ = false;
   resize(camera.width, camera.height);
   view_id_ = view_id;
   cloud_->setSortNow(sort_now);
@@ -123,6 +135,7 @@ FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now) {
   camera_->setCustomProjectionMatrix(true, projection);
   camera_->setCustomViewMatrix(true, Ogre::Affine3(view));
   update();
+  drawn_ = true;
   return cloud_->scene().report(view_id);
 }
 
@@ -161,12 +174,13 @@ void OffscreenRenderer::setBox(const std::array<float, 3>& centre, const std::ar
 
 std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id, int left, int top,
                                                    int width, int height) {
-  const SplatCamera part = crop(cameras_.at(view_id), left, top, width, height);
+  const SplatCamera part = crop(cameraOf(view_id), left, top, width, height);
   cloud_->scene().drawPick(part, settings, Canvas::kNone, 0);
   return cloud_->scene().readPick();
 }
 
 std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float, 3>& background) {
+  drawn();
   Ogre::RenderTexture* target = texture_->getBuffer()->getRenderTarget();
   target->getViewport(0)->setBackgroundColour(
       Ogre::ColourValue(background[0], background[1], background[2]));

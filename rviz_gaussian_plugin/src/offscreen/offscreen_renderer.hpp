@@ -29,14 +29,15 @@ class OffscreenRenderer {
   rosplat_sorter::OrderReader order_reader;  // for one thread at a time
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
-  // Draws the scene as a view's camera sees it, sorted here if sort_now. Throws std::runtime_error.
+  // Draws the scene as a view's camera sees it, sorted here if sort_now. Throws std::runtime_error,
+  // as do all that read what was drawn, where nothing was.
   FrameReport draw(const std::string& view_id, bool sort_now);
 
   // A white box to hide splats behind and before, in the map's frame [m], or a veil of it.
   void setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size, float opacity);
 
-  std::vector<float> readColor() { return cloud_->scene().readColor(); }
-  std::vector<float> readDepth() { return cloud_->scene().readDepth(); }
+  std::vector<float> readColor() { return drawn().readColor(); }
+  std::vector<float> readDepth() { return drawn().readDepth(); }
   // The slot that each pixel of a rectangle of a view shows, kNoSlot where none does; of the map as
   // drawn last.
   std::vector<std::uint32_t> pick(const std::string& view_id, int left, int top, int width,
@@ -51,6 +52,8 @@ class OffscreenRenderer {
   bool failed() const;
 
  private:
+  const SplatCamera& cameraOf(const std::string& view_id) const;
+  SplatScene& drawn();
   void resize(int width, int height);
   void update();
 
@@ -61,6 +64,7 @@ class OffscreenRenderer {
   std::unique_ptr<SplatCloud> cloud_;
   std::map<std::string, SplatCamera> cameras_;
   std::string view_id_;
+  bool drawn_ = false;  // the last draw() succeeded
   std::string graphics_;
 };
 
