@@ -794,6 +794,14 @@ def test_a_pixel_picks_what_contributes_most_to_it(host: Host, view: str) -> Non
     assert len(np.unique(slots)) > 15
 
 
+def test_a_pick_changes_no_depth(host: Host) -> None:
+    host.show(cloud(500))
+    host.draw(CAMERAS["outside"])
+    depth = host.renderer.read_depth()
+    host.renderer.pick("test", 5, 5, 30, 20)
+    np.testing.assert_array_equal(host.renderer.read_depth(), depth)
+
+
 @pytest.mark.parametrize("view", CAMERAS)
 def test_a_part_of_the_picture_picks_as_the_whole(host: Host, view: str) -> None:
     """As a click of rviz's mouse does, for large splats too, whose ellipses a wide angle bends."""

@@ -89,6 +89,12 @@ SplatScene& OffscreenRenderer::drawn() {
   return cloud_->scene();
 }
 
+std::vector<float> OffscreenRenderer::readDepth() {
+  SplatScene& scene = drawn();
+  if (picked_) update();  // other splats are projected by now: those of a part of the picture
+  return scene.readDepth();
+}
+
 void OffscreenRenderer::resize(int width, int height) {
   if (texture_ && this->width() == width && this->height() == height) return;
   if (texture_) Ogre::TextureManager::getSingleton().remove(texture_);
@@ -175,6 +181,7 @@ void OffscreenRenderer::setBox(const std::array<float, 3>& centre, const std::ar
 std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id, int left, int top,
                                                    int width, int height) {
   const SplatCamera part = crop(cameraOf(view_id), left, top, width, height);
+  picked_ = true;
   cloud_->scene().drawPick(part, settings, Canvas::kNone, 0);
   return cloud_->scene().readPick();
 }
@@ -194,6 +201,7 @@ std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float,
 bool OffscreenRenderer::failed() const { return glGetError() != GL_NO_ERROR; }
 
 void OffscreenRenderer::update() {
+  picked_ = false;
   cloud_->clearError();
   root_->_fireFrameStarted();
   texture_->getBuffer()->getRenderTarget()->update();

@@ -37,7 +37,7 @@ class OffscreenRenderer {
   void setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size, float opacity);
 
   std::vector<float> readColor() { return drawn().readColor(); }
-  std::vector<float> readDepth() { return drawn().readDepth(); }
+  std::vector<float> readDepth();
   // The slot that each pixel of a rectangle of a view shows, kNoSlot where none does; of the map as
   // drawn last.
   std::vector<std::uint32_t> pick(const std::string& view_id, int left, int top, int width,
@@ -64,7 +64,8 @@ class OffscreenRenderer {
   std::unique_ptr<SplatCloud> cloud_;
   std::map<std::string, SplatCamera> cameras_;
   std::string view_id_;
-  bool drawn_ = false;  // the last draw() succeeded
+  bool drawn_ = false;   // the last draw() succeeded
+  bool picked_ = false;  // since
   std::string graphics_;
 };
 

@@ -80,7 +80,7 @@ class SplatRenderer {
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
   std::vector<float> readColor() const;
   // Draws the mean depth of the splats as draw() saw them: width * height [m], NaN where nothing
-  // is.
+  // is. Only right after it: what is drawn for the mouse sees others.
   std::vector<float> readDepth();
 
   // Whether the GPU sorts right, which is tried when first asked: if not, nothing is drawn or
