@@ -23,7 +23,8 @@ using namespace rosplat;
 
 namespace {
 
-constexpr int kSize = 64;  // of the picture [px]
+constexpr int kSize = 64;                // of the picture [px]
+constexpr std::uint32_t kSplats = 5000;  // of the map
 
 // rviz's kind of context: the compatibility profile. False where there is none to be had.
 bool makeContext() {
@@ -109,9 +110,8 @@ float windowDepth(double z) {
 
 // Many coloured splats 5 to 15 m away, in no order.
 void fill(SplatScene& scene) {
-  constexpr std::uint32_t kCount = 5000;
   std::vector<float> positions, orientations, scales, opacities, sh;
-  for (std::uint32_t i = 0; i < kCount; ++i) {
+  for (std::uint32_t i = 0; i < kSplats; ++i) {
     const auto part = [i](double step) { return static_cast<float>(std::fmod(step * i, 1.0)); };
     const float z = 5 + 10 * part(0.6180339887);
     positions.insert(positions.end(), {0.8f * z * (part(0.7548776662) - 0.5f),
@@ -125,7 +125,7 @@ void fill(SplatScene& scene) {
   GaussianBatch batch;
   batch.map_id = "map";
   batch.revision = 1;
-  batch.count = kCount;
+  batch.count = kSplats;
   batch.positions = {positions.data(), positions.size()};
   batch.orientations = {orientations.data(), orientations.size()};
   batch.scales = {scales.data(), scales.size()};
@@ -411,6 +411,31 @@ TEST_F(SplatRendererTest, DrawsTheProcessorsOrderWhereTheGpuSortsWrongly) {
   }
 }
 
+TEST_F(SplatRendererTest, DrawsTheSameOutOfSmallBuffers) {
+  SplatScene whole(shaders());
+  fill(whole);
+  const auto expected = picture(whole, Rasterizer::kQuads, OrderSource::kBuiltIn);
+  const auto expected_picks = picked(whole);
+  const auto buffersOf = [](std::size_t splats) {
+    return Disguise(static_cast<GLint64>(splats * Shaders::kEllipseBytes), false);
+  };
+  // In two parts; and in four, which leave no room for the lists of tiles.
+  for (const auto& [parts, rasterizer] : {std::pair(2u, "tiles"), std::pair(4u, "quads")}) {
+    const Disguise disguise = buffersOf(kSplats / parts);
+    SplatScene scene(shaders());
+    fill(scene);
+    EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn), expected);
+    EXPECT_EQ(picked(scene), expected_picks);
+    EXPECT_LT(greatestDifference(picture(scene, Rasterizer::kTiles, OrderSource::kGpu), expected),
+              1e-4f);
+    EXPECT_EQ(scene.report("view").rasterizer, rasterizer);
+  }
+  const Disguise disguise = buffersOf(kSplats / 5);  // there are four parts at most
+  SplatScene scene(shaders());
+  fill(scene);
+  EXPECT_THROW(picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn), gl::Error);
+}
+
 // A depth is copied only to its own format.
 TEST_F(SplatRendererTest, IsHiddenByAnOpaqueSceneInWhateverDepthFormat) {
   SplatScene scene(shaders());
@@ -501,6 +526,7 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
 TEST_F(SplatRendererTest, GivesAnyDriverShadersThatConform) {
   if (std::system("glslangValidator --version >/dev/null") != 0)
     GTEST_SKIP() << "no glslangValidator";
+  Disguise::noted.clear();
   for (const GLint64 largest_buffer : {GLint64{1} << 27, (GLint64{1} << 31) - 1}) {
     for (const bool subgroups : {false, true}) {
       const Disguise disguise(largest_buffer, subgroups);
