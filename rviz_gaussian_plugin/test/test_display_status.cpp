@@ -71,7 +71,7 @@ TEST(TopicStatus, saysWhyAMapWithoutAFrameIsNotDrawn) {
 
 TEST(SidecarStatus, warnsOfAnotherBackendThanTheOneAskedFor) {
   GaussianClient::Status received;
-  received.sidecar = "/sorter asked for backend torch";
+  received.sidecar.text = "/sorter asked for backend torch";
   EXPECT_EQ(sidecarStatus(received, "torch", {sortedBy("sidecar (torch)")}).level,
             StatusProperty::Ok);
   EXPECT_EQ(sidecarStatus(received, "torch", {sortedBy("built-in")}).level, StatusProperty::Ok);
@@ -80,7 +80,7 @@ TEST(SidecarStatus, warnsOfAnotherBackendThanTheOneAskedFor) {
       sidecarStatus(received, "torch", {sortedBy("sidecar (torch)"), sortedBy("sidecar (native)")});
   EXPECT_EQ(line.level, StatusProperty::Warn);
   EXPECT_TRUE(has(line, "the order is by sidecar (native)"));
-  received.sidecar_failed = true;
+  received.sidecar.failed = true;
   EXPECT_EQ(sidecarStatus(received, "", {}).level, StatusProperty::Warn);
 }
 

@@ -87,11 +87,11 @@ StatusLine sidecarStatus(const GaussianClient::Status& received, const std::stri
       continue;
     }
     return {StatusProperty::Warn, "Sidecar",
-            concat(received.sidecar, ", but the order is by ", frame.order_source,
+            concat(received.sidecar.text, ", but the order is by ", frame.order_source,
                    ": its log says why")};
   }
-  return {received.sidecar_failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",
-          received.sidecar};
+  return {received.sidecar.failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",
+          received.sidecar.text};
 }
 
 StatusLine accuracyStatus(const std::vector<std::string>& regimes) {

@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "messages.hpp"
-#include "ros_graph.hpp"
 #include "ros_versions.hpp"
 
 namespace rosplat {
@@ -59,6 +58,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   orders_ = node_->create_subscription<SplatOrder>(
       remapped_ + "/order", viewQos(),
       [this](std::unique_ptr<SplatOrder> message) { receive(*message); }, options);
+  sidecar_ = std::make_unique<SidecarSwitch>(node_, remapped_ + "/order", group_);
   view_publisher_ =
       node_->create_publisher<rosplat_msgs::msg::ViewCamera>(remapped_ + "/view", viewQos());
   picked_publisher_ =
@@ -67,7 +67,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
       1s,
       [this] {
         watchPublishers();
-        tellSidecar();
+        sidecar_->tell();
       },
       group_);
   watchPublishers();
@@ -185,85 +185,11 @@ void GaussianClient::watchPublishers() {
 }
 
 void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {
-  constexpr std::size_t kLongestPath = 10000;
-  constexpr auto kPathPeriod = 200ms;
-  if (!pose_publisher_) {
-    const auto qos = rclcpp::QoS(1).transient_local();
-    pose_publisher_ =
-        node_->create_publisher<geometry_msgs::msg::PoseStamped>(remapped_ + "/camera/pose", qos);
-    path_publisher_ = node_->create_publisher<nav_msgs::msg::Path>(remapped_ + "/camera/path", qos);
-  }
+  if (!trail_) trail_ = std::make_unique<CameraTrail>(*node_, remapped_ + "/camera");
   geometry_msgs::msg::PoseStamped pose;
   pose.header = view.header;
   pose.pose = view.pose;
-  pose_publisher_->publish(pose);
-  if (path_.header.frame_id != view.header.frame_id) path_.poses.clear();
-  path_.header = view.header;
-  if (path_.poses.empty() || path_.poses.back().pose != pose.pose) {
-    if (path_.poses.size() >= kLongestPath) path_.poses.erase(path_.poses.begin());
-    path_.poses.push_back(pose);
-    path_grew_ = true;
-  }
-  const auto now = std::chrono::steady_clock::now();
-  if (!path_grew_ || now - path_published_ < kPathPeriod) return;
-  path_publisher_->publish(path_);
-  path_published_ = now;
-  path_grew_ = false;
-}
-
-void GaussianClient::switchBackend(const std::string& backend) {
-  const std::lock_guard lock(mutex_);
-  backend_ = backend;
-  if (backend_.empty()) status_.sidecar.clear();
-}
-
-void GaussianClient::tellSidecar() {
-  std::string backend;
-  {
-    const std::lock_guard lock(mutex_);
-    backend = backend_;
-  }
-  if (backend.empty()) return;
-  const auto sorters = node_->get_publishers_info_by_topic(remapped_ + "/order");
-  if (sorters.empty()) {
-    parameters_.reset();
-    reportSidecar("no sidecar publishes " + remapped_ + "/order that could switch to " + backend,
-                  true);
-    return;
-  }
-  const auto& sorter = sorters.front();
-  const std::string name = nodeOf(sorter);
-  if (name.empty()) return;
-  if (!parameters_ || sidecar_ != name || told_.first != sorter.endpoint_gid()) {
-    sidecar_ = name;
-    parameters_ =
-        std::make_shared<rclcpp::AsyncParametersClient>(node_, sidecar_, parametersQos(), group_);
-    told_ = {sorter.endpoint_gid(), ""};
-  }
-  if (!parameters_->service_is_ready()) return;
-  // While the two get to know each other, question or answer may be lost.
-  const auto now = std::chrono::steady_clock::now();
-  if (told_.second == backend && (sidecar_answered_ || now - told_at_ < 3s)) return;
-  told_.second = backend;
-  told_at_ = now;
-  sidecar_answered_ = false;
-  parameters_->set_parameters(
-      {rclcpp::Parameter("backend", backend)},
-      [this, name = sidecar_,
-       backend](std::shared_future<std::vector<rcl_interfaces::msg::SetParametersResult>> future) {
-        sidecar_answered_ = true;
-        const auto results = future.get();
-        if (results.empty()) return reportSidecar(name + " knows no backends", true);
-        const auto& result = results.front();
-        reportSidecar(result.successful ? name + " asked for backend " + backend : result.reason,
-                      !result.successful);
-      });
-}
-
-void GaussianClient::reportSidecar(const std::string& text, bool failed) {
-  const std::lock_guard lock(mutex_);
-  status_.sidecar = text;
-  status_.sidecar_failed = failed;
+  trail_->publish(pose);
 }
 
 void GaussianClient::setServing(bool serving) {
@@ -293,7 +219,9 @@ std::optional<GaussianClient::RenderRequest> GaussianClient::takeRenderRequest()
 
 GaussianClient::Status GaussianClient::status() const {
   const std::lock_guard lock(mutex_);
-  return status_;
+  Status status = status_;
+  status.sidecar = sidecar_->report();
+  return status;
 }
 
 std::string GaussianClient::frameId() const {

@@ -2,12 +2,9 @@
 
 #include <array>
 #include <atomic>
-#include <chrono>
 #include <deque>
-#include <geometry_msgs/msg/pose_stamped.hpp>
 #include <memory>
 #include <mutex>
-#include <nav_msgs/msg/path.hpp>
 #include <optional>
 #include <rclcpp/rclcpp.hpp>
 #include <rosplat_msgs/msg/gaussian.hpp>
@@ -19,11 +16,12 @@
 #include <std_msgs/msg/header.hpp>
 #include <string>
 #include <thread>
-#include <utility>
 #include <vector>
 
 #include "../splats/splat_scene.hpp"
+#include "camera_trail.hpp"
 #include "rosplat_sorter/order_slots.hpp"
+#include "sidecar_switch.hpp"
 
 namespace rosplat {
 
@@ -55,8 +53,7 @@ class GaussianClient {
     bool contended = false;               // a map came back that another had replaced
     std::string other_type;               // that one of them publishes
     std::string unheard;  // what one of them offers, too little to be heard, and the remedy
-    std::string sidecar;  // what became of switchBackend()
-    bool sidecar_failed = false;
+    SidecarSwitch::Report sidecar;  // what became of switchBackend()
   };
 
   static const char* mapType();  // of the map's topic
@@ -77,7 +74,7 @@ class GaussianClient {
   // The pose of a view, and the path it has taken, for other displays.
   void publishPose(const rosplat_msgs::msg::ViewCamera& view);
   // Has the parameter `backend` set of whoever publishes the orders, now or later; empty: no more.
-  void switchBackend(const std::string& backend);
+  void switchBackend(const std::string& backend) { sidecar_->ask(backend); }
   // Whether others may ask for pictures, from now on.
   void setServing(bool serving);
   std::optional<RenderRequest> takeRenderRequest();
@@ -94,8 +91,6 @@ class GaussianClient {
   void refuse(const std::string& why);
   void receive(SplatOrder& message);
   void watchPublishers();
-  void tellSidecar();
-  void reportSidecar(const std::string& text, bool failed);
 
   rclcpp::Node::SharedPtr node_;
   rclcpp::Clock steady_clock_{RCL_STEADY_TIME};  // simulated time may stand still
@@ -111,24 +106,15 @@ class GaussianClient {
   rclcpp::Publisher<rosplat_msgs::msg::Gaussian>::SharedPtr picked_publisher_;
   rclcpp::Service<RenderView>::SharedPtr render_service_;
   rclcpp::TimerBase::SharedPtr watch_;
-  rclcpp::Publisher<geometry_msgs::msg::PoseStamped>::SharedPtr pose_publisher_;
-  rclcpp::Publisher<nav_msgs::msg::Path>::SharedPtr path_publisher_;
-  nav_msgs::msg::Path path_;
-  bool path_grew_ = false;  // since it was published
-  std::chrono::steady_clock::time_point path_published_;
-  std::shared_ptr<rclcpp::AsyncParametersClient> parameters_;  // of sidecar_
-  std::string sidecar_;
-  std::pair<std::array<std::uint8_t, RMW_GID_STORAGE_SIZE>, std::string> told_;  // whom, backend
-  std::chrono::steady_clock::time_point told_at_;
-  bool sidecar_answered_ = false;
+  std::unique_ptr<CameraTrail> trail_;  // if poses are published
+  std::unique_ptr<SidecarSwitch> sidecar_;
   rosplat_sorter::OrderReader reader_;
 
-  mutable std::mutex mutex_;  // status_, requests_, views_, backend_
+  mutable std::mutex mutex_;  // status_, requests_, views_
   Status status_;
   std::array<std::string, 2> maps_;  // the newest, and the one before
   std::deque<RenderRequest> requests_;
   std::set<std::string> views_;  // that asked for orders
-  std::string backend_;          // that the sidecar is to use
 
   rclcpp::executors::SingleThreadedExecutor executor_;
   std::atomic<bool> stop_{false};

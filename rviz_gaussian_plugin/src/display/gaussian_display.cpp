@@ -282,7 +282,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
   if (loader_ && !loader_->status().empty()) {
     lines.push_back(sceneFileStatus(loader_->status(), loader_->loading(), loader_->failed(), map));
   }
-  if (!received.sidecar.empty()) {
+  if (!received.sidecar.text.empty()) {
     const std::string backend = backend_->getStdString();
     const bool any = backend == kUnchanged || backend == kAnyBackend;
     lines.push_back(sidecarStatus(received, any ? "" : backend, views));
