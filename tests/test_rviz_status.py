@@ -68,6 +68,17 @@ def request_picture(
     return client.call_async(RenderView.Request(camera=camera, order_timeout=order_timeout))
 
 
+def test_a_publisher_that_keeps_nothing_is_told_of(rviz: Rviz, world: World) -> None:
+    """Who looks after its last batch waits for the next, and may wonder why."""
+    from rosplat_msgs.msg import GaussianArray
+    from rosplat_sorter.qos import MAP_VOLATILE
+
+    publisher = world.node.create_publisher(GaussianArray, "/forgetful", MAP_VOLATILE)
+    rviz.set("Map", "Topic", value="/forgetful")
+    rviz.until_status("Map", "Topic", "Warn", "volatile", "not sent again")
+    world.node.destroy_publisher(publisher)
+
+
 def watch_views(world: World, views: list[Any]) -> None:
     """Lists the cameras that orders are asked for."""
     from rosplat_msgs.msg import ViewCamera

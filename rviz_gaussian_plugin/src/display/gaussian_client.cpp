@@ -181,6 +181,8 @@ void GaussianClient::watchPublishers() {
     status_.unheard = "best effort, so must the Reliability Policy be";
   } else if (any_volatile && any_latched && asks_latched) {
     status_.unheard = "volatile beside one that is not, so must the Durability Policy be";
+  } else if (any_volatile) {
+    status_.unheard = "volatile, what it sent before is not sent again";
   }
 }
 

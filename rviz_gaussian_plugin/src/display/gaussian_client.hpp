@@ -52,7 +52,7 @@ class GaussianClient {
     std::vector<std::string> publishers;  // nodes that publish on the map's topic
     bool contended = false;               // a map came back that another had replaced
     std::string other_type;               // that one of them publishes
-    std::string unheard;  // what one of them offers, too little to be heard, and the remedy
+    std::string unheard;            // what one of them offers, if that may be why nothing is heard
     SidecarSwitch::Report sidecar;  // what became of switchBackend()
   };
 
