@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from threading import RLock
 
 import numpy as np
@@ -51,6 +52,7 @@ class MapPublisher:
     While a subscriber lags behind, that waits until it takes four times as much.
 
     Calls are serialised, from any thread; they return when the middleware has taken the batches.
+    Where sending ends by an exception, the next edit sends the whole map, as a new one.
     """
 
     def __init__(
@@ -81,6 +83,7 @@ class MapPublisher:
         self._revision = 0
         self._map = SlotMap(_no_splats())
         self._expected_slots = 0
+        self._all_sent = True
         self._publisher = node.create_publisher(GaussianArray, topic, self._qos)
         self._in_history = 0
         self._history_bytes = 0
@@ -130,7 +133,8 @@ class MapPublisher:
         with self._lock:
             self._map = SlotMap(splats)
             self._expected_slots = len(splats) if expected_slots is None else expected_slots
-            self._send_map(range(len(splats)), splats, stamp, progress)
+            with self._sending():
+                self._send_map(range(len(splats)), splats, stamp, progress)
 
     def upsert(
         self, slots: range | ArrayLike, splats: Splats, *, stamp: Time | None = None
@@ -150,12 +154,13 @@ class MapPublisher:
                 self._map = SlotMap(splats[:0])
             splats = splats.without_empty_bands()
             self._map.write(slots, splats)
-            splats = splats.with_sh_degree(self._map.sh_degree)
-            parts = list(chunks(splats, self._chunk_bytes))
-            if not self._make_room(len(parts), stamp):
-                return
-            for part in parts:
-                self._send_splats(GaussianArray.UPSERT, slots[part], splats[part], stamp)
+            with self._sending():
+                splats = splats.with_sh_degree(self._map.sh_degree)
+                parts = list(chunks(splats, self._chunk_bytes))
+                if not self._make_room(len(parts), stamp):
+                    return
+                for part in parts:
+                    self._send_splats(GaussianArray.UPSERT, slots[part], splats[part], stamp)
 
     def delete(self, slots: range | ArrayLike, *, stamp: Time | None = None) -> None:
         """Empties slots. Raises ValueError where one is named twice, or can't be one."""
@@ -163,18 +168,27 @@ class MapPublisher:
         slots = _checked(slots)
         with self._lock:
             self._map.clear(slots)
-            if not self._make_room(1, stamp):
-                return
-            self._revision += 1
-            self._send(
-                encode_deletion(
-                    slots,
-                    header=self._header(stamp),
-                    map_id=self._map_id,
-                    revision=self._revision,
-                    expected_slots=self._expected_slots,
+            with self._sending():
+                if not self._make_room(1, stamp):
+                    return
+                self._revision += 1
+                self._send(
+                    encode_deletion(
+                        slots,
+                        header=self._header(stamp),
+                        map_id=self._map_id,
+                        revision=self._revision,
+                        expected_slots=self._expected_slots,
+                    )
                 )
-            )
+
+    @contextmanager
+    def _sending(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException:
+            self._all_sent = False
+            raise
 
     def _make_room(self, batches: int, stamp: Time | None) -> bool:
         """Whether edits can follow in a history that begins with a REPLACE.
@@ -182,7 +196,7 @@ class MapPublisher:
         Where they can't, the map as they leave it has been sent in their place.
         """
         room = max(HISTORY_FLOOR, HISTORY_MAPS * self._map.nbytes)
-        if 0 < self._in_history <= self._depth - batches:
+        if self._all_sent and 0 < self._in_history <= self._depth - batches:
             if self._history_bytes <= room:
                 return True
             if self._history_bytes <= 2 * room and not self._all_have_all(0.0):
@@ -190,7 +204,8 @@ class MapPublisher:
         slots, splats = self._map.snapshot()
         needed = len(list(self._large_chunks(splats)))
         repeatable = (
-            needed <= self._revision
+            self._all_sent
+            and needed <= self._revision
             and needed <= self._depth - batches
             and self._all_have_all(ACKNOWLEDGE_TIMEOUT)
         )
@@ -226,6 +241,7 @@ class MapPublisher:
             operation = GaussianArray.UPSERT
             if progress:
                 progress(len(slots[part]))
+        self._all_sent = True
 
     def _send_splats(
         self,

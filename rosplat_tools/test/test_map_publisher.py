@@ -279,6 +279,33 @@ def test_a_progress_that_raises_ends_the_sending(node: Node, random_splats: Make
     assert publisher.revision == 3
 
 
+def test_after_an_interrupted_edit_the_whole_map_is_sent(
+    node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not as a snapshot, which subscribers that have its revisions would drop."""
+    publisher = MapPublisher(node, chunk_bytes=20_000)
+    publisher.replace(random_splats(300, 0))
+    sent: list[GaussianArray] = []
+
+    def publish(_: object, message: GaussianArray) -> None:
+        if len(sent) == 2:
+            sent.clear()
+            raise KeyboardInterrupt
+        sent.append(message)
+
+    monkeypatch.setattr(type(publisher._publisher), "publish", publish)
+    with pytest.raises(KeyboardInterrupt):
+        publisher.upsert(range(1000), random_splats(1000, 0))
+    last = publisher.revision
+    publisher._chunk_bytes = 10**6
+    publisher.delete([7])
+    (batch,) = sent
+    assert (batch.operation, batch.snapshot) == (GaussianArray.REPLACE, False)
+    assert (batch.revision, batch.count) == (last + 1, 999)
+    publisher.delete([8])
+    assert sent[1].operation == GaussianArray.DELETE
+
+
 def test_calls_of_several_threads_take_turns(
     node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
