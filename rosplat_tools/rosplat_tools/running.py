@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from threading import Event
 
@@ -60,9 +60,11 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     """
     executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
     executor.add_node(node)
-    ending = Event()
+    begun, ending, ended = Event(), Event(), Event()
+    spun: Future[None] | None = None
 
     def spin() -> None:
+        begun.set()
         try:
             # Not executor.spin: only the end of ROS ends that, in the middle of a callback.
             while not ending.is_set():
@@ -74,20 +76,24 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
         except BaseException:
             node.context.try_shutdown()
             raise
+        finally:
+            ended.set()
 
     with ThreadPoolExecutor(1) as pool:
-        spun = pool.submit(spin)
         try:
+            spun = pool.submit(spin)  # Ctrl-C may come when the thread runs, but has no name here
             yield
         finally:
             ending.set()
-            wait([spun])
+            if begun.is_set():  # else it will find that it has nothing to do
+                ended.wait()
             _wait_for_callbacks(executor, GRACE)
             node.context.try_shutdown()  # what still runs sees that, and gives up
             _wait_for_callbacks(executor, math.inf)
             executor.shutdown()
             node.destroy_node()
-            spun.result()
+            if spun:
+                spun.result()
 
 
 def _wait_for_callbacks(executor: Executor, timeout: float) -> None:
