@@ -197,6 +197,8 @@ void dispatch(std::size_t work_groups) {
                     1);
 }
 
+void dispatchInvocations(std::size_t invocations) { dispatch((invocations + 255) / 256); }
+
 void storageBarrier() {
   glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_BUFFER_UPDATE_BARRIER_BIT);
 }

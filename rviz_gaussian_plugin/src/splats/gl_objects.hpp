@@ -119,6 +119,8 @@ class Program {
 // Runs the compute program in use in at least so many work groups, in two dimensions where there
 // are many.
 void dispatch(std::size_t work_groups);
+// The same for at least so many invocations, 256 a work group.
+void dispatchInvocations(std::size_t invocations);
 
 // Makes what was written to storage buffers visible to the shaders that come next.
 void storageBarrier();

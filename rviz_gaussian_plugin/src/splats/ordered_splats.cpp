@@ -66,7 +66,7 @@ void OrderedSplats::putInOrder(std::size_t capacity) {
   order_program_.set("count", static_cast<GLuint>(order_.count));
   order_program_.set("capacity", static_cast<GLuint>(capacity));
   order_program_.set("room", static_cast<GLuint>(projection_.room()));
-  gl::dispatch((order_.count + 255) / 256);
+  gl::dispatchInvocations(order_.count);
   gl::storageBarrier();
 }
 

@@ -8,10 +8,6 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kGroup = 256;  // slots a work group
-
-std::size_t groups(std::size_t slots) { return (slots + kGroup - 1) / kGroup; }
-
 void setView(const gl::Program& program, const rosplat_sorter::View& view) {
   glUniformMatrix3fv(program.at("rotation"), 1, GL_TRUE, view.rotation);
   glUniform3fv(program.at("translation"), 1, view.translation);
@@ -94,7 +90,7 @@ void Projection::cull(const SlotStore& store, const SplatCamera& camera, const M
     page.slots.bind(4);
     cull_.set("first_slot", first);
     cull_.set("slot_count", static_cast<GLuint>(count));
-    gl::dispatch(groups(count));
+    gl::dispatchInvocations(count);
   }
   gl::storageBarrier();
   visible_count_.forget();
@@ -156,7 +152,7 @@ void Projection::project(const SlotStore& store, const SplatCamera& camera, cons
     }
     project_.set("first_slot", first);
     project_.set("slot_count", static_cast<GLuint>(count));
-    gl::dispatch(groups(count));
+    gl::dispatchInvocations(count);
   }
   gl::storageBarrier();
 }

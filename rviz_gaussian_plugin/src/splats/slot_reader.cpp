@@ -66,7 +66,7 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
       (band == 0 ? page.slots : page.bands[band]).bind(1);
       gather_.set("words", size);
       gather_.set("offset", offset);
-      gl::dispatch(((next - first) * size + 255) / 256);
+      gl::dispatchInvocations((next - first) * size);
       offset += size;
     }
   }

@@ -7,10 +7,7 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kGroup = 256;
 constexpr std::size_t kMostPairs = std::size_t{1} << 26;  // 1 GiB with what sorts them
-
-std::size_t groups(std::size_t count) { return (count + kGroup - 1) / kGroup; }
 
 }  // namespace
 
@@ -85,7 +82,7 @@ void TileRasterizer::list(const OrderedSplats& splats, const gl::Target& target,
   sort_.keys().bind(4);
   begins_.bind(5);
   pair_count_.bind(6);
-  gl::dispatch(groups(tiles + 1));
+  gl::dispatchInvocations(tiles + 1);
   gl::storageBarrier();
   stopwatch.lap("bin");
   listed_width_ = target.width();
