@@ -278,6 +278,17 @@ Target& Target::operator=(Target&& other) noexcept {
   return *this;
 }
 
+bool Target::become(GLenum color_format, int width, int height, GLenum depth_format,
+                    GLenum second_format) {
+  if (format_ == color_format && width_ == width && height_ == height &&
+      depth_format_ == depth_format && (second_ != 0) == (second_format != 0)) {
+    return false;
+  }
+  *this = Target();  // first, so that there is never room for both
+  *this = Target(color_format, width, height, depth_format, second_format);
+  return true;
+}
+
 Target::~Target() {
   for (const GLuint texture : {color_, second_, depth_}) {
     if (texture) glDeleteTextures(1, &texture);

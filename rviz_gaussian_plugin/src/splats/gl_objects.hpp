@@ -143,6 +143,10 @@ class Target {
   Target& operator=(Target&& other) noexcept;
   ~Target();
 
+  // Made anew unless it has these formats and this size already; whether it was.
+  bool become(GLenum color_format, int width, int height, GLenum depth_format = GL_DEPTH24_STENCIL8,
+              GLenum second_format = 0);
+
   GLuint color() const { return color_; }
   GLuint second() const { return second_; }
   GLuint depth() const { return depth_; }

@@ -29,9 +29,7 @@ void HalfPicture::shrink(const gl::Target& full, const gl::Target* behind, bool 
 void HalfPicture::shrink(const gl::Target& full, gl::Target& half, GLenum second_format,
                          bool top_first) const {
   const int width = (full.width() + 1) / 2, height = (full.height() + 1) / 2;
-  if (half.width() != width || half.height() != height || half.format() != full.format() ||
-      half.depthFormat() != full.depthFormat()) {
-    half = gl::Target(full.format(), width, height, full.depthFormat(), second_format);
+  if (half.become(full.format(), width, height, full.depthFormat(), second_format)) {
     for (const GLuint texture : {half.color(), half.second()}) {
       bindTextures({texture});
       glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_LINEAR);

@@ -38,9 +38,7 @@ void QuadRasterizer::blendDepth(const OrderedSplats& splats, const gl::Target& t
 void QuadRasterizer::divide(const OrderedSplats& splats, const gl::Target& target,
                             const gl::Target& behind, const Raster& raster) {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
-  if (tile_depths_.width() != across || tile_depths_.height() != down) {
-    tile_depths_ = gl::Target(GL_RG32F, across, down);
-  }
+  tile_depths_.become(GL_RG32F, across, down);
   tile_depth_.use();
   glUniform2i(tile_depth_.at("tiles"), across, down);
   glUniform2i(tile_depth_.at("picture"), target.width(), target.height());

@@ -74,11 +74,8 @@ std::string SplatRenderer::warning() const {
 
 void SplatRenderer::setTarget(gl::Target& target, GLenum format, const SplatCamera& camera,
                               const RenderSettings& settings, const CanvasScope& window) {
-  const GLenum depth_format = window.depthFormat() ? window.depthFormat() : GL_DEPTH24_STENCIL8;
-  if (target.width() != camera.width || target.height() != camera.height ||
-      target.format() != format || target.depthFormat() != depth_format) {
-    target = gl::Target(format, camera.width, camera.height, depth_format);
-  }
+  target.become(format, camera.width, camera.height,
+                window.depthFormat() ? window.depthFormat() : GL_DEPTH24_STENCIL8);
   raster_ = {window.canvas() != Canvas::kWindow,
              camera.orthographic,
              camera.ndc_scale,
@@ -145,14 +142,24 @@ bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
   return enough;
 }
 
+// Has the depth of the translucent objects in translucent_, in the samples of the framebuffer.
+void SplatRenderer::keepTranslucent(const SplatCamera& camera, const DrawTranslucent& draw) {
+  GLint samples = 0;
+  glGetIntegerv(GL_SAMPLES, &samples);
+  samples = std::max(samples, 1);
+  if (translucent_.width() != camera.width || translucent_.height() != camera.height ||
+      translucent_.samples() != samples) {
+    translucent_ = gl::SampledDepth(camera.width, camera.height, samples);
+  }
+  const gl::DepthScope scope(translucent_);
+  draw();
+}
+
 // Has color_'s depth, so far the opaque scene's, let pass only what is before the translucent
 // objects, and keeps the opaque scene's in behind_.
 void SplatRenderer::divide() {
   const int width = color_.width(), height = color_.height();
-  if (behind_.width() != width || behind_.height() != height ||
-      behind_.format() != color_.format() || behind_.depthFormat() != color_.depthFormat()) {
-    behind_ = gl::Target(color_.format(), width, height, color_.depthFormat(), GL_RG32F);
-  }
+  behind_.become(color_.format(), width, height, color_.depthFormat(), GL_RG32F);
   glCopyImageSubData(color_.depth(), GL_TEXTURE_2D, 0, 0, 0, 0, behind_.depth(), GL_TEXTURE_2D, 0,
                      0, 0, 0, width, height, 1);
   divide_.use();
@@ -173,15 +180,7 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
                          const DrawTranslucent& translucent) {
   gl::Stopwatch stopwatch(settings.profile);
   if (translucent) {
-    GLint samples = 0;
-    glGetIntegerv(GL_SAMPLES, &samples);
-    samples = std::max(samples, 1);
-    if (translucent_.width() != camera.width || translucent_.height() != camera.height ||
-        translucent_.samples() != samples) {
-      translucent_ = gl::SampledDepth(camera.width, camera.height, samples);
-    }
-    const gl::DepthScope scope(translucent_);
-    translucent();
+    keepTranslucent(camera, translucent);
     stopwatch.lap("translucent");
   }
   const CanvasScope window(canvas);
@@ -308,11 +307,8 @@ std::vector<float> SplatRenderer::readColor() const {
 
 std::vector<float> SplatRenderer::readDepth() {
   const CanvasScope window(Canvas::kNone);
-  if (depth_.width() != color_.width() || depth_.height() != color_.height() ||
-      depth_.depthFormat() != color_.depthFormat()) {
-    depth_ = gl::Target(GL_RGBA32F, color_.width(), color_.height(), color_.depthFormat());
-  }
-  const int width = depth_.width(), height = depth_.height();
+  const int width = color_.width(), height = color_.height();
+  depth_.become(GL_RGBA32F, width, height, color_.depthFormat());
   const gl::DrawScope color(color_);
   const gl::DrawScope scope(depth_);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, color.framebuffer());

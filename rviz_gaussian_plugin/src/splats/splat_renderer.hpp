@@ -113,6 +113,7 @@ class SplatRenderer {
   // Whether there was room for all that prepare() and, in_tiles, its lists were to hold; else makes
   // it, or gives up tiles, and all has to be submitted again.
   bool checkRoom(const MapState& map, bool& in_tiles);
+  void keepTranslucent(const SplatCamera& camera, const DrawTranslucent& draw);
   void divide();
   double clock() const;  // of `change` in packed_slot.hpp
 
