@@ -225,7 +225,7 @@ def project(camera: Camera, point: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (1, 2, -3)])
 def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
-    from rosplat_tools.viewer import OrbitCamera
+    from rosplat_tools.viewer.orbit import OrbitCamera
 
     target = np.array([1.0, -2.0, 3.0])
     orbit = OrbitCamera(target, distance=4.0, up=np.array(up, float))
@@ -251,7 +251,7 @@ def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
 
 
 def test_a_map_that_grows_for_hours_is_framed_by_a_bounded_sample() -> None:
-    from rosplat_tools.viewer import Sample
+    from rosplat_tools.viewer.orbit import Sample
 
     sample = Sample()
     assert sample.bounds()[1] == 1
@@ -296,7 +296,7 @@ def test_with_a_display_a_window_asks_for_its_view(
 def test_a_renderer_that_sorts_itself_asks_no_sorter(
     display: str, node: Node, listener: Any
 ) -> None:
-    from rosplat_tools.viewer import ORDER_SOURCES, Viewer
+    from rosplat_tools.viewer.node import ORDER_SOURCES, Viewer
 
     views: list[ViewCamera] = []
     node.create_subscription(ViewCamera, "gaussians/view", views.append, VIEW)

@@ -19,7 +19,7 @@ from rosplat_tools.bench.scenes import GARDEN, STEP
 from rosplat_tools.parameters import declare
 from rosplat_tools.running import run, spinning
 from rosplat_tools.view_messages import view_camera
-from rosplat_tools.viewer import OrbitCamera
+from rosplat_tools.viewer.orbit import OrbitCamera
 
 PICTURE = (1280, 720)
 

@@ -19,7 +19,8 @@ from rosplat_tools.bench.scenes import STEP
 from rosplat_tools.parameters import declare
 from rosplat_tools.running import run, spinning
 from rosplat_tools.view_messages import view_camera
-from rosplat_tools.viewer import OrbitCamera, Viewer
+from rosplat_tools.viewer.node import Viewer
+from rosplat_tools.viewer.orbit import OrbitCamera
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 REMEMBERED = 1000  # cameras whose orders may still come

@@ -1,24 +1,16 @@
-"""A viewer without rviz2: a node around the renderer that the rviz Display draws with.
-
-With a display it opens a window to orbit in; without one it draws a still and a short orbit. With
-`serve` it draws what others ask for at `gaussians/render` (RenderView) instead, as the rviz Display
-does if told to.
-"""
+"""The viewer's node, around the renderer that the rviz Display draws with."""
 
 from __future__ import annotations
 
 import math
-import os
 import queue
 import threading
 import time
 import uuid
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image as Picture
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -28,26 +20,16 @@ from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
-from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.parameters import declare
-from rosplat_tools.running import run, spinning
 from rosplat_tools.splats import SceneError
-from rosplat_tools.view_messages import view_camera
-from rviz_gaussian_plugin.offscreen import (
-    BatchError,
-    OrderError,
-    OrderSource,
-    Renderer,
-    ensure_display,
-)
+from rosplat_tools.viewer.orbit import Sample
+from rviz_gaussian_plugin.offscreen import BatchError, OrderError, OrderSource, Renderer
 
 DISCOVERY = 5.0  # how long stills wait for a sorter to be found [s]
 ASK_AGAIN = 0.25  # how long a still waits for an order before it asks for another [s]
 KEEP_ALIVE = 1.0  # a view goes out at least this often, for sorters that start late [s]
 QUIET = 2.0  # a map that has not grown for so long is taken as complete [s]
-STILL = (1280, 720)
-ORBIT = (480, 270)
-ORBIT_FRAMES = 36
+WINDOW = (1280, 720)
 LONGEST_WAIT = 60.0  # for the order of a picture [s]
 ORDER_SOURCES = {name.lower(): source for name, source in OrderSource.__members__.items()}
 
@@ -103,8 +85,8 @@ class Viewer(Node):
             LONGEST_WAIT,
         )
         self.window_size = (
-            declare(self, "width", STILL[0], "Width of the window. [px]", 64, 8192),
-            declare(self, "height", STILL[1], "Height of the window. [px]", 64, 8192),
+            declare(self, "width", WINDOW[0], "Width of the window. [px]", 64, 8192),
+            declare(self, "height", WINDOW[1], "Height of the window. [px]", 64, 8192),
         )
         float_blending: bool = declare(
             self, "float_blending", False, "Blend in 32-bit instead of 16-bit floats."
@@ -354,196 +336,3 @@ def _image(pixels: NDArray[np.float32], encoding: str) -> Image:
     image.step = pixels.nbytes // pixels.shape[0]
     image.data.frombytes(memoryview(np.ascontiguousarray(pixels)).cast("B"))
     return image
-
-
-class Sample:
-    """Some of a map's positions, however many batches come: the more recent, the more of them."""
-
-    OF_BATCH = 2000
-    BATCHES = 100
-
-    def __init__(self) -> None:
-        self._parts: list[NDArray[np.float64]] = []
-
-    def __len__(self) -> int:
-        return sum(map(len, self._parts))
-
-    def add(self, positions: NDArray[np.float32], origin: NDArray[np.float64]) -> None:
-        """Takes some of (n, 3) positions, relative to the origin (3,). [m]"""
-        some = positions[:: len(positions) // self.OF_BATCH + 1]
-        self._parts.append(some[np.isfinite(some).all(axis=1)] + origin)
-        if len(self._parts) > self.BATCHES:
-            self._parts = [np.concatenate(self._parts)[::2]]
-
-    def bounds(self) -> tuple[NDArray[np.float64], float]:
-        """Centre and radius of the middle, which a few far splats don't change. [m]"""
-        positions = np.concatenate(self._parts) if self._parts else np.zeros((0, 3))
-        if not len(positions):
-            return np.zeros(3), 1.0
-        low, high = np.quantile(positions, [0.01, 0.99], axis=0)
-        return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
-
-
-@dataclass
-class OrbitCamera:
-    """A camera that looks at a point from somewhere on a sphere around it."""
-
-    target: NDArray[np.float64]
-    distance: float
-    up: NDArray[np.float64]
-    yaw: float = 0.6
-    pitch: float = 0.35
-
-    def camera(self, width: int, height: int) -> Camera:
-        """For a picture of width x height [px], 45 degrees high."""
-        up = self.up / np.linalg.norm(self.up)
-        side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
-        side /= np.linalg.norm(side)
-        ahead = np.cross(side, up)
-        around = math.cos(self.yaw) * ahead + math.sin(self.yaw) * side
-        eye = self.target + self.distance * (
-            math.cos(self.pitch) * around + math.sin(self.pitch) * up
-        )
-        focal = 0.5 * height / math.tan(math.radians(22.5))
-        return Camera(
-            id=0, width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2,
-            world_to_camera=look_at(eye, self.target, up), near=0.001 * self.distance,
-        )  # fmt: skip
-
-    def turn(self, right: float, down: float) -> None:
-        """By angles [rad]."""
-        self.yaw -= right
-        self.pitch = float(np.clip(self.pitch + down, -1.55, 1.55))
-
-    def pan(self, right: float, down: float) -> None:
-        """By parts of the picture's height."""
-        step = 2 * self.distance * math.tan(math.radians(22.5))
-        rotation = self.camera(64, 64).camera_to_world[:3, :3]
-        self.target = self.target - step * (right * rotation[:, 0] + down * rotation[:, 1])
-
-
-def _framed(viewer: Viewer) -> OrbitCamera:
-    centre, radius = viewer.bounds()
-    up = np.array(viewer.up, np.float64)
-    return OrbitCamera(target=centre, distance=2.5 * radius, up=up)
-
-
-def _wait_for_map(viewer: Viewer) -> None:
-    discovered = time.monotonic() + QUIET
-    while not viewer.complete():
-        if not viewer.context.ok():
-            raise ExternalShutdownException
-        topic = viewer.resolve_topic_name("gaussians")
-        if time.monotonic() > discovered and not viewer.count_publishers(topic):
-            viewer.get_logger().info(f"waiting for a map on {topic}", once=True)
-        time.sleep(0.05)
-
-
-def show_stills(viewer: Viewer, folder: Path) -> None:
-    """Writes demo.png and demo.webp, a turn around the map, and prints the figures of the still."""
-    _wait_for_map(viewer)
-    folder.mkdir(parents=True, exist_ok=True)
-    orbit = _framed(viewer)
-    figures = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", viewer.order_timeout)
-    Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)).save(folder / "demo.png")
-    frames = []
-    for _ in range(ORBIT_FRAMES):
-        viewer.draw_still(view_camera(orbit.camera(*ORBIT)), "orbit", viewer.order_timeout)
-        frames.append(Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)))
-        orbit.turn(2 * math.pi / ORBIT_FRAMES, 0)
-    frames[0].save(
-        folder / "demo.webp",
-        save_all=True,
-        append_images=frames[1:],
-        duration=80,
-        loop=0,
-        quality=60,
-    )
-    print(figures, flush=True)
-    print(f"wrote {folder / 'demo.png'} and {folder / 'demo.webp'}", flush=True)
-
-
-BACKGROUND = (0.125, 0.133, 0.149)  # as in the shipped rviz configuration
-
-
-def show_window(viewer: Viewer) -> None:
-    """A window: drag orbits, right or middle drag pans, the wheel zooms, R resets, Q ends."""
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    # SDL would show its window through OpenGL, and leave the renderer without its context.
-    os.environ["SDL_FRAMEBUFFER_ACCELERATION"] = "0"
-    try:
-        import pygame
-    except ImportError as error:
-        raise RuntimeError("the window needs pygame: pip install pygame") from error
-
-    pygame.display.init()
-    window = pygame.display.set_mode(viewer.window_size, pygame.RESIZABLE)
-    pygame.display.set_caption(
-        "ROSplat: waiting for a map on " + viewer.resolve_topic_name("gaussians")
-    )
-    orbit, framed, said = _framed(viewer), False, 0.0
-    shown: tuple[object, ...] = ()
-    camera, view_id = ViewCamera(), ""
-    try:
-        while viewer.context.ok():
-            for event in pygame.event.get():
-                if event.type == pygame.QUIT or (
-                    event.type == pygame.KEYDOWN and event.key in (pygame.K_q, pygame.K_ESCAPE)
-                ):
-                    return
-                if event.type == pygame.KEYDOWN and event.key == pygame.K_r:
-                    orbit = _framed(viewer)
-                elif event.type == pygame.MOUSEWHEEL:
-                    orbit.distance *= 0.9**event.y
-                elif event.type == pygame.MOUSEMOTION:
-                    right, down = (part / window.get_height() for part in event.rel)
-                    if event.buttons[0]:
-                        orbit.turn(4 * right, 4 * down)
-                    elif event.buttons[1] or event.buttons[2]:
-                        orbit.pan(right, down)
-            if not framed and viewer.renderer.splats:
-                orbit, framed = _framed(viewer), viewer.complete()
-            width, height = window.get_size()
-            state = (*orbit.target, orbit.distance, orbit.yaw, orbit.pitch, width, height)
-            if state != shown:
-                shown = state
-                camera = view_camera(orbit.camera(width, height))
-                view_id = viewer.look(camera, "window")
-            figures = viewer.draw_frame(view_id, camera)
-            pixels = viewer.renderer.read_color8(BACKGROUND)
-            window.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
-            pygame.display.flip()
-            if time.monotonic() - said > 0.5:
-                said = time.monotonic()
-                pygame.display.set_caption(f"ROSplat: {figures}")
-            time.sleep(0.002)
-    finally:
-        pygame.display.quit()
-    print(figures, flush=True)
-
-
-def serve(viewer: Viewer) -> None:
-    """Draws pictures for others until it is told to end."""
-    while viewer.context.ok():
-        viewer.serve_request(wait=0.1)
-
-
-def main() -> None:
-    """Runs the viewer; the exit code is 1 where it can't draw."""
-    run("viewer", _view)
-
-
-def _view() -> None:
-    has_screen = bool(os.environ.get("DISPLAY"))
-    with ensure_display():
-        viewer = Viewer()
-        try:
-            with spinning(viewer, threads=4):
-                if viewer.serves:
-                    serve(viewer)
-                elif viewer.output or not has_screen:
-                    show_stills(viewer, Path(viewer.output or "out"))
-                else:
-                    show_window(viewer)
-        finally:
-            del viewer.renderer  # while its display is there

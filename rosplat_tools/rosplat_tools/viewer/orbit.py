@@ -1,0 +1,77 @@
+"""What the embedded viewer frames a map by, and the camera that goes around it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_tools.cameras import Camera, look_at
+
+
+class Sample:
+    """Some of a map's positions, however many batches come: the more recent, the more of them."""
+
+    OF_BATCH = 2000
+    BATCHES = 100
+
+    def __init__(self) -> None:
+        self._parts: list[NDArray[np.float64]] = []
+
+    def __len__(self) -> int:
+        return sum(map(len, self._parts))
+
+    def add(self, positions: NDArray[np.float32], origin: NDArray[np.float64]) -> None:
+        """Takes some of (n, 3) positions, relative to the origin (3,). [m]"""
+        some = positions[:: len(positions) // self.OF_BATCH + 1]
+        self._parts.append(some[np.isfinite(some).all(axis=1)] + origin)
+        if len(self._parts) > self.BATCHES:
+            self._parts = [np.concatenate(self._parts)[::2]]
+
+    def bounds(self) -> tuple[NDArray[np.float64], float]:
+        """Centre and radius of the middle, which a few far splats don't change. [m]"""
+        positions = np.concatenate(self._parts) if self._parts else np.zeros((0, 3))
+        if not len(positions):
+            return np.zeros(3), 1.0
+        low, high = np.quantile(positions, [0.01, 0.99], axis=0)
+        return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+
+
+@dataclass
+class OrbitCamera:
+    """A camera that looks at a point from somewhere on a sphere around it."""
+
+    target: NDArray[np.float64]
+    distance: float
+    up: NDArray[np.float64]
+    yaw: float = 0.6
+    pitch: float = 0.35
+
+    def camera(self, width: int, height: int) -> Camera:
+        """For a picture of width x height [px], 45 degrees high."""
+        up = self.up / np.linalg.norm(self.up)
+        side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
+        side /= np.linalg.norm(side)
+        ahead = np.cross(side, up)
+        around = math.cos(self.yaw) * ahead + math.sin(self.yaw) * side
+        eye = self.target + self.distance * (
+            math.cos(self.pitch) * around + math.sin(self.pitch) * up
+        )
+        focal = 0.5 * height / math.tan(math.radians(22.5))
+        return Camera(
+            id=0, width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2,
+            world_to_camera=look_at(eye, self.target, up), near=0.001 * self.distance,
+        )  # fmt: skip
+
+    def turn(self, right: float, down: float) -> None:
+        """By angles [rad]."""
+        self.yaw -= right
+        self.pitch = float(np.clip(self.pitch + down, -1.55, 1.55))
+
+    def pan(self, right: float, down: float) -> None:
+        """By parts of the picture's height."""
+        step = 2 * self.distance * math.tan(math.radians(22.5))
+        rotation = self.camera(64, 64).camera_to_world[:3, :3]
+        self.target = self.target - step * (right * rotation[:, 0] + down * rotation[:, 1])
