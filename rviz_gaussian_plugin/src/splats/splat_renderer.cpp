@@ -63,7 +63,7 @@ std::string SplatRenderer::warning() const {
   if (sorts_ && !*sorts_) {
     text = "the graphics driver sorts wrongly: the processor does it, and quads are drawn";
   } else if (sort_.lostBallots()) {
-    text = "the graphics driver gets its subgroups wrong: sorting does without them";
+    text = "the graphics driver's subgroups don't serve for sorting, which does without them";
   }
   if (refused_depth_) {
     text += text.empty() ? "" : "; ";
@@ -102,6 +102,8 @@ void SplatRenderer::copyDepth(const CanvasScope& window, const gl::Target& targe
 
 bool SplatRenderer::prepare(const SplatCamera& camera, const MapState& map,
                             const RenderSettings& settings, gl::Stopwatch& stopwatch) {
+  // The frame before may still read what this one writes.
+  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);
   if (!splats_.prepare(store_, camera, map, settings, clock(), stopwatch)) return false;
   tiles_.forget();
   return true;
