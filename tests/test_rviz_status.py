@@ -184,7 +184,7 @@ def test_a_refused_batch_is_said_until_a_good_one_comes(tmp_path: Path, world: W
         rviz.until_status("Map", "Topic", "Error", "1 refused", "because")
         assert "a batch is refused" in rviz.processes.said("rviz2")
         world.map.replace(disc((1, 0, 0)))
-        rviz.until_status("Map", "Topic", "Ok", "1 batches received, 1 refused")
+        rviz.until_status("Map", "Topic", "Ok", "1 batch received, 1 refused")
     finally:
         rviz.close()
 

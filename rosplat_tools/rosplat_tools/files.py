@@ -26,3 +26,14 @@ def write_text(path: Path, text: str) -> None:
     """Writes a text in UTF-8 in place of the file, if any."""
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def write_below(path: Path, above: str, mark: str, text: str) -> None:
+    """Writes mark and text in place of what a text file in UTF-8 has from the mark on.
+
+    What stands above it there, written by hand, stays; without file or mark, `above` does.
+    """
+    if path.is_file():
+        before, found, _ = path.read_text(encoding="utf-8").partition(mark)
+        above = before if found else above
+    write_text(path, above + mark + text)

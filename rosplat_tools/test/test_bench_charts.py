@@ -1,5 +1,6 @@
 """Charts from records: every series is a line at the numbers that were measured."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ HERE = Circumstances("a box", "a card", "1.2", "abc", "bench", "2026-01-01T00:00
 
 
 def record(name: str, splats: int, value: float, **parameters: str) -> Record:
-    measured = Measurement.of(name, "ms", [value, value, 2 * value], "s", splats, **parameters)
+    measured = Measurement.of(
+        name, "ms", [value, value, 2 * value], f"procedural:{splats}", splats, **parameters
+    )
     return Record.of(parameters.pop("subject", "sort"), measured, HERE)
 
 
@@ -100,6 +103,20 @@ def test_a_long_curve_has_a_column_for_each_eighth() -> None:
     head, _, row = charts.table(chart, curve).splitlines()
     assert head.split(" | ")[1:3] == ["20,000", "40,000"]
     assert row == "| native | 20 | 40 | 60 | 80 | 100 | 120 | 140 | 160 |"
+
+
+def test_scenes_of_one_size_have_columns_of_their_own() -> None:
+    scenes = {"procedural:500000": 500_000, "a/robot.ply": 500_000, "wolf.spz": 90_586}
+    records = [
+        replace(record("frame", splats, float(n), backend="native"), scene=scene)
+        for n, (scene, splats) in enumerate(scenes.items())
+    ]
+    chart = charts.Chart("f", "sort", "frame", "Frame", "ms", charts.parameter("backend"))
+    head, _, row = charts.table(chart, records).splitlines()
+    assert head == "| | wolf, 90,586 | 500,000 | robot, 500,000 |"
+    assert row == "| native | 2 | 0 | 1 |"
+    ax = charts.figure(chart, records).axes[0]
+    assert [len(line.get_xdata()) for line in ax.lines] == [1, 1, 1]  # and no upright line
 
 
 @pytest.mark.parametrize("text", ["?", "[]"])

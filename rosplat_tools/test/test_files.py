@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rosplat_tools.files import replacing, write_text
+from rosplat_tools.files import replacing, write_below, write_text
 
 
 def test_what_is_written_takes_the_file_s_place(tmp_path: Path) -> None:
@@ -26,3 +26,12 @@ def test_an_interrupted_writing_leaves_the_old_file(
         raise error
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_stands_above_the_mark_stays(tmp_path: Path) -> None:
+    path = tmp_path / "a.md"
+    write_below(path, "# Title\n", "<!-- made -->\n", "1\n")
+    assert path.read_text() == "# Title\n<!-- made -->\n1\n"
+    write_text(path, "# Title\nBy hand: größer\n<!-- made -->\n1\n")
+    write_below(path, "# Title\n", "<!-- made -->\n", "2\n")
+    assert path.read_text(encoding="utf-8") == "# Title\nBy hand: größer\n<!-- made -->\n2\n"

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from rosplat_tools.arguments import make_folder
 from rosplat_tools.bench.records import Record
+from rosplat_tools.scenes import PROCEDURAL
 
 Key = Callable[[Record], str]
 
@@ -119,7 +120,8 @@ CHARTS = (
 )  # fmt: skip
 
 
-COLUMNS = 8  # of a table at most
+MANY = 20  # sizes: a map that grows
+COLUMNS = 8  # of a table then
 
 
 def of_chart(chart: Chart, records: Sequence[Record]) -> list[Record]:
@@ -139,24 +141,32 @@ def tables(records: Sequence[Record], statistic: str = "p50") -> Iterator[str]:
 
 
 def table(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> str:
-    """A row for each series of each panel, a column for each number of splats, or some of them."""
-    sizes = sorted({record.splats for record in records})
-    if len(sizes) > COLUMNS:
-        step = max(sizes) / COLUMNS
-        sizes = [round(step * (column + 1)) for column in range(COLUMNS)]
+    """A row for each series of each panel, a column for each scene, or for some of many sizes."""
+    columns = sorted({(record.splats, _family(record)) for record in records})
+    reach = 0.0
+    if len(columns) > MANY:
+        step = columns[-1][0] / COLUMNS
+        columns = [(round(step * (column + 1)), columns[-1][1]) for column in range(COLUMNS)]
+        reach = step / 2
     rows: dict[tuple[str, str], list[Record]] = {}
     for record in records:
         rows.setdefault((chart.panel(record), chart.series(record)), []).append(record)
-    lines = [f"| | {' | '.join(f'{size:,}' for size in sizes)} |", "|---|" + "---:|" * len(sizes)]
-    reach = (sizes[1] - sizes[0]) / 2 if len(sizes) == COLUMNS else 0
+    heads = [f"{of}, {size:,}" if of else f"{size:,}" for size, of in columns]
+    lines = [f"| | {' | '.join(heads)} |", "|---|" + "---:|" * len(heads)]
     for (panel, series), points in rows.items():
         cells = []
-        for size in sizes:
-            nearest = min(points, key=lambda point: abs(point.splats - size))
-            near = abs(nearest.splats - size) <= reach
+        for size, of in columns:
+            mine = [point for point in points if _family(point) == of]
+            nearest = min(mine, key=lambda point: abs(point.splats - size), default=None)
+            near = nearest and abs(nearest.splats - size) <= reach
             cells.append(f"{_number(getattr(nearest, statistic))}" if near else "")
         lines.append(f"| {', '.join(filter(None, (panel, series)))} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _family(record: Record) -> str:
+    """What tells scenes of one size apart: no name for the procedural one, which has any size."""
+    return "" if record.scene.startswith(PROCEDURAL) else Path(record.scene).stem
 
 
 def _number(value: float) -> str:
@@ -194,8 +204,9 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
                 (r for r in records if (chart.panel(r), chart.series(r)) == (panel, label)),
                 key=lambda r: r.splats,
             )
-            if points:
-                _line(ax, chart, points, statistic, label, color_of[label])
+            for family in dict.fromkeys(map(_family, points)):
+                line = [point for point in points if _family(point) == family]
+                _line(ax, chart, line, statistic, label, color_of[label])
         ax.set_title(panel, fontsize=10)
         ax.set_xlabel(chart.x)
         ax.grid(True, which="both", alpha=0.25, linewidth=0.5)

@@ -6,14 +6,14 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from rosplat_tools.files import write_text
+from rosplat_tools.files import write_below
 from rosplat_tools.lab.methods import MODEL
 from rosplat_tools.lab.pareto import Summary, front, summarise
 from rosplat_tools.lab.points import Point
 
 LESSONS = {
     "sorter": "All backends, and the renderer, find the same order: they differ in time alone.",
-    "keys": "Sorting by distance is as wrong for a map trained by z as an order many frames old.",
+    "keys": "For a map trained by z, sorting by distance is as wrong as an order many frames old.",
     "keys linear": (
         "20 bits cost next to nothing, 16 little where a scene is compact; a far outlier starves "
         "them ([stability](stability.md)). 12 and fewer are seen."
@@ -23,38 +23,42 @@ LESSONS = {
     ),
     "keys adaptive": (
         "Equal counts a step spend steps where splats are many, not where they overlap: worse "
-        "than linear keys, but for outliers."
+        "than linear keys, except with outliers."
     ),
     "age rotation, 1/s": (
         "A frame's turn costs more than 16-bit keys. Orders are culled for a view 1.25 times as "
         "wide as the picture."
     ),
     "age orbit, 1/s": (
-        "Almost the same as under rotation: the order depends on where the camera looks alone."
+        "Almost the same as under rotation: the order depends only on where the camera looks."
     ),
     "age dolly, 1/s": "Moving towards the scene without turning costs nothing.",
     "age rotation, 1/s, culled 1x": (
-        "The same orders, culled for the picture alone: where a splat came in at the border, that "
-        "hurts more than the order (the lowest tenth)."
+        "The same orders, culled for the picture alone: splats missing at the border hurt more "
+        "than the order does (see the lowest tenth)."
     ),
     "age rotation, 1/s, culled 1.5x": "Wider still: no better than 1.25 at these angles.",
     "blend": (
         "Half floats are below what is seen, more so where the driver rounds them (Mesa's software "
         "renderer cuts them off: so there the Display blends in 32 bits, which takes the processor "
-        "no longer). Tiles add in 32-bit floats whatever the target. Eight bits are seen in "
-        "gradients, front to back all over. Multisampling changes quads' rims alone."
+        "no longer). Tiles add in 32-bit floats whatever the target. Eight bits show in gradients, "
+        "front to back everywhere. Multisampling only changes quads' rims."
     ),
-    "order of pixels": "Without popping, but not what maps are trained for.",
+    "order of pixels": "No popping, but not what maps are trained for.",
     "order-free": "No sort at all: another picture.",
     "stochastic": "6 dB for four times the samples: noise that only hundreds of them hide.",
     "cut-off": (
         "Quads must reach the 1/255 ellipse, 3.33 sigma; the customary sqrt 8 is not enough."
     ),
-    "SH degree": "The dearest of all savings, and no time is saved: cut no band that was trained.",
-    "precision": "16-bit floats are free for all attributes; positions need a middle near by.",
+    "SH degree": "The costliest way to save, and it saves no time: cut no band that was trained.",
+    "precision": (
+        "16-bit floats will do for all attributes but positions, which need a centre near by."
+    ),
     "packed": "8 bits for harmonics are fine for sending, 4 are not.",
     "budget": "The least visible splats, by opacity times area: a steep price.",
-    "least size": "Below half a pixel nothing is lost.",
+    "least size": (
+        "Leaving out what is smaller than half a pixel costs one scene nothing, the other 26 dB."
+    ),
     "resolution": (
         "Pixels twice as wide and high, opacities less by what the low-pass filter then widens "
         "splats, and the picture smoothed into the scene between pixels of the same depth. The "
@@ -84,18 +88,20 @@ LESSONS = {
     ),
 }
 
-INTRODUCTION = """\
-# Error against time
+TITLE = "# Error against time\n\n"
+MADE = "<!-- Made by `make lab`, from here to the end. -->\n\n"
 
-Made by `make lab`: each method draws the same views, the float64 reference renderer blends every
-splat of them in exact order. A cell holds two times in ms, of a frame (sorting and drawing) and
-from a camera's pose until the picture drawn by its order is complete, then the PSNR in dB: medians
-over the views, in brackets the 10 % and 90 % quantiles. SSIM, FLIP and the worst pixel (1 is white
-for black) are medians by scene, from the lowest to the highest. Orders are drawn in 32-bit floats,
-so that only what a method varies makes its error. Models are NumPy models of what the renderer
-doesn't do, and have no time. An age is under motion of so many rad/s, or distances to the scene a
-second, at 60 frames a second: an order that is drawn five frames late is five frames longer under
-way.
+READING = """\
+## How to read the tables
+
+Each method draws the same views; the reference renderer blends every splat of them in exact order.
+A cell holds two times in ms, of a frame (sorting and drawing) and from a camera's pose to the
+finished picture drawn with its order; then the PSNR in dB. These are medians over the views, with
+the 10 % and 90 % quantiles in brackets. SSIM, FLIP and the worst pixel (1 is white for black) are
+medians by scene, from the lowest to the highest. Orders are drawn in 32-bit floats, so that the
+error is that of the method alone. *Models* are NumPy models of what the renderer doesn't do, and
+have no time. An age is under motion of so many rad/s, or distances to the scene a second, at 60
+frames a second; its order is on its way for as many frames longer.
 """
 
 
@@ -110,18 +116,15 @@ def write(folder: Path, points: Sequence[Point], remark: str = "") -> Path:
     for point in points:
         if point.method not in families[point.family]:
             families[point.family].append(point.method)
-    runs = dict.fromkeys((p.command, p.gpu, p.machine, p.commit) for p in points)
-    lines = [INTRODUCTION]
-    lines += [f"- `{c}`: {g}, {m}, commit {v}" for c, g, m, v in runs]
-    lines += ["", *([remark, ""] if remark else [])]
-    lines += ["![Error against time](accuracy.png)", "", "![Curves](accuracy-curves.png)", ""]
+    lines = ["![Error against time](accuracy.png)", "", "![Curves](accuracy-curves.png)", ""]
+    lines += ["Methods that none beats in both time and PSNR:", ""]
     for scene in scenes:
         best = [s.method for s in front(by_scene[scene].values())]
-        if best:
-            lines += [f"{scene}: Pareto-optimal in time and PSNR: {', '.join(best)}.", ""]
+        lines += [f"- {scene}: {'; '.join(best)}"] if best else []
+    lines += ["", READING]
     for family, methods in families.items():
         shown = [scene for scene in scenes if any(m in by_scene[scene] for m in methods)]
-        heads = ["method", *(f"{scene}: frame, pose to draw; PSNR" for scene in shown)]
+        heads = ["method", *(scene.replace(", ", ",<br>") for scene in shown)]
         lines += [f"## {family[0].upper()}{family[1:]}", "", LESSONS.get(family, ""), ""]
         lines += _row([*heads, "SSIM", "FLIP", "worst"]), _row(["---"] * (len(heads) + 3))
         for method in methods:
@@ -137,8 +140,11 @@ def write(folder: Path, points: Sequence[Point], remark: str = "") -> Path:
             ]
             lines.append(_row([name, *map(_cell, summaries), *rest]))
         lines.append("")
+    runs = dict.fromkeys((p.command, p.gpu, p.machine, p.commit) for p in points)
+    lines += ["## Runs", "", *(f"- `{c}`: {g}, {m}, commit {v}" for c, g, m, v in runs)]
+    lines += ["", remark] if remark else []
     path = folder / "accuracy.md"
-    write_text(path, "\n".join(lines))
+    write_below(path, TITLE, MADE, "\n".join(lines) + "\n")
     return path
 
 

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 from PIL import Image
 
 from rosplat_tools.arguments import make_folder
-from rosplat_tools.files import write_text
+from rosplat_tools.files import write_below
 from rosplat_tools.lab.atlas import Finding
 from rosplat_tools.lab.charts import STYLE
 
@@ -43,9 +43,9 @@ NOTES = {
     ),
     "near_plane": Note(
         "A splat is drawn until its mean crosses the near plane, then it is gone in one frame.",
-        "Fading it out before: the more metres, the softer.",
+        "Fading it out earlier: the more metres, the softer.",
         "*Near Fade*, off by default, because it changes pictures that were trained without. "
-        "For flying through a map, a fifth of a metre does.",
+        "For flying through a map, a fifth of a metre will do.",
     ),
     "inside": Note(
         "Around the camera, splats cover the whole picture, and their ellipses leave every "
@@ -207,27 +207,27 @@ NOTES = {
 }
 
 
+TITLE = "# Where methods fail\n\n"
+MADE = "<!-- Made by `make lab`, from here to the end. -->\n\n"
+
+READING = """\
+## How it is measured
+
+By `make lab`. Each table grows a difficulty and says how far pictures are from the float64
+reference renderer, in dB of PSNR unless it says otherwise. Above 60 dB nobody sees a difference;
+150 stands for equal. *Ours* is the real renderer with a real sorter's order, blended in 32-bit
+floats unless it says otherwise. Its packed attributes (`packed_slot.hpp`) hold it to 80 dB or so;
+unpacked ones reach 120 to 150. `tests/test_stability.py` holds the claims on every `make test`.
+Where a failure stays and something helps, the Display's Status warns, under *Accuracy* or *Order*.
+Where it is silent, the failure is gone, is part of what maps are trained with, or lasts a moment.
+"""
+
+
 def write(folder: Path, findings: Sequence[Finding], facts: str) -> Path:
     """Writes stability.md and stability.png into a folder."""
     make_folder(folder)
     _chart(folder / "stability.png", findings)
-    lines = [
-        "# Where methods fail",
-        "",
-        "Made by `make lab`: each table grows a difficulty and says how far pictures are from the",
-        "float64 reference renderer, in dB of PSNR unless it says otherwise. Above 60 dB nobody",
-        "sees a difference, 150 stands for equal. What is called ours is the real renderer with a",
-        "real sorter's order, blended in 32-bit floats unless it says otherwise. Its packed",
-        "attributes (`packed_slot.hpp`) hold it to 80 dB or so; unpacked ones reach 120 to 150.",
-        "`tests/test_stability.py` holds the claims on every `make test`. Where a failure stays",
-        "and something helps, the Display's Status warns, under *Accuracy* or *Order*. Where it",
-        "is silent, the failure is gone, is part of what maps are trained with, or lasts a",
-        "moment.",
-        "",
-        f"Measured on {facts}.",
-        "",
-        "![All curves](stability.png)",
-    ]
+    lines = [READING, f"Measured on {facts}.", "", "![All curves](stability.png)"]
     for finding in findings:
         note = NOTES[finding.name]
         lines += ["", f"## {finding.title}", "", f"**What happens.** {note.happens}", ""]
@@ -235,7 +235,7 @@ def write(folder: Path, findings: Sequence[Finding], facts: str) -> Path:
         lines += [f"**The Status warns** when {note.warns}", ""] if note.warns else []
         lines += _table(finding)
     path = folder / "stability.md"
-    write_text(path, "\n".join(lines) + "\n")
+    write_below(path, TITLE, MADE, "\n".join(lines) + "\n")
     return path
 
 

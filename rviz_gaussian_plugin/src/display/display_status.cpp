@@ -41,11 +41,11 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
   const auto line = [](StatusProperty::Level level, std::string text) -> StatusLine {
     return {level, "Topic", std::move(text)};
   };
-  const std::string refused =
-      received.refused > 0 ? concat(", ", received.refused, " refused") : "";
+  const std::string batches =
+      concat(received.batches, received.batches == 1 ? " batch" : " batches", " received",
+             received.refused > 0 ? concat(", ", received.refused, " refused") : "");
   if (!received.refusal.empty()) {
-    return line(StatusProperty::Error, concat(received.batches, " batches received", refused,
-                                              ", the last because ", received.refusal));
+    return line(StatusProperty::Error, concat(batches, ", the last because ", received.refusal));
   }
   if (received.batches == 0) {
     if (!received.other_type.empty()) {
@@ -60,15 +60,15 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
     return line(StatusProperty::Warn, "No batch received: a publisher is " + received.unheard);
   }
   if (received.frame_id.empty()) {
-    return line(StatusProperty::Error,
-                concat(received.batches, " batches received", refused,
-                       ", but their header.frame_id is empty: nobody knows where the map is"));
+    return line(
+        StatusProperty::Error,
+        concat(batches, ", but their header.frame_id is empty: nobody knows where the map is"));
   }
   if (received.contended) {
     return line(StatusProperty::Warn, "Publishers clear each other's map, end all but one of: " +
                                           joined(received.publishers));
   }
-  return line(StatusProperty::Ok, concat(received.batches, " batches received", refused));
+  return line(StatusProperty::Ok, batches);
 }
 
 StatusLine sceneFileStatus(const std::string& says, bool loading, bool failed,
