@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from rosplat_tools.files import write_below
 from rosplat_tools.lab.atlas import Finding
 from rosplat_tools.lab.charts import STYLE
 
-COLUMNS = 4  # of the picture
+COLUMNS = 3  # of the picture
 
 
 @dataclass(frozen=True)
@@ -250,9 +251,9 @@ def _table(finding: Finding) -> list[str]:
 def _chart(path: Path, findings: Sequence[Finding]) -> None:
     curves = [finding for finding in findings if len(finding.xs) > 1]
     rows = -(-len(curves) // COLUMNS)
-    with plt.rc_context(STYLE | {"font.size": 7}):
+    with plt.rc_context(STYLE | {"font.size": 8}):
         figure, grid = plt.subplots(
-            rows, COLUMNS, figsize=(3 * COLUMNS, 2.6 * rows), constrained_layout=True, squeeze=False
+            rows, COLUMNS, figsize=(3.6 * COLUMNS, 3 * rows), layout="constrained", squeeze=False
         )
         for axes in grid.flat[len(curves) :]:
             axes.axis("off")
@@ -265,11 +266,14 @@ def _chart(path: Path, findings: Sequence[Finding]) -> None:
                     axes.set_xscale("symlog", linthresh=min(positive))
                 else:
                     axes.set_xscale("log")
-            label = "" if finding.unit.startswith("PSNR") else f" ({finding.unit})"
-            axes.set_title(finding.title + label, fontsize=7)
+            axes.set_title(finding.title, fontsize=9)
             axes.set_xlabel(finding.axis)
-            axes.legend(fontsize=5.5, loc="upper center", bbox_to_anchor=(0.5, -0.22))
-        figure.savefig(path, dpi=90)
+            axes.set_ylabel(textwrap.fill(finding.unit, 34))
+            if finding.unit.startswith("PSNR"):  # the same everywhere: what stays, looks so
+                most = max(y for ys in finding.curves.values() for y in ys)
+                axes.set_ylim(0, 100 if most < 100 else 160)
+            axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+        figure.savefig(path, dpi=100)
         plt.close(figure)
     with Image.open(path) as drawn:  # few colours: a third of the size
         small = drawn.convert("RGB").quantize(64)
