@@ -30,11 +30,12 @@ TOPIC = "/scene_file/gaussians"  # where nobody publishes
 
 
 @pytest.fixture
-def rviz_alone(rviz: Rviz) -> Iterator[Rviz]:
+def rviz_alone(rviz: Rviz, world: World) -> Iterator[Rviz]:
     """A display of a topic that has no publisher; whom it starts ends with it."""
     rviz.load(configuration(map_display(topic=TOPIC)))
     yield rviz
     rviz.load(configuration())
+    world.spin_until(lambda: publishers(world) == 0)
 
 
 @pytest.fixture
@@ -102,10 +103,23 @@ def test_the_status_counts_what_has_arrived(rviz_alone: Rviz, large: Path) -> No
 def test_cancelling_holds_nothing_up(rviz_alone: Rviz, world: World, large: Path) -> None:
     """The window answers at once, the publisher ends, and another scene can follow."""
     rviz_alone.set("Map", "Scene File", value=str(large))
-    rviz_alone.until_status("Map", "Scene File", "Ok", "reading")
+    rviz_alone.until_status("Map", "Scene File", "Ok", "loading")
     rviz_alone.set("Map", "Scene File", value="")
     rviz_alone.until_status("Map", "Scene File", "Ok", "cancelled")
     world.spin_until(lambda: publishers(world) == 0)
+
+
+def test_a_publisher_that_ends_while_it_loads_is_replaced(
+    rviz_alone: Rviz, world: World, large: Path, tmp_path: Path
+) -> None:
+    with Processes(tmp_path) as processes:
+        remap = ("--ros-args", "-r", f"gaussians:={TOPIC}")
+        publisher = processes.node("rosplat_tools", "ply_publisher", *remap)
+        world.spin_until(lambda: publishers(world) == 1)
+        rviz_alone.set("Map", "Scene File", value=str(large))
+        rviz_alone.until_status("Map", "Scene File", "Ok", "loading")
+        publisher.terminate()
+        rviz_alone.until_status("Map", "Scene File", "Ok", f"{large}: 1,000,000 splats")
 
 
 def test_what_cannot_be_loaded_is_said_in_the_status(rviz_alone: Rviz, tmp_path: Path) -> None:

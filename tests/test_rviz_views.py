@@ -378,7 +378,11 @@ def test_flying_by_keys_and_mouse(rviz: Rviz, tool: str) -> None:
         return  # a drag selects
     place = at_rest()
     rviz.drag((height // 2, width // 2), (height // 2 + 40, width // 2 + 100))
-    looking = rviz.properties(root="view")
-    assert looking["Yaw"] == pytest.approx(yaw - 0.5, abs=0.05)
-    assert looking["Pitch"] == pytest.approx(pitch + 0.2, abs=0.05)
+
+    def turned(_: object) -> bool:
+        looking = rviz.properties(root="view")
+        angles = [looking["Yaw"], looking["Pitch"]]
+        return bool(np.allclose(angles, [yaw - 0.5, pitch + 0.2], rtol=0, atol=0.05))
+
+    rviz.until(turned)  # the mouse's events come by way of the screen
     np.testing.assert_array_equal(position(), place)

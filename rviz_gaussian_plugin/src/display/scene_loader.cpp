@@ -157,6 +157,8 @@ void SceneLoader::readPublisher() {
 }
 
 const std::string& SceneLoader::status() {
+  const bool asked = loading_ && client_ && !choice_.isActive();
+  if (asked && !client_->service_is_ready()) load(path_);  // it ended: somebody else has to
   if (process_ && !failed_ && !choice_.isActive()) readPublisher();
   return status_;
 }
