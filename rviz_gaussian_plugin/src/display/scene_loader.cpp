@@ -157,8 +157,8 @@ void SceneLoader::readPublisher() {
 }
 
 const std::string& SceneLoader::status() {
-  const bool asked = loading_ && client_ && !choice_.isActive();
-  if (asked && !client_->service_is_ready()) load(path_);  // it ended: somebody else has to
+  const bool lacking = (loading_ || failed_) && client_ && !choice_.isActive();
+  if (lacking && !client_->service_is_ready()) load(path_);  // who was asked is gone: others are
   if (process_ && !failed_ && !choice_.isActive()) readPublisher();
   return status_;
 }
