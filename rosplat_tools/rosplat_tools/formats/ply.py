@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElementParseError, PlyParseError
+from plyfile import PlyData, PlyElement, PlyElementParseError, PlyParseError
 
 from rosplat_tools.formats.decoded import Floats, Progress, Warn, decoded
 from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
@@ -103,18 +103,12 @@ def write(path: Path, splats: Splats) -> None:
 
     Positions become doubles where the splats have an origin, so that none of it is lost.
     """
-    comments = [f"comment {ANTIALIASED}"] if splats.antialiased else []
-    position = "double" if splats.origin.any() else "float"
-    properties = [
-        f"property {position if name in POSITION else 'float'} {name}"
-        for name in _rows(splats[:0]).dtype.names or ()
-    ]
-    header = [
-        "ply", "format binary_little_endian 1.0", *comments, f"element vertex {len(splats)}",
-        *properties, "end_header", "",
-    ]  # fmt: skip
+    comments = [ANTIALIASED] if splats.antialiased else []
+    properties = PlyElement.describe(_rows(splats[:0]), "vertex").properties
+    vertex = PlyElement("vertex", properties, len(splats))
     with path.open("wb") as stream:
-        stream.write("\n".join(header).encode("ascii"))
+        header = PlyData([vertex], byte_order="<", comments=comments).header
+        stream.write(f"{header}\n".encode("ascii"))
         for start in range(0, len(splats), BLOCK):
             stream.write(_rows(splats[start : start + BLOCK]).tobytes())
 
