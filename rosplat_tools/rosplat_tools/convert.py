@@ -8,6 +8,7 @@ import sys
 from tqdm import tqdm
 
 from rosplat_tools.formats import SceneError, check_output, save
+from rosplat_tools.output import say
 from rosplat_tools.progress import watched
 from rosplat_tools.scenes import NAMES, load_scene
 
@@ -43,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    print(f"{options.output}: {len(splats):,} splats, SH degree {splats.sh_degree}")
+    say(f"{options.output}: {len(splats):,} splats, SH degree {splats.sh_degree}")
     return 0
 
 

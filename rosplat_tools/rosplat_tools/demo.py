@@ -10,6 +10,7 @@ import time
 import uuid
 from pathlib import Path
 
+from rosplat_tools.output import say
 from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals, quoted
 
 PROCEDURAL = "procedural:200000"
@@ -53,11 +54,11 @@ def main(arguments: list[str] | None = None) -> int:
                     "rviz2", ["rviz2", "-d", str(share / "config/rosplat.rviz")]
                 )
                 name = "rviz2"
-                print("rviz2 is opening; close it to end the demo", flush=True)
+                say("rviz2 is opening; close it to end the demo")
             else:
                 name = "viewer"
                 if screen:
-                    print("the viewer is opening; close it or press Q to end the demo", flush=True)
+                    say("the viewer is opening; close it or press Q to end the demo")
                 up = [float(value) for value in options.up]
                 output = [] if screen else ["-p", f"output:={quoted(options.out)}"]
                 viewer = processes.node(
@@ -71,7 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
                     f"{name} ended with code {viewer.returncode}: {processes.last_line(name)}"
                 )
             if not rviz:
-                print(processes.said(name), end="")
+                say(processes.said(name).rstrip())
             for warning in processes.warnings("ply_publisher"):
                 print(f"demo: {warning}", file=sys.stderr)
     except ProcessError as error:

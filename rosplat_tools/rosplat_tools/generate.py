@@ -17,6 +17,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from rosplat_tools.formats import Progress, SceneError, check_output, save
+from rosplat_tools.output import say
 from rosplat_tools.progress import watched
 from rosplat_tools.reference import harmonics
 from rosplat_tools.splats import MAX_SH_DEGREE, Splats
@@ -493,7 +494,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    print(f"{options.output}: {options.count:,} splats")
+    say(f"{options.output}: {options.count:,} splats")
     return 0
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rosplat_tools.formats import SceneError, format_of
+from rosplat_tools.output import say
 from rosplat_tools.progress import watched
 from rosplat_tools.scenes import NAMES, PROCEDURAL, read_scene
 
@@ -76,7 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
     failed = False
     for index, path in enumerate(parser.parse_args(arguments).scene):
         try:
-            print(("\n" if index else "") + describe(path))
+            say(("\n" if index else "") + describe(path))
         except SceneError as error:
             print(f"inspect: {error}", file=sys.stderr)
             failed = True

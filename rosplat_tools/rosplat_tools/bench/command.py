@@ -30,6 +30,7 @@ from rosplat_tools.bench.records import (
     load,
     save,
 )  # fmt: skip
+from rosplat_tools.output import say, unheard
 from rosplat_tools.processes import ProcessError
 from rosplat_tools.scenes import NAMES, check_scene
 from rosplat_tools.splats import SceneError
@@ -70,6 +71,8 @@ def main(arguments: list[str] | None = None) -> int:
         if arguments[:1] == ["tables"]:
             return _tabulate(arguments[1:])
         return _measure(arguments, console)
+    except BrokenPipeError:  # of rich before 13.8
+        unheard()
     except (SceneError, RecordError, OSError) as error:
         print(f"bench: {error}", file=sys.stderr)
         return 1
@@ -98,7 +101,7 @@ def _tabulate(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     from rosplat_tools.bench import charts
 
-    print("\n\n".join(charts.tables(_some(options.files), options.of)))
+    say("\n\n".join(charts.tables(_some(options.files), options.of)))
     return 0
 
 

@@ -28,6 +28,7 @@ from rosplat_tools.lab.points import Point, Store
 from rosplat_tools.lab.progress import progress
 from rosplat_tools.lab.workers import Comparison, Image, Reference, Workers
 from rosplat_tools.metrics import MOST_PSNR
+from rosplat_tools.output import say
 from rosplat_tools.scenes import NAMES, PROCEDURAL, check_scene, load_scene
 from rosplat_tools.splats import SceneError, Splats
 from rviz_gaussian_plugin.offscreen import ensure_display
@@ -245,7 +246,7 @@ def run(
         findings = atlas.explore(bench, options.quick)
         atlas.save(store.folder / "stability.json", findings)
         facts = f"{bench.graphics}, {machine()}, commit {commit()}"
-        print(f"wrote {stability.write(options.docs or store.folder, findings, facts)}")
+        say(f"wrote {stability.write(options.docs or store.folder, findings, facts)}")
 
 
 def write(folder: Path, measured: list[Point], options: argparse.Namespace) -> None:
@@ -265,7 +266,7 @@ def write(folder: Path, measured: list[Point], options: argparse.Namespace) -> N
         accuracy.write(docs, measured, options.remark),
         *charts.write(docs, measured),
     ]
-    print(f"wrote {', '.join(map(str, written))}")
+    say(f"wrote {', '.join(map(str, written))}")
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ from rosplat_tools.bench.machine import commit, machine
 from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.files import write_text
 from rosplat_tools.metrics import MOST_PSNR, compare
+from rosplat_tools.output import say
 from rosplat_tools.processes import Processes, quoted
 from rosplat_tools.scenes import NAMES, check_scene
 from rosplat_tools.splats import SceneError
@@ -316,8 +317,8 @@ def main(arguments: list[str] | None = None) -> int:
             figures += (
                 f", PSNR {row['psnr']:.2f} dB, SSIM {row['ssim']:.5f}, FLIP {row['flip']:.5f}"
             )
-        print(figures)
-    print(f"wrote {options.out / 'report.json'}")
+        say(figures)
+    say(f"wrote {options.out / 'report.json'}")
     return 0
 
 

@@ -17,6 +17,7 @@ from PIL import Image as Picture
 from rclpy.executors import ExternalShutdownException
 
 from rosplat_msgs.msg import ViewCamera
+from rosplat_tools.output import say
 from rosplat_tools.running import run, spinning
 from rosplat_tools.view_messages import view_camera
 from rosplat_tools.viewer.node import QUIET, Viewer
@@ -66,8 +67,8 @@ def show_stills(viewer: Viewer, folder: Path) -> None:
         loop=0,
         quality=60,
     )
-    print(figures, flush=True)
-    print(f"wrote {folder / 'demo.png'} and {folder / 'demo.webp'}", flush=True)
+    say(figures)
+    say(f"wrote {folder / 'demo.png'} and {folder / 'demo.webp'}")
 
 
 def show_window(viewer: Viewer) -> None:
@@ -123,7 +124,7 @@ def show_window(viewer: Viewer) -> None:
             time.sleep(0.002)
     finally:
         pygame.display.quit()
-    print(figures, flush=True)
+    say(figures)
 
 
 def serve(viewer: Viewer) -> None:
