@@ -93,3 +93,7 @@ def _emulate() -> None:
     node = SlamEmulator()
     with spinning(node):
         wait_for_end(node)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,7 +1,8 @@
-"""python -m rosplat_tools.lab."""
+"""`python -m rosplat_tools.lab`."""
 
 import sys
 
 from rosplat_tools.lab import main
 
-sys.exit(main())
+if __name__ == "__main__":
+    sys.exit(main())
