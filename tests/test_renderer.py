@@ -802,6 +802,14 @@ def test_a_pick_changes_no_depth(host: Host) -> None:
     np.testing.assert_array_equal(host.renderer.read_depth(), depth)
 
 
+@pytest.mark.parametrize("shape", [(0, 0), (3, 0), (0, 4), (-1, 4)])
+def test_a_rectangle_without_pixels_picks_nothing(host: Host, shape: tuple[int, int]) -> None:
+    host.show(cloud(500))
+    host.draw(CAMERAS["outside"])
+    height, width = shape
+    assert host.renderer.pick("test", 5, 5, width, height).shape == (max(height, 0), width)
+
+
 @pytest.mark.parametrize("view", CAMERAS)
 def test_a_part_of_the_picture_picks_as_the_whole(host: Host, view: str) -> None:
     """As a click of rviz's mouse does, for large splats too, whose ellipses a wide angle bends."""

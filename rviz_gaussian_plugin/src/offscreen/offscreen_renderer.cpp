@@ -181,6 +181,7 @@ void OffscreenRenderer::setBox(const std::array<float, 3>& centre, const std::ar
 std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id, int left, int top,
                                                    int width, int height) {
   const SplatCamera part = crop(cameraOf(view_id), left, top, width, height);
+  if (width < 1 || height < 1) return {};
   picked_ = true;
   cloud_->scene().drawPick(part, settings, Canvas::kNone, 0);
   return cloud_->scene().readPick();

@@ -4,6 +4,8 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
+
 #include "offscreen_renderer.hpp"
 
 namespace py = pybind11;
@@ -223,7 +225,8 @@ PYBIND11_MODULE(_offscreen, module) {
           "pick",
           [](OffscreenRenderer& r, const std::string& view_id, int left, int top, int width,
              int height) {
-            return toArray(r.pick(view_id, left, top, width, height), {height, width});
+            return toArray(r.pick(view_id, left, top, width, height),
+                           {std::max(height, 0), std::max(width, 0)});
           },
           "view_id"_a, "left"_a, "top"_a, "width"_a, "height"_a)
       .def("read_slots", &readSlots, "slots"_a)

@@ -169,6 +169,8 @@ void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
   const bool touched = scheme == "Depth";
   const bool picked = pick_handle_ && (scheme == "Pick" || scheme == "Pick1");
   if (!(seen || touched || picked) || !camera_) return;
+  // A narrow box of rviz's selection has none, once shrunk to its texture.
+  if (viewport->getActualWidth() < 1 || viewport->getActualHeight() < 1) return;
   const auto now = std::chrono::steady_clock::now();
   if (!error_.empty() && (scene_->unusable() || now < error_ends_)) return;
   SplatCamera camera = cameraOf(*camera_, Ogre::Affine3(_getParentNodeFullTransform()),
