@@ -12,6 +12,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 
 namespace rosplat {
@@ -227,7 +228,10 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCam
     scene_->upload();
     return;
   }
-  seen_[viewport] = camera;
+  for (auto of = seen_.begin(); of != seen_.end();) {
+    of = scene_->knows(of->first) ? std::next(of) : seen_.erase(of);
+  }
+  seen_[view] = camera;
   scene_->draw(view, settings_, canvas, sort_now_, draw_translucent);
   divided_ = bool(draw_translucent);
 }

@@ -81,7 +81,7 @@ class SplatCloud : public Ogre::MovableObject {
                                Layer(*this, Turn::kBefore)};
   std::unique_ptr<SplatScene> scene_;
   ViewCallback on_view_;
-  std::map<Ogre::Viewport*, SplatCamera> seen_;  // as drawn last; mouse tools draw parts of them
+  std::map<std::string, SplatCamera> seen_;  // by view, as drawn last; mouse tools draw parts
   RenderSettings settings_;
   bool sort_now_ = false;
   std::uint32_t pick_handle_ = 0;

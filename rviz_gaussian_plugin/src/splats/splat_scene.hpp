@@ -79,6 +79,8 @@ class SplatScene {
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
   // Render thread: the map as it is drawn.
   const MapState& drawnMap() const { return drawn_map_; }
+  // Render thread: whether a view has a camera, and is not forgotten since.
+  bool knows(const std::string& view_id) const { return cameras_.count(view_id) > 0; }
   void forget(const std::string& view_id);
 
   // Whether the driver can't draw at all; what is received is then forgotten.
