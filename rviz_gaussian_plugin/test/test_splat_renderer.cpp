@@ -436,6 +436,36 @@ TEST_F(SplatRendererTest, DrawsTheSameOutOfSmallBuffers) {
   EXPECT_THROW(picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn), gl::Error);
 }
 
+// Of more pairs of splat and tile than there is room for: quads are drawn instead, and as soon as
+// there are fewer, tiles.
+TEST_F(SplatRendererTest, ListsNotInVainWhatWasTooMuch) {
+  const Disguise disguise(static_cast<GLint64>(kSplats / 4 * Shaders::kEllipseBytes), false);
+  SplatScene scene(shaders());
+  fill(scene);
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  settings.order = OrderSource::kGpu;
+  settings.profile = true;
+  std::uint64_t sequence = 0;
+  // Stages of a frame that looks from a place beside the map's middle. [m]
+  const auto stages = [&](double x) {
+    SplatCamera moved = camera();
+    moved.translation[0] = -x;
+    scene.setCamera("view", ++sequence, moved);
+    std::string names = scene.draw("view", settings, Canvas::kNone).rasterizer + ":";
+    for (const auto& [name, time] : scene.report("view").profile) names += " " + name;
+    return names;
+  };
+  EXPECT_EQ(stages(0), "quads: bin blend list project quads sort");
+  EXPECT_EQ(stages(0), "quads: quads");
+  EXPECT_EQ(stages(0.1), "quads: list project quads sort");  // counted
+  EXPECT_EQ(stages(6), "tiles: bin blend list project sort");
+  EXPECT_EQ(stages(0), "quads: bin blend list project quads sort");
+  const auto picks = picked(scene);
+  EXPECT_EQ(picked(scene), picks);
+  EXPECT_EQ(stages(0), "quads: list project quads sort");
+}
+
 // A depth is copied only to its own format.
 TEST_F(SplatRendererTest, IsHiddenByAnOpaqueSceneInWhateverDepthFormat) {
   SplatScene scene(shaders());

@@ -89,6 +89,7 @@ bool OrderedSplats::checkRoom(std::size_t most, double growth) {
     key_bits_ = key_bits;
     fewer_bits_for_ = 0;
   }
+  kept_ = enough;
   return enough;
 }
 

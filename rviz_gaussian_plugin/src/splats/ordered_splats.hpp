@@ -31,11 +31,10 @@ class OrderedSplats {
   // clock of `change` in packed_slot.hpp.
   bool prepare(const SlotStore& store, const SplatCamera& camera, const MapState& map,
                const RenderSettings& settings, double now, gl::Stopwatch& stopwatch);
-  // Whether there was room for all of it; else makes it, but never for more than `most`: growth is
-  // how much more is to be expected. Waits for the tallies, which must have been asked for.
+  // Whether there was room for all of it, which is kept then; else makes it, but never for more
+  // than `most`: growth is how much more is to be expected. Waits for the tallies, which must have
+  // been asked for.
   bool checkRoom(std::size_t most, double growth);
-  // All is there for the camera that was prepared last.
-  void keep() { kept_ = true; }
   // What was prepared isn't what is to be drawn any more.
   void forget() { kept_ = false; }
 

@@ -115,14 +115,14 @@ bool SplatRenderer::prepareAndCheck(const SplatCamera& camera, const MapState& m
   bool in_tiles = lists_for, unknown = false;
   do {
     unknown = prepare(camera, map, settings, stopwatch);
+    in_tiles = in_tiles && !tiles_.refused(*lists_for);
     if (in_tiles && !tiles_.listed(*lists_for)) {
-      tiles_.list(splats_, *lists_for, stopwatch, [this] { tallies_.ask(); });
+      tiles_.count(splats_, *lists_for, stopwatch);
       unknown = true;
-    } else if (unknown) {
-      tallies_.ask();
     }
+    if (unknown) tallies_.ask();
   } while (unknown && !checkRoom(map, in_tiles));
-  splats_.keep();
+  if (in_tiles && !tiles_.listed(*lists_for)) tiles_.list(splats_, *lists_for, stopwatch);
   return in_tiles;
 }
 
@@ -132,14 +132,10 @@ bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
       std::clamp(double(map.expected) / std::max(1u, store_.capacity()), 1.0, 4.0);
   const std::size_t most = std::max(store_.capacity(), std::min(map.expected, kMaxSlots));
   bool enough = splats_.checkRoom(most, growth);
-  const std::size_t pairs = tallies_.wait(Tallies::kPairs, Tally::kWanted);
-  if (in_tiles && pairs > tiles_.room()) {
+  if (in_tiles) {
+    const std::size_t pairs = tallies_.wait(Tallies::kPairs, Tally::kWanted);
+    enough = enough && pairs <= tiles_.room();
     in_tiles = tiles_.reserve(pairs, withSlack(pairs, growth));
-    enough = false;
-  }
-  if (!enough) {
-    splats_.forget();
-    tiles_.forget();
   }
   return enough;
 }
@@ -212,11 +208,19 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
     half_scope.emplace(*target);
     stopwatch.lap("shrink");
   }
+  in_tiles = in_tiles && !tiles_.refused(*target);
   while (true) {
     if (in_tiles) {
       if (!tiles_.listed(*target)) {
-        tiles_.list(splats_, *target, stopwatch, [this] { tallies_.ask(); });
+        tiles_.count(splats_, *target, stopwatch);
+        tallies_.ask();
         unknown = true;
+        // Where there were too many, waiting costs less than to list them in vain again.
+        if (tiles_.refused() && !checkRoom(map, in_tiles)) {
+          unknown = prepare(drawn, map, shown, stopwatch);
+          continue;
+        }
+        tiles_.list(splats_, *target, stopwatch);
       }
       tiles_.blend(splats_, *target, behind, raster_);
       stopwatch.lap("blend");
@@ -229,7 +233,6 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
     if (!unknown || checkRoom(map, in_tiles)) break;
     unknown = prepare(drawn, map, shown, stopwatch);
   }
-  splats_.keep();
   if (halved_) {
     half_.enlarge(color_, full_behind, raster_.top_first);
     stopwatch.lap("enlarge");

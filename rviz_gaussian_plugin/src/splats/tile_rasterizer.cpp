@@ -31,25 +31,26 @@ TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort, const Ta
 }
 
 bool TileRasterizer::reserve(std::size_t pairs, std::size_t better) {
-  if (pairs > most_pairs_) return false;
-  room_ = std::max(room_, std::min(better, most_pairs_));
-  return true;
+  refused_ = pairs > most_pairs_;
+  if (pairs > room_) {
+    listed_ = false;
+    if (!refused_) room_ = std::min(better, most_pairs_);
+  }
+  return !refused_;
 }
 
-bool TileRasterizer::listed(const gl::Target& target) const {
-  return listed_width_ == target.width() && listed_height_ == target.height();
+bool TileRasterizer::counted(const gl::Target& target) const {
+  return counted_width_ == target.width() && counted_height_ == target.height();
 }
 
-void TileRasterizer::list(const OrderedSplats& splats, const gl::Target& target,
-                          gl::Stopwatch& stopwatch, const std::function<void()>& counted) {
+void TileRasterizer::count(const OrderedSplats& splats, const gl::Target& target,
+                           gl::Stopwatch& stopwatch) {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
-  const std::size_t tiles = std::size_t(across) * std::size_t(down);
   const std::size_t room = std::max(room_, splats.most());
   room_ = 0;  // should there be no memory
   prefix_sum_.reserve(splats.most());
   sort_.reserve(room);
   room_ = room;
-  begins_.reserve((tiles + 1) * sizeof(GLuint));
   const gl::Buffer& counts = sort_.spare();
   count_.use();
   splats.projection().bindEllipses(count_);
@@ -61,13 +62,22 @@ void TileRasterizer::list(const OrderedSplats& splats, const gl::Target& target,
   splats.tally().dispatchGroups();
   gl::storageBarrier();
   prefix_sum_.run(counts, splats.tally(), pair_count_, room_);
-  counted();
+  stopwatch.lap("list");
+  counted_width_ = target.width();
+  counted_height_ = target.height();
+  listed_ = false;
+}
 
+void TileRasterizer::list(const OrderedSplats& splats, const gl::Target& target,
+                          gl::Stopwatch& stopwatch) {
+  const int across = tilesIn(target.width()), down = tilesIn(target.height());
+  const std::size_t tiles = std::size_t(across) * std::size_t(down);
+  begins_.reserve((tiles + 1) * sizeof(GLuint));
   list_.use();
   splats.projection().bindEllipses(list_);
   glUniform2i(list_.at("tiles"), across, down);
   splats.drawn().bind(4);
-  counts.bind(5);
+  sort_.spare().bind(5);
   splats.tally().bind(6);
   pair_count_.bind(7);
   sort_.keys().bind(8);
@@ -85,8 +95,7 @@ void TileRasterizer::list(const OrderedSplats& splats, const gl::Target& target,
   gl::dispatchInvocations(tiles + 1);
   gl::storageBarrier();
   stopwatch.lap("bin");
-  listed_width_ = target.width();
-  listed_height_ = target.height();
+  listed_ = true;
 }
 
 void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target,

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <cstddef>
-#include <functional>
 
 #include "gl_objects.hpp"
 #include "ordered_splats.hpp"
@@ -19,12 +18,12 @@ class TileRasterizer {
   // The sort may be one that others use too.
   TileRasterizer(const Shaders& shaders, RadixSort& sort, const Tallies& tallies);
 
-  // Lists splats by tiles; of more pairs than there is room for, the last are left out. `counted`
-  // is called as soon as all is submitted that tells how many there are.
-  void list(const OrderedSplats& splats, const gl::Target& target, gl::Stopwatch& stopwatch,
-            const std::function<void()>& counted);
+  // Counts the pairs of a splat and a tile of the target that it touches.
+  void count(const OrderedSplats& splats, const gl::Target& target, gl::Stopwatch& stopwatch);
+  // Lists what was counted; of more pairs than there is room for, the last are left out.
+  void list(const OrderedSplats& splats, const gl::Target& target, gl::Stopwatch& stopwatch);
   // Whether what was listed last is for a target like this.
-  bool listed(const gl::Target& target) const;
+  bool listed(const gl::Target& target) const { return listed_ && counted(target); }
 
   // What is listed: indices of ellipses, tile by tile, nearest first; where each tile's begin.
   void bindLists(GLuint splats, GLuint begins) const {
@@ -38,17 +37,25 @@ class TileRasterizer {
   void blend(const OrderedSplats& splats, const gl::Target& target, const gl::Target* behind,
              const Raster& raster) const;
 
-  // Makes room for so many pairs of a splat and a tile that it touches, better for more; false
-  // where that takes too much memory.
+  // Makes room for so many pairs, better for more; false where that takes too much memory.
   bool reserve(std::size_t pairs, std::size_t better);
   std::size_t room() const { return room_; }
+  // Whether reserve() refused last, so that the next ones should be counted before they are listed;
+  // and whether it was for these splats and a target like this.
+  bool refused() const { return refused_; }
+  bool refused(const gl::Target& target) const { return refused_ && counted(target); }
 
   // The splats or their order aren't those of the last draw() any more.
-  void forget() { listed_width_ = 0; }
+  void forget() {
+    counted_width_ = 0;
+    listed_ = false;
+  }
 
   std::size_t bytes() const;
 
  private:
+  bool counted(const gl::Target& target) const;
+
   gl::Program count_, list_, ranges_, blend_, blend_divided_;
   PrefixSum prefix_sum_;
   RadixSort& sort_;
@@ -56,7 +63,8 @@ class TileRasterizer {
   gl::Slice zero_;
   gl::Buffer begins_;
   std::size_t most_pairs_, room_ = 0;
-  int listed_width_ = 0, listed_height_ = 0;  // the picture that the lists are for [px]
+  int counted_width_ = 0, counted_height_ = 0;  // the picture that pairs were counted for [px]
+  bool listed_ = false, refused_ = false;
 };
 
 }  // namespace rosplat
