@@ -24,7 +24,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/rosplat_tools"]),
         ("share/rosplat_tools", ["package.xml"]),
-        ("share/rosplat_tools/config", ["config/rosplat.rviz"]),
+        ("share/rosplat_tools/config", ["config/rosplat.rviz", "config/sensors.rviz"]),
         ("share/rosplat_tools/launch", ["launch/fast_dds.launch.py", "launch/view.launch.xml"]),
     ],
     install_requires=["setuptools"],

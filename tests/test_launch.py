@@ -66,6 +66,15 @@ def test_the_sorter_can_be_left_out() -> None:
     assert set(started(sorter="false")) == {"rviz2"}
 
 
+def test_panels_of_sensors_come_with_sensors() -> None:
+    def config(**arguments: str) -> Path:
+        return Path(started(**arguments)["rviz2"].words[1])
+
+    assert "/camera/image_raw" not in config().read_text()
+    assert "/camera/image_raw" in config(sensors="true").read_text()
+    assert config(sensors="true", config="mine.rviz") == Path("mine.rviz")
+
+
 def test_the_frame_of_the_scene_is_seen() -> None:
     """rviz2 keeps the configuration's Fixed Frame where it is given none."""
     assert started()["rviz2"].words[-1] == "--fixed-frame="

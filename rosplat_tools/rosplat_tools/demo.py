@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
                 processes.node("rosplat_tools", "demo_sensors", *remap)
                 share = Path(get_package_share_directory("rosplat_tools"))
                 viewer = processes.start(
-                    "rviz2", ["rviz2", "-d", str(share / "config/rosplat.rviz")]
+                    "rviz2", ["rviz2", "-d", str(share / "config/sensors.rviz")]
                 )
                 name = "rviz2"
                 say("rviz2 is opening; close it to end the demo")
