@@ -22,6 +22,7 @@
 #include <rviz_common/view_manager.hpp>
 #include <rviz_common/window_manager_interface.hpp>
 #include <sstream>
+#include <thread>
 #include <utility>
 
 #include "messages.hpp"
@@ -38,6 +39,7 @@ constexpr const char* kUnchanged = "As Started";
 constexpr const char* kAnyBackend = "auto";
 constexpr const char* kGraphics = "OpenGL";  // the line of the Status
 constexpr std::chrono::milliseconds kStatusPeriod{500};
+constexpr std::chrono::milliseconds kSending{20};  // ten times what answers take
 
 std::string uniqueName() {
   std::random_device device;
@@ -206,8 +208,12 @@ void GaussianDisplay::serve() {
 
 void GaussianDisplay::endService() {
   if (!render_service_) return;
+  const std::string why = "the display was turned off or removed, or its service turned off";
+  // The middleware sends in a thread of its own, and tells nobody when it has: a service that is
+  // destroyed at once may take answers along.
+  if (render_service_->refuse(why)) std::this_thread::sleep_for(kSending);
   client_->setServing(false);
-  render_service_->refuse("the display was turned off or removed, or its service turned off");
+  render_service_->refuse(why);  // who has asked since
   render_service_.reset();
 }
 

@@ -133,11 +133,13 @@ void RenderService::refuseUnserved() {
   }
 }
 
-void RenderService::refuse(const std::string& why) {
+bool RenderService::refuse(const std::string& why) {
   if (!request_) request_ = client_.takeRenderRequest();
+  const bool any = request_.has_value();
   for (; request_; request_ = client_.takeRenderRequest()) {
     request_->refuse(why);
   }
+  return any;
 }
 
 }  // namespace rosplat

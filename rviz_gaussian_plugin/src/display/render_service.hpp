@@ -29,8 +29,8 @@ class RenderService {
   void serve();
   // Once an update of the display: refuses what nobody will draw.
   void refuseUnserved();
-  // Refuses all that wait.
-  void refuse(const std::string& why);
+  // Refuses all that wait; whether any did.
+  bool refuse(const std::string& why);
 
  private:
   bool take();
