@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rosplat_sorter.depth import order
-from rosplat_tools.bench import baselines, rviz, scenes, sort
+from rosplat_tools.bench import baselines, frame, rviz, scenes, sort
 from rosplat_tools.bench.command import main
 from rosplat_tools.bench.isolation import isolated
 from rosplat_tools.bench.line import Line, NoLine
@@ -81,7 +81,19 @@ def test_pictures_are_measured_with_each_kind_of_order(tmp_path: Path) -> None:
     # Position, shape, opacity and 16 harmonics of three colours, and the picture, are somewhere.
     assert by_name["GPU memory"].value * 1e6 > 2000 * 59 * 4 + 1280 * 720 * 8
     assert by_name["frame while a map streams in"].n >= 1
+    assert by_name["from the first batch to the picture"].value > 0
     assert "OpenGL" in records[0].gpu
+
+
+def test_a_picture_is_whole_when_nothing_is_added_and_its_order_knows_all() -> None:
+    frames = [
+        frame.Frame(ended=when, took=0.1, drawn=drawn, fresh=fresh)
+        for when, drawn, fresh in [
+            (1, 100, True), (2, 99, True), (3, 100, False), (4, 100, True), (5, 100, True),
+        ]
+    ]  # fmt: skip
+    assert frame.whole_since(frames) == 4
+    assert frame.whole_since(frames[:3]) == 3
 
 
 def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:

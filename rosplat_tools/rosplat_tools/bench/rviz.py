@@ -70,7 +70,7 @@ def measure(plan: Plan) -> Iterator[Event]:
             yield Skipped(f"rviz2: {error}")
             return
         for number, name in enumerate(names):
-            yield from _scene(plan, name, displays, number / len(names))
+            yield from _scene(plan, name, displays, number, len(names))
 
 
 def read_displays(path: Path) -> list[Display]:
@@ -121,8 +121,10 @@ class Orbit:
         return Camera(0, width, height, focal, focal, width / 2, height / 2, pose, near=self.near)
 
 
-def _scene(plan: Plan, name: str, displays: list[Display], part: float) -> Iterator[Event]:
-    yield Doing(f"{name}: loading", part)
+def _scene(
+    plan: Plan, name: str, displays: list[Display], number: int, total: int
+) -> Iterator[Event]:
+    yield Doing(f"{name}: loading", number / total)
     splats = scenes.load(name)
     place = scenes.place(splats)
     near = max(0.001 * place.radius, NEAREST)
@@ -145,10 +147,11 @@ def _scene(plan: Plan, name: str, displays: list[Display], part: float) -> Itera
             formats.save(values["ply"], splats)
         bench = Bench(plan, name, splats, orbits, processes)
         if len(splats) <= ACCURATE:
-            yield Doing(f"{name}: reference pictures", part)
+            yield Doing(f"{name}: reference pictures", number / total)
             bench.draw_references()
-        for display in displays:
-            yield Doing(f"{name}, {display['Name']}", part)
+        for index, display in enumerate(displays):
+            done = (number + index / len(displays)) / total
+            yield Doing(f"{name}, {display['Name']}", done)
             try:
                 yield from bench.display(filled(display, values))
             except (Refused, TimeoutError, ProcessError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
 import uuid
@@ -52,19 +53,19 @@ def measure(plan: Plan) -> Iterator[Event]:
     try:
         with Processes(plan.out / "log") as processes:
             asker = Asker(processes)
-            for index, count in enumerate(orders):
-                for way in ORDERS:
-                    yield Doing(f"an order of {count:,} slots, {way}", 0.3 * index / len(orders))
-                    times = asker.ask(way, count, plan.budget)
-                    yield Measurement.of("order", "ms", times, splats=count, way=way)
+            jobs = list(itertools.product(orders, ORDERS))
+            for number, (count, way) in enumerate(jobs):
+                yield Doing(f"an order of {count:,} slots, {way}", 0.3 * number / len(jobs))
+                times = asker.ask(way, count, plan.budget)
+                yield Measurement.of("order", "ms", times, splats=count, way=way)
             ways = [way for way in WAYS if way in KINDS]
             if "markers" not in ways:
                 yield Skipped("MarkerArray: visualization_msgs is not here")
-            for index, count in enumerate(batches):
-                for way in ways:
-                    yield Doing(f"{count:,} splats as {way}", 0.3 + 0.3 * index / len(batches))
-                    times = asker.ask(way, count, plan.budget)
-                    yield Measurement.of("batch", "ms", times, splats=count, way=WAYS[way])
+            jobs = list(itertools.product(batches, ways))
+            for number, (count, way) in enumerate(jobs):
+                yield Doing(f"{count:,} splats as {way}", 0.3 + 0.3 * number / len(jobs))
+                times = asker.ask(way, count, plan.budget)
+                yield Measurement.of("batch", "ms", times, splats=count, way=WAYS[way])
         yield from _maps(plan)
     finally:
         rclpy.try_shutdown()
