@@ -95,6 +95,15 @@ TEST_F(SidecarSwitchTest, tellsWhoIsThereAndWhoComes) {
   }
 }
 
+TEST_F(SidecarSwitchTest, tellsAllOfSeveral) {
+  Sorter first("first"), second("second");
+  switch_.ask("native");
+  EXPECT_TRUE(becomes([&] {
+    const bool both = first.backend() == "native" && second.backend() == "native";
+    return both && says("/first asked for") && says("/second asked for");
+  }));
+}
+
 TEST_F(SidecarSwitchTest, saysWhyOneRefuses) {
   Sorter sorter("sorter");
   switch_.ask("abacus");

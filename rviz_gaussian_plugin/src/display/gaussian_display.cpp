@@ -63,10 +63,12 @@ GaussianDisplay::GaussianDisplay() {
       "here. A file may be dropped on the window, too. Empty it to cancel.",
       this, SLOT(openScene()));
   settings_ = std::make_unique<DisplaySettings>(this, [this] { applySettings(); });
-  backend_ = new rviz_common::properties::EnumProperty(
-      "Sidecar Backend", kUnchanged,
-      "What the sidecar sorts with: sets its parameter 'backend'. The Status shows what it uses.",
-      this, SLOT(switchBackend()));
+  backend_ =
+      new rviz_common::properties::EnumProperty("Sidecar Backend", kUnchanged,
+                                                "What the sidecar sorts with, or all of them: sets "
+                                                "their parameter 'backend'. The Status shows "
+                                                "what it uses.",
+                                                this, SLOT(switchBackend()));
   for (const char* name : {kUnchanged, kAnyBackend, "cupy", "torch", "native", "numpy"}) {
     backend_->addOption(name);
   }

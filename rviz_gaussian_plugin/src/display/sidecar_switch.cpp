@@ -1,7 +1,8 @@
 #include "sidecar_switch.hpp"
 
+#include <algorithm>
+#include <iterator>
 #include <utility>
-#include <vector>
 
 #include "ros_graph.hpp"
 #include "ros_versions.hpp"
@@ -36,44 +37,70 @@ void SidecarSwitch::tell() {
   }
   if (backend.empty()) return;
   const auto sorters = node_->get_publishers_info_by_topic(order_topic_);
-  if (sorters.empty()) {
-    parameters_.reset();
-    note(backend, "no sidecar publishes " + order_topic_ + " that could switch to " + backend,
-         true);
-    return;
+  forgetGone(sorters);
+  for (const auto& sorter : sorters) tell(sorter, backend);
+  note(backend);
+}
+
+void SidecarSwitch::forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters) {
+  const std::size_t before = sidecars_.size();
+  for (auto sidecar = sidecars_.begin(); sidecar != sidecars_.end();) {
+    const bool here = std::any_of(sorters.begin(), sorters.end(), [&](const auto& sorter) {
+      return sorter.endpoint_gid() == sidecar->first && nodeOf(sorter) == sidecar->second.name;
+    });
+    sidecar = here ? std::next(sidecar) : sidecars_.erase(sidecar);
   }
-  const auto& sorter = sorters.front();
+  if (sidecars_.size() < before) collectEntities(*node_);
+}
+
+void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter, const std::string& backend) {
+  const Gid gid = sorter.endpoint_gid();
+  Sidecar& sidecar = sidecars_[gid];
   const std::string name = nodeOf(sorter);
   if (name.empty()) return;
-  if (!parameters_ || sidecar_ != name || publisher_ != sorter.endpoint_gid()) {
-    sidecar_ = name;
-    publisher_ = sorter.endpoint_gid();
-    told_.clear();
-    parameters_ =
-        std::make_shared<rclcpp::AsyncParametersClient>(node_, sidecar_, parametersQos(), group_);
+  if (!sidecar.parameters) {
+    sidecar.name = name;
+    sidecar.parameters =
+        std::make_shared<rclcpp::AsyncParametersClient>(node_, name, parametersQos(), group_);
   }
-  if (!parameters_->service_is_ready()) return;
+  if (!sidecar.parameters->service_is_ready()) return;
   // While the two get to know each other, question or answer may be lost.
   const auto now = std::chrono::steady_clock::now();
-  if (told_ == backend && (answered_ || now - told_at_ < 3s)) return;
-  told_ = backend;
-  told_at_ = now;
-  answered_ = false;
-  parameters_->set_parameters(
+  if (sidecar.told == backend && (sidecar.answer || now - sidecar.told_at < 3s)) return;
+  sidecar.told = backend;
+  sidecar.told_at = now;
+  sidecar.answer.reset();
+  sidecar.parameters->set_parameters(
       {rclcpp::Parameter("backend", backend)},
-      [this, name = sidecar_, backend](std::shared_future<Results> future) {
-        answered_ = true;
+      [this, gid, name, backend](std::shared_future<Results> future) {
+        const auto asked = sidecars_.find(gid);
+        if (asked == sidecars_.end() || asked->second.told != backend) return;  // too late
+        Report& answer = asked->second.answer.emplace();
         const auto results = future.get();
-        if (results.empty()) return note(backend, name + " knows no backends", true);
-        const auto& result = results.front();
-        note(backend, result.successful ? name + " asked for backend " + backend : result.reason,
-             !result.successful);
+        answer.failed = results.empty() || !results.front().successful;
+        if (results.empty()) {
+          answer.text = name + " knows no backends";
+        } else if (answer.failed) {
+          answer.text = name + ": " + results.front().reason;
+        } else {
+          answer.text = name + " asked for backend " + backend;
+        }
+        note(backend);
       });
 }
 
-void SidecarSwitch::note(const std::string& backend, const std::string& text, bool failed) {
+void SidecarSwitch::note(const std::string& backend) {
+  Report report;
+  if (sidecars_.empty()) {
+    report = {"no sidecar publishes " + order_topic_ + " that could switch to " + backend, true};
+  }
+  for (const auto& [gid, sidecar] : sidecars_) {
+    if (!sidecar.answer || sidecar.told != backend) continue;
+    report.text += (report.text.empty() ? "" : "; ") + sidecar.answer->text;
+    report.failed |= sidecar.answer->failed;
+  }
   const std::lock_guard lock(mutex_);
-  if (backend == backend_) report_ = {text, failed};  // else another one is asked for since
+  if (backend == backend_) report_ = report;  // else another one is asked for since
 }
 
 }  // namespace rosplat

@@ -3,14 +3,17 @@
 #include <array>
 #include <chrono>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <rclcpp/rclcpp.hpp>
 #include <string>
+#include <vector>
 
 namespace rosplat {
 
-// Has the parameter `backend` of whoever publishes a map's orders set, and of who comes after.
+// Has the parameter `backend` of all who publish a map's orders set, and of who comes after.
 class SidecarSwitch {
  public:
   // What became of it, empty while nothing is asked for.
@@ -30,17 +33,24 @@ class SidecarSwitch {
   void tell();
 
  private:
-  void note(const std::string& backend, const std::string& text, bool failed);
+  using Gid = std::array<std::uint8_t, RMW_GID_STORAGE_SIZE>;  // of a publisher
+
+  struct Sidecar {
+    std::string name;
+    std::shared_ptr<rclcpp::AsyncParametersClient> parameters;
+    std::string told;  // backend
+    std::chrono::steady_clock::time_point told_at;
+    std::optional<Report> answer;
+  };
+
+  void forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters);
+  void tell(const rclcpp::TopicEndpointInfo& sorter, const std::string& backend);
+  void note(const std::string& backend);
 
   rclcpp::Node::SharedPtr node_;
   std::string order_topic_;
   rclcpp::CallbackGroup::SharedPtr group_;
-  std::shared_ptr<rclcpp::AsyncParametersClient> parameters_;  // of sidecar_
-  std::string sidecar_;
-  std::array<std::uint8_t, RMW_GID_STORAGE_SIZE> publisher_{};  // of sidecar_
-  std::string told_;                                            // backend
-  std::chrono::steady_clock::time_point told_at_;
-  bool answered_ = false;
+  std::map<Gid, Sidecar> sidecars_;
 
   mutable std::mutex mutex_;  // backend_, report_
   std::string backend_;       // that is asked for
