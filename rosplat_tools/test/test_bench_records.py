@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_tools.bench import machine
+from rosplat_tools import machine
 from rosplat_tools.bench.records import (
     Budget,
     Circumstances,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import shlex
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,8 +18,9 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from rosplat_sorter.backends import BACKENDS
+from rosplat_tools import machine
 from rosplat_tools.arguments import make_folder, seconds
-from rosplat_tools.bench import live, machine
+from rosplat_tools.bench import live
 from rosplat_tools.bench.plan import FULL_BUDGET, QUICK_BUDGET, VARIANTS, Plan
 from rosplat_tools.bench.records import (
     Circumstances,
@@ -131,7 +134,7 @@ def _measure(arguments: list[str], console: Console) -> int:
     if options.seconds is not None:
         plan = replace(plan, budget=replace(plan.budget, seconds=options.seconds))
     make_folder(options.out)
-    circumstances = machine.circumstances(arguments)
+    circumstances = _circumstances(arguments)
     console.print(
         f"{circumstances.machine}; GPU: {circumstances.gpu or 'no NVIDIA'}; "
         f"load {circumstances.load:.1f}",
@@ -160,6 +163,19 @@ def _measure(arguments: list[str], console: Console) -> int:
                 console.print(f"wrote {recorder.path}", markup=False, soft_wrap=True)
                 _chart(recorder.records, options.out, console)
     return int(failed)
+
+
+def _circumstances(arguments: list[str]) -> Circumstances:
+    gpu, driver = machine.nvidia_gpu()
+    return Circumstances(
+        machine=machine.machine(),
+        gpu=gpu,
+        driver=driver,
+        commit=machine.commit(),
+        command=shlex.join(["bench", *arguments]),
+        time=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        load=os.getloadavg()[0],
+    )
 
 
 def _parser() -> argparse.ArgumentParser:

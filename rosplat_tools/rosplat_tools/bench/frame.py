@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_tools.bench import embedded, machine, scenes
+from rosplat_tools import machine
+from rosplat_tools.bench import embedded, scenes
 from rosplat_tools.bench.isolation import isolated
 from rosplat_tools.bench.plan import VARIANTS, Plan
 from rosplat_tools.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds

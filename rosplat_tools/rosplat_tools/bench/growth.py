@@ -14,7 +14,8 @@ from rosplat_sorter.backends import BACKENDS, open_backend
 from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.edits import UPSERT, Edit
 from rosplat_sorter.map import SplatMap
-from rosplat_tools.bench import embedded, live, machine, scenes
+from rosplat_tools import machine
+from rosplat_tools.bench import embedded, live, scenes
 from rosplat_tools.bench.isolation import isolated
 from rosplat_tools.bench.plan import Plan
 from rosplat_tools.bench.records import Doing, Event, Measurement, Skipped

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
-from rosplat_tools.bench import machine, records
+from rosplat_tools import machine
+from rosplat_tools.bench import records
 from rosplat_tools.processes import Processes, quoted
 from rosplat_tools.splats import SceneError
 

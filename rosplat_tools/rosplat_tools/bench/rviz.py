@@ -17,8 +17,8 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from rosplat_tools import driven_rviz, formats, metrics
-from rosplat_tools.bench import machine, scenes
+from rosplat_tools import driven_rviz, formats, machine, metrics
+from rosplat_tools.bench import scenes
 from rosplat_tools.bench.plan import Plan
 from rosplat_tools.bench.records import Budget, Doing, Event, Measurement, Skipped
 from rosplat_tools.cameras import Camera, look_at

@@ -19,7 +19,6 @@ import numpy as np
 from tqdm import tqdm
 
 from rosplat_tools.arguments import make_folder, whole
-from rosplat_tools.bench.machine import commit, machine
 from rosplat_tools.cameras import Camera
 from rosplat_tools.lab import accuracy, atlas, charts, motion, points, report, stability
 from rosplat_tools.lab.bench import Bench
@@ -27,6 +26,7 @@ from rosplat_tools.lab.methods import METHODS, Method
 from rosplat_tools.lab.points import Point, Store
 from rosplat_tools.lab.progress import progress
 from rosplat_tools.lab.workers import Comparison, Image, Reference, Workers
+from rosplat_tools.machine import commit, machine
 from rosplat_tools.metrics import MOST_PSNR
 from rosplat_tools.output import say
 from rosplat_tools.scenes import NAMES, PROCEDURAL, check_scene, load_scene

@@ -29,9 +29,9 @@ from tqdm import tqdm
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.backends import BACKENDS
 from rosplat_tools.arguments import make_folder, seconds
-from rosplat_tools.bench.machine import commit, machine
 from rosplat_tools.cameras import Camera, load_cameras
 from rosplat_tools.files import write_text
+from rosplat_tools.machine import commit, machine
 from rosplat_tools.metrics import MOST_PSNR, compare
 from rosplat_tools.output import say
 from rosplat_tools.processes import Processes, quoted

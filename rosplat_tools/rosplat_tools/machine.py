@@ -1,30 +1,12 @@
-"""The machine that is measured: processor, GPU, driver, commit, memory of processes."""
+"""The machine that this runs on: processor, GPU, driver, commit, memory of processes."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import platform
-import shlex
 import subprocess
-import time
 from pathlib import Path
-
-from rosplat_tools.bench.records import Circumstances
-
-
-def circumstances(arguments: list[str]) -> Circumstances:
-    """Of a run of `bench` with these arguments."""
-    gpu, driver = nvidia_gpu()
-    return Circumstances(
-        machine=machine(),
-        gpu=gpu,
-        driver=driver,
-        commit=commit(),
-        command=shlex.join(["bench", *arguments]),
-        time=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        load=os.getloadavg()[0],
-    )
 
 
 def machine() -> str:
