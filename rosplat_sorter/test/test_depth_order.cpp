@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <filesystem>
 #include <iterator>
@@ -90,24 +91,41 @@ TEST(View, IsThatOfTheTwinInPython) {  // test_view.py asserts the same numbers
 
 TEST(DepthOrder, OfNothingIsEmpty) { EXPECT_TRUE(Row({}).sort(lookAhead(), 2).empty()); }
 
+void expectStableSort(const Row& row, const View& view) {
+  const auto depth = [&](std::uint32_t slot) {
+    return DepthOrder::depth(view, &row.positions[3 * slot]);
+  };
+  const Slots one = row.sort(view);
+  ASSERT_GT(one.size(), 1000u);
+  Slots expected = one;
+  std::sort(expected.begin(), expected.end());
+  std::stable_sort(expected.begin(), expected.end(),
+                   [&](std::uint32_t a, std::uint32_t b) { return depth(a) < depth(b); });
+  std::reverse(expected.begin(), expected.end());
+  EXPECT_EQ(one, expected);
+  for (const unsigned threads : {2u, 3u, 8u}) EXPECT_EQ(row.sort(view, threads), expected);
+}
+
 TEST(DepthOrder, EqualsAStableSortWithAnyNumberOfThreads) {
   for (const float step : {1.0f, 1e-4f}) {
     const Row row = cloud(200000, step);
     for (const bool orthographic : {false, true}) {
-      const View view = lookAhead(orthographic, orthographic ? -15 : 0.1, 15);
-      const auto depth = [&](std::uint32_t slot) {
-        return DepthOrder::depth(view, &row.positions[3 * slot]);
-      };
-      const Slots one = row.sort(view);
-      ASSERT_GT(one.size(), 1000u);
-      Slots expected = one;
-      std::sort(expected.begin(), expected.end());
-      std::stable_sort(expected.begin(), expected.end(),
-                       [&](std::uint32_t a, std::uint32_t b) { return depth(a) < depth(b); });
-      std::reverse(expected.begin(), expected.end());
-      EXPECT_EQ(one, expected);
-      for (const unsigned threads : {2u, 3u, 8u}) EXPECT_EQ(row.sort(view, threads), expected);
+      expectStableSort(row, lookAhead(orthographic, orthographic ? -15 : 0.1, 15));
     }
+  }
+}
+
+TEST(DepthOrder, EqualsAStableSortHoweverDepthsAreSpread) {
+  std::mt19937 random(2);
+  std::normal_distribution<float> normal;
+  std::vector<float> wall(400000), walls(400000), octaves(400000), same(400000, 5.0f);
+  for (std::size_t i = 0; i < wall.size(); ++i) {
+    wall[i] = i % 100 == 0 ? 1 + i * 2e-4f : 10 + 1e-4f * normal(random);
+    walls[i] = (i % 2 == 0 ? 1 : 90) * (1 + 1e-6f * normal(random));
+    octaves[i] = std::exp2(2 * normal(random));
+  }
+  for (const Row& row : {Row(wall), Row(walls), Row(octaves), Row(same)}) {
+    expectStableSort(row, lookAhead());
   }
 }
 
@@ -134,13 +152,28 @@ TEST(DepthOrder, CanBeUsedAgainForSmallerAndLargerMaps) {
   }
 }
 
-TEST(ThreadTeam, RunsEachMemberOnceARound) {
+TEST(ThreadTeam, DoesEachTaskOnce) {
   ThreadTeam team(4);
-  std::vector<int> runs(4, 0);
+  std::vector<int> runs(9, 0);
+  std::atomic<bool> strangers{false};
   for (int round = 0; round < 1000; ++round) {
-    team.run(1 + round % 4, [&](unsigned member) { ++runs[member]; });
+    team.run(1 + round % 9, [&](unsigned number, unsigned member) {
+      ++runs[number];
+      if (member >= 4) strangers = true;
+    });
   }
-  EXPECT_EQ(runs, (std::vector<int>{1000, 750, 500, 250}));
+  EXPECT_EQ(runs, (std::vector<int>{1000, 888, 777, 666, 555, 444, 333, 222, 111}));
+  EXPECT_FALSE(strangers);
+}
+
+TEST(ThreadTeam, MembersWorkSideBySide) {
+  ThreadTeam team(2);
+  std::atomic<unsigned> here{0};
+  team.run(2, [&](unsigned, unsigned) {
+    ++here;
+    while (here < 2) std::this_thread::yield();
+  });
+  EXPECT_EQ(here, 2u);
 }
 
 #ifdef __linux__
@@ -154,9 +187,9 @@ TEST(ThreadTeam, BeginsWithItsFirstWork) {
   const DepthOrder idle(8);
   ThreadTeam team(8);
   EXPECT_EQ(threadsOfThisProcess(), before);
-  team.run(3, [](unsigned) {});
+  team.run(3, [](unsigned, unsigned) {});
   EXPECT_EQ(threadsOfThisProcess(), before + 2);
-  team.run(2, [](unsigned) {});
+  team.run(2, [](unsigned, unsigned) {});
   EXPECT_EQ(threadsOfThisProcess(), before + 2);
 }
 #endif

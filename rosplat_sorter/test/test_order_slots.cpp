@@ -25,7 +25,7 @@ std::size_t plainBound(const Slots& slots) {
 // A segment of a sorter's, written by hand.
 class SegmentTest : public testing::Test {
  protected:
-  static constexpr std::size_t kCapacity = 100000;
+  static constexpr std::size_t kCapacity = 300000;  // that threads share
   static constexpr std::uint64_t kKey = 77;
 
   void SetUp() override {
@@ -143,7 +143,7 @@ TEST_F(SegmentTest, IsNeverReadWhileItChanges) {
       markSegment(memory, generation - 1);
       std::fill_n(slots, kCapacity, static_cast<std::uint32_t>(generation));
       markSegment(memory, generation);
-      std::this_thread::sleep_for(std::chrono::microseconds(50));
+      std::this_thread::sleep_for(std::chrono::microseconds(300));
     }
   });
   int complete = 0, dropped = 0;

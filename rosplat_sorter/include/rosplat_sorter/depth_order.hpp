@@ -15,6 +15,7 @@
 #include <cstdint>
 #include <cstring>
 #include <memory>
+#include <numeric>
 #include <utility>
 #include <vector>
 
@@ -25,6 +26,13 @@
 #endif
 #ifdef __clang__
 #pragma STDC FP_CONTRACT OFF
+#endif
+
+// In the widest vectors that the machine has which it runs on.
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
+#define ROSPLAT_SORTER_VECTORISED __attribute__((target_clones("avx2", "default")))
+#else
+#define ROSPLAT_SORTER_VECTORISED
 #endif
 
 namespace rosplat_sorter {
@@ -84,10 +92,7 @@ class DepthOrder {
   explicit DepthOrder(unsigned threads = 0) : DepthOrder(std::make_shared<ThreadTeam>(threads)) {}
   // With a team that others sort with, too.
   explicit DepthOrder(std::shared_ptr<ThreadTeam> team)
-      : team_(std::move(team)), parts_(team_->size()) {
-    // Here, where it may throw.
-    for (Part& part : parts_) part.buckets.reserve(std::size_t{1} << kDigitBits);
-  }
+      : team_(std::move(team)), scratch_(team_->size()) {}
 
   unsigned threads() const { return team_->size(); }
 
@@ -104,17 +109,14 @@ class DepthOrder {
   template <typename Allocate>
   void sort(const View& view, const float* positions, const float* extents, std::size_t count,
             const Allocate& allocate) {
-    sortSlots(
-        view, positions, extents, count,
-        [](std::size_t i) { return static_cast<std::uint32_t>(i); }, allocate);
+    sort(view, Splats{positions, extents, nullptr, count}, allocate);
   }
 
   // The same among the count given slots only, which are in ascending order.
   const std::vector<std::uint32_t>& sort(const View& view, const float* positions,
                                          const float* extents, const std::uint32_t* slots,
                                          std::size_t count) {
-    sortSlots(
-        view, positions, extents, count, [slots](std::size_t i) { return slots[i]; }, Keep{order_});
+    sort(view, Splats{positions, extents, slots, count}, Keep{order_});
     return order_;
   }
 
@@ -124,6 +126,27 @@ class DepthOrder {
   }
 
  private:
+  static constexpr std::size_t kBlock = 512;             // splats culled at a time, in L1
+  static constexpr std::size_t kLeastShare = 1u << 15;   // splats worth waking a thread for
+  static constexpr std::size_t kBucketSize = 1u << 13;   // entries worth a bucket
+  static constexpr unsigned kMostBuckets = 256;          // a line of each is in L1
+  static constexpr std::size_t kSamples = 16;            // of depths, for each bucket
+  static constexpr std::size_t kCells = 1u << 14;        // of depths, that make up the buckets
+  static constexpr std::size_t kMostScratch = 1u << 17;  // entries, in L2
+  static constexpr unsigned kDigitBits = 9;              // 512 targets stay in L1 and its TLB
+
+  // What is sorted: count slots, from 0 on where there is no list of them.
+  struct Splats {
+    std::uint32_t slot(std::size_t i) const {
+      return slots ? slots[i] : static_cast<std::uint32_t>(i);
+    }
+
+    const float* positions;
+    const float* extents;
+    const std::uint32_t* slots;
+    std::size_t count;
+  };
+
   struct Entry {
     std::uint32_t key;
     std::uint32_t slot;
@@ -138,27 +161,40 @@ class DepthOrder {
     }
   };
 
-  // What one thread found: its entries start at begin.
+  // A share of the splats, then of the entries that were found in it.
   struct Part {
-    std::size_t begin = 0;
-    std::size_t end = 0;
-    std::uint32_t least = 0;
-    std::uint32_t greatest = 0;
-    std::vector<std::size_t> buckets;
+    std::size_t begin;
+    std::size_t end;
+    std::array<std::size_t, kMostBuckets> buckets;  // how many entries, then where the next goes
   };
 
-  static constexpr std::size_t kBlock = 512;            // splats culled at a time, in L1
-  static constexpr std::size_t kLeastShare = 1u << 15;  // splats worth waking a thread for
-  static constexpr unsigned kDigitBits = 9;             // 512 buckets stay in L1 and its TLB
+  // Memory that keeps nothing when it grows.
+  template <typename T>
+  class Room {
+   public:
+    T* reserve(std::size_t size) {
+      if (size > size_) {
+        memory_.reset();
+        size_ = 0;
+        memory_.reset(new T[size + size / 4]);
+        size_ = size + size / 4;
+      }
+      return memory_.get();
+    }
+    T* get() const { return memory_.get(); }
+
+   private:
+    std::unique_ptr<T[]> memory_;
+    std::size_t size_ = 0;
+  };
 
   static float transform(const View& view, int axis, const float* p) {
     const float* r = view.rotation + 3 * axis;
     return ((r[0] * p[0] + r[1] * p[1]) + r[2] * p[2]) + view.translation[axis];
   }
 
-  // Whether any of a splat's footprint can touch the picture. Without branches, to vectorise.
-  static bool visible(const View& view, float x, float y, float z, float extent) {
-    const float w = view.orthographic ? 1.0f : z;
+  // Whether any of a splat's footprint can touch the picture. w: 1 if orthographic, else z.
+  static bool visible(const View& view, float x, float y, float z, float w, float extent) {
     const bool in_depth = (extent >= 0.0f) & (z > view.near_clip) & (z < view.far_clip);
     const bool in_width =
         std::fabs(view.fx * x + view.offset_x * w) <= view.half_width * w + view.slope_x * extent;
@@ -176,116 +212,195 @@ class DepthOrder {
     return bits ^ (negative | 0x80000000u);
   }
 
-  template <typename SlotAt, typename Allocate>
-  void sortSlots(const View& view, const float* positions, const float* extents, std::size_t count,
-                 const SlotAt& slot_at, const Allocate& allocate) {
-    if (count > capacity_) {
-      capacity_ = count + count / 4;
-      for (auto& buffer : entries_) buffer.reset(new Entry[capacity_]);
-    }
-    const auto members =
-        static_cast<unsigned>(std::min<std::size_t>(team_->size(), 1 + count / kLeastShare));
-    team_->run(members, [&](unsigned member) {
-      Part& part = parts_[member];
-      part.begin = count * member / members;
-      part.end = count * (member + 1) / members;
-      cull(view, positions, extents, slot_at, part);
-    });
-    sortEntries(members, allocate);
-  }
-
-  // Writes an entry for each visible splat of [part.begin, part.end) and shortens the part to them.
-  template <typename SlotAt>
-  void cull(const View& camera, const float* positions, const float* extents, const SlotAt& slot_at,
-            Part& part) {
+  // Keys of the depths of so many splats, and 1 for those that are visible, else 0. Without
+  // branches, and in a loop for each projection, to vectorise.
+  ROSPLAT_SORTER_VECTORISED
+  static void look(const View& camera, const float* positions, const float* extents,
+                   std::size_t count, std::uint32_t* keys, std::uint32_t* seen) {
     const View view = camera;  // a copy that no store below can alias
-    std::array<std::uint32_t, kBlock> keys;
-    std::array<std::uint32_t, kBlock> seen;
-    Entry* out = entries_[0].get() + part.begin;
-    part.least = ~0u;
-    part.greatest = 0;
-    for (std::size_t first = part.begin; first < part.end; first += kBlock) {
-      const std::size_t size = std::min(kBlock, part.end - first);
-      for (std::size_t i = 0; i < size; ++i) {
-        const std::size_t slot = slot_at(first + i);
-        const float* p = positions + 3 * slot;
+    const auto each = [&](auto w_of) {
+      for (std::size_t i = 0; i < count; ++i) {
+        const float* p = positions + 3 * i;
         const float z = transform(view, 2, p);
         keys[i] = key(z);
-        seen[i] = visible(view, transform(view, 0, p), transform(view, 1, p), z, extents[slot]);
+        seen[i] =
+            visible(view, transform(view, 0, p), transform(view, 1, p), z, w_of(z), extents[i]);
       }
-      for (std::size_t i = 0; i < size; ++i) {
-        *out = {keys[i], slot_at(first + i)};
-        out += seen[i];
-        part.least = std::min(part.least, seen[i] ? keys[i] : ~0u);
-        part.greatest = std::max(part.greatest, seen[i] ? keys[i] : 0u);
-      }
+    };
+    if (view.orthographic) {
+      each([](float) { return 1.0f; });
+    } else {
+      each([](float z) { return z; });
     }
-    part.end = static_cast<std::size_t>(out - entries_[0].get());
   }
 
-  // Least significant digit first radix sort of the entries, over the bits in which they differ.
+  // Deals what is visible out to buckets of depths, then sorts each of them in the cache. So it
+  // goes through memory twice, and not once a digit.
   template <typename Allocate>
-  void sortEntries(unsigned members, const Allocate& allocate) {
-    std::size_t total = 0;
+  void sort(const View& view, const Splats& splats, const Allocate& allocate) {
+    chooseBuckets(view, splats);
+    const unsigned members = team_->size();
+    // Twice as many as members, so that one who comes late leaves some to the others.
+    parts_.resize(
+        std::min<std::size_t>(members > 1 ? 2 * members : 1, 1 + splats.count / kLeastShare));
+    const auto parts = static_cast<unsigned>(parts_.size());
+    Entry* const found = found_.reserve(splats.count);
+    team_->run(parts, [&](unsigned number, unsigned) {
+      Part& part = parts_[number];
+      part.begin = splats.count * number / parts;
+      part.end = splats.count * (number + 1) / parts;
+      cull(view, splats, found, part);
+    });
+
+    const std::size_t total = shareOut();
+    Entry* const dealt = dealt_.reserve(total);
+    team_->run(parts, [&](unsigned number, unsigned) {
+      Part& part = parts_[number];
+      for (std::size_t i = part.begin; i < part.end; ++i) {
+        dealt[part.buckets[bucketOf(found[i].key)]++] = found[i];
+      }
+    });
+    std::uint32_t* const order = allocate(total);
+    team_->run(buckets_, [&](unsigned bucket, unsigned member) {
+      const std::size_t begin = begins_[bucket];
+      const std::size_t size = begins_[bucket + 1] - begin;
+      Entry* const spare = size > kMostScratch ? found + begin : scratch_[member].get();
+      // Ascending depth, read from its end, is back to front.
+      sortBucket(dealt + begin, size, spare, order + total - begin);
+    });
+  }
+
+  // So that about as many splats are in each; equal depths are in the same.
+  void chooseBuckets(const View& view, const Splats& splats) {
+    const auto worth = [](std::size_t entries) {
+      return static_cast<unsigned>(std::clamp<std::size_t>(entries / kBucketSize, 1, kMostBuckets));
+    };
+    buckets_ = worth(splats.count);
+    bucket_of_cell_.fill(0);
+    if (buckets_ == 1) return;
+
+    const std::size_t tries = kSamples * buckets_;
+    samples_.clear();
+    for (std::size_t i = 0; i < tries; ++i) {
+      const std::size_t slot = splats.slot(splats.count * i / tries);
+      std::uint32_t key;
+      std::uint32_t seen;
+      look(view, splats.positions + 3 * slot, splats.extents + slot, 1, &key, &seen);
+      if (seen) samples_.push_back(key);
+    }
+    buckets_ = worth(splats.count / tries * samples_.size());
+    if (buckets_ == 1) return;
+
+    // Cells are as fine as most depths allow. What lies beyond is in the outermost ones.
+    std::sort(samples_.begin(), samples_.end());
+    const std::size_t beyond = samples_.size() / (2 * buckets_);
+    first_cell_ = samples_[beyond];
+    const std::uint32_t span = samples_[samples_.size() - 1 - beyond] - first_cell_;
+    cell_shift_ = 0;
+    while (span >> cell_shift_ >= kCells) ++cell_shift_;
+    for (unsigned bucket = 1; bucket < buckets_; ++bucket) {
+      const std::size_t cell = cellOf(samples_[samples_.size() * bucket / buckets_]);
+      std::fill(bucket_of_cell_.begin() + cell, bucket_of_cell_.end(),
+                static_cast<std::uint8_t>(bucket));
+    }
+  }
+
+  std::size_t cellOf(std::uint32_t key) const {
+    return std::min<std::size_t>((key - std::min(key, first_cell_)) >> cell_shift_, kCells - 1);
+  }
+  unsigned bucketOf(std::uint32_t key) const { return bucket_of_cell_[cellOf(key)]; }
+
+  // Finds where each part's entries go; returns how many there are.
+  std::size_t shareOut() {
+    std::size_t next = 0;
+    std::size_t largest = 0;
+    begins_.clear();
+    for (unsigned bucket = 0; bucket < buckets_; ++bucket) {
+      begins_.push_back(next);
+      for (Part& part : parts_) next += std::exchange(part.buckets[bucket], next);
+      largest = std::max(largest, next - begins_.back());
+    }
+    begins_.push_back(next);
+    for (auto& scratch : scratch_) scratch.reserve(std::min(largest, kMostScratch));
+    return next;
+  }
+
+  // Writes an entry for each visible splat of [part.begin, part.end), shortens the part to them,
+  // and counts them by bucket.
+  void cull(const View& view, const Splats& splats, Entry* entries, Part& part) const {
+    std::array<float, 3 * kBlock> positions;
+    std::array<float, kBlock> extents;
+    std::array<std::uint32_t, kBlock> keys;
+    std::array<std::uint32_t, kBlock> seen;
+    Entry* out = entries + part.begin;
+    const Entry* counted = out;
+    part.buckets.fill(0);
+    for (std::size_t first = part.begin; first < part.end; first += kBlock) {
+      const std::size_t size = std::min(kBlock, part.end - first);
+      if (splats.slots) {
+        for (std::size_t i = 0; i < size; ++i) {
+          const std::size_t slot = splats.slots[first + i];
+          std::copy_n(splats.positions + 3 * slot, 3, &positions[3 * i]);
+          extents[i] = splats.extents[slot];
+        }
+        look(view, positions.data(), extents.data(), size, keys.data(), seen.data());
+      } else {
+        look(view, splats.positions + 3 * first, splats.extents + first, size, keys.data(),
+             seen.data());
+      }
+      for (std::size_t i = 0; i < size; ++i) {
+        *out = {keys[i], splats.slot(first + i)};
+        out += seen[i];
+      }
+      for (; counted < out; ++counted) ++part.buckets[bucketOf(counted->key)];
+    }
+    part.end = static_cast<std::size_t>(out - entries);
+  }
+
+  // Least significant digit first radix sort, over the bits in which the keys differ. Writes the
+  // slots before end; spare has room for the entries.
+  static void sortBucket(Entry* from, std::size_t size, Entry* spare, std::uint32_t* end) {
     std::uint32_t least = ~0u;
     std::uint32_t greatest = 0;
-    for (unsigned member = 0; member < members; ++member) {
-      const Part& part = parts_[member];
-      total += part.end - part.begin;
-      least = std::min(least, part.least);
-      greatest = std::max(greatest, part.greatest);
+    for (std::size_t i = 0; i < size; ++i) {
+      least = std::min(least, from[i].key);
+      greatest = std::max(greatest, from[i].key);
     }
-    std::uint32_t* const order = allocate(total);
-    if (total == 0) return;
+    if (size == 0) return;
 
     unsigned bits = 0;
     while (bits < 32 && (greatest - least) >> bits != 0) ++bits;
     const unsigned passes = std::max(1u, (bits + kDigitBits - 1) / kDigitBits);
     const unsigned digit_bits = (bits + passes - 1) / passes;
-    for (unsigned pass = 0; pass < passes; ++pass) {
-      const Entry* from = entries_[pass % 2].get();
-      Entry* to = entries_[(pass + 1) % 2].get();
+    const std::uint32_t mask = (1u << digit_bits) - 1;
+    std::array<std::uint32_t, 1u << kDigitBits> targets;
+    for (unsigned pass = 0; pass < passes; ++pass, std::swap(from, spare)) {
       const unsigned shift = pass * digit_bits;
-      const std::uint32_t mask = (1u << digit_bits) - 1;
       const auto digit = [=](const Entry& e) { return ((e.key - least) >> shift) & mask; };
-      team_->run(members, [&](unsigned member) {
-        Part& part = parts_[member];
-        if (pass > 0) {  // the first pass reads what each thread found, the next ones equal shares
-          part.begin = total * member / members;
-          part.end = total * (member + 1) / members;
-        }
-        part.buckets.assign(std::size_t{mask} + 1, 0);
-        for (std::size_t i = part.begin; i < part.end; ++i) ++part.buckets[digit(from[i])];
-      });
-      std::size_t next = 0;
-      for (std::size_t bucket = 0; bucket <= mask; ++bucket) {
-        for (unsigned member = 0; member < members; ++member) {
-          const std::size_t size = parts_[member].buckets[bucket];
-          parts_[member].buckets[bucket] = next;
-          next += size;
+      targets.fill(0);
+      for (std::size_t i = 0; i < size; ++i) ++targets[digit(from[i])];
+      std::exclusive_scan(targets.begin(), targets.end(), targets.begin(), 0u);
+      if (pass + 1 < passes) {
+        for (std::size_t i = 0; i < size; ++i) spare[targets[digit(from[i])]++] = from[i];
+      } else {
+        for (std::size_t i = 0; i < size; ++i) {
+          end[-static_cast<std::ptrdiff_t>(++targets[digit(from[i])])] = from[i].slot;
         }
       }
-      const bool last = pass + 1 == passes;
-      team_->run(members, [&](unsigned member) {
-        const Part& part = parts_[member];
-        std::size_t* target = parts_[member].buckets.data();
-        if (last) {  // ascending depth, read from its end, is back to front
-          std::uint32_t* const nearest = order + total - 1;
-          for (std::size_t i = part.begin; i < part.end; ++i) {
-            nearest[-static_cast<std::ptrdiff_t>(target[digit(from[i])]++)] = from[i].slot;
-          }
-        } else {
-          for (std::size_t i = part.begin; i < part.end; ++i)
-            to[target[digit(from[i])]++] = from[i];
-        }
-      });
     }
   }
 
   std::shared_ptr<ThreadTeam> team_;
-  std::vector<Part> parts_;  // one for each thread
-  std::array<std::unique_ptr<Entry[]>, 2> entries_;
-  std::size_t capacity_ = 0;
+  std::vector<std::uint32_t> samples_;  // keys
+  unsigned buckets_ = 1;
+  std::uint32_t first_cell_ = 0;  // its first key
+  unsigned cell_shift_ = 0;       // from keys to cells
+  std::array<std::uint8_t, kCells> bucket_of_cell_;
+  std::vector<std::size_t> begins_;  // where each bucket begins, and the last one ends
+  std::vector<Part> parts_;
+  Room<Entry> found_;
+  Room<Entry> dealt_;
+  std::vector<Room<Entry>> scratch_;  // one for each member
   std::vector<std::uint32_t> order_;
 };
 

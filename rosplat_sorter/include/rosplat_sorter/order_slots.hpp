@@ -30,11 +30,14 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <memory>
 #include <mutex>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
+
+#include "rosplat_sorter/thread_team.hpp"
 
 namespace rosplat_sorter {
 
@@ -200,8 +203,8 @@ class SegmentReader {
 
   // Reads the count slots that the segment holds in a generation; returns their bound. Throws
   // OrderError where it holds others.
-  std::size_t read(std::size_t count, std::uint64_t generation,
-                   std::vector<std::uint32_t>& slots) const {
+  std::size_t read(std::size_t count, std::uint64_t generation, std::vector<std::uint32_t>& slots,
+                   ThreadTeam& team) const {
     struct stat status;
     const std::size_t bytes = count * sizeof(std::uint32_t);
     if (count > kMostSlots || ::fstat(file_, &status) != 0 ||
@@ -212,20 +215,19 @@ class SegmentReader {
       throw OrderError(complaint("holds another order"));
     }
     slots.resize(count);
-    constexpr std::size_t kPart = 1u << 14;  // slots that stay in the cache until they are checked
-    std::size_t bound = 0;
-    bool complete = true;
-    for (std::size_t first = 0; complete && first < count; first += kPart) {
-      const std::size_t size = std::min(kPart, count - first);
-      complete = readBytes(&slots[first], size * sizeof(std::uint32_t),
-                           SegmentHeader::kBytes + first * sizeof(std::uint32_t));
-      bound = std::max(bound, boundOf(&slots[first], size));
-    }
+    constexpr std::size_t kShare = 1u << 17;  // slots worth waking a thread for
+    std::vector<std::size_t> bounds(std::clamp<std::size_t>(count / kShare, 1, team.size()));
+    std::atomic<bool> complete{true};
+    team.run(static_cast<unsigned>(bounds.size()), [&](unsigned share, unsigned) {
+      const std::size_t begin = count * share / bounds.size();
+      const std::size_t end = count * (share + 1) / bounds.size();
+      if (!readSlots(begin, end, slots.data(), bounds[share])) complete = false;
+    });
     std::atomic_thread_fence(std::memory_order_acquire);  // the slots first, then the mark
     if (!complete || header().generation != generation) {
       throw OrderError(complaint("was overwritten while it was read"));
     }
-    return bound;
+    return *std::max_element(bounds.begin(), bounds.end());
   }
 
  private:
@@ -236,6 +238,21 @@ class SegmentReader {
     SegmentHeader header;
     const bool complete = readBytes(&header, sizeof(header), 0);
     return complete && header.magic == SegmentHeader::kMagic ? header : SegmentHeader();
+  }
+
+  // Reads the slots [begin, end) to where they belong, and finds their bound.
+  bool readSlots(std::size_t begin, std::size_t end, std::uint32_t* slots,
+                 std::size_t& bound) const {
+    constexpr std::size_t kPart = 1u << 14;  // slots that stay in the cache until they are checked
+    for (std::size_t first = begin; first < end; first += kPart) {
+      const std::size_t size = std::min(kPart, end - first);
+      if (!readBytes(slots + first, size * sizeof(std::uint32_t),
+                     SegmentHeader::kBytes + first * sizeof(std::uint32_t))) {
+        return false;
+      }
+      bound = std::max(bound, boundOf(slots + first, size));
+    }
+    return true;
   }
 
   bool readBytes(void* target, std::size_t size, std::size_t offset) const {
@@ -275,7 +292,7 @@ class OrderReader {
     }
     const SegmentReader reader = open(segment);
     key_ = reader.key();
-    return reader.read(count, generation, slots);
+    return reader.read(count, generation, slots, *team_);
   }
 
   // For ViewCamera.segment_key; 0 while no segment can be read.
@@ -300,6 +317,7 @@ class OrderReader {
   }
 
   std::atomic<std::uint64_t> key_{0};
+  std::shared_ptr<ThreadTeam> team_ = ThreadTeam::ofViewers();
 };
 
 }  // namespace rosplat_sorter

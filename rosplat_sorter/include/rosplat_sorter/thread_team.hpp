@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <condition_variable>
-#include <cstdint>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -51,53 +50,50 @@ class ThreadTeam {
 
   unsigned size() const { return size_; }
 
-  // Runs task(0) ... task(members - 1) at once, task(0) in the caller, and returns when all are
-  // done. members <= size(); the task must not throw.
-  void run(unsigned members, const std::function<void(unsigned)>& task) {
-    if (members < 2) return task(0);
+  // Does task(number, member) for each number below count, side by side, and returns when all are
+  // done. Who does one is the member, 0 being the caller; who wakes late leaves more to the others.
+  // The task must not throw.
+  void run(unsigned count, const std::function<void(unsigned, unsigned)>& task) {
     const std::lock_guard<std::mutex> turn(callers_);
-    const unsigned helped = begin(members);
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      task_ = &task;
-      members_ = helped;
-      running_ = helped - 1;
-      ++round_;
-      wake_.notify_all();
-    }
-    task(0);
-    for (unsigned member = helped; member < members; ++member) task(member);
+    begin(std::min(count, size_));
     std::unique_lock<std::mutex> lock(mutex_);
-    done_.wait(lock, [this] { return running_ == 0; });
+    task_ = &task;
+    next_ = 0;
+    undone_ = count_ = count;
+    if (count > 1) wake_.notify_all();
+    work(0, lock);
+    done_.wait(lock, [this] { return undone_ == 0; });
   }
 
  private:
   static unsigned machine() { return std::max(1u, std::thread::hardware_concurrency()); }
 
   // Sees to it that there are so many, the caller included, or as many as the system lets be.
-  unsigned begin(unsigned members) {
+  void begin(unsigned members) {
     try {
       while (workers_.size() + 1 < members) {
         const auto member = static_cast<unsigned>(workers_.size()) + 1;
-        workers_.emplace_back([this, member, seen = round_] { work(member, seen); });
+        workers_.emplace_back([this, member] {
+          std::unique_lock<std::mutex> lock(mutex_);
+          while (!stopping_) {
+            work(member, lock);
+            wake_.wait(lock, [this] { return stopping_ || next_ < count_; });
+          }
+        });
       }
     } catch (const std::system_error&) {
     }
-    return std::min(members, static_cast<unsigned>(workers_.size()) + 1);
   }
 
-  void work(unsigned member, std::uint64_t seen) {
-    std::unique_lock<std::mutex> lock(mutex_);
-    while (true) {
-      wake_.wait(lock, [&] { return stopping_ || round_ != seen; });
-      if (stopping_) return;
-      seen = round_;
-      if (member >= members_) continue;
-      const std::function<void(unsigned)>& task = *task_;
+  // Does what nobody has begun with, until nothing of it is left; lets go of the lock meanwhile.
+  void work(unsigned member, std::unique_lock<std::mutex>& lock) {
+    while (next_ < count_) {
+      const unsigned number = next_++;
+      const std::function<void(unsigned, unsigned)>& task = *task_;
       lock.unlock();
-      task(member);
+      task(number, member);
       lock.lock();
-      if (--running_ == 0) done_.notify_one();
+      if (--undone_ == 0) done_.notify_one();
     }
   }
 
@@ -106,10 +102,10 @@ class ThreadTeam {
   std::mutex mutex_;
   std::condition_variable wake_;
   std::condition_variable done_;
-  const std::function<void(unsigned)>* task_ = nullptr;
-  unsigned members_ = 0;
-  unsigned running_ = 0;
-  std::uint64_t round_ = 0;
+  const std::function<void(unsigned, unsigned)>* task_ = nullptr;
+  unsigned count_ = 0;
+  unsigned next_ = 0;  // that nobody has begun with
+  unsigned undone_ = 0;
   bool stopping_ = false;
   std::vector<std::thread> workers_;
 };
