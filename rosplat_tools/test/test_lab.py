@@ -6,8 +6,10 @@ from dataclasses import replace
 from functools import partial
 from multiprocessing import active_children
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from rosplat_sorter import camera as sorter_camera
 from rosplat_sorter import depth
@@ -17,7 +19,7 @@ from rosplat_sorter.map import SplatMap
 from rosplat_sorter.view import View
 from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.lab import fragments, motion, orders, rays, viewers
+from rosplat_tools.lab import charts, fragments, motion, orders, rays, viewers
 from rosplat_tools.lab.fragments import Fragments
 from rosplat_tools.lab.pareto import front, summarise
 from rosplat_tools.lab.points import Point, Store, load, save, scene_key
@@ -363,6 +365,27 @@ def test_a_summary_is_the_median_over_cameras() -> None:
     assert summary.count == 3
     assert summary.ms is not None and summary.ms[1] == pytest.approx(3)
     assert summary.values["psnr"][1] == 40
+
+
+def test_names_in_a_chart_lie_on_no_other_name_or_dot() -> None:
+    figure, axes = plt.subplots(figsize=(4.3, 4.1), dpi=100)
+    crowded = summarise(
+        point(f"method {n}", 5 + 0.02 * n, 80 + 0.3 * n, family="quality") for n in range(6)
+    )
+    axes.set(xlim=(1, 100), ylim=(10, 95), xscale="log")
+    figure.canvas.draw()
+    charts._name(axes, crowded, crowded)
+    figure.canvas.draw()
+    assert {text.get_text() for text in axes.texts} == {s.method for s in crowded}
+    boxes = [Text.get_window_extent(text) for text in axes.texts]
+    for box in boxes:
+        assert box.count_overlaps(boxes) == 1  # itself
+        assert axes.bbox.fully_containsx(box.x0) and axes.bbox.fully_containsx(box.x1)
+        for summary in crowded:
+            assert summary.ms
+            dot = axes.transData.transform((summary.ms[1], summary.values["psnr"][1]))
+            assert not box.contains(*dot)
+    plt.close(figure)
 
 
 def test_points_are_read_as_they_were_written(tmp_path) -> None:  # type: ignore[no-untyped-def]
