@@ -73,7 +73,7 @@ TEST_F(Spun, AClientIsServedAfterItsNeighbourIsDestroyed) {
   const auto kept = client();
   ASSERT_TRUE(isAnswered(kept));
   neighbour.reset();
-  rosplat::collectEntities(*node_);
+  rosplat::collectEntities(*node_->get_node_base_interface()->get_default_callback_group());
   EXPECT_TRUE(isAnswered(kept));
 }
 

@@ -1,7 +1,9 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
 #include <functional>
+#include <map>
 #include <memory>
 #include <rclcpp/rclcpp.hpp>
 #include <rosplat_msgs/msg/splat_order.hpp>
@@ -96,12 +98,30 @@ TEST_F(SidecarSwitchTest, tellsWhoIsThereAndWhoComes) {
 }
 
 TEST_F(SidecarSwitchTest, tellsAllOfSeveral) {
-  Sorter first("first"), second("second");
+  std::map<std::string, std::unique_ptr<Sorter>> sorters;
+  // All that are there sort with a backend, and have said so, and nobody else.
+  const auto all = [&](const std::string& backend) {
+    std::size_t told = 0;
+    for (auto& [name, sorter] : sorters) {
+      told += sorter->backend() == backend && says("/" + name + " asked for backend " + backend);
+    }
+    const std::string text = switch_.report().text;
+    const auto others = static_cast<std::size_t>(std::count(text.begin(), text.end(), ';'));
+    return told == sorters.size() && others + 1 == told;
+  };
+  for (const char* name : {"first", "second"}) sorters[name] = std::make_unique<Sorter>(name);
   switch_.ask("native");
-  EXPECT_TRUE(becomes([&] {
-    const bool both = first.backend() == "native" && second.backend() == "native";
-    return both && says("/first asked for") && says("/second asked for");
-  }));
+  EXPECT_TRUE(becomes([&] { return all("native"); }));
+  sorters.erase("first");  // what the other one answers is heard nevertheless
+  EXPECT_TRUE(becomes([&] { return all("native"); }));
+  switch_.ask("numpy");
+  EXPECT_TRUE(becomes([&] { return all("numpy"); }));
+  sorters["third"] = std::make_unique<Sorter>("third");
+  EXPECT_TRUE(becomes([&] { return all("numpy"); }));
+  sorters.erase("third");
+  EXPECT_TRUE(becomes([&] { return all("numpy"); }));
+  switch_.ask("native");
+  EXPECT_TRUE(becomes([&] { return all("native"); }));
 }
 
 TEST_F(SidecarSwitchTest, saysWhyOneRefuses) {

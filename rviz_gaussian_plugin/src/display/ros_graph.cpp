@@ -14,12 +14,12 @@ std::string nodeOf(const rclcpp::TopicEndpointInfo& endpoint) {
   return (space == "/" ? "" : space) + "/" + name;
 }
 
-void collectEntities([[maybe_unused]] rclcpp::Node& node) noexcept {
+void collectEntities([[maybe_unused]] rclcpp::CallbackGroup& group) noexcept {
 #if RCLCPP_VERSION_MAJOR >= 28  // Jazzy
   // There an executor looks for its entities only when one was created. Until then it takes those
   // behind a destroyed one for their neighbours, and what they receive waits.
   try {
-    node.get_node_base_interface()->trigger_notify_guard_condition();
+    group.trigger_notify_guard_condition();
   } catch (const std::exception&) {
     // ROS has ended: nobody spins it.
   }

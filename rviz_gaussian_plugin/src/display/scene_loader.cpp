@@ -76,7 +76,7 @@ void SceneLoader::choosePublisher() {
 void SceneLoader::endChoice() {
   choice_.stop();
   candidates_.clear();
-  collectEntities(*node_);
+  collectEntities(*node_->get_node_base_interface()->get_default_callback_group());
 }
 
 void SceneLoader::request(const std::string& path) {

@@ -50,7 +50,7 @@ void SidecarSwitch::forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sor
     });
     sidecar = here ? std::next(sidecar) : sidecars_.erase(sidecar);
   }
-  if (sidecars_.size() < before) collectEntities(*node_);
+  if (sidecars_.size() < before) collectEntities(*group_);
 }
 
 void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter, const std::string& backend) {
