@@ -129,19 +129,3 @@ def budget(order: Order, worth: NDArray[np.float32], share: float) -> Order:
         return order
     kept = np.sort(np.argpartition(-worth, count)[:count]) if count else np.zeros(0, np.intp)
     return order[kept]
-
-
-def inversions(order: Order, exact: Order, pairs: int = 1_000_000, seed: int = 0) -> float:
-    """Share of random pairs of slots, of those in both orders, that one draws the other way round.
-
-    0 is the same order, 0.5 what shuffling gives, 1 the reverse (Kendall 1938).
-    """
-    rank = np.full(int(max(order.max(initial=0), exact.max(initial=0))) + 1, -1)
-    rank[exact] = np.arange(len(exact))
-    ranks = rank[order]
-    ranks = ranks[ranks >= 0]
-    if len(ranks) < 2:
-        return 0.0
-    first, second = np.random.default_rng(seed).integers(0, len(ranks), (2, pairs))
-    swapped = (first < second) != (ranks[first] < ranks[second])
-    return float(np.mean(swapped[first != second]))
