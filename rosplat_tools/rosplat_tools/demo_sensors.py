@@ -34,6 +34,7 @@ from rosplat_tools.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_g
 from rosplat_tools.messages import decode
 from rosplat_tools.parameters import declare
 from rosplat_tools.running import run, spinning, wait_for_end
+from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 
 # The wheels of PyPI have neither.
@@ -129,6 +130,8 @@ class DemoSensors(Node):
             self, "image_height", 240, "Height of the picture. [px]", 16, 4096
         )
 
+        if len(center) != 3 or not np.isfinite(center).all():
+            raise SceneError(f"parameter center: expected a place of 3 numbers, got {center}")
         self._noise = np.random.default_rng(seed)
         self._imu_beat = Beat(round(SECOND / imu_rate))
         self._image_beat = Beat(round(SECOND / image_rate))
@@ -151,12 +154,12 @@ class DemoSensors(Node):
         else:
             self.get_logger().info("no tf2_msgs here: TF is left out")
 
-        topic = self.resolve_topic_name("gaussians")
-        self._renderer = self.create_client(RenderView, f"{topic}/render")
+        self._topic = self.resolve_topic_name("gaussians")
+        self._renderer = self.create_client(RenderView, f"{self._topic}/render")
         if radius:
             self._fly(Flight(np.array(center), radius, height, self._period))
         else:
-            self.get_logger().info(f"waiting for a map on {topic} to fly around")
+            self.get_logger().info(f"waiting for a map on {self._topic} to fly around")
             self._samples: list[NDArray[np.float64]] = []
             self._begun: float | None = None
             MapSubscription(self, self._on_batch)
@@ -177,7 +180,9 @@ class DemoSensors(Node):
         try:
             _, splats = decode(message)
         except ValueError as error:
-            self.get_logger().error(f"a batch is refused: {error}", throttle_duration_sec=5.0)
+            self.get_logger().error(
+                f"{self._topic}: a batch is refused: {error}", throttle_duration_sec=5.0
+            )
             return
         positions = splats.positions[:: len(splats) // MAP_SAMPLES + 1]
         self._samples.append(positions[np.isfinite(positions).all(axis=1)] + splats.origin)
@@ -271,7 +276,9 @@ class DemoSensors(Node):
         try:
             pixels = _pixels(response, picture.camera)
         except ValueError as error:
-            self.get_logger().warning(f"no picture of the map: {error}", throttle_duration_sec=10.0)
+            self.get_logger().warning(
+                f"{self._topic}/render: no picture of the map: {error}", throttle_duration_sec=10.0
+            )
             pixels = self._draw_grid(picture.camera)
         self._publish_picture(picture.camera, picture.stamp, pixels)
 

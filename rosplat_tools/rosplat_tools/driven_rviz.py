@@ -12,6 +12,7 @@ from typing import Any
 from rosplat_tools.processes import ProcessError, Processes, node_command
 
 NAME = "rviz2"  # of its log
+PATIENCE = 60.0  # with its first answer, and with each later one [s]
 
 
 class Refused(RuntimeError):
@@ -35,7 +36,7 @@ class DrivenRviz:
     ) -> None:
         """Starts it with the text of an .rviz file, and waits until it can be driven.
 
-        Raises ProcessError where it ends instead.
+        Raises ProcessError where it ends instead, or can't be driven.
         """
         self.processes = processes
         self.folder = processes.folder
@@ -50,20 +51,21 @@ class DrivenRviz:
         )
         self._connection = self._connect(address)
 
-    def _connect(self, address: str, seconds: float = 60.0) -> Any:
-        deadline = time.monotonic() + seconds
+    def _connect(self, address: str) -> Any:
+        deadline = time.monotonic() + PATIENCE
         while True:
             connection = socket.socket(socket.AF_UNIX)
             try:
                 connection.connect(address)
-            except OSError:
+            except OSError as error:
                 connection.close()
                 self.processes.check()
                 if time.monotonic() > deadline:
-                    raise
+                    last = self.processes.last_line(NAME)
+                    raise ProcessError(f"{NAME} can't be driven: {error}: {last}") from error
                 time.sleep(0.03)
             else:
-                connection.settimeout(seconds)
+                connection.settimeout(PATIENCE)
                 return connection.makefile("rw")
 
     def quit(self) -> int:

@@ -117,6 +117,7 @@ def generate(
                 splats.scales[slots] = patch.scales
                 splats.opacities[slots] = patch.opacities
                 splats.sh[slots] = patch.sh[:, :k]
+    progress(1.0)
     return splats
 
 

@@ -304,11 +304,13 @@ def test_all_is_stamped_by_a_simulated_clock(node: Node, spin_some: Callable[[],
     assert stamps == sorted(stamps, key=lambda stamp: stamp.nanosec)
 
 
-def test_a_parameter_that_makes_no_sense_is_one_line() -> None:
+@pytest.mark.parametrize(
+    "wrong", ["period:=-1.0", "center:=[1.0, 2.0]", "center:=[.nan, 0.0, 0.0]"]
+)
+def test_a_parameter_that_makes_no_sense_is_one_line(wrong: str) -> None:
     command = [sys.executable, "-m", "rosplat_tools.demo_sensors", "--ros-args"]
-    done = subprocess.run(
-        [*command, "-p", "period:=-1.0"], capture_output=True, text=True, timeout=30
-    )
+    done = subprocess.run([*command, "-p", wrong], capture_output=True, text=True, timeout=30)
     assert done.returncode == 1
     assert done.stderr.startswith("demo_sensors: ")
+    assert wrong.partition(":")[0] in done.stderr
     assert "Traceback" not in done.stderr
