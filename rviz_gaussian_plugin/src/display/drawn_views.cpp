@@ -55,7 +55,7 @@ void DrawnViews::forgetUnseen() {
     if (by_a_slow_frame || std::chrono::steady_clock::now() - drawn->second.time < kUnseen) {
       ++drawn;
     } else {
-      scene_.forget(drawn->second.view.id());
+      drawn->second.view.forget();
       drawn = views_.erase(drawn);
     }
   }

@@ -150,6 +150,11 @@ void GaussianClient::publish(rosplat_msgs::msg::ViewCamera view) {
   view_publisher_->publish(view);
 }
 
+void GaussianClient::forget(const std::string& view_id) {
+  const std::lock_guard lock(mutex_);
+  views_.erase(view_id);
+}
+
 void GaussianClient::watchPublishers() {
   // A transient local subscription gets nothing from a volatile publisher. Never two of them: what
   // comes twice would take the map back.

@@ -69,6 +69,8 @@ class GaussianClient {
 
   // Asks for an order of a view.
   void publish(rosplat_msgs::msg::ViewCamera view);
+  // A view is gone: orders that still come for it aren't read.
+  void forget(const std::string& view_id);
   // What was picked with the mouse.
   void publish(const rosplat_msgs::msg::Gaussian& picked) { picked_publisher_->publish(picked); }
   // The pose of a view, and the path it has taken, for other displays.

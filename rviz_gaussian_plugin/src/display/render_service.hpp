@@ -21,7 +21,7 @@ class RenderService {
   // All of them must outlive it; view_id names its view among all viewers'.
   RenderService(const std::string& view_id, SplatCloud& cloud, GaussianClient& client,
                 rviz_common::FrameManagerIface& frames);
-  ~RenderService() { cloud_.scene().forget(view_.id()); }
+  ~RenderService() { view_.forget(); }
   RenderService(const RenderService&) = delete;
   RenderService& operator=(const RenderService&) = delete;
 

@@ -24,6 +24,11 @@ void View::look(const SplatCamera& camera) {
   if (sequence_ == 0 || !(camera_ == camera)) ask(camera);
 }
 
+void View::forget() {
+  scene_.forget(id_);
+  client_.forget(id_);
+}
+
 void View::setOrdersWanted(bool wanted) {
   const bool begins = wanted && !orders_wanted_ && sequence_ > 0;
   orders_wanted_ = wanted;

@@ -24,6 +24,8 @@ class View {
   void ask(const SplatCamera& camera);
   // The same, if it isn't what was asked for last.
   void look(const SplatCamera& camera);
+  // Nobody looks any more.
+  void forget();
   // Tells sidecars that start late.
   void publish();
   // Whether sidecars are asked at all, from now on.
