@@ -71,7 +71,8 @@ def test_panels_of_sensors_come_with_sensors() -> None:
         return Path(started(**arguments)["rviz2"].words[1])
 
     assert "/camera/image_raw" not in config().read_text()
-    assert "/camera/image_raw" in config(sensors="true").read_text()
+    for yes in ("true", "True", "1"):
+        assert "/camera/image_raw" in config(sensors=yes).read_text()
     assert config(sensors="true", config="mine.rviz") == Path("mine.rviz")
 
 
