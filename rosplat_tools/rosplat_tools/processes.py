@@ -118,7 +118,7 @@ class Processes:
                     # What a program says last is then what it said last.
                     env=os.environ
                     | {"PYTHONUNBUFFERED": "1"}
-                    | fast_dds_profile(os.environ)
+                    | fast_dds_profile(os.environ | environment)
                     | environment,
                     start_new_session=True,
                 )

@@ -27,8 +27,8 @@ def parameter(*names: str) -> Key:
 
 
 def at_rate(record: Record) -> str:
-    """The backend, and how often the camera moves."""
-    return f"{record.parameters['rate']:g} Hz, {record.parameters['backend']}"
+    """How often the camera moves, the backend and, across a line, the transport."""
+    return f"{record.parameters['rate']:g} Hz, {parameter('backend', 'transport')(record)}"
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,11 @@
-"""Orders of a sorter on another machine, over a line of gigabit Ethernet: DDS alone."""
+"""Orders of a sorter on another machine, over a line of gigabit Ethernet: DDS alone.
+
+By UDP as programs of this project are started, and by TCP as Fast DDS offers it for large data.
+"""
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 import time
@@ -20,7 +24,12 @@ SIZES, QUICK_SIZES = (250_000, 500_000, 1_000_000, 2_000_000), (100_000,)
 RATES, QUICK_RATES = (30.0, 60.0), (30.0,)  # at which the camera moves [Hz]
 SECONDS, QUICK_SECONDS = 10.0, 2.0  # watched
 RATE = "1gbit"
-PATIENCE = 120.0  # with the first order of all splats [s]
+TRANSPORTS: dict[str, dict[str, str]] = {  # and the environment that asks for them
+    "UDP": {},
+    "TCP": {"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"},
+}
+QUICK_TRANSPORTS = ("UDP",)  # Fast DDS 2.14 doesn't always find others by TCP
+PATIENCE = 60.0  # with the first order of all splats [s]
 ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
 
 Order = dict[str, Any]
@@ -33,31 +42,34 @@ def measure(plan: Plan) -> Iterator[Event]:
     backends, missing = live.backends(plan.backends or ("native",))
     yield from missing
     rates = QUICK_RATES if plan.quick else RATES
-    jobs = [(size, backend) for size in sizes for backend in backends]
-    for number, (size, backend) in enumerate(jobs):
-        yield Doing(f"{size:,} splats, {backend}", number / len(jobs))
+    transports = QUICK_TRANSPORTS if plan.quick else tuple(TRANSPORTS)
+    jobs = list(itertools.product(sizes, backends, transports))
+    for number, (size, backend, transport) in enumerate(jobs):
+        yield Doing(f"{size:,} splats, {backend}, {transport}", number / len(jobs))
         try:
             with Line(RATE) as line:
                 for rate in rates:
                     seconds = QUICK_SECONDS if plan.quick else SECONDS
-                    yield from _report(plan, line, size, backend, rate, seconds)
+                    yield from _report(plan, line, size, backend, transport, rate, seconds)
         except NoLine as error:
             yield Skipped(f"network: {error}")
             return
         except (ProcessError, TimeoutError) as error:
-            yield Skipped(f"{size:,} splats, {backend}: {error}")
+            yield Skipped(f"{size:,} splats, {backend}, {transport}: {error}")
 
 
 def _report(
-    plan: Plan, line: Line, size: int, backend: str, rate: float, seconds: float
+    plan: Plan, line: Line, size: int, backend: str, transport: str, rate: float, seconds: float
 ) -> Iterator[Measurement]:
     orders, received, span = watch(
-        plan.out / "log", line, size, backend=backend, rate=rate, seconds=seconds
-    )
+        plan.out / "log", line, size,
+        backend=backend, transport=transport, rate=rate, seconds=seconds,
+    )  # fmt: skip
     ways = [1e3 * (order["time"] - order["looked"]) for order in orders]
     common = {
         "scene": f"{PROCEDURAL}{size}", "splats": orders[-1]["slots"], "rate": rate,
-        "backend": backend, "line": RATE, "orders": ENCODINGS[orders[-1]["encoding"]],
+        "backend": backend, "line": RATE, "transport": transport,
+        "orders": ENCODINGS[orders[-1]["encoding"]],
     }  # fmt: skip
     yield Measurement.of("orders", "1/s", len(orders) / span, **common)
     yield Measurement.of("pose to order", "ms", ways, **common)
@@ -68,7 +80,7 @@ def _report(
 
 
 def watch(
-    log: Path, line: Line, size: int, *, backend: str, rate: float, seconds: float
+    log: Path, line: Line, size: int, *, backend: str, transport: str, rate: float, seconds: float
 ) -> tuple[list[Order], int, float]:
     """Orders that came in so many seconds, the bytes that came meanwhile, and how long it was [s].
 
@@ -85,10 +97,11 @@ def watch(
         sys.executable, "-m", "rosplat_tools.bench.far_viewer", "--ros-args",
         "-p", f"trace:={trace}", "-p", f"rate:={rate}",
     ]  # fmt: skip
+    settings = TRANSPORTS[transport]
     with Processes(log) as processes:
-        processes.start("far_viewer", line.at("there", viewer))
-        processes.start("sorter", line.at("here", sorter))
-        processes.start("publisher", line.at("here", publisher))
+        processes.start("far_viewer", line.at("there", viewer), **settings)
+        processes.start("sorter", line.at("here", sorter), **settings)
+        processes.start("publisher", line.at("here", publisher), **settings)
         _await(lambda: any(o["slots"] == size for o in _orders(trace)), processes)
         began, before = time.time(), line.received("there")
         time.sleep(seconds)
