@@ -234,8 +234,8 @@ class DepthOrder {
     }
   }
 
-  // Deals what is visible out to buckets of depths, then sorts each of them in the cache. So it
-  // goes through memory twice, and not once a digit.
+  // Deals what is visible out to buckets of depths, chosen by samples (Frazer and McKellar 1970,
+  // "Samplesort"), then sorts each in the cache. So it goes through memory twice, not once a digit.
   template <typename Allocate>
   void sort(const View& view, const Splats& splats, const Allocate& allocate) {
     chooseBuckets(view, splats);
