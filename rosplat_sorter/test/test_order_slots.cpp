@@ -143,7 +143,7 @@ TEST_F(SegmentTest, IsNeverReadWhileItChanges) {
       markSegment(memory, generation - 1);
       std::fill_n(slots, kCapacity, static_cast<std::uint32_t>(generation));
       markSegment(memory, generation);
-      std::this_thread::sleep_for(std::chrono::microseconds(300));
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
   });
   int complete = 0, dropped = 0;
