@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 5.0  # what a program gets to end by itself [s]
@@ -56,10 +56,29 @@ def quoted(text: object) -> str:
     return "'" + str(text).replace("'", "''") + "'"
 
 
+_interrupted_at: float | None = None  # of time.monotonic()
+
+
 def interrupt_by_signals() -> None:
     """Makes SIGTERM end this program as Ctrl-C does: by KeyboardInterrupt, block by block."""
+    global _interrupted_at
+    _interrupted_at = None
     for number in ENDINGS:
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, _interrupt)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    global _interrupted_at
+    _interrupted_at = _interrupted_at or time.monotonic()
+    raise KeyboardInterrupt
+
+
+def since_interrupt() -> float:
+    """How long ago a signal first interrupted this program, 0 where none has. [s]
+
+    That may be seen here alone: Python drops what is raised in a destructor, or as an import ends.
+    """
+    return time.monotonic() - _interrupted_at if _interrupted_at else 0.0
 
 
 def run_module(program: str, module: str, arguments: list[str] | None) -> int:

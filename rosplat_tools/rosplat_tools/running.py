@@ -21,11 +21,12 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from rosplat_sorter.arguments import take_ros_arguments_only
-from rosplat_tools.processes import interrupt_by_signals
+from rosplat_tools.processes import interrupt_by_signals, since_interrupt
 from rosplat_tools.splats import SceneError
 
 GRACE = 0.5  # what callbacks get to end before ROS does [s]
 BREATH = 0.0002  # in which a thread begins with a callback [s]
+LOST = 3.0  # after a signal, nobody has heard of its exception [s]
 
 
 class Cancelled(Exception):
@@ -56,7 +57,8 @@ def run(program: str, body: Callable[[], None]) -> None:
 def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     """Runs a node's callbacks in threads of their own while the block runs, then destroys it.
 
-    A callback that raises ends ROS, which the block may see; it is raised here after the block.
+    A callback that raises ends ROS, which the block may see; it is raised here after the block. A
+    signal whose exception got lost ends ROS, too.
     """
     executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
     executor.add_node(node)
@@ -69,6 +71,9 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
             # Not executor.spin: only the end of ROS ends that, in the middle of a callback.
             while not ending.is_set():
                 executor.spin_once(0.1)
+                if since_interrupt() > LOST:
+                    node.context.try_shutdown()
+                    return
                 if threads > 1:
                     # Until one of its threads begins with it, rclpy (up to Jazzy) hands a callback
                     # to them again and again, and Python's lock to nobody.

@@ -27,3 +27,30 @@ def test_an_interrupt_as_callbacks_begin_ends_them() -> None:
     command = [sys.executable, "-c", INTERRUPTED_AS_IT_BEGINS]
     run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert run.stdout == "ended False\n"
+
+
+LOSES_AN_INTERRUPT = """
+import os
+import signal
+import rclpy
+from rosplat_tools.running import run, spinning, wait_for_end
+class Dropped:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(1000):
+            pass
+def body():
+    Dropped()
+    node = rclpy.create_node("test")
+    with spinning(node):
+        wait_for_end(node)
+    print("ended", rclpy.ok())
+run("test", body)
+"""
+
+
+def test_an_interrupt_that_python_drops_ends_a_node_all_the_same() -> None:
+    command = [sys.executable, "-c", LOSES_AN_INTERRUPT]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert "Exception ignored" in run.stderr
+    assert run.stdout == "ended False\n"
