@@ -170,22 +170,21 @@ class DepthOrder {
   };
 
   // Memory that keeps nothing when it grows.
-  template <typename T>
   class Room {
    public:
-    T* reserve(std::size_t size) {
+    Entry* reserve(std::size_t size) {
       if (size > size_) {
         memory_.reset();
         size_ = 0;
-        memory_.reset(new T[size + size / 4]);
+        memory_.reset(new Entry[size + size / 4]);
         size_ = size + size / 4;
       }
       return memory_.get();
     }
-    T* get() const { return memory_.get(); }
+    Entry* get() const { return memory_.get(); }
 
    private:
-    std::unique_ptr<T[]> memory_;
+    std::unique_ptr<Entry[]> memory_;
     std::size_t size_ = 0;
   };
 
@@ -399,9 +398,9 @@ class DepthOrder {
   std::array<std::uint8_t, kCells> bucket_of_cell_;
   std::vector<std::size_t> begins_;  // where each bucket begins, and the last one ends
   std::vector<Part> parts_;
-  Room<Entry> found_;
-  Room<Entry> dealt_;
-  std::vector<Room<Entry>> scratch_;  // one for each member
+  Room found_;
+  Room dealt_;
+  std::vector<Room> scratch_;  // one for each member
   std::vector<std::uint32_t> order_;
 };
 
