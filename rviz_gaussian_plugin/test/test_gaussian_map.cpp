@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "../src/splats/gaussian_map.hpp"
+#include "map/gaussian_map.hpp"
 
 using namespace rosplat;
 

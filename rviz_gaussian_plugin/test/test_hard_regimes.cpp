@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "../src/splats/hard_regimes.hpp"
+#include "map/hard_regimes.hpp"
 
 namespace rosplat {
 

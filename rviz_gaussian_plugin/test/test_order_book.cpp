@@ -9,7 +9,7 @@
 #include <thread>
 #include <vector>
 
-#include "../src/splats/order_book.hpp"
+#include "order/order_book.hpp"
 #include "rosplat_sorter/order_slots.hpp"
 
 using namespace rosplat;

@@ -4,7 +4,7 @@
 #include <random>
 #include <vector>
 
-#include "../src/splats/packed_slot.hpp"
+#include "map/packed_slot.hpp"
 
 using namespace rosplat;
 

@@ -2,7 +2,7 @@
 
 #include <stdexcept>
 
-#include "../src/splats/splat_camera.hpp"
+#include "map/splat_camera.hpp"
 
 namespace rosplat {
 

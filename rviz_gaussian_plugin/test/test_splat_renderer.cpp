@@ -17,7 +17,7 @@
 #include <utility>
 #include <vector>
 
-#include "../src/splats/splat_scene.hpp"
+#include "splat_scene.hpp"
 
 using namespace rosplat;
 

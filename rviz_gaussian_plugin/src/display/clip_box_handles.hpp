@@ -8,7 +8,7 @@
 #include <string>
 #include <utility>
 
-#include "../splats/render_settings.hpp"
+#include "map/render_settings.hpp"
 
 namespace Ogre {
 class SceneNode;

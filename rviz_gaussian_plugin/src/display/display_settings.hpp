@@ -2,7 +2,7 @@
 
 #include <functional>
 
-#include "../splats/render_settings.hpp"
+#include "map/render_settings.hpp"
 
 namespace rviz_common::properties {
 class BoolProperty;

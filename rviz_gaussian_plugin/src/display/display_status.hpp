@@ -4,9 +4,9 @@
 #include <string>
 #include <vector>
 
-#include "../splats/splat_scene.hpp"
 #include "drawn_views.hpp"
 #include "gaussian_client.hpp"
+#include "splat_scene.hpp"
 
 // What the Status of a display says of what it knows.
 namespace rosplat {

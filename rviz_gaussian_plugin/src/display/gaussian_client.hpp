@@ -18,10 +18,10 @@
 #include <thread>
 #include <vector>
 
-#include "../splats/splat_scene.hpp"
 #include "camera_trail.hpp"
 #include "rosplat_sorter/order_slots.hpp"
 #include "sidecar_switch.hpp"
+#include "splat_scene.hpp"
 
 namespace rosplat {
 

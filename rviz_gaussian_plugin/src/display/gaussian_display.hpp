@@ -6,7 +6,6 @@
 #include <string>
 #include <vector>
 
-#include "../splats/splat_cloud.hpp"
 #include "clip_box_handles.hpp"
 #include "display_settings.hpp"
 #include "display_status.hpp"
@@ -16,6 +15,7 @@
 #include "ros_versions.hpp"
 #include "scene_drop.hpp"
 #include "scene_loader.hpp"
+#include "splat_cloud.hpp"
 #include "splat_selection.hpp"
 
 namespace rviz_common::properties {

@@ -7,10 +7,10 @@
 #include <std_msgs/msg/header.hpp>
 #include <string>
 
-#include "../splats/built_in_sorter.hpp"
-#include "../splats/gaussian_batch.hpp"
-#include "../splats/gaussian_map.hpp"
-#include "../splats/splat_camera.hpp"
+#include "map/gaussian_batch.hpp"
+#include "map/gaussian_map.hpp"
+#include "map/splat_camera.hpp"
+#include "order/built_in_sorter.hpp"
 #include "rosplat_sorter/order_slots.hpp"
 
 // Between the renderer's own types and ROS messages.

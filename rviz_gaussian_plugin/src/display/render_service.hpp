@@ -4,8 +4,8 @@
 #include <optional>
 #include <string>
 
-#include "../splats/splat_cloud.hpp"
 #include "gaussian_client.hpp"
+#include "splat_cloud.hpp"
 #include "view.hpp"
 
 namespace rviz_common {

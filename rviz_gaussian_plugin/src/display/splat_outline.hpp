@@ -6,7 +6,7 @@
 
 #include <vector>
 
-#include "../splats/gaussian_map.hpp"
+#include "map/gaussian_map.hpp"
 
 namespace rosplat {
 

@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-#include "../splats/splat_cloud.hpp"
+#include "splat_cloud.hpp"
 
 namespace Ogre {
 class ManualObject;

@@ -4,8 +4,8 @@
 #include <cstdint>
 #include <string>
 
-#include "../splats/splat_scene.hpp"
 #include "gaussian_client.hpp"
+#include "splat_scene.hpp"
 
 namespace rosplat {
 

@@ -9,8 +9,8 @@
 #include <string>
 #include <vector>
 
-#include "../splats/splat_cloud.hpp"
 #include "rosplat_sorter/order_slots.hpp"
+#include "splat_cloud.hpp"
 
 namespace rosplat {
 

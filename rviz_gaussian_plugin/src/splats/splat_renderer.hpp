@@ -10,21 +10,21 @@
 #include <string>
 #include <vector>
 
-#include "canvas.hpp"
-#include "gaussian_map.hpp"
-#include "gl_objects.hpp"
-#include "half_picture.hpp"
-#include "ordered_splats.hpp"
-#include "quad_rasterizer.hpp"
-#include "radix_sort.hpp"
-#include "render_settings.hpp"
-#include "shaders.hpp"
-#include "slot_reader.hpp"
-#include "slot_store.hpp"
-#include "splat_camera.hpp"
-#include "splat_picker.hpp"
-#include "tally.hpp"
-#include "tile_rasterizer.hpp"
+#include "gl/canvas.hpp"
+#include "gl/gl_objects.hpp"
+#include "gl/shaders.hpp"
+#include "gpu/half_picture.hpp"
+#include "gpu/ordered_splats.hpp"
+#include "gpu/quad_rasterizer.hpp"
+#include "gpu/radix_sort.hpp"
+#include "gpu/slot_reader.hpp"
+#include "gpu/slot_store.hpp"
+#include "gpu/splat_picker.hpp"
+#include "gpu/tally.hpp"
+#include "gpu/tile_rasterizer.hpp"
+#include "map/gaussian_map.hpp"
+#include "map/render_settings.hpp"
+#include "map/splat_camera.hpp"
 
 namespace rosplat {
 

@@ -3,7 +3,7 @@
 #include <chrono>
 #include <limits>
 
-#include "hard_regimes.hpp"
+#include "map/hard_regimes.hpp"
 
 namespace rosplat {
 

@@ -11,11 +11,11 @@
 #include <utility>
 #include <vector>
 
-#include "built_in_sorter.hpp"
-#include "gaussian_map.hpp"
-#include "order.hpp"
-#include "order_book.hpp"
-#include "splat_camera.hpp"
+#include "map/gaussian_map.hpp"
+#include "map/splat_camera.hpp"
+#include "order/built_in_sorter.hpp"
+#include "order/order.hpp"
+#include "order/order_book.hpp"
 #include "splat_renderer.hpp"
 
 namespace rosplat {

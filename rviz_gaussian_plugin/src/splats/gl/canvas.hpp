@@ -1,0 +1,43 @@
+#pragma once
+
+#include "gl/gl_objects.hpp"
+
+namespace rosplat {
+
+// What the current framebuffer and viewport are to those that draw splats.
+enum class Canvas {
+  kWindow,   // the opaque scene; its first row is the picture's bottom
+  kTexture,  // the same with the picture's top first
+  kNone,     // nothing: there is no opaque scene, and the picture is only read back
+};
+
+// Draws into targets and, from there, over what was the current framebuffer and viewport when the
+// scope began; at its end OpenGL's state is again as Ogre believes it.
+class CanvasScope {
+ public:
+  explicit CanvasScope(Canvas canvas);
+
+  Canvas canvas() const { return canvas_; }
+  // The format that a target's depth must have for copyDepth(); 0 where there is no scene or no
+  // depth.
+  GLenum depthFormat() const { return depth_format_; }
+  // The opaque scene's depth into the target that is bound, resolved to one sample a pixel. Where
+  // there is none, nothing is hidden.
+  void copyDepth(const gl::Target& target) const;
+  // Draws a target over the canvas by a program that knows how.
+  void layOver(const gl::Program& program, const gl::Target& target) const;
+
+ private:
+  gl::StateGuard guard_;
+  Canvas canvas_;
+  GLenum depth_format_ = 0;
+  GLint x_ = 0, y_ = 0;  // of the viewport
+};
+
+// Makes a target as deep as can be: nothing hides what is drawn there.
+void clearDepth();
+
+// Has premultiplied colours blended over what is there.
+void blendOver();
+
+}  // namespace rosplat

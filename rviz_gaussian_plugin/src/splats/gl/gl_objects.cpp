@@ -1,0 +1,480 @@
+#include "gl/gl_objects.hpp"
+
+#include <array>
+#include <functional>
+#include <map>
+#include <vector>
+
+namespace rosplat::gl {
+
+namespace {
+constexpr GLint kStorageBindings = 13, kImageUnits = 3;  // that shaders use
+}
+
+Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
+  dropErrors();
+  glGenBuffers(1, &id_);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glBufferData(GL_COPY_WRITE_BUFFER, static_cast<GLsizeiptr>(bytes), nullptr, usage);
+  if (glGetError() != GL_NO_ERROR) {
+    glDeleteBuffers(1, &id_);
+    throw Error("the graphics driver has no " + std::to_string(bytes >> 20) + " MiB left");
+  }
+}
+
+Buffer& Buffer::operator=(Buffer&& other) noexcept {
+  std::swap(id_, other.id_);
+  std::swap(bytes_, other.bytes_);
+  return *this;
+}
+
+Buffer::~Buffer() {
+  if (id_) glDeleteBuffers(1, &id_);
+}
+
+void Buffer::write(std::size_t offset, const void* data, std::size_t bytes) {
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glBufferSubData(GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
+                  static_cast<GLsizeiptr>(bytes), data);
+}
+
+void Buffer::read(std::size_t offset, void* data, std::size_t bytes) const {
+  glBindBuffer(GL_COPY_READ_BUFFER, id_);
+  glGetBufferSubData(GL_COPY_READ_BUFFER, static_cast<GLintptr>(offset),
+                     static_cast<GLsizeiptr>(bytes), data);
+}
+
+void Buffer::reserve(std::size_t bytes) {
+  if (bytes_ >= bytes) return;
+  *this = Buffer();  // first, so that there is never room for both
+  *this = Buffer(bytes, GL_DYNAMIC_COPY);
+}
+
+void Buffer::zero() {
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
+}
+
+void Slice::write(const void* data) const {
+  glBindBuffer(GL_COPY_WRITE_BUFFER, buffer);
+  glBufferSubData(GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
+                  static_cast<GLsizeiptr>(bytes), data);
+}
+
+Readback::Readback(std::size_t words) {
+  const auto bytes = static_cast<GLsizeiptr>(words * sizeof(GLuint));
+  constexpr GLbitfield kAccess = GL_MAP_READ_BIT | GL_MAP_PERSISTENT_BIT | GL_MAP_COHERENT_BIT;
+  glGenBuffers(1, &copy_);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, copy_);
+  glBufferStorage(GL_COPY_WRITE_BUFFER, bytes, nullptr, kAccess);
+  mapped_ = static_cast<const GLuint*>(glMapBufferRange(GL_COPY_WRITE_BUFFER, 0, bytes, kAccess));
+  if (!mapped_) throw Error("the graphics driver maps no buffers");
+}
+
+Readback::~Readback() {
+  if (copied_) glDeleteSync(copied_);
+  glDeleteBuffers(1, &copy_);
+}
+
+void Readback::ask(const Buffer& buffer) {
+  glBindBuffer(GL_COPY_READ_BUFFER, buffer.id());
+  glBindBuffer(GL_COPY_WRITE_BUFFER, copy_);
+  glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, 0, 0,
+                      static_cast<GLsizeiptr>(buffer.bytes()));
+  if (copied_) glDeleteSync(copied_);
+  copied_ = glFenceSync(GL_SYNC_GPU_COMMANDS_COMPLETE, 0);
+}
+
+const GLuint* Readback::wait() const {
+  constexpr GLuint64 kMinute = 60'000'000'000;  // that no frame takes, not even in software
+  switch (glClientWaitSync(copied_, GL_SYNC_FLUSH_COMMANDS_BIT, kMinute)) {
+    case GL_TIMEOUT_EXPIRED:
+    case GL_WAIT_FAILED:
+      throw Error("the graphics card doesn't answer any more");
+    default:
+      return mapped_;
+  }
+}
+
+namespace {
+
+// Programs that wait to be used again, by label.
+std::multimap<std::string, GLuint>& retiredPrograms() {
+  static std::multimap<std::string, GLuint> programs;
+  return programs;
+}
+
+std::string labelOf(GLuint program) {
+  std::array<char, 64> label{};
+  if (glIsProgram(program)) {
+    glGetObjectLabel(GL_PROGRAM, program, static_cast<GLsizei>(label.size()), nullptr,
+                     label.data());
+  }
+  return label.data();
+}
+
+// 0 where none waits. What waited in a context that is gone has lost its label.
+GLuint takeRetired(const std::string& label) {
+  auto& retired = retiredPrograms();
+  for (auto found = retired.find(label); found != retired.end(); found = retired.find(label)) {
+    const GLuint program = found->second;
+    retired.erase(found);
+    if (labelOf(program) == label) return program;
+  }
+  return 0;
+}
+
+}  // namespace
+
+Program& Program::operator=(Program&& other) noexcept {
+  std::swap(id_, other.id_);
+  std::swap(locations_, other.locations_);
+  std::swap(shaders_, other.shaders_);
+  std::swap(label_, other.label_);
+  return *this;
+}
+
+Program::~Program() {
+  if (id_) retiredPrograms().emplace(label_, id_);
+}
+
+void Program::attach(GLenum stage, const std::string& name, const std::string& source) {
+  shaders_.push_back({stage, name, source});
+}
+
+void Program::compile(const Shader& from) const {
+  const GLuint shader = glCreateShader(from.stage);
+  const char* text = from.source.c_str();
+  glShaderSource(shader, 1, &text, nullptr);
+  glCompileShader(shader);
+  GLint ok = 0, length = 0;
+  glGetShaderiv(shader, GL_COMPILE_STATUS, &ok);
+  if (!ok) {
+    glGetShaderiv(shader, GL_INFO_LOG_LENGTH, &length);
+    std::vector<char> log(static_cast<std::size_t>(length) + 1);
+    glGetShaderInfoLog(shader, length, nullptr, log.data());
+    glDeleteShader(shader);
+    throw Error(from.name + " does not compile: " + log.data());
+  }
+  glAttachShader(id_, shader);
+  glDeleteShader(shader);  // lives as long as the program
+}
+
+void Program::link(const std::string& name) {
+  std::size_t hash = 0;
+  for (const Shader& shader : shaders_) {
+    hash = 31 * hash + std::hash<std::string>()(shader.source) + shader.stage;
+  }
+  label_ = name.substr(0, 32) + " " + std::to_string(hash);
+  const std::vector<Shader> shaders = std::move(shaders_);
+  id_ = takeRetired(label_);
+  if (id_) return;
+  id_ = glCreateProgram();
+  for (const Shader& shader : shaders) compile(shader);
+  glLinkProgram(id_);
+  GLint ok = 0, length = 0;
+  glGetProgramiv(id_, GL_LINK_STATUS, &ok);
+  if (!ok) {
+    glGetProgramiv(id_, GL_INFO_LOG_LENGTH, &length);
+    std::vector<char> log(static_cast<std::size_t>(length) + 1);
+    glGetProgramInfoLog(id_, length, nullptr, log.data());
+    throw Error(name + " does not link: " + log.data());
+  }
+  glObjectLabel(GL_PROGRAM, id_, -1, label_.c_str());
+}
+
+GLint Program::at(const char* uniform) const {
+  const auto found = locations_.find(uniform);
+  if (found != locations_.end()) return found->second;
+  return locations_.emplace(uniform, glGetUniformLocation(id_, uniform)).first->second;
+}
+
+void dispatch(std::size_t work_groups) {
+  constexpr std::size_t kMost = 65535;  // that every driver takes in a dimension
+  const std::size_t rows = (work_groups + kMost - 1) / kMost;
+  if (rows == 0) return;
+  glDispatchCompute(static_cast<GLuint>((work_groups + rows - 1) / rows), static_cast<GLuint>(rows),
+                    1);
+}
+
+void dispatchInvocations(std::size_t invocations) { dispatch((invocations + 255) / 256); }
+
+void storageBarrier() {
+  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_BUFFER_UPDATE_BARRIER_BIT);
+}
+
+void dropErrors() {
+  // Not until there are none: without a context, drivers always find one.
+  for (int i = 0; i < 16 && glGetError() != GL_NO_ERROR; ++i) {
+  }
+}
+
+GLenum depthFormat(GLuint framebuffer) {
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer);
+  const GLenum attachment = framebuffer == 0 ? GL_DEPTH : GL_DEPTH_ATTACHMENT;
+  const auto ask = [attachment](GLenum what) {
+    GLint value = 0;
+    glGetFramebufferAttachmentParameteriv(GL_READ_FRAMEBUFFER, attachment, what, &value);
+    return value;
+  };
+  if (ask(GL_FRAMEBUFFER_ATTACHMENT_OBJECT_TYPE) == GL_NONE) return 0;
+  const GLint bits = ask(GL_FRAMEBUFFER_ATTACHMENT_DEPTH_SIZE);
+  if (ask(GL_FRAMEBUFFER_ATTACHMENT_COMPONENT_TYPE) == GL_FLOAT) {
+    return ask(GL_FRAMEBUFFER_ATTACHMENT_STENCIL_SIZE) > 0 ? GL_DEPTH32F_STENCIL8
+                                                           : GL_DEPTH_COMPONENT32F;
+  }
+  return bits == 16   ? GL_DEPTH_COMPONENT16
+         : bits == 32 ? GL_DEPTH_COMPONENT32
+                      : GL_DEPTH24_STENCIL8;
+}
+
+namespace {
+
+std::size_t pixelBytes(GLenum format) {
+  switch (format) {
+    case GL_RGBA32F:
+      return 16;
+    case GL_DEPTH_COMPONENT16:
+      return 2;
+    case GL_DEPTH24_STENCIL8:
+    case GL_DEPTH_COMPONENT32:
+    case GL_DEPTH_COMPONENT32F:
+      return 4;
+    default:
+      return 8;
+  }
+}
+
+}  // namespace
+
+Target::Target(GLenum color_format, int width, int height, GLenum depth_format,
+               GLenum second_format)
+    : format_(color_format), depth_format_(depth_format), width_(width), height_(height) {
+  const auto texture = [&](GLenum format) {
+    GLuint id = 0;
+    glGenTextures(1, &id);
+    glBindTexture(GL_TEXTURE_2D, id);
+    glTexStorage2D(GL_TEXTURE_2D, 1, format, width, height);
+    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_NEAREST);
+    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
+    bytes_ +=
+        pixelBytes(format) * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
+    return id;
+  };
+  color_ = texture(color_format);
+  if (second_format) second_ = texture(second_format);
+  depth_ = texture(depth_format);
+}
+
+Target& Target::operator=(Target&& other) noexcept {
+  std::swap(color_, other.color_);
+  std::swap(second_, other.second_);
+  std::swap(depth_, other.depth_);
+  std::swap(format_, other.format_);
+  std::swap(depth_format_, other.depth_format_);
+  std::swap(width_, other.width_);
+  std::swap(height_, other.height_);
+  std::swap(bytes_, other.bytes_);
+  return *this;
+}
+
+bool Target::become(GLenum color_format, int width, int height, GLenum depth_format,
+                    GLenum second_format) {
+  if (format_ == color_format && width_ == width && height_ == height &&
+      depth_format_ == depth_format && (second_ != 0) == (second_format != 0)) {
+    return false;
+  }
+  *this = Target();  // first, so that there is never room for both
+  *this = Target(color_format, width, height, depth_format, second_format);
+  return true;
+}
+
+Target::~Target() {
+  for (const GLuint texture : {color_, second_, depth_}) {
+    if (texture) glDeleteTextures(1, &texture);
+  }
+}
+
+DrawScope::DrawScope(const Target& target, const Target& depth) {
+  glGenFramebuffers(1, &framebuffer_);
+  glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
+  glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, target.color(), 0);
+  const bool stencil =
+      depth.depthFormat() == GL_DEPTH24_STENCIL8 || depth.depthFormat() == GL_DEPTH32F_STENCIL8;
+  glFramebufferTexture2D(GL_FRAMEBUFFER,
+                         stencil ? GL_DEPTH_STENCIL_ATTACHMENT : GL_DEPTH_ATTACHMENT, GL_TEXTURE_2D,
+                         depth.depth(), 0);
+  if (target.second()) {
+    glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT1, GL_TEXTURE_2D, target.second(), 0);
+    constexpr std::array<GLenum, 2> both{GL_COLOR_ATTACHMENT0, GL_COLOR_ATTACHMENT1};
+    glDrawBuffers(GLsizei(both.size()), both.data());
+  }
+  if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
+    glDeleteFramebuffers(1, &framebuffer_);
+    throw Error("the graphics driver can't blend into a floating-point picture of " +
+                std::to_string(target.width()) + "x" + std::to_string(target.height()) + " pixels");
+  }
+  glGenVertexArrays(1, &vertex_array_);
+  bind();
+}
+
+void DrawScope::bind() const {
+  glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
+  glBindVertexArray(vertex_array_);
+}
+
+DrawScope::~DrawScope() {
+  glDeleteVertexArrays(1, &vertex_array_);
+  glDeleteFramebuffers(1, &framebuffer_);
+}
+
+SampledDepth::SampledDepth(int width, int height, int samples)
+    : width_(width), height_(height), samples_(samples) {
+  bytes_ = 4 * static_cast<std::size_t>(width) * static_cast<std::size_t>(height) *
+           static_cast<std::size_t>(samples);
+  GLint bound = 0;
+  glGetIntegerv(GL_TEXTURE_BINDING_2D_MULTISAMPLE, &bound);
+  glGenTextures(1, &texture_);
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, texture_);
+  // Not of immutable storage: Mesa 22.3 attaches that to a framebuffer only once.
+  glTexImage2DMultisample(GL_TEXTURE_2D_MULTISAMPLE, samples, GL_DEPTH_COMPONENT24, width, height,
+                          GL_TRUE);
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, static_cast<GLuint>(bound));
+}
+
+SampledDepth& SampledDepth::operator=(SampledDepth&& other) noexcept {
+  std::swap(texture_, other.texture_);
+  std::swap(width_, other.width_);
+  std::swap(height_, other.height_);
+  std::swap(samples_, other.samples_);
+  std::swap(bytes_, other.bytes_);
+  return *this;
+}
+
+SampledDepth::~SampledDepth() {
+  if (texture_) glDeleteTextures(1, &texture_);
+}
+
+DepthScope::DepthScope(const SampledDepth& depth) {
+  glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &draw_framebuffer_);
+  glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read_framebuffer_);
+  glGetIntegerv(GL_VIEWPORT, viewport_.data());
+  glGenFramebuffers(1, &framebuffer_);
+  glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
+  glFramebufferTexture2D(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_TEXTURE_2D_MULTISAMPLE,
+                         depth.texture(), 0);
+  glDrawBuffer(GL_NONE);
+  glReadBuffer(GL_NONE);
+  glViewport(0, 0, depth.width(), depth.height());
+  glPushAttrib(GL_DEPTH_BUFFER_BIT | GL_SCISSOR_BIT);
+  glDisable(GL_SCISSOR_TEST);
+  glDepthMask(GL_TRUE);
+  const GLfloat farthest = 1.0f;
+  glClearBufferfv(GL_DEPTH, 0, &farthest);
+  glPopAttrib();
+}
+
+DepthScope::~DepthScope() {
+  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, static_cast<GLuint>(draw_framebuffer_));
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, static_cast<GLuint>(read_framebuffer_));
+  glDeleteFramebuffers(1, &framebuffer_);
+  glViewport(viewport_[0], viewport_[1], viewport_[2], viewport_[3]);
+}
+
+std::vector<float> readPixels(int width, int height) {
+  std::vector<float> pixels(4 * static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+  glPushClientAttrib(GL_CLIENT_PIXEL_STORE_BIT);
+  glBindBuffer(GL_PIXEL_PACK_BUFFER, 0);
+  for (const GLenum none : {GL_PACK_ROW_LENGTH, GL_PACK_SKIP_ROWS, GL_PACK_SKIP_PIXELS,
+                            GL_PACK_SWAP_BYTES, GL_PACK_LSB_FIRST}) {
+    glPixelStorei(none, 0);
+  }
+  glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, pixels.data());
+  glPopClientAttrib();
+  return pixels;
+}
+
+StateGuard::StateGuard() {
+  GLint draw = 0, read = 0;
+  glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &draw);
+  glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read);
+  draw_framebuffer_ = static_cast<GLuint>(draw);
+  read_framebuffer_ = static_cast<GLuint>(read);
+  glGetIntegerv(GL_CURRENT_PROGRAM, &program_);
+  glGetIntegerv(GL_VERTEX_ARRAY_BINDING, &vertex_array_);
+  glGetIntegerv(GL_ARRAY_BUFFER_BINDING, &array_buffer_);
+  glGetIntegerv(GL_ACTIVE_TEXTURE, &active_texture_);
+  glActiveTexture(GL_TEXTURE0);
+  glGetIntegerv(GL_TEXTURE_BINDING_2D, &texture_);
+  glGetIntegerv(GL_TEXTURE_BINDING_2D_MULTISAMPLE, &sampled_texture_);
+  // rviz's context is a compatibility profile: the attribute stack holds the rest.
+  glPushAttrib(GL_ALL_ATTRIB_BITS);
+}
+
+StateGuard::~StateGuard() {
+  // First: the attributes hold the draw and read buffers of the framebuffer that was bound.
+  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, draw_framebuffer_);
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, read_framebuffer_);
+  glPopAttrib();
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, static_cast<GLuint>(texture_));
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, static_cast<GLuint>(sampled_texture_));
+  glActiveTexture(static_cast<GLenum>(active_texture_));
+  glBindVertexArray(static_cast<GLuint>(vertex_array_));
+  glBindBuffer(GL_ARRAY_BUFFER, static_cast<GLuint>(array_buffer_));
+  glUseProgram(static_cast<GLuint>(program_));
+  glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, kStorageBindings, nullptr);
+  glBindImageTextures(0, kImageUnits, nullptr);
+  for (const GLenum target :
+       {GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, GL_DISPATCH_INDIRECT_BUFFER}) {
+    glBindBuffer(target, 0);
+  }
+}
+
+Stopwatch::~Stopwatch() {
+  for (const auto& [name, query] : queries_) glDeleteQueries(1, &query);
+}
+
+void Stopwatch::lap(const char* name) {
+  if (!running_) return;
+  GLuint query = 0;
+  glGenQueries(1, &query);
+  glQueryCounter(query, GL_TIMESTAMP);
+  queries_.emplace_back(name, query);
+}
+
+std::map<std::string, double> Stopwatch::laps() const {
+  std::map<std::string, double> laps;
+  GLuint64 last = 0;
+  for (const auto& [name, query] : queries_) {
+    GLuint64 time = 0;
+    glGetQueryObjectui64v(query, GL_QUERY_RESULT, &time);
+    if (*name) laps[name] += 1e-9 * static_cast<double>(time - last);
+    last = time;
+  }
+  return laps;
+}
+
+std::string unsupported() {
+  const int version = epoxy_gl_version();
+  const auto* renderer = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
+  const std::string driver = std::string(" (driver: ") + (renderer ? renderer : "unknown") + ")";
+  if (!epoxy_is_desktop_gl() || version < 44) {
+    return "OpenGL 4.4 is needed to draw splats, this is " + std::to_string(version / 10) + "." +
+           std::to_string(version % 10) + driver + "; update the graphics driver";
+  }
+  GLint vertex_buffers = 0;
+  glGetIntegerv(GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS, &vertex_buffers);
+  if (vertex_buffers < 7) {
+    return "the graphics driver reads no storage buffers in vertex shaders" + driver;
+  }
+  GLint compute_buffers = 0;
+  glGetIntegerv(GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS, &compute_buffers);
+  if (compute_buffers < kStorageBindings) {
+    return "the graphics driver gives a compute shader " + std::to_string(compute_buffers) +
+           " storage buffers, " + std::to_string(kStorageBindings) + " are needed" + driver;
+  }
+  return {};
+}
+
+}  // namespace rosplat::gl

@@ -1,0 +1,65 @@
+#include "gl/shaders.hpp"
+
+#include <algorithm>
+
+#include "map/gaussian_map.hpp"
+
+namespace rosplat {
+
+namespace {
+
+constexpr const char* kSubgroups =
+    "#extension GL_KHR_shader_subgroup_basic : require\n"
+    "#extension GL_KHR_shader_subgroup_ballot : require\n"
+    "#extension GL_KHR_shader_subgroup_shuffle : require\n#define SUBGROUPS\n";
+
+bool hasSubgroupsOf32() {
+  if (!epoxy_has_gl_extension("GL_KHR_shader_subgroup")) return false;
+  constexpr GLint kNeeded =
+      GL_SUBGROUP_FEATURE_BALLOT_BIT_KHR | GL_SUBGROUP_FEATURE_SHUFFLE_BIT_KHR;
+  GLint size = 0, features = 0, stages = 0;
+  glGetIntegerv(GL_SUBGROUP_SIZE_KHR, &size);
+  glGetIntegerv(GL_SUBGROUP_SUPPORTED_FEATURES_KHR, &features);
+  glGetIntegerv(GL_SUBGROUP_SUPPORTED_STAGES_KHR, &stages);
+  return size == 32 && (features & kNeeded) == kNeeded && (stages & GL_COMPUTE_SHADER_BIT);
+}
+
+}  // namespace
+
+Shaders::Shaders(ShaderSource source) : source_(std::move(source)), subgroups_(hasSubgroupsOf32()) {
+  GLint64 largest = 0;
+  glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &largest);
+  part_size_ = std::min<std::size_t>(static_cast<std::size_t>(largest) / kEllipseBytes, kMaxSlots);
+  parts_ = part_size_ >= kMaxSlots ? 1 : kEllipseParts;
+}
+
+void Shaders::attach(gl::Program& program, GLenum stage, const char* extensions,
+                     Files files) const {
+  std::string text = "#version 430\n" + std::string(extensions);
+  text += "#define PARTS " + std::to_string(parts_) + "\n";
+  if (stage == GL_COMPUTE_SHADER) text += "#define COMPUTE\n";
+  text += source_("splat_common.glsl");
+  for (const char* file : files) text += "\n#line 1\n" + source_(file);
+  program.attach(stage, *(files.end() - 1), text);
+}
+
+gl::Program Shaders::compute(Files files) const { return compute("", files); }
+
+gl::Program Shaders::computeInSubgroups(Files files) const { return compute(kSubgroups, files); }
+
+gl::Program Shaders::compute(const char* extensions, Files files) const {
+  gl::Program program;
+  attach(program, GL_COMPUTE_SHADER, extensions, files);
+  program.link(*(files.end() - 1));
+  return program;
+}
+
+gl::Program Shaders::draw(Files vertex, Files fragment) const {
+  gl::Program program;
+  attach(program, GL_VERTEX_SHADER, "", vertex);
+  attach(program, GL_FRAGMENT_SHADER, "", fragment);
+  program.link(*(fragment.end() - 1));
+  return program;
+}
+
+}  // namespace rosplat

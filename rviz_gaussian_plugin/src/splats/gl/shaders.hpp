@@ -1,0 +1,47 @@
+#pragma once
+
+#include <functional>
+#include <initializer_list>
+#include <string>
+
+#include "gl/gl_objects.hpp"
+
+namespace rosplat {
+
+// Tiles of splat_tiles.glsl that cover so many pixels.
+constexpr int tilesIn(int pixels) { return (pixels + 15) / 16; }
+
+// Reads a shader's source by file name.
+using ShaderSource = std::function<std::string(const std::string& name)>;
+
+// Compiles the programs of the renderer: each shader is put together from files, after what is
+// common to all and what the driver is good for.
+class Shaders {
+ public:
+  explicit Shaders(ShaderSource source);
+
+  using Files = std::initializer_list<const char*>;
+  // The last file names the program. Throw gl::Error.
+  gl::Program compute(Files files) const;
+  // For lanes of 32 that vote together; only where the driver says that it has them.
+  gl::Program computeInSubgroups(Files files) const;
+  bool subgroups() const { return subgroups_; }
+  gl::Program draw(Files vertex, Files fragment) const;
+
+  // Projected splats in one buffer of the driver's, and of the renderer's, at most kEllipseParts.
+  std::size_t partSize() const { return part_size_; }
+
+  static constexpr std::size_t kEllipseBytes = 32;  // as splat_common.glsl packs them
+  static constexpr std::size_t kEllipseParts = 4;
+
+ private:
+  void attach(gl::Program& program, GLenum stage, const char* extensions, Files files) const;
+  gl::Program compute(const char* extensions, Files files) const;
+
+  ShaderSource source_;
+  std::size_t part_size_ = 0;
+  std::size_t parts_ = 1;
+  bool subgroups_ = false;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,57 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+
+#include "gl/gl_objects.hpp"
+#include "gl/shaders.hpp"
+#include "gpu/radix_sort.hpp"
+#include "gpu/slot_store.hpp"
+#include "gpu/tally.hpp"
+#include "map/render_settings.hpp"
+#include "map/splat_camera.hpp"
+
+namespace rosplat {
+
+// What the camera sees of a map: the slots that may be visible are found, counted and projected to
+// ellipses that lie one after the other, in the order of their slots. Only the graphics card knows
+// how many; of more than there is room for, the last are left out.
+class Projection {
+ public:
+  Projection(const Shaders& shaders, const Tallies& tallies);
+
+  // Makes room for so many visible splats. Throws gl::Error where the driver has none.
+  void reserve(std::size_t count);
+  std::size_t room() const { return room_; }
+
+  // keys: room for as many. now: the clock of `change` in packed_slot.hpp.
+  void run(const SlotStore& store, const SplatCamera& camera, const MapState& map,
+           const RenderSettings& settings, double now, const gl::Buffer& keys);
+
+  const Tally& visible() const { return visible_count_; }
+  void bindEllipses(const gl::Program& program) const;   // storage bindings 0 to 3
+  void bindVisible() const;                              // storage bindings 5 and 6
+  std::size_t slotWords() const { return slot_words_; }  // of what these bind
+  // The least and the largest key drawn, depthKey() of their depths.
+  const gl::Slice& depthRange() const { return depth_range_; }
+  const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
+  std::size_t bytes() const;
+
+ private:
+  void cull(const SlotStore& store, const SplatCamera& camera, const MapState& map,
+            const RenderSettings& settings);
+  void project(const SlotStore& store, const SplatCamera& camera, const MapState& map,
+               const RenderSettings& settings, double now, const gl::Buffer& keys);
+
+  gl::Program cull_, project_;
+  PrefixSum prefix_sum_;
+  std::size_t part_size_;
+  gl::Buffer visible_, before_;
+  Tally words_, visible_count_;
+  std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
+  gl::Buffer boxes_;
+  gl::Slice depth_range_;
+  std::size_t slot_words_ = 0, room_ = 0;
+};
+
+}  // namespace rosplat

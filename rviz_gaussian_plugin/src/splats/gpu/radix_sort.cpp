@@ -1,0 +1,147 @@
+#include "gpu/radix_sort.hpp"
+
+#include <algorithm>
+#include <array>
+#include <numeric>
+#include <random>
+#include <utility>
+#include <vector>
+
+namespace rosplat {
+
+namespace {
+constexpr std::size_t kDigits = 1u << RadixSort::kDigitBits;
+constexpr Shaders::Files kScatter{"group_sum.glsl", "radix_scatter.comp"};
+
+std::size_t blocks(std::size_t count) { return (count + Tally::kBlock - 1) / Tally::kBlock; }
+}  // namespace
+
+void PrefixSum::reserve(std::size_t count) { sums_.reserve((blocks(count) + 1) * sizeof(GLuint)); }
+
+void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& total,
+                    std::size_t room) {
+  sum_.use();
+  sum_.set("room", static_cast<GLuint>(room));
+  values.bind(0);
+  sums_.bind(1);
+  count.bind(2);
+  total.bind(3);
+  for (GLuint pass = 0; pass < 2; ++pass) {
+    sum_.set("pass", pass);
+    count.dispatchBlocks();
+    gl::storageBarrier();
+  }
+  glMemoryBarrier(GL_COMMAND_BARRIER_BIT);  // the total is work to dispatch
+}
+
+RadixSort::RadixSort(const Shaders& shaders)
+    : shaders_(shaders),
+      count_(shaders.compute({"radix_count.comp"})),
+      sum_(shaders.compute({"group_sum.glsl", "radix_sum.comp"})),
+      scatter_(shaders.subgroups() ? shaders.computeInSubgroups(kScatter)
+                                   : shaders.compute(kScatter)) {}
+
+bool RadixSort::check() {
+  if (sortsRight()) return true;
+  if (!shaders_.subgroups() || lost_ballots_) return false;
+  lost_ballots_ = true;
+  scatter_ = shaders_.compute(kScatter);
+  return sortsRight();
+}
+
+bool RadixSort::sortsRight() {
+  // Three full blocks and one that isn't; of each key about six, in the top bits that depths have.
+  constexpr std::size_t kKeys = 3 * Tally::kBlock + 1000;
+  constexpr GLuint kLeast = 0xbf800000u;
+  std::minstd_rand random;
+  std::vector<GLuint> keys(kKeys), places(kKeys), sorted(kKeys), found(kKeys);
+  for (GLuint& key : keys) key = kLeast + 17 * (random() % 2048);
+  std::iota(places.begin(), places.end(), 0u);
+  std::stable_sort(places.begin(), places.end(),
+                   [&](GLuint a, GLuint b) { return keys[a] < keys[b]; });
+  std::transform(places.begin(), places.end(), sorted.begin(), [&](GLuint i) { return keys[i]; });
+
+  const gl::Buffer numbers(2 * gl::Slice::kAlignment, GL_DYNAMIC_COPY);
+  Tally count({numbers.id(), 0, Tally::kBytes});
+  count.set(kKeys);
+  const gl::Slice least{numbers.id(), gl::Slice::kAlignment, Tally::kBytes};
+  const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> words{kLeast};
+  least.write(words.data());
+  const gl::Buffer ordered(kKeys * sizeof(GLuint), GL_DYNAMIC_COPY);
+  reserve(kKeys);
+
+  const auto holds = [&](const gl::Buffer& buffer, const std::vector<GLuint>& expected) {
+    buffer.read(0, found.data(), found.size() * sizeof(GLuint));
+    return found == expected;
+  };
+  keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
+  order(count, least, 2 * kDigitBits, ordered);
+  if (!holds(ordered, places)) return false;
+  // As values, what was sorted goes through passes of its own.
+  std::vector<GLuint> values(kKeys);
+  std::iota(values.rbegin(), values.rend(), 0u);
+  keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
+  values_.write(0, values.data(), values.size() * sizeof(GLuint));
+  sort(count, least, 2 * kDigitBits);
+  std::transform(places.begin(), places.end(), values.begin(),
+                 [&](GLuint i) { return static_cast<GLuint>(kKeys) - 1 - i; });
+  return holds(keys_, sorted) && holds(values_, values);
+}
+
+void RadixSort::reserve(std::size_t count) {
+  for (gl::Buffer* buffer : {&keys_, &values_, &next_keys_, &next_values_}) {
+    buffer->reserve(count * sizeof(GLuint));
+  }
+  counts_.reserve((blocks(count) + 1) * kDigits * sizeof(GLuint));
+}
+
+void RadixSort::pass(const Tally& count, const gl::Slice& least, int shift, bool first, bool last,
+                     const gl::Buffer& sorted_values) {
+  keys_.bind(0);
+  values_.bind(1);
+  next_keys_.bind(2);
+  sorted_values.bind(3);
+  counts_.bind(4);
+  count.bind(5);
+  least.bind(6);
+  count_.use();
+  count_.set("shift", static_cast<GLuint>(shift));
+  count.dispatchBlocks();
+  gl::storageBarrier();
+
+  sum_.use();
+  gl::dispatch(kDigits);
+  gl::storageBarrier();
+
+  scatter_.use();
+  scatter_.set("shift", static_cast<GLuint>(shift));
+  scatter_.set("first_pass", int(first));
+  scatter_.set("last_pass", int(last));
+  count.dispatchBlocks();
+  gl::storageBarrier();
+}
+
+void RadixSort::sort(const Tally& count, const gl::Slice& least, int bits) {
+  for (int shift = 0; shift < bits; shift += kDigitBits) {
+    pass(count, least, shift, false, false, next_values_);
+    std::swap(keys_, next_keys_);
+    std::swap(values_, next_values_);
+  }
+}
+
+void RadixSort::order(const Tally& count, const gl::Slice& least, int bits,
+                      const gl::Buffer& places) {
+  for (int shift = 0; shift < bits; shift += kDigitBits) {
+    const bool last = shift + kDigitBits >= bits;
+    pass(count, least, shift, shift == 0, last, last ? places : next_values_);
+    std::swap(keys_, next_keys_);
+    std::swap(values_, next_values_);
+  }
+}
+
+std::size_t RadixSort::bytes() const {
+  return keys_.bytes() + values_.bytes() + next_keys_.bytes() + next_values_.bytes() +
+         counts_.bytes();
+}
+
+}  // namespace rosplat

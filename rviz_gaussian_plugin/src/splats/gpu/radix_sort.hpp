@@ -1,0 +1,78 @@
+#pragma once
+
+#include <cstddef>
+
+#include "gl/gl_objects.hpp"
+#include "gl/shaders.hpp"
+#include "gpu/tally.hpp"
+
+namespace rosplat {
+
+// How many bits a number takes.
+constexpr int bitsOf(std::size_t value) { return value ? 1 + bitsOf(value >> 1) : 0; }
+
+// Exclusive prefix sums on the GPU.
+class PrefixSum {
+ public:
+  explicit PrefixSum(const Shaders& shaders)
+      : sum_(shaders.compute({"group_sum.glsl", "prefix_sum.comp"})) {}
+
+  // Makes room for so many values.
+  void reserve(std::size_t count);
+  // Sums up as many uint32 of a buffer as a tally says, in place; their total becomes another
+  // tally, for which there is room for so many.
+  void run(const gl::Buffer& values, const Tally& count, const Tally& total, std::size_t room);
+
+  std::size_t bytes() const { return sums_.bytes(); }
+
+ private:
+  gl::Program sum_;
+  gl::Buffer sums_;
+};
+
+// A stable radix sort of uint32 keys with uint32 values on the GPU, the least first. Keys and
+// values lie in buffers of its own, which are whoever's turn it is: what was sorted stays until
+// others sort.
+class RadixSort {
+ public:
+  // The shaders must outlive it.
+  explicit RadixSort(const Shaders& shaders);
+
+  // Sorts some keys and compares with what the CPU makes of them; where lanes don't vote as the
+  // driver says, from then on without that. False where nothing helps. What is in the buffers is
+  // lost.
+  bool check();
+  // Whether check() gave up what the driver says that it can.
+  bool lostBallots() const { return lost_ballots_; }
+
+  // Makes room for so many; what was in the buffers may be lost.
+  void reserve(std::size_t count);
+
+  const gl::Buffer& keys() const { return keys_; }
+  const gl::Buffer& values() const { return values_; }
+  // Free until sort() is called.
+  const gl::Buffer& spare() const { return next_values_; }
+
+  // Sorts by the lowest `bits` bits of the keys' distances from the first word of `least`.
+  void sort(const Tally& count, const gl::Slice& least, int bits);
+  // Writes where the keys were before, in their new order, to another buffer; keys and values are
+  // used up.
+  void order(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& places);
+
+  std::size_t bytes() const;
+
+  static constexpr int kDigitBits = 8;
+
+ private:
+  void pass(const Tally& count, const gl::Slice& least, int shift, bool first, bool last,
+            const gl::Buffer& sorted_values);
+
+  bool sortsRight();
+
+  const Shaders& shaders_;
+  bool lost_ballots_ = false;
+  gl::Program count_, sum_, scatter_;
+  gl::Buffer keys_, values_, next_keys_, next_values_, counts_;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,81 @@
+#include "gpu/slot_reader.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+
+namespace rosplat {
+
+namespace {
+
+constexpr std::size_t kWord = sizeof(std::uint32_t);
+
+SplatValues unpack(std::uint32_t slot, const std::uint32_t* words, int sh_degree) {
+  std::array<const std::uint32_t*, kMaxShDegree + 1> bands{nullptr, words + kSlotWords};
+  for (int band = 1; band < sh_degree; ++band) bands[band + 1] = bands[band] + kBandWords[band];
+  const Splat splat = unpackSlot(words);
+  SplatValues values;
+  values.slot = slot;
+  std::copy(splat.position.begin(), splat.position.end(), values.position.begin());
+  values.orientation = splat.orientation;
+  values.scale = splat.scale;
+  values.opacity = splat.opacity;
+  values.sh.assign(splat.color.begin(), splat.color.end());
+  const std::vector<float> sh = unpackHarmonics(words, sh_degree, bands);
+  values.sh.insert(values.sh.end(), sh.begin(), sh.end());
+  return values;
+}
+
+}  // namespace
+
+std::vector<SplatValues> SlotReader::read(const SlotStore& store,
+                                          const std::vector<std::uint32_t>& slots) const {
+  const auto pageOf = [](std::uint32_t slot) { return slot - slot % SlotStore::kPageSlots; };
+  std::vector<SplatValues> values(slots.size());
+  std::vector<std::size_t> held;  // which of them have a page, page by page; others are empty
+  for (std::size_t i = 0; i < slots.size(); ++i) {
+    values[i].slot = slots[i];
+    if (store.pages().count(pageOf(slots[i]))) held.push_back(i);
+  }
+  if (held.empty()) return values;
+  std::sort(held.begin(), held.end(), [&](auto a, auto b) { return slots[a] < slots[b]; });
+
+  std::size_t stride = kSlotWords;
+  for (int band = 1; band <= store.shDegree(); ++band) stride += std::size_t(kBandWords[band]);
+  std::vector<std::uint32_t> words(held.size());
+  std::transform(held.begin(), held.end(), words.begin(),
+                 [&](std::size_t i) { return slots[i] % SlotStore::kPageSlots; });
+  gl::Buffer wanted(words.size() * kWord, GL_STREAM_DRAW);
+  wanted.write(0, words.data(), wanted.bytes());
+  words.resize(held.size() * stride);
+  const gl::Buffer gathered(words.size() * kWord, GL_STREAM_READ);
+
+  gather_.use();
+  wanted.bind(0);
+  gathered.bind(2);
+  gather_.set("stride", static_cast<GLuint>(stride));
+  for (std::size_t first = 0, next = 0; first < held.size(); first = next) {
+    const std::uint32_t first_slot = pageOf(slots[held[first]]);
+    while (next < held.size() && pageOf(slots[held[next]]) == first_slot) ++next;
+    const SlotStore::Page& page = store.pages().at(first_slot);
+    gather_.set("first", static_cast<GLuint>(first));
+    gather_.set("count", static_cast<GLuint>(next - first));
+    GLuint offset = 0;
+    for (int band = 0; band <= store.shDegree(); ++band) {
+      const auto size = static_cast<GLuint>(band == 0 ? kSlotWords : kBandWords[band]);
+      (band == 0 ? page.slots : page.bands[band]).bind(1);
+      gather_.set("words", size);
+      gather_.set("offset", offset);
+      gl::dispatchInvocations((next - first) * size);
+      offset += size;
+    }
+  }
+  gl::storageBarrier();
+  gathered.read(0, words.data(), gathered.bytes());
+  for (std::size_t k = 0; k < held.size(); ++k) {
+    values[held[k]] = unpack(slots[held[k]], &words[k * stride], store.shDegree());
+  }
+  return values;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "gl/gl_objects.hpp"
+#include "gl/shaders.hpp"
+#include "gpu/slot_store.hpp"
+#include "map/gaussian_map.hpp"
+
+namespace rosplat {
+
+// Reads slots back from the GPU.
+class SlotReader {
+ public:
+  explicit SlotReader(const Shaders& shaders) : gather_(shaders.compute({"slot_gather.comp"})) {}
+
+  // Slots as they are drawn, relative to the map's origin. Waits for the graphics card, once.
+  std::vector<SplatValues> read(const SlotStore& store,
+                                const std::vector<std::uint32_t>& slots) const;
+
+ private:
+  gl::Program gather_;
+};
+
+}  // namespace rosplat

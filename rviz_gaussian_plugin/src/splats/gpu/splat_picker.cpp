@@ -1,0 +1,62 @@
+#include "gpu/splat_picker.hpp"
+
+#include <vector>
+
+namespace rosplat {
+
+SplatPicker::SplatPicker(const Shaders& shaders)
+    : pick_(shaders.compute({"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
+                             "splat_depth.glsl", "splat_pick.comp"})),
+      colour_(shaders.draw({"splat_composite.vert"}, {"splat_pick.frag"})) {}
+
+void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
+                       const gl::Target& target, const Raster& raster) {
+  const int across = tilesIn(target.width()), down = tilesIn(target.height());
+  width_ = static_cast<std::size_t>(target.width());
+  height_ = static_cast<std::size_t>(target.height());
+  top_first_ = raster.top_first;
+  const std::vector<std::uint32_t> nothing(width_ * height_, kNoSlot);
+  picked_.reserve(nothing.size() * sizeof(std::uint32_t));
+  picked_.write(0, nothing.data(), nothing.size() * sizeof(std::uint32_t));
+  if (splats.count() == 0) return;
+  pick_.use();
+  splats.projection().bindEllipses(pick_);
+  splats.projection().bindVisible();
+  raster.set(pick_);
+  glUniform2i(pick_.at("tiles"), across, down);
+  glUniform2i(pick_.at("picture"), target.width(), target.height());
+  pick_.set("top_first", int(raster.top_first));
+  pick_.set("words", static_cast<GLuint>(splats.projection().slotWords()));
+  pick_.set("listed", int(lists != nullptr));
+  splats.drawn().bind(4);
+  picked_.bind(7);
+  splats.tally().bind(8);
+  if (lists) lists->bindLists(4, 9);
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, target.depth());
+  gl::dispatch(std::size_t(across) * std::size_t(down));
+  gl::storageBarrier();
+}
+
+void SplatPicker::draw(const CanvasScope& canvas, const gl::Target& target,
+                       std::uint32_t handle) const {
+  glDisable(GL_BLEND);
+  glDisable(GL_DEPTH_TEST);
+  colour_.use();
+  colour_.set("width", target.width());
+  colour_.set("handle", handle);
+  picked_.bind(7);
+  canvas.layOver(colour_, target);
+}
+
+std::vector<std::uint32_t> SplatPicker::read() const {
+  std::vector<std::uint32_t> slots(width_ * height_);
+  for (std::size_t i = 0; i < height_; ++i) {
+    const std::size_t row = top_first_ ? i : height_ - 1 - i;
+    picked_.read(row * width_ * sizeof(std::uint32_t), &slots[i * width_],
+                 width_ * sizeof(std::uint32_t));
+  }
+  return slots;
+}
+
+}  // namespace rosplat

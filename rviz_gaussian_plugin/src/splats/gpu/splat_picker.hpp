@@ -1,0 +1,40 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "gl/canvas.hpp"
+#include "gl/gl_objects.hpp"
+#include "gl/shaders.hpp"
+#include "gpu/ordered_splats.hpp"
+#include "gpu/raster.hpp"
+#include "gpu/tile_rasterizer.hpp"
+
+namespace rosplat {
+
+// Finds the splat that contributes most to each pixel, at least a twentieth of its colour.
+class SplatPicker {
+ public:
+  explicit SplatPicker(const Shaders& shaders);
+
+  // Among those that the depth of the target doesn't hide. They should be listed by the target's
+  // tiles: without, each tile walks all of them.
+  void pick(const OrderedSplats& splats, const TileRasterizer* lists, const gl::Target& target,
+            const Raster& raster);
+  // Writes the map's handle for rviz's selection as 24-bit colour wherever there is a splat, or,
+  // without one, slot + 1 (slots of 24 bits only).
+  void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t handle) const;
+  // width * height slots, top row first; kNoSlot where there is none.
+  std::vector<std::uint32_t> read() const;
+
+  std::size_t bytes() const { return picked_.bytes(); }
+
+ private:
+  gl::Program pick_, colour_;
+  gl::Buffer picked_;  // slots
+  std::size_t width_ = 0, height_ = 0;
+  bool top_first_ = false;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,50 @@
+#include "gpu/tally.hpp"
+
+#include <algorithm>
+#include <array>
+
+namespace rosplat {
+
+namespace {
+
+constexpr std::size_t kGroups = 2, kBlocks = 5, kQuads = 8;  // words
+
+GLuint ceilDiv(std::size_t a, std::size_t b) { return static_cast<GLuint>((a + b - 1) / b); }
+
+}  // namespace
+
+void Tally::set(std::size_t count) {
+  if (known_ && count_ == count) return;
+  known_ = true;
+  count_ = count;
+  const auto n = static_cast<GLuint>(count);
+  const GLuint groups = ceilDiv(count, 256), blocks = std::max(ceilDiv(count, kBlock), 1u);
+  const GLuint group_rows = std::max(ceilDiv(groups, 65535), 1u);
+  const GLuint block_rows = ceilDiv(blocks, 65535);
+  const std::array<GLuint, 12> words{n,          n, ceilDiv(groups, group_rows),
+                                     group_rows, 1, ceilDiv(blocks, block_rows),
+                                     block_rows, 1, 4,
+                                     n,          0, 0};
+  static_assert(sizeof(words) == kBytes);
+  words_.write(words.data());
+}
+
+void Tally::forget() { known_ = false; }
+
+void Tally::dispatch(std::size_t word) const {
+  glBindBuffer(GL_DISPATCH_INDIRECT_BUFFER, words_.buffer);
+  glDispatchComputeIndirect(static_cast<GLintptr>(words_.offset + word * sizeof(GLuint)));
+}
+
+void Tally::dispatchGroups() const { dispatch(kGroups); }
+
+void Tally::dispatchBlocks() const { dispatch(kBlocks); }
+
+void Tally::drawQuads() const {
+  glBindBuffer(GL_DRAW_INDIRECT_BUFFER, words_.buffer);
+  glDrawArraysIndirect(GL_TRIANGLE_STRIP,
+                       reinterpret_cast<const void*>(words_.offset + kQuads * sizeof(GLuint)));
+  glBindBuffer(GL_DRAW_INDIRECT_BUFFER, 0);
+}
+
+}  // namespace rosplat

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <cstddef>
+
+#include "gl/gl_objects.hpp"
+
+namespace rosplat {
+
+// Room to make for a number that may be larger in the next frame, and grows by a factor.
+constexpr std::size_t withSlack(std::size_t count, double growth = 1) {
+  return static_cast<std::size_t>(growth * static_cast<double>(count + count / 8));
+}
+
+// A number that shaders find, with the work that it makes for those that follow, so that none of it
+// has to wait for the CPU. splat_common.glsl has the same.
+class Tally {
+ public:
+  static constexpr std::size_t kBlock = 4096;
+  static constexpr std::size_t kBytes = 12 * sizeof(GLuint);
+  static constexpr std::size_t kWanted = 1;  // word: the number with room for all
+
+  // In a slice of kBytes.
+  explicit Tally(const gl::Slice& words) : words_(words) { set(0); }
+
+  // Makes it a number that is known here.
+  void set(std::size_t count);
+  // A shader is to make it another one.
+  void forget();
+
+  void bind(GLuint storage_binding) const { words_.bind(storage_binding); }
+  // Runs the compute program in use for 256, or for kBlock, a work group.
+  void dispatchGroups() const;
+  void dispatchBlocks() const;
+  // Draws triangle strips of four vertices.
+  void drawQuads() const;
+
+ private:
+  void dispatch(std::size_t word) const;
+
+  gl::Slice words_;
+  bool known_ = false;
+  std::size_t count_ = 0;
+};
+
+// What is counted in a frame, side by side, so that one copy brings the CPU all of it.
+class Tallies {
+ public:
+  enum Of : std::size_t { kVisible, kPairs, kSlotWords, kOrder, kDepthRange, kZero, kCount };
+
+  Tallies() : words_(kCount * gl::Slice::kAlignment, GL_DYNAMIC_COPY), copy_(kCount * kStride) {}
+
+  gl::Slice of(Of what) const { return {words_.id(), what * gl::Slice::kAlignment, Tally::kBytes}; }
+  void ask() { copy_.ask(words_); }
+  // Waits for what was asked for last: a word of it.
+  GLuint wait(Of what, std::size_t word) const { return copy_.wait()[what * kStride + word]; }
+
+ private:
+  static constexpr std::size_t kStride = gl::Slice::kAlignment / sizeof(GLuint);
+
+  gl::Buffer words_;
+  gl::Readback copy_;
+};
+
+}  // namespace rosplat

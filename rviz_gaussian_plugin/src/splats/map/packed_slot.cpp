@@ -1,0 +1,148 @@
+#include "map/packed_slot.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+namespace rosplat {
+
+namespace {
+
+constexpr float kLargestHalf = 65504.0f;
+constexpr float kLeastScaleLog2 = -40, kScaleOctaves = 64;  // 1 pm to 16,777 km
+constexpr float kScaleSteps = 65534;
+constexpr float kQuaternionSteps = 16383;  // to either side
+constexpr float kSqrtHalf = 0.70710678f;
+
+// To the nearest half-precision float, ties to even; beyond the largest, the largest.
+std::uint32_t toHalf(float value) {
+  value = std::clamp(value, -kLargestHalf, kLargestHalf);
+  std::uint32_t bits;
+  std::memcpy(&bits, &value, sizeof(bits));
+  const std::uint32_t sign = bits >> 16 & 0x8000u;
+  bits &= 0x7fffffffu;
+  if (bits < 0x38800000u) {  // subnormal: adding 0.5 shifts the mantissa to where it belongs
+    float magnitude;
+    std::memcpy(&magnitude, &bits, sizeof(bits));
+    magnitude += 0.5f;
+    std::memcpy(&bits, &magnitude, sizeof(bits));
+    return sign | (bits - 0x3f000000u);
+  }
+  bits += 0xfffu + (bits >> 13 & 1u);
+  return sign | ((bits - 0x38000000u) >> 13);
+}
+
+float fromHalf(std::uint32_t half) {
+  const float magnitude = std::ldexp(float((half & 0x3ffu) | ((half & 0x7c00u) ? 0x400u : 0u)),
+                                     std::max(int(half >> 10 & 31u), 1) - 25);
+  return half & 0x8000u ? -magnitude : magnitude;
+}
+
+std::uint32_t toLogScale(float scale) {
+  const float octaves = std::log2(scale) - kLeastScaleLog2;  // of 0: minus infinity
+  if (!(octaves >= 0)) return 0;
+  return 1u + std::uint32_t(std::lrint(std::min(octaves / kScaleOctaves, 1.0f) * kScaleSteps));
+}
+
+float fromLogScale(std::uint32_t code) {
+  if (code == 0) return 0;
+  return std::exp2(kLeastScaleLog2 + kScaleOctaves * float(code - 1) / kScaleSteps);
+}
+
+// Signed fraction of one, rounded to `steps` to either side, in as many bits as it takes.
+std::uint32_t toFraction(float value, float steps, std::uint32_t mask) {
+  return std::uint32_t(int(std::lrint(std::clamp(value, -1.0f, 1.0f) * steps))) & mask;
+}
+
+std::uint64_t toSmallestThree(const std::array<float, 4>& orientation) {
+  float length = 0;
+  for (float v : orientation) length += v * v;
+  const auto magnitude = [](float a, float b) { return std::fabs(a) < std::fabs(b); };
+  const auto missing = std::size_t(
+      std::max_element(orientation.begin(), orientation.end(), magnitude) - orientation.begin());
+  const float factor = std::copysign(1 / (std::sqrt(length) * kSqrtHalf), orientation[missing]);
+  std::uint64_t packed = missing;
+  for (std::size_t i = 0, shift = 2; i < 4; ++i) {
+    if (i == missing) continue;
+    packed |= std::uint64_t(toFraction(orientation[i] * factor, kQuaternionSteps, 0x7fffu))
+              << shift;
+    shift += 15;
+  }
+  return packed;
+}
+
+std::array<float, 4> fromSmallestThree(std::uint64_t packed) {
+  const std::size_t missing = packed & 3u;
+  std::array<float, 4> orientation{};
+  float rest = 1;
+  for (std::size_t i = 0, shift = 2; i < 4; ++i) {
+    if (i == missing) continue;
+    const auto bits = std::int32_t(std::uint32_t(packed >> shift) << 17) >> 17;
+    orientation[i] = float(bits) / kQuaternionSteps * kSqrtHalf;
+    rest -= orientation[i] * orientation[i];
+    shift += 15;
+  }
+  orientation[missing] = std::sqrt(std::max(rest, 0.0f));
+  return orientation;
+}
+
+}  // namespace
+
+void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t* slot,
+              const std::array<std::uint32_t*, kMaxShDegree + 1>& bands) {
+  const int coefficients = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);
+  float largest = 0;
+  for (int i = 0; i < coefficients; ++i) largest = std::max(largest, std::fabs(sh[i]));
+  const std::uint32_t sh_scale = toHalf(largest);
+  const float unit = fromHalf(sh_scale);
+
+  std::memcpy(slot, splat.position.data(), sizeof(splat.position));
+  slot[3] = std::uint32_t(std::lrint(std::clamp(splat.opacity, 0.0f, 1.0f) * 65535.0f)) |
+            toLogScale(splat.scale[0]) << 16;
+  slot[4] = toLogScale(splat.scale[1]) | toLogScale(splat.scale[2]) << 16;
+  const std::uint64_t rotation = toSmallestThree(splat.orientation);
+  slot[5] = std::uint32_t(rotation);
+  slot[6] = std::uint32_t(rotation >> 32) | sh_scale << 16;
+  slot[7] = toHalf(splat.color[0]) | toHalf(splat.color[1]) << 16;
+  slot[8] = toHalf(splat.color[2]);
+
+  const float fraction = unit > 0 ? 1 / unit : 0;
+  for (int band = 1; band <= sh_degree; ++band) {
+    for (int i = 0; i < kBandWords[band]; ++i, sh += 3) {
+      bands[band][i] = toFraction(sh[0] * fraction, 1023, 0x7ffu) |
+                       toFraction(sh[1] * fraction, 1023, 0x7ffu) << 11 |
+                       toFraction(sh[2] * fraction, 511, 0x3ffu) << 22;
+    }
+  }
+}
+
+Splat unpackSlot(const std::uint32_t* slot) {
+  Splat splat;
+  std::memcpy(splat.position.data(), slot, sizeof(splat.position));
+  splat.opacity = float(slot[3] & 0xffffu) / 65535.0f;
+  splat.scale = {fromLogScale(slot[3] >> 16), fromLogScale(slot[4] & 0xffffu),
+                 fromLogScale(slot[4] >> 16)};
+  splat.orientation = fromSmallestThree(std::uint64_t(slot[6] & 0xffffu) << 32 | slot[5]);
+  splat.color = {fromHalf(slot[7] & 0xffffu), fromHalf(slot[7] >> 16), fromHalf(slot[8] & 0xffffu)};
+  return splat;
+}
+
+std::vector<float> unpackHarmonics(
+    const std::uint32_t* slot, int sh_degree,
+    const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands) {
+  const float unit = fromHalf(slot[6] >> 16);
+  const auto fraction = [unit](std::uint32_t word, int shift, int bits, float steps) {
+    return unit * float(std::int32_t(word << (32 - shift - bits)) >> (32 - bits)) / steps;
+  };
+  std::vector<float> sh;
+  for (int band = 1; band <= sh_degree; ++band) {
+    for (int i = 0; i < kBandWords[band]; ++i) {
+      const std::uint32_t word = bands[band][i];
+      sh.insert(sh.end(), {fraction(word, 0, 11, 1023), fraction(word, 11, 11, 1023),
+                           fraction(word, 22, 10, 511)});
+    }
+  }
+  return sh;
+}
+
+}  // namespace rosplat

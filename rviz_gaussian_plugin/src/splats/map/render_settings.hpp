@@ -1,0 +1,87 @@
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <optional>
+
+#include "map/gaussian_map.hpp"
+
+namespace rosplat {
+
+// What a splat is drawn as.
+enum class DrawMode {
+  kColor,         // as trained
+  kDepth,         // colour-mapped distance along the view's axis
+  kBillboard,     // isotropic, of the mean of its scales
+  kFlatBall,      // a solid ellipsoid in one colour
+  kGaussianBall,  // a solid ellipsoid, darker towards its rim
+  kNormals,       // the shortest axis, towards the camera: 0.5 + 0.5 n in the map's frame
+  kOpacity,       // colour-mapped peak opacity
+  kAge,           // colour-mapped time since a slot last changed, new is red
+};
+
+// Opacity compensation for the 2D low-pass filter (Mip-Splatting).
+enum class Antialiasing { kAsTrained, kOn, kOff };
+
+// Whose order is drawn.
+enum class OrderSource { kAuto, kSidecar, kBuiltIn, kOff, kGpu };
+
+// What blends the splats.
+enum class Rasterizer {
+  kAuto,   // tiles where a graphics card draws, else quads
+  kQuads,  // the fixed-function blending of quads, back to front
+  kTiles,  // compute shaders, tile by tile, front to back
+};
+
+// What is kept of a map: splats with their mean in a box of the map's frame.
+struct ClipBox {
+  bool enabled = false;
+  std::array<float, 3> centre{};       // [m]
+  std::array<float, 3> size{1, 1, 1};  // [m]
+
+  bool operator==(const ClipBox& o) const {
+    return enabled == o.enabled && centre == o.centre && size == o.size;
+  }
+};
+
+// How a map is drawn.
+struct RenderSettings {
+  DrawMode mode = DrawMode::kColor;
+  int max_sh_degree = kMaxShDegree;
+  int only_band = -1;  // draw one band of spherical harmonics alone; -1: all
+  // In 32-bit floats instead of 16-bit ones. Unset: where the processor draws, which takes as long
+  // either way ("blend" in docs/accuracy.md); on a GPU, quads take two to five times as long.
+  std::optional<bool> float_blending;
+  bool wait_for_order = false;   // sort in the frame rather than draw an order that isn't fresh
+  bool half_resolution = false;  // quads in pixels twice as wide and high, smoothed; tiles as ever
+  float scale = 1;               // of the splats' size
+  float opacity = 1;             // of their opacity, 0 to 1
+  Antialiasing antialiasing = Antialiasing::kAsTrained;
+  OrderSource order = OrderSource::kAuto;
+  Rasterizer rasterizer = Rasterizer::kAuto;
+  bool profile = false;  // measure the stages of a frame; waits for the graphics card
+  ClipBox clip_box;
+  float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
+  std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest drawn
+  float age_range = 10;                // of kAge [s]
+
+  // Whether splats are projected alike.
+  bool projectsAs(const RenderSettings& o) const {
+    return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
+           half_resolution == o.half_resolution && scale == o.scale && opacity == o.opacity &&
+           antialiasing == o.antialiasing && clip_box == o.clip_box && near_fade == o.near_fade &&
+           age_range == o.age_range;
+  }
+};
+
+// How many times as large as in the map splats are culled: SplatCamera::extent_scale.
+inline double extentScale(const RenderSettings& settings) { return std::max(1.0f, settings.scale); }
+
+// The same without what is for the eye's speed alone: for the mouse, and for pictures that are
+// kept.
+inline RenderSettings inFull(RenderSettings settings) {
+  settings.half_resolution = false;
+  return settings;
+}
+
+}  // namespace rosplat

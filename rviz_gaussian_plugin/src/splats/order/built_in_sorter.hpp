@@ -1,0 +1,98 @@
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "map/gaussian_map.hpp"
+#include "map/splat_camera.hpp"
+#include "order/order.hpp"
+#include "rosplat_sorter/depth_order.hpp"
+
+namespace rosplat {
+
+// The viewer's own sorter: a worker with the positions of the map, so that no frame waits for a
+// sort.
+class BuiltInSorter {
+ public:
+  // The pool makes its orders, and must outlive it.
+  explicit BuiltInSorter(OrderPool& pool);
+  ~BuiltInSorter();
+
+  // Edits reach the worker in order, before any sort asked for later.
+  void apply(std::shared_ptr<const GaussianEdit> edit, const std::string& map_id);
+
+  // Sorts for a camera; a newer request for the same view replaces one that waits. With `base`, a
+  // sidecar's order of an older revision, only the slots changed since are sorted and merged into
+  // it.
+  void request(const std::string& view_id, std::uint64_t sequence, const rosplat_sorter::View& view,
+               OrderPtr base = nullptr);
+
+  // The newest finished order of a view, once.
+  OrderPtr take(const std::string& view_id);
+
+  // Sorts and waits for it.
+  OrderPtr sortNow(const std::string& view_id, std::uint64_t sequence,
+                   const rosplat_sorter::View& view);
+
+  void forget(const std::string& view_id);
+  // What it holds. Of a map that it has no memory for nothing, and its orders are empty and say so.
+  std::size_t bytes() const;
+
+ private:
+  struct Request {
+    std::uint64_t sequence = 0;
+    rosplat_sorter::View view{};
+    OrderPtr base;
+  };
+  struct Edit {
+    std::shared_ptr<const GaussianEdit> edit;
+    std::string map_id;
+  };
+
+  // The slots that an edit changed.
+  struct Change {
+    std::uint64_t revision = 0;
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;  // first, count
+  };
+
+  void run();
+  void apply(const Edit& edit);
+  void hold(const GaussianEdit& edit);
+  OrderPtr sort(const std::string& view_id, const Request& request);
+  void merge(const Request& request, std::vector<std::uint32_t>& merged);
+
+  OrderPool& pool_;
+  mutable std::mutex mutex_;
+  std::condition_variable wake_, finished_;
+  bool stop_ = false;
+  std::deque<Edit> edits_;
+  std::map<std::string, Request> requests_;
+  std::map<std::string, OrderPtr> orders_;
+  std::size_t bytes_ = 0;
+
+  // The worker's own, by slot.
+  std::string map_id_;
+  std::uint64_t revision_ = 0;
+  std::uint64_t begun_at_ = 0;  // revision since which it only grew
+  bool out_of_memory_ = false;  // until the next clear
+  std::vector<float> positions_, extents_;
+  std::vector<std::uint64_t> changed_at_;  // revision of a slot's last change
+  std::deque<Change> recent_;              // whose slots a merge sorts
+  rosplat_sorter::DepthOrder depth_order_{rosplat_sorter::ThreadTeam::ofViewers()};
+  std::thread thread_;
+};
+
+// The part of a camera that decides an order, relative to the map's origin.
+rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<double, 3>& origin,
+                                double overscan = rosplat_sorter::kOverscan);
+
+}  // namespace rosplat
