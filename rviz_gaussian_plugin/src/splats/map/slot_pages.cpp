@@ -1,0 +1,63 @@
+#include "map/slot_pages.hpp"
+
+#include <algorithm>
+
+namespace rosplat {
+
+namespace {
+
+template <typename Pages>
+auto firstFrom(Pages& pages, std::uint32_t first_slot) {
+  return std::lower_bound(
+      pages.begin(), pages.end(), first_slot,
+      [](const SlotPage& page, std::uint32_t slot) { return page.first_slot < slot; });
+}
+
+std::uint32_t firstSlotOfPage(std::uint32_t slot) { return slot - slot % SlotPage::kSlots; }
+
+}  // namespace
+
+void SlotPages::apply(const GaussianEdit& edit) {
+  if (edit.clear) pages_.clear();
+  std::size_t i = 0;
+  for (const auto& [first, count] : edit.runs) {
+    std::uint32_t slot = first, left = count;
+    while (left > 0) {
+      const std::uint32_t in_page = std::min(left, SlotPage::kSlots - slot % SlotPage::kSlots);
+      if (edit.sh_degree >= 0) {
+        SlotPage& of = page(firstSlotOfPage(slot));
+        for (std::size_t k = i; k < i + in_page; ++k) {
+          if (edit.extents[k] < 0) continue;
+          of.extent = std::max(of.extent, edit.extents[k]);
+          for (int axis = 0; axis < 3; ++axis) {
+            const float x = edit.positions[3 * k + axis];
+            of.least[axis] = std::min(of.least[axis], x);
+            of.most[axis] = std::max(of.most[axis], x);
+          }
+        }
+      }
+      slot += in_page;
+      left -= in_page;
+      i += in_page;
+    }
+  }
+}
+
+const SlotPage* SlotPages::find(std::uint32_t slot) const {
+  const auto found = firstFrom(pages_, firstSlotOfPage(slot));
+  return found != pages_.end() && found->first_slot == firstSlotOfPage(slot) ? &*found : nullptr;
+}
+
+SlotPage& SlotPages::page(std::uint32_t first_slot) {
+  const auto at = firstFrom(pages_, first_slot);
+  if (at != pages_.end() && at->first_slot == first_slot) return *at;
+  constexpr float infinity = std::numeric_limits<float>::infinity();
+  SlotPage fresh;
+  fresh.first_slot = first_slot;
+  fresh.place = static_cast<std::uint32_t>(pages_.size());
+  fresh.least.fill(infinity);
+  fresh.most.fill(-infinity);
+  return *pages_.insert(at, fresh);
+}
+
+}  // namespace rosplat

@@ -1,0 +1,42 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "map/gaussian_map.hpp"
+
+namespace rosplat {
+
+// Neighbouring slots, of which at least one was written since the map's last clear.
+struct SlotPage {
+  static constexpr std::uint32_t kSlots = 1024;
+
+  std::uint32_t first_slot = 0;
+  std::uint32_t place = 0;  // pages are numbered as they come: 0, 1, 2, ...
+  // Around the centres of all that was ever in it, relative to the map's origin. [m]
+  std::array<float, 3> least, most;
+  float extent = -1;  // the largest of theirs [m], -1 where nothing could ever be seen
+};
+
+// Which pages a map's slots lie in. Authors number slots as they like (keyframe << 16 | i); what
+// holds a map has memory for its pages alone, by place, and goes through them in order of slots.
+class SlotPages {
+ public:
+  // Adds the pages that an edit writes to, and widens their bounds. Slots that are only emptied
+  // need none.
+  void apply(const GaussianEdit& edit);
+
+  const std::vector<SlotPage>& pages() const { return pages_; }  // by ascending first_slot
+  // The page of a slot; null where there is none.
+  const SlotPage* find(std::uint32_t slot) const;
+  std::size_t bytes() const { return pages_.capacity() * sizeof(SlotPage); }
+
+ private:
+  SlotPage& page(std::uint32_t first_slot);
+
+  std::vector<SlotPage> pages_;
+};
+
+}  // namespace rosplat
