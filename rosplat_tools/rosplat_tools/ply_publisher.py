@@ -19,6 +19,7 @@ from rosplat_tools.parameters import declare
 from rosplat_tools.progress import bar
 from rosplat_tools.running import Cancelled, run, spinning, wait_for_end
 from rosplat_tools.scenes import NAMES, load_scene
+from rosplat_tools.space_order import put_in_space_order
 from rosplat_tools.splats import SceneError
 
 
@@ -72,6 +73,7 @@ class PlyPublisher(Node):
                         )
 
                 splats = load_scene(path, loaded, self.get_logger().warning)
+                put_in_space_order(splats)
                 loaded(1.0)
             with bar("publishing", len(splats)) as shown:
 
