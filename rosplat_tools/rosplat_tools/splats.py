@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 MAX_SH_DEGREE = 3
 
@@ -40,6 +41,44 @@ class Splats:
     """(3,) added to each position in float64. [m]"""
     antialiased: bool = False
     """Trained with opacity compensation for the 2D low-pass filter (Mip-Splatting)."""
+
+    @classmethod
+    def from_trained(
+        cls,
+        means: ArrayLike,
+        quaternions_wxyz: ArrayLike,
+        log_scales: ArrayLike,
+        logits: ArrayLike,
+        sh0: ArrayLike,
+        shN: ArrayLike | None = None,
+        *,
+        antialiased: bool = False,
+    ) -> Splats:
+        """Splats from what trainers optimise, as NumPy arrays or torch tensors on any device.
+
+        means (n, 3) [m]; quaternions_wxyz (n, 4) of any length; log_scales (n, 3), or (n, 1) for
+        spheres; logits of the opacities (n,) or (n, 1); sh0 (n, 1, 3) and shN (n, k, 3), as gsplat
+        and 3DGS keep them (features_dc, features_rest). Raises ValueError for another shape.
+        """
+        positions, origin = rebase(_host(means))
+        quaternions = _host(quaternions_wxyz)
+        n = len(positions)
+        shape = np.shape(quaternions)
+        if shape != (n, 4):
+            raise ValueError(f"quaternions_wxyz: expected shape {(n, 4)}, got {shape}")
+        lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        scales = np.exp(_host(log_scales))
+        opacities = 1 / (1 + np.exp(-_host(logits)))
+        bands = [_host(sh0)] if shN is None else [_host(sh0), _host(shN)]
+        return cls(
+            positions=positions,
+            orientations=np.roll(quaternions / np.where(lengths > 0, lengths, 1), -1, axis=1),
+            scales=np.broadcast_to(scales, (n, 3)) if scales.shape == (n, 1) else scales,
+            opacities=opacities[:, 0] if opacities.shape == (n, 1) else opacities,
+            sh=bands[0] if len(bands) == 1 else np.concatenate(bands, axis=1),
+            origin=origin,
+            antialiased=antialiased,
+        )
 
     def __post_init__(self) -> None:
         """Converts each array to its dtype and checks its shape."""
@@ -102,12 +141,19 @@ class Splats:
         return self if degree == self.sh_degree else self.with_sh_degree(degree)
 
 
+def _host(array: ArrayLike) -> NDArray[np.floating[Any]]:
+    """An array or tensor as NumPy's, without a copy where it lies in this machine's memory."""
+    detach = getattr(array, "detach", None)  # torch's, without importing torch
+    values = np.asarray(detach().cpu() if detach else array)
+    return values if np.issubdtype(values.dtype, np.floating) else values.astype(np.float32)
+
+
 def sh_coefficients(degree: int) -> int:
     """Number of spherical harmonics up to a degree."""
     return (degree + 1) ** 2
 
 
-def rebase(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+def rebase(positions: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Splits (n, 3) positions into float32 offsets and a float64 origin (3,). [m]
 
     The origin is zero unless a position lies so far out that float32 would lose it: then it is the

@@ -87,3 +87,53 @@ def test_concatenate_keeps_world_positions_and_bands() -> None:
 def test_concatenate_refuses_mixed_filters() -> None:
     with pytest.raises(ValueError, match="antialiased"):
         concatenate([splats(1), splats(1, antialiased=True)])
+
+
+def test_what_trainers_optimise_becomes_what_is_drawn() -> None:
+    some = splats(7, 2)
+    with np.errstate(divide="ignore"):
+        trained = Splats.from_trained(
+            some.positions,
+            3 * some.orientations[:, [3, 0, 1, 2]],
+            np.log(some.scales),
+            np.log(some.opacities / (1 - some.opacities))[:, None],
+            some.sh[:, :1],
+            some.sh[:, 1:],
+        )
+    for name in ("positions", "orientations", "scales", "opacities", "sh"):
+        np.testing.assert_allclose(getattr(trained, name), getattr(some, name), rtol=1e-5)
+
+
+def test_spheres_without_harmonics_and_far_away() -> None:
+    n = 4
+    trained = Splats.from_trained(
+        np.full((n, 3), 4.5e6) + np.arange(n)[:, None] * 1e-3,
+        np.eye(4)[0] * np.ones((n, 1)),
+        np.full((n, 1), np.log(0.02)),
+        np.zeros(n),
+        np.zeros((n, 1, 3)),
+    )
+    np.testing.assert_allclose(trained.scales, np.full((n, 3), 0.02), rtol=1e-6)
+    np.testing.assert_array_equal(trained.orientations, np.tile([0, 0, 0, 1], (n, 1)))
+    np.testing.assert_allclose(np.diff(trained.positions[:, 0]), 1e-3, rtol=1e-3)
+
+
+def test_tensors_are_taken_as_they_are() -> None:
+    torch = pytest.importorskip("torch")
+    n = 3
+    trained = Splats.from_trained(
+        means := torch.rand((n, 3), requires_grad=True),
+        torch.tensor([[1.0, 0, 0, 0]] * n, requires_grad=True),
+        torch.zeros((n, 3), requires_grad=True),
+        torch.zeros(n, requires_grad=True),
+        torch.zeros((n, 1, 3), requires_grad=True),
+    )
+    np.testing.assert_array_equal(trained.positions, means.detach().numpy())
+    np.testing.assert_array_equal(trained.opacities, np.full(n, 0.5, np.float32))
+
+
+def test_another_shape_of_a_trainer_s_array_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="quaternions_wxyz"):
+        Splats.from_trained(
+            np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2), np.zeros((2, 1, 3))
+        )
