@@ -16,6 +16,7 @@ Antialiasing = _offscreen.Antialiasing
 BatchError = _offscreen.BatchError
 ClipBox = _offscreen.ClipBox
 DrawMode = _offscreen.DrawMode
+GaussianMap = _offscreen.GaussianMap
 OrderError = _offscreen.OrderError
 OrderSource = _offscreen.OrderSource
 Rasterizer = _offscreen.Rasterizer

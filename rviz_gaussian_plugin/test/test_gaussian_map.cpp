@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "map/gaussian_map.hpp"
+#include "map/slot_pages.hpp"
 
 using namespace rosplat;
 
@@ -87,7 +88,9 @@ TEST_F(GaussianMapTest, KeepsTheBooksOfReplaceUpsertDelete) {
   EXPECT_EQ(map.state().capacity, 12u);
   const auto deleted = apply(Batch(3, GaussianBatch::DELETE, 0, 5));
   EXPECT_EQ(map.state().splats, 7u);
-  EXPECT_EQ(deleted->extents, std::vector<float>(5, -1.0f));
+  EXPECT_EQ(deleted->runs, (SlotRuns{{0, 5}}));
+  EXPECT_FALSE(map.inUse(4));
+  EXPECT_TRUE(map.inUse(5));
   EXPECT_TRUE(apply(Batch(4, GaussianBatch::REPLACE, 0, 1))->clear);
   EXPECT_EQ(map.state().splats, 1u);
   EXPECT_EQ(map.state().capacity, 1u);
@@ -98,6 +101,16 @@ TEST_F(GaussianMapTest, DeletingUnknownSlotsChangesNothing) {
   apply(Batch(2, GaussianBatch::DELETE, 2, 1000));
   EXPECT_EQ(map.state().splats, 2u);
   EXPECT_EQ(map.state().capacity, 3u);
+}
+
+TEST_F(GaussianMapTest, ADeleteCostsNoMoreThanTheMapHas) {
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 1000));
+  apply(Batch(2, GaussianBatch::UPSERT, kMaxSlots - 1, 1));
+  Batch everything(3, GaussianBatch::DELETE, 0, kMaxSlots);
+  const auto edit = apply(everything);
+  EXPECT_EQ(map.state().splats, 0u);
+  EXPECT_EQ(countSlots(edit->runs), 2u * SlotPage::kSlots);
+  EXPECT_TRUE(edit->slots.empty() && edit->positions.empty() && edit->extents.empty());
 }
 
 TEST_F(GaussianMapTest, ListedSlotsBecomeRuns) {

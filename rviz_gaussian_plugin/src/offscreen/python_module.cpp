@@ -29,7 +29,19 @@ Array<T> toArray(std::vector<T> values, std::vector<py::ssize_t> shape) {
   return Array<T>(std::move(shape), owner->data(), capsule);
 }
 
-py::dict apply(OffscreenRenderer& renderer, std::uint8_t operation, std::uint32_t first_slot,
+BatchReport take(OffscreenRenderer& renderer, const GaussianBatch& batch) {
+  return renderer.scene().apply(batch);
+}
+
+BatchReport take(GaussianMap& map, const GaussianBatch& batch) {
+  BatchReport report;
+  map.apply(batch, report);
+  return report;
+}
+
+// To whatever takes batches.
+template <typename Target>
+py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
                std::uint32_t count, const Array<std::uint32_t>& slots, std::uint8_t sh_degree,
                bool antialiased, const std::array<double, 3>& origin, const Array<float>& positions,
                const Array<float>& orientations, const Array<float>& scales,
@@ -57,10 +69,18 @@ py::dict apply(OffscreenRenderer& renderer, std::uint8_t operation, std::uint32_
   BatchReport report;
   {
     const py::gil_scoped_release release;
-    report = renderer.scene().apply(batch);
+    report = take(target, batch);
   }
   return py::dict("duplicate"_a = report.duplicate, "missed"_a = report.missed,
                   "dropped"_a = report.dropped);
+}
+
+template <typename Target>
+void defineApply(py::class_<Target>& type) {
+  type.def("apply", &apply<Target>, "operation"_a, "first_slot"_a, "count"_a, "slots"_a,
+           "sh_degree"_a, "antialiased"_a, "origin"_a, "positions"_a, "orientations"_a, "scales"_a,
+           "opacities"_a, "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0,
+           "encoding"_a = 0, "snapshot"_a = false);
 }
 
 void setCamera(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
@@ -193,12 +213,19 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("near_fade", &RenderSettings::near_fade)
       .def_readwrite("depth_range", &RenderSettings::depth_range)
       .def_readwrite("age_range", &RenderSettings::age_range);
-  py::class_<OffscreenRenderer>(module, "Renderer")
-      .def(py::init<const std::string&, const std::string&>(), "media"_a, "plugins"_a)
-      .def("apply", &apply, "operation"_a, "first_slot"_a, "count"_a, "slots"_a, "sh_degree"_a,
-           "antialiased"_a, "origin"_a, "positions"_a, "orientations"_a, "scales"_a, "opacities"_a,
-           "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0, "encoding"_a = 0,
-           "snapshot"_a = false)
+  py::class_<GaussianMap> map(module, "GaussianMap", "A map's books, without what draws it.");
+  map.def(py::init<>())
+      .def("in_use", &GaussianMap::inUse, "slot"_a)
+      .def_property_readonly("revision", [](const GaussianMap& m) { return m.state().revision; })
+      .def_property_readonly("splats", [](const GaussianMap& m) { return m.state().splats; })
+      .def_property_readonly("missed", [](const GaussianMap& m) { return m.state().missed; })
+      .def_property_readonly("origin", [](const GaussianMap& m) { return m.state().origin; })
+      .def_property_readonly("antialiased",
+                             [](const GaussianMap& m) { return m.state().antialiased; });
+  defineApply(map);
+  py::class_<OffscreenRenderer> renderer(module, "Renderer");
+  defineApply(renderer);
+  renderer.def(py::init<const std::string&, const std::string&>(), "media"_a, "plugins"_a)
       .def("set_camera", &setCamera, "view_id"_a, "sequence"_a, "position"_a, "orientation"_a,
            "projection"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "width"_a, "height"_a, "near"_a = 0.01,
            "far"_a = 1e10)

@@ -57,8 +57,12 @@ void SlotStore::apply(const GaussianEdit& edit, double now) {
       const std::uint32_t count = std::min(left, kPageSlots - offset);
       if (edit.sh_degree >= 0 || pages_.count(first - offset)) {
         Page& target = page(first - offset, count == kPageSlots);
-        const auto begin = edit.slots.begin() + std::ptrdiff_t(kSlotWords * source);
-        staged_.assign(begin, begin + std::ptrdiff_t(kSlotWords * count));
+        if (edit.sh_degree >= 0) {
+          const auto begin = edit.slots.begin() + std::ptrdiff_t(kSlotWords * source);
+          staged_.assign(begin, begin + std::ptrdiff_t(kSlotWords * count));
+        } else {
+          staged_.assign(kSlotWords * count, 0u);  // opacity 0: an empty slot
+        }
         for (std::size_t i = kChangeWord; i < staged_.size(); i += kSlotWords) {
           staged_[i] |= static_cast<std::uint32_t>(now) << 16;
         }

@@ -58,11 +58,75 @@ bool allFinite(const float* values, std::size_t count) {
   return sum == 0.0f;
 }
 
+SlotRuns runsOf(const GaussianBatch& batch) {
+  SlotRuns runs;
+  if (batch.slots.empty()) {
+    if (batch.count > 0) runs.emplace_back(batch.first_slot, batch.count);
+    return runs;
+  }
+  for (std::size_t i = 0; i < batch.count; ++i) {
+    const std::uint32_t slot = batch.slots[i];
+    if (!runs.empty() && runs.back().first + runs.back().second == slot) {
+      ++runs.back().second;
+    } else {
+      runs.emplace_back(slot, 1);
+    }
+  }
+  return runs;
+}
+
 // Radius of the ellipsoid on which alpha falls to 1/255, -1 for a splat that never reaches that.
 float extent(const float* scale, float opacity) {
   if (!(opacity >= 1.0f / 255.0f)) return -1.0f;
   const float sigmas = std::min(3.33f, std::sqrt(2.0f * std::log(255.0f * opacity)));
   return sigmas * std::max({scale[0], scale[1], scale[2]});
+}
+
+// Lays the splats of a batch out, relative to an origin; which of them mean something.
+std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin,
+                         GaussianEdit& edit) {
+  const std::size_t n = batch.count;
+  edit.sh_degree = batch.sh_degree;
+  edit.slots.assign(kSlotWords * n, 0u);
+  edit.positions.assign(3 * n, 0.0f);
+  edit.extents.assign(n, -1.0f);
+  for (int band = 1; band <= batch.sh_degree; ++band) {
+    edit.bands[band].resize(kBandWords[band] * n);
+  }
+  std::vector<bool> kept(n, false);
+  const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
+  const bool rebase = batch.origin != origin;
+  for (std::size_t i = 0; i < n; ++i) {
+    const float* q = &batch.orientations.data[4 * i];
+    const float* scale = &batch.scales.data[3 * i];
+    const float* sh = batch.sh.data + coefficients * i;
+    float position[3];
+    for (int k = 0; k < 3; ++k) {
+      position[k] =
+          rebase
+              ? static_cast<float>(double(batch.positions[3 * i + k]) + batch.origin[k] - origin[k])
+              : batch.positions[3 * i + k];
+    }
+    const bool turned = q[0] != 0.0f || q[1] != 0.0f || q[2] != 0.0f || q[3] != 0.0f;
+    kept[i] = allFinite(position, 3) && allFinite(scale, 3) && allFinite(q, 4) && turned &&
+              scale[0] >= 0.0f && scale[1] >= 0.0f && scale[2] >= 0.0f &&
+              std::isfinite(batch.opacities[i]) && allFinite(sh, coefficients);
+    if (!kept[i]) continue;
+    Splat splat;
+    std::copy_n(position, 3, splat.position.begin());
+    std::copy_n(q, 4, splat.orientation.begin());
+    std::copy_n(scale, 3, splat.scale.begin());
+    std::copy_n(sh, 3, splat.color.begin());
+    splat.opacity = std::clamp(batch.opacities[i], 0.0f, 1.0f);
+    std::array<std::uint32_t*, kMaxShDegree + 1> bands{};
+    for (int band = 1; band <= batch.sh_degree; ++band) {
+      bands[band] = &edit.bands[band][kBandWords[band] * i];
+    }
+    packSlot(splat, sh + 3, batch.sh_degree, &edit.slots[kSlotWords * i], bands);
+    std::copy_n(position, 3, &edit.positions[3 * i]);
+    edit.extents[i] = extent(scale, splat.opacity);
+  }
+  return kept;
 }
 
 }  // namespace
@@ -77,117 +141,81 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     return nullptr;
   }
   const bool replace = batch.operation == GaussianBatch::REPLACE;
+  const bool values = batch.operation != GaussianBatch::DELETE;
 
   auto edit = std::make_shared<GaussianEdit>();
   edit->clear = new_map || replace;
-  edit->revision = batch.revision;
-  // Memory may run out at any line until the last: the map is changed there.
+  // Memory may run out at any line until `keep` is through: the map is as before then.
   MapState next;
-  std::vector<bool> used;
-  MapSample sample;
-  if (edit->clear) {
-    next.origin = batch.origin;
-    next.antialiased = batch.antialiased;
-  } else {
-    next = state_;
-    used = used_;
-    sample = sample_;
-  }
+  SlotSet fresh;
+  SlotSet& used = edit->clear ? fresh : used_;
+  if (!edit->clear) next = state_;
   // A REPLACE makes whatever came before it unimportant. A map that is played once more, but not
   // from its beginning, lacks all before.
   if (back) next.revision = next.missed = 0;
   if (!replace) report.missed = batch.revision - next.revision - 1;
   next.id = batch.map_id;
+  next.round = state_.round + (new_map || back ? 1 : 0);
   next.revision = batch.revision;
   next.expected = batch.expected_slots;
-
-  const std::size_t n = batch.count;
-  if (batch.slots.empty()) {
-    if (n > 0) edit->runs.emplace_back(batch.first_slot, batch.count);
-  } else {
-    for (std::size_t i = 0; i < n; ++i) {
-      if (!edit->runs.empty() &&
-          edit->runs.back().first + edit->runs.back().second == batch.slots[i]) {
-        ++edit->runs.back().second;
-      } else {
-        edit->runs.emplace_back(batch.slots[i], 1);
-      }
-    }
+  if (values && batch.count > 0 && next.capacity == 0) {
+    next.origin = batch.origin;
+    next.antialiased = batch.antialiased;
   }
 
-  const bool values = batch.operation != GaussianBatch::DELETE;
-  edit->slots.assign(kSlotWords * n, 0u);
-  edit->positions.assign(3 * n, 0.0f);
-  edit->extents.assign(n, -1.0f);
-  std::vector<bool> kept(n, false);
+  edit->runs = runsOf(batch);
+  std::vector<bool> kept;
   if (values) {
-    edit->sh_degree = batch.sh_degree;
+    kept = layOut(batch, next.origin, *edit);
+    report.dropped = static_cast<std::uint64_t>(std::count(kept.begin(), kept.end(), false));
     next.sh_degree = std::max<int>(next.sh_degree, batch.sh_degree);
-    for (int band = 1; band <= batch.sh_degree; ++band) {
-      edit->bands[band].resize(kBandWords[band] * n);
+    used.makeRoom(edit->runs);
+    for (const auto& [first, count] : edit->runs) {
+      next.capacity = std::max(next.capacity, first + count);
     }
-    const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
-    const bool rebase = batch.origin != next.origin;
-    for (std::size_t i = 0; i < n; ++i) {
-      const float* q = &batch.orientations.data[4 * i];
-      const float* scale = &batch.scales.data[3 * i];
-      const float* sh = batch.sh.data + coefficients * i;
-      const float norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-      float position[3];
-      for (int k = 0; k < 3; ++k) {
-        position[k] = rebase ? static_cast<float>(double(batch.positions[3 * i + k]) +
-                                                  batch.origin[k] - next.origin[k])
-                             : batch.positions[3 * i + k];
-      }
-      kept[i] = allFinite(position, 3) && allFinite(scale, 3) && std::isnormal(norm) &&
-                scale[0] >= 0.0f && scale[1] >= 0.0f && scale[2] >= 0.0f &&
-                std::isfinite(batch.opacities[i]) && allFinite(sh, coefficients);
-      if (!kept[i]) {
-        ++report.dropped;
-        continue;
-      }
-      Splat splat;
-      std::copy_n(position, 3, splat.position.begin());
-      std::copy_n(q, 4, splat.orientation.begin());
-      std::copy_n(scale, 3, splat.scale.begin());
-      std::copy_n(sh, 3, splat.color.begin());
-      splat.opacity = std::clamp(batch.opacities[i], 0.0f, 1.0f);
-      std::array<std::uint32_t*, kMaxShDegree + 1> bands{};
-      for (int band = 1; band <= batch.sh_degree; ++band) {
-        bands[band] = &edit->bands[band][kBandWords[band] * i];
-      }
-      packSlot(splat, sh + 3, batch.sh_degree, &edit->slots[kSlotWords * i], bands);
-      std::copy_n(position, 3, &edit->positions[3 * i]);
-      edit->extents[i] = extent(scale, splat.opacity);
-    }
+  } else {
+    edit->runs = used.within(edit->runs);
+    kept.resize(countSlots(edit->runs), false);
   }
-
-  std::size_t i = 0;
-  for (const auto& [first, count] : edit->runs) {
-    next.capacity = values ? std::max(next.capacity, first + count) : next.capacity;
-    if (used.size() < next.capacity) used.resize(next.capacity);
-    for (std::uint32_t slot = first; slot < first + count; ++slot, ++i) {
-      if (slot >= used.size()) continue;  // a DELETE of slots never used
-      next.splats += int(kept[i]) - int(used[slot]);
-      used[slot] = kept[i];
-      if (!kept[i]) {
-        sample.drop(slot);
-        continue;
-      }
-      const float* position = &edit->positions[3 * i];
-      const float* scale = &batch.scales.data[3 * i];
-      sample.keep(slot, {{position[0], position[1], position[2]},
-                         std::max({scale[0], scale[1], scale[2]}),
-                         batch.opacities[i]});
-    }
-  }
+  edit->round = next.round;
+  edit->revision = next.revision;
   edit->capacity = next.capacity;
   next.missed += report.missed;
   next.dropped += report.dropped;
-  if (keep) keep(edit, next);
+
+  std::vector<bool> before(kept.size());
+  std::size_t i = 0;
+  forEachSlot(edit->runs, [&](std::uint32_t slot) {
+    before[i] = used.set(slot, kept[i]);
+    next.splats += int(kept[i]) - int(before[i]);
+    ++i;
+  });
+  try {
+    if (keep) keep(edit, next);
+  } catch (...) {
+    for (auto run = edit->runs.rbegin(); run != edit->runs.rend(); ++run) {
+      for (std::uint32_t k = run->second; k > 0; --k) used.set(run->first + k - 1, before[--i]);
+    }
+    throw;
+  }
   state_ = std::move(next);
-  used_ = std::move(used);
-  sample_ = std::move(sample);
+  if (edit->clear) {
+    used_ = std::move(fresh);
+    sample_.clear();
+  }
+  i = 0;
+  forEachSlot(edit->runs, [&](std::uint32_t slot) {
+    if (kept[i]) {
+      const float* position = &edit->positions[3 * i];
+      const float* scale = &batch.scales.data[3 * i];
+      sample_.keep(slot, {{position[0], position[1], position[2]},
+                          std::max({scale[0], scale[1], scale[2]}),
+                          batch.opacities[i]});
+    } else {
+      sample_.drop(slot);
+    }
+    ++i;
+  });
   return edit;
 }
 

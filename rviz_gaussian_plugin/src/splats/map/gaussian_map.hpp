@@ -12,6 +12,7 @@
 #include "map/gaussian_batch.hpp"
 #include "map/map_sample.hpp"
 #include "map/packed_slot.hpp"
+#include "map/slot_set.hpp"
 
 namespace rosplat {
 
@@ -21,11 +22,13 @@ constexpr std::uint32_t kMaxSlots = 1u << 25;  // as GaussianArray.MAX_SLOTS
 // -1.
 struct GaussianEdit {
   bool clear = false;          // empty the map first
+  std::uint64_t round = 0;     // as MapState::round
   std::uint64_t revision = 0;  // of the map afterwards
   std::uint32_t capacity = 0;  // one past the highest slot in use afterwards
   int sh_degree = -1;          // bands present, -1 where only slots are emptied
-  // Runs of consecutive slots {first, count}; the arrays hold the runs one after the other.
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;
+  // The arrays hold the runs one after the other; where only slots are emptied, they are empty, and
+  // the runs go no farther than the map does.
+  SlotRuns runs;
   std::vector<std::uint32_t> slots;                                // kSlotWords a slot
   std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // kBandWords[band] a slot
   std::vector<float> positions;  // 3 a slot [m], relative to the map's origin
@@ -47,15 +50,18 @@ struct BatchError : std::invalid_argument {
 // What is known of a map after a batch.
 struct MapState {
   std::string id;
+  // Grows where revisions begin again: with another map, or one that is played once more.
+  std::uint64_t round = 0;
   std::uint64_t revision = 0;
   std::uint32_t splats = 0;
   std::uint32_t expected = 0;  // what the publisher announced, 0 where it didn't
   std::uint32_t capacity = 0;  // one past the highest slot in use
   int sh_degree = 0;
   bool antialiased = false;
-  std::array<double, 3> origin{};  // added to every position [m]
-  std::uint64_t missed = 0;        // batches, since the last clear
-  std::uint64_t dropped = 0;       // splats, since the last clear
+  // As the first splats since the last clear had them; origin is added to every position. [m]
+  std::array<double, 3> origin{};
+  std::uint64_t missed = 0;   // batches, since the last clear
+  std::uint64_t dropped = 0;  // splats, since the last clear
 };
 
 constexpr std::uint32_t kNoSlot = 0xffffffffu;
@@ -85,11 +91,12 @@ class GaussianMap {
 
   const MapState& state() const { return state_; }
   const MapSample& sample() const { return sample_; }
+  bool inUse(std::uint32_t slot) const { return used_.has(slot); }
 
  private:
   MapState state_;
   MapSample sample_;
-  std::vector<bool> used_;
+  SlotSet used_;
 };
 
 }  // namespace rosplat

@@ -5,16 +5,20 @@
 
 namespace rosplat {
 
-void MapSample::keep(std::uint32_t slot, const SampledSplat& splat) {
+void MapSample::keep(std::uint32_t slot, const SampledSplat& splat) noexcept {
   while (slot >> k_ >= kMost) {
     ++k_;
-    for (std::size_t i = 0; 2 * i < splats_.size(); ++i) splats_[i] = splats_[2 * i];
-    splats_.resize((splats_.size() + 1) / 2);
+    for (std::size_t i = 0; i < kMost; ++i) {
+      splats_[i] = 2 * i < kMost ? splats_[2 * i] : SampledSplat{};
+    }
   }
   const std::size_t i = slot >> k_;
-  if (i << k_ != slot) return;
-  if (i >= splats_.size()) splats_.resize(i + 1);
-  splats_[i] = splat;
+  if (i << k_ == slot) splats_[i] = splat;
+}
+
+void MapSample::clear() noexcept {
+  k_ = 0;
+  std::fill(splats_.begin(), splats_.end(), SampledSplat{});
 }
 
 std::vector<SampledSplat> MapSample::splats() const {

@@ -19,15 +19,16 @@ class MapSample {
  public:
   static constexpr std::size_t kMost = 4096;
 
-  void keep(std::uint32_t slot, const SampledSplat& splat);
-  void drop(std::uint32_t slot) { keep(slot, {}); }
+  void keep(std::uint32_t slot, const SampledSplat& splat) noexcept;
+  void drop(std::uint32_t slot) noexcept { keep(slot, {}); }
+  void clear() noexcept;
 
   // Those that aren't empty.
   std::vector<SampledSplat> splats() const;
 
  private:
   int k_ = 0;
-  std::vector<SampledSplat> splats_;  // by slot / 2^k
+  std::vector<SampledSplat> splats_{kMost};  // by slot / 2^k
 };
 
 }  // namespace rosplat

@@ -55,16 +55,17 @@ std::uint32_t toFraction(float value, float steps, std::uint32_t mask) {
 }
 
 std::uint64_t toSmallestThree(const std::array<float, 4>& orientation) {
-  float length = 0;
-  for (float v : orientation) length += v * v;
+  double length = 0;  // squared, of any quaternion but zero
+  for (float v : orientation) length += double(v) * v;
   const auto magnitude = [](float a, float b) { return std::fabs(a) < std::fabs(b); };
   const auto missing = std::size_t(
       std::max_element(orientation.begin(), orientation.end(), magnitude) - orientation.begin());
-  const float factor = std::copysign(1 / (std::sqrt(length) * kSqrtHalf), orientation[missing]);
+  const double factor =
+      std::copysign(1 / (std::sqrt(length) * kSqrtHalf), double(orientation[missing]));
   std::uint64_t packed = missing;
   for (std::size_t i = 0, shift = 2; i < 4; ++i) {
     if (i == missing) continue;
-    packed |= std::uint64_t(toFraction(orientation[i] * factor, kQuaternionSteps, 0x7fffu))
+    packed |= std::uint64_t(toFraction(float(orientation[i] * factor), kQuaternionSteps, 0x7fffu))
               << shift;
     shift += 15;
   }

@@ -154,8 +154,13 @@ void BuiltInSorter::hold(const GaussianEdit& edit) {
   for (const auto& [first, run_count] : edit.runs) {
     const std::size_t count =
         first < edit.capacity ? std::min(run_count, edit.capacity - first) : 0;
-    std::copy_n(&edit.positions[3 * source], 3 * count, positions_.data() + 3 * std::size_t{first});
-    std::copy_n(&edit.extents[source], count, extents_.data() + first);
+    if (edit.sh_degree >= 0) {
+      std::copy_n(&edit.positions[3 * source], 3 * count,
+                  positions_.data() + 3 * std::size_t{first});
+      std::copy_n(&edit.extents[source], count, extents_.data() + first);
+    } else {
+      std::fill_n(extents_.data() + first, count, -1.0f);
+    }
     std::fill_n(changed_at_.data() + first, count, edit.revision);
     source += run_count;
   }

@@ -1,0 +1,46 @@
+#pragma once
+
+#include <bitset>
+#include <cstddef>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+namespace rosplat {
+
+// Runs of consecutive slots: first, count.
+using SlotRuns = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
+
+template <typename Visit>
+void forEachSlot(const SlotRuns& runs, Visit visit) {
+  for (const auto& [first, count] : runs) {
+    for (std::uint32_t i = 0; i < count; ++i) visit(first + i);
+  }
+}
+
+inline std::size_t countSlots(const SlotRuns& runs) {
+  std::size_t slots = 0;
+  for (const auto& [first, count] : runs) slots += count;
+  return slots;
+}
+
+// A set of slots, with memory for the pages that they lie in.
+class SlotSet {
+ public:
+  // Before any of them is put in. May run out of memory; the set is the same then.
+  void makeRoom(const SlotRuns& runs);
+  // The parts of runs that there is room for: no other slot is in the set.
+  SlotRuns within(const SlotRuns& runs) const;
+
+  bool has(std::uint32_t slot) const;
+  // Puts a slot in or takes it out; whether it was in.
+  bool set(std::uint32_t slot, bool in) noexcept;
+
+ private:
+  static constexpr std::uint32_t kPage = 1024, kNone = 0xffffffffu;
+
+  std::vector<std::uint32_t> places_;  // by number of the page, kNone where there is none
+  std::vector<std::bitset<kPage>> pages_;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,276 @@
+"""What every receiver of a map must make of its batches: one table for all of them."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from rosplat_msgs.msg import GaussianArray
+
+REPLACE, UPSERT, DELETE = GaussianArray.REPLACE, GaussianArray.UPSERT, GaussianArray.DELETE
+MOST = GaussianArray.MAX_SLOTS
+NAN, INF = float("nan"), float("inf")
+LARGEST, LEAST = 3.4e38, 1e-45  # of float32
+
+# Values of a splat by field; the i-th of a batch sits at x = i. [m]
+_SPLAT = {
+    "positions": (0.0, 0.0, 0.0),
+    "orientations": (0.0, 0.0, 0.0, 1.0),
+    "scales": (0.1, 0.1, 0.1),
+    "opacities": (0.5,),
+}
+
+
+class Receiver(Protocol):
+    """Whoever holds a map: what a receiver does not know of it is None."""
+
+    origin: tuple[float, float, float] | None
+    antialiased: bool | None
+    revision: int | None
+    missed: int | None
+
+    def take(self, message: GaussianArray) -> int | None:
+        """Applies a batch: how many splats it leaves out, None for a duplicate.
+
+        Raises ValueError, naming the field, for a batch that contradicts itself.
+        """
+
+    def in_use(self, slot: int) -> bool: ...
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A batch and what is to become of it.
+
+    fields: of the message. values: what others are at (field, index), in place of a good splat's.
+    lengths: of arrays that are cut, or filled up with zeros. refused: the field that the error
+    names. dropped: splats left out, their slots empty.
+    """
+
+    operation: int
+    count: int = 0
+    fields: dict[str, Any] = field(default_factory=dict)
+    values: dict[tuple[str, int], float] = field(default_factory=dict)
+    lengths: dict[str, int] = field(default_factory=dict)
+    refused: str = ""
+    dropped: int = 0
+    duplicate: bool = False
+
+    def message(self, revision: int) -> GaussianArray:
+        message = GaussianArray(map_id="map", revision=revision, operation=self.operation)
+        message.header.frame_id = "map"
+        message.count = self.count
+        for name, value in self.fields.items():
+            if name == "origin":
+                message.origin.x, message.origin.y, message.origin.z = value
+            else:
+                setattr(message, name, array("I", value) if name == "slots" else value)
+        splats = 0 if self.operation == DELETE else self.count
+        arrays = {name: array("f", list(one) * splats) for name, one in _SPLAT.items()}
+        arrays["sh"] = array("f", [0.25] * (3 * (message.sh_degree + 1) ** 2 * splats))
+        for i in range(splats):
+            arrays["positions"][3 * i] = i
+        for (name, i), value in self.values.items():
+            arrays[name][i] = value
+        for name, length in self.lengths.items():
+            arrays[name] = (arrays[name] + array("f", [0.0] * length))[:length]
+        for name, values in arrays.items():
+            setattr(message, name, values)
+        return message
+
+
+@dataclass(frozen=True)
+class Case:
+    """Batches of one map, numbered from 1 unless they say otherwise, and what they leave.
+
+    A refused batch gets a number, too: the map lacks it then.
+    """
+
+    name: str
+    batches: tuple[Batch, ...]
+    in_use: tuple[int, ...] = ()  # slots; none of the others
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    antialiased: bool = False
+    missed: int = 0
+    looked_at: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 9, 10, 1023, 1024, 70000, MOST - 1)
+
+
+def _replace(count: int = 0, **fields: Any) -> Batch:
+    return Batch(REPLACE, count, fields)
+
+
+def _upsert(count: int = 0, **fields: Any) -> Batch:
+    return Batch(UPSERT, count, fields)
+
+
+def _delete(count: int = 0, **fields: Any) -> Batch:
+    return Batch(DELETE, count, fields)
+
+
+def _refused(field: str, name: str, **batch: Any) -> Case:
+    """A batch that contradicts itself leaves the map of the one before."""
+    bad = Batch(**{"operation": UPSERT, "count": 2, "refused": field, **batch})
+    return Case(f"refused: {name}", (Batch(REPLACE, 2), bad), in_use=(0, 1))
+
+
+def _dropped(name: str, values: dict[tuple[str, int], float], **fields: Any) -> Case:
+    """The second of three splats means nothing."""
+    return Case(
+        f"left out: {name}",
+        (Batch(REPLACE, 3, fields, values, dropped=1),),
+        in_use=(0, 2),
+        origin=fields.get("origin", (0.0, 0.0, 0.0)),
+    )
+
+
+def _kept(name: str, values: dict[tuple[str, int], float]) -> Case:
+    return Case(f"kept: {name}", (Batch(REPLACE, 3, values=values),), in_use=(0, 1, 2))
+
+
+def _quaternion(*values: float) -> dict[tuple[str, int], float]:
+    return {("orientations", 4 + k): value for k, value in enumerate(values)}
+
+
+FAR = (4.5e6, -1.0, 2.0)
+
+CASES = (
+    # Edits.
+    Case(
+        "an upsert writes beside what is there",
+        (_replace(2), _upsert(2, first_slot=4)),
+        in_use=(0, 1, 4, 5),
+    ),
+    Case("a replace forgets all slots", (_replace(5), _replace(1, first_slot=3)), in_use=(3,)),
+    Case("an empty replace empties the map", (_replace(5), _replace()), in_use=()),
+    Case("a delete empties slots", (_replace(6), _delete(2, first_slot=2)), in_use=(0, 1, 4, 5)),
+    Case(
+        "slots are taken as listed, first_slot ignored",
+        (_replace(3, slots=[70000, 2, 9], first_slot=4), _delete(1, slots=[2])),
+        in_use=(9, 70000),
+    ),
+    Case(
+        "a slot listed twice holds the last",
+        (Batch(REPLACE, 3, {"slots": [1, 1, 2]}, {("opacities", 0): NAN}, dropped=1),),
+        in_use=(1, 2),
+    ),
+    Case(
+        "a splat that means nothing empties its slot",
+        (_replace(3), Batch(UPSERT, 2, values={("opacities", 1): NAN}, dropped=1)),
+        in_use=(0, 2),
+    ),
+    Case(
+        "a delete of slots that never were",
+        (_replace(2), _delete(MOST - 1, first_slot=1)),
+        in_use=(0,),
+    ),
+    Case("the highest slot", (_replace(1, first_slot=MOST - 1),), in_use=(MOST - 1,)),
+    Case("nothing at all", (_replace(2), _upsert(), _delete()), in_use=(0, 1)),
+    Case("expected_slots is a hint", (_replace(2, expected_slots=2**32 - 1),), in_use=(0, 1)),
+    # Origin and antialiasing are those of the first splats since the map was empty.
+    Case(
+        "the origin of the first splats",
+        (_replace(2, origin=FAR), _upsert(2, first_slot=4)),
+        in_use=(0, 1, 4, 5),
+        origin=FAR,
+    ),
+    Case(
+        "a replace has its own origin",
+        (_replace(2), _replace(2, origin=FAR)),
+        in_use=(0, 1),
+        origin=FAR,
+    ),
+    Case(
+        "a delete heard first has none",
+        (_delete(5, antialiased=False), _upsert(2, origin=FAR, antialiased=True)),
+        in_use=(0, 1),
+        origin=FAR,
+        antialiased=True,
+    ),
+    Case(
+        "an empty replace has none",
+        (_replace(), _upsert(2, origin=FAR, antialiased=True)),
+        in_use=(0, 1),
+        origin=FAR,
+        antialiased=True,
+    ),
+    Case(
+        "antialiasing is the first splats'",
+        (_replace(1, antialiased=True), _upsert(2)),
+        in_use=(0, 1),
+        antialiased=True,
+    ),
+    # Losses and repeats.
+    Case("a gap is counted", (_replace(1), _upsert(2, revision=5)), in_use=(0, 1), missed=3),
+    Case(
+        "a replace needs nothing before it", (_replace(1), _replace(2, revision=5)), in_use=(0, 1)
+    ),
+    Case("heard from the middle", (_upsert(2, revision=7),), in_use=(0, 1), missed=6),
+    Case(
+        "another map_id starts an empty map",
+        (_replace(5), _upsert(1, map_id="other", first_slot=2, revision=1)),
+        in_use=(2,),
+    ),
+    Case(
+        "a snapshot of what is here",
+        (_replace(3), Batch(REPLACE, 1, {"revision": 1, "snapshot": True}, duplicate=True)),
+        in_use=(0, 1, 2),
+    ),
+    Case(
+        "a snapshot where something is missing",
+        (_replace(3), _upsert(4, revision=3), _replace(1, revision=3, snapshot=True)),
+        in_use=(0,),
+    ),
+    Case("played once more", (_replace(3), _upsert(4), _replace(1, revision=1)), in_use=(0,)),
+    Case(
+        "played once more, not from the beginning",
+        (_replace(3), _upsert(1, first_slot=4), _upsert(1, first_slot=5, revision=2)),
+        in_use=(0, 1, 2, 4, 5),
+        missed=1,
+    ),
+    # Splats that mean nothing are left out, one by one.
+    _dropped("a position that is no number", {("positions", 4): NAN}),
+    _dropped("an infinite position", {("positions", 3): INF}),
+    _dropped("no orientation", _quaternion(0, 0, 0, 0)),
+    _dropped("an orientation that is no number", _quaternion(0, NAN, 0, 1)),
+    _dropped("an infinite orientation", _quaternion(0, 0, -INF, 1)),
+    _dropped("a negative scale", {("scales", 3): -0.1}),
+    _dropped("an infinite scale", {("scales", 4): INF}),
+    _dropped("a scale that is no number", {("scales", 5): NAN}),
+    _dropped("an opacity that is no number", {("opacities", 1): NAN}),
+    _dropped("an infinite opacity", {("opacities", 1): INF}),
+    _dropped("an opacity of minus infinity", {("opacities", 1): -INF}),
+    _dropped("a colour that is no number", {("sh", 3): NAN}),
+    _dropped("infinite harmonics", {("sh", 2 * 48 - 1): INF}, sh_degree=3),
+    Case(
+        "left out: beyond floats once it is relative to the map's origin",
+        (_replace(1), Batch(UPSERT, 2, {"origin": (1e300, 0.0, 0.0)}, dropped=2)),
+        in_use=(),
+    ),
+    _kept("a tiny quaternion", _quaternion(0, 0, LEAST, LEAST)),
+    _kept("a huge quaternion", _quaternion(LARGEST, 0, -LARGEST, LARGEST)),
+    _kept("a scale of zero", {("scales", 3): 0.0}),
+    _kept("an opacity beyond one", {("opacities", 1): 7.0}),
+    _kept("huge harmonics", {("sh", 4): -LARGEST}),
+    # Batches that contradict themselves are refused as a whole.
+    _refused("revision", "no revision", fields={"revision": 0}),
+    _refused("operation", "an unknown operation", operation=3),
+    _refused("encoding", "an unknown encoding", fields={"encoding": 1}),
+    _refused("sh_degree", "too many harmonics", fields={"sh_degree": 4}),
+    _refused("origin", "an origin that is no number", fields={"origin": (0.0, NAN, 0.0)}),
+    _refused("origin", "an infinite origin", fields={"origin": (INF, 0.0, 0.0)}),
+    _refused("positions", "positions cut short", lengths={"positions": 5}),
+    _refused("orientations", "an orientation too many", lengths={"orientations": 12}),
+    _refused("scales", "no scales", lengths={"scales": 0}),
+    _refused("opacities", "an opacity too many", lengths={"opacities": 3}),
+    _refused("sh", "harmonics of another degree", lengths={"sh": 24}),
+    _refused("slots", "fewer slots than splats", fields={"slots": [1]}),
+    _refused("slots", "slots, but no splats", count=0, fields={"slots": [1]}),
+    _refused("slots", "a slot too high", fields={"slots": [1, MOST]}),
+    _refused("first_slot", "a range too high", fields={"first_slot": MOST - 1}),
+    _refused("first_slot", "a range beyond 32 bits", fields={"first_slot": 2**32 - 1}),
+    _refused("first_slot", "a delete too high", operation=DELETE, fields={"first_slot": MOST}),
+    _refused("positions", "a count beyond the arrays", fields={"count": MOST}, count=2),
+    _refused("positions", "a delete with positions", operation=DELETE, lengths={"positions": 6}),
+    _refused("sh", "a delete with harmonics", operation=DELETE, lengths={"sh": 6}),
+)

@@ -1,0 +1,83 @@
+"""Every receiver of a map makes the same of the same batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conformance import CASES, Case, Receiver
+
+from rosplat_msgs.msg import GaussianArray
+from rviz_gaussian_plugin.offscreen import BatchError, GaussianMap
+
+
+class Display:
+    """The display's map."""
+
+    def __init__(self) -> None:
+        self.map = GaussianMap()
+
+    def take(self, message: GaussianArray) -> int | None:
+        floats = (
+            np.frombuffer(getattr(message, name), np.float32)
+            for name in ("positions", "orientations", "scales", "opacities", "sh")
+        )
+        origin = message.origin
+        try:
+            report = self.map.apply(
+                message.operation, message.first_slot, message.count,
+                np.frombuffer(message.slots, np.uint32), message.sh_degree, message.antialiased,
+                (origin.x, origin.y, origin.z), *floats, message.map_id, message.revision,
+                message.expected_slots, message.encoding, message.snapshot,
+            )  # fmt: skip
+        except BatchError as error:
+            raise ValueError(str(error)) from error
+        dropped: int = report["dropped"]
+        return None if report["duplicate"] else dropped
+
+    def in_use(self, slot: int) -> bool:
+        return bool(self.map.in_use(slot))
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        x, y, z = self.map.origin
+        return x, y, z
+
+    @property
+    def antialiased(self) -> bool:
+        return bool(self.map.antialiased)
+
+    @property
+    def revision(self) -> int:
+        return int(self.map.revision)
+
+    @property
+    def missed(self) -> int:
+        return int(self.map.missed)
+
+
+RECEIVERS = (Display,)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("receiver", RECEIVERS, ids=lambda receiver: receiver.__name__)
+def test_receivers_agree(receiver: type[Receiver], case: Case) -> None:
+    target = receiver()
+    revision = 0
+    for number, batch in enumerate(case.batches, 1):
+        message = batch.message(number)
+        if batch.refused:
+            with pytest.raises(ValueError, match=rf"\b{batch.refused}\b"):
+                target.take(message)
+            continue
+        dropped = target.take(message)
+        assert dropped == (None if batch.duplicate else batch.dropped)
+        if not batch.duplicate:
+            revision = message.revision
+    assert [slot for slot in case.looked_at if target.in_use(slot)] == list(case.in_use)
+    for known, expected in (
+        (target.origin, case.origin),
+        (target.antialiased, case.antialiased),
+        (target.missed, case.missed),
+        (target.revision, revision),
+    ):
+        assert known is None or known == expected
