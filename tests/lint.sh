@@ -7,7 +7,7 @@ ruff check --quiet .
 git ls-files '*.cpp' '*.hpp' '*.cu' | xargs clang-format --dry-run -Werror
 # The parts that know no ROS. From the packages' own folders: from here, they would hide each other.
 (cd rosplat_sorter && mypy --config-file ../pyproject.toml --no-error-summary \
-  rosplat_sorter/{backends,camera.py,depth.py,edits.py,map.py,order_slots.py,shared_orders.py,view.py,worker.py})
+  rosplat_sorter/{backends,camera.py,depth.py,edits.py,map.py,order_slots.py,shared_orders.py,slot_pages.py,view.py,worker.py})
 (cd rosplat_tools && mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_tools/{formats,lab,reference,arguments.py,cameras.py,convert.py,driven_rviz.py,files.py,flight.py,generate.py,inspect.py,machine.py,mapping.py,metrics.py,output.py,processes.py,progress.py,scenes.py,slot_map.py,space_order.py,splats.py} \
   rosplat_tools/bench/{baselines.py,charts.py,command.py,isolation.py,plan.py,records.py,rviz.py,scenes.py,sort.py})

@@ -15,6 +15,7 @@ class DepthOrder:
         view: View,
         positions: NDArray[np.float32],
         extents: NDArray[np.float32],
+        pages: NDArray[np.uint32],
         allocate: Callable[[int], NDArray[np.uint32]],
     ) -> NDArray[np.uint32]: ...
 

@@ -80,12 +80,17 @@ def sort_keys(depths: NDArray[np.float32]) -> NDArray[np.uint32]:
 
 
 def order(
-    view: View, positions: NDArray[np.float32], extents: NDArray[np.float32]
+    view: View,
+    positions: NDArray[np.float32],
+    extents: NDArray[np.float32],
+    slots: NDArray[np.uint32] | None = None,
 ) -> NDArray[np.uint32]:
     """The visible slots back to front, uint32 (m,); of equal depths the higher slot first.
 
-    positions: float32 (n, 3) [m], relative to the map's origin. extents: float32 (n,) [m].
+    positions: float32 (n, 3) [m], relative to the map's origin. extents: float32 (n,) [m]. slots:
+    whose they are, uint32 (n,), by default those from 0 on.
     """
-    slots = np.flatnonzero(visible(view, positions, extents))
-    ascending = np.argsort(transform(view, positions[slots], 2), kind="stable")
-    return slots[ascending[::-1]].astype(np.uint32)
+    rows = np.flatnonzero(visible(view, positions, extents))
+    slots = rows.astype(np.uint32) if slots is None else slots[rows]
+    ascending = np.lexsort((slots, transform(view, positions[rows], 2)))
+    return slots[ascending[::-1]]

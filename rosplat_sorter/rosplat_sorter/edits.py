@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_sorter.depth import INVISIBLE, splat_extents
+from rosplat_sorter.slot_pages import MAX_SLOTS, Slots
 
 if TYPE_CHECKING:
     from rosplat_msgs.msg import GaussianArray
@@ -16,10 +17,6 @@ if TYPE_CHECKING:
 REPLACE, UPSERT, DELETE = range(3)
 ENCODING_FLOAT32 = 0
 MAX_SH_DEGREE = 3
-MAX_SLOTS = 1 << 25  # as GaussianArray.MAX_SLOTS; 512 MiB of positions and extents
-
-# Slots as NumPy indexes with them: a range, or one by one.
-Slots: TypeAlias = "slice | NDArray[np.uint32]"
 
 
 class EditError(ValueError):

@@ -21,6 +21,7 @@ namespace {
 using rosplat_sorter::DepthOrder;
 using rosplat_sorter::OrderError;
 using rosplat_sorter::OrderReader;
+using rosplat_sorter::Page;
 using rosplat_sorter::SegmentHeader;
 using rosplat_sorter::SpareSlots;
 using rosplat_sorter::View;
@@ -64,18 +65,38 @@ View toView(const py::handle& object) {
   return view;
 }
 
+// Rows of first slot and place, one for each page of a map of so many rows.
+std::vector<Page> toPages(const py::handle& object, py::ssize_t rows) {
+  if (!py::isinstance<Slots>(object)) {
+    throw py::type_error("pages must be a contiguous uint32 array");
+  }
+  const auto table = py::reinterpret_borrow<Slots>(object);
+  const py::ssize_t count = table.size() / 2;
+  if (table.size() != 2 * count || count * py::ssize_t{Page::kSlots} != rows) {
+    throw py::value_error("pages has the wrong size");
+  }
+  std::vector<Page> pages;
+  for (py::ssize_t i = 0; i < count; ++i) {
+    pages.push_back({table.data()[2 * i], table.data()[2 * i + 1]});
+    if (pages.back().place >= count) throw py::value_error("pages names a place beyond the last");
+  }
+  return pages;
+}
+
 Slots sort(DepthOrder& sorter, const py::object& view_object, const py::object& positions_object,
-           const py::object& extents_object, const py::object& allocate) {
+           const py::object& extents_object, const py::object& pages_object,
+           const py::object& allocate) {
   const View view = toView(view_object);
-  const auto count = static_cast<py::ssize_t>(py::len(extents_object));
-  const Floats extents = floats(extents_object, count, "extents");
-  const Floats positions = floats(positions_object, 3 * count, "positions");
+  const auto rows = static_cast<py::ssize_t>(py::len(extents_object));
+  const Floats extents = floats(extents_object, rows, "extents");
+  const Floats positions = floats(positions_object, 3 * rows, "positions");
+  const std::vector<Page> pages = toPages(pages_object, rows);
   const float* const p = positions.data();
   const float* const e = extents.data();
   Slots order;
   {
     const py::gil_scoped_release release;
-    sorter.sort(view, p, e, static_cast<std::size_t>(count), [&](std::size_t total) {
+    sorter.sort(view, p, e, pages.data(), pages.size(), [&](std::size_t total) {
       const py::gil_scoped_acquire acquire;
       const py::object target = allocate(total);
       if (!py::isinstance<Slots>(target) || static_cast<std::size_t>(py::len(target)) != total) {
@@ -157,11 +178,13 @@ PYBIND11_MODULE(_native, module) {
       .def_property_readonly("threads", &DepthOrder::threads)
       .def(
           "sort", &sort, py::arg("view"), py::arg("positions"), py::arg("extents"),
-          py::arg("allocate"),
+          py::arg("pages"), py::arg("allocate"),
           "The visible slots back to front, uint32 (m,), in the array that allocate(m) returns.\n\n"
-          "view: a rosplat_sorter.view.View. positions: float32 (n, 3) [m]. extents: float32 (n,)\n"
-          "[m], negative for what is never visible. Both contiguous; other types raise TypeError,\n"
-          "other sizes ValueError. One thread at a time.");
+          "view: a rosplat_sorter.view.View. positions: float32 (rows, 3) [m]. extents: float32\n"
+          "(rows,) [m], negative for what is never visible. pages: SlotPages.table, uint32 (p, "
+          "2).\n"
+          "All contiguous; other types raise TypeError, other sizes ValueError. One thread at a\n"
+          "time.");
 
   py::register_exception<OrderError>(module, "OrderError", PyExc_ValueError);
   py::class_<ArrayReader>(module, "OrderReader", "A viewer's side of SplatOrder.")

@@ -20,6 +20,7 @@ from rosplat_sorter.backends import (
 from rosplat_sorter.edits import DELETE, REPLACE, UPSERT
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import Memory, OrderBuffer, SharedOrders, memory_of
+from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
 from rosplat_sorter.view import View
 
 CANDIDATES = [
@@ -58,11 +59,12 @@ def cameras(make_camera, random):
 
 def assert_equal_to_reference(backend, splats, camera):
     view = View.of(camera, splats.origin)
-    memory = np.zeros(len(splats) + 1, np.uint32)
+    memory = np.zeros(splats.pages.rows + 1, np.uint32)
     order = backend.order(view, lambda count: memory[1 : count + 1])
     assert order.base is memory
     assert order.dtype == np.uint32
-    np.testing.assert_array_equal(order, depth.order(view, splats.positions, splats.extents))
+    expected = depth.order(view, splats.positions, splats.extents, splats.slots)
+    np.testing.assert_array_equal(order, expected)
     return len(order)
 
 
@@ -112,6 +114,26 @@ def test_a_map_that_grows(backend, make_camera, make_edit):
         positions = random.normal(size=(size, 3))
         backend.update(splats, splats.apply(make_edit(positions, slots=slots, revision=revision)))
         assert assert_equal_to_reference(backend, splats, camera) == end
+
+
+def test_slots_far_apart_in_pages_that_come_in_any_order(backend, make_camera, make_edit):
+    """As authors number them: keyframe << 16 | i. Half of them tie."""
+    random = np.random.default_rng(11)
+    splats = SplatMap()
+    for revision, keyframe in enumerate(random.permutation(200), 1):
+        count = int(random.integers(1, 3000))
+        edit = make_edit(
+            np.round(random.normal(size=(count, 3)) * 4),
+            slots=(keyframe << 16) + np.arange(count),
+            revision=revision,
+        )
+        backend.update(splats, splats.apply(edit))
+        if revision in (1, 2, 200):
+            for camera in cameras(make_camera, random):
+                assert_equal_to_reference(backend, splats, camera)
+    assert_equal_to_reference(backend, splats, make_camera(orthographic=True, fx=1.0, fy=1.0))
+    backend.update(splats, splats.apply(make_edit([[0, 0, 5]], revision=201, operation=REPLACE)))
+    assert assert_equal_to_reference(backend, splats, make_camera()) == 1
 
 
 def test_orders_in_shared_memory(backend, make_camera, make_edit):
@@ -205,6 +227,7 @@ def test_any_history_of_edits(backend, make_camera, make_edit, data):
         random = np.random.default_rng(data.draw(st.integers(0, 2**32), "seed"))
         count = int(random.integers(1, 40))
         slots = random.choice(int(random.integers(count, 300)), count, replace=False)
+        slots = slots * data.draw(st.sampled_from([1, 1, 50, 1 << 16]), "apart")
         edit = make_edit(
             np.round(random.normal(size=(count, 3)) * 4),
             random.uniform(-0.02, 0.1, count).astype(np.float32),
@@ -255,17 +278,24 @@ def test_native_refuses_arrays_of_another_kind(make_camera):
     from rosplat_sorter._native import DepthOrder
 
     view, sorter = View.of(make_camera()), DepthOrder(1)
-    with pytest.raises(TypeError, match="positions"):
-        sorter.sort(view, np.zeros((2, 3)), np.zeros(2, np.float32), new_array)
-    with pytest.raises(TypeError, match="positions"):
-        sorter.sort(view, np.zeros((4, 3), np.float32)[::2], np.zeros(2, np.float32), new_array)
+    n = SLOTS_PER_PAGE
+    extents, pages = np.zeros(n, np.float32), np.zeros((1, 2), np.uint32)
+    for positions in (np.zeros((n, 3)), np.zeros((2 * n, 3), np.float32)[::2]):
+        with pytest.raises(TypeError, match="positions"):
+            sorter.sort(view, positions, extents, pages, new_array)
+    positions = np.zeros((n, 3), np.float32)
     with pytest.raises(ValueError, match="positions"):
-        sorter.sort(view, np.zeros((1, 3), np.float32), np.zeros(2, np.float32), new_array)
+        sorter.sort(view, positions[1:], extents, pages, new_array)
+    with pytest.raises(TypeError, match="pages"):
+        sorter.sort(view, positions, extents, pages.astype(np.int64), new_array)
+    for wrong in (pages[:0], np.zeros((2, 2), np.uint32), np.array([[0, 1]], np.uint32)):
+        with pytest.raises(ValueError, match="pages"):
+            sorter.sort(view, positions, extents, wrong, new_array)
     for wrong in (lambda n: np.zeros(n + 1, np.uint32), lambda n: np.zeros(n), lambda n: None):
         with pytest.raises(TypeError):
-            sorter.sort(view, np.zeros((2, 3), np.float32), np.zeros(2, np.float32), wrong)
+            sorter.sort(view, positions, extents, pages, wrong)
     with pytest.raises(MemoryError, match="enough"):
-        sorter.sort(view, np.zeros((2, 3), np.float32), np.zeros(2, np.float32), no_room)
+        sorter.sort(view, positions, extents, pages, no_room)
 
 
 def no_room(count):

@@ -1,14 +1,14 @@
 """Messages are checked before use: dropped whole, or splat by splat."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.edits import MAX_SLOTS, EditError, decode
+from rosplat_sorter.edits import EditError, decode
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE
 
 INF, NAN = math.inf, math.nan
 
@@ -99,25 +99,31 @@ def apply(splats, message):
     return splats.apply(decode(message))
 
 
+def in_use(splats):
+    """The slots with a splat that can be seen, ascending."""
+    return np.sort(splats.slots[splats.extents >= 0]).tolist()
+
+
 def test_replace_upsert_and_delete(make_batch):
     splats = SplatMap()
     apply(splats, make_batch(4, operation=0))
     apply(splats, make_batch(2, revision=2, slots=[6, 1], positions=[6.0] * 3 + [1.0] * 3))
     assert apply(splats, make_batch(2, revision=3, operation=2, first_slot=2)) == slice(2, 4)
-    assert (splats.extents >= 0).tolist() == [True, True, False, False, False, False, True]
+    assert in_use(splats) == [0, 1, 6]
     assert splats.positions[[0, 1, 6]].tolist() == [[0, 0, 1], [1, 1, 1], [6, 6, 6]]
     apply(splats, make_batch(1, revision=4, operation=0, first_slot=1))
-    assert (splats.extents >= 0).tolist() == [False, True]
+    assert in_use(splats) == [1]
     apply(splats, make_batch(1, revision=5, first_slot=4))
-    assert (splats.extents >= 0).tolist() == [False, True, False, False, True]
+    assert in_use(splats) == [1, 4]
 
 
 def test_deleting_slots_that_never_were_does_not_grow_the_map(make_batch):
     splats = SplatMap()
     apply(splats, make_batch(3))
-    apply(splats, make_batch(1000, revision=2, operation=2, first_slot=2))
+    apply(splats, make_batch(MAX_SLOTS - 2, revision=2, operation=2, first_slot=2))
     apply(splats, make_batch(2, revision=3, operation=2, slots=[MAX_SLOTS - 1, 0]))
-    assert (splats.extents >= 0).tolist() == [False, True, False]
+    assert in_use(splats) == [1]
+    assert (len(splats), splats.pages.rows) == (3, SLOTS_PER_PAGE)
 
 
 def test_a_new_map_starts_empty_even_with_an_upsert(make_batch):
@@ -128,14 +134,18 @@ def test_a_new_map_starts_empty_even_with_an_upsert(make_batch):
 
 
 @pytest.mark.parametrize("map_id", ["map", "next"])
-def test_what_memory_can_t_hold_leaves_the_map_as_it_was(make_batch, map_id):
+def test_what_memory_can_t_hold_leaves_the_map_as_it_was(make_batch, map_id, monkeypatch):
+    def none_left(rows):
+        raise MemoryError
+
     splats = SplatMap()
     apply(splats, make_batch(3))
-    edit = replace(decode(make_batch(1, map_id=map_id, revision=2)), end=1 << 50)
+    monkeypatch.setattr("rosplat_sorter.map._empty", none_left)
     with pytest.raises(MemoryError):
-        splats.apply(edit)
+        apply(splats, make_batch(1, map_id=map_id, revision=2, first_slot=1 << 20))
     assert (splats.map_id, splats.revision, splats.missed) == ("map", 1, 0)
-    assert (splats.extents >= 0).tolist() == [True] * 3
+    assert in_use(splats) == [0, 1, 2]
+    assert splats.pages.rows == SLOTS_PER_PAGE
     assert splats.positions[2].tolist() == [0, 0, 3]
 
 
@@ -157,7 +167,8 @@ def test_a_snapshot_is_taken_only_where_something_is_missing(make_batch):
     assert apply(splats, snapshot) is None
     assert len(splats) == 4
     apply(splats, make_batch(1, revision=4))  # without the third
-    assert apply(splats, snapshot) == slice(0, 9)
+    assert apply(splats, snapshot) == slice(0, SLOTS_PER_PAGE)
+    assert in_use(splats) == list(range(9))
     assert (splats.revision, splats.missed) == (2, 0)
 
 
@@ -168,7 +179,7 @@ def test_a_map_is_played_once_more(make_batch):
     apply(splats, make_batch(5, revision=3, first_slot=10))
     assert apply(splats, make_batch(5, revision=2, first_slot=5)) == slice(5, 10)
     assert (len(splats), splats.revision, splats.missed) == (15, 2, 1)
-    assert apply(splats, make_batch(5, operation=0)) == slice(0, 5)
+    assert apply(splats, make_batch(5, operation=0)) == slice(0, SLOTS_PER_PAGE)
     assert (len(splats), splats.revision, splats.missed) == (5, 1, 0)
 
 
@@ -188,6 +199,50 @@ def test_another_origin_is_rebased_in_float64(make_batch):
     apply(splats, second)
     assert splats.origin.tolist() == [1e5, 0, 0]
     np.testing.assert_allclose(splats.positions[1], [-0.249, 0, 1], rtol=1e-6)
+
+
+def test_a_replace_brings_its_origin(make_batch):
+    """Else float32 would see one point in three."""
+    splats = SplatMap()
+    apply(splats, make_batch(3))
+    far = make_batch(3, revision=2, operation=0)
+    far.origin.x = 4.5e6
+    apply(splats, far)
+    assert splats.origin.tolist() == [4.5e6, 0, 0]
+    assert splats.positions[:3, 2].tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("first", [{"operation": 2}, {"operation": 0, "count": 0}])
+def test_what_carries_no_splat_decides_no_origin(make_batch, first):
+    splats = SplatMap()
+    apply(splats, make_batch(**first))
+    far = make_batch(1, revision=2)
+    far.origin.x = 4.5e6
+    apply(splats, far)
+    assert splats.origin.tolist() == [4.5e6, 0, 0]
+
+
+def test_slots_cost_memory_by_pages_wherever_they_lie(make_batch):
+    splats = SplatMap()
+    for revision, slot in enumerate((MAX_SLOTS - 1, 7 << 16, 3), 1):
+        apply(splats, make_batch(1, revision=revision, first_slot=slot))
+    assert in_use(splats) == [3, 7 << 16, MAX_SLOTS - 1]
+    assert len(splats) == MAX_SLOTS
+    assert len(splats.extents) == 3 * SLOTS_PER_PAGE
+    apply(splats, make_batch(4, revision=4, slots=[7 << 16, 5, 4, (7 << 16) + 1]))
+    assert in_use(splats) == [3, 4, 5, 7 << 16, (7 << 16) + 1, MAX_SLOTS - 1]
+    apply(splats, make_batch((7 << 16) + 1, revision=5, operation=2))
+    assert in_use(splats) == [(7 << 16) + 1, MAX_SLOTS - 1]
+    apply(splats, make_batch(2000, revision=6, first_slot=(7 << 16) - 1000))
+    expected = [*range((7 << 16) - 1000, (7 << 16) + 1000), MAX_SLOTS - 1]
+    assert in_use(splats) == expected
+
+
+def test_a_replace_gives_memory_back(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(5000))
+    apply(splats, make_batch(1, revision=2, operation=0))
+    assert len(splats._extents) == SLOTS_PER_PAGE
 
 
 def test_the_largest_map_is_the_message_s():

@@ -86,6 +86,15 @@ inline View makeView(const double rotation[9], const double translation[3], doub
   return view;
 }
 
+// Neighbouring slots of a map, from first_slot on, and where they are kept: in rows from
+// place * kSlots on. A map has rows for its pages alone; authors number slots as they like.
+struct Page {
+  static constexpr std::uint32_t kSlots = 1024;
+
+  std::uint32_t first_slot;
+  std::uint32_t place;
+};
+
 // Orders splats by depth. Keeps its workspace and its threads between calls; one caller at a time.
 class DepthOrder {
  public:
@@ -110,14 +119,22 @@ class DepthOrder {
   template <typename Allocate>
   void sort(const View& view, const float* positions, const float* extents, std::size_t count,
             const Allocate& allocate) {
-    sort(view, Splats{positions, extents, nullptr, count}, allocate);
+    sort(view, Splats{positions, extents, nullptr, nullptr, count}, allocate);
+  }
+
+  // The same for a map by pages, which ascend: positions and extents have a row for each of their
+  // slots.
+  template <typename Allocate>
+  void sort(const View& view, const float* positions, const float* extents, const Page* pages,
+            std::size_t page_count, const Allocate& allocate) {
+    sort(view, Splats{positions, extents, nullptr, pages, page_count * Page::kSlots}, allocate);
   }
 
   // The same among the count given slots only, which are in ascending order.
   const std::vector<std::uint32_t>& sort(const View& view, const float* positions,
                                          const float* extents, const std::uint32_t* slots,
                                          std::size_t count) {
-    sort(view, Splats{positions, extents, slots, count}, Keep{order_});
+    sort(view, Splats{positions, extents, slots, nullptr, count}, Keep{order_});
     return order_;
   }
 
@@ -127,7 +144,8 @@ class DepthOrder {
   }
 
  private:
-  static constexpr std::size_t kBlock = 512;             // splats culled at a time, in L1
+  static constexpr std::size_t kBlock = 512;  // splats culled at a time, in L1
+  static_assert(Page::kSlots % kBlock == 0, "a block lies in one page");
   static constexpr std::size_t kLeastShare = 1u << 15;   // splats worth waking a thread for
   static constexpr std::size_t kBucketSize = 1u << 13;   // entries worth a bucket
   static constexpr unsigned kMostBuckets = 256;          // a line of each is in L1
@@ -136,15 +154,22 @@ class DepthOrder {
   static constexpr std::size_t kMostScratch = 1u << 17;  // entries, in L2
   static constexpr unsigned kDigitBits = 9;              // 512 targets stay in L1 and its TLB
 
-  // What is sorted: count slots, from 0 on where there is no list of them.
+  // What is sorted: count slots, those of a list or of pages, else from 0 on.
   struct Splats {
     std::uint32_t slot(std::size_t i) const {
-      return slots ? slots[i] : static_cast<std::uint32_t>(i);
+      if (slots) return slots[i];
+      const std::size_t first = pages ? pages[i / Page::kSlots].first_slot : i - i % Page::kSlots;
+      return static_cast<std::uint32_t>(first + i % Page::kSlots);
+    }
+    std::size_t row(std::size_t i) const {
+      if (!pages) return slot(i);
+      return std::size_t{pages[i / Page::kSlots].place} * Page::kSlots + i % Page::kSlots;
     }
 
     const float* positions;
     const float* extents;
     const std::uint32_t* slots;
+    const Page* pages;
     std::size_t count;
   };
 
@@ -169,11 +194,11 @@ class DepthOrder {
     std::array<std::size_t, kMostBuckets> buckets;  // how many entries, then where the next goes
   };
 
-  // Memory that keeps nothing when it grows.
+  // Memory that keeps nothing when it grows, or when far less of it is needed.
   class Room {
    public:
     Entry* reserve(std::size_t size) {
-      if (size > size_) {
+      if (size > size_ || size < size_ / 4) {
         memory_.reset();
         size_ = 0;
         memory_.reset(new Entry[size + size / 4]);
@@ -247,8 +272,9 @@ class DepthOrder {
     Entry* const found = found_.reserve(splats.count);
     team_->run(parts, [&](unsigned number, unsigned) {
       Part& part = parts_[number];
-      part.begin = splats.count * number / parts;
-      part.end = splats.count * (number + 1) / parts;
+      const std::size_t blocks = (splats.count + kBlock - 1) / kBlock;
+      part.begin = blocks * number / parts * kBlock;
+      part.end = std::min(blocks * (number + 1) / parts * kBlock, splats.count);
       cull(view, splats, found, part);
     });
 
@@ -282,10 +308,10 @@ class DepthOrder {
     const std::size_t tries = kSamples * buckets_;
     samples_.clear();
     for (std::size_t i = 0; i < tries; ++i) {
-      const std::size_t slot = splats.slot(splats.count * i / tries);
+      const std::size_t row = splats.row(splats.count * i / tries);
       std::uint32_t key;
       std::uint32_t seen;
-      look(view, splats.positions + 3 * slot, splats.extents + slot, 1, &key, &seen);
+      look(view, splats.positions + 3 * row, splats.extents + row, 1, &key, &seen);
       if (seen) samples_.push_back(key);
     }
     buckets_ = worth(splats.count / tries * samples_.size());
@@ -344,13 +370,19 @@ class DepthOrder {
           extents[i] = splats.extents[slot];
         }
         look(view, positions.data(), extents.data(), size, keys.data(), seen.data());
+        for (std::size_t i = 0; i < size; ++i) {
+          *out = {keys[i], splats.slots[first + i]};
+          out += seen[i];
+        }
       } else {
-        look(view, splats.positions + 3 * first, splats.extents + first, size, keys.data(),
+        const std::size_t row = splats.row(first);
+        look(view, splats.positions + 3 * row, splats.extents + row, size, keys.data(),
              seen.data());
-      }
-      for (std::size_t i = 0; i < size; ++i) {
-        *out = {keys[i], splats.slot(first + i)};
-        out += seen[i];
+        const std::uint32_t slot = splats.slot(first);
+        for (std::size_t i = 0; i < size; ++i) {
+          *out = {keys[i], slot + static_cast<std::uint32_t>(i)};
+          out += seen[i];
+        }
       }
       for (; counted < out; ++counted) ++part.buckets[bucketOf(counted->key)];
     }

@@ -16,8 +16,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.slot_pages import Rows
 from rosplat_sorter.view import View
 
 Allocate = Callable[[int], NDArray[np.uint32]]
@@ -29,6 +29,11 @@ def new_array(count: int) -> NDArray[np.uint32]:
     return np.empty(count, np.uint32)
 
 
+def room_for(rows: int, room: int) -> int:
+    """For how many rows a device has room from now on: as for now, if that is about right."""
+    return room if rows <= room <= 4 * rows + (1 << 16) else rows + rows // 2
+
+
 class Backend(Protocol):
     """Orders the splats of one map."""
 
@@ -38,8 +43,8 @@ class Backend(Protocol):
     device: str
     """What it runs on, for people."""
 
-    def update(self, splats: SplatMap, changed: Slots) -> None:
-        """Takes over what changed in the map since the last call, and what the map grew by.
+    def update(self, splats: SplatMap, changed: Rows) -> None:
+        """Takes over which rows changed since the last call, and those that the map grew by.
 
         A backend on the CPU may keep the map's arrays, they change only between calls.
         """

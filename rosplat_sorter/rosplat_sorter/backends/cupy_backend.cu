@@ -10,6 +10,7 @@ constexpr unsigned kUsualDigits = USUAL_DIGITS;  // sorted by before it is known
 constexpr unsigned kThreads = kBins;             // one for each bin
 constexpr unsigned kLanes = 32, kWarps = kThreads / kLanes, kAll = 0xffffffffu;
 constexpr unsigned kCullItems = CULL_ITEMS, kCullTile = kCullItems * kThreads;
+constexpr unsigned kPageSlots = SLOTS_PER_PAGE;
 constexpr unsigned kSortItems = SORT_ITEMS, kSortTile = kSortItems * kThreads;
 
 // What a tile tells those after it: its own sum, or the sum up to its end.
@@ -57,6 +58,11 @@ __device__ bool operator<=(Real a, Real b) {
 }
 
 __device__ Real abs(Real a) { return {__uint_as_float(__float_as_uint(a.value) & 0x7fffffffu)}; }
+
+// A page of neighbouring slots, and where its rows are.
+struct Page {
+  unsigned first_slot, place;
+};
 
 struct View {
   Real rotation[9], translation[3];
@@ -161,11 +167,12 @@ __device__ unsigned bin_look_back(volatile const unsigned* sums, unsigned tile) 
 
 }  // namespace
 
-// Writes keys that ascend back to front, and their slots. sums: one for each tile, from 0.
+// Writes keys that ascend back to front, and their slots, of all rows of pages that are in order of
+// slots. sums: one for each tile, from 0.
 extern "C" __global__ void __launch_bounds__(kThreads)
     cull(const View view, const bool orthographic, const Real* positions, const Real* extents,
-         const unsigned count, Header* header, unsigned* histograms, volatile unsigned* sums,
-         unsigned* keys, unsigned* slots) {
+         const Page* pages, const unsigned count, Header* header, unsigned* histograms,
+         volatile unsigned* sums, unsigned* keys, unsigned* slots) {
   __shared__ unsigned histogram[kDigits * kBins], warp_totals[kWarps], tile_first, block_largest;
   for (unsigned i = threadIdx.x; i < kDigits * kBins; i += kThreads) histogram[i] = 0;
   if (threadIdx.x == 0) block_largest = 0;
@@ -177,10 +184,11 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     Real position[kCullItems][3], extent[kCullItems];
 #pragma unroll
     for (unsigned i = 0; i < kCullItems; ++i) {
-      const unsigned slot = count - 1 - min(first + i * kLanes, count - 1);
+      const unsigned rank = count - 1 - min(first + i * kLanes, count - 1);
+      const unsigned row = pages[rank / kPageSlots].place * kPageSlots + rank % kPageSlots;
 #pragma unroll
-      for (unsigned axis = 0; axis < 3; ++axis) position[i][axis] = positions[3ull * slot + axis];
-      extent[i] = extents[slot];
+      for (unsigned axis = 0; axis < 3; ++axis) position[i][axis] = positions[3ull * row + axis];
+      extent[i] = extents[row];
     }
     unsigned own[kCullItems], warp_total = 0;
 #pragma unroll
@@ -222,8 +230,10 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     for (unsigned i = 0; i < kCullItems; ++i) {
       const unsigned visible = __ballot_sync(kAll, own[i] != 0);
       if (own[i] != 0) {
+        const unsigned rank = count - 1 - (first + i * kLanes);
         keys[to + __popc(visible & lanes_below())] = ~own[i];
-        slots[to + __popc(visible & lanes_below())] = count - 1 - (first + i * kLanes);
+        slots[to + __popc(visible & lanes_below())] =
+            pages[rank / kPageSlots].first_slot + rank % kPageSlots;
       }
       to += __popc(visible);
     }

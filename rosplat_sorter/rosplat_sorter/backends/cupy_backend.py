@@ -11,10 +11,10 @@ import cupyx
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.backends import Allocate, new_array
-from rosplat_sorter.edits import Slots
+from rosplat_sorter.backends import Allocate, new_array, room_for
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import Memory, memory_of
+from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, Rows
 from rosplat_sorter.view import View
 
 # Sorted by digits, the lowest first; where the last is the same for all, it is left out.
@@ -68,6 +68,7 @@ class CupyBackend:
                 f"-DUSUAL_DIGITS={_USUAL_DIGITS}",
                 f"-DCULL_ITEMS={_CULL_ITEMS}",
                 f"-DSORT_ITEMS={_SORT_ITEMS}",
+                f"-DSLOTS_PER_PAGE={SLOTS_PER_PAGE}",
             ),
         )
         self._cull = module.get_function("cull")
@@ -76,10 +77,11 @@ class CupyBackend:
         self._visible = cupyx.empty_pinned(2, np.uint32)  # how many, and the largest key
         self._visible_known = cupy.cuda.Event(disable_timing=True)
         self._pinned: weakref.WeakSet[Memory] = weakref.WeakSet()
+        self._pages = cupy.empty((0, 2), cupy.uint32)
         self._reserve(0)
 
     def _reserve(self, capacity: int) -> None:
-        """Makes room for so many splats; those held so far are lost."""
+        """Makes room for so many rows; those held so far are lost."""
         self._positions = cupy.empty((capacity, 3), cupy.float32)
         self._extents = cupy.empty(capacity, cupy.float32)
         # Where a digit is sorted from, and where to, in turn.
@@ -100,14 +102,17 @@ class CupyBackend:
         self._sort_sums = self._sort_sums.reshape(_DIGITS, -1)
         self._count = 0
 
-    def update(self, splats: SplatMap, changed: Slots) -> None:
-        if len(splats) > len(self._extents):
-            self._reserve(len(splats) + len(splats) // 2)
-        for slots in (changed, slice(self._count, len(splats))):  # what changed, what is new
-            index = slots if isinstance(slots, slice) else cupy.asarray(slots)
-            self._positions[index] = cupy.asarray(splats.positions[slots])
-            self._extents[index] = cupy.asarray(splats.extents[slots])
-        self._count = len(splats)
+    def update(self, splats: SplatMap, changed: Rows) -> None:
+        count = splats.pages.rows
+        room = room_for(count, len(self._extents))
+        if room != len(self._extents):
+            self._reserve(room)
+        for rows in (changed, slice(self._count, count)):  # what changed, what is new
+            index = rows if isinstance(rows, slice) else cupy.asarray(rows)
+            self._positions[index] = cupy.asarray(splats.positions[rows])
+            self._extents[index] = cupy.asarray(splats.extents[rows])
+        self._pages = cupy.asarray(splats.pages.table)
+        self._count = count
 
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         slots = self.order_on_device(view)
@@ -132,6 +137,7 @@ class CupyBackend:
                 np.bool_(view.orthographic),
                 self._positions,
                 self._extents,
+                self._pages,
                 np.uint32(self._count),
                 self._header,
                 self._histograms,

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from rosplat_sorter import _native
 from rosplat_sorter.backends import Allocate, new_array
-from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.slot_pages import Rows
 from rosplat_sorter.view import View
 
 
@@ -22,8 +22,9 @@ class NativeBackend:
         self._sort = _native.DepthOrder(threads)
         self.device = f"{self._sort.threads} thread{'s' * (self._sort.threads > 1)}"
 
-    def update(self, splats: SplatMap, changed: Slots) -> None:
+    def update(self, splats: SplatMap, changed: Rows) -> None:
         self._splats = splats
 
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
-        return self._sort.sort(view, self._splats.positions, self._splats.extents, allocate)
+        splats = self._splats
+        return self._sort.sort(view, splats.positions, splats.extents, splats.pages.table, allocate)

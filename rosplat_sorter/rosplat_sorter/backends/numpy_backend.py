@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from rosplat_sorter import depth
 from rosplat_sorter.backends import Allocate, new_array
-from rosplat_sorter.edits import Slots
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.slot_pages import Rows
 from rosplat_sorter.view import View
 
 _BLOCK = 1 << 15  # splats culled at a time, so that what lies between stays in cache
@@ -23,11 +23,12 @@ class NumpyReferenceBackend:
     def __init__(self, threads: int = 0, gpu_only: bool = False) -> None:
         self._splats = SplatMap()
 
-    def update(self, splats: SplatMap, changed: Slots) -> None:
+    def update(self, splats: SplatMap, changed: Rows) -> None:
         self._splats = splats
 
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
-        order = depth.order(view, self._splats.positions, self._splats.extents)
+        splats = self._splats
+        order = depth.order(view, splats.positions, splats.extents, splats.slots)
         result = allocate(len(order))
         result[:] = order
         return result
@@ -39,13 +40,14 @@ class NumpyBackend(NumpyReferenceBackend):
     name = "numpy"
 
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
-        positions, extents = self._splats.positions, self._splats.extents
+        splats = self._splats
+        positions, extents, pages = splats.positions, splats.extents, splats.pages
         packed = [np.zeros(0, np.uint64)]
         for first in range(0, len(extents), _BLOCK):
             block = slice(first, first + _BLOCK)
-            slots = np.flatnonzero(depth.visible(view, positions[block], extents[block])) + first
-            keys = depth.sort_keys(depth.transform(view, positions[slots], 2))
-            packed.append(keys.astype(np.uint64) << np.uint64(32) | slots.astype(np.uint64))
+            rows = np.flatnonzero(depth.visible(view, positions[block], extents[block])) + first
+            keys = depth.sort_keys(depth.transform(view, positions[rows], 2))
+            packed.append(keys.astype(np.uint64) << np.uint64(32) | pages.slots(rows))
         entries = np.concatenate(packed)
         entries.sort()
         result = allocate(len(entries))

@@ -7,9 +7,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rosplat_sorter.backends import Allocate, Unavailable, new_array
-from rosplat_sorter.edits import Slots
+from rosplat_sorter.backends import Allocate, Unavailable, new_array, room_for
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, Rows
 from rosplat_sorter.view import View
 
 ALL_THREADS = torch.get_num_threads()
@@ -31,22 +31,29 @@ class TorchBackend:
             torch.set_num_threads(threads or ALL_THREADS)
         self._device = torch.device("cuda" if gpu else "cpu")
         self.device = torch.cuda.get_device_name() if gpu else "CPU"
-        self._positions = torch.empty((0, 3), device=self._device)
-        self._extents = torch.empty(0, device=self._device)
+        self._reserve(0)
+        self._first_slots = torch.empty(0, dtype=torch.int32, device=self._device)
+        self._ascending = True
+
+    def _reserve(self, capacity: int) -> None:
+        """Makes room for so many rows; those held so far are lost."""
+        self._positions = torch.empty((capacity, 3), device=self._device)
+        self._extents = torch.empty(capacity, device=self._device)
         self._count = 0
 
     @torch.inference_mode()
-    def update(self, splats: SplatMap, changed: Slots) -> None:
-        if len(splats) > len(self._extents):
-            capacity = len(splats) + len(splats) // 2
-            self._positions = torch.empty((capacity, 3), device=self._device)
-            self._extents = torch.empty(capacity, device=self._device)
-            self._count = 0
-        for slots in (changed, slice(self._count, len(splats))):  # what changed, what is new
-            index = slots if isinstance(slots, slice) else self._upload(slots.astype(np.int64))
-            self._positions[index] = self._upload(splats.positions[slots])
-            self._extents[index] = self._upload(splats.extents[slots])
-        self._count = len(splats)
+    def update(self, splats: SplatMap, changed: Rows) -> None:
+        pages, count = splats.pages, splats.pages.rows
+        room = room_for(count, len(self._extents))
+        if room != len(self._extents):
+            self._reserve(room)
+        self._first_slots = self._upload(pages.first_slots.view(np.int32))
+        self._ascending = pages.ascending
+        for rows in (changed, slice(self._count, count)):  # what changed, what is new
+            index = rows if isinstance(rows, slice) else self._upload(rows)
+            self._positions[index] = self._upload(splats.positions[rows])
+            self._extents[index] = self._upload(splats.extents[rows])
+        self._count = count
 
     @torch.inference_mode()
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
@@ -60,11 +67,15 @@ class TorchBackend:
         """The order as a tensor on the device, int32 (m,), which may still be in the making."""
         positions, extents = self._positions[: self._count], self._extents[: self._count]
         x, y, z = (_transform(view, positions, axis) for axis in range(3))
-        slots = _visible(view, x, y, z, extents).nonzero()[:, 0]
-        bits = (z[slots] + 0.0).view(torch.int32)  # the sum makes one depth of -0 and 0
+        rows = _visible(view, x, y, z, extents).nonzero()[:, 0]
+        slots = self._first_slots[rows // SLOTS_PER_PAGE] + (rows % SLOTS_PER_PAGE).to(torch.int32)
+        if not self._ascending:
+            slots, places = torch.sort(slots)
+            rows = rows[places]
+        bits = (z[rows] + 0.0).view(torch.int32)  # the sum makes one depth of -0 and 0
         keys = bits ^ ((bits >> 31) & 0x7FFFFFFF)  # integers that compare as the depths do
         ascending = torch.sort(keys, stable=True).indices
-        return slots[ascending].flip(0).to(torch.int32)
+        return slots[ascending].flip(0)
 
     def _upload(self, array: NDArray[np.generic]) -> Tensor:
         return torch.from_numpy(array).to(self._device)

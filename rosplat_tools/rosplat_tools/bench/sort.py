@@ -152,7 +152,7 @@ def _pinned(name: str) -> Allocate:
 def _others(
     sorted_map: SplatMap, quantity: str, label: str, make: Callable[[Any], baselines.Sort]
 ) -> list[Way]:
-    return [Way(quantity, label, make(sorted_map.positions), culls=False)]
+    return [Way(quantity, label, make(sorted_map.positions[: len(sorted_map)]), culls=False)]
 
 
 def _finish(backend: Backend) -> Callable[[], object] | None:

@@ -1,0 +1,102 @@
+"""Where a map's slots are kept. Authors number them as they like, keyframe << 16 | i say."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_SLOTS = 1 << 25  # as GaussianArray.MAX_SLOTS
+SLOTS_PER_PAGE = 1024
+
+# As NumPy indexes with them: a range, or one by one.
+Slots: TypeAlias = "slice | NDArray[np.uint32]"
+Rows: TypeAlias = "slice | NDArray[np.int64]"
+
+_WITHIN = np.arange(SLOTS_PER_PAGE)
+
+
+class SlotPages:
+    """Pages of neighbouring slots, of which at least one was written, and where each is kept.
+
+    Whoever holds a map has a row for each slot of these pages alone, page by page as they came. Of
+    a map whose slots are filled one after the other, row i is slot i.
+    """
+
+    def __init__(self) -> None:
+        self._places = np.full(MAX_SLOTS // SLOTS_PER_PAGE, -1, np.int64)  # of each page, or -1
+        self._count = 0
+        self._list()
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def rows(self) -> int:
+        """How many rows the pages take."""
+        return self._count * SLOTS_PER_PAGE
+
+    def lacking(self, slots: Slots) -> NDArray[np.int64]:
+        """The pages of slots that there are no rows for yet, ascending."""
+        if isinstance(slots, slice):
+            pages = np.arange(*_span(slots))
+        else:
+            wanted = np.zeros(len(self._places), bool)
+            wanted[slots // SLOTS_PER_PAGE] = True
+            pages = np.flatnonzero(wanted)
+        return pages[self._places[pages] < 0]
+
+    def add(self, pages: NDArray[np.int64]) -> None:
+        """Gives rows to pages that have none, behind those there are."""
+        if not len(pages):
+            return
+        self._places[pages] = np.arange(self._count, self._count + len(pages))
+        self._count += len(pages)
+        self._list()
+
+    def _list(self) -> None:
+        pages = np.flatnonzero(self._places >= 0)
+        places = self._places[pages]
+        first_slots = (pages * SLOTS_PER_PAGE).astype(np.uint32)
+        self.table = np.stack([first_slots, places.astype(np.uint32)], axis=1)
+        """By ascending slots: the first slot of each page, and its place, uint32 (p, 2)."""
+        self.first_slots = np.empty(self._count, np.uint32)
+        """The first slot of each page by place, uint32 (p,)."""
+        self.first_slots[places] = first_slots
+        self.ascending = bool((np.diff(places) == 1).all())
+        """Whether rows ascend with slots."""
+
+    def find(self, slots: Slots) -> Rows:
+        """The rows of slots, in their order but without those that have none."""
+        if isinstance(slots, slice):
+            return self._find_range(slots)
+        places = self._places[slots // SLOTS_PER_PAGE]
+        rows: NDArray[np.int64] = places * SLOTS_PER_PAGE + slots % SLOTS_PER_PAGE
+        return rows[places >= 0]
+
+    def _find_range(self, slots: slice) -> Rows:
+        if slots.start >= slots.stop:
+            return slice(0, 0)
+        first, end = _span(slots)
+        places = self._places[first:end]
+        if (places >= 0).all() and (np.diff(places) == 1).all():
+            row = int(places[0]) * SLOTS_PER_PAGE + slots.start % SLOTS_PER_PAGE
+            return slice(row, row + slots.stop - slots.start)
+        pages = np.arange(first, end)[places >= 0]
+        named = (pages[:, None] * SLOTS_PER_PAGE + _WITHIN).ravel()
+        kept = (named >= slots.start) & (named < slots.stop)
+        rows: NDArray[np.int64] = self._places[named[kept] // SLOTS_PER_PAGE] * SLOTS_PER_PAGE
+        return rows + named[kept] % SLOTS_PER_PAGE
+
+    def slots(self, rows: NDArray[np.int64]) -> NDArray[np.uint32]:
+        """The slots of rows."""
+        within = (rows % SLOTS_PER_PAGE).astype(np.uint32)
+        return self.first_slots[rows // SLOTS_PER_PAGE] + within
+
+
+def _span(slots: slice) -> tuple[int, int]:
+    """The first page of a range of slots, and one past the last."""
+    if slots.start >= slots.stop:
+        return 0, 0
+    return slots.start // SLOTS_PER_PAGE, (slots.stop - 1) // SLOTS_PER_PAGE + 1
