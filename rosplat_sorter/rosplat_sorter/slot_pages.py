@@ -71,9 +71,12 @@ class SlotPages:
         """The rows of slots, in their order but without those that have none."""
         if isinstance(slots, slice):
             return self._find_range(slots)
-        places = self._places[slots // SLOTS_PER_PAGE]
-        rows: NDArray[np.int64] = places * SLOTS_PER_PAGE + slots % SLOTS_PER_PAGE
-        return rows[places >= 0]
+        return self._rows(slots[self._places[slots // SLOTS_PER_PAGE] >= 0])
+
+    def _rows(self, slots: NDArray[np.integer]) -> NDArray[np.int64]:
+        rows: NDArray[np.int64] = self._places[slots // SLOTS_PER_PAGE] * SLOTS_PER_PAGE
+        rows += slots % SLOTS_PER_PAGE
+        return rows
 
     def _find_range(self, slots: slice) -> Rows:
         if slots.start >= slots.stop:
@@ -86,8 +89,7 @@ class SlotPages:
         pages = np.arange(first, end)[places >= 0]
         named = (pages[:, None] * SLOTS_PER_PAGE + _WITHIN).ravel()
         kept = (named >= slots.start) & (named < slots.stop)
-        rows: NDArray[np.int64] = self._places[named[kept] // SLOTS_PER_PAGE] * SLOTS_PER_PAGE
-        return rows + named[kept] % SLOTS_PER_PAGE
+        return self._rows(named[kept])
 
     def slots(self, rows: NDArray[np.int64]) -> NDArray[np.uint32]:
         """The slots of rows."""
