@@ -19,20 +19,22 @@ help: ## This list
 setup: ## Install what is missing and build the packages
 	@./setup.sh
 
-demo: setup ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where its vertical is not z
-	@$(ENTER); python -m rosplat_tools.demo $(if $(SCENE),"$(SCENE)") $(if $(UP),--up $(UP))
+demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where its vertical is not z; IMU=1 with the IMU panel (GPL)
+	@./setup.sh $(if $(IMU),imu)
+	@$(ENTER); python -m rviz_gaussian_plugin.demo $(if $(SCENE),"$(SCENE)") $(if $(UP),--up $(UP))
 
 render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy] [FLOAT=1]
 	@test -n "$(SCENE)" -a -n "$(CAMERAS)" || { echo 'make render needs SCENE=path and CAMERAS=file.json'; exit 1; }
-	@./setup.sh
-	@$(ENTER); python -m rosplat_tools.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending)
+	@./setup.sh lab
+	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending)
 
-bench: setup ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" SCENES="a.ply b.spz" SIZES="500k 5M" DISPLAYS=file
-	@$(ENTER); python -m rosplat_tools.bench $(SUBJECTS) $(if $(QUICK),--quick) $(if $(SIZES),--sizes $(SIZES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(DISPLAYS),--displays $(DISPLAYS))
+bench: ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" SCENES="a.ply b.spz" SIZES="500k 5M" DISPLAYS=file
+	@./setup.sh lab
+	@$(ENTER); python -m rosplat_lab.bench $(SUBJECTS) $(if $(QUICK),--quick) $(if $(SIZES),--sizes $(SIZES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(DISPLAYS),--displays $(DISPLAYS))
 
 lab: ## Chart error against time for all methods: [SCENE=path] [OUT=folder] [QUICK=1] [DOCS=folder]
-	@./setup.sh
-	@$(ENTER); python -m rosplat_tools.lab $(if $(SCENE),"$(SCENE)") --out "$(if $(filter out/render,$(OUT)),out/lab,$(OUT))" $(if $(QUICK),--quick) $(if $(DOCS),--docs "$(DOCS)")
+	@./setup.sh lab
+	@$(ENTER); python -m rosplat_lab.lab $(if $(SCENE),"$(SCENE)") --out "$(if $(filter out/render,$(OUT)),out/lab,$(OUT))" $(if $(QUICK),--quick) $(if $(DOCS),--docs "$(DOCS)")
 
 lint: ## Format, lint and types
 	@./setup.sh dev
@@ -42,7 +44,8 @@ test: ## Lint, then every test that this machine can run
 	@./setup.sh dev
 	@$(ENTER); tests/lint.sh && tests/run.sh
 
-pictures: setup ## Make the documentation's pictures, where rviz2 is: SCENE=playbot UPRIGHT=wolf.spz [ONLY="demo rviz"]
+pictures: ## Make the documentation's pictures, where rviz2 is: SCENE=playbot UPRIGHT=wolf.spz [ONLY="demo rviz"]
+	@./setup.sh lab imu
 	@$(ENTER); python docs/pictures.py "$(SCENE)" "$(UPRIGHT)" $(if $(ONLY),--only $(ONLY))
 
 clean: ## Forget builds and pictures; .venv stays

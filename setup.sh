@@ -1,11 +1,20 @@
 #!/usr/bin/env bash
 # Brings a machine to where the packages are built: system packages, Python environment, colcon build.
-# Safe to repeat; what is already there is left alone. `setup.sh dev` adds what the tests need.
+# Safe to repeat; what is already there is left alone.
+# setup.sh [lab] [imu] [dev]: lab adds what rosplat_lab imports, imu QCustomPlot (GPL) for the IMU panel,
+# dev both and what the tests need.
 set -euo pipefail
 cd "$(dirname "$0")"
 . ./env.sh
 
 say() { printf '\033[1m%s\033[0m\n' "$*"; }
+
+wanted=" $* "
+if [ -n "$(tr -s ' ' '\n' <<<"$wanted" | grep -vxE 'lab|imu|dev|')" ]; then
+  echo "setup.sh knows lab, imu and dev, not:$wanted" >&2
+  exit 1
+fi
+wants() { [[ $wanted == *" $1 "* || $wanted == *' dev '* ]]; }
 
 installed() { dpkg-query -W -f '${Status}' "$1" 2>/dev/null | grep -q 'install ok installed'; }
 
@@ -13,14 +22,14 @@ installed() { dpkg-query -W -f '${Status}' "$1" 2>/dev/null | grep -q 'install o
 packages=(cmake g++ make pkg-config python3-dev python3-venv libepoxy-dev libgl1-mesa-dri libgtest-dev
   xauth xvfb)
 if command -v rviz2 >/dev/null; then
-  packages+=(libqcustomplot-dev) # the IMU panel; Ogre comes with rviz
-  if [ "${1:-}" = dev ]; then packages+=(xdotool); fi # the tests' mouse
+  if wants imu; then packages+=(libqcustomplot-dev); fi # Ogre comes with rviz
+  if wants dev; then packages+=(xdotool); fi            # the tests' mouse
   # The demo's Imu display, where ROS comes by apt.
   if installed "ros-$ROS_DISTRO-rviz2"; then packages+=("ros-$ROS_DISTRO-rviz-imu-plugin"); fi
 else
   packages+=(libogre-1.12-dev)
 fi
-if [ "${1:-}" = dev ]; then packages+=(glslang-tools); fi # the tests' judge of shaders
+if wants dev; then packages+=(glslang-tools); fi # the tests' judge of shaders
 missing=()
 for package in "${packages[@]}"; do
   installed "$package" || missing+=("$package")
@@ -47,8 +56,10 @@ if [ "$(cat .venv/ros 2>/dev/null)" != "$ROSPLAT_ROS" ]; then
 fi
 requirements=(requirements/runtime.txt)
 [ "$ROSPLAT_ROS" = wheels ] && requirements+=(requirements/ros.txt)
-if [ "${1:-}" = dev ]; then touch .venv/dev; fi
-[ -f .venv/dev ] && requirements+=(requirements/dev.txt)
+for part in lab dev; do
+  if wants "$part"; then touch ".venv/$part"; fi
+  [ -f ".venv/$part" ] && requirements+=("requirements/$part.txt")
+done
 . ./env.sh
 if ! cat "${requirements[@]}" | cmp -s - .venv/installed; then
   say "Installing ${requirements[*]} into .venv"
@@ -71,7 +82,7 @@ dev=$([ -f .venv/dev ] && echo ON || echo OFF)
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 if ! colcon build --executor sequential --event-handlers console_direct+ --base-paths rosplat_msgs \
-  rosplat_sorter rosplat_tools rviz_gaussian_plugin --cmake-args -DCMAKE_BUILD_TYPE=Release \
+  rosplat_sorter rosplat_tools rviz_gaussian_plugin rosplat_lab --cmake-args -DCMAKE_BUILD_TYPE=Release \
   -DPython3_EXECUTABLE="$PWD/.venv/bin/python" -DBUILD_TESTING=$dev -DCMAKE_COMPILE_WARNING_AS_ERROR=$dev \
   --no-warn-unused-cli >"$log" 2>&1; then
   grep -E 'error|Error|ERROR' -A5 "$log" | tail -n 60 >&2 || tail -n 60 "$log" >&2

@@ -132,7 +132,9 @@ def _bars(axes: Axes, values: dict[tuple[int, str, str], float], unit: str) -> N
 def shipped_configuration(display: str, folder: Path, seconds: float) -> None:
     """The demo: the procedural garden and the sensors that circle it."""
     with Processes(folder) as processes:
-        processes.start("demo", [sys.executable, "-m", "rosplat_tools.demo", "--out", str(folder)])
+        processes.start(
+            "demo", [sys.executable, "-m", "rviz_gaussian_plugin.demo", "--out", str(folder)]
+        )
         time.sleep(seconds)
         processes.check()
         shoot("rviz.jpg", display)
@@ -205,7 +207,7 @@ def embedded_viewer(folder: Path, scene: Path) -> None:
     with Processes(folder) as processes:
         demo = processes.start(
             "host",
-            [sys.executable, "-m", "rosplat_tools.demo", str(scene), "--up", "0", "1", "0",
+            [sys.executable, "-m", "rviz_gaussian_plugin.demo", str(scene), "--up", "0", "1", "0",
              "--host", "--out", str(folder)],
             DISPLAY="",
         )  # fmt: skip

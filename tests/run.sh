@@ -14,7 +14,7 @@ if ! python -c 'import ros2bag' 2>/dev/null; then
 fi
 # One run for each, from a folder where no package's sources hide the installed ones.
 cd tests
-for package in rosplat_sorter rosplat_tools; do
+for package in rosplat_sorter rosplat_tools rviz_gaussian_plugin rosplat_lab; do
   python -m pytest -q --rootdir "../$package" --config-file "../$package/pytest.ini" "../$package/test"
 done
 python -m pytest -q --rootdir .. --config-file ../pyproject.toml -rs . "$@"

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rosplat_tools.driven_rviz import DrivenRviz, is_here
+from rosplat_lab.driven_rviz import DrivenRviz, is_here
 from rosplat_tools.processes import Processes
 
 SCREEN = (1000, 800)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rosplat_tools.bench.command import main
-from rosplat_tools.bench.records import load
+from rosplat_lab.bench.command import main
+from rosplat_lab.bench.records import load
 from rviz_harness import Rviz, configuration, map_display, needs_rviz
 
 pytestmark = needs_rviz

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from rosplat_tools import metrics
+from rosplat_lab import metrics
+from rosplat_lab.render import command as render
 from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.render import command as render
 from rosplat_tools.splats import SceneError
 
 VIAS = ["host", pytest.param("rviz", marks=pytest.mark.rviz)]

@@ -17,7 +17,7 @@ def start(scene: str, out: Path) -> subprocess.Popen[str]:
     # Without a display and without rviz2, as on a server.
     environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     return subprocess.Popen(
-        [sys.executable, "-m", "rosplat_tools.demo", scene, "--host", "--out", str(out)],
+        [sys.executable, "-m", "rviz_gaussian_plugin.demo", scene, "--host", "--out", str(out)],
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

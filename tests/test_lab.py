@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from rosplat_tools.lab.command import main
-from rosplat_tools.lab.points import load
+from rosplat_lab.lab.command import main
+from rosplat_lab.lab.points import load
 
 
 def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
     command = [
-        sys.executable, "-m", "rosplat_tools.lab", "procedural:3000", "--out", str(tmp_path),
+        sys.executable, "-m", "rosplat_lab.lab", "procedural:3000", "--out", str(tmp_path),
         "--cameras", "1", "--width", "160", "--height", "90", "--threads", "1", "--repeats", "1",
         "--part", "chart",
     ]  # fmt: skip
@@ -73,7 +73,7 @@ def _first_cells(table: str) -> list[str]:
 
 def test_an_interrupted_run_ends_at_once_and_quietly(tmp_path: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "rosplat_tools.lab", "procedural:300000", "--out", str(tmp_path)],
+        [sys.executable, "-m", "rosplat_lab.lab", "procedural:300000", "--out", str(tmp_path)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={name: value for name, value in os.environ.items() if name != "DISPLAY"},
     )  # fmt: skip
@@ -105,7 +105,7 @@ def test_an_option_that_makes_no_sense_is_named(
 
 def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:
     run = subprocess.run(
-        [sys.executable, "-m", "rosplat_tools.lab", "nowhere.ply", "--out", str(tmp_path)],
+        [sys.executable, "-m", "rosplat_lab.lab", "nowhere.ply", "--out", str(tmp_path)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert run.returncode == 1

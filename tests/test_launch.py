@@ -10,7 +10,7 @@ from typing import NamedTuple
 import pytest
 
 pytest.importorskip("launch_xml")
-LAUNCH = Path(__file__).resolve().parents[1] / "rosplat_tools/launch/view.launch.xml"
+LAUNCH = Path(__file__).resolve().parents[1] / "rviz_gaussian_plugin/launch/view.launch.xml"
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 

@@ -6,8 +6,10 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Iterable
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import pytest
@@ -17,55 +19,121 @@ ROOT = Path(__file__).resolve().parents[1]
 OURS = sorted(path.parent.name for path in ROOT.glob("*/package.xml"))
 
 
-def named(package: str) -> set[str]:
-    """What the package says it depends on, for whatever."""
+class Library(NamedTuple):
+    """A Python library from elsewhere."""
+
+    rosdep: str | None
+    """Its key, None where rosdep has none."""
+    pypi: str
+
+
+LIBRARIES = {
+    "PIL": Library("python3-pil", "pillow"),
+    "cv2": Library("python3-opencv", "opencv-python-headless"),
+    "flip_evaluator": Library(None, "flip-evaluator"),
+    "matplotlib": Library("python3-matplotlib", "matplotlib"),
+    "numpy": Library("python3-numpy", "numpy"),
+    "plyfile": Library("python3-plyfile-pip", "plyfile"),
+    "pygame": Library("python3-pygame", "pygame"),
+    "rich": Library("python3-rich", "rich"),
+    "skimage": Library("python3-skimage", "scikit-image"),
+    "tqdm": Library("python3-tqdm", "tqdm"),
+    "yaml": Library("python3-yaml", "pyyaml"),
+}
+# What some machines have and nothing demands: cupy, cuda.core with it, and torch sort on a GPU.
+OPTIONAL = {"cuda", "cupy", "cupyx", "torch"}
+
+
+def named(package: str, *kinds: str) -> set[str]:
+    """What the package says it depends on, for whatever or by these kinds of elements."""
     tree = ElementTree.parse(ROOT / package / "package.xml")
-    return {element.text or "" for element in tree.iter() if element.tag.endswith("depend")}
+    return {
+        element.text or ""
+        for element in tree.iter()
+        if (element.tag in kinds if kinds else element.tag.endswith("depend"))
+    }
+
+
+def imports(files: Iterable[Path]) -> set[str]:
+    """First names of the modules that Python files import."""
+    names: set[str] = set()
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                names.add((node.module or "").partition(".")[0])
+    return names
 
 
 def used(package: str) -> set[str]:
     """First names of modules and headers that the package's sources name."""
-    names: set[str] = set()
-    for path in (ROOT / package).rglob("*"):
-        if path.suffix == ".py":
-            for node in ast.walk(ast.parse(path.read_text())):
-                if isinstance(node, ast.Import):
-                    names |= {alias.name.partition(".")[0] for alias in node.names}
-                elif isinstance(node, ast.ImportFrom):
-                    names.add((node.module or "").partition(".")[0])
-        elif path.suffix in (".cpp", ".hpp"):
+    files = list((ROOT / package).rglob("*"))
+    names = imports(path for path in files if path.suffix == ".py")
+    for path in files:
+        if path.suffix in (".cpp", ".hpp"):
             names |= set(re.findall(r"#include [<\"](\w+)/", path.read_text()))
         elif path.name.endswith((".launch.xml", ".rviz")):  # plugins are classes of packages
             names |= set(re.findall(r"(?:pkg=\"|Class: )(\w+)", path.read_text()))
     return names
 
 
-# What draws in the first works where the second is, which depends on it.
-OPTIONAL = {"rosplat_tools": "rviz_gaussian_plugin"}
+def libraries(package: str) -> set[Library]:
+    """What the package's Python imports from elsewhere when it runs."""
+    files = (ROOT / package / package).rglob("*.py")
+    # rosplat_tools.testing is for tests.
+    names = imports(path for path in files if path.name != "testing.py")
+    ros = set(get_packages_with_prefixes()) | named(package)  # here, or said to be elsewhere
+    elsewhere = names - sys.stdlib_module_names - ros - OPTIONAL
+    assert elsewhere <= LIBRARIES.keys()
+    return {LIBRARIES[name] for name in elsewhere}
 
-# Parts of rosplat_tools for a robot without a screen.
-HEADLESS = ["convert", "demo_sensors", "inspect", "map_publisher", "ply_publisher", "slam_emulator"]
+
+def required(file: str) -> set[str]:
+    """The projects of PyPI that a file of requirements names."""
+    lines = (ROOT / "requirements" / file).read_text().splitlines()
+    return {line for line in lines if line and not line.startswith("#")}
 
 
 @pytest.mark.parametrize("package", OURS)
 def test_a_package_names_all_ros_packages_that_it_uses(package: str) -> None:
     ros_packages = set(get_packages_with_prefixes()) - {package}
-    named_for_it = named(package)
-    if package in OPTIONAL:
-        named_for_it |= {OPTIONAL[package]} | named(OPTIONAL[package])
-    assert used(package) & ros_packages <= named_for_it
+    assert used(package) & ros_packages <= named(package)
 
 
-def test_a_robot_s_packages_need_no_rviz() -> None:
+@pytest.mark.parametrize("package", OURS)
+def test_a_package_names_the_libraries_that_it_imports_and_no_others(package: str) -> None:
+    known = {library.rosdep for library in LIBRARIES.values()}
+    says = named(package, "depend", "exec_depend") & known
+    assert says == {library.rosdep for library in libraries(package) if library.rosdep}
+
+
+def test_requirements_are_what_is_imported() -> None:
+    runtime = {
+        library.pypi
+        for package in OURS
+        for library in libraries(package)
+        if package != "rosplat_lab"
+    }
+    assert required("runtime.txt") == runtime | {"pybind11"}  # which builds
+    assert required("lab.txt") == {library.pypi for library in libraries("rosplat_lab")} - runtime
+
+
+def test_a_robot_s_packages_need_nothing_that_draws_or_measures() -> None:
     needed = {"rosplat_tools"}
     while more := set().union(*(named(package) for package in needed & set(OURS))) - needed:
         needed |= more
-    modules = ", ".join(f"rosplat_tools.{name}" for name in HEADLESS)
+    folder = ROOT / "rosplat_tools/rosplat_tools"
+    modules = ", ".join(
+        f"rosplat_tools.{path.stem}"
+        for path in folder.glob("*")
+        if path.stem not in ("__init__", "__pycache__", "testing")
+    )
     code = f"import sys, {modules}; print(*sys.modules)"
     imported = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-    needed |= set(imported.stdout.decode().split())
-    assert "rosplat_tools.map_publisher" in needed
-    assert not [name for name in needed if name.startswith("rviz")]
+    loaded = set(imported.stdout.decode().split())
+    assert "rosplat_tools.map_publisher" in loaded
+    assert not [name for name in needed | loaded if name.startswith(("rviz", "rosplat_lab"))]
 
 
 def test_no_package_depends_on_one_that_depends_on_it() -> None:

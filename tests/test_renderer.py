@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rosplat_lab import reference
+from rosplat_lab.lab import motion
+from rosplat_lab.lab.bench import Bench, Shot, Sort
+from rosplat_lab.lab.methods import METHODS
 from rosplat_sorter.order_slots import PACKED, SHARED, pack
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
-from rosplat_tools import reference
 from rosplat_tools.cameras import Camera, look_at, orbit
 from rosplat_tools.generate import generate
-from rosplat_tools.lab import motion
-from rosplat_tools.lab.bench import Bench, Shot, Sort
-from rosplat_tools.lab.methods import METHODS
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin.offscreen import (
     Antialiasing,

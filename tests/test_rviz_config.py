@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from rosplat_tools.driven_rviz import Refused
+from rosplat_lab.driven_rviz import Refused
 from rviz_harness import Rviz, World, configuration, disc, map_display, needs_rviz
 
 pytestmark = needs_rviz

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from rosplat_tools.lab.atlas import CASES
-from rosplat_tools.lab.stability import NOTES
+from rosplat_lab.lab.atlas import CASES
+from rosplat_lab.lab.stability import NOTES
 
 Curves = dict[str, list[float]]
 
@@ -19,7 +19,7 @@ def curves(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Curves]:
     """Of each case by name."""
     folder = tmp_path_factory.mktemp("atlas")
     run = subprocess.run(
-        [sys.executable, "-m", "rosplat_tools.lab", "--part", "atlas", "--quick",
+        [sys.executable, "-m", "rosplat_lab.lab", "--part", "atlas", "--quick",
          "--threads", "1", "--repeats", "1", "--out", str(folder)],
         capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip

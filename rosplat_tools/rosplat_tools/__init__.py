@@ -1,1 +1,1 @@
-"""Scenes of 3D Gaussians: formats, publishers, a reference renderer, and the tools around them."""
+"""Scenes of 3D Gaussians: formats, publishers, an emulated SLAM node and robot."""

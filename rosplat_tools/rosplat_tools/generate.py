@@ -16,10 +16,10 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from rosplat_tools import harmonics
 from rosplat_tools.formats import Progress, SceneError, check_output, save
 from rosplat_tools.output import say
 from rosplat_tools.progress import watched
-from rosplat_tools.reference import harmonics
 from rosplat_tools.splats import MAX_SH_DEGREE, Splats
 
 Array = NDArray[np.float64]

@@ -1,49 +1,14 @@
-"""What tests share: random splats, real trained scenes where they are at hand, a ROS node."""
+"""What tests share: see rosplat_tools.testing; and real trained scenes where they are at hand."""
 
 import os
-import signal
-import subprocess
-import sys
-import time
-import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 
-from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.qos import MAP
-from rosplat_tools.messages import decode
-from rosplat_tools.slot_map import SlotMap
-from rosplat_tools.splats import Splats
+pytest_plugins = ["rosplat_tools.testing"]
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-
-
-def random_splats(
-    count: int, sh_degree: int = 3, seed: int = 0, antialiased: bool = False
-) -> Splats:
-    """Splats of all orientations within a metre or so."""
-    rng = np.random.default_rng(seed)
-    orientations = rng.normal(size=(count, 4))
-    return Splats(
-        positions=rng.normal(size=(count, 3)).astype(np.float32),
-        orientations=orientations / np.linalg.norm(orientations, axis=1, keepdims=True),
-        scales=np.exp(rng.uniform(-7, -1, (count, 3))),
-        opacities=rng.uniform(0, 1, count).astype(np.float32),
-        sh=rng.normal(size=(count, (sh_degree + 1) ** 2, 3)).astype(np.float32),
-        antialiased=antialiased,
-    )
-
-
-@pytest.fixture(name="random_splats", scope="session")
-def _random_splats() -> Callable[..., Splats]:
-    return random_splats
 
 
 def _shared(variable: str, folder: str, name: str) -> Path:
@@ -63,109 +28,3 @@ def scene() -> Callable[[str], Path]:
 def reference() -> Callable[[str], Path]:
     """An independent renderer's pictures of a scene; skips the test where they aren't there."""
     return lambda name: _shared("ROSPLAT_REFERENCE", "reference", name)
-
-
-@pytest.fixture
-def node() -> Iterator[Node]:
-    """A node in a context and a namespace of its own, where no other test is heard."""
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    made = rclpy.create_node("test", namespace=f"/test_{uuid.uuid4().hex}", context=context)
-    yield made
-    made.destroy_node()
-    context.try_shutdown()
-
-
-@pytest.fixture
-def start(node: Node) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts an executable of the package in the namespace of `node`, with parameters."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(program: str, **parameters: object) -> subprocess.Popen[str]:
-        arguments = ["--ros-args", "-r", f"__ns:={node.get_namespace()}"]
-        for name, value in parameters.items():
-            arguments += ["-p", f"{name}:={value}"]
-        run = f"from rosplat_tools.{program} import main; main()"
-        process = subprocess.Popen(
-            [sys.executable, "-c", run, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
-        started.append(process)
-        return process
-
-    yield start
-    for process in started:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.communicate(timeout=20)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            raise
-
-
-class Listener:
-    """What a map's topic adds up to, as seen by `node`."""
-
-    def __init__(self, node: Node) -> None:
-        self.batches: list[GaussianArray] = []
-        self.map: SlotMap | None = None
-        self._node = node
-        self._clients: dict[str, Any] = {}
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(node)
-        node.create_subscription(GaussianArray, "gaussians", self._receive, MAP)
-
-    def _receive(self, batch: GaussianArray) -> None:
-        self.batches.append(batch)
-        slots, splats = decode(batch)
-        if batch.operation == batch.REPLACE:
-            self.map = SlotMap(splats[:0])
-        assert self.map is not None
-        if batch.operation == batch.DELETE:
-            self.map.clear(slots)
-        else:
-            self.map.write(slots, splats)
-
-    def wait(self, until: Callable[[], object], timeout: float = 60.0) -> None:
-        """Receives until something holds; fails the test where it doesn't come to."""
-        deadline = time.monotonic() + timeout
-        while not until():
-            assert time.monotonic() < deadline, "timed out"
-            self._executor.spin_once(0.1)
-
-    def wait_for(self, count: int) -> None:
-        """Until the map holds exactly count splats."""
-        self.wait(lambda: self.map is not None and len(self.map) == count)
-
-    def request(self, kind: Any, name: str, **request: object) -> Any:
-        """Calls a service in the node's namespace; returns the future of its answer."""
-        # One for all calls: a server may not know a new client yet when it answers.
-        if name not in self._clients:
-            self._clients[name] = self._node.create_client(kind, name)
-        client = self._clients[name]
-        self.wait(client.service_is_ready)
-        return client.call_async(kind.Request(**request))
-
-    def call(self, kind: Any, name: str, **request: object) -> Any:
-        """Calls a service and waits for its answer; once more where that got lost.
-
-        A server that began just now may answer before it knows its client.
-        """
-        futures = [self.request(kind, name, **request)]
-        patient_until = time.monotonic() + 20
-
-        def answered() -> bool:
-            if len(futures) == 1 and time.monotonic() > patient_until:
-                futures.append(self.request(kind, name, **request))
-            return any(future.done() for future in futures)
-
-        self.wait(answered)
-        return next(future.result() for future in futures if future.done())
-
-
-@pytest.fixture
-def listener(node: Node) -> Listener:
-    return Listener(node)

@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from rosplat_tools.driven_rviz import DrivenRviz
 from rosplat_tools.processes import ProcessError, Processes, fast_dds_profile, run_module
 
 SLEEP = [sys.executable, "-c", "import time; print('awake', flush=True); time.sleep(600)"]
@@ -50,18 +49,6 @@ def test_fast_dds_is_made_fit_for_maps_unless_somebody_sees_to_it(
         assert not fast_dds_profile({name: "1"})
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64 << 20))
     assert not fast_dds_profile({})
-
-
-def test_an_rviz2_that_does_not_listen_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rosplat_tools.driven_rviz.node_command", lambda *_: SLEEP)
-    monkeypatch.setattr("rosplat_tools.driven_rviz.PATIENCE", 0.1)
-    with (
-        Processes(tmp_path) as processes,
-        pytest.raises(ProcessError, match="rviz2 can't be driven"),
-    ):
-        DrivenRviz(processes, "")
 
 
 def test_leaving_the_block_ends_all_even_by_an_error(tmp_path: Path) -> None:

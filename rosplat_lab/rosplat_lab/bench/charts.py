@@ -1,0 +1,258 @@
+"""Draws charts of records, from nothing but the records; or writes the same as tables."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rosplat_lab.arguments import make_folder
+from rosplat_lab.bench.records import Record
+from rosplat_tools.scenes import PROCEDURAL
+
+Key = Callable[[Record], str]
+
+
+def parameter(*names: str) -> Key:
+    """What records have as these parameters, joined."""
+    return lambda record: ", ".join(
+        str(record.parameters[name]) for name in names if name in record.parameters
+    )
+
+
+def at_rate(record: Record) -> str:
+    """How often the camera moves, the backend and, across a line, the transport."""
+    return f"{record.parameters['rate']:g} Hz, {parameter('backend', 'transport')(record)}"
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Records of one name as lines over the number of splats.
+
+    series: what makes a line; panel: what makes a chart beside it, all in one by default. band:
+    shade from there to the 95th percentile.
+    """
+
+    file: str
+    subject: str
+    name: str
+    title: str
+    y: str
+    series: Key
+    panel: Key = lambda _: ""
+    x: str = "splats"
+    log: bool = True
+    band: bool = True
+
+
+CHARTS = (
+    Chart(
+        "sort-host", "sort", "order in host memory", "Depth order, in host memory", "time [ms]",
+        parameter("method"), parameter("view"),
+    ),
+    Chart(
+        "sort-pinned",
+        "sort",
+        "order in pinned memory",
+        "Depth order, in pinned memory",
+        "time [ms]",
+        parameter("method"),
+        parameter("view"),
+    ),
+    Chart(
+        "sort-gpu", "sort", "order on the GPU", "Depth order, left on the GPU", "time [ms]",
+        parameter("method"), parameter("view"),
+    ),
+    Chart(
+        "frame-time", "frame", "frame", "Frame, finished by the GPU", "time [ms]",
+        parameter("variant", "order"), parameter("view", "picture"),
+    ),
+    Chart(
+        "frame-gpu-memory", "frame", "GPU memory", "GPU memory of the renderer", "[MB]",
+        parameter("variant", "picture"), band=False,
+    ),
+    Chart(
+        "rviz-frame", "rviz", "frame", "Frame of rviz2", "time [ms]",
+        parameter("display"), parameter("camera", "view"),
+    ),
+    Chart(
+        "transport-orders", "transport", "order", "An order between two processes", "time [ms]",
+        parameter("way"), x="slots",
+    ),
+    Chart(
+        "transport-batches", "transport", "batch", "A batch between two processes",
+        "time [ms]", parameter("way"), x="splats in a message",
+    ),
+    Chart(
+        "transport-map", "transport", "publish to visible", "A map, published to visible",
+        "time [ms]", parameter("backend"),
+    ),
+    Chart(
+        "network-orders", "network", "orders", "Orders over a line between two machines",
+        "orders a second", at_rate, log=False, band=False,
+    ),
+    Chart(
+        "chain-latency", "chain", "pose to picture", "From pose to picture", "time [ms]",
+        at_rate,
+    ),
+    Chart(
+        "growth-fps", "growth", "frame rate", "Frame rate as the map grows", "frames a second",
+        parameter("backend", "by"), log=False, band=False,
+    ),
+    Chart(
+        "growth-orders", "growth", "orders", "Orders as the map grows", "orders a second",
+        parameter("backend", "by"), log=False, band=False,  # few splats may see no order: 0
+    ),
+    Chart(
+        "growth-ram", "growth", "RAM", "Memory as the map grows", "resident [MB]",
+        parameter("backend", "by"), parameter("process"), log=False, band=False,
+    ),
+    Chart(
+        "growth-vram", "growth", "VRAM", "GPU memory as the map grows", "[MB]",
+        parameter("backend", "by"), parameter("of"), log=False, band=False,
+    ),
+)  # fmt: skip
+
+
+MANY = 20  # sizes: a map that grows
+COLUMNS = 8  # of a table then
+
+
+def of_chart(chart: Chart, records: Sequence[Record]) -> list[Record]:
+    """Those that the chart shows."""
+    return [r for r in records if (r.subject, r.name) == (chart.subject, chart.name)]
+
+
+def tables(records: Sequence[Record], statistic: str = "p50") -> Iterator[str]:
+    """Every chart that the records have something for, in Markdown: by number of splats.
+
+    statistic: the field of Record that fills the cells.
+    """
+    for chart in CHARTS:
+        mine = of_chart(chart, records)
+        if mine:
+            yield f"{chart.title}, {chart.y}, {statistic}\n\n{table(chart, mine, statistic)}"
+
+
+def table(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> str:
+    """A row for each series of each panel, a column for each scene, or for some of many sizes."""
+    columns = sorted({(record.splats, _family(record)) for record in records})
+    reach = 0.0
+    if len(columns) > MANY:
+        step = columns[-1][0] / COLUMNS
+        columns = [(round(step * (column + 1)), columns[-1][1]) for column in range(COLUMNS)]
+        reach = step / 2
+    rows: dict[tuple[str, str], list[Record]] = {}
+    for record in records:
+        rows.setdefault((chart.panel(record), chart.series(record)), []).append(record)
+    heads = [f"{of}, {size:,}" if of else f"{size:,}" for size, of in columns]
+    lines = [f"| | {' | '.join(heads)} |", "|---|" + "---:|" * len(heads)]
+    for (panel, series), points in rows.items():
+        cells = []
+        for size, of in columns:
+            mine = [point for point in points if _family(point) == of]
+            nearest = min(mine, key=lambda point: abs(point.splats - size), default=None)
+            near = nearest and abs(nearest.splats - size) <= reach
+            cells.append(f"{_number(getattr(nearest, statistic))}" if near else "")
+        lines.append(f"| {', '.join(filter(None, (panel, series)))} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _family(record: Record) -> str:
+    """What tells scenes of one size apart: no name for the procedural one, which has any size."""
+    return "" if record.scene.startswith(PROCEDURAL) else Path(record.scene).stem
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def draw(records: Sequence[Record], folder: Path, statistic: str = "p50") -> list[Path]:
+    """Draws every chart that the records have something for; returns the pictures' paths.
+
+    statistic: the field of Record that is drawn.
+    """
+    make_folder(folder)
+    drawn = []
+    for chart in CHARTS:
+        mine = of_chart(chart, records)
+        if mine:
+            path = folder / f"{chart.file}.png"
+            figure(chart, mine, statistic).savefig(path, dpi=110)
+            drawn.append(path)
+    return drawn
+
+
+def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> Figure:
+    """One chart; its caption names the machine."""
+    panels = list(dict.fromkeys(chart.panel(record) for record in records))
+    labels = list(dict.fromkeys(chart.series(record) for record in records))
+    color_of = dict(zip(labels, colors(len(labels)), strict=True))
+    legend_width = 0.9 + 0.075 * max(map(len, labels))
+    width = max(6.5, 0.6 + 4.2 * len(panels) + legend_width)
+    drawn = Figure(figsize=(width, 4.6), layout="constrained")
+    axes = np.atleast_1d(drawn.subplots(1, len(panels), sharey=True))
+    for panel, ax in zip(panels, axes, strict=True):
+        for label in labels:
+            points = sorted(
+                (r for r in records if (chart.panel(r), chart.series(r)) == (panel, label)),
+                key=lambda r: r.splats,
+            )
+            for family in dict.fromkeys(map(_family, points)):
+                line = [point for point in points if _family(point) == family]
+                _line(ax, chart, line, statistic, label, color_of[label])
+        ax.set_title(panel, fontsize=10)
+        ax.set_xlabel(chart.x)
+        ax.grid(True, which="both", alpha=0.25, linewidth=0.5)
+        if chart.log:
+            ax.set_xscale("log")
+            ax.set_yscale("log")
+        ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
+        ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
+    if not chart.log:
+        axes[0].set_ylim(bottom=0)  # once all is drawn: the panels share it
+    axes[0].set_ylabel(chart.y)
+    handles = {
+        label: handle
+        for ax in axes
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    drawn.legend(
+        handles.values(), handles.keys(), loc="outside right upper", fontsize=8, frameon=False
+    )
+    drawn.suptitle(f"{chart.title} ({statistic})", fontsize=12)
+    drawn.supxlabel(_caption(records, int(17 * width)), fontsize=7, color="0.35")
+    return drawn
+
+
+def _line(
+    ax: Axes, chart: Chart, points: Sequence[Record], statistic: str, label: str,
+    color: tuple[float, ...],
+) -> None:  # fmt: skip
+    x, y = [point.splats for point in points], [getattr(point, statistic) for point in points]
+    marker = "o" if len(points) < 30 else None
+    ax.plot(x, y, label=label, color=color, marker=marker, markersize=3.5, linewidth=1.4)
+    if chart.band:
+        high = [point.p95 for point in points]
+        ax.fill_between(x, y, high, color=color, alpha=0.15, linewidth=0)
+
+
+def colors(count: int) -> list[tuple[float, ...]]:
+    """Of so many lines."""
+    if count <= 10:
+        return [mpl.colormaps["tab10"](index) for index in range(count)]
+    return [mpl.colormaps["turbo"](place) for place in np.linspace(0.05, 0.95, count)]
+
+
+def _caption(records: Sequence[Record], width: int) -> str:
+    """Where it was measured, in lines of so many characters."""
+    wheres = dict.fromkeys(
+        " · ".join(part for part in (r.machine, r.gpu, r.driver, r.commit) if part) for r in records
+    )
+    return "\n".join(line for where in wheres for line in textwrap.wrap(where, width))

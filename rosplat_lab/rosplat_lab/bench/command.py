@@ -1,0 +1,328 @@
+"""Measures ROSplat on this machine: sorting, transport, drawing, the whole chain, a growing map."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from rosplat_lab import machine
+from rosplat_lab.arguments import make_folder, seconds
+from rosplat_lab.bench import live
+from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, VARIANTS, Plan
+from rosplat_lab.bench.records import (
+    Circumstances,
+    Doing,
+    Event,
+    Measurement,
+    Record,
+    RecordError,
+    Skipped,
+    load,
+    save,
+)  # fmt: skip
+from rosplat_sorter.backends import BACKENDS
+from rosplat_tools.output import say, unheard
+from rosplat_tools.processes import ProcessError
+from rosplat_tools.scenes import NAMES, check_scene
+from rosplat_tools.splats import SceneError
+
+WIDTH = 150  # of tables that go to a file
+STATISTICS = ("least", "p50", "p95", "p99", "most", "n")
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What can be measured; its module has measure(plan), which yields Events."""
+
+    about: str
+    needs_ros: bool = False
+    curve: bool = False  # measured at many numbers of splats, of which a table shows the last
+
+
+SUBJECTS = {
+    "sort": Subject("depth orders by every backend, beside other ways to sort"),
+    "frame": Subject("pictures by the embedded renderer"),
+    "rviz": Subject("rviz2's own frames and pictures, by our Display and others", needs_ros=True),
+    "transport": Subject("orders and maps between processes", needs_ros=True),
+    "network": Subject("orders from a sorter on another machine", needs_ros=True),
+    "chain": Subject("from a camera's pose to the picture that knows it", needs_ros=True),
+    "growth": Subject("a map that grows by 1,000 splats a message", curve=True),
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; 0 where all was measured that this machine can."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDTH)
+    try:
+        if arguments[:1] == ["charts"]:
+            return _draw(arguments[1:], console)
+        if arguments[:1] == ["tables"]:
+            return _tabulate(arguments[1:])
+        return _measure(arguments, console)
+    except BrokenPipeError:  # of rich before 13.8
+        unheard()
+    except (SceneError, RecordError, OSError) as error:
+        print(f"bench: {error}", file=sys.stderr)
+        return 1
+
+
+def _draw(arguments: list[str], console: Console) -> int:
+    parser = argparse.ArgumentParser(prog="bench charts", description="Draws charts of records.")
+    parser.add_argument("files", nargs="+", type=Path, help="JSON files that bench wrote")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for the charts")
+    parser.add_argument(
+        "--of", default="p50", choices=STATISTICS, help="what is drawn (default: the median)"
+    )
+    options = parser.parse_args(arguments)
+    _chart(_some(options.files), options.out, console, options.of)
+    return 0
+
+
+def _tabulate(arguments: list[str]) -> int:
+    parser = argparse.ArgumentParser(
+        prog="bench tables", description="Prints the charts of records as tables in Markdown."
+    )
+    parser.add_argument("files", nargs="+", type=Path, help="JSON files that bench wrote")
+    parser.add_argument(
+        "--of", default="p50", choices=STATISTICS, help="what fills the cells (default: the median)"
+    )
+    options = parser.parse_args(arguments)
+    from rosplat_lab.bench import charts
+
+    say("\n\n".join(charts.tables(_some(options.files), options.of)))
+    return 0
+
+
+def _some(files: list[Path]) -> list[Record]:
+    """The records of files. Raises RecordError where there are none."""
+    records = load(files)
+    if not records:
+        raise RecordError(f"{', '.join(map(str, files))}: no records")
+    return records
+
+
+def _measure(arguments: list[str], console: Console) -> int:
+    options = _parser().parse_args(arguments)
+    for name in options.scenes:
+        check_scene(name)
+    plan = Plan(
+        out=options.out,
+        quick=options.quick,
+        sizes=tuple(options.sizes),
+        scenes=tuple(options.scenes),
+        backends=tuple(options.backends),
+        variants=tuple(options.variants),
+        displays=tuple(options.displays),
+        one_process=options.one_process,
+        budget=QUICK_BUDGET if options.quick else FULL_BUDGET,
+    )
+    if options.seconds is not None:
+        plan = replace(plan, budget=replace(plan.budget, seconds=options.seconds))
+    make_folder(options.out)
+    circumstances = _circumstances(arguments)
+    console.print(
+        f"{circumstances.machine}; GPU: {circumstances.gpu or 'no NVIDIA'}; "
+        f"load {circumstances.load:.1f}",
+        markup=False,
+        soft_wrap=True,
+    )
+    failed = False
+    for name in options.subjects or SUBJECTS:
+        subject = SUBJECTS[name]
+        if subject.needs_ros and not live.has_ros():
+            console.print(f"[yellow]{name} skipped: no ROS 2, or no rosplat_msgs, is sourced")
+            continue
+        events = importlib.import_module(f"rosplat_lab.bench.{name}").measure(plan)
+        recorder = Recorder(name, options.out / f"{name}.json", circumstances)
+        try:
+            _follow(events, recorder, name, console)
+        except (SceneError, ProcessError, RuntimeError, AssertionError, OSError) as error:
+            console.print(f"[red]{name} ended early: {escape(str(error))}", soft_wrap=True)
+            failed = True
+        finally:
+            if recorder.records:
+                shown = recorder.records
+                if subject.curve:
+                    shown = last_of_each(shown)
+                console.print(*tables(shown))
+                console.print(f"wrote {recorder.path}", markup=False, soft_wrap=True)
+                _chart(recorder.records, options.out, console)
+    return int(failed)
+
+
+def _circumstances(arguments: list[str]) -> Circumstances:
+    gpu, driver = machine.nvidia_gpu()
+    return Circumstances(
+        machine=machine.machine(),
+        gpu=gpu,
+        driver=driver,
+        commit=machine.commit(),
+        command=shlex.join(["bench", *arguments]),
+        time=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        load=os.getloadavg()[0],
+    )
+
+
+def _parser() -> argparse.ArgumentParser:
+    subjects = "; ".join(f"{name}: {subject.about}" for name, subject in SUBJECTS.items())
+    parser = argparse.ArgumentParser(
+        prog="bench", description=__doc__,
+        epilog="`bench charts FILES...` draws the charts of records again, `bench tables FILES...` "
+        "prints them in Markdown. "
+        "Ctrl-C ends a run and keeps what was measured.",
+    )  # fmt: skip
+    parser.add_argument(
+        "subjects", nargs="*", metavar="SUBJECT", type=_subject,
+        help=f"what to measure, all by default. {subjects}",
+    )  # fmt: skip
+    parser.add_argument(
+        "--quick", action="store_true", help="small maps, few repetitions: 2 minutes"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/bench"), help="folder for JSON, charts and logs"
+    )
+    parser.add_argument(
+        "--sizes", type=_size, nargs="+", default=[], metavar="N",
+        help="splats of the procedural scenes: 500000, 500k, 5M",
+    )  # fmt: skip
+    parser.add_argument(
+        "--scenes", nargs="+", default=[], metavar="SCENE", help=f"other scenes: {NAMES}"
+    )
+    parser.add_argument(
+        "--backends", nargs="+", default=[], metavar="NAME",
+        help=f"of the sorter: {', '.join(BACKENDS)}; chain and growth also {live.GPU}, growth "
+        f"{live.BUILT_IN}; all by default",
+    )  # fmt: skip
+    parser.add_argument(
+        "--variants", nargs="+", default=[], metavar="NAME",
+        help=f"of the renderer's settings, for the subject frame: {', '.join(map(repr, VARIANTS))}",
+    )  # fmt: skip
+    parser.add_argument(
+        "--displays", type=Path, nargs="+", default=[], metavar="FILE",
+        help="rviz: YAML lists of displays to measure as well, as `Displays` of an .rviz file; "
+        "{ply}, {topic} and {sh_degree} stand for what is measured",
+    )  # fmt: skip
+    parser.add_argument(
+        "--seconds", type=seconds, metavar="S", help="how long to repeat each measurement"
+    )
+    parser.add_argument(
+        "--one-process", action="store_true", help="growth: all in one process, without ROS 2"
+    )
+    return parser
+
+
+def _subject(text: str) -> str:
+    if text not in SUBJECTS:
+        raise argparse.ArgumentTypeError(
+            f"unknown subject '{text}', known are {', '.join(SUBJECTS)}"
+        )
+    return text
+
+
+def _size(text: str) -> int:
+    units = {"k": 1_000, "m": 1_000_000}
+    digits, unit = (text[:-1], units[text[-1].lower()]) if text[-1:].lower() in units else (text, 1)
+    try:
+        size = round(float(digits) * unit)
+    except (ValueError, OverflowError):  # the latter of inf
+        size = 0
+    if size < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is no number of splats, such as 500k or 5M")
+    return size
+
+
+class Recorder:
+    """Keeps records, on disk from the moment each is measured."""
+
+    def __init__(self, subject: str, path: Path, circumstances: Circumstances) -> None:
+        self.subject = subject
+        self.path = path
+        self.records: list[Record] = []
+        self._circumstances = circumstances
+
+    def add(self, measured: Measurement) -> Record:
+        """Writes what was measured."""
+        now = replace(self._circumstances, load=os.getloadavg()[0])
+        self.records.append(Record.of(self.subject, measured, now))
+        save(self.path, self.records)
+        return self.records[-1]
+
+
+def _follow(events: Iterator[Event], recorder: Recorder, name: str, console: Console) -> None:
+    """Shows what happens while it does."""
+    columns = (
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(name, total=1.0)
+        for event in events:
+            if isinstance(event, Doing):
+                doing = escape(f"{name}: {event.text}")
+                progress.update(task, completed=event.part, description=doing)
+            elif isinstance(event, Skipped):
+                skipped = escape(event.text)
+                progress.console.print(f"[yellow]skipped: {skipped}", soft_wrap=True)
+            else:
+                recorder.add(event)
+
+
+def last_of_each(records: list[Record]) -> list[Record]:
+    """Of records that differ in the number of splats alone, the last."""
+    found = {(record.name, record.scene, *record.parameters.items()): record for record in records}
+    return list(found.values())
+
+
+def tables(records: list[Record]) -> Iterator[Table]:
+    """A table for each quantity, with a column for each parameter."""
+    for name in dict.fromkeys(record.name for record in records):
+        mine = [record for record in records if record.name == name]
+        keys = list(dict.fromkeys(key for record in mine for key in record.parameters))
+        title = escape(f"{mine[0].subject}: {name} [{mine[0].unit}]")
+        shown = Table(title=title, title_justify="left")
+        for column in ("scene", *keys):
+            shown.add_column(column)
+        shown.add_column("splats", justify="right")
+        for column in STATISTICS:
+            shown.add_column(column, justify="right")
+        for record in mine:
+            shown.add_row(
+                escape(record.scene),
+                *(escape(_text(record.parameters.get(key, ""))) for key in keys),
+                *(_text(getattr(record, key)) for key in ("splats", *STATISTICS)),
+            )
+        yield shown
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:,.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
+    return str(value)
+
+
+def _chart(records: list[Record], out: Path, console: Console, statistic: str = "p50") -> None:
+    try:
+        from rosplat_lab.bench import charts
+    except ImportError as error:
+        console.print(f"[yellow]charts skipped: {escape(str(error))}")
+        return
+    for path in charts.draw(records, out, statistic):
+        console.print(f"wrote {path}", markup=False, soft_wrap=True)

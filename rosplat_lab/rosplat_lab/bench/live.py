@@ -1,0 +1,177 @@
+"""Publisher, sorter and viewer as the processes that they are, watched from outside."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rosplat_lab import machine
+from rosplat_lab.bench import records
+from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
+from rosplat_tools.processes import Processes, quoted
+from rosplat_tools.splats import SceneError
+
+GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
+SAMPLE = 0.2  # between looks at the processes' memory [s]
+BUILT_IN = "built-in"  # the viewer sorts by itself, no sorter runs
+START_TIMEOUT = 300.0  # until the first frame of a complete map, or its growth begins [s]
+
+Frame = dict[str, Any]
+"""A line that moving_viewer writes."""
+
+
+@dataclass
+class Watched:
+    """What was seen.
+
+    ram: time, program, bytes. gpu_bytes: time, bytes that all programs use on the GPU beyond what
+    was used before. Times are of time.time().
+    """
+
+    frames: list[Frame] = field(default_factory=list)
+    ram: list[tuple[float, str, int]] = field(default_factory=list)
+    gpu_bytes: list[tuple[float, int]] = field(default_factory=list)
+
+
+def watch(
+    out: Path,
+    publisher: Sequence[str],
+    *,
+    backend: str,
+    rate: float = 0.0,
+    radius: float = 0.0,
+    picture: tuple[int, int] = (1280, 720),
+    until: Callable[[Watched], bool],
+    begin: Callable[[str], None] | None = None,
+) -> Watched:
+    """Runs the three until `until`, which is asked now and then, says that it has seen enough.
+
+    publisher: an executable of rosplat_tools and its arguments. backend: of the sorter, or
+    BUILT_IN, or GPU. rate: see moving_viewer. begin: called with the namespace when all three run.
+    Raises ProcessError where one of them ends by itself.
+    """
+    namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
+    remap = ["--ros-args", "-r", f"__ns:={namespace}"]
+    log = out / "log"
+    trace = log / "trace.json"
+    seen = Watched()
+    gpu_before = machine.gpu_bytes_used()
+    with Processes(log) as processes:
+        trace.unlink(missing_ok=True)
+        viewer = processes.start(
+            "viewer",
+            [
+                sys.executable, "-m", "rosplat_lab.bench.moving_viewer", *remap,
+                "-p", f"trace:={quoted(trace)}", "-p", f"rate:={rate}", "-p", f"radius:={radius}",
+                "-p", f"width:={picture[0]}", "-p", f"height:={picture[1]}",
+                "-p", f"order_source:={order_source(backend).lower()}",
+            ],
+        )  # fmt: skip
+        programs = {"viewer": viewer}
+        if backend in BACKENDS:
+            programs["sorter"] = processes.node(
+                "rosplat_sorter", "sorter", *remap, "-p", f"backend:={backend}"
+            )
+        while not trace.exists():  # the viewer is ready, and misses nothing
+            processes.check()
+            time.sleep(0.05)
+        programs["publisher"] = processes.node(
+            "rosplat_tools", publisher[0], *remap, *publisher[1:], name="publisher"
+        )
+        if begin:
+            begin(namespace)
+        with trace.open(encoding="utf-8") as lines:
+            rest = ""
+            while not until(seen):
+                time.sleep(SAMPLE)
+                processes.check()
+                now = time.time()
+                for name, process in programs.items():
+                    seen.ram.append((now, name, machine.resident_bytes(process.pid)))
+                gpu_now = machine.gpu_bytes_used()
+                if gpu_now is not None and gpu_before is not None:
+                    seen.gpu_bytes.append((now, gpu_now - gpu_before))
+                text = rest + lines.read()
+                *complete, rest = text.split("\n")
+                seen.frames += [json.loads(line) for line in complete]
+    return seen
+
+
+def has_ros() -> bool:
+    """Whether ROS 2 and this workspace's messages can be imported."""
+    try:
+        importlib.import_module("rclpy")
+        importlib.import_module("rosplat_msgs.msg")
+    except ImportError:
+        return False
+    return True
+
+
+def order_source(backend: str) -> str:
+    """The OrderSource by which a viewer draws this backend's orders, and nobody else's."""
+    return {BUILT_IN: "BUILT_IN", GPU: "GPU"}.get(backend, "SIDECAR")
+
+
+def is_answered(frame: Frame) -> bool:
+    """Whether it was sorted for, while the map is complete."""
+    return bool(frame["complete"] and (frame["arrivals"] or frame["fresh"]))
+
+
+def for_seconds(seconds: float) -> Callable[[Watched], bool]:
+    """Until so long after the first order of a complete map; raises TimeoutError without one."""
+    return _after(is_answered, seconds)
+
+
+def is_settled(frame: Frame) -> bool:
+    """Whether it shows a complete map by an order of all of it."""
+    known = (arrival["revision"] >= frame["revision"] for arrival in frame["arrivals"])
+    return bool(frame["complete"] and (frame["fresh"] or any(known)))
+
+
+def until_settled() -> Callable[[Watched], bool]:
+    """Until a picture shows a complete map, sorted for it; raises TimeoutError where none does."""
+    return _after(is_settled, 0.0)
+
+
+def _after(reached: Callable[[Frame], bool], seconds: float) -> Callable[[Watched], bool]:
+    began = time.monotonic()
+    since: list[float] = []
+
+    def enough(seen: Watched) -> bool:
+        now = time.monotonic()
+        if not since and any(reached(frame) for frame in seen.frames[-1000:]):
+            since.append(now)
+        if not since and now - began > START_TIMEOUT:
+            raise TimeoutError("no complete map was seen, or nobody sorted it")
+        return bool(since) and now - since[0] >= seconds
+
+    return enough
+
+
+def backends(asked: Sequence[str], *own: str) -> tuple[list[str], list[records.Skipped]]:
+    """Those that run here, and why others don't; own: the viewer's, BUILT_IN or GPU.
+
+    What needs a GPU is there where an NVIDIA one is, or where it is asked for by name. Raises
+    SceneError for an unknown name.
+    """
+    names = list(asked) or [name for name, entry in BACKENDS.items() if entry.automatic]
+    if not asked:
+        names += [name for name in own if name != GPU or machine.nvidia_gpu()[0]]
+    found, missing = [], []
+    for name in names:
+        if name not in (*BACKENDS, *own):
+            raise SceneError(f"unknown backend '{name}', known are {', '.join((*BACKENDS, *own))}")
+        try:
+            if name in BACKENDS:
+                open_backend(name, gpu_only=BACKENDS[name].gpu and not asked)
+            found.append(name)
+        except Unavailable as error:
+            missing.append(records.Skipped(f"{name}: {error}"))
+    return found, missing

@@ -1,0 +1,160 @@
+"""A viewer whose camera never rests, for benchmarks: writes a line of JSON for each frame it drew.
+
+A program of its own: `python -m rosplat_lab.bench.moving_viewer --ros-args -p trace:=FILE ...`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from typing import TextIO
+
+import numpy as np
+
+from rosplat_lab.bench.embedded import gl_finish
+from rosplat_lab.bench.scenes import STEP
+from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_tools.parameters import declare
+from rosplat_tools.running import run, spinning
+from rosplat_tools.view_messages import view_camera
+from rviz_gaussian_plugin.offscreen import ensure_display
+from rviz_gaussian_plugin.viewer.node import Viewer
+from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
+
+REMEMBERED = 1000  # cameras whose orders may still come
+IDLE = 0.0005  # between looks at whether there is something to draw [s]
+
+
+class MovingViewer(Viewer):
+    """Turns the camera, draws, and remembers when what arrived."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rate: float = declare(
+            self, "rate", 0.0, "How often the camera turns; 0: before each frame. [Hz]", 0.0, 1e4
+        )
+        self.trace: str = declare(self, "trace", "", "File to write a line of JSON a frame to.")
+        self.radius: float = declare(
+            self, "radius", 0.0, "Of the map, around its origin; 0: as it is seen. [m]", 0.0, 1e9
+        )
+        self.published = math.nan  # when the publisher made the map's first batch, of time.time()
+        self.received = math.nan  # when the last batch had been taken
+        self._arrivals: list[dict[str, float]] = []
+        self._lock = threading.Lock()
+
+    def _on_batch(self, message: GaussianArray) -> None:
+        if message.operation == GaussianArray.REPLACE:
+            stamp = message.header.stamp
+            self.published = stamp.sec + 1e-9 * stamp.nanosec
+        super()._on_batch(message)
+        self.received = time.time()
+
+    def _on_order(self, message: SplatOrder) -> bool:
+        if not super()._on_order(message):
+            return False
+        arrival = {
+            "time": time.time(),
+            "sequence": message.sequence,
+            "revision": message.revision,
+            "sort_time": message.sort_time,
+            "encoding": message.encoding,
+        }
+        with self._lock:
+            self._arrivals.append(arrival)
+        return True
+
+    def arrivals(self) -> list[dict[str, float]]:
+        """The orders that came since the last call."""
+        with self._lock:
+            taken, self._arrivals = self._arrivals, []
+        return taken
+
+
+def watch(viewer: MovingViewer, trace: TextIO) -> None:
+    """Draws until it is told to end."""
+    finish = gl_finish()
+    looked: dict[int, float] = {}  # when each camera was posed
+    unseen: list[int] = []  # cameras that no picture knows yet
+    orbit: OrbitCamera | None = None
+    camera, view_id, due, turned = ViewCamera(), "", 0.0, False
+    stale, revision = True, 0
+    while viewer.context.ok():
+        if orbit is None and viewer.renderer.splats and (viewer.radius or viewer.complete()):
+            centre, radius = (
+                (np.zeros(3), viewer.radius) if viewer.radius else viewer.bounds()
+            )  # fmt: skip
+            orbit = OrbitCamera(centre, 2.5 * radius, np.array(viewer.up, np.float64))
+        if orbit is None:
+            time.sleep(IDLE)
+            continue
+        now = time.time()
+        if now >= due:
+            period = 1 / viewer.rate if viewer.rate else 0.0
+            due = max(due + period, now)
+            orbit.turn(STEP, 0)
+            camera = view_camera(orbit.camera(*viewer.window_size))
+            view_id = viewer.look(camera, "bench")
+            looked[camera.sequence] = now
+            unseen.append(camera.sequence)
+            looked.pop(camera.sequence - REMEMBERED, None)
+            turned = True
+        arrivals = viewer.arrivals()
+        if not (turned or arrivals or stale or viewer.renderer.revision != revision):
+            time.sleep(IDLE)
+            continue
+        turned, revision = False, viewer.renderer.revision
+        splats = viewer.renderer.splats
+        complete = viewer.complete()
+        began = time.time()
+        report = viewer.renderer.draw(view_id)
+        finish()
+        stale = not report["order_fresh"]
+        ended = time.time()
+        # An order answers a camera and those before it, which were never answered.
+        answered = max((int(arrival["sequence"]) for arrival in arrivals), default=0)
+        if report["order_fresh"]:
+            answered = camera.sequence
+        is_new = answered in unseen
+        unseen = [sequence for sequence in unseen if sequence > answered]
+        for arrival in arrivals:
+            arrival["looked"] = looked.get(int(arrival["sequence"]), math.nan)
+        line = {
+            "time": ended,
+            "frame": ended - began,
+            "splats": splats,
+            "complete": complete,
+            "revision": revision,
+            "drawn": report["splats"],
+            "fresh": report["order_fresh"],
+            "source": report["order_source"],
+            "gpu_bytes": report["gpu_bytes"],
+            "renderer": viewer.renderer.renderer_info,
+            "published": viewer.published,
+            "received": viewer.received,
+            "arrivals": arrivals,
+            "orders": len(arrivals),
+            "latency": ended - looked[answered] if is_new else math.nan,
+        }
+        trace.write(json.dumps(line) + "\n")
+        trace.flush()
+
+
+def main() -> None:
+    """Runs the viewer until it is told to end."""
+    run("moving_viewer", _watch)
+
+
+def _watch() -> None:
+    with ensure_display():
+        viewer = MovingViewer()
+        try:
+            with spinning(viewer, threads=4), open(viewer.trace, "w", encoding="utf-8") as trace:
+                watch(viewer, trace)
+        finally:
+            del viewer.renderer  # while its display is there
+
+
+if __name__ == "__main__":
+    main()

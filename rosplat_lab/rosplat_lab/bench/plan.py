@@ -1,0 +1,49 @@
+"""What a run of the benchmarks was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rosplat_lab.bench.records import Budget
+
+FULL_BUDGET = Budget(least=7, most=200, seconds=2.0)
+QUICK_BUDGET = Budget(least=3, most=30, seconds=0.3)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What is drawn otherwise: settings, fields of RenderSettings; a translucent box."""
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    translucent: bool = False
+
+
+VARIANTS = {
+    "default": Variant(),
+    "quads": Variant({"rasterizer": "QUADS"}),
+    "tiles": Variant({"rasterizer": "TILES"}),
+    "float blending": Variant({"float_blending": True}),
+    "translucent": Variant(translucent=True),  # a box amid the splats, before some, behind others
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Empty sizes, backends and variants: each subject's own choice.
+
+    sizes: of procedural scenes. scenes: by name, besides. backends: of the sorter. variants: of the
+    renderer's settings, see VARIANTS. displays: files that list others, for rviz.
+    one_process: growth without ROS 2. out: a folder for logs.
+    """
+
+    out: Path = Path("out/bench")
+    quick: bool = False
+    sizes: tuple[int, ...] = ()
+    scenes: tuple[str, ...] = ()
+    backends: tuple[str, ...] = ()
+    variants: tuple[str, ...] = ()
+    displays: tuple[Path, ...] = ()
+    one_process: bool = False
+    budget: Budget = field(default=FULL_BUDGET)

@@ -1,0 +1,309 @@
+"""How long a frame of rviz2 takes, and how near its picture is, by our Display and by others."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+import time
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image
+
+from rosplat_lab import driven_rviz, machine, metrics
+from rosplat_lab.bench import scenes
+from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
+from rosplat_lab.driven_rviz import DrivenRviz, Refused
+from rosplat_lab.reference.renderer import render
+from rosplat_tools import formats
+from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.processes import ProcessError, Processes, quoted
+from rosplat_tools.splats import SceneError, Splats
+
+SIZES = (500_000, 2_000_000)
+SOFTWARE_SIZES = (100_000,)  # where no GPU draws
+QUICK_SIZES = (20_000,)
+PICTURE, QUICK_PICTURE = (1920, 1080), (640, 360)
+FRAME = (200, 200)  # what rviz2's window has around its view, at most [px]
+FOV = math.pi / 4  # height of an Orbit view, which nothing changes [rad]
+DISTANCES = {"overview": 2.5, "near": 1.0}  # of the camera, by the name of the view [radii]
+NEAREST = 0.001  # where a view's near plane may be [m]
+TURNS = {"standing": 0.0, "moving": math.radians(30)}  # of the camera [rad/s]
+ACCURATE = 1_000_000  # splats that the reference draws in minutes
+SETTLING, QUICK_SETTLING = 1.0, 0.3  # between what changes and what is measured [s]
+LOADING = 300.0  # until a display shows the scene [s]
+PICTURE_TIMEOUT = 60.0  # [s]
+
+OURS = {"Class": "rviz_gaussian_plugin/GaussianMap", "Name": "ROSplat", "Topic": "{topic}"}
+UNSYNCHRONISED = {"__GL_SYNC_TO_VBLANK": "0", "vblank_mode": "0"}  # NVIDIA's drivers, Mesa's
+
+Display = dict[str, Any]
+"""An entry of `Displays` in an .rviz file, as rviz saves it."""
+
+
+def measure(plan: Plan) -> Iterator[Event]:
+    """Frame times by scene, view, motion of the camera and display; PSNR of what it stands on."""
+    displays = [OURS]
+    for path in plan.displays:
+        displays += read_displays(path)
+    if not driven_rviz.is_here():
+        yield Skipped("no rviz2, or rviz_gaussian_plugin was built without it")
+        return
+    from rviz_gaussian_plugin.offscreen import ensure_display
+
+    sizes = plan.sizes or (
+        QUICK_SIZES if plan.quick else SIZES if machine.nvidia_gpu()[0] else SOFTWARE_SIZES
+    )
+    names = scenes.names(sizes, plan.scenes)
+    width, height = QUICK_PICTURE if plan.quick else PICTURE
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(ensure_display(width + FRAME[0], height + FRAME[1]))
+        except RuntimeError as error:
+            yield Skipped(f"rviz2: {error}")
+            return
+        for number, name in enumerate(names):
+            yield from _scene(plan, name, displays, number, len(names))
+
+
+def read_displays(path: Path) -> list[Display]:
+    """Those of a YAML file: a list, as `Displays` of an .rviz file. Raises SceneError."""
+    try:
+        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, yaml.YAMLError) as error:
+        raise SceneError(f"{path}: not YAML: {error}") from error
+    if not (isinstance(entries, list) and entries and all(map(_is_display, entries))):
+        raise SceneError(f"{path}: expected a list of displays, each with Class and Name")
+    return entries
+
+
+def _is_display(entry: object) -> bool:
+    return isinstance(entry, dict) and {"Class", "Name"} <= entry.keys()
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """A camera that looks at a point, as rviz's Orbit view has it. [m, rad]"""
+
+    focus: NDArray[np.float64]
+    distance: float
+    near: float
+    pitch: float = 0.35
+    yaw: float = 0.6
+
+    def view(self) -> dict[str, Any]:
+        """As the view in an .rviz file."""
+        x, y, z = map(float, self.focus)
+        return {
+            "Class": "rviz_default_plugins/Orbit", "Distance": self.distance,
+            "Focal Point": {"X": x, "Y": y, "Z": z}, "Near Clip Distance": self.near,
+            "Pitch": self.pitch, "Yaw": self.yaw,
+        }  # fmt: skip
+
+    def camera(self, width: int, height: int) -> Camera:
+        """As the reference has it."""
+        flat = math.cos(self.pitch)
+        outward = [
+            flat * math.cos(self.yaw), flat * math.sin(self.yaw), math.sin(self.pitch)
+        ]  # fmt: skip
+        eye = self.focus + self.distance * np.array(outward)
+        focal = 0.5 * height / math.tan(FOV / 2)
+        pose = look_at(eye, self.focus)
+        return Camera(0, width, height, focal, focal, width / 2, height / 2, pose, near=self.near)
+
+
+def _scene(
+    plan: Plan, name: str, displays: list[Display], number: int, total: int
+) -> Iterator[Event]:
+    yield Doing(f"{name}: loading", number / total)
+    splats = scenes.load(name)
+    place = scenes.place(splats)
+    near = max(0.001 * place.radius, NEAREST)
+    orbits = {
+        view: Orbit(place.centre, distance * place.radius, near)
+        for view, distance in DISTANCES.items()
+        if view == "overview" or not plan.quick
+    }
+    namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
+    values = {
+        "ply": str((plan.out / "log" / "rviz.ply").resolve()), "topic": f"{namespace}/gaussians",
+        "sh_degree": str(splats.sh_degree),
+    }  # fmt: skip
+    with Processes(plan.out / "log") as processes:
+        processes.node(
+            "rosplat_tools", "ply_publisher",
+            "--ros-args", "-r", f"__ns:={namespace}", "-p", f"path:={quoted(name)}",
+        )  # fmt: skip
+        if "{ply}" in str(displays):
+            formats.save(values["ply"], splats)
+        bench = Bench(plan, name, splats, orbits, processes)
+        if len(splats) <= ACCURATE:
+            yield Doing(f"{name}: reference pictures", number / total)
+            bench.draw_references()
+        for index, display in enumerate(displays):
+            done = (number + index / len(displays)) / total
+            yield Doing(f"{name}, {display['Name']}", done)
+            try:
+                yield from bench.display(filled(display, values))
+            except (Refused, TimeoutError, ProcessError) as error:
+                yield Skipped(f"{name}, {display['Name']}: {error}")
+
+
+def filled(entry: Any, values: dict[str, str]) -> Any:
+    """The entry with {ply}, {topic} and {sh_degree} in its texts replaced."""
+    if isinstance(entry, dict):
+        return {key: filled(value, values) for key, value in entry.items()}
+    if isinstance(entry, str):
+        for key, value in values.items():
+            entry = entry.replace(f"{{{key}}}", value)
+    return entry
+
+
+class Bench:
+    """Displays of a scene, each in an rviz2 of its own."""
+
+    def __init__(
+        self, plan: Plan, name: str, splats: Splats, orbits: dict[str, Orbit], processes: Processes
+    ) -> None:
+        self._budget: Budget = plan.budget
+        self._picture = QUICK_PICTURE if plan.quick else PICTURE
+        self._settling = Budget(1, 1, QUICK_SETTLING if plan.quick else SETTLING)
+        self._name, self._splats, self._orbits = name, splats, orbits
+        self._processes = processes
+        self._references: dict[str, NDArray[np.float64]] = {}
+
+    def draw_references(self) -> None:
+        """What each view should show, on black."""
+        for view, orbit in self._orbits.items():
+            picture = render(self._splats, orbit.camera(*self._picture))
+            self._references[view] = np.clip(picture.rgba[..., :3], 0, 1)
+
+    def display(self, display: Display) -> Iterator[Measurement]:
+        """All of one. Raises Refused, TimeoutError, ProcessError."""
+        with Processes(self._processes.folder) as own:
+            rviz = DrivenRviz(own, configuration(display, self._orbits), **UNSYNCHRONISED)
+            if not rviz.properties(display["Name"]):
+                raise Refused(f"rviz2 has no {display['Class']}, or can't load it")
+            self._resize(rviz)
+            self._wait_until_shown(rviz, display["Name"])
+            put(rviz, display)
+            self._watch(rviz, 0.0, self._settling)  # what was received is uploaded
+            for view in self._orbits:
+                yield from self._view(rviz, display["Name"], view)
+
+    def _resize(self, rviz: DrivenRviz) -> None:
+        width, height = self._picture
+        deadline = time.monotonic() + 10
+        while rviz.ask("resize", width=width, height=height) != [width, height]:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the screen has no room for {width}x{height} in rviz2's window")
+            time.sleep(0.2)
+
+    def _wait_until_shown(self, rviz: DrivenRviz, name: str) -> None:
+        """Until its Status says of how many splats it is."""
+        deadline = time.monotonic() + LOADING
+        count = re.compile(rf"\b{len(self._splats)}\b")
+        while True:
+            status = rviz.status(name)
+            texts = [text.replace(",", "") for level, text in status.values() if level == "Ok"]
+            if any(map(count.search, texts)):
+                return
+            self._processes.check()
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"its Status never counted the splats: {status}")
+            time.sleep(0.1)
+
+    def _view(self, rviz: DrivenRviz, name: str, view: str) -> Iterator[Measurement]:
+        width, height = self._picture
+        labels: dict[str, Any] = {
+            "scene": self._name, "splats": len(self._splats), "picture": f"{width}x{height}",
+            "view": view, "display": name,
+        }  # fmt: skip
+        for camera, turn in TURNS.items():
+            put(rviz, self._orbits[view].view(), root="view")
+            self._watch(rviz, turn, self._settling)
+            seen = self._watch(rviz, turn, self._budget)
+            labels["gpu"] = seen["renderer"]
+            yield Measurement.of("frame", "ms", seen["frame"], **labels, camera=camera)
+            if "llvmpipe" not in seen["renderer"]:  # its clock says nothing of what it defers
+                yield Measurement.of("drawing", "ms", seen["drawing"], **labels, camera=camera)
+            if not turn and view in self._references:
+                found = metrics.psnr(self._photograph(rviz), self._references[view])
+                yield Measurement.of("PSNR", "dB", found, **labels)
+
+    def _watch(self, rviz: DrivenRviz, turn: float, budget: Budget) -> Any:
+        rviz.ask("start watch", turn=turn)
+        time.sleep(budget.seconds)
+        while rviz.ask("frames") <= budget.least:  # their number and one, for the time between them
+            time.sleep(0.1)
+        return rviz.ask("stop watch")
+
+    def _photograph(self, rviz: DrivenRviz) -> NDArray[np.float64]:
+        file = rviz.folder / "rviz.png"
+        file.unlink(missing_ok=True)
+        rviz.ask("photograph", file=str(file.resolve()))
+        deadline = time.monotonic() + PICTURE_TIMEOUT
+        while not file.exists():
+            rviz.processes.check()
+            if time.monotonic() > deadline:
+                raise TimeoutError("rviz2 draws no more")
+            time.sleep(0.05)
+        with Image.open(file) as picture:
+            return np.asarray(picture.convert("RGB")) / 255
+
+
+def configuration(display: Display, orbits: dict[str, Orbit]) -> str:
+    """The text of an .rviz file with one display, that draws as often as it can."""
+    (first, *_) = orbits.values()
+    manager = {
+        "Displays": [{"Enabled": True, "Value": True} | display],
+        "Global Options": {
+            "Fixed Frame": "map", "Background Color": "0; 0; 0", "Frame Rate": 1000
+        },
+        "Tools": [],
+        "Views": {"Current": first.view()},
+    }  # fmt: skip
+    text: str = yaml.safe_dump({"Panels": [], "Visualization Manager": manager})
+    return text
+
+
+def put(rviz: DrivenRviz, wanted: Display, root: str = "displays") -> None:
+    """Sets what differs: a display may have clamped a value before it knew its scene."""
+    above = [wanted["Name"]] if root == "displays" else []
+    found = rviz.properties(*above, root=root)
+    for path, value in _values(wanted):
+        name = "/".join(path)
+        if name not in found:
+            raise Refused(f"{wanted['Class']} has no property {name}, it has: {', '.join(found)}")
+        if not _is(found[name], value):
+            try:
+                rviz.set(*above, *path, value=value, root=root)
+            except Refused as error:
+                raise Refused(f"{name} of {wanted['Class']} is {found[name]}: {error}") from error
+
+
+def _values(entry: dict[str, Any], *above: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """The path of each property that has a value of its own, and that."""
+    for key, value in entry.items():
+        if isinstance(value, dict):
+            yield from _values(value, *above, key)
+        elif above and key == "Value":  # of a property that has others below it
+            yield above, value
+        elif above or key not in ("Class", "Name", "Enabled", "Value"):
+            yield (*above, key), value
+
+
+def _is(found: object, wanted: object) -> bool:
+    if isinstance(found, float) and isinstance(wanted, float):
+        return math.isclose(found, wanted, rel_tol=1e-6, abs_tol=1e-9)  # rviz has 32 bits
+    return str(found) == str(wanted)

@@ -1,0 +1,223 @@
+"""How long a depth order takes: every backend of the sorter, beside other ways to do it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_lab.bench import baselines, live, scenes
+from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_sorter import camera, depth
+from rosplat_sorter.backends import (
+    BACKENDS,
+    Allocate,
+    Backend,
+    Unavailable,
+    new_array,
+    open_backend,
+)
+from rosplat_sorter.edits import REPLACE, Edit
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.view import View
+from rosplat_tools.cameras import Camera
+from rosplat_tools.splats import SceneError, Splats
+
+SIZES = (100_000, 250_000, 500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000)
+QUICK_SIZES = (50_000, 250_000)
+VIEWS = ("all", "inside")
+PICTURE = (1280, 720)
+STEPS = 16  # cameras that take turns, so that no order is the last one's
+
+HOST = "order in host memory"
+PINNED = "order in pinned memory"
+DEVICE = "order on the GPU"
+
+
+def measure(plan: Plan) -> Iterator[Event]:
+    """Times of HOST, PINNED and DEVICE by scene, view and method."""
+    names = scenes.names(plan.sizes or (QUICK_SIZES if plan.quick else SIZES), plan.scenes)
+    unavailable: set[str] = set()
+    for number, name in enumerate(names):
+        yield Doing(f"{name}: loading", number / len(names))
+        splats = scenes.load(name)
+        sorted_map = map_of(splats)
+        views = {
+            kind: [view_of(c, splats) for c in scenes.VIEWS[kind](splats, *PICTURE, STEPS)]
+            for kind in VIEWS
+        }
+        makers = methods(sorted_map, plan.backends)
+        for index, (method, make) in enumerate(makers):
+            if method in unavailable:
+                continue
+            yield Doing(f"{name}: {method}", (number + index / len(makers)) / len(names))
+            try:
+                ways = make()
+            except (Unavailable, ImportError, RuntimeError, MemoryError) as error:
+                unavailable.add(method)
+                yield Skipped(f"{method}: {str(error).splitlines()[0]}")
+                continue
+            for way in ways:
+                for kind, seen in views.items():
+                    yield _timed(plan, name, sorted_map, way, kind, seen)
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to sort. culls: whether it leaves out what a view doesn't see."""
+
+    quantity: str
+    label: str
+    sort: Callable[[View], Any]
+    culls: bool = True
+
+
+def methods(
+    sorted_map: SplatMap, backends: tuple[str, ...]
+) -> list[tuple[str, Callable[[], list[Way]]]]:
+    """All ways by name, made when they are called; backends: which of the sorter's."""
+    found: list[tuple[str, Callable[[], list[Way]]]] = []
+    for name in backends or tuple(BACKENDS):
+        if name in (live.BUILT_IN, live.GPU):
+            continue  # the viewer's, which `frame` measures
+        if name not in BACKENDS:
+            raise SceneError(f"unknown backend '{name}', known are {', '.join(BACKENDS)}")
+        if name == "native" and len(os.sched_getaffinity(0)) > 1:
+            found.append(("native, 1 thread", partial(_ours, sorted_map, name, 1)))
+        found.append((name, partial(_ours, sorted_map, name, 0)))
+    if not backends:
+        for quantity, table in ((HOST, baselines.IN_HOST_MEMORY), (DEVICE, baselines.ON_DEVICE)):
+            for label, make in table.items():
+                found.append((label, partial(_others, sorted_map, quantity, label, make)))
+    return found
+
+
+def _ours(sorted_map: SplatMap, name: str, threads: int) -> list[Way]:
+    backend = open_backend(name, threads)
+    backend.update(sorted_map, slice(0, len(sorted_map)))
+    label = f"{name}, {backend.device}"
+    ways = [Way(HOST, label, partial(backend.order, allocate=InTurn(new_array)))]
+    finish = _finish(backend)
+    if finish:
+        on_device = backend.order_on_device
+
+        def sort(view: View) -> None:
+            on_device(view)
+            finish()
+
+        ways.append(Way(PINNED, label, partial(backend.order, allocate=InTurn(_pinned(name)))))
+        ways.append(Way(DEVICE, label, sort))
+    return ways
+
+
+class InTurn:
+    """Two arrays in turn for all orders, as the sorter has them in shared memory."""
+
+    def __init__(self, make: Allocate) -> None:
+        self._make = make
+        self._arrays = [make(0), make(0)]
+
+    def __call__(self, count: int) -> NDArray[np.uint32]:
+        self._arrays.reverse()
+        if len(self._arrays[0]) < count:
+            self._arrays[0] = self._make(count + count // 4)
+        result: NDArray[np.uint32] = self._arrays[0][:count]
+        return result
+
+
+def _pinned(name: str) -> Allocate:
+    """Makes arrays that the GPU writes to without a detour."""
+
+    def make(count: int) -> NDArray[np.uint32]:
+        if name == "cupy":
+            import cupyx
+
+            pinned: NDArray[np.uint32] = cupyx.empty_pinned(count, np.uint32)
+            return pinned
+        import torch
+
+        on_host = torch.empty(count, dtype=torch.int32, pin_memory=True)
+        array: NDArray[np.uint32] = on_host.numpy().view(np.uint32)
+        return array
+
+    return make
+
+
+def _others(
+    sorted_map: SplatMap, quantity: str, label: str, make: Callable[[Any], baselines.Sort]
+) -> list[Way]:
+    return [Way(quantity, label, make(sorted_map.positions[: len(sorted_map)]), culls=False)]
+
+
+def _finish(backend: Backend) -> Callable[[], object] | None:
+    """What waits for a backend's GPU; None where it has none."""
+    if backend.name == "cupy":
+        import cupy
+
+        synchronize: Callable[[], object] = cupy.cuda.Device().synchronize
+        return synchronize
+    if backend.name == "torch":
+        import torch
+
+        if torch.cuda.is_available():
+            return torch.cuda.synchronize
+    return None
+
+
+def _timed(
+    plan: Plan, scene: str, sorted_map: SplatMap, way: Way, kind: str, views: list[View]
+) -> Measurement:
+    """Raises AssertionError where a backend's order is not the reference's."""
+    if way.culls and way.quantity == HOST:
+        expected = depth.order(views[0], sorted_map.positions, sorted_map.extents)
+        if not np.array_equal(way.sort(views[0]), expected):
+            raise AssertionError(f"{scene}: {way.label} is not the exact order")
+    visible = np.count_nonzero(depth.visible(views[0], sorted_map.positions, sorted_map.extents))
+    times = plan.budget.spend(
+        lambda index: milliseconds(lambda: way.sort(views[index % len(views)]))
+    )
+    return Measurement.of(
+        way.quantity, "ms", times, scene, len(sorted_map),
+        method=way.label, view=kind, visible=int(visible), culls=way.culls,
+    )  # fmt: skip
+
+
+def map_of(splats: Splats) -> SplatMap:
+    """What the sorter would hold after a REPLACE with all of them."""
+    sorted_map = SplatMap()
+    sorted_map.apply(
+        Edit(
+            map_id="bench",
+            revision=1,
+            frame_id="map",
+            operation=REPLACE,
+            origin=splats.origin,
+            slots=slice(0, len(splats)),
+            end=len(splats),
+            positions=splats.positions,
+            extents=depth.splat_extents(splats.scales, splats.opacities),
+            rejected=0,
+        )
+    )
+    return sorted_map
+
+
+def view_of(which: Camera, splats: Splats) -> View:
+    """The sorter's view of a camera."""
+    x, y, z = which.position.tolist()
+    qx, qy, qz, qw = which.orientation.tolist()
+    return View.of(
+        camera.Camera(
+            position=(x, y, z), orientation=(qx, qy, qz, qw),
+            fx=which.fx, fy=which.fy, cx=which.cx, cy=which.cy,
+            width=which.width, height=which.height,
+            near_clip=which.near, far_clip=which.far,
+        ),
+        splats.origin,
+    )  # fmt: skip

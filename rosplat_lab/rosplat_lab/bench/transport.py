@@ -1,0 +1,187 @@
+"""How long orders and maps are on their way between two processes."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Header
+
+from rosplat_lab.bench import live, scenes
+from rosplat_lab.bench.peer import KINDS, ORDERS, QUESTIONS, topic
+from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_msgs.msg import GaussianArray, ViewCamera
+from rosplat_msgs.srv import LoadScene
+from rosplat_sorter import edits
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.qos import ORDER
+from rosplat_tools.map_publisher import CHUNK_BYTES
+from rosplat_tools.messages import chunks, encode
+from rosplat_tools.processes import ProcessError, Processes
+
+ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
+QUICK_ORDER_SIZES = (100_000, 500_000)
+BATCHES, QUICK_BATCHES = (1_000, 10_000), (1_000,)
+MAPS, QUICK_MAPS = (100_000, 500_000, 1_000_000, 2_000_000), (100_000,)
+MAP_REPEATS, QUICK_MAP_REPEATS = 3, 1
+PICTURE = (320, 180)  # small: what counts is that the map is in it
+PATIENCE = 30.0  # with an answer [s]
+ACQUAINTANCE = 4.0  # until publisher, sorter and viewer know each other: DDS asks each 3 s [s]
+
+# Ways to send splats, in words.
+WAYS = {
+    "gaussians": "GaussianArray: arrays of 59 numbers a splat",
+    "poses": "PoseArray: a message a splat, of 7 numbers",
+    "markers": "MarkerArray: a message a splat, of 14 numbers",
+}
+
+
+def measure(plan: Plan) -> Iterator[Event]:
+    """Orders in a message, batches of splats in several forms, and whole maps."""
+    orders = plan.sizes or (QUICK_ORDER_SIZES if plan.quick else ORDER_SIZES)
+    batches = QUICK_BATCHES if plan.quick else BATCHES
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with Processes(plan.out / "log") as processes:
+            asker = Asker(processes)
+            jobs = list(itertools.product(orders, ORDERS))
+            for number, (count, way) in enumerate(jobs):
+                yield Doing(f"an order of {count:,} slots, {way}", 0.3 * number / len(jobs))
+                times = asker.ask(way, count, plan.budget)
+                yield Measurement.of("order", "ms", times, splats=count, way=way)
+            ways = [way for way in WAYS if way in KINDS]
+            if "markers" not in ways:
+                yield Skipped("MarkerArray: visualization_msgs is not here")
+            jobs = list(itertools.product(batches, ways))
+            for number, (count, way) in enumerate(jobs):
+                yield Doing(f"{count:,} splats as {way}", 0.3 + 0.3 * number / len(jobs))
+                times = asker.ask(way, count, plan.budget)
+                yield Measurement.of("batch", "ms", times, splats=count, way=WAYS[way])
+        yield from _maps(plan)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _maps(plan: Plan) -> Iterator[Event]:
+    maps = plan.sizes or (QUICK_MAPS if plan.quick else MAPS)
+    names = scenes.names(maps, plan.scenes)
+    for index, name in enumerate(names):
+        yield Doing(f"{name}: taken by the sorter", 0.6 + 0.4 * index / len(names))
+        yield _ingest(plan, name)
+        yield Doing(f"{name}: published until visible", 0.6 + 0.4 * (index + 0.5) / len(names))
+        try:
+            repeats = QUICK_MAP_REPEATS if plan.quick else MAP_REPEATS
+            yield from _visible(plan.out, name, repeats)
+        except (ProcessError, TimeoutError) as error:
+            yield Skipped(f"{name}: {error}")
+
+
+class Asker:
+    """Asks a peer in a process of its own for messages, and times them."""
+
+    def __init__(self, processes: Processes) -> None:
+        namespace = f"/bench_{uuid.uuid4().hex[:8]}"
+        self._processes = processes
+        processes.start(
+            "peer",
+            [sys.executable, "-m", "rosplat_lab.bench.peer",
+             "--ros-args", "-r", f"__ns:={namespace}"],
+        )  # fmt: skip
+        self._node = Node("asker", namespace=namespace)
+        self._questions = self._node.create_publisher(ViewCamera, QUESTIONS, ORDER)
+        self._sequence = 0
+        self._times: dict[int, float] = {}
+        for kind, (message, _, read) in KINDS.items():
+            self._node.create_subscription(
+                message, topic(kind), lambda answer, read=read: self._receive(answer, read), ORDER
+            )
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+
+    def ask(self, kind: str, count: int, budget: Budget) -> list[float]:
+        """Times from before a message is made until its numbers are at hand here. [ms]
+
+        Raises ProcessError where the peer ends, TimeoutError where it doesn't answer.
+        """
+        return budget.spend(lambda _: self._ask(kind, count))
+
+    def _ask(self, kind: str, count: int) -> float:
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline:
+            self._sequence += 1
+            self._questions.publish(ViewCamera(view_id=kind, width=count, sequence=self._sequence))
+            again = time.monotonic() + 5.0  # a question may be lost while the two get acquainted
+            while time.monotonic() < again:
+                self._executor.spin_once(0.1)
+                if self._sequence in self._times:
+                    return self._times.pop(self._sequence)
+                self._processes.check()
+        raise TimeoutError(f"no answer to {kind} of {count}")
+
+    def _receive(self, answer: object, read: object) -> None:
+        read(answer)  # type: ignore[operator]
+        now = time.time_ns()
+        markers = getattr(answer, "markers", None)
+        header: Header = (markers[0] if markers else answer).header  # type: ignore[attr-defined]
+        began = header.stamp.sec * 10**9 + header.stamp.nanosec
+        self._times[int(header.frame_id)] = (now - began) / 1e6
+
+
+def _ingest(plan: Plan, name: str) -> Measurement:
+    """How fast the sorter's side checks batches and takes them over, without the way there."""
+    splats = scenes.load(name).without_empty_bands()
+    messages = [
+        encode(
+            splats[part], range(part.start, part.stop), header=Header(frame_id="map"),
+            map_id="bench", revision=number + 1,
+            operation=GaussianArray.UPSERT if number else GaussianArray.REPLACE,
+            expected_slots=len(splats),
+        )
+        for number, part in enumerate(chunks(splats, CHUNK_BYTES))
+    ]  # fmt: skip
+
+    def take() -> None:
+        taken = SplatMap()
+        for message in messages:
+            taken.apply(edits.decode(message))
+
+    times = plan.budget.spend(lambda _: milliseconds(take))
+    rates = [len(splats) / 1e3 / time_ms for time_ms in times]
+    return Measurement.of("taken by the sorter", "M splats/s", rates, name, len(splats))
+
+
+def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
+    """From the first batch's making to the frame that shows all, in three processes."""
+    node = Node("opener")
+
+    def load(namespace: str) -> None:
+        """Once the three have found each other."""
+        client = node.create_client(LoadScene, f"{namespace}/ply_publisher/load")
+        if not client.wait_for_service(PATIENCE):
+            raise TimeoutError("the publisher did not start")
+        time.sleep(ACQUAINTANCE)
+        client.call_async(LoadScene.Request(path=name))
+
+    shown, rates, splats, gpu = [], [], 0, ""
+    for _ in range(repeats):
+        seen = live.watch(
+            out, ("ply_publisher",), backend="native", rate=0.1, picture=PICTURE,
+            until=live.until_settled(),
+            begin=load,
+        )  # fmt: skip
+        frame = next(frame for frame in seen.frames if live.is_settled(frame))
+        splats, gpu = frame["splats"], frame["renderer"]
+        shown.append(1e3 * (frame["time"] - frame["published"]))
+        rates.append(splats / 1e6 / (frame["received"] - frame["published"]))
+    node.destroy_node()
+    yield Measurement.of("publish to visible", "ms", shown, name, splats, gpu, backend="native")
+    yield Measurement.of("received by the viewer", "M splats/s", rates, name, splats)

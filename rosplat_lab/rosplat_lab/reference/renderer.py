@@ -1,0 +1,162 @@
+"""Front to back blending of projected splats, tile by tile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_lab.reference.projection import MIN_ALPHA, Array, Projected, project
+from rosplat_tools.cameras import Camera
+from rosplat_tools.splats import Splats
+
+TILE = 16  # [px]
+CHUNK = 512  # splats blended at once: a tile's arrays then stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What a camera sees."""
+
+    rgba: Array
+    """(height, width, 4) premultiplied linear RGBA; colours may exceed 1."""
+    depth: Array
+    """(height, width) opacity-weighted mean of z [m]; NaN where nothing is."""
+
+
+def render(
+    splats: Splats,
+    camera: Camera,
+    *,
+    crop: tuple[int, int, int, int] | None = None,
+    order: NDArray[np.integer] | None = None,
+    max_alpha: float = 0.99,
+    min_transmittance: float = 0.0,
+) -> Picture:
+    """Draws splats in float64.
+
+    crop is left, top, right, bottom [px] of the part to draw; the camera stays what it is. order
+    are slots back to front, as in SplatOrder, instead of the exact order by z; slots that it leaves
+    out are not drawn. max_alpha caps a splat's alpha: INRIA 0.99, gsplat 0.999. A pixel is finished
+    by the splat that would take its transmittance to min_transmittance or below (INRIA and gsplat:
+    1e-4); 0 blends everything. Raises ValueError for a crop outside the picture.
+    """
+    left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
+    if not (0 <= left < right <= camera.width and 0 <= top < bottom <= camera.height):
+        raise ValueError(f"crop {crop} is not inside {camera.width} x {camera.height}")
+    projected = project(splats, camera)
+    projected = projected[_front_to_back(projected, order, len(splats))]
+    rgba = np.zeros((bottom - top, right - left, 4))
+    depth = np.full((bottom - top, right - left), np.nan)
+    for y, x, members in _tiles(projected, left, top, right, bottom):
+        ys = np.arange(y, min(y + TILE, bottom))
+        xs = np.arange(x, min(x + TILE, right))
+        tile_rgba, weighted_z = _blend(projected[members], xs, ys, max_alpha, min_transmittance)
+        window = np.s_[y - top : y - top + len(ys), x - left : x - left + len(xs)]
+        rgba[window] = tile_rgba
+        alpha = tile_rgba[..., 3]
+        np.divide(weighted_z, alpha, out=depth[window], where=alpha > 0)
+    return Picture(rgba, depth)
+
+
+def pick(splats: Splats, camera: Camera) -> tuple[NDArray[np.int64], Array]:
+    """The splat that contributes most to each pixel, alpha times the transmittance before it.
+
+    Returns (height, width) slots, -1 where nothing is, and (height, width) what they contribute;
+    of equal contributions the nearer splat's.
+    """
+    projected = project(splats, camera)
+    projected = projected[_front_to_back(projected, None, len(splats))]
+    slots = np.full((camera.height, camera.width), -1)
+    most = np.zeros(slots.shape)
+    for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
+        ys = np.arange(y, min(y + TILE, camera.height))
+        xs = np.arange(x, min(x + TILE, camera.width))
+        window = np.ix_(ys, xs)
+        for part, weights in _weights(projected[members], xs, ys, 0.99, 0.0):
+            best = weights.argmax(axis=0)
+            contribution = np.take_along_axis(weights, best[None], axis=0)[0]
+            more = contribution > most[window]
+            slots[window] = np.where(more, projected.slots[members[part]][best], slots[window])
+            most[window] = np.where(more, contribution, most[window])
+    return slots, most
+
+
+def _front_to_back(
+    projected: Projected, order: NDArray[np.integer] | None, count: int
+) -> NDArray[np.intp]:
+    """Indices into projected, nearest first; of equal depths the lower slot first."""
+    if order is None:
+        return np.argsort(projected.depths, kind="stable")
+    rank = np.full(count, -1)
+    rank[order[::-1]] = np.arange(len(order))
+    ranks = rank[projected.slots]
+    by_rank = np.argsort(ranks, kind="stable")
+    return by_rank[ranks[by_rank] >= 0]
+
+
+def _tiles(
+    projected: Projected, left: int, top: int, right: int, bottom: int
+) -> Iterator[tuple[int, int, NDArray[np.intp]]]:
+    """Corner y, x of each tile that splats reach, and the indices of these, in their order."""
+    tiles = np.array([-(-(right - left) // TILE), -(-(bottom - top) // TILE)])
+    corner = np.array([left, top])
+    # Clipped first: a splat next to the camera may be larger than an integer holds.
+    first = np.floor(np.clip((projected.centers - projected.extents - corner) / TILE, 0, tiles))
+    last = np.floor(np.clip((projected.centers + projected.extents - corner) / TILE, -1, tiles - 1))
+    first, spans = first.astype(int), (last - first + 1).astype(int).clip(0)
+    # One entry for each pair of splat and tile, numbered within the splat.
+    pairs = spans.prod(axis=1)
+    splat = np.repeat(np.arange(len(pairs)), pairs)
+    number = np.arange(len(splat)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+    column = first[splat, 0] + number % spans[splat, 0]
+    row = first[splat, 1] + number // spans[splat, 0]
+    tile = row * tiles[0] + column
+    by_tile = np.argsort(tile, kind="stable")
+    starts = np.flatnonzero(np.diff(tile[by_tile], prepend=-1))
+    for members in np.split(by_tile, starts[1:]):
+        if len(members):
+            y, x = divmod(int(tile[members[0]]), int(tiles[0]))
+            yield top + y * TILE, left + x * TILE, splat[members]
+
+
+def _blend(
+    splats: Projected,
+    xs: NDArray[np.intp],
+    ys: NDArray[np.intp],
+    max_alpha: float,
+    min_transmittance: float,
+) -> tuple[Array, Array]:
+    """(h, w, 4) premultiplied RGBA and (h, w) sum of weight * z of splats, nearest first."""
+    values = np.column_stack([splats.colors, np.ones(len(splats.slots)), splats.depths])
+    blended = np.zeros((len(ys), len(xs), 5))
+    for part, weights in _weights(splats, xs, ys, max_alpha, min_transmittance):
+        blended += np.tensordot(weights, values[part], axes=(0, 0))
+    return blended[..., :4], blended[..., 4]
+
+
+def _weights(
+    splats: Projected,
+    xs: NDArray[np.intp],
+    ys: NDArray[np.intp],
+    max_alpha: float,
+    min_transmittance: float,
+) -> Iterator[tuple[slice, Array]]:
+    """A part of the splats, nearest first, and (n, h, w) what each contributes to each pixel."""
+    transmittance = np.ones((len(ys), len(xs)))
+    for start in range(0, len(splats.slots), CHUNK):
+        part = slice(start, start + CHUNK)
+        dx = (xs + 0.5 - splats.centers[part, :1])[:, None, :]
+        dy = (ys + 0.5 - splats.centers[part, 1:])[:, :, None]
+        xx, xy, yy = splats.conics[part].T[..., None, None]
+        exponent = -0.5 * (xx * dx**2 + yy * dy**2) - xy * dx * dy
+        alpha = np.minimum(max_alpha, splats.opacities[part, None, None] * np.exp(exponent))
+        alpha[alpha < MIN_ALPHA] = 0
+        after = transmittance * np.cumprod(1 - alpha, axis=0)
+        before = np.concatenate([transmittance[None], after[:-1]])
+        yield part, np.where(after > min_transmittance, alpha * before, 0)
+        transmittance = after[-1]
+        if transmittance.max() <= min_transmittance:
+            break

@@ -1,0 +1,331 @@
+"""Draws the cameras of a file through the whole chain, and holds the pictures against references.
+
+Publisher, sorter and renderer run as separate processes; each camera is a call of the renderer's
+service, answered with the sorter's order, or on a graphics card with the renderer's own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import shutil
+import sys
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import rclpy
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from tqdm import tqdm
+
+from rosplat_lab.arguments import make_folder, seconds
+from rosplat_lab.machine import commit, machine
+from rosplat_lab.metrics import MOST_PSNR, compare
+from rosplat_msgs.srv import RenderView
+from rosplat_sorter.backends import BACKENDS
+from rosplat_tools.cameras import Camera, load_cameras
+from rosplat_tools.files import write_text
+from rosplat_tools.output import say
+from rosplat_tools.processes import Processes, quoted
+from rosplat_tools.scenes import NAMES, check_scene
+from rosplat_tools.splats import SceneError
+from rosplat_tools.view_messages import view_camera
+
+START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
+SETTLED = 1.0  # a complete map that hasn't changed for so long has all its edits [s]
+PUBLISHER = "publisher"  # its log
+CALL_TIMEOUT = 120.0  # for one picture [s]
+ASK_AGAIN = 10.0  # after a picture's order should be there: an answer may get lost [s]
+LONGEST_SIDE, MOST_PIXELS = 16384, 1 << 25  # that the renderer draws
+
+
+class RenderError(RuntimeError):
+    """A picture that could not be drawn; the text says why."""
+
+
+def render(
+    publisher: Sequence[str],
+    cameras: list[Camera],
+    *,
+    via: str = "host",
+    order_timeout: float = 10.0,
+    sidecar: str = "",
+    float_blending: bool = False,
+    log_folder: Path = Path("out/log"),
+    on_picture: Callable[[Camera, NDArray[np.float32], RenderView.Response], None],
+) -> None:
+    """Publishes a map, sorts and draws it in processes of their own; hands over each picture.
+
+    publisher: an executable of rosplat_tools and its arguments after --ros-args.
+    via is "host", the embedded renderer, or "rviz", the Display in rviz2. on_picture gets the
+    camera, (height, width, 4) premultiplied RGBA and the rest of the answer. sidecar: the sorter's
+    backend, for a renderer that sorts nothing itself while the sorter does. float_blending: in
+    32-bit instead of 16-bit floats. Raises RenderError, ProcessError.
+    """
+    # Nobody else's publishers, sorters or viewers.
+    namespace = f"/render_{uuid.uuid4().hex[:8]}"
+    remap = ["--ros-args", "-r", f"__ns:={namespace}"]
+    with Processes(log_folder) as processes:
+        processes.node("rosplat_tools", publisher[0], *remap, *publisher[1:], name=PUBLISHER)
+        processes.node("rosplat_sorter", "sorter", *remap, "-p", f"backend:={sidecar or 'auto'}")
+        source = "Sidecar" if sidecar else "Auto"
+        if via == "rviz":
+            start_rviz(processes, f"{namespace}/gaussians", source, float_blending)
+        else:
+            settings = ["-p", "serve:=true", "-p", f"order_source:={source.lower()}"]
+            settings += ["-p", f"float_blending:={float_blending}"]
+            processes.node("rviz_gaussian_plugin", "viewer", *remap, *settings)
+        node = Node("render")
+        try:
+            client = node.create_client(RenderView, f"{namespace}/gaussians/render")
+            _wait_for_service(node, client, processes)
+            _wait_for_map(node, client, cameras[0], processes)
+            for camera in tqdm(cameras, "drawing", unit="picture", disable=None):
+                answer = _call(node, client, camera, order_timeout, processes)
+                pixels = np.frombuffer(answer.color.data, np.float32)
+                on_picture(camera, pixels.reshape(camera.height, camera.width, 4), answer)
+        finally:
+            node.destroy_node()
+        for warning in processes.warnings(PUBLISHER):
+            print(f"render: {warning}", file=sys.stderr)
+
+
+def start_rviz(
+    processes: Processes, topic: str, order_source: str = "Auto", float_blending: bool = False
+) -> None:
+    """Starts rviz2 with a display of the topic; on a screen of its own where there is none."""
+    if not shutil.which("rviz2"):
+        raise RenderError("rviz2 is not installed here: use --via host")
+    config = processes.folder / "render.rviz"
+    config.write_text(
+        RVIZ_CONFIG.format(
+            topic=topic, order_source=order_source, float_blending=str(float_blending).lower()
+        )
+    )
+    command = ["rviz2", "-d", str(config)]
+    if not os.environ.get("DISPLAY"):
+        command = ["xvfb-run", "-a", "-s", "-screen 0 1280x800x24", *command]
+    processes.start("rviz2", command)
+
+
+RVIZ_CONFIG = """\
+Visualization Manager:
+  Displays:
+    - Class: rviz_gaussian_plugin/GaussianMap
+      Name: Gaussian Map
+      Enabled: true
+      Topic: {topic}
+      Order Source: {order_source}
+      Float Blending: {float_blending}
+      Render Service: true
+      Value: true
+  Global Options:
+    Fixed Frame: map
+  Views:
+    Current:
+      Class: rviz_default_plugins/Orbit
+"""
+
+
+def _wait_for_service(node: Node, client: rclpy.client.Client, processes: Processes) -> None:
+    deadline = time.monotonic() + START_TIMEOUT
+    while not client.wait_for_service(0.1):
+        processes.check()
+        if time.monotonic() > deadline:
+            raise RenderError(f"no renderer answers at {client.srv_name}")
+
+
+def _wait_for_map(
+    node: Node, client: rclpy.client.Client, camera: Camera, processes: Processes
+) -> None:
+    """Until the renderer has all of the map, and its last edits."""
+    changed = time.monotonic()
+    revision, complete = -1, False
+    while not complete or time.monotonic() - changed < SETTLED:
+        small = Camera(**(vars(camera) | {"width": 16, "height": 16}))
+        answer = _call(node, client, small, 0.0, processes)
+        complete = answer.map_complete
+        if answer.revision != revision:  # it grows: be patient
+            revision, changed = answer.revision, time.monotonic()
+        if time.monotonic() - changed > START_TIMEOUT:
+            raise RenderError("the map did not arrive: " + processes.last_line(PUBLISHER))
+        time.sleep(0.1)
+
+
+def _call(
+    node: Node,
+    client: rclpy.client.Client,
+    camera: Camera,
+    order_timeout: float,
+    processes: Processes,
+) -> RenderView.Response:
+    request = RenderView.Request(camera=view_camera(camera), order_timeout=order_timeout)
+    futures = [client.call_async(request)]
+    deadline = time.monotonic() + CALL_TIMEOUT
+    ask_again = time.monotonic() + order_timeout + ASK_AGAIN
+    while not any(future.done() for future in futures):
+        rclpy.spin_once(node, timeout_sec=0.1)
+        processes.check()
+        if time.monotonic() > deadline:
+            raise RenderError(f"camera {camera.id}: the renderer has not answered")
+        # A service that began just now may answer before it knows its client.
+        if len(futures) == 1 and time.monotonic() > ask_again:
+            futures.append(client.call_async(request))
+    answer = next(future.result() for future in futures if future.done())
+    if not answer.success:
+        raise RenderError(f"camera {camera.id}: {answer.message}")
+    return answer
+
+
+def check(path: Path, cameras: Sequence[Camera]) -> None:
+    """Raises SceneError for cameras of a file that can't be drawn, or held against their images."""
+    if not cameras:
+        raise SceneError(f"{path}: holds no cameras")
+    first: dict[int, int] = {}
+    for index, camera in enumerate(cameras):
+        where = f"{path}: camera {index}"
+        if first.setdefault(camera.id, index) != index:
+            raise SceneError(f"{where}: id {camera.id} is that of camera {first[camera.id]}")
+        size = f"{camera.width}x{camera.height}"
+        if (
+            max(camera.width, camera.height) > LONGEST_SIDE
+            or camera.width * camera.height > MOST_PIXELS
+        ):
+            raise SceneError(
+                f"{where}: {size}, expected sides of at most {LONGEST_SIDE} "
+                f"and {MOST_PIXELS:,} pixels"
+            )
+        if camera.image:
+            try:
+                height, width = _pixels(path.parent / camera.image).shape[:2]
+            except SceneError as error:
+                raise SceneError(f"{where}: {error}") from error
+            if (width, height) != (camera.width, camera.height):
+                raise SceneError(f"{where}: {camera.image} is {width}x{height}, expected {size}")
+
+
+def read_picture(path: Path) -> NDArray[np.float64]:
+    """(height, width, 3) RGB of a picture file, 8 or 16 bit, scaled to 0..1. Raises SceneError."""
+    pixels = _pixels(path)
+    return pixels[..., ::-1] / np.iinfo(pixels.dtype).max
+
+
+def _pixels(path: Path) -> NDArray[np.unsignedinteger]:
+    try:
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+    except (OSError, ValueError) as error:  # the latter for what can't be a name
+        raise SceneError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
+    pixels = cv2.imdecode(data, flags) if len(data) else None
+    if pixels is None:
+        raise SceneError(f"{path}: not a picture")
+    return pixels
+
+
+def write_picture(path: Path, color: NDArray[np.float32], form: str) -> Path:
+    """Writes premultiplied RGBA over black: png16, png8 or the floats themselves as npy."""
+    if form == "npy":
+        path = path.with_suffix(".npy")
+        np.save(path, color)
+        return path
+    bits = {"png8": np.uint8, "png16": np.uint16}[form]
+    scaled = np.rint(np.clip(color[..., 2::-1], 0, 1) * np.iinfo(bits).max).astype(bits)
+    path = path.with_suffix(".png")
+    if not cv2.imwrite(str(path), scaled):
+        raise SceneError(f"{path}: can't be written")
+    return path
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; 0 if every picture was drawn."""
+    parser = argparse.ArgumentParser(prog="render", description=__doc__)
+    parser.add_argument("scene", help=f"scene: {NAMES}")
+    parser.add_argument(
+        "cameras", type=Path, help="camera file: OpenCV world_to_camera, see README"
+    )
+    parser.add_argument("out", type=Path, help="folder for the pictures and report.json")
+    parser.add_argument("--via", choices=["host", "rviz"], default="host", help="what draws")
+    parser.add_argument(
+        "--format", choices=["png16", "png8", "npy"], default="png16", help="of the pictures"
+    )
+    parser.add_argument(
+        "--order-timeout", type=seconds, default=10.0, metavar="S",
+        help="how long a renderer that doesn't sort itself waits for the sorter before it does [s]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sidecar", choices=sorted(BACKENDS), default="",
+        help="draw the sorter's orders on a graphics card, too, by this backend",
+    )  # fmt: skip
+    parser.add_argument(
+        "--float-blending", action="store_true", help="blend in 32-bit instead of 16-bit floats"
+    )
+    options = parser.parse_args(arguments)
+    rows: list[dict[str, object]] = []
+
+    def keep(camera: Camera, color: NDArray[np.float32], answer: RenderView.Response) -> None:
+        picture = write_picture(options.out / str(camera.id), color, options.format)
+        row: dict[str, object] = {
+            "camera": camera.id,
+            "picture": picture.name,
+            "splats": answer.splats,
+            "order_source": answer.order_source,
+            "sort_ms": answer.sort_time * 1e3,
+            "draw_ms": answer.draw_time * 1e3,
+        }
+        if camera.image:
+            reference = read_picture(options.cameras.parent / camera.image)
+            row |= {"reference": camera.image, **compare(color[..., :3], reference)}
+        rows.append(row)
+
+    try:
+        cameras = load_cameras(options.cameras)
+        check(options.cameras, cameras)
+        check_scene(options.scene)
+        make_folder(options.out)
+        # rclpy's own handlers shut ROS down under code that is just using it.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        render(
+            ("ply_publisher", "-p", f"path:={quoted(options.scene)}"), cameras,
+            via=options.via, order_timeout=options.order_timeout, sidecar=options.sidecar,
+            float_blending=options.float_blending,
+            log_folder=options.out / "log", on_picture=keep,
+        )  # fmt: skip
+    except (RuntimeError, OSError, ValueError) as error:
+        print(f"render: {error}", file=sys.stderr)
+        return 1
+    finally:
+        rclpy.try_shutdown()
+
+    command = shlex.join(["render", *(sys.argv[1:] if arguments is None else arguments)])
+    settings = {
+        "scene": options.scene,
+        "via": options.via,
+        "float_blending": options.float_blending,
+    }
+    write_report(options.out / "report.json", settings | {"command": command}, rows)
+    for row in rows:
+        figures = f"camera {row['camera']}: {row['splats']:,} splats, {row['order_source']}"
+        if "psnr" in row:
+            figures += (
+                f", PSNR {row['psnr']:.2f} dB, SSIM {row['ssim']:.5f}, FLIP {row['flip']:.5f}"
+            )
+        say(figures)
+    say(f"wrote {options.out / 'report.json'}")
+    return 0
+
+
+def write_report(path: Path, settings: dict[str, object], rows: Sequence[dict[str, Any]]) -> None:
+    """Writes what drew under which settings, and a row for each camera, as JSON."""
+    cameras = [
+        row | {"psnr": min(row["psnr"], MOST_PSNR)} if "psnr" in row else row for row in rows
+    ]
+    report = settings | {"machine": machine(), "commit": commit(), "cameras": cameras}
+    write_text(path, json.dumps(report, indent=1, allow_nan=False) + "\n")

@@ -1,0 +1,243 @@
+"""The command on tiny sizes: what it measures is true, what it writes is whole."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rosplat_lab.bench import baselines, frame, rviz, scenes, sort
+from rosplat_lab.bench.command import main
+from rosplat_lab.bench.isolation import isolated
+from rosplat_lab.bench.line import Line, NoLine
+from rosplat_lab.bench.records import Record, load
+from rosplat_sorter.depth import order
+from rosplat_tools.formats import save as save_scene
+from rosplat_tools.generate import generate
+from rosplat_tools.splats import SceneError
+
+
+def bench(out: Path, *arguments: str) -> list[Record]:
+    """What a run of `bench` wrote for its one subject."""
+    assert main([*arguments, "--quick", "--out", str(out)]) == 0
+    return load([out / f"{arguments[0]}.json"])
+
+
+def test_sorting_is_measured_for_every_backend_that_is_here(tmp_path: Path) -> None:
+    records = bench(tmp_path, "sort", "--sizes", "3k", "2k")
+    assert {record.scene for record in records} == {"procedural:2000", "procedural:3000"}
+    methods = {str(record.parameters["method"]) for record in records}
+    assert any(method.startswith("native") for method in methods)
+    assert "shadygm/ROSplat, np.argsort" in methods
+    every = [record for record in records if record.parameters["view"] == "all"]
+    assert all(record.parameters["visible"] == record.splats for record in every)
+    some = [record for record in records if record.parameters["view"] == "inside"]
+    assert all(0 < record.parameters["visible"] < record.splats for record in some)
+    assert all(record.n >= 3 and 0 < record.p50 <= record.p95 for record in records)
+    assert (tmp_path / "sort-host.png").stat().st_size > 10_000
+
+
+def test_a_wrong_order_is_not_timed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    backend = "rosplat_sorter.backends.numpy_backend.NumpyBackend.order"
+    monkeypatch.setattr(backend, lambda self, view, allocate: np.arange(3, dtype=np.uint32))
+    arguments = ["sort", "--sizes", "1k", "--backends", "numpy", "--out", str(tmp_path)]
+    assert main(arguments) == 1
+    assert not (tmp_path / "sort.json").exists()
+
+
+@pytest.mark.parametrize("name", ["shadygm/ROSplat, np.argsort", "np.argsort of depths"])
+def test_baselines_sort_as_we_do_where_all_is_visible(name: str) -> None:
+    splats = generate(2000)
+    (camera,) = scenes.all_of_it(splats, 640, 480, 1)
+    view = sort.view_of(camera, splats)
+    sorted_map = sort.map_of(splats)
+    exact = order(view, sorted_map.positions, sorted_map.extents)
+    theirs = baselines.IN_HOST_MEMORY[name](splats.positions)(view).ravel()
+    depths = splats.positions.astype(np.float64) @ view.rotation[2].astype(np.float64)
+    np.testing.assert_allclose(depths[theirs], depths[exact], atol=1e-5)
+
+
+def test_cameras_of_a_view_turn_by_a_degree() -> None:
+    splats = generate(500)
+    for kind in scenes.VIEWS.values():
+        first, second = kind(splats, 64, 48, 2)
+        cosine = (first.world_to_camera[0, :3] * second.world_to_camera[0, :3]).sum()
+        assert np.degrees(np.arccos(cosine)) == pytest.approx(1, rel=0.01)
+
+
+def test_pictures_are_measured_with_each_kind_of_order(tmp_path: Path) -> None:
+    variants = ["default", "translucent"]
+    records = bench(tmp_path, "frame", "--sizes", "2000", "--variants", *variants)
+    frames = {str(r.parameters["order"]): r for r in records if r.name == "frame"}
+    assert {"given", "sorted in the frame, CPU", "sorted beside it, CPU"} <= frames.keys()
+    assert all(record.parameters["drawn"] == 2000 for record in frames.values())
+    divided = {r.parameters["variant"] for r in records if r.parameters.get("stage") == "divide"}
+    assert divided == {"translucent"}
+    by_name = {record.name: record for record in records}
+    # Position, shape, opacity and 16 harmonics of three colours, and the picture, are somewhere.
+    assert by_name["GPU memory"].value * 1e6 > 2000 * 59 * 4 + 1280 * 720 * 8
+    assert by_name["frame while a map streams in"].n >= 1
+    assert by_name["from the first batch to the picture"].value > 0
+    assert "OpenGL" in records[0].gpu
+
+
+def test_a_picture_is_whole_when_nothing_is_added_and_its_order_knows_all() -> None:
+    frames = [
+        frame.Frame(ended=when, took=0.1, drawn=drawn, fresh=fresh)
+        for when, drawn, fresh in [
+            (1, 100, True), (2, 99, True), (3, 100, False), (4, 100, True), (5, 100, True),
+        ]
+    ]  # fmt: skip
+    assert frame.whole_since(frames) == 4
+    assert frame.whole_since(frames[:3]) == 3
+
+
+def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:
+    records = bench(tmp_path, "chain", "--sizes", "2000", "--backends", "native")
+    by_name = {record.name: record for record in records if record.name != "RAM"}
+    assert by_name["pose to picture"].p50 > by_name["of which sorting"].p50
+    assert by_name["pose to picture"].splats == 2000
+    programs = {r.parameters["process"]: r.value for r in records if r.name == "RAM"}
+    assert programs.keys() == {"publisher", "sorter", "viewer"}
+    assert min(programs.values()) > 20
+
+
+@pytest.mark.parametrize("way", [[], ["--one-process"]])
+def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path, way: list[str]) -> None:
+    records = bench(tmp_path, "growth", "--sizes", "60000", "--backends", "native", *way)
+    programs = {record.parameters["process"] for record in records if record.name == "RAM"}
+    assert programs == ({"all in one"} if way else {"publisher", "sorter", "viewer"})
+    orders = [r.value for r in records if r.name == "frames by the sorter's order"]
+    assert max(orders) > 0
+    rates = [record for record in records if record.name == "frame rate"]
+    sizes = [record.splats for record in rates]
+    assert sizes == sorted(sizes)
+    assert len(sizes) >= 2
+    assert sizes[-1] > 55_000
+    assert {"growth-fps.png", "growth-ram.png", "growth-vram.png"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+
+
+def test_messages_are_measured_in_every_form(tmp_path: Path) -> None:
+    records = bench(tmp_path, "transport", "--sizes", "2000")
+    orders = [record for record in records if record.name == "order"]
+    ways = {record.parameters["way"] for record in orders if record.splats == 2000}
+    assert ways == {"inline", "packed", "shared memory"}
+    batches = {str(r.parameters["way"]).split(":")[0]: r for r in records if r.name == "batch"}
+    assert {"GaussianArray", "PoseArray"} <= batches.keys()
+    assert any(record.name == "publish to visible" for record in records)
+
+
+def test_orders_reach_a_viewer_on_another_machine(tmp_path: Path) -> None:
+    """By DDS alone: the two share neither memory nor anything but a line."""
+    try:
+        with Line("1gbit"):
+            pass
+    except NoLine as error:
+        pytest.skip(str(error))
+    records = bench(tmp_path, "network", "--sizes", "2000")
+    assert {record.parameters["orders"] for record in records} == {"packed"}
+    by_name = {record.name: record for record in records}
+    assert by_name["orders"].splats == 2000
+    assert by_name["bytes of an order"].value * 1e6 == 2000 * 11 / 8
+    # All of it came over the line that was made, and more than that: headers, cameras, DDS's own.
+    seconds = by_name["pose to order"].n / by_name["orders"].value
+    carried = by_name["on the line"].value * 1e6 / 8 * seconds
+    assert carried > by_name["pose to order"].n * 2000 * 11 / 8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["sort", "--sizes", "many"], "'many' is no number of splats"),
+        (["sort", "--sizes", "inf"], "'inf' is no number of splats"),
+        (["sort", "--seconds", "-1"], "--seconds: '-1' is no time"),
+        (["sorting"], "unknown subject 'sorting'"),
+    ],
+)
+def test_what_makes_no_sense_is_said(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert words in capsys.readouterr().err
+
+
+def test_a_scene_that_is_not_there_is_named_before_anything_is_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sort", "--scenes", "no.ply", "--out", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err == "bench: no.ply: No such file or directory\n"
+
+
+def test_a_scene_that_is_none_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tmp_path / "none.ply"
+    scene.write_text("?")
+    assert main(["sort", "--sizes", "500", "--scenes", str(scene), "--out", str(tmp_path)]) == 1
+    assert "none.ply: not a scene" in capsys.readouterr().out.replace("\n", "")
+    assert load([tmp_path / "sort.json"])  # what came before it is kept
+
+
+def test_a_scene_without_a_finite_splat_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    splats = generate(3)
+    splats.positions[:] = np.nan
+    save_scene(tmp_path / "none[0].ply", splats)
+    scene = str(tmp_path / "none[0].ply")
+    assert main(["sort", "--sizes", "500", "--scenes", scene, "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr().out
+    assert f"{scene}: holds no splats" in said  # with its brackets
+    assert "order in host memory [ms]" in said
+
+
+def test_a_file_in_the_place_of_the_folder_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "text.txt"
+    file.touch()
+    assert main(["sort", "--sizes", "500", "--out", str(file)]) == 1
+    assert capsys.readouterr().err == f"bench: {file}: no folder for results: File exists\n"
+
+
+def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rosplat_lab.bench", "sort", "--sizes", "10k", "10M",
+         "--out", str(tmp_path)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "sort.json").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert load([tmp_path / "sort.json"])
+    assert (tmp_path / "sort-host.png").exists()
+
+
+def test_isolated_work_runs_elsewhere_and_its_end_is_told() -> None:
+    (pid,) = isolated(map, eval, ["__import__('os').getpid()"])
+    assert pid != os.getpid()
+    with pytest.raises(RuntimeError, match=r"ValueError: .*'three'"):
+        list(isolated(map, int, ["three"]))
+    with pytest.raises(RuntimeError, match="ended with code 3"):
+        list(isolated(map, os._exit, [3]))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [("a: [", "not YAML"), ("Class: x", "expected a list"), ("- {Class: x}", "Class and Name")],
+)
+def test_a_list_of_displays_is_refused_with_its_file(tmp_path: Path, text: str, why: str) -> None:
+    file = tmp_path / "displays.yaml"
+    file.write_text(text)
+    with pytest.raises(SceneError, match=f"displays.yaml: .*{why}"):
+        rviz.read_displays(file)

@@ -1,0 +1,155 @@
+"""A viewer without rviz2: a node around the renderer that the rviz Display draws with.
+
+With a display it opens a window to orbit in; without one it draws a still and a short orbit. With
+`serve` it draws what others ask for at `gaussians/render` (RenderView) instead, as the rviz Display
+does if told to.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+from PIL import Image as Picture
+from rclpy.executors import ExternalShutdownException
+
+from rosplat_msgs.msg import ViewCamera
+from rosplat_tools.output import say
+from rosplat_tools.running import run, spinning
+from rosplat_tools.view_messages import view_camera
+from rviz_gaussian_plugin.offscreen import ensure_display
+from rviz_gaussian_plugin.viewer.node import QUIET, Viewer
+from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
+
+STILL = (1280, 720)
+ORBIT = (480, 270)
+ORBIT_FRAMES = 36
+BACKGROUND = (0.125, 0.133, 0.149)  # as in the shipped rviz configuration
+
+
+def _framed(viewer: Viewer) -> OrbitCamera:
+    centre, radius = viewer.bounds()
+    up = np.array(viewer.up, np.float64)
+    return OrbitCamera(target=centre, distance=2.5 * radius, up=up)
+
+
+def _wait_for_map(viewer: Viewer) -> None:
+    discovered = time.monotonic() + QUIET
+    while not viewer.complete():
+        if not viewer.context.ok():
+            raise ExternalShutdownException
+        topic = viewer.resolve_topic_name("gaussians")
+        if time.monotonic() > discovered and not viewer.count_publishers(topic):
+            viewer.get_logger().info(f"waiting for a map on {topic}", once=True)
+        time.sleep(0.05)
+
+
+def show_stills(viewer: Viewer, folder: Path) -> None:
+    """Writes demo.png and demo.webp, a turn around the map, and prints the figures of the still."""
+    _wait_for_map(viewer)
+    folder.mkdir(parents=True, exist_ok=True)
+    orbit = _framed(viewer)
+    figures = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", viewer.order_timeout)
+    Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)).save(folder / "demo.png")
+    frames = []
+    for _ in range(ORBIT_FRAMES):
+        viewer.draw_still(view_camera(orbit.camera(*ORBIT)), "orbit", viewer.order_timeout)
+        frames.append(Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)))
+        orbit.turn(2 * math.pi / ORBIT_FRAMES, 0)
+    frames[0].save(
+        folder / "demo.webp",
+        save_all=True,
+        append_images=frames[1:],
+        duration=80,
+        loop=0,
+        quality=60,
+    )
+    say(figures)
+    say(f"wrote {folder / 'demo.png'} and {folder / 'demo.webp'}")
+
+
+def show_window(viewer: Viewer) -> None:
+    """A window: drag orbits, right or middle drag pans, the wheel zooms, R resets, Q ends."""
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    # SDL would show its window through OpenGL, and leave the renderer without its context.
+    os.environ["SDL_FRAMEBUFFER_ACCELERATION"] = "0"
+    try:
+        import pygame
+    except ImportError as error:
+        raise RuntimeError("the window needs pygame: pip install pygame") from error
+
+    pygame.display.init()
+    window = pygame.display.set_mode(viewer.window_size, pygame.RESIZABLE)
+    pygame.display.set_caption(
+        "ROSplat: waiting for a map on " + viewer.resolve_topic_name("gaussians")
+    )
+    orbit, framed, said = _framed(viewer), False, 0.0
+    shown: tuple[object, ...] = ()
+    camera, view_id = ViewCamera(), ""
+    try:
+        while viewer.context.ok():
+            for event in pygame.event.get():
+                if event.type == pygame.QUIT or (
+                    event.type == pygame.KEYDOWN and event.key in (pygame.K_q, pygame.K_ESCAPE)
+                ):
+                    return
+                if event.type == pygame.KEYDOWN and event.key == pygame.K_r:
+                    orbit = _framed(viewer)
+                elif event.type == pygame.MOUSEWHEEL:
+                    orbit.distance *= 0.9**event.y
+                elif event.type == pygame.MOUSEMOTION:
+                    right, down = (part / window.get_height() for part in event.rel)
+                    if event.buttons[0]:
+                        orbit.turn(4 * right, 4 * down)
+                    elif event.buttons[1] or event.buttons[2]:
+                        orbit.pan(right, down)
+            if not framed and viewer.renderer.splats:
+                orbit, framed = _framed(viewer), viewer.complete()
+            width, height = window.get_size()
+            state = (*orbit.target, orbit.distance, orbit.yaw, orbit.pitch, width, height)
+            if state != shown:
+                shown = state
+                camera = view_camera(orbit.camera(width, height))
+                view_id = viewer.look(camera, "window")
+            figures = viewer.draw_frame(view_id, camera)
+            pixels = viewer.renderer.read_color8(BACKGROUND)
+            window.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
+            pygame.display.flip()
+            if time.monotonic() - said > 0.5:
+                said = time.monotonic()
+                pygame.display.set_caption(f"ROSplat: {figures}")
+            time.sleep(0.002)
+    finally:
+        pygame.display.quit()
+    say(figures)
+
+
+def serve(viewer: Viewer) -> None:
+    """Draws pictures for others until it is told to end."""
+    while viewer.context.ok():
+        viewer.serve_request(wait=0.1)
+
+
+def main(_arguments: list[str] | None = None) -> int:
+    """Runs the node with ROS's arguments; the exit code is 1 where it can't draw."""
+    run("viewer", _view)
+    return 0
+
+
+def _view() -> None:
+    has_screen = bool(os.environ.get("DISPLAY"))
+    with ensure_display():
+        viewer = Viewer()
+        try:
+            with spinning(viewer, threads=4):
+                if viewer.serves:
+                    serve(viewer)
+                elif viewer.output or not has_screen:
+                    show_stills(viewer, Path(viewer.output or "out"))
+                else:
+                    show_window(viewer)
+        finally:
+            del viewer.renderer  # while its display is there

@@ -1,0 +1,338 @@
+"""The viewer's node, around the renderer that the rviz Display draws with."""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+import time
+import uuid
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+
+from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_msgs.srv import RenderView
+from rosplat_sorter.map_subscription import MapSubscription
+from rosplat_sorter.qos import ORDER, VIEW
+from rosplat_tools.parameters import declare
+from rosplat_tools.splats import SceneError
+from rviz_gaussian_plugin.offscreen import BatchError, OrderError, OrderSource, Renderer
+from rviz_gaussian_plugin.viewer.orbit import Sample
+
+DISCOVERY = 5.0  # how long stills wait for a sorter to be found [s]
+ASK_AGAIN = 0.25  # how long a still waits for an order before it asks for another [s]
+KEEP_ALIVE = 1.0  # a view goes out at least this often, for sorters that start late [s]
+QUIET = 2.0  # a map that has not grown for so long is taken as complete [s]
+WINDOW = (1280, 720)
+LONGEST_WAIT = 60.0  # for the order of a picture [s]
+ORDER_SOURCES = {name.lower(): source for name, source in OrderSource.__members__.items()}
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a frame was."""
+
+    splats: int
+    drawn: int
+    order_source: str
+    sort_time: float
+    draw_time: float
+    order_age: float
+
+    def __str__(self) -> str:
+        order = f"sorted by {self.order_source} in {self.sort_time * 1e3:.1f} ms"
+        if not self.order_source:
+            order = "not sorted yet"
+        return (
+            f"{self.splats:,} splats, {self.drawn:,} in view | {order} | "
+            f"frame {self.draw_time * 1e3:.1f} ms | order age {self.order_age * 1e3:.0f} ms"
+        )
+
+
+class Viewer(Node):
+    """Feeds the renderer from `gaussians`, asks for orders on `gaussians/view`, takes them.
+
+    Callbacks run in the executor's threads and only hand data over; everything that draws runs in
+    the thread that made the viewer.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("viewer")
+        self.output: str = declare(
+            self, "output", "", "Folder for demo.png and demo.webp; with them the viewer ends."
+        )
+        self.serves: bool = declare(
+            self, "serve", False, "Show nothing, only draw pictures for gaussians/render."
+        )
+        self.up: list[float] = declare(
+            self, "up", [0.0, 0.0, 1.0], "Which way is up in the map's frame, for orbiting."
+        )
+        order_source: str = declare(
+            self, "order_source", "auto", "Whose order is drawn: " + ", ".join(ORDER_SOURCES)
+        )
+        self.order_timeout: float = declare(
+            self,
+            "order_timeout",
+            2.0,
+            "How long a still waits for a sorter's order. [s]",
+            0.0,
+            LONGEST_WAIT,
+        )
+        self.window_size = (
+            declare(self, "width", WINDOW[0], "Width of the window. [px]", 64, 8192),
+            declare(self, "height", WINDOW[1], "Height of the window. [px]", 64, 8192),
+        )
+        float_blending: bool = declare(
+            self, "float_blending", False, "Blend in 32-bit instead of 16-bit floats."
+        )
+        if len(self.up) != 3 or not any(self.up) or not np.isfinite(self.up).all():
+            raise SceneError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
+        if order_source not in ORDER_SOURCES:
+            raise SceneError(
+                f"parameter order_source: expected one of {', '.join(ORDER_SOURCES)}, "
+                f"got '{order_source}'"
+            )
+        self.renderer = Renderer()
+        self.renderer.settings.order = ORDER_SOURCES[order_source]
+        if float_blending:
+            self.renderer.settings.float_blending = True
+        self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
+        self.frame_id = ""
+        self.last_batch = math.inf
+        self._discovered_until = math.inf
+        self._sample = Sample()
+        self._instance = f"viewer_{uuid.uuid4().hex[:8]}"
+        self._sequence = 0
+        self._published = 0.0
+        self._requests: queue.Queue[_Request] = queue.Queue()
+
+        own = MutuallyExclusiveCallbackGroup
+        self._map = MapSubscription(self, self._on_batch, own())
+        topic = self._map.topic
+        self._views = self.create_publisher(ViewCamera, f"{topic}/view", VIEW)
+        self.create_subscription(
+            SplatOrder, f"{topic}/order", self._on_order, ORDER, callback_group=own()
+        )
+        if self.serves:
+            self.create_service(
+                RenderView, f"{topic}/render", self._on_render, callback_group=own()
+            )
+
+    # --- Executor threads -------------------------------------------------------------------------
+
+    def _on_batch(self, message: GaussianArray) -> None:
+        try:
+            report = self.renderer.apply(
+                message.operation, message.first_slot, message.count,
+                _array(message.slots, np.uint32), message.sh_degree, message.antialiased,
+                (message.origin.x, message.origin.y, message.origin.z),
+                _array(message.positions), _array(message.orientations), _array(message.scales),
+                _array(message.opacities), _array(message.sh),
+                message.map_id, message.revision, message.expected_slots, message.encoding,
+                message.snapshot,
+            )  # fmt: skip
+        except BatchError as error:
+            self.get_logger().error(
+                f"{self._map.topic}: a batch is refused: {error}", throttle_duration_sec=5.0
+            )
+            return
+        if report["duplicate"]:
+            return
+        if report["missed"] or report["dropped"]:
+            self.get_logger().warning(
+                f"{self._map.topic}: {report['missed']} batches missing, "
+                f"{report['dropped']} splats with invalid values left out",
+                throttle_duration_sec=5.0,
+            )
+        if message.operation == GaussianArray.REPLACE:
+            self._sample = Sample()
+        origin = np.array([message.origin.x, message.origin.y, message.origin.z])
+        self._sample.add(_array(message.positions).reshape(-1, 3), origin)
+        self.frame_id = message.header.frame_id
+        self.last_batch = time.monotonic()
+
+    def _on_order(self, message: SplatOrder) -> bool:
+        """Whether it is this viewer's, and there to be drawn."""
+        if not message.view_id.startswith(f"{self._instance}/"):
+            return False
+        order = (
+            message.view_id, message.sequence, message.map_id, message.revision,
+            f"sidecar ({message.backend})", message.sort_time,
+        )  # fmt: skip
+        try:
+            if message.encoding == SplatOrder.SLOTS:
+                self.renderer.set_order(*order, _array(message.slots, np.uint32))
+            else:
+                self.renderer.read_order(
+                    *order, message.encoding, message.packed, message.count, message.slot_bits,
+                    message.segment, message.generation,
+                )  # fmt: skip
+        except OrderError as error:
+            self.get_logger().warning(
+                f"{self._map.topic}/order: an order is dropped: {error}",
+                throttle_duration_sec=5.0,
+            )
+            return False
+        return True
+
+    def _on_render(
+        self, request: RenderView.Request, response: RenderView.Response
+    ) -> RenderView.Response:
+        job = _Request(request, response)
+        self._requests.put(job)
+        while not job.done.wait(0.1):
+            if not self.context.ok():
+                response.message = "the viewer ended"
+                break
+        return response
+
+    # --- The drawing thread -----------------------------------------------------------------------
+
+    def complete(self) -> bool:
+        """Whether the map has all that its publisher announced, or has stopped growing."""
+        if not self.renderer.splats or not len(self._sample):
+            return False
+        expected = self.renderer.expected
+        if expected and self.renderer.splats + self.renderer.dropped >= expected:
+            return True
+        return time.monotonic() - self.last_batch > QUIET
+
+    def bounds(self) -> tuple[NDArray[np.float64], float]:
+        """Centre and radius of the map. [m]"""
+        return self._sample.bounds()
+
+    def look(self, camera: ViewCamera, name: str) -> str:
+        """Poses the camera of a view and asks for its order, if wanted; returns the view's id."""
+        view_id = f"{self._instance}/{name}"
+        self._sequence += 1
+        camera.view_id, camera.sequence = view_id, self._sequence
+        position, orientation = camera.pose.position, camera.pose.orientation
+        self.renderer.set_camera(
+            view_id, self._sequence, (position.x, position.y, position.z),
+            (orientation.x, orientation.y, orientation.z, orientation.w), camera.projection,
+            camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height,
+            camera.near_clip, camera.far_clip,
+        )  # fmt: skip
+        self._ask(camera)
+        return view_id
+
+    def _ask(self, camera: ViewCamera) -> None:
+        if not self.renderer.wants_orders():
+            self._published = 0.0  # once one is, it is asked for at once
+            return
+        camera.header.frame_id = self.frame_id
+        camera.header.stamp = self.get_clock().now().to_msg()
+        camera.segment_key = self.renderer.segment_key
+        self._views.publish(camera)
+        self._published = time.monotonic()
+
+    def draw_still(self, camera: ViewCamera, name: str, order_timeout: float) -> Figures:
+        """Draws with the sorter's order, or after order_timeout [s] with one sorted here.
+
+        Where no sorter's order is wanted, the renderer sorts at once.
+        """
+        view_id = self.look(camera, name)
+        deadline = time.monotonic() + order_timeout
+        answered = False
+        while (
+            self.renderer.wants_orders()
+            and not (answered := self.renderer.has_order(view_id))
+            and time.monotonic() < deadline
+        ):
+            if not self.context.ok():
+                raise ExternalShutdownException
+            if not self._views.get_subscription_count():
+                now = time.monotonic()
+                self._discovered_until = min(self._discovered_until, now + DISCOVERY)
+                if now > self._discovered_until:
+                    break
+            # A view or an order may be lost while viewer and sorter get to know each other.
+            if time.monotonic() - self._published > ASK_AGAIN:
+                self.look(camera, name)
+            time.sleep(0.001)
+        return self._figures(self.renderer.draw(view_id, sort_now=not answered))
+
+    def draw_frame(self, view_id: str, camera: ViewCamera) -> Figures:
+        """Draws with the best order there is."""
+        if time.monotonic() - self._published > KEEP_ALIVE:
+            self._ask(camera)
+        return self._figures(self.renderer.draw(view_id))
+
+    def _figures(self, report: dict[str, float | str]) -> Figures:
+        return Figures(
+            splats=self.renderer.splats,
+            drawn=report["splats"],
+            order_source=report["order_source"],
+            sort_time=report["sort_time"],
+            draw_time=report["draw_time"],
+            order_age=report["order_age"],
+        )
+
+    def serve_request(self, wait: float) -> None:
+        """Draws what others ask for next, if they do within `wait`. [s]"""
+        try:
+            job = self._requests.get(timeout=wait)
+        except queue.Empty:
+            return
+        try:
+            self._serve(job.request, job.response)
+        finally:
+            job.done.set()
+
+    def _serve(self, request: RenderView.Request, response: RenderView.Response) -> None:
+        frame = request.camera.header.frame_id
+        stamp = request.camera.header.stamp
+        if frame not in ("", self.frame_id):
+            response.message = (
+                f"camera.header.frame_id is '{frame}', the map is in '{self.frame_id}': "
+                "this viewer knows no transforms"
+            )
+            return
+        try:
+            figures = self.draw_still(
+                request.camera, "render", min(request.order_timeout, LONGEST_WAIT)
+            )
+            response.color = _image(self.renderer.read_color(), "32FC4")
+            response.depth = _image(self.renderer.read_depth(), "32FC1")
+        except (ValueError, RuntimeError, MemoryError) as error:
+            response.message = str(error)
+            return
+        for image in (response.color, response.depth):
+            image.header.frame_id, image.header.stamp = frame or self.frame_id, stamp
+        response.splats = figures.drawn
+        response.order_source = figures.order_source
+        response.sort_time = figures.sort_time
+        response.draw_time = figures.draw_time
+        response.map_id = self.renderer.map_id
+        response.revision = self.renderer.revision
+        response.map_complete = self.complete()
+        response.success = True
+
+
+@dataclass
+class _Request:
+    """A picture that a service call waits for."""
+
+    request: RenderView.Request
+    response: RenderView.Response
+
+    def __post_init__(self) -> None:
+        self.done = threading.Event()
+
+
+def _array(values: object, dtype: type = np.float32) -> NDArray[np.generic]:
+    """A message's array without a copy."""
+    return np.frombuffer(values, dtype=dtype)  # type: ignore[call-overload, no-any-return]
+
+
+def _image(pixels: NDArray[np.float32], encoding: str) -> Image:
+    image = Image(encoding=encoding, height=pixels.shape[0], width=pixels.shape[1])
+    image.step = pixels.nbytes // pixels.shape[0]
+    image.data.frombytes(memoryview(np.ascontiguousarray(pixels)).cast("B"))
+    return image

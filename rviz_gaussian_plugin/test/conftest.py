@@ -1,0 +1,3 @@
+"""What tests share: see rosplat_tools.testing."""
+
+pytest_plugins = ["rosplat_tools.testing"]

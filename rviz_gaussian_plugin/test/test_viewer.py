@@ -1,0 +1,336 @@
+"""The embedded viewer over DDS: what it draws for others, whose order it takes, how it ends."""
+
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from PIL import Image
+from rclpy.node import Node
+
+from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_msgs.srv import RenderView
+from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
+from rosplat_tools.cameras import Camera
+from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.running import spinning
+from rosplat_tools.splats import Splats
+from rosplat_tools.view_messages import view_camera
+
+offscreen = pytest.importorskip(
+    "rviz_gaussian_plugin.offscreen", reason="the renderer is not built: no viewer to test"
+)
+
+Start = Callable[..., subprocess.Popen[str]]
+
+# At the origin, looking along z.
+CAMERA = Camera(0, 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
+RED, GREEN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+
+
+def discs(*colors_and_depths: tuple[tuple[float, float, float], float]) -> Splats:
+    """Opaque balls of 10 cm on the camera's axis."""
+    n = len(colors_and_depths)
+    colors = np.array([color for color, _ in colors_and_depths])
+    positions = np.zeros((n, 3))
+    positions[:, 2] = [depth for _, depth in colors_and_depths]
+    return Splats(
+        positions=positions,
+        orientations=np.tile([0, 0, 0, 1], (n, 1)),
+        scales=np.full((n, 3), 0.1),
+        opacities=np.ones(n),
+        sh=((colors - 0.5) / 0.28209479177387814)[:, None, :],
+    )
+
+
+def draw(listener: Any, camera: Camera = CAMERA, timeout: float = 0.0) -> Any:
+    return listener.call(
+        RenderView, "gaussians/render", camera=view_camera(camera), order_timeout=timeout
+    )
+
+
+def pixels(image: Any) -> np.ndarray:
+    channels = {"32FC4": 4, "32FC1": 1}[image.encoding]
+    assert image.step == image.width * channels * 4
+    shape = (image.height, image.width, channels)
+    return np.frombuffer(image.data, np.float32).reshape(shape).squeeze()
+
+
+def await_map(listener: Any, publisher: MapPublisher) -> None:
+    """Until the viewer has the publisher's last batch."""
+
+    def arrived() -> bool:
+        answer = draw(listener)
+        return bool(answer.revision == publisher.revision and answer.map_id == publisher.map_id)
+
+    listener.wait(arrived)
+
+
+@pytest.fixture
+def viewer(start: Start) -> subprocess.Popen[str]:
+    """On a graphics card, too, it asks for orders."""
+    return start("rviz_gaussian_plugin.viewer", serve="true", order_source="sidecar")
+
+
+def test_a_picture_is_colour_alpha_and_depth(
+    viewer: subprocess.Popen[str], node: Node, listener: Any
+) -> None:
+    publisher = MapPublisher(node)
+    publisher.replace(discs((GREEN, 2.0)))
+    await_map(listener, publisher)
+    answer = draw(listener)
+    assert answer.success
+    assert answer.map_complete
+    assert answer.splats == 1
+    assert answer.order_source
+    color, depth = pixels(answer.color), pixels(answer.depth)
+    assert color.shape == (48, 64, 4)
+    np.testing.assert_allclose(color[24, 32], [0, 0.99, 0, 0.99], atol=0.03)
+    assert depth[24, 32] == pytest.approx(2, rel=1e-3)
+    assert not color[0, 0].any()
+    assert np.isnan(depth[0, 0])
+
+
+def test_a_sorter_s_order_is_taken_but_only_for_this_view_and_map(
+    viewer: subprocess.Popen[str], node: Node, listener: Any
+) -> None:
+    publisher = MapPublisher(node)
+    publisher.replace(discs((RED, 2.0), (GREEN, 3.0)))
+    await_map(listener, publisher)
+    orders = node.create_publisher(SplatOrder, "gaussians/order", ORDER)
+    revision_off = 0
+
+    def sort(view: ViewCamera) -> None:
+        """A sorter that has it backwards, which shows."""
+        order = SplatOrder(
+            header=view.header, view_id=view.view_id, sequence=view.sequence, backend="backwards",
+            map_id=publisher.map_id, revision=publisher.revision - revision_off, sort_time=0.125,
+        )  # fmt: skip
+        order.slots = [0, 1]
+        orders.publish(order)
+
+    node.create_subscription(ViewCamera, "gaussians/view", sort, VIEW)
+    listener.wait(lambda: draw(listener, timeout=0.5).order_source == "sidecar (backwards)")
+    answer = draw(listener, timeout=30.0)
+    assert (answer.order_source, answer.sort_time) == ("sidecar (backwards)", 0.125)
+    assert pixels(answer.color)[24, 32, 1] > 0.9  # green, though red is nearer
+
+    revision_off = 1
+    elsewhere = replace(CAMERA, cx=31.0)  # to the same camera, the last order is an answer still
+    answer = draw(listener, elsewhere, timeout=0.3)
+    assert answer.order_source != "sidecar (backwards)"
+    assert pixels(answer.color)[24, 32, 0] > 0.8
+
+
+def test_edits_show(viewer: subprocess.Popen[str], node: Node, listener: Any) -> None:
+    publisher = MapPublisher(node)
+    publisher.replace(discs((RED, 2.0), (GREEN, 3.0)))
+    publisher.upsert(np.array([7]), discs((GREEN, 1.5)))
+    await_map(listener, publisher)
+    assert pixels(draw(listener).color)[24, 32, 1] > 0.9
+    publisher.delete(np.array([7]))
+    await_map(listener, publisher)
+    assert pixels(draw(listener).color)[24, 32, 0] > 0.9
+
+
+def test_a_publisher_that_doesn_t_latch_is_heard_and_a_broken_batch_survived(
+    viewer: subprocess.Popen[str], node: Node, listener: Any
+) -> None:
+    publisher = node.create_publisher(GaussianArray, "gaussians", MAP_VOLATILE)
+    listener.wait(lambda: publisher.get_subscription_count() >= 1)
+    source = MapPublisher(node, topic="elsewhere")
+    sent: list[GaussianArray] = []
+    source._send = sent.append  # type: ignore[method-assign,assignment]
+    source.replace(discs((RED, 2.0)))
+    broken = GaussianArray(map_id="broken", revision=1, count=1_000_000)
+    publisher.publish(broken)
+    publisher.publish(sent[0])
+    await_map(listener, source)
+    assert pixels(draw(listener).color)[24, 32, 0] > 0.9
+    assert viewer.poll() is None
+
+
+def test_what_can_t_be_drawn_is_answered_with_the_reason(
+    viewer: subprocess.Popen[str], node: Node, listener: Any
+) -> None:
+    publisher = MapPublisher(node)
+    publisher.replace(discs((RED, 2.0)))
+    await_map(listener, publisher)
+    camera = view_camera(CAMERA)
+    camera.header.frame_id = "moon"
+    answer = listener.call(RenderView, "gaussians/render", camera=camera)
+    assert not answer.success
+    assert "moon" in answer.message
+    for field, value in (
+        ("width", 0),
+        ("width", 2**32 - 1),
+        ("height", 2**32 - 1),
+        ("projection", 9),
+        ("fx", float("nan")),
+        ("near_clip", -1.0),
+    ):
+        camera = view_camera(CAMERA)
+        setattr(camera, field, value)
+        answer = listener.call(RenderView, "gaussians/render", camera=camera)
+        assert not answer.success
+        assert field in answer.message
+    assert draw(listener).success
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_quietly_in_the_middle_of_a_request(
+    start: Start, listener: Any, node: Node, number: signal.Signals
+) -> None:
+    process = start("rviz_gaussian_plugin.viewer", serve="true", order_source="sidecar")
+    pending = listener.request(
+        RenderView, "gaussians/render", camera=view_camera(CAMERA), order_timeout=60.0
+    )
+    listener.wait(lambda: node.count_publishers("gaussians/view"))
+    process.send_signal(number)
+    output, _ = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert "Error" not in output
+    assert "exception" not in output
+    del pending
+
+
+def test_without_a_display_it_draws_a_still_and_a_turn(
+    start: Start, node: Node, listener: Any, tmp_path: Path, random_splats: Callable[..., Splats]
+) -> None:
+    process = start("rviz_gaussian_plugin.viewer", output=tmp_path / "out", order_timeout=0.0)
+    assert process.stdout
+    said = next(line for line in process.stdout if "waiting" in line)
+    assert f"waiting for a map on {node.resolve_topic_name('gaussians')}" in said
+    publisher = MapPublisher(node)
+    publisher.replace(random_splats(500, 1))
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert "500 splats" in output
+    still = Image.open(tmp_path / "out" / "demo.png")
+    assert still.size == (1280, 720)
+    assert np.asarray(still).std() > 5
+    turn = Image.open(tmp_path / "out" / "demo.webp")
+    assert getattr(turn, "n_frames", 1) > 10
+
+
+def project(camera: Camera, point: np.ndarray) -> np.ndarray:
+    x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
+    return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (1, 2, -3)])
+def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
+    from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
+
+    target = np.array([1.0, -2.0, 3.0])
+    orbit = OrbitCamera(target, distance=4.0, up=np.array(up, float))
+    middle = [160, 120]
+    camera = orbit.camera(320, 240)
+    np.testing.assert_allclose(project(camera, target), middle, atol=1e-6)
+    assert np.linalg.norm(camera.position - target) == pytest.approx(4)
+    assert project(camera, target + 0.1 * np.array(up))[1] < 120  # up is up
+
+    nearer = target + 0.2 * (camera.position - target)
+    orbit.turn(0.2, 0)
+    assert project(orbit.camera(320, 240), nearer)[0] > 165
+    orbit.turn(-0.2, 0.2)
+    assert project(orbit.camera(320, 240), nearer)[1] > 125
+    orbit.turn(0, 10)  # as far as it goes
+    np.testing.assert_allclose(project(orbit.camera(320, 240), target), middle, atol=1e-6)
+
+    orbit = OrbitCamera(target, distance=4.0, up=np.array(up, float))
+    orbit.pan(0.25, -0.125)
+    np.testing.assert_allclose(
+        project(orbit.camera(320, 240), target), [160 + 60, 120 - 30], atol=1e-6
+    )
+
+
+def test_a_map_that_grows_for_hours_is_framed_by_a_bounded_sample() -> None:
+    from rviz_gaussian_plugin.viewer.orbit import Sample
+
+    sample = Sample()
+    assert sample.bounds()[1] == 1
+    rng = np.random.default_rng(0)
+    origin = np.array([4.5e6, 0, 0])
+    for _ in range(3000):
+        positions = rng.uniform(-1, 1, (1000, 3)).astype(np.float32)
+        positions[0] = np.nan
+        sample.add(positions, origin)
+    assert len(sample) < 250_000
+    centre, radius = sample.bounds()
+    np.testing.assert_allclose(centre, origin, atol=0.02)
+    assert radius == pytest.approx(0.98 * 3**0.5, rel=0.02)
+
+
+@pytest.fixture
+def display(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    with offscreen.ensure_display() as name:
+        monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
+        yield name
+
+
+def test_with_a_display_a_window_asks_for_its_view(
+    display: str, start: Start, node: Node, listener: Any
+) -> None:
+    pytest.importorskip("pygame")
+    publisher = MapPublisher(node)
+    publisher.replace(discs((RED, 2.0)))
+    views: list[ViewCamera] = []
+    node.create_subscription(ViewCamera, "gaussians/view", views.append, VIEW)
+    process = start("rviz_gaussian_plugin.viewer", width=320, height=240, order_source="sidecar")
+    listener.wait(lambda: views and views[-1].header.frame_id == "map")
+    assert (views[-1].width, views[-1].height) == (320, 240)
+    services = [name for name, _ in node.get_service_names_and_types()]
+    assert f"{node.get_namespace()}/gaussians/render" not in services  # it wasn't told to serve
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert "Traceback" not in output
+
+
+def test_a_renderer_that_sorts_itself_asks_no_sorter(
+    display: str, node: Node, listener: Any
+) -> None:
+    from rviz_gaussian_plugin.viewer.node import ORDER_SOURCES, Viewer
+
+    views: list[ViewCamera] = []
+    node.create_subscription(ViewCamera, "gaussians/view", views.append, VIEW)
+    publisher = MapPublisher(node)
+    publisher.replace(discs((RED, 2.0)))
+    namespace = f"__ns:={node.get_namespace()}"
+    rclpy.init(args=["--ros-args", "-r", namespace, "-p", "order_source:=gpu"])
+    viewer = Viewer()
+    try:
+        with spinning(viewer, threads=4):
+            listener.wait(lambda: viewer.complete() and viewer.count_subscribers("gaussians/view"))
+            camera = view_camera(CAMERA)
+            # Longer than any test waits for something.
+            assert viewer.draw_still(camera, "still", order_timeout=1e6).order_source == "gpu"
+            view_id = viewer.look(camera, "window")
+            assert viewer.draw_frame(view_id, camera).order_source == "gpu"
+            viewer.renderer.settings.order = ORDER_SOURCES["sidecar"]
+            viewer.draw_frame(view_id, camera)
+            listener.wait(lambda: views)
+            assert [view.view_id for view in views] == [view_id]  # and before it none
+    finally:
+        del viewer.renderer
+        rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("up", [0.0, 0.0, 0.0]), ("up", [float("nan"), 0.0, 1.0]), ("order_source", "nobody")],
+)
+def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
+    start: Start, name: str, value: object
+) -> None:
+    process = start("rviz_gaussian_plugin.viewer", **{name: value})
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert len(output.strip().splitlines()) == 1
+    assert name in output

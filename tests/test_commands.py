@@ -1,0 +1,24 @@
+"""Every command is a module, too: what runs where no `ros2 run` is."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_prefix
+
+COMMANDS = [
+    (package, path)
+    for package in ("rosplat_tools", "rviz_gaussian_plugin", "rosplat_lab")
+    for path in sorted((Path(get_package_prefix(package)) / "lib" / package).iterdir())
+    if path.read_bytes().startswith(b"#!")
+]
+
+
+@pytest.mark.parametrize(("package", "path"), COMMANDS, ids=[path.name for _, path in COMMANDS])
+def test_it_runs_either_way(package: str, path: Path) -> None:
+    for command in ([str(path)], [sys.executable, "-m", f"{package}.{path.name}"]):
+        helped = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True)
+        assert helped.stdout.startswith(f"usage: {path.name} ")

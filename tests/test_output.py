@@ -1,0 +1,34 @@
+"""Commands whose output is a pipe that closes, as `head` closes it, end quietly."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rosplat_lab.bench.records import Circumstances, Measurement, Record, save
+
+HERE = Circumstances("a box", "a card", "1.2", "abc", "bench sort", "2026-01-01T00:00:00Z", 0.5)
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["rosplat_tools.inspect procedural:10", "rosplat_tools.generate made.ply --count 9",
+     "rosplat_lab.bench tables records.json", "rosplat_lab.bench charts records.json"],
+)  # fmt: skip
+def test_nothing_is_said_where_nobody_reads(command: str, tmp_path: Path) -> None:
+    times = Measurement.of(
+        "order in host memory", "ms", 3.0, "garden", 9, method="numpy", view="all"
+    )
+    save(tmp_path / "records.json", [Record.of("sort", times, HERE)])
+    reading, writing = os.pipe()
+    os.close(reading)
+    ended = subprocess.run(
+        [sys.executable, "-m", *command.split()],
+        stdout=writing, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=False,
+    )  # fmt: skip
+    os.close(writing)
+    assert (ended.stderr, ended.returncode) == ("", 1)
