@@ -274,10 +274,10 @@ def test_a_higher_degree_joins_a_plain_map(host: Host) -> None:
 def test_zero_bands_cost_no_memory(host: Host) -> None:
     host.show(cloud(1000, degree=0))
     host.draw(CAMERAS["outside"])
-    assert host.renderer.draw("test")["map_bytes"] == 65536 * 36
+    assert host.renderer.draw("test")["map_bytes"] == 1024 * 36
     host.show(cloud(1000, degree=3))
     host.draw(CAMERAS["outside"])
-    assert host.renderer.draw("test")["map_bytes"] == 65536 * 96
+    assert host.renderer.draw("test")["map_bytes"] == 1024 * 96
 
 
 def test_the_order_given_is_the_order_drawn(host: Host) -> None:

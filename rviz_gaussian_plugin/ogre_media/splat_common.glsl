@@ -18,7 +18,8 @@ uint workGroup() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID
 uint invocation() { return workGroup() * 256u + gl_LocalInvocationIndex; }
 #endif
 
-const uint kBlock = 4096u;  // values that a work group sums up or sorts
+const uint kBlock = 4096u;     // values that a work group sums up or sorts
+const uint kPageSlots = 1024u;  // as in slot_pages.hpp
 
 // A number that the CPU does not wait for, with the work that it makes; tally.hpp has the same.
 struct Tally {

@@ -1,9 +1,8 @@
-// Marks the slots of one page that the picture may show: the sorters' test (rosplat_sorter/depth.py
+// Marks the slots of some pages that the picture may show: the sorters' test (rosplat_sorter/depth.py
 // derives it), operation by operation, so that all of them find the same.
 
 layout(local_size_x = 256) in;
 
-uniform uint first_slot;  // of this page
 uniform mat3 rotation;    // map -> camera: x right, y down, z forward
 uniform vec3 translation;
 uniform vec2 focal, offset, half_size, slope;
@@ -30,13 +29,14 @@ bool mayBeSeen(uint slot) {
 }
 
 void main() {
-  uint local = gl_LocalInvocationIndex, slot = invocation();
+  Page page = groupPage();
+  uint local = gl_LocalInvocationIndex, slot = kPageSlots * page.page + slotInPage();
   if (local < 8u) words[local] = 0u;
   barrier();
-  if (slot < slot_count && mayBeSeen(slot)) atomicOr(words[local >> 5], 1u << (local & 31u));
+  if (mayBeSeen(slot)) atomicOr(words[local >> 5], 1u << (local & 31u));
   barrier();
-  uint word = (first_slot >> 5) + 8u * workGroup() + local;
-  if (local < 8u && word < uint(visible.length())) {
+  if (local < 8u) {
+    uint word = (kPageSlots * page.number + slotInPage() - local) / 32u + local;
     visible[word] = words[local];
     before[word] = uint(bitCount(words[local]));
   }

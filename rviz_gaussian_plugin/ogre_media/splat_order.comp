@@ -3,6 +3,7 @@
 layout(local_size_x = 256) in;
 layout(std430, binding = 7) readonly buffer Order { uint order[]; };
 layout(std430, binding = 8) writeonly buffer Drawn { uint drawn[]; };
+layout(std430, binding = 9) readonly buffer Numbers { uint numbers[]; };  // of pages, or kNone
 
 uniform uint count;     // of the order
 uniform uint capacity;  // slots of the map as it is uploaded; an order may know more
@@ -11,7 +12,10 @@ uniform uint room;      // for visible splats
 void main() {
   uint i = invocation();
   if (i >= count) return;
-  uint slot = order[i];
-  uint index = slot < capacity && isVisible(slot) ? visibleIndex(slot) : kNone;
+  uint slot = order[i], page = slot < capacity ? numbers[slot / kPageSlots] : kNone, index = kNone;
+  if (page != kNone) {
+    uint number = kPageSlots * page + slot % kPageSlots;
+    if (isVisible(number)) index = visibleIndex(number);
+  }
   drawn[count - 1u - i] = index < room ? index : kNone;
 }

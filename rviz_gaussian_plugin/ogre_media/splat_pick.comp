@@ -7,6 +7,7 @@ layout(std430, binding = 4) readonly buffer Splats { uint splat_of[]; };  // nea
 layout(std430, binding = 7) writeonly buffer Picked { uint picked[]; };   // slot, or kNone
 layout(std430, binding = 8) readonly buffer Length { Tally drawn_tally; };
 layout(std430, binding = 9) readonly buffer Begins { uint begins[]; };
+layout(std430, binding = 10) readonly buffer FirstSlots { uint first_slots[]; };  // of pages
 layout(binding = 0) uniform sampler2D scene_depth;
 
 uniform bool listed;     // the splats are listed by tiles; else they are all that is drawn
@@ -78,5 +79,8 @@ void main() {
     }
     barrier();
   }
-  if (inside && winner != kNone) picked[texel.y * picture.x + texel.x] = visibleSlot(winner, words);
+  if (inside && winner != kNone) {
+    uint number = visibleNumber(winner, words);
+    picked[texel.y * picture.x + texel.x] = first_slots[number / kPageSlots] + number % kPageSlots;
+  }
 }

@@ -1,4 +1,4 @@
-// Projects the visible splats of one page: 3D Gaussian -> ellipse in the picture, spherical
+// Projects the visible splats of some pages: 3D Gaussian -> ellipse in the picture, spherical
 // harmonics -> colour. EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023.
 
 layout(local_size_x = 256) in;
@@ -12,7 +12,6 @@ layout(std430, binding = 10) writeonly buffer Keys { uint keys[]; };
 layout(std430, binding = 12) writeonly buffer Boxes { uint boxes[]; };  // boxOf() the splats
 layout(std430, binding = 11) buffer DepthRange { uint nearest, farthest; };  // keys drawn
 
-uniform uint first_slot;  // of this page
 uniform mat3 rotation;    // map -> camera: x right, y down, z forward
 uniform vec3 translation;
 uniform vec3 eye;  // the camera in the map's frame; orthographic: its forward direction
@@ -164,12 +163,12 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   return e;
 }
 
-// The key of a slot's depth, if it is drawn.
-uint projected(uint slot) {
+// The key of a slot's depth, if it is drawn. number: among those of all pages that are kept.
+uint projected(uint slot, uint number) {
   vec3 mean = slotPosition(slot);
   precise vec3 p = ((rotation[0] * mean.x + rotation[1] * mean.y) + rotation[2] * mean.z) + translation;
   Ellipse e = project(slot, mean, p);
-  uint index = visibleIndex(first_slot + slot);
+  uint index = visibleIndex(number);
   if (index >= room) return kNone;
   keep(index, packEllipse(e));
   boxes[index] = e.opacity > 0.0 ? boxOf(outlineOf(e)) : 0u;
@@ -179,13 +178,15 @@ uint projected(uint slot) {
 }
 
 void main() {
-  uint slot = invocation(), key = kNone;
+  Page page = groupPage();
+  uint slot = kPageSlots * page.page + slotInPage(), key = kNone;
+  uint number = kPageSlots * page.number + slotInPage();
   if (gl_LocalInvocationIndex == 0u) {
     group_nearest = kNone;
     group_farthest = 0u;
   }
   barrier();
-  if (slot < slot_count && isVisible(first_slot + slot)) key = projected(slot);
+  if (isVisible(number)) key = projected(slot, number);
   if (key != kNone) {
     atomicMin(group_nearest, key);
     atomicMax(group_farthest, key);

@@ -1,7 +1,5 @@
-// The slots of one page, as packed_slot.hpp lays them out.
+// The slots of an arena, as packed_slot.hpp lays them out.
 layout(std430, binding = 4) readonly buffer Slots { uint slots[]; };
-
-uniform uint slot_count;  // in this page
 
 vec3 slotPosition(uint slot) {
   uint i = 9u * slot;

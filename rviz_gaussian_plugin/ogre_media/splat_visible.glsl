@@ -1,16 +1,17 @@
-// Which slots may be seen: a bit for each, 32 in a word, and how many are set before a word. What is
-// kept of the visible slots lies in their order, without gaps.
+// Which slots may be seen, of the pages that are kept and as page_table.hpp numbers them: a bit for
+// each, 32 in a word, and how many are set before a word. What is kept of the visible slots lies in
+// their order, without gaps.
 layout(std430, binding = 5) buffer Visible { uint visible[]; };
 layout(std430, binding = 6) buffer Before { uint before[]; };
 
-bool isVisible(uint slot) { return (visible[slot >> 5] & (1u << (slot & 31u))) != 0u; }
+bool isVisible(uint number) { return (visible[number >> 5] & (1u << (number & 31u))) != 0u; }
 
-uint visibleIndex(uint slot) {
-  return before[slot >> 5] + uint(bitCount(visible[slot >> 5] & ((1u << (slot & 31u)) - 1u)));
+uint visibleIndex(uint number) {
+  return before[number >> 5] + uint(bitCount(visible[number >> 5] & ((1u << (number & 31u)) - 1u)));
 }
 
-// The slot of an index; words: of `visible`.
-uint visibleSlot(uint index, uint words) {
+// The number of an index; words: of `visible`.
+uint visibleNumber(uint index, uint words) {
   uint low = 0u, high = words;  // the last word with no more than `index` bits before it
   while (high - low > 1u) {
     uint middle = (low + high) / 2u;

@@ -108,31 +108,50 @@ float windowDepth(double z) {
   return static_cast<float>(0.5 + 0.5 * (camera().ndc_scale + camera().ndc_offset / z));
 }
 
-// Many coloured splats 5 to 15 m away, in no order.
-void fill(SplatScene& scene) {
+// Many coloured splats 5 to 15 m away: the values of a map's slots.
+struct Splats {
   std::vector<float> positions, orientations, scales, opacities, sh;
-  for (std::uint32_t i = 0; i < kSplats; ++i) {
-    const auto part = [i](double step) { return static_cast<float>(std::fmod(step * i, 1.0)); };
-    const float z = 5 + 10 * part(0.6180339887);
-    positions.insert(positions.end(), {0.8f * z * (part(0.7548776662) - 0.5f),
-                                       0.8f * z * (part(0.5698402909) - 0.5f), z});
+
+  std::uint32_t count() const { return static_cast<std::uint32_t>(opacities.size()); }
+
+  void add(const std::array<float, 3>& position, const std::array<float, 3>& colour) {
+    positions.insert(positions.end(), position.begin(), position.end());
     orientations.insert(orientations.end(), {0, 0, 0, 1});
     scales.insert(scales.end(), 3, 0.3f);
     opacities.push_back(0.6f);
-    sh.insert(sh.end(),
-              {4 * part(0.8191725134) - 2, 4 * part(0.6710436067) - 2, 4 * part(0.5497004779) - 2});
+    sh.insert(sh.end(), colour.begin(), colour.end());
   }
-  GaussianBatch batch;
-  batch.map_id = "map";
-  batch.revision = 1;
-  batch.count = kSplats;
-  batch.positions = {positions.data(), positions.size()};
-  batch.orientations = {orientations.data(), orientations.size()};
-  batch.scales = {scales.data(), scales.size()};
-  batch.opacities = {opacities.data(), opacities.size()};
-  batch.sh = {sh.data(), sh.size()};
-  scene.apply(batch);
+
+  GaussianBatch batch(std::uint64_t revision, const std::vector<std::uint32_t>& slots) const {
+    GaussianBatch batch;
+    batch.map_id = "map";
+    batch.revision = revision;
+    batch.operation = revision == 1 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
+    batch.count = count();
+    batch.slots = {slots.data(), slots.size()};
+    batch.positions = {positions.data(), positions.size()};
+    batch.orientations = {orientations.data(), orientations.size()};
+    batch.scales = {scales.data(), scales.size()};
+    batch.opacities = {opacities.data(), opacities.size()};
+    batch.sh = {sh.data(), sh.size()};
+    return batch;
+  }
+};
+
+// In no order.
+Splats manySplats() {
+  Splats splats;
+  for (std::uint32_t i = 0; i < kSplats; ++i) {
+    const auto part = [i](double step) { return static_cast<float>(std::fmod(step * i, 1.0)); };
+    const float z = 5 + 10 * part(0.6180339887);
+    splats.add(
+        {0.8f * z * (part(0.7548776662) - 0.5f), 0.8f * z * (part(0.5698402909) - 0.5f), z},
+        {4 * part(0.8191725134) - 2, 4 * part(0.6710436067) - 2, 4 * part(0.5497004779) - 2});
+  }
+  return splats;
 }
+
+void fill(SplatScene& scene) { scene.apply(manySplats().batch(1, {})); }
 
 std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, OrderSource order,
                            Canvas canvas = Canvas::kNone) {
@@ -464,6 +483,99 @@ TEST_F(SplatRendererTest, ListsNotInVainWhatWasTooMuch) {
   const auto picks = picked(scene);
   EXPECT_EQ(picked(scene), picks);
   EXPECT_EQ(stages(0), "quads: list project quads sort");
+}
+
+// Wherever slots are, and in whatever order they come: pages are found and numbered.
+TEST_F(SplatRendererTest, DrawsTheSameFromSparseSlotsThatComeBackwards) {
+  SplatScene dense(shaders());
+  fill(dense);
+  SplatScene sparse(shaders());
+  const Splats all = manySplats();
+  constexpr std::uint32_t kBatch = 500, kApart = 300;
+  std::uint64_t revision = 0;
+  for (std::uint32_t end = kSplats; end > 0; end -= kBatch) {
+    Splats some;
+    std::vector<std::uint32_t> slots;
+    for (std::uint32_t i = end - kBatch; i < end; ++i) {
+      some.add({all.positions[3 * i], all.positions[3 * i + 1], all.positions[3 * i + 2]},
+               {all.sh[3 * i], all.sh[3 * i + 1], all.sh[3 * i + 2]});
+      slots.push_back(kApart * i);
+    }
+    sparse.apply(some.batch(++revision, slots));
+  }
+  for (const OrderSource order : {OrderSource::kBuiltIn, OrderSource::kGpu}) {
+    for (const Rasterizer rasterizer : {Rasterizer::kQuads, Rasterizer::kTiles}) {
+      EXPECT_EQ(picture(sparse, rasterizer, order), picture(dense, rasterizer, order));
+    }
+  }
+  std::vector<std::uint32_t> picks = picked(dense);
+  for (std::uint32_t& slot : picks) slot *= slot == kNoSlot ? 1 : kApart;
+  EXPECT_EQ(picked(sparse), picks);
+  const auto values = sparse.readSlots({kApart * 7, 1, kApart * 4999});
+  EXPECT_FLOAT_EQ(float(values[0].position[0]), all.positions[3 * 7]);
+  EXPECT_EQ(values[1].opacity, 0);
+  EXPECT_FLOAT_EQ(float(values[2].position[2]), all.positions[3 * 4999 + 2]);
+}
+
+TEST_F(SplatRendererTest, LosesNothingWithThePagesThatAreOutsideOfThePicture) {
+  Splats splats;
+  std::vector<std::array<float, 2>> places;  // by which they are in order: pages lie side by side
+  for (int i = 0; i < 20 * 1024; ++i) {
+    const auto part = [i](double step) { return static_cast<float>(std::fmod(step * i, 1.0)); };
+    places.push_back({40 * part(0.7548776662) - 20, 20 * part(0.5698402909) - 10});
+  }
+  std::sort(places.begin(), places.end());
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    splats.add({places[i][0], places[i][1], 10}, {float(i % 3) - 1, float(i % 5) - 2, 0.5f});
+  }
+  SplatScene culled(shaders()), whole(shaders());
+  culled.apply(splats.batch(1, {}));
+  whole.apply(splats.batch(1, {}));
+  // What was ever in a page widens its bounds: none is left out.
+  Splats wide;
+  std::vector<std::uint32_t> slots;
+  for (std::uint32_t page = 0; page < 20; ++page) {
+    for (const float far : {-1000.0f, 1000.0f}) {
+      wide.add({far, far, far}, {});
+      slots.push_back(1024 * page + (far > 0));
+    }
+  }
+  whole.apply(wide.batch(2, slots));
+  whole.apply(splats.batch(3, {}));
+  for (const Rasterizer rasterizer : {Rasterizer::kQuads, Rasterizer::kTiles}) {
+    const auto expected = picture(whole, rasterizer, OrderSource::kGpu);
+    EXPECT_EQ(picture(culled, rasterizer, OrderSource::kGpu), expected);
+    EXPECT_EQ(picture(culled, rasterizer, OrderSource::kBuiltIn),
+              picture(whole, rasterizer, OrderSource::kBuiltIn));
+  }
+  EXPECT_EQ(culled.report("view").splats, whole.report("view").splats);
+}
+
+TEST_F(SplatRendererTest, NeedsMemoryForThePagesOfSlotsAlone) {
+  constexpr std::size_t kPageBytes = 36 * 1024;
+  SplatScene scene(shaders());
+  Splats one;
+  one.add({0, 0, 10}, {1, 1, 1});
+  scene.apply(one.batch(1, {1u << 24}));
+  picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  EXPECT_EQ(scene.mapBytes(), kPageBytes);
+  EXPECT_LT(scene.gpuBytes(), std::size_t{1} << 20);
+  Splats many;
+  std::vector<std::uint32_t> slots;
+  for (std::uint32_t keyframe = 0; keyframe < 32; ++keyframe) {
+    many.add({0, 0, 10}, {1, 1, 1});
+    slots.push_back(keyframe << 16 | 5);
+  }
+  scene.apply(many.batch(2, slots));
+  picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  EXPECT_EQ(scene.report("view").splats, 33u);
+  EXPECT_LE(scene.mapBytes(), 33 * kPageBytes * 5 / 4);
+  const std::vector<std::uint32_t> first{0};
+  GaussianBatch cleared = one.batch(3, first);
+  cleared.operation = GaussianBatch::REPLACE;
+  scene.apply(cleared);
+  picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  EXPECT_EQ(scene.mapBytes(), kPageBytes);
 }
 
 // A depth is copied only to its own format.

@@ -130,7 +130,7 @@ bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
   // What is still to come will be as visible as what is there; but not all comes that is announced.
   const double growth =
       std::clamp(double(map.expected) / std::max(1u, store_.capacity()), 1.0, 4.0);
-  const std::size_t most = std::max(store_.capacity(), std::min(map.expected, kMaxSlots));
+  const std::size_t most = std::max<std::size_t>(store_.slots(), std::min(map.expected, kMaxSlots));
   bool enough = splats_.checkRoom(most, growth);
   if (in_tiles) {
     const std::size_t pairs = tallies_.wait(Tallies::kPairs, Tally::kWanted);

@@ -8,7 +8,7 @@
 namespace rosplat::gl {
 
 namespace {
-constexpr GLint kStorageBindings = 13, kImageUnits = 3;  // that shaders use
+constexpr GLint kStorageBindings = 14, kImageUnits = 3;  // that shaders use
 }
 
 Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
@@ -53,6 +53,19 @@ void Buffer::reserve(std::size_t bytes) {
 void Buffer::zero() {
   glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
   glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
+}
+
+void Buffer::copy(const Buffer& from) {
+  glBindBuffer(GL_COPY_READ_BUFFER, from.id_);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, 0, 0,
+                      static_cast<GLsizeiptr>(from.bytes_));
+}
+
+std::size_t largestStorageBuffer() {
+  GLint64 bytes = 0;
+  glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &bytes);
+  return static_cast<std::size_t>(bytes);
 }
 
 void Slice::write(const void* data) const {

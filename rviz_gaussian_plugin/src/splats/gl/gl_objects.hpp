@@ -34,8 +34,16 @@ class Buffer {
   // Waits for the graphics card.
   void read(std::size_t offset, void* data, std::size_t bytes) const;
   void zero();
+  // Begins with all that is in another, which is no larger.
+  void copy(const Buffer& from);
   // Makes room for so many bytes; what was in it is lost if it grows.
   void reserve(std::size_t bytes);
+  // Makes room for all of these, and begins with them.
+  template <typename Value>
+  void upload(const std::vector<Value>& values) {
+    reserve(values.size() * sizeof(Value));
+    write(0, values.data(), values.size() * sizeof(Value));
+  }
   void bind(GLuint storage_binding) const {
     glBindBufferBase(GL_SHADER_STORAGE_BUFFER, storage_binding, id_);
   }
@@ -44,6 +52,9 @@ class Buffer {
   GLuint id_ = 0;
   std::size_t bytes_ = 0;
 };
+
+// The largest buffer that a shader can read. [bytes]
+std::size_t largestStorageBuffer();
 
 // A part of a buffer for a shader to bind.
 struct Slice {

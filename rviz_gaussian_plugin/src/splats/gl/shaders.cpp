@@ -27,9 +27,7 @@ bool hasSubgroupsOf32() {
 }  // namespace
 
 Shaders::Shaders(ShaderSource source) : source_(std::move(source)), subgroups_(hasSubgroupsOf32()) {
-  GLint64 largest = 0;
-  glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &largest);
-  part_size_ = std::min<std::size_t>(static_cast<std::size_t>(largest) / kEllipseBytes, kMaxSlots);
+  part_size_ = std::min<std::size_t>(gl::largestStorageBuffer() / kEllipseBytes, kMaxSlots);
   parts_ = part_size_ >= kMaxSlots ? 1 : kEllipseParts;
 }
 

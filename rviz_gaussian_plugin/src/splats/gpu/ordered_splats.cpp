@@ -44,7 +44,7 @@ bool OrderedSplats::prepare(const SlotStore& store, const SplatCamera& camera, c
   if (answers(camera, map, settings)) return false;
   prepared_ = {camera, settings, map.origin, map.antialiased};
   forget();
-  projection_.reserve(std::min<std::size_t>(store.capacity(), kLeastRoom));
+  projection_.reserve(std::min(store.slots(), kLeastRoom));
   sort_.reserve(projection_.room());
   projection_.run(store, camera, map, settings, now, sort_.keys());
   stopwatch.lap("project");
@@ -53,18 +53,21 @@ bool OrderedSplats::prepare(const SlotStore& store, const SplatCamera& camera, c
   return true;
 }
 
-void OrderedSplats::putInOrder(std::size_t capacity) {
+void OrderedSplats::putInOrder(std::uint32_t capacity) {
   drawn_.reserve(std::max(projection_.room(), order_.given ? order_.count : 0) * sizeof(GLuint));
   if (!order_.given) {
     sort_.order(projection_.visible(), projection_.depthRange(), key_bits_, drawn_);
     return;
   }
+  if (order_.count == 0) return;
   order_program_.use();
   projection_.bindVisible();
+  page_numbers_.upload(projection_.pages().numbers(capacity));
+  page_numbers_.bind(9);
   order_.slots.bind(7);
   drawn_.bind(8);
   order_program_.set("count", static_cast<GLuint>(order_.count));
-  order_program_.set("capacity", static_cast<GLuint>(capacity));
+  order_program_.set("capacity", capacity);
   order_program_.set("room", static_cast<GLuint>(projection_.room()));
   gl::dispatchInvocations(order_.count);
   gl::storageBarrier();
@@ -94,7 +97,7 @@ bool OrderedSplats::checkRoom(std::size_t most, double growth) {
 }
 
 std::size_t OrderedSplats::bytes() const {
-  return projection_.bytes() + order_.slots.bytes() + drawn_.bytes();
+  return projection_.bytes() + order_.slots.bytes() + page_numbers_.bytes() + drawn_.bytes();
 }
 
 }  // namespace rosplat

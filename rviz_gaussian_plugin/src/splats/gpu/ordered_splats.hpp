@@ -65,7 +65,7 @@ class OrderedSplats {
 
   bool answers(const SplatCamera& camera, const MapState& map,
                const RenderSettings& settings) const;
-  void putInOrder(std::size_t capacity);
+  void putInOrder(std::uint32_t capacity);
 
   const Tallies& tallies_;
   RadixSort& sort_;
@@ -74,7 +74,7 @@ class OrderedSplats {
   Order order_;
   Prepared prepared_;
   bool kept_ = false;  // prepared_ is whole
-  gl::Buffer drawn_;
+  gl::Buffer page_numbers_, drawn_;
   std::size_t count_ = 0;
   int key_bits_ = 32;       // by which depths are sorted
   int fewer_bits_for_ = 0;  // frames for which fewer would have done

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "order/built_in_sorter.hpp"
+#include "order/page_view.hpp"
 
 namespace rosplat {
 
@@ -18,9 +19,10 @@ void setView(const gl::Program& program, const rosplat_sorter::View& view) {
 }  // namespace
 
 Projection::Projection(const Shaders& shaders, const Tallies& tallies)
-    : cull_(shaders.compute({"splat_slot.glsl", "splat_visible.glsl", "splat_cull.comp"})),
-      project_(shaders.compute({"splat_slot.glsl", "splat_visible.glsl", "splat_ellipses.glsl",
-                                "splat_tiles.glsl", "splat_project.comp"})),
+    : cull_(shaders.compute(
+          {"splat_slot.glsl", "splat_pages.glsl", "splat_visible.glsl", "splat_cull.comp"})),
+      project_(shaders.compute({"splat_slot.glsl", "splat_pages.glsl", "splat_visible.glsl",
+                                "splat_ellipses.glsl", "splat_tiles.glsl", "splat_project.comp"})),
       prefix_sum_(shaders),
       part_size_(shaders.partSize()),
       words_(tallies.of(Tallies::kSlotWords)),
@@ -47,29 +49,23 @@ void Projection::run(const SlotStore& store, const SplatCamera& camera, const Ma
                      const RenderSettings& settings, double now, const gl::Buffer& keys) {
   const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> no_range{~0u};
   depth_range_.write(no_range.data());
-  if (store.pages().empty()) {
+  const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
+  pages_.keep(store, PageView(view, settings.clip_box, map.origin));
+  if (pages_.count() == 0) {
     visible_count_.set(0);
     return;
   }
-  cull(store, camera, map, settings);
-  project(store, camera, map, settings, now, keys);
+  cull(view, map, settings);
+  project(store, view, camera, map, settings, now, keys);
 }
 
-void Projection::cull(const SlotStore& store, const SplatCamera& camera, const MapState& map,
+void Projection::cull(const rosplat_sorter::View& view, const MapState& map,
                       const RenderSettings& settings) {
-  const std::size_t words = (std::size_t{store.capacity()} + 31) / 32;
-  const std::size_t page_words = SlotStore::kPageSlots / 32;
-  const std::size_t bytes = (words + page_words - 1) / page_words * page_words * sizeof(GLuint);
-  visible_.reserve(bytes);
-  before_.reserve(bytes);
+  const std::size_t words = slotWords();
+  visible_.reserve(words * sizeof(GLuint));
+  before_.reserve(words * sizeof(GLuint));
   prefix_sum_.reserve(words);
   words_.set(words);
-  slot_words_ = words;
-  if (store.pages().size() * page_words < words) {  // pages without slots are never written
-    visible_.zero();
-    before_.zero();
-  }
-  const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
   cull_.use();
   setView(cull_, view);
   cull_.set("focal", view.fx, view.fy);
@@ -85,23 +81,22 @@ void Projection::cull(const SlotStore& store, const SplatCamera& camera, const M
   glUniform3fv(cull_.at("box_size"), 1, box.size.data());
   visible_.bind(5);
   before_.bind(6);
-  for (const auto& [first, page] : store.pages()) {
-    const std::size_t count = std::min(SlotStore::kPageSlots, store.capacity() - first);
-    page.slots.bind(4);
-    cull_.set("first_slot", first);
-    cull_.set("slot_count", static_cast<GLuint>(count));
-    gl::dispatchInvocations(count);
+  pages_.bind(13);
+  for (const PageTable::Range& range : pages_.ranges()) {
+    range.arena->slots.bind(4);
+    cull_.set("first_entry", static_cast<GLuint>(range.first));
+    gl::dispatchInvocations(range.count * SlotPage::kSlots);
   }
   gl::storageBarrier();
   visible_count_.forget();
   prefix_sum_.run(before_, words_, visible_count_, room_);
 }
 
-void Projection::project(const SlotStore& store, const SplatCamera& camera, const MapState& map,
+void Projection::project(const SlotStore& store, const rosplat_sorter::View& view,
+                         const SplatCamera& camera, const MapState& map,
                          const RenderSettings& settings, double now, const gl::Buffer& keys) {
   // Rebased in double precision: neither the map's origin nor the camera's position reaches
   // float32.
-  const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
   const auto& r = camera.rotation;
   std::array<float, 3> eye{};
   for (int i = 0; i < 3; ++i) {
@@ -142,17 +137,16 @@ void Projection::project(const SlotStore& store, const SplatCamera& camera, cons
   keys.bind(10);
   depth_range_.bind(11);
   boxes_.bind(12);
-  for (const auto& [first, page] : store.pages()) {
-    const std::size_t count = std::min(SlotStore::kPageSlots, store.capacity() - first);
-    page.slots.bind(4);
+  pages_.bind(13);
+  for (const PageTable::Range& range : pages_.ranges()) {
+    range.arena->slots.bind(4);
     for (int band = 1; band <= kMaxShDegree; ++band) {
       // What isn't there isn't read, but something must be bound.
-      (band <= store.shDegree() ? page.bands[band] : page.slots)
+      (band <= store.shDegree() ? range.arena->bands[band] : range.arena->slots)
           .bind(static_cast<GLuint>(6 + band));
     }
-    project_.set("first_slot", first);
-    project_.set("slot_count", static_cast<GLuint>(count));
-    gl::dispatchInvocations(count);
+    project_.set("first_entry", static_cast<GLuint>(range.first));
+    gl::dispatchInvocations(range.count * SlotPage::kSlots);
   }
   gl::storageBarrier();
 }
@@ -170,7 +164,8 @@ void Projection::bindVisible() const {
 }
 
 std::size_t Projection::bytes() const {
-  std::size_t bytes = visible_.bytes() + before_.bytes() + boxes_.bytes() + prefix_sum_.bytes();
+  std::size_t bytes =
+      pages_.bytes() + visible_.bytes() + before_.bytes() + boxes_.bytes() + prefix_sum_.bytes();
   for (const gl::Buffer& part : ellipses_) bytes += part.bytes();
   return bytes;
 }

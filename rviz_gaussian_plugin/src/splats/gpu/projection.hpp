@@ -5,6 +5,7 @@
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
+#include "gpu/page_table.hpp"
 #include "gpu/radix_sort.hpp"
 #include "gpu/slot_store.hpp"
 #include "gpu/tally.hpp"
@@ -29,20 +30,23 @@ class Projection {
            const RenderSettings& settings, double now, const gl::Buffer& keys);
 
   const Tally& visible() const { return visible_count_; }
-  void bindEllipses(const gl::Program& program) const;   // storage bindings 0 to 3
-  void bindVisible() const;                              // storage bindings 5 and 6
-  std::size_t slotWords() const { return slot_words_; }  // of what these bind
+  void bindEllipses(const gl::Program& program) const;  // storage bindings 0 to 3
+  void bindVisible() const;                             // storage bindings 5 and 6
+  // Of what these bind: a bit for each slot of pages().
+  std::size_t slotWords() const { return pages_.count() * SlotPage::kSlots / 32; }
+  const PageTable& pages() const { return pages_; }
   // The least and the largest key drawn, depthKey() of their depths.
   const gl::Slice& depthRange() const { return depth_range_; }
   const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
   std::size_t bytes() const;
 
  private:
-  void cull(const SlotStore& store, const SplatCamera& camera, const MapState& map,
-            const RenderSettings& settings);
-  void project(const SlotStore& store, const SplatCamera& camera, const MapState& map,
-               const RenderSettings& settings, double now, const gl::Buffer& keys);
+  void cull(const rosplat_sorter::View& view, const MapState& map, const RenderSettings& settings);
+  void project(const SlotStore& store, const rosplat_sorter::View& view, const SplatCamera& camera,
+               const MapState& map, const RenderSettings& settings, double now,
+               const gl::Buffer& keys);
 
+  PageTable pages_;
   gl::Program cull_, project_;
   PrefixSum prefix_sum_;
   std::size_t part_size_;
@@ -51,7 +55,7 @@ class Projection {
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
   gl::Buffer boxes_;
   gl::Slice depth_range_;
-  std::size_t slot_words_ = 0, room_ = 0;
+  std::size_t room_ = 0;
 };
 
 }  // namespace rosplat

@@ -30,21 +30,26 @@ SplatValues unpack(std::uint32_t slot, const std::uint32_t* words, int sh_degree
 
 std::vector<SplatValues> SlotReader::read(const SlotStore& store,
                                           const std::vector<std::uint32_t>& slots) const {
-  const auto pageOf = [](std::uint32_t slot) { return slot - slot % SlotStore::kPageSlots; };
+  struct Held {
+    std::size_t index;  // in slots
+    std::uint32_t arena, place;
+  };
   std::vector<SplatValues> values(slots.size());
-  std::vector<std::size_t> held;  // which of them have a page, page by page; others are empty
+  std::vector<Held> held;  // arena by arena; other slots are empty
   for (std::size_t i = 0; i < slots.size(); ++i) {
     values[i].slot = slots[i];
-    if (store.pages().count(pageOf(slots[i]))) held.push_back(i);
+    const SlotPage* const page = store.pages().find(slots[i]);
+    if (!page || !store.holds(*page)) continue;
+    const SlotStore::Place place = store.placeOf(*page);
+    held.push_back({i, place.arena, place.page * SlotPage::kSlots + slots[i] % SlotPage::kSlots});
   }
   if (held.empty()) return values;
-  std::sort(held.begin(), held.end(), [&](auto a, auto b) { return slots[a] < slots[b]; });
+  std::sort(held.begin(), held.end(), [](auto& a, auto& b) { return a.arena < b.arena; });
 
   std::size_t stride = kSlotWords;
   for (int band = 1; band <= store.shDegree(); ++band) stride += std::size_t(kBandWords[band]);
   std::vector<std::uint32_t> words(held.size());
-  std::transform(held.begin(), held.end(), words.begin(),
-                 [&](std::size_t i) { return slots[i] % SlotStore::kPageSlots; });
+  std::transform(held.begin(), held.end(), words.begin(), [](const Held& of) { return of.place; });
   gl::Buffer wanted(words.size() * kWord, GL_STREAM_DRAW);
   wanted.write(0, words.data(), wanted.bytes());
   words.resize(held.size() * stride);
@@ -55,15 +60,14 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
   gathered.bind(2);
   gather_.set("stride", static_cast<GLuint>(stride));
   for (std::size_t first = 0, next = 0; first < held.size(); first = next) {
-    const std::uint32_t first_slot = pageOf(slots[held[first]]);
-    while (next < held.size() && pageOf(slots[held[next]]) == first_slot) ++next;
-    const SlotStore::Page& page = store.pages().at(first_slot);
+    while (next < held.size() && held[next].arena == held[first].arena) ++next;
+    const SlotStore::Arena& arena = store.arenas()[held[first].arena];
     gather_.set("first", static_cast<GLuint>(first));
     gather_.set("count", static_cast<GLuint>(next - first));
     GLuint offset = 0;
     for (int band = 0; band <= store.shDegree(); ++band) {
       const auto size = static_cast<GLuint>(band == 0 ? kSlotWords : kBandWords[band]);
-      (band == 0 ? page.slots : page.bands[band]).bind(1);
+      (band == 0 ? arena.slots : arena.bands[band]).bind(1);
       gather_.set("words", size);
       gather_.set("offset", offset);
       gl::dispatchInvocations((next - first) * size);
@@ -73,7 +77,8 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
   gl::storageBarrier();
   gathered.read(0, words.data(), gathered.bytes());
   for (std::size_t k = 0; k < held.size(); ++k) {
-    values[held[k]] = unpack(slots[held[k]], &words[k * stride], store.shDegree());
+    const std::size_t i = held[k].index;
+    values[i] = unpack(slots[i], &words[k * stride], store.shDegree());
   }
   return values;
 }

@@ -7,89 +7,137 @@ namespace rosplat {
 namespace {
 
 constexpr std::size_t kWord = sizeof(std::uint32_t);
+constexpr std::size_t kSlotBytes = kSlotWords * kWord;
+constexpr std::uint32_t kMostArenaPages = 2048;  // 72 MiB of slots
 
 std::size_t bandBytes(int band) { return kBandWords[band] * kWord; }
 
-// Not cleared: NVIDIA's driver (580) clears a new buffer after the write that follows.
-void writeZeros(gl::Buffer& buffer) {
-  const std::vector<std::uint32_t> zeros(buffer.bytes() / kWord);
-  buffer.write(0, zeros.data(), buffer.bytes());
+// Opacity 0: empty slots. Not cleared: NVIDIA's driver (580) clears a new buffer after the write
+// that follows.
+void writeZeros(gl::Buffer& buffer, std::size_t offset, std::size_t bytes) {
+  const std::vector<std::uint32_t> zeros(bytes / kWord);
+  buffer.write(offset, zeros.data(), bytes);
+}
+
+// A buffer for so many slots, which begins with what was in another.
+gl::Buffer grown(const gl::Buffer& buffer, std::size_t bytes) {
+  gl::Buffer larger(bytes, GL_DYNAMIC_DRAW);
+  if (buffer.id()) larger.copy(buffer);
+  return larger;
 }
 
 }  // namespace
 
-SlotStore::Page& SlotStore::page(std::uint32_t first_slot, bool overwritten) {
-  const auto found = pages_.find(first_slot);
-  if (found != pages_.end()) return found->second;
-  Page fresh;
-  fresh.slots = gl::Buffer(kPageSlots * kSlotWords * kWord, GL_DYNAMIC_DRAW);
-  if (!overwritten) writeZeros(fresh.slots);  // opacity 0: an empty slot
-  for (int band = 1; band <= sh_degree_; ++band) {
-    fresh.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
-  }
-  return pages_.emplace(first_slot, std::move(fresh)).first->second;
-}
+SlotStore::SlotStore()
+    : arena_pages_(static_cast<std::uint32_t>(std::clamp<std::size_t>(
+          gl::largestStorageBuffer() / (SlotPage::kSlots * kSlotBytes), 1, kMostArenaPages))) {}
 
 void SlotStore::addBands(int degree) {
-  for (auto& [first_slot, page] : pages_) {
+  for (Arena& arena : arenas_) {
     for (int band = sh_degree_ + 1; band <= degree; ++band) {
-      page.bands[band] = gl::Buffer(kPageSlots * bandBytes(band), GL_DYNAMIC_DRAW);
-      writeZeros(page.bands[band]);
+      arena.bands[band] =
+          gl::Buffer(arena.pages * SlotPage::kSlots * bandBytes(band), GL_DYNAMIC_DRAW);
+      writeZeros(arena.bands[band], 0, arena.bands[band].bytes());
     }
   }
   sh_degree_ = std::max(sh_degree_, degree);
 }
 
+// The last arena grows by a quarter at least, so that what is copied stays in proportion.
+void SlotStore::makeRoom(std::uint32_t pages) {
+  for (std::uint32_t first = 0; first < pages; first += arena_pages_) {
+    if (first / arena_pages_ == arenas_.size()) arenas_.emplace_back();
+    Arena& arena = arenas_[first / arena_pages_];
+    const std::uint32_t wanted = std::min(pages - first, arena_pages_);
+    if (wanted <= arena.pages) continue;
+    Arena larger;
+    larger.pages = std::clamp(arena.pages + arena.pages / 4, wanted, arena_pages_);
+    const std::size_t slots = std::size_t{larger.pages} * SlotPage::kSlots;
+    larger.slots = grown(arena.slots, slots * kSlotBytes);
+    for (int band = 1; band <= sh_degree_; ++band) {
+      larger.bands[band] = grown(arena.bands[band], slots * bandBytes(band));
+    }
+    arena = std::move(larger);
+  }
+}
+
 void SlotStore::apply(const GaussianEdit& edit, double now) {
   if (edit.clear) {
-    pages_.clear();
+    arenas_.clear();
+    held_.clear();
     sh_degree_ = 0;
     capacity_ = 0;
   }
-  addBands(edit.sh_degree);
   capacity_ = std::max(capacity_, edit.capacity);
+  pages_.apply(edit);
+  addBands(edit.sh_degree);
+  makeRoom(static_cast<std::uint32_t>(pages_.pages().size()));
+  for (const Piece& piece : pieces(edit)) {
+    write(edit, piece, static_cast<std::uint32_t>(now) << 16);
+  }
+}
 
+std::vector<SlotStore::Piece> SlotStore::pieces(const GaussianEdit& edit) {
+  held_.resize(pages_.pages().size());
+  std::vector<Piece> pieces;
   std::size_t source = 0;
   for (const auto& [run_first, run_count] : edit.runs) {
-    std::uint32_t first = run_first, left = run_count;
+    std::uint32_t slot = run_first, left = run_count;
     while (left > 0) {
-      const std::uint32_t offset = first % kPageSlots;
-      const std::uint32_t count = std::min(left, kPageSlots - offset);
-      if (edit.sh_degree >= 0 || pages_.count(first - offset)) {
-        Page& target = page(first - offset, count == kPageSlots);
-        if (edit.sh_degree >= 0) {
-          const auto begin = edit.slots.begin() + std::ptrdiff_t(kSlotWords * source);
-          staged_.assign(begin, begin + std::ptrdiff_t(kSlotWords * count));
+      const std::uint32_t in_page = slot % SlotPage::kSlots;
+      const std::uint32_t count = std::min(left, SlotPage::kSlots - in_page);
+      const SlotPage* const page = pages_.find(slot);
+      if (page && (edit.sh_degree >= 0 || holds(*page))) {
+        const Place place = placeOf(*page);
+        Arena& arena = arenas_[place.arena];
+        if (!holds(*page)) {
+          constexpr std::size_t kPageBytes = SlotPage::kSlots * kSlotBytes;
+          if (count < SlotPage::kSlots)
+            writeZeros(arena.slots, place.page * kPageBytes, kPageBytes);
+          held_[page->place] = true;
+        }
+        const std::size_t first = std::size_t{place.page} * SlotPage::kSlots + in_page;
+        Piece* const last = pieces.empty() ? nullptr : &pieces.back();
+        if (last && last->arena == &arena && last->first + last->count == first &&
+            last->source + last->count == source) {
+          last->count += count;
         } else {
-          staged_.assign(kSlotWords * count, 0u);  // opacity 0: an empty slot
-        }
-        for (std::size_t i = kChangeWord; i < staged_.size(); i += kSlotWords) {
-          staged_[i] |= static_cast<std::uint32_t>(now) << 16;
-        }
-        target.slots.write(offset * kSlotWords * kWord, staged_.data(), staged_.size() * kWord);
-        for (int band = 1; edit.sh_degree >= 0 && band <= sh_degree_; ++band) {
-          const std::uint32_t* words = nullptr;
-          if (band <= edit.sh_degree) {
-            words = &edit.bands[band][kBandWords[band] * source];
-          } else {
-            staged_.assign(std::size_t(kBandWords[band]) * count, 0u);
-            words = staged_.data();
-          }
-          target.bands[band].write(offset * bandBytes(band), words, count * bandBytes(band));
+          pieces.push_back({&arena, first, source, count});
         }
       }
-      first += count;
+      slot += count;
       left -= count;
       source += count;
+    }
+  }
+  return pieces;
+}
+
+void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_t change) {
+  if (edit.sh_degree < 0) {
+    return writeZeros(piece.arena->slots, piece.first * kSlotBytes, piece.count * kSlotBytes);
+  }
+  const auto begin = edit.slots.begin() + std::ptrdiff_t(kSlotWords * piece.source);
+  staged_.assign(begin, begin + std::ptrdiff_t(kSlotWords * piece.count));
+  for (std::size_t i = kChangeWord; i < staged_.size(); i += kSlotWords) staged_[i] |= change;
+  piece.arena->slots.write(piece.first * kSlotBytes, staged_.data(), piece.count * kSlotBytes);
+  for (int band = 1; band <= sh_degree_; ++band) {
+    gl::Buffer& target = piece.arena->bands[band];
+    const std::size_t offset = piece.first * bandBytes(band);
+    const std::size_t bytes = piece.count * bandBytes(band);
+    if (band <= edit.sh_degree) {
+      target.write(offset, &edit.bands[band][kBandWords[band] * piece.source], bytes);
+    } else {
+      writeZeros(target, offset, bytes);
     }
   }
 }
 
 std::size_t SlotStore::bytes() const {
   std::size_t bytes = 0;
-  for (const auto& [first_slot, page] : pages_) {
-    bytes += page.slots.bytes();
-    for (const gl::Buffer& band : page.bands) bytes += band.bytes();
+  for (const Arena& arena : arenas_) {
+    bytes += arena.slots.bytes();
+    for (const gl::Buffer& band : arena.bands) bytes += band.bytes();
   }
   return bytes;
 }

@@ -1,41 +1,70 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <unordered_map>
 #include <vector>
 
 #include "gl/gl_objects.hpp"
 #include "map/gaussian_map.hpp"
+#include "map/slot_pages.hpp"
 
 namespace rosplat {
 
-// The slots of a map in the GPU's memory, in pages: a map grows without a copy of what is there,
-// and a range of slots that nobody uses costs nothing.
+// The slots of a map in the GPU's memory: its pages by place, in arenas that are each as large as a
+// shader's buffer may be. A range of slots that nobody uses costs nothing, and a map that grows is
+// not copied, but for the last arena, until that is full.
 class SlotStore {
  public:
-  static constexpr std::uint32_t kPageSlots = 1u << 16;
-
-  struct Page {
+  struct Arena {
     gl::Buffer slots;                                // kSlotWords a slot
     std::array<gl::Buffer, kMaxShDegree + 1> bands;  // kBandWords a slot, from band 1 on
+    std::uint32_t pages = 0;                         // room for so many
   };
+  // Where a page is.
+  struct Place {
+    std::uint32_t arena, page;
+  };
+
+  SlotStore();
 
   // Uploads what an edit changes. now: the clock of `change` in packed_slot.hpp. Throws gl::Error
   // when the driver has no memory left.
   void apply(const GaussianEdit& edit, double now);
 
-  const std::unordered_map<std::uint32_t, Page>& pages() const { return pages_; }  // by first slot
-  std::uint32_t capacity() const { return capacity_; }
+  const SlotPages& pages() const { return pages_; }
+  // Whether there was memory for a page.
+  bool holds(const SlotPage& page) const { return page.place < held_.size() && held_[page.place]; }
+  Place placeOf(const SlotPage& page) const {
+    return {page.place / arena_pages_, page.place % arena_pages_};
+  }
+  const std::vector<Arena>& arenas() const { return arenas_; }
+
+  std::uint32_t capacity() const { return capacity_; }  // one past the highest slot in use
+  // How many may be in use.
+  std::size_t slots() const {
+    return std::min<std::size_t>(capacity_, pages_.pages().size() * SlotPage::kSlots);
+  }
   int shDegree() const { return sh_degree_; }
   std::size_t bytes() const;
 
  private:
-  Page& page(std::uint32_t first_slot, bool overwritten);
-  void addBands(int degree);
+  // Slots that lie next to each other in an edit and in an arena.
+  struct Piece {
+    Arena* arena;
+    std::size_t first, source, count;
+  };
 
-  std::unordered_map<std::uint32_t, Page> pages_;
+  void addBands(int degree);
+  void makeRoom(std::uint32_t pages);
+  std::vector<Piece> pieces(const GaussianEdit& edit);
+  void write(const GaussianEdit& edit, const Piece& piece, std::uint32_t change);
+
+  SlotPages pages_;
+  std::uint32_t arena_pages_;
+  std::vector<Arena> arenas_;
+  std::vector<bool> held_;  // by a page's place
   std::uint32_t capacity_ = 0;
   int sh_degree_ = 0;
   std::vector<std::uint32_t> staged_;

@@ -26,6 +26,8 @@ void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
   glUniform2i(pick_.at("tiles"), across, down);
   glUniform2i(pick_.at("picture"), target.width(), target.height());
   pick_.set("top_first", int(raster.top_first));
+  first_slots_.upload(splats.projection().pages().firstSlots());
+  first_slots_.bind(10);
   pick_.set("words", static_cast<GLuint>(splats.projection().slotWords()));
   pick_.set("listed", int(lists != nullptr));
   splats.drawn().bind(4);

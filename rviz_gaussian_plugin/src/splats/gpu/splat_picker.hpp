@@ -28,11 +28,12 @@ class SplatPicker {
   // width * height slots, top row first; kNoSlot where there is none.
   std::vector<std::uint32_t> read() const;
 
-  std::size_t bytes() const { return picked_.bytes(); }
+  std::size_t bytes() const { return picked_.bytes() + first_slots_.bytes(); }
 
  private:
   gl::Program pick_, colour_;
-  gl::Buffer picked_;  // slots
+  gl::Buffer picked_;       // slots
+  gl::Buffer first_slots_;  // of the pages kept
   std::size_t width_ = 0, height_ = 0;
   bool top_first_ = false;
 };

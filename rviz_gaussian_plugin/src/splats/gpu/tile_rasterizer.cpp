@@ -25,9 +25,7 @@ TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort, const Ta
       zero_(tallies.of(Tallies::kZero)) {
   const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> zeros{};
   zero_.write(zeros.data());
-  GLint64 largest = 0;
-  glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &largest);
-  most_pairs_ = std::min(kMostPairs, static_cast<std::size_t>(largest) / sizeof(GLuint));
+  most_pairs_ = std::min(kMostPairs, gl::largestStorageBuffer() / sizeof(GLuint));
 }
 
 bool TileRasterizer::reserve(std::size_t pairs, std::size_t better) {

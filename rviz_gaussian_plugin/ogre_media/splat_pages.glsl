@@ -1,0 +1,13 @@
+// The pages of an arena that the view may show, four work groups each. page_table.hpp numbers them.
+struct Page {
+  uint number;  // among all that are kept, in the order of slots
+  uint page;    // in the arena
+};
+layout(std430, binding = 13) readonly buffer Pages { Page pages[]; };
+
+uniform uint first_entry;  // of the arena in the table
+
+Page groupPage() { return pages[first_entry + workGroup() / 4u]; }
+
+// Of this invocation, among the page's.
+uint slotInPage() { return 256u * (workGroup() % 4u) + gl_LocalInvocationIndex; }

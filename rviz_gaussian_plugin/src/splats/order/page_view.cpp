@@ -1,0 +1,77 @@
+#include "order/page_view.hpp"
+
+#include <cmath>
+
+namespace rosplat {
+
+namespace {
+
+// Of what float32 rounds, relative to all that is summed up: some 8 operations.
+constexpr double kRounding = 1e-6;
+// An extent as the graphics card unpacks it may be larger than the map's.
+constexpr double kPacked = 1.02;
+
+}  // namespace
+
+PageView::PageView(const rosplat_sorter::View& view, const ClipBox& box,
+                   const std::array<double, 3>& origin)
+    : clips_(box.enabled) {
+  const float* r = view.rotation;
+  const float* t = view.translation;
+  // A factor of the mean's x or y and one of w, which is z or 1: as planes in the map's frame.
+  const auto side = [&](int axis, double factor, double of_w, double slope) {
+    std::array<double, 4> sum{}, terms{};
+    for (int i = 0; i < 4; ++i) {
+      const double along = i < 3 ? r[3 * axis + i] : t[axis];
+      const double w = view.orthographic ? double(i == 3) : i < 3 ? r[6 + i] : t[2];
+      sum[i] = factor * along + of_w * w;
+      terms[i] = std::fabs(factor * along) + std::fabs(of_w * w);
+    }
+    add(sum, terms, slope);
+  };
+  for (const double sign : {1.0, -1.0}) {
+    side(0, sign * view.fx, sign * view.offset_x - view.half_width, view.slope_x);
+    side(1, sign * view.fy, sign * view.offset_y - view.half_height, view.slope_y);
+  }
+  const auto depth = [&](double sign, double limit) {
+    add({sign * r[6], sign * r[7], sign * r[8], sign * t[2] + limit},
+        {std::fabs(r[6]), std::fabs(r[7]), std::fabs(r[8]), std::fabs(t[2])}, 0);
+  };
+  depth(-1, view.near_clip);
+  depth(1, -double(view.far_clip));
+  for (int i = 0; i < 3; ++i) {
+    const double centre = box.centre[i] - origin[i], half = 0.5 * box.size[i];
+    const double slack = kRounding * (std::fabs(centre) + half);
+    box_least_[i] = centre - half - slack;
+    box_most_[i] = centre + half + slack;
+  }
+}
+
+void PageView::add(const std::array<double, 4>& side, const std::array<double, 4>& terms,
+                   double slope) {
+  planes_[count_++] = {{side[0], side[1], side[2]},
+                       {kRounding * terms[0], kRounding * terms[1], kRounding * terms[2]},
+                       side[3] - kRounding * terms[3],
+                       kPacked * slope};
+}
+
+bool PageView::mayShow(const SlotPage& page) const {
+  if (page.extent < 0) return false;
+  std::array<double, 3> centre{}, half{};
+  for (int i = 0; i < 3; ++i) {
+    centre[i] = 0.5 * (double(page.least[i]) + page.most[i]);
+    half[i] = 0.5 * (double(page.most[i]) - page.least[i]);
+    if (clips_ && (page.most[i] < box_least_[i] || page.least[i] > box_most_[i])) return false;
+  }
+  for (const Plane& plane : planes_) {
+    double least = plane.offset;
+    for (int i = 0; i < 3; ++i) {
+      least += plane.normal[i] * centre[i] - std::fabs(plane.normal[i]) * half[i] -
+               plane.rounding[i] * (std::fabs(centre[i]) + half[i]);
+    }
+    if (least > plane.slope * page.extent) return false;
+  }
+  return true;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <array>
+
+#include "map/render_settings.hpp"
+#include "map/slot_pages.hpp"
+#include "rosplat_sorter/depth_order.hpp"
+
+namespace rosplat {
+
+// Which pages of a map a view may show: those of which a splat could pass the sorters' test of
+// single splats (depth_order.hpp's visible(), splat_cull.comp), by their bounds alone.
+class PageView {
+ public:
+  // origin: the map's; box: what is kept of the map.
+  PageView(const rosplat_sorter::View& view, const ClipBox& box,
+           const std::array<double, 3>& origin);
+
+  bool mayShow(const SlotPage& page) const;
+
+ private:
+  // A splat passes where normal . mean + offset <= slope * extent.
+  struct Plane {
+    std::array<double, 3> normal, rounding;  // of float32, for each metre of a coordinate
+    double offset, slope;
+  };
+
+  void add(const std::array<double, 4>& side, const std::array<double, 4>& terms, double slope);
+
+  std::array<Plane, 6> planes_;
+  std::size_t count_ = 0;
+  bool clips_;
+  std::array<double, 3> box_least_{}, box_most_{};
+};
+
+}  // namespace rosplat
