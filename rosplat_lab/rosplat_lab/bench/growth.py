@@ -195,14 +195,15 @@ class SortingThread:
         if count == first:
             return
         new = slice(first, count)
-        self._map.apply(
+        changed = self._map.apply(
             Edit(
                 map_id=embedded.MAP, revision=-(-count // BATCH), frame_id="map",
                 operation=UPSERT, origin=self._splats.origin, slots=new, end=count,
                 positions=self._splats.positions[new], extents=self._extents[new], rejected=0,
             )
         )  # fmt: skip
-        self._backend.update(self._map, new)
+        if changed is not None:
+            self._backend.update(self._map, changed)
 
 
 def _report(size: int, backend: str, by: str, seen: live.Watched) -> Iterator[Measurement]:

@@ -107,7 +107,7 @@ class Bench:
             )
         )  # fmt: skip
         for backend in self.backends.values():
-            backend.update(self.map, slice(0, len(splats)))
+            backend.update(self.map, slice(0, self.map.pages.rows))
 
     def edit(self, operation: int, first: int, splats: Splats) -> None:
         """Sends a batch to the renderer alone: an edit that no sorter has heard of yet."""
