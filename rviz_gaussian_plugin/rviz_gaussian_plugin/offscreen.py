@@ -14,9 +14,12 @@ from rviz_gaussian_plugin._config import OGRE_PLUGINS
 
 Antialiasing = _offscreen.Antialiasing
 BatchError = _offscreen.BatchError
+Camera = _offscreen.Camera
 ClipBox = _offscreen.ClipBox
+CpuRenderer = _offscreen.CpuRenderer
 DrawMode = _offscreen.DrawMode
 GaussianMap = _offscreen.GaussianMap
+Instructions = _offscreen.Instructions
 OrderError = _offscreen.OrderError
 OrderSource = _offscreen.OrderSource
 Rasterizer = _offscreen.Rasterizer

@@ -5,7 +5,10 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <memory>
+#include <optional>
 
+#include "cpu/cpu_rasterizer.hpp"
 #include "offscreen_renderer.hpp"
 
 namespace py = pybind11;
@@ -36,6 +39,25 @@ BatchReport take(OffscreenRenderer& renderer, const GaussianBatch& batch) {
 BatchReport take(GaussianMap& map, const GaussianBatch& batch) {
   BatchReport report;
   map.apply(batch, report);
+  return report;
+}
+
+// A map that the processor alone draws, without OpenGL.
+struct CpuRenderer {
+  CpuRenderer(unsigned threads, CpuRasterizer::Instructions instructions)
+      : rasterizer(std::make_shared<rosplat_sorter::ThreadTeam>(threads), instructions) {}
+
+  GaussianMap map;
+  HostSlots slots;
+  CpuRasterizer rasterizer;
+  SplatPicture picture;
+  RenderSettings settings;
+};
+
+BatchReport take(CpuRenderer& renderer, const GaussianBatch& batch) {
+  BatchReport report;
+  renderer.map.apply(batch, report,
+                     [&](const auto& edit, const MapState&) { renderer.slots.apply(*edit, 0); });
   return report;
 }
 
@@ -83,16 +105,24 @@ void defineApply(py::class_<Target>& type) {
            "encoding"_a = 0, "snapshot"_a = false);
 }
 
+SplatCamera cameraOf(const std::array<double, 3>& position,
+                     const std::array<double, 4>& orientation, int projection, double fx, double fy,
+                     double cx, double cy, double width, double height, double near_clip,
+                     double far_clip) {
+  if (projection != 0 && projection != 1) {
+    throw std::invalid_argument("projection " + std::to_string(projection) + " is unknown");
+  }
+  return makeCamera(position, orientation, projection == 1, fx, fy, cx, cy, width, height,
+                    near_clip, far_clip);
+}
+
 void setCamera(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
                const std::array<double, 3>& position, const std::array<double, 4>& orientation,
                int projection, double fx, double fy, double cx, double cy, double width,
                double height, double near_clip, double far_clip) {
-  if (projection != 0 && projection != 1) {
-    throw std::invalid_argument("projection " + std::to_string(projection) + " is unknown");
-  }
   renderer.setCamera(view_id, sequence,
-                     makeCamera(position, orientation, projection == 1, fx, fy, cx, cy, width,
-                                height, near_clip, far_clip));
+                     cameraOf(position, orientation, projection, fx, fy, cx, cy, width, height,
+                              near_clip, far_clip));
 }
 
 // Fills the slots of an order and offers it, without Python's lock: millions take milliseconds.
@@ -159,6 +189,55 @@ py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>
                            "sh"_a = toArray(std::move(splat.sh), {floats / 3, 3})));
   }
   return splats;
+}
+
+// Whose arrays must outlive it.
+PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
+                         const std::optional<Array<float>>& scene_depth,
+                         const std::optional<Array<float>>& translucent_depth,
+                         const std::optional<Array<std::uint32_t>>& order) {
+  PictureRequest request;
+  request.camera = camera;
+  request.camera.extent_scale = extentScale(renderer.settings);
+  request.settings = renderer.settings;
+  if (scene_depth) request.scene_depth = view(*scene_depth);
+  if (translucent_depth) request.translucent_depth = view(*translucent_depth);
+  if (order) request.order = view(*order);
+  return request;
+}
+
+py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
+                   const std::optional<Array<float>>& scene_depth,
+                   const std::optional<Array<float>>& translucent_depth,
+                   const std::optional<Array<std::uint32_t>>& order) {
+  PictureRequest request = requestOf(renderer, camera, scene_depth, translucent_depth, order);
+  request.mean_depth = mean_depth;
+  SplatPicture& picture = renderer.picture;
+  {
+    const py::gil_scoped_release release;
+    renderer.rasterizer.draw(renderer.slots, renderer.map.state(), request, picture);
+  }
+  py::dict drawn("splats"_a = picture.drawn, "profile"_a = picture.profile,
+                 "bytes"_a = renderer.rasterizer.bytes());
+  const auto add = [&](const char* name, const std::vector<float>& values, int channels) {
+    if (!values.empty()) drawn[name] = toArray(values, {picture.height, picture.width, channels});
+  };
+  add("colour", picture.colour, 4);
+  add("behind", picture.behind, 4);
+  add("nearness", picture.nearness, 2);
+  add("depth", picture.depth, 1);
+  return drawn;
+}
+
+Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
+                               const std::optional<Array<float>>& scene_depth) {
+  const PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
+  std::vector<std::uint32_t> picked;
+  {
+    const py::gil_scoped_release release;
+    picked = renderer.rasterizer.pick(renderer.slots, renderer.map.state(), request);
+  }
+  return toArray(std::move(picked), {camera.height, camera.width});
 }
 
 }  // namespace
@@ -279,4 +358,27 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_property_readonly("warning", [](OffscreenRenderer& r) { return r.scene().warning(); })
       .def("failed", &OffscreenRenderer::failed)
       .def_property_readonly("renderer_info", &OffscreenRenderer::graphics);
+  py::class_<SplatCamera>(module, "Camera")
+      .def(py::init(&cameraOf), "position"_a, "orientation"_a, "projection"_a, "fx"_a, "fy"_a,
+           "cx"_a, "cy"_a, "width"_a, "height"_a, "near"_a = 0.01, "far"_a = 1e10)
+      .def("crop", &crop, "left"_a, "top"_a, "width"_a, "height"_a)
+      .def_readwrite("ndc_scale", &SplatCamera::ndc_scale)
+      .def_readwrite("ndc_offset", &SplatCamera::ndc_offset);
+  py::enum_<CpuRasterizer::Instructions>(module, "Instructions")
+      .value("PLAIN", CpuRasterizer::Instructions::kPlain)
+      .value("AVX2", CpuRasterizer::Instructions::kAvx2)
+      .value("AVX512", CpuRasterizer::Instructions::kAvx512)
+      .value("BEST", CpuRasterizer::Instructions::kBest);
+  py::class_<CpuRenderer> cpu_renderer(module, "CpuRenderer");
+  defineApply(cpu_renderer);
+  cpu_renderer
+      .def(py::init<unsigned, CpuRasterizer::Instructions>(), "threads"_a = 0,
+           "instructions"_a = CpuRasterizer::Instructions::kBest)
+      .def_readwrite("settings", &CpuRenderer::settings)
+      .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "scene_depth"_a = py::none(),
+           "translucent_depth"_a = py::none(), "order"_a = py::none())
+      .def("pick", &pickOnCpu, "camera"_a, "scene_depth"_a = py::none())
+      .def_property_readonly("map_bytes", [](CpuRenderer& r) { return r.slots.bytes(); })
+      .def_property_readonly("instructions",
+                             [](CpuRenderer& r) { return r.rasterizer.instructions(); });
 }

@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "map/gaussian_map.hpp"
-#include "map/splat_camera.hpp"
+#include "map/sorter_view.hpp"
 #include "order/order.hpp"
 #include "rosplat_sorter/depth_order.hpp"
 
@@ -90,9 +90,5 @@ class BuiltInSorter {
   rosplat_sorter::DepthOrder depth_order_{rosplat_sorter::ThreadTeam::ofViewers()};
   std::thread thread_;
 };
-
-// The part of a camera that decides an order, relative to the map's origin.
-rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<double, 3>& origin,
-                                double overscan = rosplat_sorter::kOverscan);
 
 }  // namespace rosplat

@@ -1,0 +1,712 @@
+#include "cpu/cpu_rasterizer.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <new>
+
+#include "cpu/kernels.hpp"
+#include "map/sorter_view.hpp"
+
+namespace rosplat {
+
+using namespace cpu;
+using Clock = std::chrono::steady_clock;
+
+namespace {
+
+constexpr std::uint32_t kSlots = HostSlots::kSlots;
+constexpr std::uint32_t kNotOrdered = 0xffffffffu;
+constexpr std::size_t kMostPairs = std::size_t{1} << 26;  // of splat and tile, at a time
+constexpr float kTransparent = 1e-5f;  // what is still to come can't change a pixel by more
+
+const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
+#if defined(__x86_64__) && defined(__GNUC__)
+  using Instructions = CpuRasterizer::Instructions;
+  __builtin_cpu_init();
+  if (wanted >= Instructions::kAvx512 && __builtin_cpu_supports("avx512f") &&
+      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
+      __builtin_cpu_supports("avx512bw")) {
+    return avx512::kKernels;
+  }
+  if (wanted >= Instructions::kAvx2 && __builtin_cpu_supports("avx2") &&
+      __builtin_cpu_supports("fma")) {
+    return avx2::kKernels;
+  }
+#else
+  static_cast<void>(wanted);
+#endif
+  return plain::kKernels;
+}
+
+// Memory for values to come: nothing is kept when it grows, nor cleared.
+template <typename T>
+class Room {
+ public:
+  T* reserve(std::size_t size) {
+    if (size > size_) {
+      memory_.reset();
+      size_ = 0;
+      memory_.reset(new T[size + size / 4]);
+      size_ = size + size / 4;
+    }
+    return memory_.get();
+  }
+  T* get() const { return memory_.get(); }
+  T& operator[](std::size_t i) const { return memory_[i]; }
+  std::size_t bytes() const { return size_ * sizeof(T); }
+
+ private:
+  std::unique_ptr<T[]> memory_;
+  std::size_t size_ = 0;
+};
+
+// A splat on a tile.
+struct Pair {
+  std::uint32_t tile, record;
+};
+
+// A share of a step, and what was found in it.
+struct Part {
+  std::size_t begin = 0, end = 0;
+  std::vector<std::size_t> slices;    // candidates of each, then where the next one goes
+  std::vector<std::uint32_t> counts;  // pairs of each tile, then where the next one goes
+  std::vector<Pair> pairs;
+  std::size_t drawn = 0;
+};
+
+// From where to where tiles are covered in a row of them; see across() in splat_tiles.glsl.
+void columnsOf(const Footprint& f, int row, int& first, int& last) {
+  const float top = float(kTile * row) + 0.5f - f.y, bottom = top + float(kTile - 1);
+  const auto inside = [](float v, float limit) { return std::clamp(v, -limit, limit); };
+  const float from = inside(top, f.reach_y), to = inside(bottom, f.reach_y);
+  const float left = std::clamp(-f.rightmost, from, to), right = std::clamp(f.rightmost, from, to);
+  const float scale = 1 / (f.reach_y * f.reach_y);
+  const auto halfWidth = [&](float down) {
+    return f.half_width * std::sqrt(std::max(1 - down * down * scale, 0.0f));
+  };
+  const float begin = f.x + f.lean * left - halfWidth(left);
+  const float end = f.x + f.lean * right + halfWidth(right);
+  const float slack = 0.05f + 1e-5f * (end - begin);
+  const float least = std::ceil(begin - 0.5f - slack), most = std::floor(end - 0.5f + slack);
+  first = last = 0;
+  if (!(least <= most)) return;
+  first = int(std::clamp(std::floor(least / kTile), float(f.left), float(f.right)));
+  last = int(std::clamp(std::floor(most / kTile) + 1, float(f.left), float(f.right)));
+}
+
+// By key, and those of equal keys as they come.
+void sortByKey(Listed* listed, std::size_t count, Listed* spare) {
+  if (count < 64) {
+    for (std::size_t i = 1; i < count; ++i) {
+      const Listed moved = listed[i];
+      std::size_t k = i;
+      for (; k > 0 && listed[k - 1].key > moved.key; --k) listed[k] = listed[k - 1];
+      listed[k] = moved;
+    }
+    return;
+  }
+  std::uint32_t least = ~0u, greatest = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    least = std::min(least, listed[i].key);
+    greatest = std::max(greatest, listed[i].key);
+  }
+  Listed* from = listed;
+  Listed* to = spare;
+  for (unsigned shift = 0; shift < 32 && (greatest - least) >> shift != 0; shift += 8) {
+    std::array<std::uint32_t, 256> targets{};
+    for (std::size_t i = 0; i < count; ++i) ++targets[(from[i].key - least) >> shift & 255u];
+    std::uint32_t next = 0;
+    for (std::uint32_t& target : targets) next += std::exchange(target, next);
+    for (std::size_t i = 0; i < count; ++i) {
+      to[targets[(from[i].key - least) >> shift & 255u]++] = from[i];
+    }
+    std::swap(from, to);
+  }
+  if (from != listed) std::copy_n(from, count, listed);
+}
+
+}  // namespace
+
+struct CpuRasterizer::Work {
+  Work(std::shared_ptr<rosplat_sorter::ThreadTeam> with, const Kernels& fastest)
+      : team(std::move(with)), kernels(fastest), members(team->size()) {}
+
+  // A member's own.
+  struct Member {
+    TilePixels pixels, behind;
+    alignas(64) float opaque[kTilePixels], divided[kTilePixels], most[kTilePixels];
+    alignas(64) std::uint32_t slots[kTilePixels];
+    Room<Listed> spare;
+    std::vector<std::uint16_t> places, kept;
+    std::vector<Footprint> footprints;
+  };
+
+  bool run(const HostSlots& slots, const MapState& map, const PictureRequest& request,
+           SplatPicture* picture, std::vector<std::uint32_t>* picked);
+  void setViews(const HostSlots& slots, const MapState& map, const PictureRequest& request);
+  void choosePages(const HostSlots& slots);
+  void cull();
+  void deal();
+  bool project(std::size_t begin, std::size_t end);
+  void list();
+  void blend(const PictureRequest& request, SplatPicture& picture, bool first, std::size_t tile,
+             Member& member);
+  void pick(const PictureRequest& request, std::vector<std::uint32_t>& picked, std::size_t tile,
+            Member& member);
+  std::size_t inTile(std::size_t tile, Member& member);
+  void depthRange(std::size_t candidates);
+
+  // Does step(part, member) for parts of [0, count), side by side.
+  template <typename Step>
+  void inParts(std::size_t count, std::size_t least_share, const Step& step);
+  bool cancelled() const { return cancel && cancel->load(std::memory_order_relaxed); }
+  void lap(const char* stage) {
+    const Clock::time_point now = Clock::now();
+    profile[stage] += std::chrono::duration<double>(now - began).count();
+    began = now;
+  }
+
+  std::shared_ptr<rosplat_sorter::ThreadTeam> team;
+  const Kernels& kernels;
+  std::vector<Member> members;
+  std::vector<Part> parts;
+
+  CullView cull_view;
+  ProjectView project_view;
+  std::vector<PageSlots> pages;  // that the picture may show
+  std::vector<const SlotPage*> bounds;
+  Room<std::uint32_t> ranks;  // in a given order, by place of a page and in that
+  bool ordered = false;
+  Room<Candidate> found, dealt;
+  std::size_t candidates = 0;
+  Room<Record> records;
+  Room<std::uint32_t> keys;  // of the records
+  Room<Listed> listed;
+  std::vector<std::size_t> begins;  // of each tile's
+  std::size_t tiles = 0, total_pairs = 0;
+
+  const std::atomic<bool>* cancel = nullptr;
+  std::atomic<bool> out_of_memory{false};
+  std::map<std::string, double> profile;
+  Clock::time_point began;
+};
+
+template <typename Step>
+void CpuRasterizer::Work::inParts(std::size_t count, std::size_t least_share, const Step& step) {
+  const std::size_t most = members.size() > 1 ? 2 * members.size() : 1;
+  parts.resize(std::min(most, 1 + count / least_share));
+  team->run(unsigned(parts.size()), [&](unsigned number, unsigned member) {
+    Part& part = parts[number];
+    part.begin = count * number / parts.size();
+    part.end = count * (number + 1) / parts.size();
+    try {
+      step(part, members[member]);
+    } catch (const std::bad_alloc&) {
+      out_of_memory = true;
+    }
+  });
+  if (out_of_memory) throw std::bad_alloc();
+}
+
+void CpuRasterizer::Work::setViews(const HostSlots& slots, const MapState& map,
+                                   const PictureRequest& request) {
+  const SplatCamera& camera = request.camera;
+  const RenderSettings& settings = request.settings;
+  // Rebased in double precision: neither the map's origin nor the camera's position reaches
+  // float32.
+  const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
+  CullView& c = cull_view;
+  std::copy_n(view.rotation, 9, c.rotation);
+  std::copy_n(view.translation, 3, c.translation);
+  c.fx = view.fx;
+  c.fy = view.fy;
+  c.offset_x = view.offset_x;
+  c.offset_y = view.offset_y;
+  c.half_width = view.half_width;
+  c.half_height = view.half_height;
+  c.slope_x = view.slope_x;
+  c.slope_y = view.slope_y;
+  c.near_clip = view.near_clip;
+  c.far_clip = view.far_clip;
+  c.orthographic = view.orthographic;
+  const ClipBox& box = settings.clip_box;
+  c.clip_to_box = box.enabled;
+  for (int i = 0; i < 3; ++i) {
+    c.box_centre[i] = static_cast<float>(box.centre[i] - map.origin[i]);
+    c.half_box[i] = 0.5f * box.size[i];
+  }
+
+  ProjectView& p = project_view;
+  std::copy_n(view.rotation, 9, p.rotation);
+  std::copy_n(view.translation, 3, p.translation);
+  const auto& r = camera.rotation;
+  for (int i = 0; i < 3; ++i) {
+    double position = 0;
+    for (int k = 0; k < 3; ++k) {
+      double t = camera.translation[k];
+      for (int j = 0; j < 3; ++j) t += r[3 * k + j] * map.origin[j];
+      position -= r[3 * k + i] * t;
+    }
+    p.eye[i] = static_cast<float>(camera.orthographic ? r[6 + i] : position);
+  }
+  p.fx = view.fx;
+  p.fy = view.fy;
+  p.cx = static_cast<float>(camera.cx);
+  p.cy = static_cast<float>(camera.cy);
+  p.width = static_cast<float>(camera.width);
+  p.height = static_cast<float>(camera.height);
+  const SplatCamera::Whole whole = camera.whole();
+  const auto tangents = [&](int axis, double focal, double centre, double size) {
+    const double slack = 0.15 * size / focal;  // 0.3 tan(fov / 2)
+    p.least_tangent[axis] = static_cast<float>(-centre / focal - slack);
+    p.most_tangent[axis] = static_cast<float>((size - centre) / focal + slack);
+  };
+  tangents(0, camera.fx, whole.cx, whole.width);
+  tangents(1, camera.fy, whole.cy, whole.height);
+  p.near_clip = view.near_clip;
+  p.near_fade = settings.near_fade;
+  p.ndc_scale = static_cast<float>(camera.ndc_scale);
+  p.ndc_offset = static_cast<float>(camera.ndc_offset);
+  p.scale_modifier = settings.scale;
+  p.opacity_modifier = settings.opacity;
+  p.trained_low_pass = request.trained_low_pass;
+  p.now = static_cast<float>(request.now);
+  p.age_range = settings.age_range;
+  p.depth_range[0] = settings.depth_range[0];
+  p.depth_range[1] = settings.depth_range[1];
+  p.mode = static_cast<int>(settings.mode);
+  p.sh_degree = std::min(slots.shDegree(), settings.max_sh_degree);
+  p.only_band = settings.only_band;
+  p.tiles_across = (camera.width + kTile - 1) / kTile;
+  p.tiles_down = (camera.height + kTile - 1) / kTile;
+  p.orthographic = camera.orthographic;
+  p.antialiased = settings.antialiasing == Antialiasing::kAsTrained
+                      ? map.antialiased
+                      : settings.antialiasing == Antialiasing::kOn;
+  tiles = std::size_t(p.tiles_across) * std::size_t(p.tiles_down);
+
+  ordered = request.order.has_value();
+  if (ordered) {
+    const std::size_t room = slots.pages().size() * kSlots;
+    std::uint32_t* const rank = ranks.reserve(room);
+    std::fill_n(rank, room, kNotOrdered);
+    const ArrayView<std::uint32_t>& order = *request.order;
+    for (std::size_t i = 0; i < order.size; ++i) {
+      const SlotPage* const page = slots.index().find(order[i]);
+      if (page) {
+        rank[std::size_t(page->place) * kSlots + order[i] % kSlots] =
+            static_cast<std::uint32_t>(order.size - 1 - i);
+      }
+    }
+  }
+}
+
+// Those whose bounds may be in the picture, with room for rounding.
+void CpuRasterizer::Work::choosePages(const HostSlots& slots) {
+  static const std::vector<std::uint32_t> kZeros(std::size_t{7} * kSlots);
+  pages.clear();
+  bounds.clear();
+  const CullView& v = cull_view;
+  for (const SlotPage& page : slots.pages()) {
+    if (page.extent < 0) continue;
+    // The most that a linear function can be over the box.
+    const auto most = [&](double x, double y, double z, double w) {
+      const double n[3] = {x, y, z};
+      double sum = w, size = std::fabs(w);
+      for (int i = 0; i < 3; ++i) {
+        const double along = std::max(n[i] * page.least[i], n[i] * page.most[i]);
+        sum += along;
+        size += std::fabs(along);
+      }
+      return sum + 1e-5 * size;
+    };
+    const float* const r = v.rotation;
+    const float* const t = v.translation;
+    const double one = v.orthographic ? 1 : 0;
+    const auto side = [&](double sign, int axis, double focal, double offset, double half) {
+      // half w - sign (focal p + offset w), w = z or 1
+      const double w = half - sign * offset, f = -sign * focal;
+      const double wz = v.orthographic ? 0 : w;
+      return most(f * r[3 * axis] + wz * r[6], f * r[3 * axis + 1] + wz * r[7],
+                  f * r[3 * axis + 2] + wz * r[8], f * t[axis] + wz * t[2] + one * w);
+    };
+    bool seen = most(r[6], r[7], r[8], t[2]) > v.near_clip &&
+                -most(-r[6], -r[7], -r[8], -t[2]) < v.far_clip;
+    for (const double sign : {-1.0, 1.0}) {
+      seen = seen &&
+             side(sign, 0, v.fx, v.offset_x, v.half_width) >= -1.00001 * v.slope_x * page.extent &&
+             side(sign, 1, v.fy, v.offset_y, v.half_height) >= -1.00001 * v.slope_y * page.extent;
+    }
+    if (!seen) continue;
+    const HostSlots::Page& memory = slots.at(page);
+    PageSlots& chosen = pages.emplace_back();
+    for (int i = 0; i < 3; ++i) chosen.position[i] = memory.position[i].data();
+    chosen.extent = memory.extent.data();
+    chosen.words = memory.words[0].data();
+    for (int band = 1; band <= kMaxShDegree; ++band) {
+      chosen.bands[band] = memory.bands[band] ? memory.bands[band].get() : kZeros.data();
+    }
+    chosen.first_slot = page.first_slot;
+    bounds.push_back(&page);
+  }
+}
+
+void CpuRasterizer::Work::cull() {
+  found.reserve(pages.size() * kSlots + 1);
+  inParts(pages.size(), 16, [&](Part& part, Member&) {
+    Candidate* const begin = &found[part.begin * kSlots];
+    Candidate* out = begin;
+    for (std::size_t i = part.begin; i < part.end; ++i) {
+      if (cancelled()) break;
+      const std::size_t count =
+          kernels.cull(cull_view, pages[i], static_cast<std::uint32_t>(i * kSlots), out);
+      if (!ordered) {
+        out += count;
+        continue;
+      }
+      const Candidate* const end = out + count;
+      for (const Candidate* c = out; c < end; ++c) {
+        const std::uint32_t rank =
+            ranks[std::size_t(bounds[i]->place) * kSlots + c->index % kSlots];
+        if (rank != kNotOrdered) *out++ = {rank, c->index};
+      }
+    }
+    part.begin *= kSlots;
+    part.end = part.begin + std::size_t(out - begin);
+  });
+}
+
+// All candidates, in the order of their slots, without gaps.
+void CpuRasterizer::Work::deal() {
+  candidates = 0;
+  for (const Part& part : parts) candidates += part.end - part.begin;
+  dealt.reserve(candidates + 1);
+  Candidate* out = dealt.get();
+  for (const Part& part : parts) out = std::copy(&found[part.begin], &found[part.end], out);
+}
+
+// Projects some of the dealt candidates and finds their tiles; false where there are too many
+// pairs.
+bool CpuRasterizer::Work::project(std::size_t begin, std::size_t end) {
+  records.reserve(end - begin + kSlots);
+  keys.reserve(end - begin + kSlots);
+  std::atomic<std::size_t> pairs{0};
+  inParts(end - begin, 4096, [&](Part& part, Member& member) {
+    part.counts.assign(tiles, 0);
+    part.pairs.clear();
+    member.places.resize(kSlots);
+    member.kept.resize(kSlots);
+    member.footprints.resize(kSlots);
+    std::size_t out = part.begin;
+    for (std::size_t i = part.begin; i < part.end && !cancelled() && pairs <= kMostPairs;) {
+      const Candidate* const run = &dealt[begin + i];
+      const std::uint32_t page = run->index / kSlots;
+      std::size_t count = 0;
+      for (; i < part.end && dealt[begin + i].index / kSlots == page; ++i) {
+        member.places[count] = static_cast<std::uint16_t>(run[count].index % kSlots);
+        ++count;
+      }
+      const std::size_t seen =
+          kernels.project(project_view, pages[page], member.places.data(), count, &records[out],
+                          member.footprints.data(), member.kept.data());
+      const std::size_t before = part.pairs.size();
+      for (std::size_t k = 0; k < seen; ++k, ++out) {
+        keys[out] = run[member.kept[k]].key;
+        const Footprint& f = member.footprints[k];
+        const bool filled = f.right - f.left == 1 || f.bottom - f.top == 1;
+        for (int row = f.top; row < f.bottom; ++row) {
+          int first = f.left, last = f.right;
+          if (!filled) columnsOf(f, row, first, last);
+          for (int column = first; column < last; ++column) {
+            const auto tile = std::uint32_t(row * project_view.tiles_across + column);
+            part.pairs.push_back({tile, std::uint32_t(out)});
+            ++part.counts[tile];
+          }
+        }
+      }
+      pairs += part.pairs.size() - before;
+    }
+    part.drawn = out - part.begin;
+  });
+  total_pairs = pairs;
+  return pairs <= kMostPairs;
+}
+
+// Lists each tile's splats, in the order of their slots.
+void CpuRasterizer::Work::list() {
+  listed.reserve(total_pairs);
+  begins.assign(tiles + 1, 0);
+  std::size_t next = 0;
+  for (std::size_t tile = 0; tile < tiles; ++tile) {
+    begins[tile] = next;
+    for (Part& part : parts) {
+      next += std::exchange(part.counts[tile], static_cast<std::uint32_t>(next));
+    }
+  }
+  begins[tiles] = next;
+  team->run(unsigned(parts.size()), [&](unsigned number, unsigned) {
+    Part& part = parts[number];
+    for (const Pair& pair : part.pairs) {
+      listed[part.counts[pair.tile]++] = {keys[pair.record], pair.record};
+    }
+  });
+}
+
+// Sorts a tile's splats, nearest first; returns how many there are.
+std::size_t CpuRasterizer::Work::inTile(std::size_t tile, Member& member) {
+  const std::size_t count = begins[tile + 1] - begins[tile];
+  sortByKey(&listed[begins[tile]], count, member.spare.reserve(count));
+  return count;
+}
+
+namespace {
+
+// The part of a picture that a tile is.
+struct TileRect {
+  TileRect(std::size_t tile, int across, int width_of_all, int height_of_all)
+      : left(int(tile) % across * kTile),
+        top(int(tile) / across * kTile),
+        width(std::min(kTile, width_of_all - left)),
+        height(std::min(kTile, height_of_all - top)),
+        first(std::size_t(top) * std::size_t(width_of_all) + std::size_t(left)),
+        stride(std::size_t(width_of_all)) {}
+
+  // Calls each(pixel of the tile, pixel of the picture).
+  template <typename Each>
+  void forEach(const Each& each) const {
+    for (int row = 0; row < height; ++row) {
+      for (int column = 0; column < width; ++column) {
+        each(std::size_t(kTile * row + column),
+             first + std::size_t(row) * stride + std::size_t(column));
+      }
+    }
+  }
+
+  int left, top, width, height;  // [px]
+  std::size_t first, stride;
+};
+
+// Copies a tile of some depths, far where there is no pixel; null where there are none.
+const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, float* copy) {
+  if (depths.empty()) return nullptr;
+  std::fill_n(copy, kTilePixels, 1.0f);
+  rect.forEach([&](std::size_t i, std::size_t pixel) { copy[i] = depths[pixel]; });
+  return copy;
+}
+
+}  // namespace
+
+void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& picture, bool,
+                                std::size_t number, Member& member) {
+  const DrawMode mode = request.settings.mode;
+  const TileRect rect(number, project_view.tiles_across, picture.width, picture.height);
+  const bool divided = !request.translucent_depth.empty();
+  const auto clear = [&](TilePixels& pixels) {
+    std::memset(&pixels, 0, sizeof(pixels));
+    rect.forEach([&](std::size_t i, std::size_t) { pixels.transmittance[i] = 1; });
+  };
+  clear(member.pixels);
+  if (divided) clear(member.behind);
+  BlendTile tile;
+  tile.count = inTile(number, member);
+  tile.listed = &listed[begins[number]];
+  tile.records = records.get();
+  tile.left = rect.left;
+  tile.top = rect.top;
+  tile.ends_at = kTransparent;
+  tile.pixels = &member.pixels;
+  tile.behind = divided ? &member.behind : nullptr;
+  tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
+  tile.divided = depthsOf(request.translucent_depth, rect, member.divided);
+  kernels.blend(tile, mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall,
+                mode == DrawMode::kGaussianBall, request.mean_depth);
+
+  const auto write = [&](const TilePixels& pixels, std::vector<float>& colour) {
+    rect.forEach([&](std::size_t i, std::size_t pixel) {
+      float* const rgba = &colour[4 * pixel];
+      for (int k = 0; k < 3; ++k) rgba[k] = pixels.colour[k][i];
+      rgba[3] = 1 - pixels.transmittance[i];
+    });
+  };
+  write(member.pixels, picture.colour);
+  if (request.mean_depth) {
+    rect.forEach([&](std::size_t i, std::size_t pixel) {
+      const float alpha = 1 - member.pixels.transmittance[i];
+      picture.depth[pixel] =
+          alpha > 0 ? member.pixels.depth[i] / alpha : std::numeric_limits<float>::quiet_NaN();
+    });
+  }
+  if (divided) {
+    write(member.behind, picture.behind);
+    rect.forEach([&](std::size_t i, std::size_t pixel) {
+      picture.nearness[2 * pixel] = member.behind.depth[i];
+      picture.nearness[2 * pixel + 1] = 1 - member.behind.transmittance[i];
+    });
+  }
+}
+
+void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::uint32_t>& picked,
+                               std::size_t number, Member& member) {
+  const SplatCamera& camera = request.camera;
+  const DrawMode mode = request.settings.mode;
+  const TileRect rect(number, project_view.tiles_across, camera.width, camera.height);
+  PickTile tile;
+  tile.count = inTile(number, member);
+  tile.listed = &listed[begins[number]];
+  tile.records = records.get();
+  tile.left = rect.left;
+  tile.top = rect.top;
+  tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
+  tile.transmittance = member.pixels.transmittance;
+  tile.most = member.most;
+  tile.slot = member.slots;
+  std::fill_n(tile.transmittance, kTilePixels, 0.0f);
+  rect.forEach([&](std::size_t i, std::size_t) { tile.transmittance[i] = 1; });
+  std::fill_n(tile.most, kTilePixels, 0.05f);
+  std::fill_n(tile.slot, kTilePixels, kNoSlot);
+  kernels.pick(tile, mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall);
+  rect.forEach([&](std::size_t i, std::size_t pixel) { picked[pixel] = tile.slot[i]; });
+}
+
+// Of mode kDepth without a range: that of all that is in the picture.
+void CpuRasterizer::Work::depthRange(std::size_t count) {
+  if (project_view.mode != static_cast<int>(DrawMode::kDepth) ||
+      project_view.depth_range[1] > project_view.depth_range[0]) {
+    return;
+  }
+  float nearest = std::numeric_limits<float>::infinity(), farthest = -nearest;
+  project(0, count);
+  for (const Part& part : parts) {
+    for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
+      nearest = std::min(nearest, records[i].depth);
+      farthest = std::max(farthest, records[i].depth);
+    }
+  }
+  project_view.depth_range[0] = nearest;
+  project_view.depth_range[1] = farthest;
+}
+
+bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
+                              const PictureRequest& request, SplatPicture* picture,
+                              std::vector<std::uint32_t>* picked) {
+  cancel = request.cancelled;
+  out_of_memory = false;
+  profile.clear();
+  began = Clock::now();
+  const SplatCamera& camera = request.camera;
+  const std::size_t pixels = std::size_t(camera.width) * std::size_t(camera.height);
+  for (const ArrayView<float>* depths : {&request.scene_depth, &request.translucent_depth}) {
+    if (!depths->empty() && depths->size != pixels) {
+      throw PictureError("depths of " + std::to_string(depths->size) +
+                         " pixels do not fit a picture of " + std::to_string(pixels));
+    }
+  }
+  if (picture) {
+    picture->width = camera.width;
+    picture->height = camera.height;
+    picture->colour.resize(4 * pixels);
+    picture->depth.resize(request.mean_depth ? pixels : 0);
+    picture->behind.resize(request.translucent_depth.empty() ? 0 : 4 * pixels);
+    picture->nearness.resize(request.translucent_depth.empty() ? 0 : 2 * pixels);
+  } else {
+    picked->resize(pixels);
+  }
+  setViews(slots, map, request);
+  choosePages(slots);
+  cull();
+  if (cancelled()) return false;
+  deal();
+  lap("cull");
+  depthRange(candidates);
+  if (!project(0, candidates)) throw std::bad_alloc();
+  lap("project");
+  if (cancelled()) return false;
+  list();
+  lap("list");
+  std::atomic<std::size_t> next{0};
+  team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
+    Member& member = members[number];
+    try {
+      for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
+        if (picture) {
+          blend(request, *picture, true, tile, member);
+        } else {
+          pick(request, *picked, tile, member);
+        }
+      }
+    } catch (const std::bad_alloc&) {
+      out_of_memory = true;
+    }
+  });
+  if (out_of_memory) throw std::bad_alloc();
+  lap("blend");
+  if (picture) {
+    picture->drawn = 0;
+    for (const Part& part : parts) picture->drawn += part.drawn;
+    picture->profile = profile;
+  }
+  return !cancelled();
+}
+
+CpuRasterizer::CpuRasterizer(std::shared_ptr<rosplat_sorter::ThreadTeam> team,
+                             Instructions instructions)
+    : work_(std::make_unique<Work>(std::move(team), kernelsFor(instructions))) {}
+
+CpuRasterizer::~CpuRasterizer() = default;
+
+namespace {
+
+// Runs something that may find no memory.
+template <typename Run>
+bool orSay(const SplatCamera& camera, const Run& run) {
+  try {
+    return run();
+  } catch (const std::bad_alloc&) {
+  } catch (const std::length_error&) {
+  }
+  throw PictureError("there is no memory for a picture of " + std::to_string(camera.width) + " x " +
+                     std::to_string(camera.height) + " pixels");
+}
+
+}  // namespace
+
+bool CpuRasterizer::draw(const HostSlots& slots, const MapState& map, const PictureRequest& request,
+                         SplatPicture& picture) {
+  return orSay(request.camera, [&] { return work_->run(slots, map, request, &picture, nullptr); });
+}
+
+std::vector<std::uint32_t> CpuRasterizer::pick(const HostSlots& slots, const MapState& map,
+                                               const PictureRequest& request) {
+  std::vector<std::uint32_t> picked;
+  const bool whole =
+      orSay(request.camera, [&] { return work_->run(slots, map, request, nullptr, &picked); });
+  if (!whole) picked.clear();
+  return picked;
+}
+
+const char* CpuRasterizer::instructions() const { return work_->kernels.name; }
+
+std::size_t CpuRasterizer::bytes() const {
+  const Work& w = *work_;
+  std::size_t bytes = w.ranks.bytes() + w.found.bytes() + w.dealt.bytes() + w.records.bytes() +
+                      w.keys.bytes() + w.listed.bytes() +
+                      w.begins.capacity() * sizeof(w.begins[0]) +
+                      w.pages.capacity() * sizeof(w.pages[0]);
+  for (const Part& part : w.parts) {
+    bytes += part.counts.capacity() * sizeof(part.counts[0]) +
+             part.pairs.capacity() * sizeof(part.pairs[0]);
+  }
+  for (const Work::Member& member : w.members) bytes += sizeof(member) + member.spare.bytes();
+  return bytes;
+}
+
+void toHalves(const std::vector<float>& values, std::vector<std::uint16_t>& halves) {
+  halves.resize(values.size());
+  kernelsFor(CpuRasterizer::Instructions::kBest)
+      .toHalves(values.data(), values.size(), halves.data());
+}
+
+}  // namespace rosplat

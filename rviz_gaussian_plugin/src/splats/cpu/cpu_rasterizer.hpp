@@ -1,0 +1,95 @@
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "cpu/host_slots.hpp"
+#include "map/gaussian_batch.hpp"
+#include "map/gaussian_map.hpp"
+#include "map/render_settings.hpp"
+#include "map/splat_camera.hpp"
+#include "rosplat_sorter/thread_team.hpp"
+
+namespace rosplat {
+
+// What a picture shows beside the map. Arrays are the caller's, and by pixel, top row first.
+struct PictureRequest {
+  SplatCamera camera;
+  RenderSettings settings;
+  double now = 0;  // the clock of `change` in packed_slot.hpp
+  // Window depth, 0 to 1, of what is opaque: splats behind it are hidden. Empty: nothing is there.
+  ArrayView<float> scene_depth;
+  // The same of the nearest translucent object, 1 where there is none. If given, the splats behind
+  // it make a picture of their own.
+  ArrayView<float> translucent_depth;
+  // Slots, farthest first, to be drawn in this order; what it leaves out isn't drawn. Unset: by
+  // depth, with the sorters' ties.
+  std::optional<ArrayView<std::uint32_t>> order;
+  bool mean_depth = false;  // of the splats, too
+  // [px^2], less than the 0.3 of training where pixels are larger than the view's.
+  float trained_low_pass = 0.3f;
+  // Set by another thread to have the picture given up.
+  const std::atomic<bool>* cancelled = nullptr;
+};
+
+// Of width * height pixels, top row first. What wasn't asked for is empty.
+struct SplatPicture {
+  int width = 0, height = 0;    // [px]
+  std::vector<float> colour;    // premultiplied RGBA
+  std::vector<float> behind;    // the same behind translucent objects; colour is before them
+  std::vector<float> nearness;  // of these: (1 - window depth) * alpha, alpha; as splat_hide.frag
+  std::vector<float> depth;     // weighted mean [m], NaN where nothing is
+  std::size_t drawn = 0;        // splats in the picture, as far as it was looked
+  std::map<std::string, double> profile;  // by stage [s]
+};
+
+// A picture that can't be drawn; the text says why.
+struct PictureError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// Draws a map with the processor alone. What the shaders in ogre_media do is done here, too:
+// projection, order, tiles of 16x16 pixels, front to back. The picture is the same to the bit for
+// any number of threads. Keeps its workspace between pictures; one caller at a time.
+class CpuRasterizer {
+ public:
+  // Vector instructions to use; what the machine doesn't have becomes the best that it has.
+  enum class Instructions { kPlain, kAvx2, kAvx512, kBest };
+
+  explicit CpuRasterizer(
+      std::shared_ptr<rosplat_sorter::ThreadTeam> team = rosplat_sorter::ThreadTeam::ofViewers(),
+      Instructions instructions = Instructions::kBest);
+  ~CpuRasterizer();
+
+  // Draws into `picture`, whose memory is used again. False where it was cancelled: then the
+  // picture is no good. Throws PictureError, and may be used on.
+  bool draw(const HostSlots& slots, const MapState& map, const PictureRequest& request,
+            SplatPicture& picture);
+
+  // The splat that contributes most to each pixel, at least a twentieth of its colour: slots, or
+  // kNoSlot. For a part of a picture crop() the camera, and the depths. Empty where it was
+  // cancelled. Throws PictureError.
+  std::vector<std::uint32_t> pick(const HostSlots& slots, const MapState& map,
+                                  const PictureRequest& request);
+
+  const char* instructions() const;  // in use
+  std::size_t bytes() const;         // of the workspace
+
+ private:
+  struct Work;
+
+  std::unique_ptr<Work> work_;
+};
+
+// Floats as half floats, as the GPU rounds them: for an upload.
+void toHalves(const std::vector<float>& values, std::vector<std::uint16_t>& halves);
+
+}  // namespace rosplat

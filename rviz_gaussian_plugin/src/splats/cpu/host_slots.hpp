@@ -1,0 +1,55 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "map/gaussian_map.hpp"
+#include "map/slot_pages.hpp"
+
+namespace rosplat {
+
+// The slots of a map in the processor's memory, page by page: 40 bytes a slot and those of its
+// further bands. Not for several threads at once, but any number may read.
+class HostSlots {
+ public:
+  static constexpr std::size_t kSlots = SlotPage::kSlots;
+  template <typename T>
+  using PerSlot = std::array<T, kSlots>;
+
+  // The numbers that decide whether a slot may be seen lie apart from those that say what it looks
+  // like: most of a map is out of sight.
+  struct alignas(64) Page {
+    std::array<PerSlot<float>, 3> position;       // [m]
+    PerSlot<float> extent;                        // as in GaussianEdit
+    std::array<PerSlot<std::uint32_t>, 6> words;  // 3 to 8 of a packed slot
+    std::array<std::unique_ptr<std::uint32_t[]>, kMaxShDegree + 1>
+        bands;  // coefficient by coefficient, kSlots of each; null where there are none
+  };
+
+  // now: the clock of `change` in packed_slot.hpp. Throws std::bad_alloc: then some of the edit is
+  // missing.
+  void apply(const GaussianEdit& edit, double now);
+
+  const std::vector<SlotPage>& pages() const { return pages_.pages(); }  // by ascending first_slot
+  const Page& at(const SlotPage& page) const { return *memory_[page.place]; }
+  const SlotPages& index() const { return pages_; }
+  int shDegree() const { return sh_degree_; }
+  std::size_t bytes() const;
+
+  // The values of slots as they are drawn, positions relative to the map's origin.
+  std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
+
+ private:
+  void write(const GaussianEdit& edit, std::size_t source, std::uint32_t first, std::uint32_t count,
+             std::uint32_t change);
+
+  SlotPages pages_;
+  std::vector<std::unique_ptr<Page>> memory_;  // by place
+  int sh_degree_ = 0;
+  std::size_t band_bytes_ = 0;
+};
+
+}  // namespace rosplat

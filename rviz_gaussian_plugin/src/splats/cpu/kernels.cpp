@@ -1,0 +1,533 @@
+#include "cpu/kernels.hpp"
+
+#include "cpu/simd.hpp"
+
+namespace rosplat::cpu::ROSPLAT_TARGET {
+
+namespace {
+
+constexpr int kSlots = 1024;  // of a page
+
+// As in DrawMode.
+constexpr int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNormals = 5,
+              kOpacity = 6, kAge = 7;
+
+constexpr float kLowPass = 0.3f;  // [px^2], part of the trained model
+constexpr float kCutoffAlpha = 1.0f / 255.0f;
+constexpr float kMaxSigmas = 3.33f;      // where the most opaque splat falls below the cutoff
+constexpr float kMaxAlpha = 0.99f;       // as in Kerbl et al. 2023; nothing is ever fully opaque
+constexpr float kBallSigmas = 1.74017f;  // where a ball ends: 0.22 of the peak
+constexpr float kBallEnd = -2.18442457f / kSquared;    // log2 of that
+constexpr float kCutoffEnd = -7.99435344f / kSquared;  // log2 of kCutoffAlpha
+constexpr float kHalfLog2 = 0.84932180f;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = exp2(-(k x)^2)
+constexpr float kLog2 = 0.69314718f;
+constexpr float kLeastPicked = 0.05f;  // contribution to a pixel; less nobody sees
+
+template <typename T>
+T least(T a, T b) {
+  return a < b ? a : b;
+}
+template <typename T>
+T most(T a, T b) {
+  return a > b ? a : b;
+}
+
+struct Vec2 {
+  Floats x, y;
+};
+struct Vec3 {
+  Floats x, y, z;
+};
+Vec3 operator*(Floats s, const Vec3& v) { return {s * v.x, s * v.y, s * v.z}; }
+Vec3 operator+(const Vec3& a, const Vec3& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+Vec3 operator*(const Vec3& a, const Vec3& b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
+Floats dot(const Vec3& a, const Vec3& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+Vec3 select(Ints where, const Vec3& a, const Vec3& b) {
+  return {where ? a.x : b.x, where ? a.y : b.y, where ? a.z : b.z};
+}
+
+// Operation by operation as the sorters: see depth_order.hpp.
+Floats transform(const float* row, float translation, const Vec3& p) {
+  return ((row[0] * p.x + row[1] * p.y) + row[2] * p.z) + translation;
+}
+
+std::size_t cull(const CullView& given, const PageSlots& page, std::uint32_t index,
+                 Candidate* candidates) {
+  const CullView view = given;  // a copy that no store below can alias
+  Candidate* out = candidates;
+  for (int i = 0; i < kSlots; i += kLanes) {
+    const Vec3 p = {load(page.position[0] + i), load(page.position[1] + i),
+                    load(page.position[2] + i)};
+    const Floats extent = load(page.extent + i);
+    const Floats x = transform(view.rotation, view.translation[0], p);
+    const Floats y = transform(view.rotation + 3, view.translation[1], p);
+    const Floats z = transform(view.rotation + 6, view.translation[2], p);
+    const Floats w = view.orthographic ? all(1.0f) : z;
+    Ints seen = (extent >= 0.0f) & (z > view.near_clip) & (z < view.far_clip);
+    seen &= abs(view.fx * x + view.offset_x * w) <= view.half_width * w + view.slope_x * extent;
+    seen &= abs(view.fy * y + view.offset_y * w) <= view.half_height * w + view.slope_y * extent;
+    if (view.clip_to_box) {
+      seen &= abs(p.x - view.box_centre[0]) <= view.half_box[0];
+      seen &= abs(p.y - view.box_centre[1]) <= view.half_box[1];
+      seen &= abs(p.z - view.box_centre[2]) <= view.half_box[2];
+    }
+    const Ints bits = (Ints)(z + 0.0f);  // the sum makes one depth of -0 and 0
+    const Ints keys = bits ^ ((bits >> 31) | INT32_MIN);
+    for (int lane = 0; lane < kLanes; ++lane) {
+      *out = {std::uint32_t(keys[lane]), index + std::uint32_t(i + lane)};
+      out -= seen[lane];
+    }
+  }
+  return std::size_t(out - candidates);
+}
+
+Floats scaleOf(Words code) {
+  const Floats scale = exp2(-40.0f + 64.0f / 65534.0f * (toFloats((Ints)code) - 1.0f));
+  return code == 0u ? all(0.0f) : scale;
+}
+
+Floats signedBits(Words word, int shift, int bits) {
+  return toFloats((Ints)(word << (32 - shift - bits)) >> (32 - bits));
+}
+
+// Columns of a slot's rotation matrix.
+void orientationOf(Words low, Words high, Vec3* columns) {
+  constexpr float kStep = 0.70710678118654752f / 16383.0f;
+  const Floats a = signedBits(low, 2, 15) * kStep, b = signedBits(low, 17, 15) * kStep,
+               c = signedBits(high, 0, 15) * kStep;
+  const Floats d = sqrt(max(1.0f - (a * a + b * b + c * c), all(0.0f)));
+  const Ints missing = (Ints)(low & 3u);
+  Floats x = missing == 0 ? d : a;
+  Floats y = missing == 0 ? a : missing == 1 ? d : b;
+  Floats z = missing <= 1 ? b : missing == 2 ? d : c;
+  Floats w = missing == 3 ? d : c;
+  const Floats one = 1.0f / sqrt(x * x + y * y + z * z + w * w);
+  x *= one, y *= one, z *= one, w *= one;
+  const Floats xx = 2.0f * x * x, yy = 2.0f * y * y, zz = 2.0f * z * z, xy = 2.0f * x * y,
+               xz = 2.0f * x * z, yz = 2.0f * y * z, wx = 2.0f * w * x, wy = 2.0f * w * y,
+               wz = 2.0f * w * z;
+  columns[0] = {1.0f - yy - zz, xy + wz, xz - wy};
+  columns[1] = {xy - wz, 1.0f - xx - zz, yz + wx};
+  columns[2] = {xz + wy, yz - wx, 1.0f - xx - yy};
+}
+
+// Google's Turbo, blue to red over 0 to 1 (polynomial of Mikhailov 2019).
+Vec3 turbo(Floats t) {
+  constexpr float kPolynomials[3][6] = {
+      {0.13572138f, 4.61539260f, -42.66032258f, 132.13108234f, -152.94239396f, 59.28637943f},
+      {0.09140261f, 2.19418839f, 4.84296658f, -14.18503333f, 4.27729857f, 2.82956604f},
+      {0.10667330f, 12.64194608f, -60.58204836f, 110.36276771f, -89.90310912f, 27.34824973f}};
+  t = clamp(t, all(0.0f), all(1.0f));
+  Vec3 c;
+  Floats* const channels[3] = {&c.x, &c.y, &c.z};
+  for (int i = 0; i < 3; ++i) {
+    Floats v = all(kPolynomials[i][5]);
+    for (int k = 4; k >= 0; --k) v = v * t + kPolynomials[i][k];
+    *channels[i] = clamp(v, all(0.0f), all(1.0f));
+  }
+  return c;
+}
+
+// Never darker than black, but brighter than white may be.
+Floats radiance(Floats c) { return c > 0.0f ? min(c, all(65504.0f)) : all(0.0f); }
+
+// Adds a band of harmonics: a coefficient is a fraction of the slot's unit.
+template <int kCount>
+void addBand(Vec3& c, const std::uint32_t* band, Ints places, const Floats (&basis)[kCount]) {
+  for (int k = 0; k < kCount; ++k) {
+    const Words word = gather(band + k * kSlots, places);
+    c.x += basis[k] * (signedBits(word, 0, 11) * (1.0f / 1023.0f));
+    c.y += basis[k] * (signedBits(word, 11, 11) * (1.0f / 1023.0f));
+    c.z += basis[k] * (signedBits(word, 22, 10) * (1.0f / 511.0f));
+  }
+}
+
+struct Slot {
+  Words word[6];  // 3 to 8
+};
+
+// Spherical harmonics in the map's frame (Kerbl et al. 2023).
+Vec3 trainedColour(const ProjectView& view, const PageSlots& page, const Slot& slot, Ints places,
+                   const Vec3& direction) {
+  const auto wanted = [&](int band) {
+    return band <= view.sh_degree && (view.only_band < 0 || band == view.only_band);
+  };
+  const Floats x = direction.x, y = direction.y, z = direction.z;
+  const Floats xx = x * x, yy = y * y, zz = z * z;
+  Vec3 c = {};
+  if (wanted(1)) {
+    constexpr float k = 0.4886025119029199f;
+    addBand<3>(c, page.bands[1], places, {-k * y, k * z, -k * x});
+  }
+  if (wanted(2)) {
+    constexpr float k = 1.0925484305920792f;
+    addBand<5>(c, page.bands[2], places,
+               {k * x * y, -k * y * z, 0.31539156525252005f * (2.0f * zz - xx - yy), -k * x * z,
+                0.5462742152960396f * (xx - yy)});
+  }
+  if (wanted(3)) {
+    addBand<7>(c, page.bands[3], places,
+               {-0.5900435899266435f * y * (3.0f * xx - yy), 2.890611442640554f * x * y * z,
+                -0.4570457994644658f * y * (4.0f * zz - xx - yy),
+                0.3731763325901154f * z * (2.0f * zz - 3.0f * xx - 3.0f * yy),
+                -0.4570457994644658f * x * (4.0f * zz - xx - yy),
+                1.445305721320277f * z * (xx - yy), -0.5900435899266435f * x * (xx - 3.0f * yy)});
+  }
+  c = halfToFloats(slot.word[3] >> 16) * c;
+  if (wanted(0)) {
+    c = c + all(0.28209479177387814f) * Vec3{halfToFloats(slot.word[4] & 0xffffu),
+                                             halfToFloats(slot.word[4] >> 16),
+                                             halfToFloats(slot.word[5] & 0xffffu)};
+  }
+  return {radiance(c.x + 0.5f), radiance(c.y + 0.5f), radiance(c.z + 0.5f)};
+}
+
+Vec3 colourOf(const ProjectView& view, const PageSlots& page, const Slot& slot, Ints places,
+              const Vec3& mean, Floats depth, const Vec3& scale, const Vec3* orientation,
+              Floats opacity) {
+  if (view.mode == kOpacity) return turbo(opacity);
+  if (view.mode == kDepth) {
+    const float range = view.depth_range[1] - view.depth_range[0];
+    return turbo(1.0f - (depth - view.depth_range[0]) / most(range, 1e-6f));
+  }
+  if (view.mode == kAge) {
+    Floats ticks = view.now - toFloats((Ints)(slot.word[5] >> 16));
+    ticks = ticks < 0.0f ? ticks + 65536.0f : ticks;
+    return turbo(1.0f - 0.25f * ticks / view.age_range);
+  }
+  Vec3 direction = {all(view.eye[0]), all(view.eye[1]), all(view.eye[2])};
+  if (!view.orthographic) {
+    direction = mean + all(-1.0f) * direction;
+    direction = (1.0f / sqrt(dot(direction, direction))) * direction;
+  }
+  if (view.mode == kNormals) {
+    const Vec3 normal = select((scale.x <= scale.y) & (scale.x <= scale.z), orientation[0],
+                               select(scale.y <= scale.z, orientation[1], orientation[2]));
+    const Floats half = dot(normal, direction) > 0.0f ? all(-0.5f) : all(0.5f);
+    const Vec3 c = half * normal;
+    return {0.5f + c.x, 0.5f + c.y, 0.5f + c.z};
+  }
+  return trainedColour(view, page, slot, places, direction);
+}
+
+// Which of so many tiles hold centres of pixels in a range: first, and one past the last.
+struct Cells {
+  Ints first, last;
+};
+Cells cellsIn(Floats from, Floats to, int cells) {
+  const Floats slack = 0.05f + 1e-5f * (to - from);  // for rounding
+  const Floats limit = all(1e6f);
+  const Ints lowest = -floorToInts(-clamp(from - 0.5f - slack, -limit, limit));
+  const Ints highest = floorToInts(clamp(to - 0.5f + slack, -limit, limit));
+  const Ints none = lowest > highest;
+  const Ints most = allInts(cells), zero = Ints{};
+  const Ints first = min(max(lowest >> 4, zero), most);
+  const Ints last = min(max((highest >> 4) + 1, zero), most);
+  return {none ? zero : first, none ? zero : last};
+}
+static_assert(kTile == 1 << 4);
+
+std::size_t project(const ProjectView& given, const PageSlots& page, const std::uint16_t* places_of,
+                    std::size_t count, Record* records, Footprint* footprints,
+                    std::uint16_t* kept) {
+  const ProjectView view = given;  // a copy that no store below can alias
+  const bool balls = view.mode == kFlatBall || view.mode == kGaussianBall;
+  std::size_t n = 0;
+  for (std::size_t group = 0; group < count; group += kLanes) {
+    const int lanes = int(least(std::size_t(kLanes), count - group));
+    Ints places;
+    for (int i = 0; i < kLanes; ++i) places[i] = places_of[group + least(i, lanes - 1)];
+    const Vec3 mean = {gather(page.position[0], places), gather(page.position[1], places),
+                       gather(page.position[2], places)};
+    Slot slot;
+    for (int k = 0; k < 6; ++k) slot.word[k] = gather(page.words + k * kSlots, places);
+
+    const Vec3 p = {transform(view.rotation, view.translation[0], mean),
+                    transform(view.rotation + 3, view.translation[1], mean),
+                    transform(view.rotation + 6, view.translation[2], mean)};
+    const Floats trained_opacity = toFloats((Ints)(slot.word[0] & 0xffffu)) * (1.0f / 65535.0f);
+    Floats opacity = view.opacity_modifier * trained_opacity;
+    if (view.near_fade > 0.0f) opacity *= min((p.z - view.near_clip) / view.near_fade, all(1.0f));
+
+    // Rows of the projection's Jacobian {x, -, z} and {-, y, z}; the tangent is clamped as in
+    // training.
+    Floats jx, jxz, jy, jyz, x, y;
+    if (view.orthographic) {
+      jx = all(view.fx), jy = all(view.fy), jxz = jyz = Floats{};
+      x = view.fx * p.x + view.cx, y = view.fy * p.y + view.cy;
+    } else {
+      const Floats over_z = 1.0f / p.z;
+      const Floats tx = p.x * over_z, ty = p.y * over_z;
+      jx = view.fx * over_z, jy = view.fy * over_z;
+      jxz = -jx * clamp(tx, all(view.least_tangent[0]), all(view.most_tangent[0]));
+      jyz = -jy * clamp(ty, all(view.least_tangent[1]), all(view.most_tangent[1]));
+      x = view.fx * tx + view.cx, y = view.fy * ty + view.cy;
+    }
+
+    // Covariance in the picture: rows of J W R S times their transposes.
+    Vec3 scale = {scaleOf(slot.word[0] >> 16), scaleOf(slot.word[1] & 0xffffu),
+                  scaleOf(slot.word[1] >> 16)};
+    scale = all(view.scale_modifier) * scale;
+    if (view.mode == kBillboard) {
+      scale.x = scale.y = scale.z = (scale.x + scale.y + scale.z) / 3.0f;
+    }
+    Vec3 orientation[3];
+    orientationOf(slot.word[2], slot.word[3], orientation);
+    const float* const r = view.rotation;
+    const Vec3 rows[2] = {{jx * r[0] + jxz * r[6], jx * r[1] + jxz * r[7], jx * r[2] + jxz * r[8]},
+                          {jy * r[3] + jyz * r[6], jy * r[4] + jyz * r[7], jy * r[5] + jyz * r[8]}};
+    Vec3 m[2];
+    for (int i = 0; i < 2; ++i) {
+      m[i] = scale * Vec3{dot(rows[i], orientation[0]), dot(rows[i], orientation[1]),
+                          dot(rows[i], orientation[2])};
+    }
+    const Vec3 area = {m[0].y * m[1].z - m[0].z * m[1].y, m[0].z * m[1].x - m[0].x * m[1].z,
+                       m[0].x * m[1].y - m[0].y * m[1].x};
+    const Floats a0 = dot(m[0], m[0]), b = dot(m[0], m[1]), c0 = dot(m[1], m[1]);
+    const Floats det0 = dot(area, area);  // of M M^T by Cauchy-Binet: no cancellation for needles
+    const Floats a = a0 + kLowPass, c = c0 + kLowPass;
+    const Floats det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
+    if (view.antialiased) {
+      opacity *= sqrt(det0 / det);
+    } else if (view.trained_low_pass < kLowPass) {  // as much in all as in smaller pixels
+      const float low_pass = view.trained_low_pass;
+      opacity *= sqrt((det0 + low_pass * (a0 + c0) + low_pass * low_pass) / det);
+    }
+
+    const Floats mid = 0.5f * (a + c), half = 0.5f * (a - c), radius = sqrt(half * half + b * b);
+    const Floats major = mid + radius, minor = det / major;
+    // Eigenvector of the larger eigenvalue, from whichever row is longer.
+    Vec2 axis = {a > c ? radius + half : b, a > c ? b : radius - half};
+    const Floats norm = sqrt(axis.x * axis.x + axis.y * axis.y);
+    axis = {norm > 0.0f ? axis.x / norm : all(1.0f), norm > 0.0f ? axis.y / norm : all(0.0f)};
+
+    const Floats peak = log2(max(opacity, all(kCutoffAlpha)));
+    const Floats sigmas =
+        balls ? all(kBallSigmas)
+              : min(sqrt((2.0f * kLog2) * max(peak - kCutoffEnd * kSquared, all(0.0f))),
+                    all(kMaxSigmas));
+    const Floats reach_x = sigmas * sqrt(a), reach_y = sigmas * sqrt(c);
+    // What lies beyond the depth buffer's far plane is as far as that: nothing can stand behind it.
+    const Floats ndc =
+        min((view.ndc_scale * p.z + view.ndc_offset) / (view.orthographic ? all(1.0f) : p.z),
+            all(1.0f));
+    const Floats window_depth = 0.5f * ndc + 0.5f;
+    const Cells columns = cellsIn(x - reach_x, x + reach_x, view.tiles_across);
+    const Cells lines = cellsIn(y - reach_y, y + reach_y, view.tiles_down);
+    Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f) & (window_depth >= 0.0f);
+    seen &= (x + reach_x > 0.0f) & (y + reach_y > 0.0f) & (x - reach_x < view.width) &
+            (y - reach_y < view.height);
+    seen &= (columns.first < columns.last) & (lines.first < lines.last);
+    int any = 0;
+    for (int i = 0; i < lanes; ++i) any |= seen[i];
+    if (!any) continue;
+
+    const Vec3 colour =
+        colourOf(view, page, slot, places, mean, p.z, scale, orientation, trained_opacity);
+    const Floats per_sigma = all(kHalfLog2 / 4.0f);  // 4^2 is kSquared
+    const Floats u = per_sigma / sqrt(major), v = per_sigma / sqrt(minor);
+    static_assert(kSquared == 16);
+    const Floats over_c = 1.0f / c;
+    const Floats half_width = sigmas * sqrt(det * over_c);
+    const Floats lean = b * over_c, rightmost = sigmas * b / sqrt(a);
+    const Floats kept_peak = balls ? Floats{} : peak * (1.0f / kSquared);
+    const Floats columns_of[] = {
+        x,        y,        axis.x * u, axis.y * u, -axis.y * v,  axis.x * v, kept_peak,
+        colour.x, colour.y, colour.z,   p.z,        window_depth, reach_x,    reach_y};
+    constexpr int kFields = sizeof(columns_of) / sizeof(Floats);
+    static_assert(kFields == offsetof(Record, slot) / sizeof(float));
+    for (int i = 0; i < lanes; ++i) {
+      if (!seen[i]) continue;
+      float* const fields = &records[n].x;
+      for (int k = 0; k < kFields; ++k) fields[k] = columns_of[k][i];
+      records[n].slot = page.first_slot + std::uint32_t(places[i]);
+      footprints[n] = {std::int16_t(columns.first[i]),
+                       std::int16_t(lines.first[i]),
+                       std::int16_t(columns.last[i]),
+                       std::int16_t(lines.last[i]),
+                       x[i],
+                       y[i],
+                       reach_y[i],
+                       half_width[i],
+                       lean[i],
+                       rightmost[i]};
+      kept[n] = std::uint16_t(group + std::size_t(i));
+      ++n;
+    }
+  }
+  return n;
+}
+
+// 2^v for v of -8 / kSquared to 0, to 8e-8 of it; minimax.
+Floats exp2OfLittle(Floats v) {
+  Floats p = all(0.00807774f);
+  p = fma(p, v, all(0.05483838f));
+  p = fma(p, v, all(0.24010635f));
+  p = fma(p, v, all(0.69313946f));
+  return fma(p, v, all(0.99999992f));
+}
+
+Floats falloffOf(Floats exponent) {
+  Floats v = exp2OfLittle(exponent);
+  for (int i = 0; i < kSquarings; ++i) v *= v;
+  return v;
+}
+
+// From where to where of a tile's rows or columns a splat may reach.
+struct Span {
+  int begin, end;
+};
+Span spanOf(float centre, float reach, int corner) {
+  constexpr float kSlack = 0.05f;
+  const float from = centre - float(corner) - 0.5f - reach * 1.00001f - kSlack;
+  const float to = centre - float(corner) - 0.5f + reach * 1.00001f + kSlack;
+  // Clamped as floats: integers end sooner.
+  return {int(most(least(from, 16.0f), -1.0f) + 1.0f), int(most(least(to, 15.0f), -1.0f) + 1.0f)};
+}
+
+Floats columnsFrom(int first) {
+  Floats v;
+  for (int i = 0; i < kLanes; ++i) v[i] = float(first + i);
+  return v;
+}
+
+// Whether nothing behind can be seen in any pixel.
+bool ended(const float* transmittance, const float* behind, float ends_at) {
+  Floats largest = {};
+  for (int i = 0; i < kTilePixels; i += kLanes) {
+    const Floats t = load(transmittance + i);
+    largest = max(largest, behind ? t * load(behind + i) : t);
+  }
+  float of_all = 0;
+  for (int i = 0; i < kLanes; ++i) of_all = most(of_all, largest[i]);
+  return of_all < ends_at;
+}
+
+constexpr std::size_t kAhead = 8;      // records that are fetched before they are needed
+constexpr std::size_t kPatience = 32;  // splats before a tile is asked whether it has ended
+
+// Calls each(record, first pixel, exponents, where the splat is) for all that splats cover of a
+// tile, row by row, until nothing behind can be seen; returns whether that is so.
+template <typename Each>
+bool walk(const Listed* listed, std::size_t count, const Record* records, int left, int top,
+          bool balls, const Each& each, const float* transmittance, const float* behind,
+          float ends_at) {
+  for (std::size_t k = 0; k < count; ++k) {
+    if (k % kPatience == 0 && ended(transmittance, behind, ends_at)) return true;
+    if (k + kAhead < count) __builtin_prefetch(records + listed[k + kAhead].record);
+    const Record& e = records[listed[k].record];
+    const Span rows = spanOf(e.y, e.reach_y, top), columns = spanOf(e.x, e.reach_x, left);
+    const float dx = float(left) + 0.5f - e.x, dy = float(top) + 0.5f - e.y;
+    const float u0 = e.ux * dx + e.uy * dy, v0 = e.vx * dx + e.vy * dy;
+    const Floats end = all(balls ? kBallEnd : kCutoffEnd);
+    for (int column = columns.begin / kLanes * kLanes; column < columns.end; column += kLanes) {
+      const Floats at = columnsFrom(column);
+      const Floats u_of_row0 = fma(at, all(e.ux), all(u0)), v_of_row0 = fma(at, all(e.vx), all(v0));
+      for (int row = rows.begin; row < rows.end; ++row) {
+        const Floats u = fma(all(float(row)), all(e.uy), u_of_row0);
+        const Floats v = fma(all(float(row)), all(e.vy), v_of_row0);
+        const Floats exponent = fma(-v, v, fma(-u, u, all(e.peak)));
+        each(e, kTile * row + column, exponent, exponent >= end);
+      }
+    }
+  }
+  return ended(transmittance, behind, ends_at);
+}
+
+template <bool kBalls, bool kGaussianBalls, bool kDepth, bool kOpaque, bool kDivided>
+bool blendAs(const BlendTile& tile) {
+  TilePixels& pixels = *tile.pixels;
+  const auto each = [&](const Record& e, int pixel, Floats exponent, Ints covered) {
+    const Floats falloff = falloffOf(exponent);
+    const auto blend = [&](TilePixels& into, Ints where, float depth) {
+      const Floats alpha = where ? (kBalls ? all(1.0f) : min(falloff, all(kMaxAlpha))) : Floats{};
+      const Floats transmittance = load(into.transmittance + pixel);
+      Floats weight = transmittance * alpha;
+      store(into.transmittance + pixel, transmittance - weight);
+      if (kDepth) {
+        store(into.depth + pixel, fma(weight, all(depth), load(into.depth + pixel)));
+      }
+      if (kGaussianBalls) weight = where ? weight * falloff : Floats{};
+      for (int i = 0; i < 3; ++i) {
+        float* const channel = into.colour[i] + pixel;
+        store(channel, fma(weight, all(e.colour[i]), load(channel)));
+      }
+    };
+    if (!kOpaque && !kDivided) {
+      blend(pixels, covered, e.depth);
+      return;
+    }
+    if (kOpaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
+    if (!kDivided) {
+      blend(pixels, covered, e.depth);
+      return;
+    }
+    const Ints before = all(e.window_depth) <= load(tile.divided + pixel);
+    blend(pixels, covered & before, e.depth);
+    blend(*tile.behind, covered & ~before, 1.0f - e.window_depth);
+  };
+  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, kBalls, each,
+              pixels.transmittance, kDivided ? tile.behind->transmittance : nullptr, tile.ends_at);
+}
+
+template <bool kBalls, bool kGaussianBalls, bool kDepth>
+bool blendBy(const BlendTile& tile) {
+  if (tile.divided) {
+    return tile.opaque ? blendAs<kBalls, kGaussianBalls, true, true, true>(tile)
+                       : blendAs<kBalls, kGaussianBalls, true, false, true>(tile);
+  }
+  return tile.opaque ? blendAs<kBalls, kGaussianBalls, kDepth, true, false>(tile)
+                     : blendAs<kBalls, kGaussianBalls, kDepth, false, false>(tile);
+}
+
+bool blend(const BlendTile& tile, bool balls, bool gaussian_balls, bool with_depth) {
+  if (gaussian_balls) {
+    return with_depth ? blendBy<true, true, true>(tile) : blendBy<true, true, false>(tile);
+  }
+  if (balls) {
+    return with_depth ? blendBy<true, false, true>(tile) : blendBy<true, false, false>(tile);
+  }
+  return with_depth ? blendBy<false, false, true>(tile) : blendBy<false, false, false>(tile);
+}
+
+bool pick(const PickTile& tile, bool balls) {
+  const auto each = [&](const Record& e, int pixel, Floats exponent, Ints covered) {
+    if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
+    const Floats alpha =
+        covered ? (balls ? all(1.0f) : min(falloffOf(exponent), all(kMaxAlpha))) : Floats{};
+    const Floats transmittance = load(tile.transmittance + pixel);
+    const Floats weight = transmittance * alpha;
+    const Floats most = load(tile.most + pixel);
+    const Ints more = weight > most;
+    store(tile.most + pixel, more ? weight : most);
+    store(tile.slot + pixel, more ? allInts(std::int32_t(e.slot)) : load<Ints>(tile.slot + pixel));
+    store(tile.transmittance + pixel, transmittance - weight);
+  };
+  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, balls, each,
+              tile.transmittance, nullptr, kLeastPicked);
+}
+
+// To the nearest, ties to even; beyond the largest, the largest.
+void toHalves(const float* from, std::size_t count, std::uint16_t* halves) {
+  typedef std::uint16_t Halves __attribute__((vector_size(2 * kLanes)));
+  const auto each = [](Floats v) {
+    const Words sign = (Words)v >> 16 & 0x8000u;
+    const Floats magnitude = min(abs(v), all(65504.0f));
+    const Words bits = (Words)magnitude;
+    const Words normal = (bits + 0xfffu + (bits >> 13 & 1u) - 0x38000000u) >> 13;
+    // Adding 0.5 shifts the mantissa to where it belongs.
+    const Words subnormal = (Words)(magnitude + 0.5f) - 0x3f000000u;
+    return __builtin_convertvector(sign | (bits < 0x38800000u ? subnormal : normal), Halves);
+  };
+  std::size_t i = 0;
+  for (; i + kLanes <= count; i += kLanes) store(halves + i, each(load(from + i)));
+  for (; i < count; ++i) halves[i] = each(all(from[i]))[0];
+}
+
+}  // namespace
+
+#define ROSPLAT_QUOTE(name) #name
+#define ROSPLAT_NAME(name) ROSPLAT_QUOTE(name)
+const Kernels kKernels = {ROSPLAT_NAME(ROSPLAT_TARGET), cull, project, blend, pick, toHalves};
+
+}  // namespace rosplat::cpu::ROSPLAT_TARGET

@@ -1,0 +1,136 @@
+#pragma once
+
+// The loops that a picture spends its time in, compiled for several targets from one source; plain
+// types alone, see simd.hpp.
+
+#include <cstddef>
+#include <cstdint>
+
+namespace rosplat::cpu {
+
+constexpr int kTile = 16;  // [px], in width and height
+constexpr int kTilePixels = kTile * kTile;
+
+// What a slot is tested with before anything else: rosplat_sorter::View, and a box.
+struct CullView {
+  float rotation[9], translation[3];
+  float fx, fy, offset_x, offset_y, half_width, half_height, slope_x, slope_y;
+  float near_clip, far_clip;
+  bool orthographic;
+  bool clip_to_box;
+  float box_centre[3], half_box[3];  // [m]
+};
+
+// A slot that may be seen.
+struct Candidate {
+  std::uint32_t key;    // the smaller, the nearer
+  std::uint32_t index;  // of its page in the order of pages, times slots of a page, and in that
+};
+
+// A page of HostSlots.
+struct PageSlots {
+  const float* position[3];
+  const float* extent;
+  const std::uint32_t* words;     // 3 to 8, all slots of each
+  const std::uint32_t* bands[4];  // by coefficient, all slots of each
+  std::uint32_t first_slot;
+};
+
+// The uniforms of splat_project.comp.
+struct ProjectView {
+  float rotation[9], translation[3], eye[3];
+  float fx, fy, cx, cy, width, height;  // [px]
+  float least_tangent[2], most_tangent[2];
+  float near_clip, near_fade;
+  float ndc_scale, ndc_offset;
+  float scale_modifier, opacity_modifier, trained_low_pass, now, age_range;
+  float depth_range[2];
+  int mode, sh_degree, only_band, tiles_across, tiles_down;
+  bool orthographic, antialiased;
+};
+
+// A splat in the picture, ready to be blended.
+struct alignas(64) Record {
+  float x, y;            // centre [px]
+  float ux, uy, vx, vy;  // axes over kExponent of them [1/px]
+  float peak;            // log2 of the opacity, over kSquared
+  float colour[3];
+  float depth, window_depth;
+  float reach_x, reach_y;  // from the centre to where it ends [px]
+  std::uint32_t slot;
+};
+
+// alpha = (2^(peak - u^2 - v^2))^kSquared
+constexpr int kSquarings = 4;
+constexpr float kSquared = 1 << kSquarings;
+
+// Which tiles a splat touches.
+struct Footprint {
+  std::int16_t left, top, right, bottom;  // tiles, the last two beyond it
+  // Where it fills more than a row and a column: as in Outline of splat_tiles.glsl.
+  float x, y, reach_y, half_width, lean, rightmost;
+};
+
+// A splat of a tile.
+struct Listed {
+  std::uint32_t key;
+  std::uint32_t record;
+};
+
+// A tile's pixels, plane by plane, row by row.
+struct alignas(64) TilePixels {
+  float transmittance[kTilePixels];
+  float colour[3][kTilePixels];
+  float depth[kTilePixels];  // weighted sum
+};
+
+struct BlendTile {
+  const Listed* listed;  // nearest first
+  std::size_t count;
+  const Record* records;
+  int left, top;         // [px]
+  float ends_at;         // transmittance that counts as none
+  TilePixels* pixels;    // of what is nearer than `divided`, if that is given
+  TilePixels* behind;    // of the others; its depth is 1 - window depth
+  const float* opaque;   // window depth that hides what is farther; or null
+  const float* divided;  // of translucent objects; or null
+};
+
+struct PickTile {
+  const Listed* listed;
+  std::size_t count;
+  const Record* records;
+  int left, top;
+  const float* opaque;  // or null
+  float* transmittance;
+  float* most;          // contribution so far
+  std::uint32_t* slot;  // that it is from
+};
+
+struct Kernels {
+  const char* name;
+  // Writes the slots of a page that may be seen; returns how many. index: of its first slot.
+  std::size_t (*cull)(const CullView& view, const PageSlots& page, std::uint32_t index,
+                      Candidate* candidates);
+  // Projects slots of a page, by their places in it; returns how many are in the picture. kept: the
+  // number of each that is.
+  std::size_t (*project)(const ProjectView& view, const PageSlots& page,
+                         const std::uint16_t* places, std::size_t count, Record* records,
+                         Footprint* footprints, std::uint16_t* kept);
+  // Blends until nothing behind can be seen; returns whether that is so.
+  bool (*blend)(const BlendTile& tile, bool balls, bool gaussian_balls, bool with_depth);
+  bool (*pick)(const PickTile& tile, bool balls);
+  void (*toHalves)(const float* from, std::size_t count, std::uint16_t* halves);
+};
+
+namespace plain {
+extern const Kernels kKernels;
+}
+namespace avx2 {
+extern const Kernels kKernels;
+}
+namespace avx512 {
+extern const Kernels kKernels;
+}
+
+}  // namespace rosplat::cpu

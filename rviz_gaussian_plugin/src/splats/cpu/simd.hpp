@@ -1,0 +1,145 @@
+#pragma once
+
+// Vectors of floats, as wide as the target has them that this is compiled for: GCC's and Clang's
+// own arithmetic, and what it lacks. Of the standard library nothing but types may be included
+// here, nor by what includes this: the linker might keep a target's copy of a function for all.
+
+#include <cstddef>
+#include <cstdint>
+
+#if defined(__SSE2__)
+#include <immintrin.h>
+#elif defined(__ARM_NEON) && defined(__aarch64__)
+#include <arm_neon.h>
+#endif
+
+namespace rosplat::cpu::ROSPLAT_TARGET {
+
+#if defined(__AVX512F__)
+constexpr int kLanes = 16;
+#elif defined(__AVX2__)
+constexpr int kLanes = 8;
+#else
+constexpr int kLanes = 4;
+#endif
+
+typedef float Floats __attribute__((vector_size(4 * kLanes)));
+typedef std::int32_t Ints __attribute__((vector_size(4 * kLanes)));
+typedef std::uint32_t Words __attribute__((vector_size(4 * kLanes)));
+
+inline Floats all(float value) { return value - Floats{}; }
+inline Ints allInts(std::int32_t value) { return value - Ints{}; }
+
+template <typename Vector, typename T>
+Vector load(const T* from) {
+  Vector v;
+  __builtin_memcpy(&v, from, sizeof(v));
+  return v;
+}
+inline Floats load(const float* from) { return load<Floats>(from); }
+template <typename T, typename Vector>
+void store(T* to, Vector v) {
+  __builtin_memcpy(to, &v, sizeof(v));
+}
+
+// a * b + c; rounded once where the target can.
+inline Floats fma(Floats a, Floats b, Floats c) {
+#if defined(__AVX512F__)
+  return _mm512_fmadd_ps(a, b, c);
+#elif defined(__AVX2__)
+  return _mm256_fmadd_ps(a, b, c);
+#elif defined(__ARM_NEON) && defined(__aarch64__)
+  return (Floats)vfmaq_f32((float32x4_t)c, (float32x4_t)a, (float32x4_t)b);
+#else
+  return a * b + c;
+#endif
+}
+
+inline Floats sqrt(Floats v) {
+#if defined(__AVX512F__)
+  return _mm512_sqrt_ps(v);
+#elif defined(__AVX2__)
+  return _mm256_sqrt_ps(v);
+#elif defined(__SSE2__)
+  return _mm_sqrt_ps(v);
+#else
+  for (int i = 0; i < kLanes; ++i) v[i] = __builtin_sqrtf(v[i]);
+  return v;
+#endif
+}
+
+// The second where one is no number.
+inline Floats min(Floats a, Floats b) { return a < b ? a : b; }
+inline Floats max(Floats a, Floats b) { return a > b ? a : b; }
+inline Floats clamp(Floats v, Floats least, Floats most) { return min(max(v, least), most); }
+inline Floats abs(Floats v) { return (Floats)((Ints)v & 0x7fffffff); }
+inline Ints min(Ints a, Ints b) { return a < b ? a : b; }
+inline Ints max(Ints a, Ints b) { return a > b ? a : b; }
+
+inline Floats toFloats(Ints v) { return __builtin_convertvector(v, Floats); }
+// Towards zero; only for what fits.
+inline Ints toInts(Floats v) { return __builtin_convertvector(v, Ints); }
+inline Ints floorToInts(Floats v) {
+  const Ints whole = toInts(v);
+  return whole + (toFloats(whole) > v);  // true is -1
+}
+
+inline Floats gather(const float* from, Ints index) {
+#if defined(__AVX512F__)
+  return _mm512_i32gather_ps((__m512i)index, from, 4);
+#elif defined(__AVX2__)
+  return _mm256_i32gather_ps(from, (__m256i)index, 4);
+#else
+  Floats v;
+  for (int i = 0; i < kLanes; ++i) v[i] = from[index[i]];
+  return v;
+#endif
+}
+inline Words gather(const std::uint32_t* from, Ints index) {
+#if defined(__AVX512F__)
+  return (Words)_mm512_i32gather_epi32((__m512i)index, from, 4);
+#elif defined(__AVX2__)
+  return (Words)_mm256_i32gather_epi32((const int*)from, (__m256i)index, 4);
+#else
+  Words v;
+  for (int i = 0; i < kLanes; ++i) v[i] = from[index[i]];
+  return v;
+#endif
+}
+
+// 2^v, to 2e-7 of it, for v of -126 to 127.
+inline Floats exp2(Floats v) {
+  const Floats rounder = all(12582912.0f);  // 1.5 * 2^23: sums end in the integer next to v
+  const Floats sum = v + rounder;
+  const Floats f = v - (sum - rounder);
+  Floats p = all(1.5403530e-4f);  // Taylor's, of e^(f ln 2)
+  p = fma(p, f, all(1.3333558e-3f));
+  p = fma(p, f, all(9.6181291e-3f));
+  p = fma(p, f, all(5.5504109e-2f));
+  p = fma(p, f, all(2.4022651e-1f));
+  p = fma(p, f, all(6.9314718e-1f));
+  p = fma(p, f, all(1.0f));
+  return (Floats)((Ints)p + ((Ints)sum << 23));
+}
+
+// log2(v), to 1e-7 and 2e-7 of it, for normal v > 0.
+inline Floats log2(Floats v) {
+  // v = m 2^e, m from sqrt(1/2) on; log2(m) = 2 atanh((m - 1) / (m + 1)) / ln 2.
+  const Ints e = ((Ints)v - 0x3f3504f3) >> 23;
+  const Floats m = (Floats)((Ints)v - (e << 23));
+  const Floats s = (m - 1.0f) / (m + 1.0f), s2 = s * s;
+  Floats p = all(0.32059890f);  // 2 / (9 ln 2)
+  p = fma(p, s2, all(0.41219858f));
+  p = fma(p, s2, all(0.57707802f));
+  p = fma(p, s2, all(0.96179669f));
+  p = fma(p, s2, all(2.88539008f));
+  return fma(s, p, toFloats(e));
+}
+
+// A half float in the lower 16 bits; none is infinite.
+inline Floats halfToFloats(Words half) {
+  const Floats magnitude = (Floats)((half & 0x7fffu) << 13) * 0x1p112f;
+  return (Floats)((Words)magnitude | (half & 0x8000u) << 16);
+}
+
+}  // namespace rosplat::cpu::ROSPLAT_TARGET

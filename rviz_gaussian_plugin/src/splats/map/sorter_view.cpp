@@ -1,0 +1,25 @@
+#include "map/sorter_view.hpp"
+
+namespace rosplat {
+
+rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<double, 3>& origin,
+                                double overscan) {
+  std::array<double, 3> t = camera.translation;
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) t[i] += camera.rotation[3 * i + k] * origin[k];
+  }
+  const auto view = [&](double cx, double cy, double width, double height) {
+    return rosplat_sorter::makeView(camera.rotation.data(), t.data(), camera.fx, camera.fy, cx, cy,
+                                    width, height, camera.near_clip, camera.far_clip,
+                                    camera.orthographic, camera.extent_scale, overscan);
+  };
+  rosplat_sorter::View part = view(camera.cx, camera.cy, camera.width, camera.height);
+  // Ellipses grow as in the whole picture.
+  const SplatCamera::Whole whole = camera.whole();
+  const rosplat_sorter::View all = view(whole.cx, whole.cy, whole.width, whole.height);
+  part.slope_x = all.slope_x;
+  part.slope_y = all.slope_y;
+  return part;
+}
+
+}  // namespace rosplat

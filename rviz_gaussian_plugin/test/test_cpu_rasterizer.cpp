@@ -1,0 +1,291 @@
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <cmath>
+#include <limits>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "cpu/cpu_rasterizer.hpp"
+
+using namespace rosplat;
+using Instructions = CpuRasterizer::Instructions;
+using rosplat_sorter::ThreadTeam;
+
+namespace {
+
+// A map of given splats without bands beyond 0, 5 m before a camera that looks along z.
+struct Scene {
+  void add(std::array<float, 3> position, float scale, float opacity, std::array<float, 3> colour) {
+    positions.insert(positions.end(), position.begin(), position.end());
+    orientations.insert(orientations.end(), {0, 0, 0, 1});
+    scales.insert(scales.end(), {scale, scale, scale});
+    opacities.push_back(opacity);
+    for (const float c : colour) sh.push_back((c - 0.5f) / 0.28209479f);
+  }
+
+  GaussianBatch batch(std::uint8_t operation, std::uint32_t first_slot = 0) {
+    GaussianBatch batch;
+    batch.map_id = "map";
+    batch.revision = map.state().revision + 1;
+    batch.operation = operation;
+    batch.first_slot = first_slot;
+    batch.count = static_cast<std::uint32_t>(opacities.size());
+    batch.positions = {positions.data(), positions.size()};
+    batch.orientations = {orientations.data(), orientations.size()};
+    batch.scales = {scales.data(), scales.size()};
+    batch.opacities = {opacities.data(), opacities.size()};
+    batch.sh = {sh.data(), sh.size()};
+    return batch;
+  }
+
+  void apply(const GaussianBatch& batch) {
+    BatchReport report;
+    const auto edit = map.apply(batch, report);
+    slots.apply(*edit, 0);
+  }
+  // Writes the splats from a slot on and forgets them.
+  void write(std::uint32_t first_slot = 0) {
+    apply(batch(GaussianBatch::UPSERT, first_slot));
+    positions.clear(), orientations.clear(), scales.clear(), opacities.clear(), sh.clear();
+  }
+  void remove(std::uint32_t first_slot, std::uint32_t count) {
+    GaussianBatch none;
+    none.map_id = "map";
+    none.revision = map.state().revision + 1;
+    none.operation = GaussianBatch::DELETE;
+    none.first_slot = first_slot;
+    none.count = count;
+    apply(none);
+  }
+
+  GaussianMap map;
+  HostSlots slots;
+  std::vector<float> positions, orientations, scales, opacities, sh;
+};
+
+// 3000 splats of all sizes and opacities around the point that the camera looks at.
+Scene cloud() {
+  Scene scene;
+  std::mt19937 random(1);
+  std::normal_distribution<float> place(0, 0.8f);
+  std::uniform_real_distribution<float> unit(0, 1);
+  for (int i = 0; i < 3000; ++i) {
+    const float size = 0.003f * std::exp(5 * unit(random));
+    scene.add({place(random), place(random), 5 + place(random)}, size, unit(random),
+              {unit(random), unit(random), unit(random)});
+  }
+  scene.write();
+  return scene;
+}
+
+PictureRequest request(int width = 150, int height = 110) {
+  PictureRequest request;
+  request.camera.fx = request.camera.fy = width;
+  request.camera.cx = width / 2.0;
+  request.camera.cy = height / 2.0;
+  request.camera.width = width;
+  request.camera.height = height;
+  // ndc.z of a frustum from 1 m to 11 m
+  request.camera.ndc_scale = 1.2;
+  request.camera.ndc_offset = -2.2;
+  return request;
+}
+
+float windowDepth(float z) { return 0.5f * (1.2f * z - 2.2f) / z + 0.5f; }
+
+CpuRasterizer rasterizer(unsigned threads = 1, Instructions instructions = Instructions::kBest) {
+  return CpuRasterizer(std::make_shared<ThreadTeam>(threads), instructions);
+}
+
+SplatPicture draw(CpuRasterizer&& with, const Scene& scene, const PictureRequest& request) {
+  SplatPicture picture;
+  EXPECT_TRUE(with.draw(scene.slots, scene.map.state(), request, picture));
+  return picture;
+}
+
+}  // namespace
+
+TEST(CpuRasterizer, draws_nothing_of_an_empty_map) {
+  const Scene scene;
+  PictureRequest wanted = request(3, 2);
+  wanted.mean_depth = true;
+  const SplatPicture picture = draw(rasterizer(), scene, wanted);
+  EXPECT_EQ(picture.drawn, 0u);
+  EXPECT_EQ(picture.colour, std::vector<float>(24));
+  ASSERT_EQ(picture.depth.size(), 6u);
+  for (const float depth : picture.depth) EXPECT_TRUE(std::isnan(depth));
+}
+
+TEST(CpuRasterizer, draws_one_splat_on_one_pixel) {
+  Scene scene;
+  scene.add({0, 0, 5}, 100, 0.6f, {1, 0.5f, 0.25f});
+  scene.write();
+  PictureRequest wanted = request(1, 1);
+  wanted.mean_depth = true;
+  const SplatPicture picture = draw(rasterizer(), scene, wanted);
+  ASSERT_EQ(picture.colour.size(), 4u);
+  EXPECT_NEAR(picture.colour[0], 0.6f, 1e-3);
+  EXPECT_NEAR(picture.colour[1], 0.3f, 1e-3);
+  EXPECT_NEAR(picture.colour[2], 0.15f, 1e-3);
+  EXPECT_NEAR(picture.colour[3], 0.6f, 1e-4);
+  EXPECT_NEAR(picture.depth[0], 5, 1e-5);
+}
+
+TEST(CpuRasterizer, draws_the_same_to_the_bit_with_any_number_of_threads) {
+  const Scene scene = cloud();
+  const SplatPicture expected = draw(rasterizer(1), scene, request());
+  EXPECT_GT(expected.drawn, 2000u);
+  for (const unsigned threads : {2u, 3u, 7u}) {
+    const SplatPicture picture = draw(rasterizer(threads), scene, request());
+    EXPECT_EQ(picture.colour, expected.colour) << threads << " threads";
+    EXPECT_EQ(picture.drawn, expected.drawn);
+  }
+}
+
+TEST(CpuRasterizer, draws_the_same_with_any_instructions) {
+  const Scene scene = cloud();
+  const SplatPicture expected = draw(rasterizer(1, Instructions::kPlain), scene, request());
+  for (const auto instructions : {Instructions::kAvx2, Instructions::kAvx512}) {
+    CpuRasterizer fast = rasterizer(1, instructions);
+    const std::string name = fast.instructions();
+    const SplatPicture picture = draw(std::move(fast), scene, request());
+    float error = 0;
+    for (std::size_t i = 0; i < picture.colour.size(); ++i) {
+      error = std::max(error, std::fabs(picture.colour[i] - expected.colour[i]));
+    }
+    EXPECT_LT(error, 0.5f / 255) << name;  // where an alpha is next to the cutoff; else far less
+    EXPECT_EQ(picture.drawn, expected.drawn) << name;
+  }
+}
+
+TEST(CpuRasterizer, hides_what_the_scene_hides) {
+  Scene scene;
+  scene.add({0, 0, 3}, 100, 0.5f, {1, 0, 0});
+  scene.add({0, 0, 8}, 100, 0.5f, {0, 1, 0});
+  scene.write();
+  PictureRequest wanted = request(2, 1);
+  const std::vector<float> scene_depth = {windowDepth(5), 1};
+  wanted.scene_depth = {scene_depth.data(), scene_depth.size()};
+  const SplatPicture picture = draw(rasterizer(), scene, wanted);
+  EXPECT_NEAR(picture.colour[0], 0.5f, 1e-3);
+  EXPECT_NEAR(picture.colour[1], 0, 1e-3);
+  EXPECT_NEAR(picture.colour[4 + 0], 0.5f, 1e-3);
+  EXPECT_NEAR(picture.colour[4 + 1], 0.25f, 1e-3);
+}
+
+TEST(CpuRasterizer, divides_splats_at_translucent_objects) {
+  Scene scene;
+  scene.add({0, 0, 3}, 100, 0.5f, {1, 0, 0});
+  scene.add({0, 0, 6}, 100, 0.5f, {0, 1, 0});
+  scene.add({0, 0, 9}, 100, 0.5f, {0, 0, 1});
+  scene.write();
+  PictureRequest wanted = request(2, 1);
+  const std::vector<float> opaque = {windowDepth(8), 1}, veil = {windowDepth(5), 1};
+  wanted.scene_depth = {opaque.data(), opaque.size()};
+  wanted.translucent_depth = {veil.data(), veil.size()};
+  const SplatPicture picture = draw(rasterizer(), scene, wanted);
+  const auto expectColour = [](const float* rgba, std::array<float, 4> expected) {
+    for (std::size_t i = 0; i < 4; ++i) EXPECT_NEAR(rgba[i], expected[i], 1e-3) << i;
+  };
+  expectColour(&picture.colour[0], {0.5f, 0, 0, 0.5f});
+  expectColour(&picture.behind[0], {0, 0.5f, 0, 0.5f});
+  EXPECT_NEAR(picture.nearness[0], 0.5f * (1 - windowDepth(6)), 1e-4);
+  EXPECT_NEAR(picture.nearness[1], 0.5f, 1e-4);
+  expectColour(&picture.colour[4], {0.5f, 0.25f, 0.125f, 0.875f});
+  expectColour(&picture.behind[4], {0, 0, 0, 0});
+}
+
+TEST(CpuRasterizer, draws_a_given_order_and_nothing_else) {
+  Scene scene;
+  scene.add({0, 0, 3}, 100, 0.5f, {1, 0, 0});
+  scene.add({0, 0, 6}, 100, 0.5f, {0, 1, 0});
+  scene.add({0, 0, 9}, 100, 0.5f, {0, 0, 1});
+  scene.write(1000);
+  PictureRequest wanted = request(1, 1);
+  const std::vector<std::uint32_t> order = {1000, 1002, 77};  // the farthest one last
+  wanted.order = {order.data(), order.size()};
+  const SplatPicture picture = draw(rasterizer(), scene, wanted);
+  EXPECT_EQ(picture.drawn, 2u);
+  EXPECT_NEAR(picture.colour[2], 0.5f, 1e-3);
+  EXPECT_NEAR(picture.colour[0], 0.25f, 1e-3);
+  EXPECT_NEAR(picture.colour[1], 0, 1e-3);
+}
+
+TEST(CpuRasterizer, picks_what_contributes_most) {
+  Scene scene;
+  scene.add({0, 0, 9}, 100, 0.9f, {0, 0, 1});
+  scene.add({0, 0, 3}, 100, 0.3f, {1, 0, 0});
+  scene.add({0, 0, 12}, 100, 0.9f, {0, 0, 1});
+  scene.write(2000);
+  CpuRasterizer with = rasterizer();
+  PictureRequest wanted = request(2, 1);
+  EXPECT_EQ(with.pick(scene.slots, scene.map.state(), wanted),
+            (std::vector<std::uint32_t>{2000, 2000}));
+  const std::vector<float> scene_depth = {windowDepth(5), windowDepth(2)};
+  wanted.scene_depth = {scene_depth.data(), scene_depth.size()};
+  EXPECT_EQ(with.pick(scene.slots, scene.map.state(), wanted),
+            (std::vector<std::uint32_t>{2001, kNoSlot}));
+}
+
+TEST(CpuRasterizer, gives_up_when_it_is_told_to) {
+  const Scene scene = cloud();
+  PictureRequest wanted = request();
+  std::atomic<bool> cancelled{true};
+  wanted.cancelled = &cancelled;
+  CpuRasterizer with = rasterizer();
+  SplatPicture picture;
+  EXPECT_FALSE(with.draw(scene.slots, scene.map.state(), wanted, picture));
+  EXPECT_TRUE(with.pick(scene.slots, scene.map.state(), wanted).empty());
+  cancelled = false;
+  EXPECT_TRUE(with.draw(scene.slots, scene.map.state(), wanted, picture));
+}
+
+TEST(CpuRasterizer, says_so_where_there_is_no_memory) {
+  const Scene scene = cloud();
+  PictureRequest wanted = request();
+  wanted.camera.width = wanted.camera.height = std::numeric_limits<int>::max();
+  CpuRasterizer with = rasterizer();
+  SplatPicture picture;
+  try {
+    with.draw(scene.slots, scene.map.state(), wanted, picture);
+    FAIL();
+  } catch (const PictureError& error) {
+    EXPECT_STREQ(error.what(),
+                 "there is no memory for a picture of 2147483647 x 2147483647 pixels");
+  }
+  EXPECT_TRUE(with.draw(scene.slots, scene.map.state(), request(), picture));
+}
+
+TEST(CpuRasterizer, rounds_to_half_floats) {
+  std::vector<float> values = {0, 1, -2.5f, 0x1p-24f, 0x1.8p-24f, -0x1.004p0f, 0x1.006p0f, 1e9f};
+  values.insert(values.end(), 9, 0.1f);  // more than a vector, and some
+  std::vector<std::uint16_t> halves;
+  toHalves(values, halves);
+  std::vector<std::uint16_t> expected = {0, 0x3c00, 0xc100, 0x0001, 0x0002, 0xbc01, 0x3c02, 0x7bff};
+  expected.insert(expected.end(), 9, 0x2e66);
+  EXPECT_EQ(halves, expected);
+}
+
+TEST(HostSlots, hold_what_was_written_last) {
+  Scene scene;
+  scene.add({1, 2, 3}, 0.5f, 0.5f, {1, 1, 1});
+  scene.add({4, 5, 6}, 0.25f, 1, {0, 0, 0});
+  scene.write(1023);  // on two pages
+  scene.remove(1024, 1);
+  const std::vector<SplatValues> values = scene.slots.read({1023, 1024, 33000000});
+  EXPECT_EQ(values[0].position, (std::array<double, 3>{1, 2, 3}));
+  EXPECT_NEAR(values[0].scale[0], 0.5f, 1e-3);
+  EXPECT_NEAR(values[0].sh[0], 0.5f / 0.28209479f, 1e-3);
+  EXPECT_EQ(values[1].opacity, 0);
+  EXPECT_EQ(values[2].opacity, 0);
+  EXPECT_EQ(values[2].slot, 33000000u);
+}
+
+TEST(HostSlots, take_memory_for_pages_in_use_alone) {
+  Scene scene;
+  scene.add({0, 0, 5}, 0.1f, 1, {1, 1, 1});
+  scene.write(kMaxSlots - 1);
+  EXPECT_LT(scene.slots.bytes(), 50000u);
+}
