@@ -46,8 +46,8 @@ class Edit:
     snapshot: bool = False
 
 
-def decode(message: GaussianArray) -> Edit:
-    """The edit of a message. Raises EditError where the message is wrong in structure."""
+def check(message: GaussianArray) -> None:
+    """Raises EditError where a message is wrong in structure."""
     if message.revision == 0:
         raise EditError("revision is 0, they count from 1")
     if message.operation not in (REPLACE, UPSERT, DELETE):
@@ -56,61 +56,84 @@ def decode(message: GaussianArray) -> Edit:
         raise EditError(f"encoding is {message.encoding}, known is 0")
     if message.sh_degree > MAX_SH_DEGREE:
         raise EditError(f"sh_degree is {message.sh_degree}, at most {MAX_SH_DEGREE} is known")
-    origin = np.array([message.origin.x, message.origin.y, message.origin.z])
-    if not np.isfinite(origin).all():
+    origin = message.origin
+    if not np.isfinite([origin.x, origin.y, origin.z]).all():
         raise EditError("origin is not finite")
-
-    slots, end = _slots(message)
+    listed = np.asarray(message.slots, np.uint32)
+    if listed.size not in (0, message.count):
+        raise EditError(f"slots has {listed.size} values, count says {message.count}")
+    if listed.size and int(listed.max()) >= MAX_SLOTS:
+        raise EditError(f"slots holds {listed.max()}, a map has at most {MAX_SLOTS} slots")
+    end = message.first_slot + message.count
+    if not listed.size and end > MAX_SLOTS:
+        raise EditError(f"first_slot + count is {end}, a map has at most {MAX_SLOTS} slots")
     splats = 0 if message.operation == DELETE else message.count
-    positions = _rows(message, "positions", splats, 3)
-    orientations = _rows(message, "orientations", splats, 4)
-    scales = _rows(message, "scales", splats, 3)
-    opacities = _rows(message, "opacities", splats, 1)[:, 0]
-    _rows(message, "sh", splats, 3 * (message.sh_degree + 1) ** 2)
+    for name, each in _columns(message).items():
+        values = len(getattr(message, name))
+        if values != splats * each:
+            raise EditError(f"{name} has {values} values, {splats * each} expected")
 
-    usable = (
-        np.isfinite(positions).all(axis=1)
-        & np.isfinite(orientations).all(axis=1)
-        & (orientations != 0).any(axis=1)
-        & (np.isfinite(scales) & (scales >= 0)).all(axis=1)
-        & ~np.isnan(opacities)
+
+def decode(message: GaussianArray) -> Edit:
+    """The edit of a message. Raises EditError where the message is wrong in structure."""
+    check(message)
+    slots: Slots = np.asarray(message.slots, np.uint32)
+    end = int(slots.max(initial=0)) + 1
+    if not len(slots):
+        end = message.first_slot + message.count
+        slots = slice(message.first_slot, end)
+    positions, orientations, scales, opacities, sh = (
+        np.asarray(getattr(message, name), np.float32).reshape(-1, each)
+        for name, each in _columns(message).items()
     )
+    usable = is_usable(positions, orientations, scales, opacities[:, 0], sh)
     with np.errstate(invalid="ignore", over="ignore"):  # of splats that are not usable
-        extents = np.where(usable, splat_extents(scales, opacities), INVISIBLE)
+        extents = np.where(usable, splat_extents(scales, opacities[:, 0]), INVISIBLE)
+    origin = message.origin
     return Edit(
         map_id=message.map_id,
         revision=message.revision,
         frame_id=message.header.frame_id,
         operation=message.operation,
-        origin=origin,
+        origin=np.array([origin.x, origin.y, origin.z]),
         slots=slots,
         end=end,
         positions=positions,
         extents=extents,
-        rejected=splats - int(np.count_nonzero(usable)),
+        rejected=len(usable) - int(np.count_nonzero(usable)),
         snapshot=message.snapshot,
     )
 
 
-def _slots(message: GaussianArray) -> tuple[Slots, int]:
-    """The slots touched and the end of their range."""
-    listed = np.asarray(message.slots, np.uint32)
-    if listed.size == 0:
-        end = message.first_slot + message.count
-        if end > MAX_SLOTS:
-            raise EditError(f"first_slot + count is {end}, a map has at most {MAX_SLOTS} slots")
-        return slice(message.first_slot, end), end
-    if listed.size != message.count:
-        raise EditError(f"slots has {listed.size} values, count says {message.count}")
-    end = int(listed.max()) + 1
-    if end > MAX_SLOTS:
-        raise EditError(f"slots holds {end - 1}, a map has at most {MAX_SLOTS} slots")
-    return listed, end
+def _columns(message: GaussianArray) -> dict[str, int]:
+    """How many values each array has of a splat."""
+    sh = 3 * (message.sh_degree + 1) ** 2
+    return {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, "sh": sh}
 
 
-def _rows(message: GaussianArray, field: str, rows: int, columns: int) -> NDArray[np.float32]:
-    """A field as float32 (rows, columns), without a copy."""
-    values = np.asarray(getattr(message, field), np.float32)
-    if values.size != rows * columns:
-        raise EditError(f"{field} has {values.size} values, {rows * columns} expected")
-    return values.reshape(rows, columns)
+def is_usable(
+    positions: NDArray[np.float32],
+    orientations: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    opacities: NDArray[np.float32],
+    sh: NDArray[np.float32],
+) -> NDArray[np.bool_]:
+    """Which splats mean something, bool (n,); whoever holds a map leaves the others out.
+
+    positions (n, 3), orientations (n, 4), scales (n, 3), opacities (n,), sh (n, any): float32.
+    """
+    usable: NDArray[np.bool_] = (
+        (orientations != 0).any(axis=1) & (scales >= 0).all(axis=1) & np.isfinite(opacities)
+    )
+    for values in (positions, orientations, scales, sh):
+        usable &= finite_rows(values)
+    return usable
+
+
+def finite_rows(values: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Whether all values of a row are finite, bool (n,), of float32 (n, any)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        finite = np.isfinite(values.sum(axis=1))  # never, where one is not
+    doubtful = np.flatnonzero(~finite)
+    finite[doubtful] = np.isfinite(values[doubtful]).all(axis=1)
+    return finite

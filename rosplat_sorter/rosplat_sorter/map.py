@@ -14,7 +14,8 @@ class SplatMap:
     """Positions and extents of the slots in use, in the rows of their pages.
 
     map_id, revision, frame_id: of the last edit; revision is 0 before any. origin: float64 (3,)
-    [m], of the first splats. missed: how many batches of this map never arrived.
+    [m], of the first splats. missed: how many batches of this map never arrived. rejected: how many
+    splats of the last edit were left out.
     """
 
     def __init__(self) -> None:
@@ -22,6 +23,7 @@ class SplatMap:
         self.revision = 0
         self.frame_id = ""
         self.missed = 0
+        self.rejected = 0
         self._clear(SlotPages())
 
     def _clear(self, pages: SlotPages) -> None:
@@ -77,6 +79,7 @@ class SplatMap:
             self.missed += edit.revision - self.revision - 1
         self.map_id = edit.map_id
         self.revision = edit.revision
+        self.rejected = edit.rejected
         self.frame_id = edit.frame_id
         changed = self._delete(edit) if edit.operation == DELETE else self._write(edit)
         return slice(0, self.pages.rows) if clears else changed
@@ -84,14 +87,17 @@ class SplatMap:
     def _write(self, edit: Edit) -> Rows:
         if len(edit.positions) and not self._has_origin:
             self.origin, self._has_origin = edit.origin, True
-        positions = edit.positions
+        positions, extents = edit.positions, edit.extents
         if (edit.origin != self.origin).any():  # in float64, before float32 loses the difference
-            with np.errstate(over="ignore"):
+            with np.errstate(over="ignore", invalid="ignore"):
                 positions = (positions + (edit.origin - self.origin)).astype(np.float32)
+            beyond = np.isfinite(edit.positions).all(axis=1) & ~np.isfinite(positions).all(axis=1)
+            extents = np.where(beyond, INVISIBLE, extents)
+            self.rejected += int(np.count_nonzero(beyond))
         rows = self.pages.find(edit.slots)
         self._end = max(self._end, edit.end)
         self._positions[rows] = positions
-        self._extents[rows] = edit.extents
+        self._extents[rows] = extents
         return rows
 
     def _delete(self, edit: Edit) -> Rows:

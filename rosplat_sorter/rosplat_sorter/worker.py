@@ -211,13 +211,14 @@ class Worker:
                 f"{edit.revision} of map '{edit.map_id}'; the map may be incomplete "
                 f"({self._map.missed} missed so far)",
             )
-        if edit.rejected:
-            self._dropped_splats += edit.rejected
+        rejected = self._map.rejected
+        if rejected:
+            self._dropped_splats += rejected
             self._host.warn(
                 "splats",
-                f"gaussians: {edit.rejected} splats of batch {edit.revision} dropped: position, "
-                "orientation, scale or opacity is not finite, or a quaternion is zero, or a scale "
-                f"negative ({self._dropped_splats} dropped so far)",
+                f"gaussians: {rejected} splats of batch {edit.revision} dropped: a value is not "
+                "finite, or a quaternion is zero, or a scale negative "
+                f"({self._dropped_splats} dropped so far)",
             )
         self._due.update(dict.fromkeys(self._viewers))
         if self._backend:

@@ -76,6 +76,8 @@ def test_a_delete_carries_no_splats(make_batch):
         ("scales", [0.1, INF, 0.1]),
         ("scales", [NAN, 0.1, 0.1]),
         ("opacities", [NAN]),
+        ("opacities", [INF]),
+        ("sh", [0.0, INF, 0.0]),
     ],
 )
 def test_a_splat_that_is_not_usable_becomes_an_empty_slot(make_batch, field, row):

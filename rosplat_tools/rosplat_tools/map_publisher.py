@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from threading import RLock
 
 import numpy as np
@@ -52,7 +52,7 @@ class MapPublisher:
     While a subscriber lags behind, that waits until it takes four times as much.
 
     Calls are serialised, from any thread; they return when the middleware has taken the batches.
-    Where sending ends by an exception, the next edit sends the whole map, as a new one.
+    Where sending an edit ends by an exception, the next one sends the whole map, as a new one.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class MapPublisher:
         self._lock = RLock()
         self._map_id = str(uuid.uuid4())
         self._revision = 0
-        self._map = SlotMap(_no_splats())
+        self._map = SlotMap()
         self._expected_slots = 0
         self._all_sent = True
         self._publisher = node.create_publisher(GaussianArray, topic, self._qos)
@@ -120,7 +120,7 @@ class MapPublisher:
 
         expected_slots is how many slots the finished map will need, by default n; stamp is the time
         of the map, by default now. Raises ValueError for more splats, or expected slots, than a map
-        has slots.
+        has slots. Where sending fails, the map before stays, and is sent again.
         """
         _check_type(splats)
         _check_stamp(stamp)
@@ -131,10 +131,18 @@ class MapPublisher:
             raise ValueError(f"expected_slots: from 0 to {most}, got {expected_slots}")
         splats = splats.without_empty_bands()
         with self._lock:
+            before = self._map, self._expected_slots
             self._map = SlotMap(splats)
+            self._tell_of(len(splats) - len(self._map))
             self._expected_slots = len(splats) if expected_slots is None else expected_slots
-            with self._sending():
-                self._send_map(range(len(splats)), splats, stamp, progress)
+            try:
+                with self._sending():
+                    self._send_map(range(len(splats)), splats, stamp, progress)
+            except BaseException as error:
+                self._map, self._expected_slots = before
+                if isinstance(error, Exception):  # and nobody is in a hurry to end
+                    self._send_back(stamp)
+                raise
 
     def upsert(
         self, slots: range | ArrayLike, splats: Splats, *, stamp: Time | None = None
@@ -150,10 +158,8 @@ class MapPublisher:
         if len(slots) != len(splats):
             raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
         with self._lock:
-            if not self._revision:
-                self._map = SlotMap(splats[:0])
             splats = splats.without_empty_bands()
-            self._map.write(slots, splats)
+            self._tell_of(self._map.write(slots, splats))
             with self._sending():
                 splats = splats.with_sh_degree(self._map.sh_degree)
                 parts = list(chunks(splats, self._chunk_bytes))
@@ -182,7 +188,20 @@ class MapPublisher:
                     )
                 )
 
-    @contextmanager
+    def _tell_of(self, left_out: int) -> None:
+        if left_out:
+            self._node.get_logger().warning(
+                f"{self._topic}: nobody will draw {left_out} splats, with a value that is not finite, "
+                "a negative scale or no orientation",
+                throttle_duration_sec=5.0,
+            )
+
+    def _send_back(self, stamp: Time | None) -> None:
+        """Sends the map to whom a part of another has come; if that fails, the next edit does."""
+        with contextlib.suppress(Exception), self._sending():
+            self._send_map(*self._map.snapshot(), stamp)
+
+    @contextlib.contextmanager
     def _sending(self) -> Iterator[None]:
         try:
             yield
@@ -291,16 +310,6 @@ class MapPublisher:
         ):
             time.sleep(0.002)
         self._node.destroy_publisher(old)
-
-
-def _no_splats() -> Splats:
-    return Splats(
-        positions=np.zeros((0, 3), np.float32),
-        orientations=np.zeros((0, 4), np.float32),
-        scales=np.zeros((0, 3), np.float32),
-        opacities=np.zeros(0, np.float32),
-        sh=np.zeros((0, 1, 3), np.float32),
-    )
 
 
 def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:

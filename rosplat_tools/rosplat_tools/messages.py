@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.edits import check
 from rosplat_tools.splats import Splats, sh_coefficients
 
 Slots = range | NDArray[np.integer]
@@ -56,24 +57,19 @@ def encode_deletion(
 
 
 def decode(message: GaussianArray) -> tuple[Slots, Splats]:
-    """The slots that a well-formed batch touches and, but for a DELETE, what it writes there.
+    """The slots that a batch touches and, but for a DELETE, what it writes there.
 
-    The arrays are views of the message's. Raises ValueError where a length doesn't fit.
+    The arrays are views of the message's. Raises ValueError where it is wrong in structure.
     """
+    check(message)
     first, count = message.first_slot, message.count
     slots = (
         np.frombuffer(message.slots, np.uint32) if message.slots else range(first, first + count)
     )
-    if len(slots) != count:
-        raise ValueError(f"GaussianArray.slots: expected {count} slots, got {len(slots)}")
     n = 0 if message.operation == GaussianArray.DELETE else count
 
     def field(name: str, *shape: int) -> NDArray[np.float32]:
-        values = np.frombuffer(getattr(message, name), np.float32)
-        if values.size != n * int(np.prod(shape)):
-            expected = n * int(np.prod(shape))
-            raise ValueError(f"GaussianArray.{name}: expected {expected} values, got {values.size}")
-        return values.reshape(n, *shape)
+        return np.frombuffer(getattr(message, name), np.float32).reshape(n, *shape)
 
     origin = message.origin
     return slots, Splats(

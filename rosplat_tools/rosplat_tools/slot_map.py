@@ -7,16 +7,28 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_tools.splats import Splats
+from rosplat_sorter.edits import finite_rows, is_usable
+from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, SlotPages
+from rosplat_tools.splats import Splats, sh_coefficients
+
+_ARRAYS = ("positions", "orientations", "scales", "opacities", "sh")
 
 
 class SlotMap:
-    """Numbered slots that edits fill and empty, in arrays that double as they grow."""
+    """Numbered slots that edits fill and empty, kept by pages of neighbours.
 
-    def __init__(self, splats: Splats) -> None:
-        """A map with a copy of splats in slots 0 to n - 1. They decide its origin and filter."""
-        self._arrays = splats[np.arange(len(splats))]
-        self._used = np.ones(len(splats), bool)
+    Its origin and filter are those of the first splats. What no receiver would take is left out: a
+    splat with a value that is not finite, a negative scale, or no orientation.
+    """
+
+    def __init__(self, splats: Splats | None = None) -> None:
+        """A map with a copy of splats in slots 0 to n - 1."""
+        self._pages = SlotPages()
+        self._arrays = _no_splats()
+        self._used = np.zeros(0, bool)
+        if splats is not None:
+            self._reserve(np.zeros(0, np.int64), splats.sh_degree)
+            self.write(range(len(splats)), splats)
 
     def __len__(self) -> int:
         """Number of slots in use."""
@@ -30,60 +42,83 @@ class SlotMap:
     @property
     def nbytes(self) -> int:
         """Memory that a snapshot's splats take. [bytes]"""
-        return self._arrays.nbytes * len(self) // max(1, len(self._used))
+        return self._arrays.nbytes // max(1, len(self._used)) * len(self)
 
-    def write(self, slots: range | NDArray[np.integer], splats: Splats) -> None:
-        """Puts the i-th splat into the i-th slot, in use or not.
+    def write(self, slots: range | NDArray[np.integer], splats: Splats) -> int:
+        """Puts the i-th splat into the i-th slot, in use or not; returns how many are left out.
 
         Raises ValueError where the splats are antialiased and the map is not, or the reverse.
         """
-        if splats.antialiased != self._arrays.antialiased:
-            raise ValueError("can't mix antialiased splats with others: they are drawn differently")
         if not len(slots):
-            return
-        if splats.sh_degree > self._arrays.sh_degree:
-            self._arrays = self._arrays.with_sh_degree(splats.sh_degree)
-        self._reserve(slots.stop if isinstance(slots, range) else int(slots.max()) + 1)
+            return 0
+        begins = not len(self._pages)
+        if not begins and splats.antialiased != self._arrays.antialiased:
+            raise ValueError("can't mix antialiased splats with others: they are drawn differently")
         into = _index(slots)
+        self._reserve(self._pages.lacking(into), splats.sh_degree)
         mine = self._arrays
+        if begins:
+            mine = replace(mine, origin=splats.origin, antialiased=splats.antialiased)
+            self._arrays = mine
+        rows = self._pages.find(into)
         shift = splats.origin - mine.origin
-        mine.positions[into] = splats.positions + shift if shift.any() else splats.positions
-        mine.orientations[into] = splats.orientations
-        mine.scales[into] = splats.scales
-        mine.opacities[into] = splats.opacities
-        mine.sh[into] = splats.with_sh_degree(mine.sh_degree).sh
-        self._used[into] = True
+        with np.errstate(over="ignore", invalid="ignore"):
+            mine.positions[rows] = splats.positions + shift if shift.any() else splats.positions
+        mine.orientations[rows] = splats.orientations
+        mine.scales[rows] = splats.scales
+        mine.opacities[rows] = splats.opacities
+        k = splats.sh.shape[1]
+        mine.sh[rows, :k] = splats.sh
+        mine.sh[rows, k:] = 0
+        usable = is_usable(
+            splats.positions,
+            splats.orientations,
+            splats.scales,
+            splats.opacities,
+            splats.sh.reshape(len(splats), -1),
+        )
+        usable &= finite_rows(mine.positions[rows])
+        self._used[rows] = usable
+        return len(usable) - int(np.count_nonzero(usable))
 
     def clear(self, slots: range | NDArray[np.integer]) -> None:
         """Empties slots; those beyond the map are empty already."""
-        slots = np.asarray(slots, np.int64)
-        self._used[slots[slots < len(self._used)]] = False
+        self._used[self._pages.find(_index(slots))] = False
 
     def snapshot(self) -> tuple[range | NDArray[np.uint32], Splats]:
         """A copy of the slots in use, ascending, and of what is in them."""
-        slots = np.flatnonzero(self._used).astype(np.uint32)
-        splats = self._arrays[slots]
+        rows = np.flatnonzero(self._used)
+        slots = self._pages.slots(rows)
+        if not self._pages.ascending:
+            places = np.argsort(slots)
+            rows, slots = rows[places], slots[places]
+        splats = self._arrays[rows]
         return (range(len(slots)) if np.all(slots == np.arange(len(slots))) else slots), splats
 
-    def _reserve(self, capacity: int) -> None:
-        have = len(self._used)
-        if capacity <= have:
-            return
-        more = max(capacity, 2 * have) - have
-        old = self._arrays
+    def _reserve(self, pages: NDArray[np.int64], sh_degree: int) -> None:
+        """Makes room for more pages and bands. Raises MemoryError; the map is as it was."""
+        arrays = self._arrays
+        if sh_degree > arrays.sh_degree:
+            sh = np.zeros((len(arrays), sh_coefficients(sh_degree), 3), np.float32)
+            sh[:, : arrays.sh.shape[1]] = arrays.sh
+            self._arrays = arrays = replace(arrays, sh=sh)
+        rows = self._pages.rows + len(pages) * SLOTS_PER_PAGE
+        if rows > len(self._used):
+            rows = max(rows, len(self._used) * 9 // 8)
+            # Where they are: large ones are remapped, so that there are never two of them.
+            for array in (*(getattr(arrays, name) for name in _ARRAYS), self._used):
+                array.resize((rows, *array.shape[1:]), refcheck=False)
+        self._pages.add(pages)
 
-        def grow(values: NDArray[np.float32]) -> NDArray[np.float32]:
-            return np.pad(values, [(0, more)] + [(0, 0)] * (values.ndim - 1))
 
-        self._arrays = replace(
-            old,
-            positions=grow(old.positions),
-            orientations=grow(old.orientations),
-            scales=grow(old.scales),
-            opacities=grow(old.opacities),
-            sh=grow(old.sh),
-        )
-        self._used = np.pad(self._used, (0, more))
+def _no_splats() -> Splats:
+    return Splats(
+        positions=np.zeros((0, 3), np.float32),
+        orientations=np.zeros((0, 4), np.float32),
+        scales=np.zeros((0, 3), np.float32),
+        opacities=np.zeros(0, np.float32),
+        sh=np.zeros((0, 1, 3), np.float32),
+    )
 
 
 def _index(slots: range | NDArray[np.integer]) -> slice | NDArray[np.integer]:

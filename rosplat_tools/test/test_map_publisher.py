@@ -265,18 +265,32 @@ def test_arguments_are_checked_before_anything_is_sent(node: Node, random_splats
     assert (publisher.revision, len(publisher)) == (3, 8)
 
 
-def test_a_progress_that_raises_ends_the_sending(node: Node, random_splats: Maker) -> None:
+@pytest.mark.parametrize("error", [Cancelled, MemoryError])
+def test_a_replace_that_fails_leaves_the_map_as_it_was(
+    node: Node, random_splats: Maker, tmp_path: Path, error: type[Exception]
+) -> None:
+    """With those who have heard a part of the other, too, and for those who come late."""
     publisher = MapPublisher(node, chunk_bytes=20_000)
+    publisher.replace(random_splats(300))
     told: list[int] = []
 
     def progress(count: int) -> None:
         told.append(count)
         if len(told) == 3:
-            raise Cancelled
+            raise error
 
-    with pytest.raises(Cancelled):
-        publisher.replace(random_splats(2000), progress=progress)
-    assert publisher.revision == 3
+    sent = publisher.revision
+    with (
+        receiver(node, sent + 3 + sent, tmp_path / "early.npz") as early,
+        pytest.raises(error),
+    ):
+        publisher.replace(random_splats(2000, seed=1), progress=progress)
+    assert publisher.revision == sent + 3 + sent
+    with receiver(node, publisher.revision, tmp_path / "late.npz") as late:
+        pass
+    assert len(publisher) == 300
+    for received in (early, late):
+        assert_same_map(received, publisher)
 
 
 def test_after_an_interrupted_edit_the_whole_map_is_sent(

@@ -72,11 +72,11 @@ def test_what_is_decoded_is_what_was_encoded(
 def test_a_batch_that_lies_about_its_length_is_refused_by_field(random_splats: Maker) -> None:
     message = batch(random_splats(4), range(4))
     message.scales = message.scales[:-1]
-    with pytest.raises(ValueError, match=r"GaussianArray\.scales"):
+    with pytest.raises(ValueError, match="scales has 11 values, 12 expected"):
         decode(message)
     message = batch(random_splats(4), np.arange(4))
     message.count = 5
-    with pytest.raises(ValueError, match=r"GaussianArray\.slots"):
+    with pytest.raises(ValueError, match="slots has 4 values, count says 5"):
         decode(message)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
 
@@ -66,3 +67,29 @@ def test_positions_move_to_the_map_s_origin(random_splats: Maker) -> None:
 def test_two_kinds_of_filter_don_t_mix(random_splats: Maker) -> None:
     with pytest.raises(ValueError, match="antialiased"):
         SlotMap(random_splats(1)).write(range(1), random_splats(1, antialiased=True))
+
+
+def test_memory_goes_to_the_pages_in_use(random_splats: Maker) -> None:
+    """Slots are numbered as authors like, keyframe << 16 | i say."""
+    slot_map = SlotMap()
+    first, second = random_splats(3, 3), random_splats(2, 3, seed=1)
+    slot_map.write(np.array([2**25 - 1, 7 << 16, (7 << 16) + 1]), first)
+    slot_map.write(range(2), second)
+    slots, splats = slot_map.snapshot()
+    assert list(slots) == [0, 1, 7 << 16, (7 << 16) + 1, 2**25 - 1]
+    np.testing.assert_array_equal(splats.sh, [*second.sh, *first.sh[[1, 2, 0]]])
+    assert len(slot_map._used) <= 4 * SLOTS_PER_PAGE
+    slot_map.clear(range(2**25))
+    assert len(slot_map) == 0
+
+
+def test_the_first_splats_decide_origin_and_filter(random_splats: Maker) -> None:
+    slot_map = SlotMap(random_splats(0))
+    slot_map.clear(range(5))
+    origin = np.array([4.5e6, 0, 0])
+    far = Splats(**(vars(random_splats(2, antialiased=True)) | {"origin": origin}))
+    slot_map.write(range(2), far)
+    _, splats = slot_map.snapshot()
+    assert splats.antialiased
+    np.testing.assert_array_equal(splats.origin, origin)
+    np.testing.assert_array_equal(splats.positions, far.positions)
