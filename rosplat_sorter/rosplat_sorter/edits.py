@@ -45,6 +45,12 @@ class Edit:
     rejected: int
     snapshot: bool = False
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes until it is applied. [bytes]"""
+        listed = 0 if isinstance(self.slots, slice) else self.slots.nbytes
+        return self.positions.nbytes + self.extents.nbytes + listed
+
 
 def check(message: GaussianArray) -> None:
     """Raises EditError where a message is wrong in structure."""
@@ -77,11 +83,9 @@ def check(message: GaussianArray) -> None:
 def decode(message: GaussianArray) -> Edit:
     """The edit of a message. Raises EditError where the message is wrong in structure."""
     check(message)
-    slots: Slots = np.asarray(message.slots, np.uint32)
-    end = int(slots.max(initial=0)) + 1
-    if not len(slots):
-        end = message.first_slot + message.count
-        slots = slice(message.first_slot, end)
+    listed = np.asarray(message.slots, np.uint32)
+    end = int(listed.max()) + 1 if listed.size else message.first_slot + message.count
+    slots: Slots = listed if listed.size else slice(message.first_slot, end)
     positions, orientations, scales, opacities, sh = (
         np.asarray(getattr(message, name), np.float32).reshape(-1, each)
         for name, each in _columns(message).items()
@@ -133,7 +137,7 @@ def is_usable(
 def finite_rows(values: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Whether all values of a row are finite, bool (n,), of float32 (n, any)."""
     with np.errstate(over="ignore", invalid="ignore"):
-        finite = np.isfinite(values.sum(axis=1))  # never, where one is not
+        finite: NDArray[np.bool_] = np.isfinite(values.sum(axis=1))  # never, where one is not
     doubtful = np.flatnonzero(~finite)
     finite[doubtful] = np.isfinite(values[doubtful]).all(axis=1)
     return finite

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rosplat_sorter import backends, camera, edits
 from rosplat_sorter.backends import AUTO, Backend, Unavailable
 from rosplat_sorter.camera import Camera, CameraError
-from rosplat_sorter.edits import EditError
+from rosplat_sorter.edits import Edit, EditError
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_sorter.view import View
@@ -29,6 +29,9 @@ T = TypeVar("T")
 # Viewers show their cameras at least each second; who is silent for so long is gone. [s]
 FORGET_AFTER = 10.0
 MAX_VIEWS = 32
+
+# Edits that wait for longer are waited for, and what their messages bring with them. [bytes]
+MOST_WAITING = 1 << 25
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Answer:
 
 
 class Host(Protocol):
-    """What the worker talks to, from its own thread."""
+    """What the worker talks to, from its own thread and from those that hand it messages."""
 
     def publish(self, answer: Answer) -> None: ...
 
@@ -65,9 +68,18 @@ class Host(Protocol):
 
 @dataclass
 class _Inbox:
-    edits: list[GaussianArray] = field(default_factory=list)
+    edits: list[Edit] = field(default_factory=list)
+    edit_bytes: int = 0
     views: dict[str, ViewCamera] = field(default_factory=dict)  # the newest of each view
     backend: tuple[str, int] | None = None
+
+    def add(self, edit: Edit) -> None:
+        """Adds an edit. What a REPLACE forgets needn't be applied before it."""
+        if edit.operation == edits.REPLACE and not edit.snapshot:
+            self.edits.clear()
+            self.edit_bytes = 0
+        self.edits.append(edit)
+        self.edit_bytes += edit.nbytes
 
     def __bool__(self) -> bool:
         return bool(self.edits or self.views or self.backend)
@@ -116,28 +128,34 @@ class Worker:
         self._thread.start()
 
     def edit(self, message: GaussianArray) -> None:
-        """Takes an edit of the map."""
+        """Takes an edit of the map; waits while too much lies there that isn't applied yet."""
+        try:
+            edit = edits.decode(message)
+        except (EditError, MemoryError) as error:
+            self._drop_batch(message.map_id, message.revision, error)
+            return
         with self._wake:
-            self._inbox.edits.append(message)
-            self._wake.notify()
+            self._inbox.add(edit)
+            self._wake.notify_all()
+            self._wake.wait_for(lambda: self._closing or self._inbox.edit_bytes <= MOST_WAITING)
 
     def look(self, message: ViewCamera) -> None:
         """Takes a camera; one of the same view that still waits is forgotten."""
         with self._wake:
             self._inbox.views[message.view_id] = message
-            self._wake.notify()
+            self._wake.notify_all()
 
     def use(self, backend: str, threads: int) -> None:
         """Sorts with another backend from now on; one that failed gets another chance."""
         with self._wake:
             self._inbox.backend = (backend, threads)
-            self._wake.notify()
+            self._wake.notify_all()
 
     def close(self) -> None:
         """Ends the thread after the sort it is at."""
         with self._wake:
             self._closing = True
-            self._wake.notify()
+            self._wake.notify_all()
         self._thread.join()
         if self._orders:
             self._orders.close()
@@ -153,10 +171,11 @@ class Worker:
                 if self._closing:
                     return
                 inbox, self._inbox = self._inbox, _Inbox()
+                self._wake.notify_all()
             if inbox.backend is not None:
                 self._attempt(self._use, inbox.backend)
-            for batch in inbox.edits:
-                self._attempt(self._apply, batch)
+            for edit in inbox.edits:
+                self._attempt(self._apply, edit)
             for message in inbox.views.values():
                 self._attempt(self._see, message)
             self._attempt(self._forget_silent, time.monotonic())
@@ -179,22 +198,24 @@ class Worker:
 
     # --- Edits ------------------------------------------------------------------------------------
 
-    def _apply(self, message: GaussianArray) -> None:
+    def _drop_batch(self, map_id: str, revision: int, error: Exception) -> None:
+        self._dropped_batches += 1
+        self._host.warn(
+            "batch",
+            f"gaussians: batch {revision} of map '{map_id}' dropped: "
+            f"{str(error) or 'out of memory'} ({self._dropped_batches} dropped so far)",
+        )
+
+    def _apply(self, edit: Edit) -> None:
         known_map, known_missed, known_revision = (
             self._map.map_id,
             self._map.missed,
             self._map.revision,
         )
         try:
-            edit = edits.decode(message)
             changed = self._map.apply(edit)
-        except (EditError, MemoryError) as error:
-            self._dropped_batches += 1
-            self._host.warn(
-                "batch",
-                f"gaussians: batch {message.revision} of map '{message.map_id}' dropped: "
-                f"{str(error) or 'out of memory'} ({self._dropped_batches} dropped so far)",
-            )
+        except MemoryError as error:
+            self._drop_batch(edit.map_id, edit.revision, error)
             return
         if changed is None:
             return

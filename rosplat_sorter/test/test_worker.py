@@ -174,6 +174,55 @@ def test_of_a_burst_only_the_newest_view_is_sorted(start, make_batch, make_look)
     assert GatedBackend.sorts == 2
 
 
+def test_of_a_burst_of_maps_only_the_newest_waits(start, make_batch, make_look):
+    worker, host = start()
+    GatedBackend.gate.clear()
+    worker.edit(make_batch())
+    worker.look(make_look())
+    assert GatedBackend.sorting.wait(10)
+    for revision in range(2, 100, 2):
+        worker.edit(make_batch(4, revision=revision, operation=0))
+        worker.edit(make_batch(1, revision=revision + 1, first_slot=4))
+    assert [edit.revision for edit in worker._inbox.edits] == [98, 99]
+    GatedBackend.gate.set()
+    assert len(host.answer(revision=99).slots) == 5
+    assert not [line for line in host.lines if "missed" in line]
+
+
+def test_a_snapshot_that_waits_displaces_nothing(start, make_batch, make_look):
+    """Who has what it repeats drops it, and needs what came before."""
+    worker, host = start()
+    GatedBackend.gate.clear()
+    worker.edit(make_batch())
+    worker.look(make_look())
+    assert GatedBackend.sorting.wait(10)
+    worker.edit(make_batch(2, revision=2, first_slot=3))
+    worker.edit(make_batch(1, revision=2, operation=0, snapshot=True))
+    GatedBackend.gate.set()
+    assert len(host.answer(revision=2).slots) == 5
+
+
+def test_who_sends_faster_than_edits_are_applied_waits(start, make_batch, make_look, monkeypatch):
+    monkeypatch.setattr("rosplat_sorter.worker.MOST_WAITING", 10 * 50 * 16)
+    worker, host = start()
+    GatedBackend.gate.clear()
+    worker.edit(make_batch())
+    worker.look(make_look())
+    assert GatedBackend.sorting.wait(10)
+    batches = [make_batch(50, revision=revision) for revision in range(2, 102)]
+    sender = threading.Thread(target=lambda: [worker.edit(batch) for batch in batches])
+    sender.start()
+    patient_until = time.monotonic() + 10
+    while len(worker._inbox.edits) < 11:
+        assert time.monotonic() < patient_until
+        time.sleep(0.01)
+    time.sleep(0.1)  # in which it would go on
+    assert len(worker._inbox.edits) == 11
+    GatedBackend.gate.set()
+    sender.join(10)
+    assert len(host.answer(revision=101).slots) == 50
+
+
 def test_views_do_not_displace_each_other(start, make_batch, make_look):
     worker, host = start()
     worker.edit(make_batch())

@@ -191,8 +191,8 @@ class MapPublisher:
     def _tell_of(self, left_out: int) -> None:
         if left_out:
             self._node.get_logger().warning(
-                f"{self._topic}: nobody will draw {left_out} splats, with a value that is not finite, "
-                "a negative scale or no orientation",
+                f"{self._topic}: {left_out} splats are left out: a value is not finite, a scale "
+                "negative or a quaternion zero",
                 throttle_duration_sec=5.0,
             )
 
