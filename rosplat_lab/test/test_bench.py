@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_lab.bench import baselines, frame, rviz, scenes, sort
+from rosplat_lab.bench import baselines, rviz, scenes, sort, streaming
 from rosplat_lab.bench.command import main
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.bench.records import Record, load
+from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_sorter.depth import order
 from rosplat_tools.formats import save as save_scene
 from rosplat_tools.generate import generate
@@ -85,15 +86,21 @@ def test_pictures_are_measured_with_each_kind_of_order(tmp_path: Path) -> None:
     assert "OpenGL" in records[0].gpu
 
 
+def test_other_renderers_are_measured_beside_the_display_s(tmp_path: Path) -> None:
+    records = bench(tmp_path, "frame", "--sizes", "2000", "--variants", *RENDERERS)
+    assert {r.parameters["variant"] for r in records} >= {"cpu"}
+    assert all((r.name, r.splats) == ("frame", 2000) and r.gpu for r in records)
+
+
 def test_a_picture_is_whole_when_nothing_is_added_and_its_order_knows_all() -> None:
     frames = [
-        frame.Frame(ended=when, took=0.1, drawn=drawn, fresh=fresh)
+        streaming.Frame(ended=when, took=0.1, drawn=drawn, fresh=fresh)
         for when, drawn, fresh in [
             (1, 100, True), (2, 99, True), (3, 100, False), (4, 100, True), (5, 100, True),
         ]
     ]  # fmt: skip
-    assert frame.whole_since(frames) == 4
-    assert frame.whole_since(frames[:3]) == 3
+    assert streaming.whole_since(frames) == 4
+    assert streaming.whole_since(frames[:3]) == 3
 
 
 def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:

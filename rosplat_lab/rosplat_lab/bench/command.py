@@ -20,7 +20,7 @@ from rich.table import Table
 from rosplat_lab import machine
 from rosplat_lab.arguments import make_folder, seconds
 from rosplat_lab.bench import live
-from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, VARIANTS, Plan
+from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
 from rosplat_lab.bench.records import (
     Circumstances,
     Doing,
@@ -32,6 +32,7 @@ from rosplat_lab.bench.records import (
     load,
     save,
 )  # fmt: skip
+from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_sorter.backends import BACKENDS
 from rosplat_tools.output import say, unheard
 from rosplat_tools.processes import ProcessError
@@ -210,7 +211,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
-        help=f"of the renderer's settings, for the subject frame: {', '.join(map(repr, VARIANTS))}",
+        help="of what frame draws: default, quads, tiles, 'float blending', translucent, or "
+        f"another renderer: {', '.join(RENDERERS)}",
     )  # fmt: skip
     parser.add_argument(
         "--displays", type=Path, nargs="+", default=[], metavar="FILE",

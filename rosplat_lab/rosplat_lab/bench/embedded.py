@@ -34,6 +34,15 @@ def gl_finish() -> Callable[[], None]:
     return lambda: finish()
 
 
+def pose(camera: Camera) -> tuple[Any, ...]:
+    """A camera as renderers take it."""
+    return (
+        tuple(camera.position.tolist()), tuple(camera.orientation.tolist()),
+        int(camera.orthographic), camera.fx, camera.fy, camera.cx, camera.cy,
+        camera.width, camera.height, camera.near, camera.far,
+    )  # fmt: skip
+
+
 class View:
     """A view of the renderer, whose cameras are numbered as the renderer wants it."""
 
@@ -46,11 +55,7 @@ class View:
     def look(self, camera: Camera) -> int:
         """Poses the view's camera; returns its number."""
         self._sequence += 1
-        self._renderer.set_camera(
-            self.NAME, self._sequence, tuple(camera.position.tolist()),
-            tuple(camera.orientation.tolist()), int(camera.orthographic), camera.fx, camera.fy,
-            camera.cx, camera.cy, camera.width, camera.height, camera.near, camera.far,
-        )  # fmt: skip
+        self._renderer.set_camera(self.NAME, self._sequence, *pose(camera))
         return self._sequence
 
     def give(self, number: int, revision: int, slots: NDArray[np.uint32]) -> None:
@@ -81,16 +86,17 @@ def insert(renderer: Renderer, splats: Splats, part: slice, revision: int) -> No
     )  # fmt: skip
 
 
+def insert_all(renderer: Renderer, splats: Splats) -> None:
+    """Gives the renderer a map, batch by batch."""
+    for revision, part in enumerate(batches(splats), 1):
+        insert(renderer, splats, part, revision)
+
+
 _NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)
 
 
 def put(settings: Any, values: dict[str, Any]) -> None:
-    """Sets fields of RenderSettings, enumerations by name.
-
-    Raises AttributeError for a field, or a name, that this build doesn't have.
-    """
+    """Sets fields of RenderSettings, enumerations by name."""
     for name, value in values.items():
         members = getattr(type(getattr(settings, name)), "__members__", None)
-        if members and value not in members:
-            raise AttributeError(f"{name} has no '{value}'")
         setattr(settings, name, members[value] if members else value)

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import takewhile
-from time import perf_counter
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_lab import machine
-from rosplat_lab.bench import embedded, scenes
+from rosplat_lab.bench import embedded, scenes, streaming
 from rosplat_lab.bench.isolation import isolated
-from rosplat_lab.bench.plan import VARIANTS, Plan
+from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_lab.bench.sort import map_of, view_of
 from rosplat_tools.cameras import Camera
 from rosplat_tools.splats import SceneError, Splats
@@ -32,12 +31,32 @@ QUICK_SIZES = (50_000,)
 STREAMED, QUICK_STREAMED = 5_000_000, 100_000
 VIEWS = ("overview", "inside")
 STEPS = 8  # cameras that take turns
-STREAM_TIMEOUT = 120.0  # [s]
-SETTLED = 0.5  # a picture that hasn't changed for so long is whole [s]
 PROFILED = Budget(least=3, most=30, seconds=0.5)  # frames whose stages are measured
 
 QUICK_VARIANTS = ("default",)
 SOFTWARE_VARIANTS = ("default", "translucent")  # where no GPU draws
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What is drawn otherwise: settings, fields of RenderSettings; a translucent box."""
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    translucent: bool = False
+
+
+def variants() -> dict[str, Variant]:
+    """Of the display's renderer, by name: each of its rasterisers is one."""
+    from rviz_gaussian_plugin.offscreen import Rasterizer
+
+    rasterizers = [name for name in Rasterizer.__members__ if name != "AUTO"]
+    return {
+        "default": Variant(),
+        **{name.lower(): Variant({"rasterizer": name}) for name in rasterizers},
+        "float blending": Variant({"float_blending": True}),
+        # A box amid the splats, before some, behind others.
+        "translucent": Variant(translucent=True),
+    }
 
 
 @dataclass(frozen=True)
@@ -59,34 +78,47 @@ ORDERS = {
 
 def measure(plan: Plan) -> Iterator[Event]:
     """Frame times by scene, picture, view, settings and order; memory; frames of a growing map."""
-    unknown = set(plan.variants) - VARIANTS.keys()
-    if unknown:
-        known = ", ".join(VARIANTS)
-        raise SceneError(f"unknown variant '{unknown.pop()}', known are {known}")
     try:
         from rviz_gaussian_plugin.offscreen import ensure_display
     except ImportError as error:
         yield Skipped(f"the renderer is not built here: {error}")
         return
+    known = variants().keys() | RENDERERS.keys()
+    if unknown := set(plan.variants) - known:
+        names = ", ".join(sorted(known))
+        raise SceneError(f"unknown variant '{unknown.pop()}', known are {names}")
     try:
         with ensure_display():
             (drawing,) = isolated(_hardware)
             software = isinstance(drawing, Measurement) and "llvmpipe" in drawing.gpu
-            sizes = plan.sizes or (
-                QUICK_SIZES if plan.quick else SOFTWARE_SIZES if software else SIZES
-            )
-            variants = plan.variants or (
-                QUICK_VARIANTS if plan.quick else SOFTWARE_VARIANTS if software else tuple(VARIANTS)
-            )
-            plan = replace(plan, variants=variants)
-            names = scenes.names(sizes, plan.scenes)
-            for number, name in enumerate(names):
-                yield from isolated(_scene, plan, name, number, len(names) + 1)
-            streamed = max(plan.sizes, default=QUICK_STREAMED if plan.quick else STREAMED)
-            yield Doing(f"{streamed:,} splats stream in", len(names) / (len(names) + 1))
-            yield from isolated(_stream, streamed)
+            sizes, chosen = SIZES, (*variants(), *RENDERERS)
+            if software:
+                sizes, chosen = SOFTWARE_SIZES, (*SOFTWARE_VARIANTS, *RENDERERS)
+            if plan.quick:
+                sizes, chosen = QUICK_SIZES, (*QUICK_VARIANTS, *RENDERERS)
+            chosen = plan.variants or chosen
+            ours = [variant for variant in chosen if variant in variants()]
+            jobs = []
+            for name in scenes.names(plan.sizes or sizes, plan.scenes):
+                if ours:
+                    jobs.append(partial(isolated, _scene, plan, name, ours))
+                beside = [renderer for renderer in chosen if renderer in RENDERERS]
+                jobs += [partial(isolated, _beside, plan, name, renderer) for renderer in beside]
+            if ours:
+                streamed = max(plan.sizes, default=QUICK_STREAMED if plan.quick else STREAMED)
+                jobs.append(partial(isolated, streaming.measure, streamed))
+            for number, job in enumerate(jobs):
+                yield from _part_of(job(), number, len(jobs))
     except RuntimeError as error:
         yield Skipped(f"pictures: {error}")
+
+
+def _part_of(events: Iterator[Event], number: int, jobs: int) -> Iterator[Event]:
+    """Events of one of several jobs, of which each says how much of its own is done."""
+    for event in events:
+        if isinstance(event, Doing):
+            event = replace(event, part=(number + event.part) / jobs)
+        yield event
 
 
 def _hardware() -> Iterator[Event]:
@@ -94,48 +126,75 @@ def _hardware() -> Iterator[Event]:
     yield Measurement.of("", "", 0, gpu=embedded.open_renderer().renderer_info)
 
 
-def _scene(plan: Plan, name: str, number: int, total: int) -> Iterator[Event]:
-    """All measurements of one scene."""
-    yield Doing(f"{name}: loading", number / total)
+def _looks(plan: Plan) -> list[tuple[tuple[int, int], str]]:
+    """Sizes of pictures and views to measure."""
+    if plan.quick:
+        return [(scenes.PICTURES[0], VIEWS[0])]
+    return [(picture, view) for picture in scenes.PICTURES for view in VIEWS]
+
+
+def _beside(plan: Plan, name: str, which: str) -> Iterator[Event]:
+    """Frames of one scene by one of the RENDERERS."""
+    yield Doing(f"{name}: loading", 0.0)
+    try:
+        renderer = RENDERERS[which]()
+    except (ImportError, RuntimeError) as error:
+        yield Skipped(f"{which}: {error}")
+        return
+    splats = scenes.load(name)
+    renderer.show(splats)
+    looks = _looks(plan)
+    for index, (picture, view) in enumerate(looks):
+        cameras = scenes.VIEWS[view](splats, *picture, STEPS)
+        size = f"{picture[0]}x{picture[1]}"
+        yield Doing(f"{name}, {size}, {view}, {which}", index / len(looks))
+
+        def frame(number: int, cameras: list[Camera] = cameras) -> float:
+            return milliseconds(partial(renderer.draw, cameras[number % STEPS]))
+
+        yield Measurement.of(
+            "frame", "ms", plan.budget.spend(frame), name, len(splats), renderer.device,
+            picture=size, view=view, variant=which, order="its own",
+        )  # fmt: skip
+
+
+def _scene(plan: Plan, name: str, chosen: Sequence[str]) -> Iterator[Event]:
+    """All measurements of one scene by the display's renderer."""
+    yield Doing(f"{name}: loading", 0.0)
     renderer = embedded.open_renderer()
     bench = Bench(renderer)
     before = _trimmed_memory()
     splats = scenes.load(name)
     count = len(splats)
-    for revision, part in enumerate(embedded.batches(splats), 1):
-        embedded.insert(renderer, splats, part, revision)
-    pictures = scenes.PICTURES[:1] if plan.quick else scenes.PICTURES
-    views = VIEWS[:1] if plan.quick else VIEWS
-    jobs = [(picture, view) for picture in pictures for view in views]
-    for index, (picture, view) in enumerate(jobs):
+    embedded.insert_all(renderer, splats)
+    looks = _looks(plan)
+    for index, (picture, view) in enumerate(looks):
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
         orders = _sorted(splats, cameras)
         bench.view.look(cameras[0])
         bench.view.draw(sort_now=True)  # which uploads all that waits
-        for variant in plan.variants:
-            bench.put_box(scenes.place(splats) if VARIANTS[variant].translucent else None)
+        for variant in chosen:
+            drawn = variants()[variant]
+            bench.put_box(scenes.place(splats) if drawn.translucent else None)
             size = f"{picture[0]}x{picture[1]}"
-            yield Doing(f"{name}, {size}, {view}, {variant}", (number + index / len(jobs)) / total)
+            yield Doing(f"{name}, {size}, {view}, {variant}", index / len(looks))
             labels = {
                 "scene": name, "splats": count, "gpu": renderer.renderer_info,
                 "picture": size, "view": view, "variant": variant,
             }  # fmt: skip
             for kind, order in ORDERS.items():
-                try:
-                    bench.use(VARIANTS[variant].settings | order.settings)
-                except AttributeError as error:
-                    if number == index == 0:
-                        yield Skipped(f"{variant}, {kind}: this renderer has it not: {error}")
-                    continue
+                bench.use(drawn.settings | order.settings)
                 yield from bench.frames(
                     plan.budget, cameras, orders, order, labels | {"order": kind}
                 )
     bench.put_box(None)
     report = bench.view.draw()
     del splats, orders
-    memory = {"GPU memory": report["gpu_bytes"], "host memory": _trimmed_memory() - before}
-    if "map_bytes" in report:
-        memory["GPU memory of the map"] = report["map_bytes"]
+    memory = {
+        "GPU memory": report["gpu_bytes"],
+        "host memory": _trimmed_memory() - before,
+        "GPU memory of the map": report["map_bytes"],
+    }
     for what, used in memory.items():
         labels = {"scene": name, "splats": count, "gpu": renderer.renderer_info}
         yield Measurement.of(what, "MB", used / 1e6, **labels)
@@ -152,7 +211,7 @@ class Bench:
         self._untouched = type(renderer.settings)()
 
     def use(self, values: dict[str, Any]) -> None:
-        """These settings, and all others as they are by default. Raises AttributeError."""
+        """These settings, and all others as they are by default."""
         changed = type(self._untouched)()
         embedded.put(changed, values)
         self._renderer.settings = changed
@@ -168,7 +227,7 @@ class Bench:
         self, budget: Budget, cameras: list[Camera], orders: list[NDArray[np.uint32]],
         order: Order, labels: dict[str, Any],
     ) -> Iterator[Measurement]:  # fmt: skip
-        """Times of frames with cameras in turn; of their stages where the renderer tells them."""
+        """Times of frames with cameras in turn, and of their stages."""
         reports: list[dict[str, Any]] = []
 
         def frame(index: int) -> float:
@@ -192,14 +251,13 @@ class Bench:
         yield Measurement.of("frame", "ms", times, **details)
         submitting = [1e3 * report["draw_time"] for report in reports[1:]]
         yield Measurement.of("render thread", "ms", submitting, **details)
-        if hasattr(self._renderer.settings, "profile"):
-            self._renderer.settings.profile = True
-            reports.clear()
-            PROFILED.spend(frame)
-            self._renderer.settings.profile = False
-            for stage in reports[-1]["profile"]:
-                spent = [1e3 * r["profile"][stage] for r in reports[1:] if stage in r["profile"]]
-                yield Measurement.of("stage", "ms", spent, **details, stage=stage)
+        self._renderer.settings.profile = True
+        reports.clear()
+        PROFILED.spend(frame)
+        self._renderer.settings.profile = False
+        for stage in reports[-1]["profile"]:
+            spent = [1e3 * r["profile"][stage] for r in reports[1:] if stage in r["profile"]]
+            yield Measurement.of("stage", "ms", spent, **details, stage=stage)
 
 
 def _sorted(splats: Splats, cameras: list[Camera]) -> list[NDArray[np.uint32]]:
@@ -208,68 +266,6 @@ def _sorted(splats: Splats, cameras: list[Camera]) -> list[NDArray[np.uint32]]:
     sorter, sorted_map = open_backend("native"), map_of(splats)
     sorter.update(sorted_map, slice(0, len(sorted_map)))
     return [np.array(sorter.order(view_of(camera, splats))) for camera in cameras]
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A frame of a map that streams in. [s]"""
-
-    ended: float
-    took: float
-    drawn: int
-    fresh: bool
-    """Whether it was sorted for its very camera, and for all that it draws."""
-
-
-def whole_since(frames: list[Frame]) -> float:
-    """The end of the first frame from which on all draw what the last one does. [s]"""
-    last = frames[-1]
-    alike = takewhile(
-        lambda frame: (frame.drawn, frame.fresh) == (last.drawn, last.fresh), reversed(frames)
-    )
-    return min(frame.ended for frame in alike)
-
-
-def _stream(count: int) -> Iterator[Event]:
-    """Frames while a map arrives as fast as it can be taken, the camera moving until it is sent."""
-    (name,) = scenes.names((count,), ())
-    renderer = embedded.open_renderer()
-    finish = embedded.gl_finish()
-    splats = scenes.load(name)
-    view = embedded.View(renderer)
-    cameras = scenes.overview(splats, *scenes.PICTURES[0], 360)
-    view.look(cameras[0])
-    view.draw()
-    finish()
-
-    def publish() -> None:
-        for revision, part in enumerate(embedded.batches(splats), 1):
-            embedded.insert(renderer, splats, part, revision)
-
-    publisher = threading.Thread(target=publish)
-    frames: list[Frame] = []
-    start = perf_counter()
-    publisher.start()
-    sent = whole = False
-    while not whole and perf_counter() - start < STREAM_TIMEOUT:
-        if not sent:
-            sent = not publisher.is_alive()
-            view.look(cameras[len(frames) % len(cameras)])
-        began = perf_counter()
-        report = view.draw()
-        finish()
-        ended = perf_counter()
-        frames.append(Frame(ended, ended - began, report["splats"], report["order_fresh"]))
-        whole = sent and frames[-1].fresh and ended - whole_since(frames) > SETTLED
-    publisher.join()
-    end = whole_since(frames)
-    labels = {"scene": name, "splats": count, "gpu": renderer.renderer_info}
-    times = [1e3 * frame.took for frame in frames if frame.ended <= end]
-    yield Measurement.of("frame while a map streams in", "ms", times, **labels)
-    if whole and renderer.splats == count:
-        yield Measurement.of("from the first batch to the picture", "s", end - start, **labels)
-    else:
-        yield Skipped(f"{name} was not seen whole within {STREAM_TIMEOUT:.0f} s")
 
 
 def _trimmed_memory() -> int:

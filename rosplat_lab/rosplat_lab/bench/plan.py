@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from rosplat_lab.bench.records import Budget
 
@@ -13,29 +12,12 @@ QUICK_BUDGET = Budget(least=3, most=30, seconds=0.3)
 
 
 @dataclass(frozen=True)
-class Variant:
-    """What is drawn otherwise: settings, fields of RenderSettings; a translucent box."""
-
-    settings: dict[str, Any] = field(default_factory=dict)
-    translucent: bool = False
-
-
-VARIANTS = {
-    "default": Variant(),
-    "quads": Variant({"rasterizer": "QUADS"}),
-    "tiles": Variant({"rasterizer": "TILES"}),
-    "float blending": Variant({"float_blending": True}),
-    "translucent": Variant(translucent=True),  # a box amid the splats, before some, behind others
-}
-
-
-@dataclass(frozen=True)
 class Plan:
     """Empty sizes, backends and variants: each subject's own choice.
 
-    sizes: of procedural scenes. scenes: by name, besides. backends: of the sorter. variants: of the
-    renderer's settings, see VARIANTS. displays: files that list others, for rviz.
-    one_process: growth without ROS 2. out: a folder for logs.
+    sizes: of procedural scenes. scenes: by name, besides. backends: of the sorter. variants: what
+    `frame` draws, see there. displays: files that list others, for rviz. one_process: growth
+    without ROS 2. out: a folder for logs.
     """
 
     out: Path = Path("out/bench")

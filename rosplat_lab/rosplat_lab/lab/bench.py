@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rosplat_lab.bench.baselines import Positions
 from rosplat_lab.bench.baselines import Sort as Baseline
-from rosplat_lab.bench.embedded import gl_finish
+from rosplat_lab.bench.embedded import gl_finish, pose
 from rosplat_lab.lab.motion import FRAME_RATE
 from rosplat_lab.lab.orders import Order
 from rosplat_sorter import camera as sorter_camera
@@ -209,11 +209,7 @@ class Bench:
     def _look(self, camera: Camera, order: Order | None) -> None:
         """Tells the renderer of a camera and of its order, and uploads what the map still lacks."""
         self._sequence += 1
-        self.renderer.set_camera(
-            VIEW_ID, self._sequence, tuple(camera.position), tuple(camera.orientation),
-            int(camera.orthographic), camera.fx, camera.fy, camera.cx, camera.cy,
-            camera.width, camera.height, camera.near, camera.far,
-        )  # fmt: skip
+        self.renderer.set_camera(VIEW_ID, self._sequence, *pose(camera))
         if order is not None:
             self.renderer.set_order(
                 VIEW_ID, self._sequence, str(self._maps), self._revision, SOURCE, 0.0, order
