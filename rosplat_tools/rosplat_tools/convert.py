@@ -1,4 +1,4 @@
-"""Converts a scene to .ply in the INRIA layout, which other tools read."""
+"""Converts a scene to a format that other tools read, and tells what the format did to it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import sys
 
 from tqdm import tqdm
 
-from rosplat_tools.formats import SceneError, check_output, save
+from rosplat_tools.formats import SUFFIXES, SceneError, axes, check_output, load, save
 from rosplat_tools.output import say
 from rosplat_tools.progress import watched
-from rosplat_tools.scenes import NAMES, load_scene
+from rosplat_tools.round_trip import report
+from rosplat_tools.scenes import NAMES, load_scene, vertical
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -19,7 +20,7 @@ def main(arguments: list[str] | None = None) -> int:
         prog="convert", description=__doc__, epilog="Coordinates stay as they are in the input."
     )
     parser.add_argument("input", help=f"scene: {NAMES}")
-    parser.add_argument("output", help="scene to write (.ply)")
+    parser.add_argument("output", help=f"scene to write ({SUFFIXES})")
     parser.add_argument(
         "--sh-degree",
         type=int,
@@ -28,23 +29,29 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an output that exists")
     options = parser.parse_args(arguments)
+
+    def warn(text: str) -> None:
+        tqdm.write(f"convert: {text}", file=sys.stderr)
+
     try:
         check_output(options.output, options.overwrite)
         with watched("reading") as progress:
-            splats = load_scene(
-                options.input,
-                progress,
-                warn=lambda text: tqdm.write(f"convert: {text}", file=sys.stderr),
-            )
+            splats = load_scene(options.input, progress, warn)
         if options.sh_degree is not None:
             splats = splats.with_sh_degree(min(options.sh_degree, splats.sh_degree))
-        save(options.output, splats)
+        written = save(options.output, splats)
+        with watched("reading back") as progress:
+            back = load(options.output, progress, warn)
+        up, written_up = vertical(options.input), axes(options.output).up
     except SceneError as error:
         print(f"convert: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
-    say(f"{options.output}: {len(splats):,} splats, SH degree {splats.sh_degree}")
+    say(f"{options.output}: {len(back):,} splats, SH degree {back.sh_degree}")
+    say(report(written, back))
+    if written_up not in (None, up):
+        warn(f"readers of {options.output} take its axes for {axes(options.output).text}")
     return 0
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rosplat_tools.formats import SceneError, format_of
+from rosplat_tools.formats import SceneError, axes, format_of
 from rosplat_tools.output import say
 from rosplat_tools.progress import watched
 from rosplat_tools.scenes import NAMES, PROCEDURAL, read_scene
@@ -30,6 +30,7 @@ def describe(path: str | Path) -> str:
         "format": _format(str(path)),
         "splats": f"{len(splats):,}",
         "SH degree": degree,
+        "axes": "z up" if str(path).startswith(PROCEDURAL) else axes(path).text,
         "antialiased": "yes" if splats.antialiased else "no",
         "in memory": f"{_bytes(used.nbytes)}, {used.nbytes // max(1, len(used))} bytes per splat",
     }

@@ -13,7 +13,9 @@ from rosplat_tools.splats import SceneError, Splats
 
 PROCEDURAL = "procedural:"
 
-NAMES = ".ply, .spz, .sog, a SOG folder, or procedural:COUNT[:SEED]"
+NAMES = (
+    ".ply, .compressed.ply, .spz, .sog, a SOG folder, .splat, .ksplat, or procedural:COUNT[:SEED]"
+)
 
 
 def check_scene(name: str) -> None:
@@ -23,6 +25,14 @@ def check_scene(name: str) -> None:
             Path(name).stat()
     except (OSError, ValueError) as error:
         raise SceneError(f"{name}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def vertical(name: str) -> tuple[float, float, float] | None:
+    """Which way is up in a scene's coordinates, where its format fixes that.
+
+    Raises SceneError for a file that isn't there, or is no scene.
+    """
+    return (0.0, 0.0, 1.0) if name.startswith(PROCEDURAL) else formats.axes(name).up
 
 
 def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:

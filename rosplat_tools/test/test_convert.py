@@ -36,6 +36,36 @@ def test_bands_can_be_cut_off_but_not_made(
         assert load(target).sh_degree == written
 
 
+@pytest.mark.parametrize("ending", [".ply", ".compressed.ply", ".spz", ".sog", ".splat"])
+def test_the_round_trips_error_is_told(
+    random_splats: Callable[..., Splats],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    ending: str,
+) -> None:
+    splats = random_splats(300, 1)
+    splats.positions[:, 0] = np.linspace(-3, 3, 300)  # tells them apart, whatever their order
+    save(tmp_path / "a.ply", splats)
+    target = tmp_path / f"b{ending}"
+    assert main([str(tmp_path / "a.ply"), str(target)]) == 0
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert lines[0].startswith(f"{target}: 300 splats, SH degree {0 if ending == '.splat' else 1}")
+    table = {line[:18].strip(): line[18:].split() for line in lines[1:]}
+    assert table.pop("read back, error") == ["median", "99", "%", "most"]
+    assert list(table) == [
+        "position [m]", "scale [%]", "rotation [deg]", "opacity", "color", "harmonics",
+    ]  # fmt: skip
+    back = load(target)
+    moved = back.positions[np.argsort(back.positions[:, 0])] - splats.positions
+    assert float(table["position [m]"][2]) == pytest.approx(
+        np.linalg.norm(moved, axis=1).max(), rel=0.01, abs=1e-9
+    )
+    lossless = ending == ".ply"
+    assert (float(table["harmonics"][2]) == 0) == lossless
+    assert ("take its axes for x right, y up" in err) == (ending == ".spz")
+
+
 def test_an_output_that_exists_is_kept(
     random_splats: Callable[..., Splats], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -54,7 +84,7 @@ def test_an_output_that_exists_is_kept(
     [
         ("none.ply", "b.ply", "none.ply: No such file"),
         ("empty.ply", "b.ply", "empty.ply: holds no splats"),
-        ("a.ply", "b.spz", "b.spz: can't write"),
+        ("a.ply", "b.obj", "b.obj: can't write"),
         ("none.ply", "a.ply/b.ply", "a.ply is no folder"),
         ("none.ply", "none/b.ply", "none is no folder"),
         ("a.ply", "b" * 300 + ".ply", "b.ply: File name too long"),

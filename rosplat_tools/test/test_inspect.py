@@ -28,6 +28,7 @@ def test_a_report(random_splats: Make, tmp_path: Path) -> None:
     assert report["format"] == f"PLY, {(tmp_path / 'a.ply').stat().st_size / 1000:.3g} kB"
     assert report["SH degree"] == "3, but the bands above 1 are all zero"
     assert report["antialiased"] == "yes"
+    assert report["axes"].startswith("the trainer's")
     assert report["in memory"] == f"{1.234 * 4 * (11 + 12):.3g} kB, 92 bytes per splat"
     assert report["from"].startswith("-2 ")
     assert report["to"].startswith("5 ")
@@ -50,6 +51,12 @@ def test_a_far_map_tells_its_origin(random_splats: Make, tmp_path: Path) -> None
 def test_a_generated_scene() -> None:
     report = rows(describe("procedural:40"))
     assert (report["format"], report["splats"]) == ("made by generate", "40")
+    assert report["axes"] == "z up"
+
+
+def test_axes_that_a_format_fixes(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.spz", random_splats(3))
+    assert rows(describe(tmp_path / "a.spz"))["axes"] == "x right, y up, z back (by SPZ's rule)"
 
 
 def test_an_empty_map(random_splats: Make, tmp_path: Path) -> None:

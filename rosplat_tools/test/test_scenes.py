@@ -45,6 +45,15 @@ def test_a_scene_without_a_usable_splat(tmp_path: Path) -> None:
         assert len(scenes.read_scene(str(tmp_path / name), lambda _: None, lambda _: None)) == 0
 
 
+def test_up_follows_the_format_where_it_has_one(tmp_path: Path) -> None:
+    for ending, up in ((".spz", (0, 1, 0)), (".ply", None), (".sog", None), (".splat", None)):
+        formats.save(tmp_path / f"a{ending}", generate(3))
+        assert scenes.vertical(str(tmp_path / f"a{ending}")) == up
+    assert scenes.vertical("procedural:3") == (0, 0, 1)
+    with pytest.raises(SceneError, match="No such file"):
+        scenes.vertical(str(tmp_path / "none.spz"))
+
+
 def test_too_little_memory_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise MemoryError

@@ -12,6 +12,8 @@ from pathlib import Path
 
 from rosplat_tools.output import say
 from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals, quoted
+from rosplat_tools.scenes import NAMES, vertical
+from rosplat_tools.splats import SceneError
 
 PROCEDURAL = "procedural:200000"
 
@@ -21,7 +23,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="demo", description=__doc__)
     parser.add_argument(
         "scene", nargs="?", default=PROCEDURAL,
-        help="scene file (.ply, .spz, .sog, SOG folder) or procedural:COUNT (default: %(default)s)",
+        help=f"scene: {NAMES} (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--out", type=Path, default=Path("out"), help="folder for pictures and logs"
@@ -30,8 +32,8 @@ def main(arguments: list[str] | None = None) -> int:
         "--host", action="store_true", help="the embedded viewer, even beside rviz2"
     )
     parser.add_argument(
-        "--up", type=float, nargs=3, default=[0, 0, 1], metavar=("X", "Y", "Z"),
-        help="the scene's vertical, for the embedded viewer (default: z)",
+        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        help="the scene's vertical, for the embedded viewer (default: the format's, or z)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
     interrupt_by_signals()
@@ -59,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
                 name = "viewer"
                 if screen:
                     say("the viewer is opening; close it or press Q to end the demo")
-                up = [float(value) for value in options.up]
+                up = [float(value) for value in options.up or vertical(options.scene) or (0, 0, 1)]
                 output = [] if screen else ["-p", f"output:={quoted(options.out)}"]
                 viewer = processes.node(
                     "rviz_gaussian_plugin", "viewer", *remap, "-p", f"up:={up}", *output
@@ -75,7 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
                 say(processes.said(name).rstrip())
             for warning in processes.warnings("ply_publisher"):
                 print(f"demo: {warning}", file=sys.stderr)
-    except ProcessError as error:
+    except (ProcessError, SceneError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,30 @@ Warn = Callable[[str], None]
 
 
 Floats = NDArray[np.floating[Any]]
+
+SH_C0 = 0.28209479177387814  # band 0 of the spherical harmonics: RGB is SH_C0 sh[0] + 0.5
+
+# Splats decoded or encoded at a time: their columns stay in the cache, and take little memory.
+BLOCK = 1 << 14
+
+
+class Axes(NamedTuple):
+    """Where the axes of a file's coordinates point."""
+
+    text: str
+    """For the user."""
+    up: tuple[float, float, float] | None
+    """The vertical, where the format fixes it."""
+
+
+AS_TRAINED = Axes("the trainer's (with COLMAP, y mostly points down); the file doesn't tell", None)
+
+
+def blocks(count: int, progress: Progress = lambda fraction: None) -> Iterator[slice]:
+    """Slices that cover `count` splats, in order; tells progress how far they have come."""
+    for start in range(0, count, BLOCK):
+        yield slice(start, min(start + BLOCK, count))
+        progress(min(start + BLOCK, count) / count)
 
 
 def decoded(
@@ -32,25 +56,29 @@ def decoded(
     """Splats from arrays shaped as in Splats; quaternions may have any length.
 
     Drops splats that hold a number that is not finite or a quaternion of length zero, and tells
-    warn how many.
+    warn how many. The arrays are the callee's from then on.
     """
-    lengths = np.linalg.norm(orientations, axis=1)
-    # A sum is finite where all of its terms are.
-    sums = positions.astype(np.float32).sum(axis=1) + lengths + scales.sum(axis=1) + opacities
-    sums = sums + sh.sum(axis=(1, 2), dtype=np.float64)
-    usable = np.isfinite(sums) & (lengths > 0)
+    usable = np.empty(len(positions), bool)
+    for part in blocks(len(positions)):
+        lengths = np.linalg.norm(orientations[part], axis=1)
+        orientations[part] /= lengths[:, None]
+        # A sum is finite where all of its terms are.
+        sums = positions[part].astype(np.float32).sum(axis=1) + lengths
+        sums += scales[part].sum(axis=1) + opacities[part]
+        usable[part] = np.isfinite(sums + sh[part].sum(axis=(1, 2), dtype=np.float64))
+        usable[part] &= lengths > 0
     dropped = len(usable) - np.count_nonzero(usable)
     if dropped:
         warn(
             f"{path}: dropped {dropped:,} of {len(usable):,} splats: "
             "a number that is not finite, or a quaternion of length zero"
         )
-        positions, orientations, lengths = positions[usable], orientations[usable], lengths[usable]
-        scales, opacities, sh = scales[usable], opacities[usable], sh[usable]
+        positions, orientations, scales = positions[usable], orientations[usable], scales[usable]
+        opacities, sh = opacities[usable], sh[usable]
     offsets, origin = rebase(positions)
     return Splats(
         positions=offsets,
-        orientations=orientations / lengths[:, None],
+        orientations=orientations,
         scales=scales,
         opacities=opacities,
         sh=sh,

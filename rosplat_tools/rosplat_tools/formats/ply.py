@@ -7,13 +7,23 @@ first. Read in any order of properties, of any numeric type, in text or binary o
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyElementParseError, PlyParseError
 
-from rosplat_tools.formats.decoded import Floats, Progress, Warn, decoded
+from rosplat_tools.formats.bounds import claim, size_of
+from rosplat_tools.formats.decoded import (
+    AS_TRAINED,
+    Axes,
+    Floats,
+    Progress,
+    Warn,
+    blocks,
+    decoded,
+)
+from rosplat_tools.formats.ply_file import PlyFile, header
+from rosplat_tools.formats.quantised import sigmoid
 from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 NAME = "PLY"
@@ -28,16 +38,10 @@ ROTATION = ["rot_0", "rot_1", "rot_2", "rot_3"]
 # Brush's spelling for models trained as Mip-Splatting; splat-transform reads and writes it too.
 ANTIALIASED = "SplatRenderMode: mip"
 
-# Tells PlayCanvas's compressed PLY.
-PACKED = "packed_position"
-
 # Mip-Splatting's own PLYs hold its 3D smoothing filter beside what it is to be applied to. [m]
 FILTER = "filter_3D"
 
 TINY = np.finfo(np.float32).tiny
-
-# Rows read or written at a time: their columns stay in the cache, and take little memory.
-BLOCK = 1 << 14
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -45,21 +49,25 @@ def recognises(path: Path, head: bytes) -> bool:
     return head[:4] in (b"ply\n", b"ply\r")
 
 
+def axes(path: Path) -> Axes:
+    """Where a file's axes point."""
+    return AS_TRAINED
+
+
 def read(path: Path, progress: Progress, warn: Warn) -> Splats:
     """Reads the vertices of a PLY as splats; without scale_2 (2D Gaussians) they are flat.
 
     Mip-Splatting's 3D filter is applied, as its create_fused_ply.py does.
     """
-    file = _parse(path)
-    if "vertex" not in file:
+    file = PlyFile(path)
+    if "vertex" not in file.elements:
         raise SceneError(f"{path}: not a Gaussian splat: no element vertex")
-    rows = file["vertex"].data
-    if PACKED in (rows.dtype.names or ()):
-        raise SceneError(f"{path}: a compressed PLY can't be read: convert it, to .sog say")
-    has_third_scale = SCALE[2] in rows.dtype.names
+    claim(path, file.elements["vertex"].length, 0, size_of(path))
+    rows = file.rows("vertex")
+    has_third_scale = SCALE[2] in (rows.dtype.names or ())
     scale = SCALE if has_third_scale else SCALE[:2]
-    rest = _rest(path, rows)
-    filters = [FILTER] if FILTER in rows.dtype.names else []
+    rest = rest_names(path, rows)
+    filters = [FILTER] if FILTER in (rows.dtype.names or ()) else []
     names = [*POSITION, "opacity", *COLOR, *scale, *ROTATION, *rest, *filters]
     _require_numbers(path, rows, names)
 
@@ -69,13 +77,12 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
     scales = np.zeros((n, 3), np.float32)
     opacities = np.empty(n, np.float32)
     sh = np.empty((n, k, 3), np.float32)
-    for start in range(0, n, BLOCK):
-        part = slice(start, start + BLOCK)
+    for part in blocks(n, progress):
         block = rows[part]
         positions[part] = _columns(block, POSITION, np.float64)
         orientations[part] = np.roll(_columns(block, ROTATION), -1, axis=1)  # w first -> last
         scales[part, : len(scale)] = np.exp(_columns(block, scale))
-        opacities[part] = _sigmoid(_columns(block, ["opacity"])[:, 0])
+        opacities[part] = sigmoid(_columns(block, ["opacity"])[:, 0])
         if filters:
             before, width = scales[part, : len(scale)], _columns(block, filters)
             after = np.hypot(before, width)
@@ -85,7 +92,6 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         if rest:
             by_channel = _columns(block, rest).reshape(len(block), 3, k - 1)
             sh[part, 1:] = by_channel.transpose(0, 2, 1)
-        progress(start / n)
     return decoded(
         path,
         warn,
@@ -94,23 +100,20 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         scales=scales,
         opacities=opacities,
         sh=sh,
-        antialiased=bool(filters) or any(line.strip() == ANTIALIASED for line in file.comments),
+        antialiased=bool(filters) or ANTIALIASED in file.comments,
     )
 
 
-def write(path: Path, splats: Splats) -> None:
+def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     """Writes splats as binary little-endian PLY, with the zero normals that old viewers expect.
 
     Positions become doubles where the splats have an origin, so that none of it is lost.
     """
     comments = [ANTIALIASED] if splats.antialiased else []
-    properties = PlyElement.describe(_rows(splats[:0]), "vertex").properties
-    vertex = PlyElement("vertex", properties, len(splats))
-    with path.open("wb") as stream:
-        header = PlyData([vertex], byte_order="<", comments=comments).header
-        stream.write(f"{header}\n".encode("ascii"))
-        for start in range(0, len(splats), BLOCK):
-            stream.write(_rows(splats[start : start + BLOCK]).tobytes())
+    layout = _rows(splats[:0]).dtype
+    stream.write(header({"vertex": (len(splats), layout)}, comments))
+    for part in blocks(len(splats)):
+        stream.write(_rows(splats[part]).tobytes())
 
 
 def _rows(splats: Splats) -> NDArray[np.void]:
@@ -132,23 +135,7 @@ def _rows(splats: Splats) -> NDArray[np.void]:
     return rows
 
 
-def _parse(path: Path) -> PlyData:
-    """The PLY's elements, mapped from the file where it is binary."""
-    try:
-        return PlyData.read(str(path))
-    except PlyElementParseError as error:
-        if error.message == "early end-of-file":
-            element = error.element
-            raise SceneError(
-                f"{path}: truncated: the header promises {element.count:,} rows of element "
-                f"{element.name}, the file's {path.stat().st_size:,} bytes hold {error.row:,}"
-            ) from error
-        raise SceneError(f"{path}: broken PLY: {error}") from error
-    except (PlyParseError, ValueError, OverflowError) as error:
-        raise SceneError(f"{path}: broken PLY: {error}") from error
-
-
-def _rest(path: Path, rows: NDArray[np.void]) -> list[str]:
+def rest_names(path: Path, rows: NDArray[np.void]) -> list[str]:
     """Names of the f_rest properties in order of their number."""
     count = sum(name.startswith("f_rest_") for name in rows.dtype.names or ())
     counts = [3 * (sh_coefficients(degree) - 1) for degree in range(MAX_SH_DEGREE + 1)]
@@ -162,9 +149,6 @@ def _require_numbers(path: Path, rows: NDArray[np.void], names: list[str]) -> No
     missing = [name for name in names if name not in have]
     if missing:
         raise SceneError(f"{path}: not a Gaussian splat: no property {', '.join(missing)}")
-    lists = [name for name in names if rows.dtype[name].kind == "O"]
-    if lists:
-        raise SceneError(f"{path}: property {', '.join(lists)} is a list, expected a number")
 
 
 def _columns(
@@ -177,12 +161,6 @@ def _columns(
 def _fill(rows: NDArray[np.void], names: list[str], values: Floats) -> None:
     for i, name in enumerate(names):
         rows[name] = values[:, i]
-
-
-def _sigmoid(x: Floats) -> Floats:
-    """1 / (1 + exp(-x)), without overflow."""
-    p: Floats = 0.5 + 0.5 * np.tanh(0.5 * x)
-    return p
 
 
 def _logit(p: Floats) -> Floats:

@@ -1,7 +1,20 @@
-"""SOG version 2 (PlayCanvas): WebP pictures described by a meta.json, in a folder or a .sog zip.
+"""SOG (PlayCanvas), versions 1 and 2: pictures and a meta.json, in a folder or in a .sog zip.
+
+Each pixel of a picture, row by row, belongs to one splat; in meta.json each field names its files:
+
+    means   two pictures: low and high bytes of x y z between mins and maxs, of
+            sign(x) log(1 + |x|)
+    quats   three components of w x y z, from -sqrt(1/2) to sqrt(1/2); alpha is 252 and the index of
+            the largest one, which is left out
+    scales  logarithms: version 2 by a codebook, version 1 between mins and maxs
+    sh0     band 0, and opacity in alpha; version 2 by a codebook and as it is, version 1 between
+            four mins and maxs and as a logit
+    shN     bands above 0, where there are any: a palette of up to 65,536 vectors, 64 a row, whose
+            numbers are coded as those of scales, and the palette's index for each splat
 
 After developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog and splat-transform's
-read-sog.ts. Each pixel of a picture, row by row, belongs to one splat.
+read-sog.ts and read-sog-v1.ts. The specification has y up, but what writes SOG keeps the axes of
+its input.
 """
 
 from __future__ import annotations
@@ -10,24 +23,37 @@ import io
 import json
 import zipfile
 import zlib
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
-from rosplat_tools.formats.decoded import Floats, Progress, Warn, decoded
+from rosplat_tools.formats.bounds import claim, size_of, unpackable
+from rosplat_tools.formats.codebook import codebook, nearest, palette
+from rosplat_tools.formats.decoded import (
+    AS_TRAINED,
+    Axes,
+    Floats,
+    Progress,
+    Warn,
+    blocks,
+    decoded,
+)
+from rosplat_tools.formats.quantised import largest_restored, sigmoid, smallest_three, to_bytes
 from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 NAME = "SOG"
+SUFFIX = ".sog"
+IN_SPACE_ORDER = True
 
 META = "meta.json"
-CENTROIDS_PER_ROW = 64
-LARGEST_FILE = 1 << 29  # unpacked: pictures of the most splats that a map has take less [bytes]
+LARGEST_META = 1 << 20  # it takes 15,000 [bytes]
 LARGEST_TAG = 252  # alpha of a quaternion's pixel: 252 + index of the component left out
+PALETTE_PER_ROW = 64
+LARGEST_PALETTE = 1 << 16
+SQRT2 = np.float32(np.sqrt(2))
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -35,123 +61,296 @@ def recognises(path: Path, head: bytes) -> bool:
     return (path / META).is_file() or path.name == META or head[:4] == b"PK\x03\x04"
 
 
+def axes(path: Path) -> Axes:
+    """Where a scene's axes point."""
+    return AS_TRAINED
+
+
 def read(path: Path, progress: Progress, warn: Warn) -> Splats:
     """Reads an unbundled (folder or its meta.json) or a bundled (zip) SOG scene."""
     if path.is_dir() or path.name == META:
         folder = path if path.is_dir() else path.parent
-        return _Reader(folder / META, lambda name: (folder / name).read_bytes()).read(
-            progress, warn
-        )
+        return _Reader(folder / META, _Folder(folder)).read(progress, warn)
     try:
         with zipfile.ZipFile(path) as bundle:
-            return _Reader(path, partial(_unpack, bundle)).read(progress, warn)
-    except (zipfile.BadZipFile, NotImplementedError) as error:
+            return _Reader(path, _Zip(bundle)).read(progress, warn)
+    except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+        if isinstance(error, SceneError):
+            raise
         raise SceneError(f"{path}: broken zip: {error}") from error
 
 
-def _unpack(bundle: zipfile.ZipFile, name: str) -> bytes:
-    size = bundle.getinfo(name).file_size
-    if size > LARGEST_FILE:
-        raise ValueError(f"{size:,} bytes, expected {LARGEST_FILE:,} at most")
-    return bundle.read(name)
+def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
+    """Writes a bundled SOG scene of version 2; splats should be in space order."""
+    n = len(splats)
+    width = max(4, -(-int(np.ceil(np.sqrt(n))) // 4) * 4)
+    shape = (-(-max(n, 1) // width), width)
+    world = splats.positions + splats.origin
+    logarithms = np.sign(world) * np.log1p(np.abs(world))
+    lowest = logarithms.min(axis=0) if n else np.zeros(3)
+    highest = logarithms.max(axis=0) if n else np.zeros(3)
+    span = np.where(highest > lowest, highest - lowest, 1)
+    steps = np.rint((logarithms - lowest) / span * 65535).astype(np.uint16)
+    largest, others = smallest_three(np.roll(splats.orientations, 1, axis=1))
+    log_scales = np.log(np.maximum(splats.scales, np.finfo(np.float32).tiny))
+    scale_book, color_book = codebook(log_scales), codebook(splats.sh[:, 0])
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": "ROSplat"},
+        "count": n,
+        "means": {
+            "mins": lowest.tolist(),
+            "maxs": highest.tolist(),
+            "files": ["means_l.webp", "means_u.webp"],
+        },
+        "scales": {"codebook": scale_book.tolist(), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": color_book.tolist(), "files": ["sh0.webp"]},
+    }
+    if splats.antialiased:
+        meta |= {"antialias": True, "model": "antialiased"}  # as the specification and its writer
+    with zipfile.ZipFile(stream, "w") as bundle:
+
+        def add(name: str, columns: list[NDArray[Any]], shape: tuple[int, int] = shape) -> None:
+            pixels = np.zeros((shape[0] * shape[1], 4), np.uint8)
+            pixels[:, 3] = 255
+            for channel, column in enumerate(columns):
+                pixels[: len(column), channel] = column
+            data = io.BytesIO()
+            image = Image.fromarray(pixels.reshape(*shape, 4))
+            image.save(data, "WEBP", lossless=True, exact=True, quality=50, method=2)
+            bundle.writestr(name, data.getbuffer())
+
+        add("means_l.webp", list((steps & 255).T))
+        add("means_u.webp", list((steps >> 8).T))
+        add("quats.webp", [*to_bytes(255 * (others / SQRT2 + 0.5)).T, LARGEST_TAG + largest])
+        add("scales.webp", list(nearest(log_scales, scale_book).T))
+        colors = nearest(splats.sh[:, 0], color_book)
+        add("sh0.webp", [*colors.T, to_bytes(255 * splats.opacities)])
+        if n and splats.sh_degree > 0:
+            k = splats.sh.shape[1] - 1
+            size = min(LARGEST_PALETTE, 1 << n.bit_length() - 1)
+            vectors, labels = palette(splats.sh[:, 1:].reshape(n, -1), size)
+            book = codebook(vectors)
+            add(
+                "shN_centroids.webp",
+                list(nearest(vectors, book).reshape(-1, 3).T),
+                (-(-len(vectors) // PALETTE_PER_ROW), PALETTE_PER_ROW * k),
+            )
+            add("shN_labels.webp", [labels & 255, labels >> 8])
+            meta["shN"] = {
+                "count": len(vectors),
+                "bands": splats.sh_degree,
+                "codebook": book.tolist(),
+                "files": ["shN_centroids.webp", "shN_labels.webp"],
+            }
+        bundle.writestr(META, json.dumps(meta))
+
+
+class _Folder:
+    """Files side by side."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def size(self, name: str) -> int:
+        return size_of(self._folder / name)
+
+    def read(self, name: str) -> bytes:
+        return (self._folder / name).read_bytes()
+
+
+class _Zip:
+    """Files in a zip, stored or deflated."""
+
+    def __init__(self, bundle: zipfile.ZipFile) -> None:
+        self._bundle = bundle
+
+    def size(self, name: str) -> int:
+        info = self._bundle.getinfo(name)
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"compression method {info.compress_type}; only deflate can be read")
+        if info.file_size > unpackable(info.compress_size):
+            raise ValueError(f"{info.file_size:,} bytes, in {info.compress_size:,} packed ones")
+        return info.file_size
+
+    def read(self, name: str) -> bytes:
+        return self._bundle.read(name)
 
 
 class _Reader:
-    """Decodes one scene, given how to read its files."""
+    """Decodes one scene, given its files."""
 
-    def __init__(self, path: Path, read_bytes: Callable[[str], bytes]) -> None:
+    def __init__(self, path: Path, files: _Folder | _Zip) -> None:
         self._path = path
-        self._read_bytes = read_bytes
-        text = self._file(META)
+        self._files = files
+        if self._size(META) > LARGEST_META:
+            raise SceneError(f"{path}: {META} has more than {LARGEST_META:,} bytes")
         try:
-            self._meta = json.loads(text)
+            self._meta = json.loads(self._file(META))
         except (ValueError, RecursionError) as error:  # JSON or its encoding
+            if isinstance(error, SceneError):
+                raise
             raise SceneError(f"{path}: broken {META}: {error}") from error
+        if not isinstance(self._meta, dict):
+            raise SceneError(f"{path}: {META} holds no fields")
+        self._version = self._meta.get("version", 1)  # which version 1 had not
+        if self._version not in (1, 2):
+            raise SceneError(f"{path}: SOG version {self._version!r} can't be read, only 1 and 2")
 
     def read(self, progress: Progress, warn: Warn) -> Splats:
-        version = self._field("version") if isinstance(self._meta, dict) else None
-        if version != 2:
-            raise SceneError(f"{self._path}: SOG version {version!r} can't be read, only 2")
-        n = self._field("count")
-        if not isinstance(n, int) or n < 0:
-            raise SceneError(f"{self._path}: count is {n!r}, expected a number of splats")
+        n = self._count()
+        names = [
+            self._name(field, i)
+            for field, count in (("means", 2), ("quats", 1), ("scales", 1), ("sh0", 1))
+            for i in range(count)
+        ]
+        pictures = 4 * len(names) * n  # once unpacked [bytes]
+        claim(self._path, n, pictures, sum(self._size(name) for name in names))
 
-        low = self._picture("means", 0, n)[:, :3].astype(np.uint16)
-        high = self._picture("means", 1, n)[:, :3].astype(np.uint16)
         lowest, highest = self._numbers("means", "mins", 3), self._numbers("means", "maxs", 3)
-        logarithms = lowest + (highest - lowest) * ((high << 8 | low) / 65535)
-        positions = np.sign(logarithms) * np.expm1(np.abs(logarithms))
+        low, high = self._pixels("means", 0, n), self._pixels("means", 1, n)
+        positions = np.empty((n, 3))
+        for part in blocks(n):
+            steps = high[part, :3].astype(np.uint16) << 8 | low[part, :3]
+            logarithms = lowest + (highest - lowest) * (steps / 65535)
+            positions[part] = np.sign(logarithms) * np.expm1(np.abs(logarithms))
+        del low, high
         progress(0.3)
-        orientations = _smallest_three(self._picture("quats", 0, n))
+        quats = self._pixels("quats", 0, n)
+        orientations = np.empty((n, 4), np.float32)
+        for part in blocks(n):
+            orientations[part] = _quaternions(quats[part])
+        del quats
         progress(0.5)
-        scale_values = np.exp(self._numbers("scales", "codebook", 256)).astype(np.float32)
-        scales = scale_values[self._picture("scales", 0, n)[:, :3]]
+        scales = np.exp(self._table("scales", 3))[self._pixels("scales", 0, n)[:, :3], np.arange(3)]
         progress(0.7)
-        base = self._picture("sh0", 0, n)
-        base_colors = self._numbers("sh0", "codebook", 256).astype(np.float32)[base[:, :3]]
-        sh = base_colors[:, None]
-        if self._meta.get("shN") is not None:
-            sh = np.concatenate([sh, self._higher_bands(n)], axis=1)
-        progress(0.9)
+        base = self._pixels("sh0", 0, n)
+        table = self._table("sh0", 4 if self._version == 1 else 3)
+        bands = self._palette() if self._meta.get("shN") is not None else None
+        sh = np.empty((n, 1 if bands is None else 1 + bands.shape[1], 3), np.float32)
+        if bands is not None:
+            self._fill_bands(sh, bands)
+        for part in blocks(n):
+            sh[part, 0] = table[base[part, :3], np.arange(3)]
+        opacity = sigmoid(table[:, 3]) if self._version == 1 else np.arange(256) / np.float32(255)
         return decoded(
             self._path,
             warn,
             positions=positions,
             orientations=orientations,
             scales=scales,
-            opacities=base[:, 3] / np.float32(255),
+            opacities=opacity[base[:, 3]],
             sh=sh,
             antialiased=self._meta.get("antialias") is True
             or self._meta.get("model") == "antialiased",
         )
 
-    def _higher_bands(self, n: int) -> Floats:
-        """(n, k - 1, 3) coefficients: each splat's label names a row of a shared palette."""
-        degree = self._field("shN", "bands")
-        if not isinstance(degree, int) or not 1 <= degree <= MAX_SH_DEGREE:
-            raise SceneError(f"{self._path}: shN.bands is {degree!r}, expected 1, 2 or 3")
-        k = sh_coefficients(degree) - 1
-        values = self._numbers("shN", "codebook", 256).astype(np.float32)
-        centroids = self._picture("shN", 0, width=CENTROIDS_PER_ROW * k)[:, :3].reshape(-1, k, 3)
-        labels = self._picture("shN", 1, n)[:, :2].astype(np.uint16)
-        label = labels[:, 1] << 8 | labels[:, 0]
-        if n and label.max() >= len(centroids):
-            raise SceneError(
-                f"{self._path}: shN.files: label {label.max()}, but {len(centroids)} centroids"
-            )
-        coefficients: Floats = values[centroids[label]]
-        return coefficients
+    def _count(self) -> int:
+        if self._version == 1:
+            shape = self._field("means", "shape")
+            n, name = shape[0] if isinstance(shape, list) and shape else shape, "means.shape[0]"
+        else:
+            n, name = self._field("count"), "count"
+        if not isinstance(n, int) or n < 0:
+            raise SceneError(f"{self._path}: {name} is {n!r}, expected a number of splats")
+        return n
 
-    def _picture(
-        self, field: str, index: int, pixels: int = 0, width: int | None = None
-    ) -> NDArray[np.uint8]:
-        """(pixels, 4) RGBA of one of a field's files; all of it where a width is demanded."""
+    def _table(self, field: str, channels: int) -> NDArray[np.float32]:
+        """(256, channels) what the bytes of a field's channels stand for."""
+        if self._version == 2:
+            book = self._numbers(field, "codebook", 256)
+            return np.repeat(book[:, None], channels, axis=1).astype(np.float32)
+        count = 1 if field == "shN" else channels
+        lowest, highest = self._numbers(field, "mins", count), self._numbers(field, "maxs", count)
+        table = lowest + (highest - lowest) * (np.arange(256)[:, None] / 255)
+        return np.broadcast_to(table, (256, channels)).astype(np.float32)
+
+    def _palette(self) -> Floats:
+        """(colors, k - 1, 3) vectors of coefficients, which splats share."""
+        image = self._picture("shN", 0)
+        ks = {PALETTE_PER_ROW * (sh_coefficients(d) - 1): d for d in range(1, MAX_SH_DEGREE + 1)}
+        if self._version == 1:
+            degree = ks.get(image.width)
+        else:
+            degree = self._field("shN", "bands")
+            if not isinstance(degree, int) or not 1 <= degree <= MAX_SH_DEGREE:
+                raise SceneError(f"{self._path}: shN.bands is {degree!r}, expected 1, 2 or 3")
+        if degree is None or ks.get(image.width) != degree:
+            wanted = ", ".join(str(w) for w, d in ks.items() if degree in (None, d))
+            name = self._name("shN", 0)
+            raise SceneError(f"{self._path}: {name} is {image.width} px wide, not {wanted}")
+        if image.height > LARGEST_PALETTE // PALETTE_PER_ROW:
+            raise SceneError(f"{self._path}: {self._name('shN', 0)} is {image.height:,} px high")
+        codes = self._decode(image, "shN", 0)[:, :3]
+        return self._table("shN", 3)[codes, np.arange(3)].reshape(
+            -1, sh_coefficients(degree) - 1, 3
+        )
+
+    def _fill_bands(self, sh: NDArray[np.float32], bands: Floats) -> None:
+        labels = self._pixels("shN", 1, len(sh))
+        for part in blocks(len(sh)):
+            label = labels[part, 1].astype(np.uint16) << 8 | labels[part, 0]
+            if label.max(initial=0) >= len(bands):
+                raise SceneError(
+                    f"{self._path}: shN.files: label {label.max()}, but {len(bands)} centroids"
+                )
+            sh[part, 1:] = bands[label]
+
+    def _pixels(self, field: str, index: int, count: int) -> NDArray[np.uint8]:
+        """(count, 4) RGBA of one of a field's pictures."""
+        image = self._picture(field, index)
+        pixels = image.width * image.height
+        name = self._name(field, index)
+        if pixels < count:
+            raise SceneError(
+                f"{self._path}: {name} holds {pixels:,} pixels, fewer than {count:,} splats"
+            )
+        if pixels > max(4 * count, 1 << 16):  # a texture of a power of two, at most
+            raise SceneError(f"{self._path}: {name} holds {pixels:,} pixels for {count:,} splats")
+        return self._decode(image, field, index)[:count]
+
+    def _picture(self, field: str, index: int) -> Image.Image:
+        """A picture whose size is known, but not decoded yet."""
+        name = self._name(field, index)
+        data = io.BytesIO(self._file(name))
+        try:
+            return Image.open(data, formats=("WEBP", "PNG"))
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            reason = "no WebP or PNG" if isinstance(error, UnidentifiedImageError) else error
+            raise SceneError(f"{self._path}: {name} is no picture: {reason}") from error
+
+    def _decode(self, image: Image.Image, field: str, index: int) -> NDArray[np.uint8]:
+        try:
+            return np.asarray(image.convert("RGBA")).reshape(-1, 4)
+        except (OSError, SyntaxError, ValueError, EOFError, zlib.error) as error:
+            name = self._name(field, index)
+            raise SceneError(f"{self._path}: {name} is a damaged picture: {error}") from error
+
+    def _name(self, field: str, index: int) -> str:
         files = self._field(field, "files")
         if not isinstance(files, list) or len(files) <= index or not isinstance(files[index], str):
             raise SceneError(f"{self._path}: {field}.files has no file name at {index}")
-        name = files[index]
-        data = io.BytesIO(self._file(name))
+        name: str = files[index]
+        if Path(name).name != name or "\0" in name:
+            raise SceneError(f"{self._path}: {name!r} is not the name of a file beside {META}")
+        return name
+
+    def _size(self, name: str) -> int:
         try:
-            with Image.open(data) as image:
-                if width is not None and image.width != width:
-                    raise SceneError(f"{self._path}: {name} is {image.width} px wide, not {width}")
-                if image.width * image.height < pixels:
-                    raise SceneError(
-                        f"{self._path}: {name} holds {image.width * image.height:,} pixels, "
-                        f"fewer than {pixels:,} splats"
-                    )
-                rgba = np.asarray(image.convert("RGBA")).reshape(-1, 4)
-        except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-            raise SceneError(f"{self._path}: {name} is no picture: {error}") from error
-        return rgba if width is not None else rgba[:pixels]
+            return self._files.size(name)
+        except (OSError, KeyError, ValueError) as error:
+            raise SceneError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
 
     def _file(self, name: str) -> bytes:
-        if Path(name).name != name:
-            raise SceneError(f"{self._path}: {name!r} is not the name of a file beside {META}")
+        self._size(name)  # what is too large, or not a file
         try:
-            return self._read_bytes(name)
-        except (OSError, KeyError, EOFError, ValueError, RuntimeError, zlib.error) as error:
-            raise SceneError(f"{self._path}: can't read {name!r}: {error}") from error
+            return self._files.read(name)
+        except (
+            OSError, KeyError, EOFError, ValueError, RuntimeError, NotImplementedError,
+            zipfile.BadZipFile, zlib.error,
+        ) as error:  # fmt: skip
+            raise SceneError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
 
     def _field(self, *names: str) -> Any:
         value: Any = self._meta
@@ -163,26 +362,25 @@ class _Reader:
 
     def _numbers(self, field: str, name: str, count: int) -> NDArray[np.float64]:
         try:
-            values = np.asarray(self._field(field, name), np.float64)
-        except (TypeError, ValueError, OverflowError):
+            values = np.atleast_1d(np.asarray(self._field(field, name), np.float64))
+        except (TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, SceneError):
+                raise
             values = np.empty(0)
         if values.shape != (count,) or not np.isfinite(values).all():
             raise SceneError(f"{self._path}: {field}.{name}: expected {count} finite numbers")
         return values
 
 
-def _smallest_three(rgba: NDArray[np.uint8]) -> Floats:
-    """(n, 4) pixels to (n, 4) quaternions x, y, z, w.
+def _reason(error: Exception) -> str:
+    """Why a file can't be read; an OSError's own text would name it once more."""
+    return getattr(error, "strerror", None) or str(error)
 
-    RGB are the components that remain of w, x, y, z, over sqrt(1/2), when the largest is left out.
-    Other tags are reserved: those splats get a zero quaternion and are dropped.
-    """
-    wxyz = np.zeros((len(rgba), 4), np.float32)
-    stored = (rgba[:, :3] / np.float32(127.5) - 1) * np.float32(np.sqrt(0.5))
-    largest = np.sqrt(np.maximum(0, 1 - (stored**2).sum(axis=1)))
-    for component in range(4):
-        chosen = rgba[:, 3] == LARGEST_TAG + component
-        others = [i for i in range(4) if i != component]
-        wxyz[np.ix_(chosen, others)] = stored[chosen]
-        wxyz[chosen, component] = largest[chosen]
+
+def _quaternions(rgba: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(n, 4) pixels to (n, 4) x, y, z, w; zero, and so dropped, where the tag is a reserved one."""
+    others = (rgba[:, :3] / np.float32(127.5) - 1) / SQRT2
+    largest = rgba[:, 3].astype(np.intp) - LARGEST_TAG
+    wxyz = largest_restored(largest & 3, others)
+    wxyz[largest < 0] = 0
     return np.roll(wxyz, -1, axis=1)

@@ -4,6 +4,7 @@
 #include <QDropEvent>
 #include <QFileInfo>
 #include <QMimeData>
+#include <QStringList>
 #include <QUrl>
 #include <QWidget>
 #include <utility>
@@ -14,8 +15,9 @@ QString sceneIn(const QMimeData& data) {
   for (const QUrl& url : data.urls()) {
     const QFileInfo file(url.toLocalFile());
     const QString suffix = file.suffix().toLower();
-    const bool scene = file.isDir() ? QDir(file.filePath()).exists("meta.json")
-                                    : suffix == "ply" || suffix == "spz" || suffix == "sog";
+    const QStringList scenes = {"ply", "spz", "sog", "splat", "ksplat"};
+    const bool scene =
+        file.isDir() ? QDir(file.filePath()).exists("meta.json") : scenes.contains(suffix);
     if (scene) return file.filePath();
   }
   return {};
