@@ -1,0 +1,96 @@
+"""What the cases of the atlas share: scenes, cameras, errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rosplat_lab import reference
+from rosplat_lab.lab.bench import Bench, Image
+from rosplat_lab.lab.orders import Order
+from rosplat_lab.metrics import MOST_PSNR, psnr
+from rosplat_tools import harmonics
+from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.splats import Splats
+
+WIDTH, HEIGHT = 192, 128
+
+
+def cloud(count: int, seed: int = 0, size: float = 0.15, degree: int = 1) -> Splats:
+    """Splats of all shapes and opacities in a ball of about a metre."""
+    random = np.random.default_rng(seed)
+    turns = random.normal(size=(count, 4))
+    return Splats(
+        positions=random.normal(scale=0.4, size=(count, 3)).astype(np.float32),
+        orientations=(turns / np.linalg.norm(turns, axis=1, keepdims=True)).astype(np.float32),
+        scales=(size * random.uniform(0.05, 1, (count, 3))).astype(np.float32),
+        opacities=random.uniform(0.1, 1, count).astype(np.float32),
+        sh=random.normal(scale=0.3, size=(count, (degree + 1) ** 2, 3)).astype(np.float32),
+    )
+
+
+def floats(*values: float) -> NDArray[np.float32]:
+    """Values as float32 (n,)."""
+    return np.array(values, np.float32)
+
+
+def balls(positions: ArrayLike, scale: ArrayLike, opacity: ArrayLike, colors: ArrayLike) -> Splats:
+    """Unturned splats at (n, 3) with standard deviations and RGB that broadcast to (n, 3)."""
+    positions = np.atleast_2d(np.asarray(positions, np.float64))
+    n = len(positions)
+    rgb = np.broadcast_to(np.asarray(colors, np.float64), (n, 3))
+    return Splats(
+        positions=positions.astype(np.float32),
+        orientations=np.tile(floats(0, 0, 0, 1), (n, 1)),
+        scales=np.broadcast_to(np.asarray(scale, np.float32), (n, 3)).copy(),
+        opacities=np.broadcast_to(np.asarray(opacity, np.float32), n).copy(),
+        sh=((rgb - 0.5) / harmonics.C0)[:, None].astype(np.float32),
+    )
+
+
+def ahead(fov: float = 0.9, **changes: Any) -> Camera:
+    """At the origin, looking along z. fov: of the width. [rad]"""
+    focal = WIDTH / 2 / math.tan(fov / 2)
+    camera = Camera(0, WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, np.eye(4))
+    return replace(camera, **changes)
+
+
+def outside(**changes: Any) -> Camera:
+    """Looks at a cloud from two metres away."""
+    return ahead(**({"world_to_camera": look_at((2.0, 1.0, 0.7), (0, 0, 0))} | changes))
+
+
+def truth(splats: Splats, camera: Camera) -> Image:
+    """(height, width, 3) by the reference renderer."""
+    return reference.render(splats, camera).rgba[..., :3]
+
+
+def decibels(picture: Image, expected: Image) -> float:
+    """PSNR of what a screen shows; equal pictures count as MOST_PSNR."""
+    value = psnr(np.clip(picture, 0, 1), np.clip(expected, 0, 1))
+    return round(min(value, MOST_PSNR), 2)
+
+
+def shown(bench: Bench, splats: Splats, camera: Camera, **settings: Any) -> Image:
+    """By the real renderer in exact order, in 32-bit floats unless told otherwise."""
+    bench.show(splats)
+    order = bench.order(camera)
+    return bench.draw(camera, order, **({"float_blending": True} | settings))
+
+
+def ordered(bench: Bench, splats: Splats, camera: Camera, order: Order) -> Image:
+    """By the real renderer in another order."""
+    bench.show(splats)
+    return bench.draw(camera, order, float_blending=True)
+
+
+def some(values: Sequence[float], quick: bool, count: int = 3) -> list[float]:
+    """All values, or when it should be quick a few, ends included."""
+    if not quick or len(values) <= count:
+        return list(values)
+    return [values[round(i * (len(values) - 1) / (count - 1))] for i in range(count)]
