@@ -1,8 +1,10 @@
 #include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <unistd.h>
 
 #include <atomic>
 #include <cmath>
-#include <limits>
+#include <fstream>
 #include <random>
 #include <string>
 #include <vector>
@@ -98,6 +100,23 @@ float windowDepth(float z) { return 0.5f * (1.2f * z - 2.2f) / z + 0.5f; }
 CpuRasterizer rasterizer(unsigned threads = 1, Instructions instructions = Instructions::kBest) {
   return CpuRasterizer(std::make_shared<ThreadTeam>(threads), instructions);
 }
+
+// As much address space more as long as this lives.
+class AddressLimit {
+ public:
+  explicit AddressLimit(std::size_t bytes) {
+    getrlimit(RLIMIT_AS, &before_);
+    std::ifstream statm("/proc/self/statm");
+    std::size_t pages = 0;
+    statm >> pages;
+    const rlimit limited{pages * std::size_t(sysconf(_SC_PAGESIZE)) + bytes, before_.rlim_max};
+    setrlimit(RLIMIT_AS, &limited);
+  }
+  ~AddressLimit() { setrlimit(RLIMIT_AS, &before_); }
+
+ private:
+  rlimit before_;
+};
 
 SplatPicture draw(CpuRasterizer&& with, const Scene& scene, const PictureRequest& request) {
   SplatPicture picture;
@@ -244,18 +263,45 @@ TEST(CpuRasterizer, gives_up_when_it_is_told_to) {
 
 TEST(CpuRasterizer, says_so_where_there_is_no_memory) {
   const Scene scene = cloud();
-  PictureRequest wanted = request();
-  wanted.camera.width = wanted.camera.height = std::numeric_limits<int>::max();
   CpuRasterizer with = rasterizer();
   SplatPicture picture;
+  const AddressLimit limit(std::size_t{512} << 20);
   try {
-    with.draw(scene.slots, scene.map.state(), wanted, picture);
+    with.draw(scene.slots, scene.map.state(), request(8192, 8192), picture);
     FAIL();
   } catch (const PictureError& error) {
-    EXPECT_STREQ(error.what(),
-                 "there is no memory for a picture of 2147483647 x 2147483647 pixels");
+    EXPECT_STREQ(error.what(), "there is no memory for a picture of 8192 x 8192 pixels");
   }
   EXPECT_TRUE(with.draw(scene.slots, scene.map.state(), request(), picture));
+}
+
+TEST(CpuRasterizer, refuses_pictures_that_are_none) {
+  const Scene scene = cloud();
+  for (const int width : {0, 40000}) {
+    SplatPicture picture;
+    PictureRequest wanted = request();
+    wanted.camera.width = width;
+    EXPECT_THROW(rasterizer().draw(scene.slots, scene.map.state(), wanted, picture), PictureError);
+  }
+  PictureRequest wanted = request();
+  const float depth = 1;
+  wanted.scene_depth = {&depth, 1};
+  SplatPicture picture;
+  EXPECT_THROW(rasterizer().draw(scene.slots, scene.map.state(), wanted, picture), PictureError);
+}
+
+TEST(CpuRasterizer, draws_8192_pixels_in_width_and_height) {
+  Scene scene;
+  scene.add({0, 0, 5}, 0.001f, 1, {1, 1, 1});
+  scene.add({2.49f, 2.49f, 5}, 0.001f, 1, {1, 1, 1});
+  scene.write();
+  const SplatPicture picture = draw(rasterizer(2), scene, request(8192, 8192));
+  const auto alpha = [&](std::size_t x, std::size_t y) {
+    return picture.colour[4 * (8192 * y + x) + 3];
+  };
+  EXPECT_GT(alpha(4096, 4096), 0.8f);
+  EXPECT_GT(alpha(8175, 8175), 0.8f);
+  EXPECT_EQ(alpha(6000, 6000), 0);
 }
 
 TEST(CpuRasterizer, rounds_to_half_floats) {

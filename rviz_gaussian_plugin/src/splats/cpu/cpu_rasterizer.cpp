@@ -20,7 +20,12 @@ namespace {
 constexpr std::uint32_t kSlots = HostSlots::kSlots;
 constexpr std::uint32_t kNotOrdered = 0xffffffffu;
 constexpr std::size_t kMostPairs = std::size_t{1} << 26;  // of splat and tile, at a time
-constexpr float kTransparent = 1e-5f;  // what is still to come can't change a pixel by more
+constexpr int kLongestSide = 16384;                       // [px], as makeCamera() has it
+constexpr std::size_t kSliceSize = std::size_t{1} << 18;  // splats that are worth a slice
+constexpr std::size_t kMostSlices = 32;
+constexpr float kLeastPicked = 0.05f;    // contribution to a pixel; less nobody sees
+constexpr float kOpen = 2, kEnded = -1;  // window depths up to which tiles may show something
+constexpr float kTransparent = 1e-5f;    // what is still to come can't change a pixel by more
 
 const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -61,6 +66,11 @@ class Room {
  private:
   std::unique_ptr<T[]> memory_;
   std::size_t size_ = 0;
+};
+
+// Dealt candidates that are nearer than those of the next slice.
+struct Slice {
+  std::size_t begin, end;
 };
 
 // A splat on a tile.
@@ -128,6 +138,39 @@ void sortByKey(Listed* listed, std::size_t count, Listed* spare) {
   if (from != listed) std::copy_n(from, count, listed);
 }
 
+// The part of a picture that a tile is.
+struct TileRect {
+  TileRect(std::size_t tile, int across, int width_of_all, int height_of_all)
+      : left(int(tile) % across * kTile),
+        top(int(tile) / across * kTile),
+        width(std::min(kTile, width_of_all - left)),
+        height(std::min(kTile, height_of_all - top)),
+        first(std::size_t(top) * std::size_t(width_of_all) + std::size_t(left)),
+        stride(std::size_t(width_of_all)) {}
+
+  // Calls each(pixel of the tile, pixel of the picture).
+  template <typename Each>
+  void forEach(const Each& each) const {
+    for (int row = 0; row < height; ++row) {
+      for (int column = 0; column < width; ++column) {
+        each(std::size_t(kTile * row + column),
+             first + std::size_t(row) * stride + std::size_t(column));
+      }
+    }
+  }
+
+  int left, top, width, height;  // [px]
+  std::size_t first, stride;
+};
+
+// Copies a tile of some depths, far where there is no pixel; null where there are none.
+const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, float* copy) {
+  if (depths.empty()) return nullptr;
+  std::fill_n(copy, kTilePixels, 1.0f);
+  rect.forEach([&](std::size_t i, std::size_t pixel) { copy[i] = depths[pixel]; });
+  return copy;
+}
+
 }  // namespace
 
 struct CpuRasterizer::Work {
@@ -140,7 +183,7 @@ struct CpuRasterizer::Work {
     alignas(64) float opaque[kTilePixels], divided[kTilePixels], most[kTilePixels];
     alignas(64) std::uint32_t slots[kTilePixels];
     Room<Listed> spare;
-    std::vector<std::uint16_t> places, kept;
+    std::vector<std::uint16_t> places, numbers, kept;
     std::vector<Footprint> footprints;
   };
 
@@ -150,14 +193,17 @@ struct CpuRasterizer::Work {
   void choosePages(const HostSlots& slots);
   void cull();
   void deal();
-  bool project(std::size_t begin, std::size_t end);
+  void halve(const Slice& slice);
+  void openTiles(const PictureRequest& request);
+  void raisePyramid();
+  bool project(const Slice& slice);
   void list();
   void blend(const PictureRequest& request, SplatPicture& picture, bool first, std::size_t tile,
              Member& member);
-  void pick(const PictureRequest& request, std::vector<std::uint32_t>& picked, std::size_t tile,
-            Member& member);
+  void pick(const PictureRequest& request, std::vector<std::uint32_t>& picked, bool first,
+            std::size_t tile, Member& member);
   std::size_t inTile(std::size_t tile, Member& member);
-  void depthRange(std::size_t candidates);
+  void findDepthRange();
 
   // Does step(part, member) for parts of [0, count), side by side.
   template <typename Step>
@@ -182,6 +228,12 @@ struct CpuRasterizer::Work {
   bool ordered = false;
   Room<Candidate> found, dealt;
   std::size_t candidates = 0;
+  std::vector<Slice> waiting;        // the nearest one last
+  std::vector<float> open;           // the pyramid's
+  std::vector<float> contributions;  // when picking: transmittance and the most so far, by pixel
+  Pyramid pyramid;
+  int levels = 0;
+  bool hides = false;  // some tile isn't open
   Room<Record> records;
   Room<std::uint32_t> keys;  // of the records
   Room<Listed> listed;
@@ -379,18 +431,125 @@ void CpuRasterizer::Work::cull() {
   });
 }
 
-// All candidates, in the order of their slots, without gaps.
+// Deals what was found out to slices of depth, nearest first, in each in the order of slots.
 void CpuRasterizer::Work::deal() {
   candidates = 0;
   for (const Part& part : parts) candidates += part.end - part.begin;
+  const std::size_t slices = std::clamp<std::size_t>(candidates / kSliceSize, 1, kMostSlices);
+
+  // So that about as many are in each, by samples.
+  std::vector<std::uint32_t> samples, bounds_of_slices;
+  const std::size_t stride = std::max<std::size_t>(candidates / (256 * slices), 1);
+  std::size_t skip = 0;
+  for (const Part& part : parts) {
+    if (slices == 1) break;
+    std::size_t i = part.begin + skip;
+    for (; i < part.end; i += stride) samples.push_back(found[i].key);
+    skip = i - part.end;
+  }
+  std::sort(samples.begin(), samples.end());
+  for (std::size_t slice = 1; slice < slices; ++slice) {
+    bounds_of_slices.push_back(samples[samples.size() * slice / slices]);
+  }
+  const auto sliceOf = [&](std::uint32_t key) {
+    std::size_t slice = 0;
+    for (const std::uint32_t bound : bounds_of_slices) slice += key >= bound;
+    return slice;
+  };
+
   dealt.reserve(candidates + 1);
-  Candidate* out = dealt.get();
-  for (const Part& part : parts) out = std::copy(&found[part.begin], &found[part.end], out);
+  const auto eachPart = [&](const auto& step) {
+    team->run(unsigned(parts.size()), [&](unsigned number, unsigned) { step(parts[number]); });
+  };
+  for (Part& part : parts) part.slices.assign(slices, 0);
+  eachPart([&](Part& part) {
+    if (slices == 1) {
+      part.slices[0] = part.end - part.begin;
+      return;
+    }
+    for (std::size_t i = part.begin; i < part.end; ++i) ++part.slices[sliceOf(found[i].key)];
+  });
+  waiting.clear();
+  std::size_t next = 0;
+  for (std::size_t slice = 0; slice < slices; ++slice) {
+    const std::size_t begin = next;
+    for (Part& part : parts) next += std::exchange(part.slices[slice], next);
+    waiting.push_back({begin, next});
+  }
+  std::reverse(waiting.begin(), waiting.end());
+  eachPart([&](Part& part) {
+    for (std::size_t i = part.begin; i < part.end; ++i) {
+      dealt[part.slices[slices == 1 ? 0 : sliceOf(found[i].key)]++] = found[i];
+    }
+  });
 }
 
-// Projects some of the dealt candidates and finds their tiles; false where there are too many
-// pairs.
-bool CpuRasterizer::Work::project(std::size_t begin, std::size_t end) {
+// Makes two of a slice, each in the order of slots.
+void CpuRasterizer::Work::halve(const Slice& slice) {
+  Candidate* const begin = &dealt[slice.begin];
+  Candidate* const end = begin + (slice.end - slice.begin);
+  const auto bySlot = [](const Candidate& a, const Candidate& b) { return a.index < b.index; };
+  Candidate* const middle = begin + (end - begin) / 2;
+  std::nth_element(begin, middle, end, [](const Candidate& a, const Candidate& b) {
+    return a.key != b.key ? a.key < b.key : a.index < b.index;
+  });
+  std::sort(begin, middle, bySlot);
+  std::sort(middle, end, bySlot);
+  const std::size_t half = slice.begin + std::size_t(middle - begin);
+  waiting.push_back({half, slice.end});
+  waiting.push_back({slice.begin, half});
+}
+
+// Up to which depth each tile may show something, before the first splat is blended.
+void CpuRasterizer::Work::openTiles(const PictureRequest& request) {
+  const int across = project_view.tiles_across, down = project_view.tiles_down;
+  pyramid.across = across;
+  pyramid.down = down;
+  std::size_t size = 0;
+  int level = 0;
+  for (int w = across, h = down;; w = (w + 1) / 2, h = (h + 1) / 2, ++level) {
+    pyramid.begins[level] = static_cast<std::int32_t>(size);
+    pyramid.widths[level] = w;
+    size += std::size_t(w) * std::size_t(h);
+    if (w == 1 && h == 1) break;
+  }
+  levels = level + 1;
+  open.assign(size, kOpen);
+  pyramid.open = open.data();
+  hides = !request.scene_depth.empty();
+  if (!hides) return;
+  for (std::size_t tile = 0; tile < tiles; ++tile) {
+    const TileRect rect(tile, across, request.camera.width, request.camera.height);
+    float farthest = 0;
+    rect.forEach([&](std::size_t, std::size_t pixel) {
+      farthest = std::max(farthest, request.scene_depth[pixel]);
+    });
+    open[tile] = farthest;
+  }
+}
+
+void CpuRasterizer::Work::raisePyramid() {
+  int w = project_view.tiles_across, h = project_view.tiles_down;
+  for (int level = 1; level < levels; ++level) {
+    const float* const below = &open[std::size_t(pyramid.begins[level - 1])];
+    float* const here = &open[std::size_t(pyramid.begins[level])];
+    const int width = (w + 1) / 2, height = (h + 1) / 2;
+    for (int row = 0; row < height; ++row) {
+      for (int column = 0; column < width; ++column) {
+        const int right = std::min(2 * column + 1, w - 1), bottom = std::min(2 * row + 1, h - 1);
+        here[row * width + column] =
+            std::max(std::max(below[2 * row * w + 2 * column], below[2 * row * w + right]),
+                     std::max(below[bottom * w + 2 * column], below[bottom * w + right]));
+      }
+    }
+    w = width;
+    h = height;
+  }
+}
+
+// Projects a slice and finds its splats' tiles; false where there are too many pairs.
+bool CpuRasterizer::Work::project(const Slice& slice) {
+  const std::size_t begin = slice.begin, end = slice.end;
   records.reserve(end - begin + kSlots);
   keys.reserve(end - begin + kSlots);
   std::atomic<std::size_t> pairs{0};
@@ -399,6 +558,7 @@ bool CpuRasterizer::Work::project(std::size_t begin, std::size_t end) {
     part.pairs.clear();
     member.places.resize(kSlots);
     member.kept.resize(kSlots);
+    member.numbers.resize(kSlots);
     member.footprints.resize(kSlots);
     std::size_t out = part.begin;
     for (std::size_t i = part.begin; i < part.end && !cancelled() && pairs <= kMostPairs;) {
@@ -409,19 +569,31 @@ bool CpuRasterizer::Work::project(std::size_t begin, std::size_t end) {
         member.places[count] = static_cast<std::uint16_t>(run[count].index % kSlots);
         ++count;
       }
+      if (hides) {
+        count = kernels.hide(cull_view, project_view, pyramid, pages[page], member.places.data(),
+                             member.numbers.data(), count);
+      }
       const std::size_t seen =
           kernels.project(project_view, pages[page], member.places.data(), count, &records[out],
                           member.footprints.data(), member.kept.data());
       const std::size_t before = part.pairs.size();
       for (std::size_t k = 0; k < seen; ++k, ++out) {
-        keys[out] = run[member.kept[k]].key;
+        const std::uint16_t number = member.kept[k];
+        keys[out] = run[hides ? member.numbers[number] : number].key;
+        const float window_depth = records[out].window_depth;
         const Footprint& f = member.footprints[k];
-        const bool filled = f.right - f.left == 1 || f.bottom - f.top == 1;
+        const bool spans = f.bottom - f.top <= Footprint::kRows;
         for (int row = f.top; row < f.bottom; ++row) {
-          int first = f.left, last = f.right;
-          if (!filled) columnsOf(f, row, first, last);
+          int first, last;
+          if (spans) {
+            first = f.first[row - f.top];
+            last = f.last[row - f.top];
+          } else {
+            columnsOf(f, row, first, last);
+          }
           for (int column = first; column < last; ++column) {
             const auto tile = std::uint32_t(row * project_view.tiles_across + column);
+            if (window_depth > open[tile]) continue;
             part.pairs.push_back({tile, std::uint32_t(out)});
             ++part.counts[tile];
           }
@@ -462,56 +634,34 @@ std::size_t CpuRasterizer::Work::inTile(std::size_t tile, Member& member) {
   return count;
 }
 
-namespace {
-
-// The part of a picture that a tile is.
-struct TileRect {
-  TileRect(std::size_t tile, int across, int width_of_all, int height_of_all)
-      : left(int(tile) % across * kTile),
-        top(int(tile) / across * kTile),
-        width(std::min(kTile, width_of_all - left)),
-        height(std::min(kTile, height_of_all - top)),
-        first(std::size_t(top) * std::size_t(width_of_all) + std::size_t(left)),
-        stride(std::size_t(width_of_all)) {}
-
-  // Calls each(pixel of the tile, pixel of the picture).
-  template <typename Each>
-  void forEach(const Each& each) const {
-    for (int row = 0; row < height; ++row) {
-      for (int column = 0; column < width; ++column) {
-        each(std::size_t(kTile * row + column),
-             first + std::size_t(row) * stride + std::size_t(column));
-      }
-    }
-  }
-
-  int left, top, width, height;  // [px]
-  std::size_t first, stride;
-};
-
-// Copies a tile of some depths, far where there is no pixel; null where there are none.
-const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, float* copy) {
-  if (depths.empty()) return nullptr;
-  std::fill_n(copy, kTilePixels, 1.0f);
-  rect.forEach([&](std::size_t i, std::size_t pixel) { copy[i] = depths[pixel]; });
-  return copy;
-}
-
-}  // namespace
-
-void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& picture, bool,
+void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& picture, bool first,
                                 std::size_t number, Member& member) {
   const DrawMode mode = request.settings.mode;
   const TileRect rect(number, project_view.tiles_across, picture.width, picture.height);
   const bool divided = !request.translucent_depth.empty();
-  const auto clear = [&](TilePixels& pixels) {
-    std::memset(&pixels, 0, sizeof(pixels));
-    rect.forEach([&](std::size_t i, std::size_t) { pixels.transmittance[i] = 1; });
-  };
-  clear(member.pixels);
-  if (divided) clear(member.behind);
   BlendTile tile;
   tile.count = inTile(number, member);
+  if (tile.count == 0 && !first) return;
+  // What was blended so far is in the picture.
+  const auto read = [&](TilePixels& pixels, const std::vector<float>& colour) {
+    std::memset(&pixels, 0, sizeof(pixels));
+    rect.forEach([&](std::size_t i, std::size_t pixel) {
+      pixels.transmittance[i] = first ? 1 : 1 - colour[4 * pixel + 3];
+      for (int k = 0; k < 3 && !first; ++k) pixels.colour[k][i] = colour[4 * pixel + k];
+    });
+  };
+  read(member.pixels, picture.colour);
+  if (request.mean_depth && !first) {
+    rect.forEach(
+        [&](std::size_t i, std::size_t pixel) { member.pixels.depth[i] = picture.depth[pixel]; });
+  }
+  if (divided) {
+    read(member.behind, picture.behind);
+    rect.forEach([&](std::size_t i, std::size_t pixel) {
+      if (!first) member.behind.depth[i] = picture.nearness[2 * pixel];
+    });
+  }
+
   tile.listed = &listed[begins[number]];
   tile.records = records.get();
   tile.left = rect.left;
@@ -521,8 +671,10 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   tile.behind = divided ? &member.behind : nullptr;
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
   tile.divided = depthsOf(request.translucent_depth, rect, member.divided);
-  kernels.blend(tile, mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall,
-                mode == DrawMode::kGaussianBall, request.mean_depth);
+  const bool ended =
+      kernels.blend(tile, mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall,
+                    mode == DrawMode::kGaussianBall, request.mean_depth);
+  if (ended) open[number] = kEnded;
 
   const auto write = [&](const TilePixels& pixels, std::vector<float>& colour) {
     rect.forEach([&](std::size_t i, std::size_t pixel) {
@@ -533,11 +685,8 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   };
   write(member.pixels, picture.colour);
   if (request.mean_depth) {
-    rect.forEach([&](std::size_t i, std::size_t pixel) {
-      const float alpha = 1 - member.pixels.transmittance[i];
-      picture.depth[pixel] =
-          alpha > 0 ? member.pixels.depth[i] / alpha : std::numeric_limits<float>::quiet_NaN();
-    });
+    rect.forEach(
+        [&](std::size_t i, std::size_t pixel) { picture.depth[pixel] = member.pixels.depth[i]; });
   }
   if (divided) {
     write(member.behind, picture.behind);
@@ -549,12 +698,13 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
 }
 
 void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::uint32_t>& picked,
-                               std::size_t number, Member& member) {
+                               bool first, std::size_t number, Member& member) {
   const SplatCamera& camera = request.camera;
   const DrawMode mode = request.settings.mode;
   const TileRect rect(number, project_view.tiles_across, camera.width, camera.height);
   PickTile tile;
   tile.count = inTile(number, member);
+  if (tile.count == 0 && !first) return;
   tile.listed = &listed[begins[number]];
   tile.records = records.get();
   tile.left = rect.left;
@@ -564,25 +714,35 @@ void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::u
   tile.most = member.most;
   tile.slot = member.slots;
   std::fill_n(tile.transmittance, kTilePixels, 0.0f);
-  rect.forEach([&](std::size_t i, std::size_t) { tile.transmittance[i] = 1; });
-  std::fill_n(tile.most, kTilePixels, 0.05f);
-  std::fill_n(tile.slot, kTilePixels, kNoSlot);
-  kernels.pick(tile, mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall);
-  rect.forEach([&](std::size_t i, std::size_t pixel) { picked[pixel] = tile.slot[i]; });
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    tile.transmittance[i] = first ? 1 : contributions[2 * pixel];
+    tile.most[i] = first ? kLeastPicked : contributions[2 * pixel + 1];
+    tile.slot[i] = first ? kNoSlot : picked[pixel];
+  });
+  const bool ended =
+      kernels.pick(tile, mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall);
+  if (ended) open[number] = kEnded;
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    contributions[2 * pixel] = tile.transmittance[i];
+    contributions[2 * pixel + 1] = tile.most[i];
+    picked[pixel] = tile.slot[i];
+  });
 }
 
 // Of mode kDepth without a range: that of all that is in the picture.
-void CpuRasterizer::Work::depthRange(std::size_t count) {
+void CpuRasterizer::Work::findDepthRange() {
   if (project_view.mode != static_cast<int>(DrawMode::kDepth) ||
       project_view.depth_range[1] > project_view.depth_range[0]) {
     return;
   }
   float nearest = std::numeric_limits<float>::infinity(), farthest = -nearest;
-  project(0, count);
-  for (const Part& part : parts) {
-    for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
-      nearest = std::min(nearest, records[i].depth);
-      farthest = std::max(farthest, records[i].depth);
+  for (const Slice& slice : waiting) {
+    project(slice);
+    for (const Part& part : parts) {
+      for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
+        nearest = std::min(nearest, records[i].depth);
+        farthest = std::max(farthest, records[i].depth);
+      }
     }
   }
   project_view.depth_range[0] = nearest;
@@ -597,6 +757,12 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
   profile.clear();
   began = Clock::now();
   const SplatCamera& camera = request.camera;
+  if (std::min(camera.width, camera.height) < 1 ||
+      std::max(camera.width, camera.height) > kLongestSide) {
+    throw PictureError("a picture of " + std::to_string(camera.width) + " x " +
+                       std::to_string(camera.height) + " pixels can't be drawn, only 1 to " +
+                       std::to_string(kLongestSide));
+  }
   const std::size_t pixels = std::size_t(camera.width) * std::size_t(camera.height);
   for (const ArrayView<float>* depths : {&request.scene_depth, &request.translucent_depth}) {
     if (!depths->empty() && depths->size != pixels) {
@@ -613,6 +779,7 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     picture->nearness.resize(request.translucent_depth.empty() ? 0 : 2 * pixels);
   } else {
     picked->resize(pixels);
+    contributions.resize(2 * pixels);
   }
   setViews(slots, map, request);
   choosePages(slots);
@@ -620,35 +787,56 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
   if (cancelled()) return false;
   deal();
   lap("cull");
-  depthRange(candidates);
-  if (!project(0, candidates)) throw std::bad_alloc();
-  lap("project");
-  if (cancelled()) return false;
-  list();
-  lap("list");
-  std::atomic<std::size_t> next{0};
-  team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
-    Member& member = members[number];
-    try {
-      for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
-        if (picture) {
-          blend(request, *picture, true, tile, member);
-        } else {
-          pick(request, *picked, tile, member);
-        }
-      }
-    } catch (const std::bad_alloc&) {
-      out_of_memory = true;
+  openTiles(request);
+  findDepthRange();
+  std::size_t drawn = 0;
+  bool first = true;
+  while (!waiting.empty()) {
+    const Slice slice = waiting.back();
+    waiting.pop_back();
+    if (hides) raisePyramid();
+    const bool fits = project(slice);
+    lap("project");
+    if (cancelled()) return false;
+    if (!fits && slice.end - slice.begin > 1) {
+      halve(slice);
+      continue;
     }
-  });
-  if (out_of_memory) throw std::bad_alloc();
-  lap("blend");
+    list();
+    lap("list");
+    std::atomic<std::size_t> next{0};
+    team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
+      Member& member = members[number];
+      try {
+        for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
+          if (picture) {
+            blend(request, *picture, first, tile, member);
+          } else {
+            pick(request, *picked, first, tile, member);
+          }
+        }
+      } catch (const std::bad_alloc&) {
+        out_of_memory = true;
+      }
+    });
+    if (out_of_memory) throw std::bad_alloc();
+    if (cancelled()) return false;
+    lap("blend");
+    for (const Part& part : parts) drawn += part.drawn;
+    first = false;
+    hides = hides || std::find(open.begin(), open.begin() + std::ptrdiff_t(tiles), kEnded) !=
+                         open.begin() + std::ptrdiff_t(tiles);
+  }
   if (picture) {
-    picture->drawn = 0;
-    for (const Part& part : parts) picture->drawn += part.drawn;
+    for (std::size_t i = 0; i < picture->depth.size(); ++i) {
+      const float alpha = picture->colour[4 * i + 3];
+      picture->depth[i] =
+          alpha > 0 ? picture->depth[i] / alpha : std::numeric_limits<float>::quiet_NaN();
+    }
+    picture->drawn = drawn;
     picture->profile = profile;
   }
-  return !cancelled();
+  return true;
 }
 
 CpuRasterizer::CpuRasterizer(std::shared_ptr<rosplat_sorter::ThreadTeam> team,

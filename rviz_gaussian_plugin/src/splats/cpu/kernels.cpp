@@ -210,22 +210,81 @@ Vec3 colourOf(const ProjectView& view, const PageSlots& page, const Slot& slot, 
   return trainedColour(view, page, slot, places, direction);
 }
 
-// Which of so many tiles hold centres of pixels in a range: first, and one past the last.
-struct Cells {
+// Pixels whose centres are in a range: the first, and one past the last.
+struct Span {
   Ints first, last;
 };
-Cells cellsIn(Floats from, Floats to, int cells) {
+Span pixelsIn(Floats from, Floats to, int pixels) {
   const Floats slack = 0.05f + 1e-5f * (to - from);  // for rounding
-  const Floats limit = all(1e6f);
-  const Ints lowest = -floorToInts(-clamp(from - 0.5f - slack, -limit, limit));
-  const Ints highest = floorToInts(clamp(to - 0.5f + slack, -limit, limit));
-  const Ints none = lowest > highest;
-  const Ints most = allInts(cells), zero = Ints{};
-  const Ints first = min(max(lowest >> 4, zero), most);
-  const Ints last = min(max((highest >> 4) + 1, zero), most);
-  return {none ? zero : first, none ? zero : last};
+  const Floats most = all(float(pixels));            // clamped as floats: integers end sooner
+  // Ceil and floor of what is not negative, by way of half a pixel.
+  const Ints first = toInts(clamp(from + 0.5f - slack, all(0.0f), most));
+  const Ints last = toInts(clamp(to + 0.5f + slack, all(0.0f), most));
+  return {first, last};
+}
+
+// The tiles of some pixels.
+Span tilesOf(const Span& pixels) {
+  const Ints none = pixels.first >= pixels.last;
+  return {none ? Ints{} : pixels.first >> 4, none ? Ints{} : (pixels.last + (kTile - 1)) >> 4};
 }
 static_assert(kTile == 1 << 4);
+
+// What lies beyond the depth buffer's far plane is as far as that: nothing can stand behind it.
+Floats windowDepthOf(const ProjectView& view, Floats z) {
+  const Floats w = view.orthographic ? all(1.0f) : z;
+  return 0.5f * min((view.ndc_scale * z + view.ndc_offset) / w, all(1.0f)) + 0.5f;
+}
+
+// By the sorters' bound of where a splat ends, see cull().
+std::size_t hide(const CullView& view, const ProjectView& project_view, const Pyramid& pyramid,
+                 const PageSlots& page, std::uint16_t* places_of, std::uint16_t* numbers,
+                 std::size_t count) {
+  constexpr float kMargin =
+      2.1f;  // of the low-pass filter, as kMarginPixels, and for rounding [px]
+  std::size_t n = 0;
+  for (std::size_t group = 0; group < count; group += kLanes) {
+    const int lanes = int(least(std::size_t(kLanes), count - group));
+    Ints places;
+    for (int i = 0; i < kLanes; ++i)
+      places[i] = places_of[group + std::size_t(least(i, lanes - 1))];
+    const Vec3 mean = {gather(page.position[0], places), gather(page.position[1], places),
+                       gather(page.position[2], places)};
+    const Floats extent = gather(page.extent, places);
+    const Floats z = transform(view.rotation + 6, view.translation[2], mean);
+    const Floats over_w = view.orthographic ? all(1.0f) : 1.0f / z;
+    const auto tilesAlong = [&](int axis, float focal, float centre, float slope, int tiles) {
+      const float* const row = view.rotation + 3 * axis;
+      const Floats at = focal * transform(row, view.translation[axis], mean) * over_w + centre;
+      const Floats reach = slope * extent * over_w + kMargin;
+      const Floats last = all(float(tiles - 1));
+      return Span{toInts(clamp((at - reach) * (1.0f / kTile), Floats{}, last)),
+                  toInts(clamp((at + reach) * (1.0f / kTile), Floats{}, last))};
+    };
+    const Span columns =
+        tilesAlong(0, project_view.fx, project_view.cx, view.slope_x, pyramid.across);
+    const Span rows = tilesAlong(1, project_view.fy, project_view.cy, view.slope_y, pyramid.down);
+    // The level where they are 2x2 at most.
+    const Ints span = max(columns.last - columns.first, rows.last - rows.first);
+    const Ints level = span < 2 ? Ints{} : ((Ints)toFloats(span) >> 23) - 126;
+    const Ints begin = (Ints)gather((const std::uint32_t*)pyramid.begins, level);
+    const Ints width = (Ints)gather((const std::uint32_t*)pyramid.widths, level);
+    const Ints top = begin + (rows.first >> level) * width;
+    const Ints bottom = begin + (rows.last >> level) * width;
+    const Ints left = columns.first >> level, right = columns.last >> level;
+    const Floats open =
+        max(max(gather(pyramid.open, top + left), gather(pyramid.open, top + right)),
+            max(gather(pyramid.open, bottom + left), gather(pyramid.open, bottom + right)));
+    const Ints seen = windowDepthOf(project_view, z) <= open;
+    for (int i = 0; i < lanes; ++i) {
+      const std::uint16_t place = places_of[group + std::size_t(i)];
+      numbers[n] = std::uint16_t(group + std::size_t(i));
+      places_of[n] = place;
+      n -= std::size_t(std::ptrdiff_t(seen[i]));
+    }
+  }
+  return n;
+}
 
 std::size_t project(const ProjectView& given, const PageSlots& page, const std::uint16_t* places_of,
                     std::size_t count, Record* records, Footprint* footprints,
@@ -307,20 +366,15 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
               : min(sqrt((2.0f * kLog2) * max(peak - kCutoffEnd * kSquared, all(0.0f))),
                     all(kMaxSigmas));
     const Floats reach_x = sigmas * sqrt(a), reach_y = sigmas * sqrt(c);
-    // What lies beyond the depth buffer's far plane is as far as that: nothing can stand behind it.
-    const Floats ndc =
-        min((view.ndc_scale * p.z + view.ndc_offset) / (view.orthographic ? all(1.0f) : p.z),
-            all(1.0f));
-    const Floats window_depth = 0.5f * ndc + 0.5f;
-    const Cells columns = cellsIn(x - reach_x, x + reach_x, view.tiles_across);
-    const Cells lines = cellsIn(y - reach_y, y + reach_y, view.tiles_down);
+    const Floats window_depth = windowDepthOf(view, p.z);
+    const Span columns = pixelsIn(x - reach_x, x + reach_x, int(view.width));
+    const Span lines = pixelsIn(y - reach_y, y + reach_y, int(view.height));
     Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f) & (window_depth >= 0.0f);
     seen &= (x + reach_x > 0.0f) & (y + reach_y > 0.0f) & (x - reach_x < view.width) &
             (y - reach_y < view.height);
     seen &= (columns.first < columns.last) & (lines.first < lines.last);
-    int any = 0;
-    for (int i = 0; i < lanes; ++i) any |= seen[i];
-    if (!any) continue;
+    seen &= counting() < float(lanes);
+    if (!any(seen)) continue;
 
     const Vec3 colour =
         colourOf(view, page, slot, places, mean, p.z, scale, orientation, trained_opacity);
@@ -331,26 +385,61 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     const Floats half_width = sigmas * sqrt(det * over_c);
     const Floats lean = b * over_c, rightmost = sigmas * b / sqrt(a);
     const Floats kept_peak = balls ? Floats{} : peak * (1.0f / kSquared);
-    const Floats columns_of[] = {
-        x,        y,        axis.x * u, axis.y * u, -axis.y * v,  axis.x * v, kept_peak,
-        colour.x, colour.y, colour.z,   p.z,        window_depth, reach_x,    reach_y};
-    constexpr int kFields = sizeof(columns_of) / sizeof(Floats);
-    static_assert(kFields == offsetof(Record, slot) / sizeof(float));
+
+    // The tiles in its first rows, as in across() of splat_tiles.glsl.
+    const Span box = tilesOf(columns), rows_of_tiles = tilesOf(lines);
+    const Ints many = seen ? rows_of_tiles.last - rows_of_tiles.first : Ints{};
+    Ints first[Footprint::kRows], last[Footprint::kRows];
+    Floats down = toFloats(rows_of_tiles.first * kTile) + 0.5f - y;
+    const Floats over_reach = 1.0f / (reach_y * reach_y);
+    for (int row = 0; row < Footprint::kRows; ++row, down += float(kTile)) {
+      if (row > 0 && !any(many > row)) {
+        first[row] = last[row] = Ints{};
+        continue;
+      }
+      const Floats from = clamp(down, -reach_y, reach_y);
+      const Floats to = clamp(down + float(kTile - 1), -reach_y, reach_y);
+      const Floats left = clamp(-rightmost, from, to), right = clamp(rightmost, from, to);
+      const auto half = [&](Floats at) {
+        return half_width * sqrt(max(1.0f - at * at * over_reach, Floats{}));
+      };
+      const Span span = tilesOf(
+          pixelsIn(x + lean * left - half(left), x + lean * right + half(right), int(view.width)));
+      first[row] = max(span.first, box.first);
+      last[row] = min(span.last, box.last);
+    }
+
+    const Floats fields_of[] = {x,           y,          axis.x * u, axis.y * u,
+                                -axis.y * v, axis.x * v, kept_peak,  colour.x,
+                                colour.y,    colour.z,   p.z,        window_depth};
+    constexpr int kFields = sizeof(fields_of) / sizeof(Floats);
+    static_assert(kFields == offsetof(Record, left) / sizeof(float));
     for (int i = 0; i < lanes; ++i) {
       if (!seen[i]) continue;
-      float* const fields = &records[n].x;
-      for (int k = 0; k < kFields; ++k) fields[k] = columns_of[k][i];
-      records[n].slot = page.first_slot + std::uint32_t(places[i]);
-      footprints[n] = {std::int16_t(columns.first[i]),
-                       std::int16_t(lines.first[i]),
-                       std::int16_t(columns.last[i]),
-                       std::int16_t(lines.last[i]),
-                       x[i],
-                       y[i],
-                       reach_y[i],
-                       half_width[i],
-                       lean[i],
-                       rightmost[i]};
+      Record& record = records[n];
+      for (int k = 0; k < kFields; ++k) (&record.x)[k] = fields_of[k][i];
+      record.left = std::int16_t(columns.first[i]);
+      record.top = std::int16_t(lines.first[i]);
+      record.right = std::int16_t(columns.last[i]);
+      record.bottom = std::int16_t(lines.last[i]);
+      record.slot = page.first_slot + std::uint32_t(places[i]);
+      Footprint& footprint = footprints[n];
+      footprint.top = std::int16_t(rows_of_tiles.first[i]);
+      footprint.bottom = std::int16_t(rows_of_tiles.last[i]);
+      for (int row = 0; row < Footprint::kRows; ++row) {
+        footprint.first[row] = std::int16_t(first[row][i]);
+        footprint.last[row] = std::int16_t(last[row][i]);
+      }
+      if (many[i] > Footprint::kRows) {
+        footprint.left = std::int16_t(box.first[i]);
+        footprint.right = std::int16_t(box.last[i]);
+        footprint.x = x[i];
+        footprint.y = y[i];
+        footprint.reach_y = reach_y[i];
+        footprint.half_width = half_width[i];
+        footprint.lean = lean[i];
+        footprint.rightmost = rightmost[i];
+      }
       kept[n] = std::uint16_t(group + std::size_t(i));
       ++n;
     }
@@ -373,24 +462,6 @@ Floats falloffOf(Floats exponent) {
   return v;
 }
 
-// From where to where of a tile's rows or columns a splat may reach.
-struct Span {
-  int begin, end;
-};
-Span spanOf(float centre, float reach, int corner) {
-  constexpr float kSlack = 0.05f;
-  const float from = centre - float(corner) - 0.5f - reach * 1.00001f - kSlack;
-  const float to = centre - float(corner) - 0.5f + reach * 1.00001f + kSlack;
-  // Clamped as floats: integers end sooner.
-  return {int(most(least(from, 16.0f), -1.0f) + 1.0f), int(most(least(to, 15.0f), -1.0f) + 1.0f)};
-}
-
-Floats columnsFrom(int first) {
-  Floats v;
-  for (int i = 0; i < kLanes; ++i) v[i] = float(first + i);
-  return v;
-}
-
 // Whether nothing behind can be seen in any pixel.
 bool ended(const float* transmittance, const float* behind, float ends_at) {
   Floats largest = {};
@@ -406,28 +477,33 @@ bool ended(const float* transmittance, const float* behind, float ends_at) {
 constexpr std::size_t kAhead = 8;      // records that are fetched before they are needed
 constexpr std::size_t kPatience = 32;  // splats before a tile is asked whether it has ended
 
-// Calls each(record, first pixel, exponents, where the splat is) for all that splats cover of a
-// tile, row by row, until nothing behind can be seen; returns whether that is so.
-template <typename Each>
+// Calls blendOf(record)(pixel, exponents, where the splat is), nearest first, for the pixels of a
+// tile that each covers, a vector at a time, until nothing behind can be seen; returns whether that
+// is so.
+template <typename BlendOf>
 bool walk(const Listed* listed, std::size_t count, const Record* records, int left, int top,
-          bool balls, const Each& each, const float* transmittance, const float* behind,
-          float ends_at) {
+          bool balls, const float* transmittance, const float* behind, float ends_at,
+          const BlendOf& blendOf) {
+  const Floats end = all(balls ? kBallEnd : kCutoffEnd), columns = counting();
   for (std::size_t k = 0; k < count; ++k) {
     if (k % kPatience == 0 && ended(transmittance, behind, ends_at)) return true;
     if (k + kAhead < count) __builtin_prefetch(records + listed[k + kAhead].record);
     const Record& e = records[listed[k].record];
-    const Span rows = spanOf(e.y, e.reach_y, top), columns = spanOf(e.x, e.reach_x, left);
-    const float dx = float(left) + 0.5f - e.x, dy = float(top) + 0.5f - e.y;
-    const float u0 = e.ux * dx + e.uy * dy, v0 = e.vx * dx + e.vy * dy;
-    const Floats end = all(balls ? kBallEnd : kCutoffEnd);
-    for (int column = columns.begin / kLanes * kLanes; column < columns.end; column += kLanes) {
-      const Floats at = columnsFrom(column);
-      const Floats u_of_row0 = fma(at, all(e.ux), all(u0)), v_of_row0 = fma(at, all(e.vx), all(v0));
-      for (int row = rows.begin; row < rows.end; ++row) {
-        const Floats u = fma(all(float(row)), all(e.uy), u_of_row0);
-        const Floats v = fma(all(float(row)), all(e.vy), v_of_row0);
-        const Floats exponent = fma(-v, v, fma(-u, u, all(e.peak)));
-        each(e, kTile * row + column, exponent, exponent >= end);
+    const auto blend = blendOf(e);
+    const int first = most(e.top - top, 0), last = least(e.bottom - top, kTile);
+    const int begin = kLanes == kTile ? 0 : most(e.left - left, 0) / kLanes * kLanes;
+    const int end_column = kLanes == kTile ? kTile : least(e.right - left, kTile);
+    const float dx = float(left) + 0.5f - e.x, dy = float(top + first) + 0.5f - e.y;
+    const Floats along_u = fma(columns, all(e.ux), all(e.ux * dx + e.uy * dy));
+    const Floats along_v = fma(columns, all(e.vx), all(e.vx * dx + e.vy * dy));
+    const Floats down_u = all(e.uy), down_v = all(e.vy), peak = all(e.peak);
+    for (int column = begin; column < end_column; column += kLanes) {
+      Floats u = along_u + float(column) * e.ux, v = along_v + float(column) * e.vx;
+      for (int row = first; row < last; ++row) {
+        const Floats exponent = fma(-v, v, fma(-u, u, peak));
+        blend(kTile * row + column, exponent, exponent >= end);
+        u += down_u;
+        v += down_v;
       }
     }
   }
@@ -436,38 +512,35 @@ bool walk(const Listed* listed, std::size_t count, const Record* records, int le
 
 template <bool kBalls, bool kGaussianBalls, bool kDepth, bool kOpaque, bool kDivided>
 bool blendAs(const BlendTile& tile) {
-  TilePixels& pixels = *tile.pixels;
-  const auto each = [&](const Record& e, int pixel, Floats exponent, Ints covered) {
-    const Floats falloff = falloffOf(exponent);
-    const auto blend = [&](TilePixels& into, Ints where, float depth) {
-      const Floats alpha = where ? (kBalls ? all(1.0f) : min(falloff, all(kMaxAlpha))) : Floats{};
-      const Floats transmittance = load(into.transmittance + pixel);
-      Floats weight = transmittance * alpha;
-      store(into.transmittance + pixel, transmittance - weight);
-      if (kDepth) {
-        store(into.depth + pixel, fma(weight, all(depth), load(into.depth + pixel)));
-      }
-      if (kGaussianBalls) weight = where ? weight * falloff : Floats{};
-      for (int i = 0; i < 3; ++i) {
-        float* const channel = into.colour[i] + pixel;
-        store(channel, fma(weight, all(e.colour[i]), load(channel)));
-      }
-    };
-    if (!kOpaque && !kDivided) {
-      blend(pixels, covered, e.depth);
-      return;
+  // A vector of pixels under a splat.
+  const auto blend = [](TilePixels& into, int pixel, Floats falloff, Ints where,
+                        const Floats(&colour)[3], Floats depth) {
+    const Floats alpha = where ? (kBalls ? all(1.0f) : min(falloff, all(kMaxAlpha))) : Floats{};
+    const Floats transmittance = load(into.transmittance + pixel);
+    Floats weight = transmittance * alpha;
+    store(into.transmittance + pixel, transmittance - weight);
+    if (kDepth) store(into.depth + pixel, fma(weight, depth, load(into.depth + pixel)));
+    if (kGaussianBalls) weight = where ? weight * falloff : Floats{};
+    for (int i = 0; i < 3; ++i) {
+      float* const channel = into.colour[i] + pixel;
+      store(channel, fma(weight, colour[i], load(channel)));
     }
-    if (kOpaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
-    if (!kDivided) {
-      blend(pixels, covered, e.depth);
-      return;
-    }
-    const Ints before = all(e.window_depth) <= load(tile.divided + pixel);
-    blend(pixels, covered & before, e.depth);
-    blend(*tile.behind, covered & ~before, 1.0f - e.window_depth);
   };
-  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, kBalls, each,
-              pixels.transmittance, kDivided ? tile.behind->transmittance : nullptr, tile.ends_at);
+  TilePixels& pixels = *tile.pixels;
+  return walk(
+      tile.listed, tile.count, tile.records, tile.left, tile.top, kBalls, pixels.transmittance,
+      kDivided ? tile.behind->transmittance : nullptr, tile.ends_at, [&](const Record& e) {
+        const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
+        const Floats depth = all(e.depth), window_depth = all(e.window_depth);
+        return [=, &pixels, &tile](int pixel, Floats exponent, Ints covered) {
+          const Floats falloff = falloffOf(exponent);
+          if (kOpaque) covered &= window_depth <= load(tile.opaque + pixel);
+          if (!kDivided) return blend(pixels, pixel, falloff, covered, colour, depth);
+          const Ints before = window_depth <= load(tile.divided + pixel);
+          blend(pixels, pixel, falloff, covered & before, colour, depth);
+          blend(*tile.behind, pixel, falloff, covered & ~before, colour, 1.0f - window_depth);
+        };
+      });
 }
 
 template <bool kBalls, bool kGaussianBalls, bool kDepth>
@@ -491,20 +564,23 @@ bool blend(const BlendTile& tile, bool balls, bool gaussian_balls, bool with_dep
 }
 
 bool pick(const PickTile& tile, bool balls) {
-  const auto each = [&](const Record& e, int pixel, Floats exponent, Ints covered) {
-    if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
-    const Floats alpha =
-        covered ? (balls ? all(1.0f) : min(falloffOf(exponent), all(kMaxAlpha))) : Floats{};
-    const Floats transmittance = load(tile.transmittance + pixel);
-    const Floats weight = transmittance * alpha;
-    const Floats most = load(tile.most + pixel);
-    const Ints more = weight > most;
-    store(tile.most + pixel, more ? weight : most);
-    store(tile.slot + pixel, more ? allInts(std::int32_t(e.slot)) : load<Ints>(tile.slot + pixel));
-    store(tile.transmittance + pixel, transmittance - weight);
-  };
-  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, balls, each,
-              tile.transmittance, nullptr, kLeastPicked);
+  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, balls, tile.transmittance,
+              nullptr, kLeastPicked, [&](const Record& e) {
+                return [=, &e, &tile](int pixel, Floats exponent, Ints covered) {
+                  if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
+                  const Floats alpha =
+                      covered ? (balls ? all(1.0f) : min(falloffOf(exponent), all(kMaxAlpha)))
+                              : Floats{};
+                  const Floats transmittance = load(tile.transmittance + pixel);
+                  const Floats weight = transmittance * alpha;
+                  const Floats so_far = load(tile.most + pixel);
+                  const Ints more = weight > so_far;
+                  store(tile.most + pixel, more ? weight : so_far);
+                  const Ints slot = load<Ints>(tile.slot + pixel);
+                  store(tile.slot + pixel, more ? allInts(std::int32_t(e.slot)) : slot);
+                  store(tile.transmittance + pixel, transmittance - weight);
+                };
+              });
 }
 
 // To the nearest, ties to even; beyond the largest, the largest.
@@ -528,6 +604,6 @@ void toHalves(const float* from, std::size_t count, std::uint16_t* halves) {
 
 #define ROSPLAT_QUOTE(name) #name
 #define ROSPLAT_NAME(name) ROSPLAT_QUOTE(name)
-const Kernels kKernels = {ROSPLAT_NAME(ROSPLAT_TARGET), cull, project, blend, pick, toHalves};
+const Kernels kKernels = {ROSPLAT_NAME(ROSPLAT_TARGET), cull, hide, project, blend, pick, toHalves};
 
 }  // namespace rosplat::cpu::ROSPLAT_TARGET

@@ -49,6 +49,16 @@ struct ProjectView {
   bool orthographic, antialiased;
 };
 
+// Up to which window depth something may still be seen, tile by tile, and the most of that in 2x2,
+// 4x4, ... tiles.
+struct Pyramid {
+  static constexpr int kMostLevels = 16;
+
+  const float* open;
+  std::int32_t begins[kMostLevels], widths[kMostLevels];  // of the levels in `open`
+  std::int32_t across, down;                              // tiles
+};
+
 // A splat in the picture, ready to be blended.
 struct alignas(64) Record {
   float x, y;            // centre [px]
@@ -56,7 +66,7 @@ struct alignas(64) Record {
   float peak;            // log2 of the opacity, over kSquared
   float colour[3];
   float depth, window_depth;
-  float reach_x, reach_y;  // from the centre to where it ends [px]
+  std::int16_t left, top, right, bottom;  // pixels around it, the last two beyond it
   std::uint32_t slot;
 };
 
@@ -66,9 +76,12 @@ constexpr float kSquared = 1 << kSquarings;
 
 // Which tiles a splat touches.
 struct Footprint {
-  std::int16_t left, top, right, bottom;  // tiles, the last two beyond it
-  // Where it fills more than a row and a column: as in Outline of splat_tiles.glsl.
-  float x, y, reach_y, half_width, lean, rightmost;
+  static constexpr int kRows = 4;
+
+  std::int16_t top, bottom;                          // rows, the last one beyond it
+  std::int16_t first[kRows], last[kRows];            // columns in the first of these rows, or...
+  std::int16_t left, right;                          // ...in all, and where...
+  float x, y, reach_y, half_width, lean, rightmost;  // ...as in Outline of splat_tiles.glsl
 };
 
 // A splat of a tile.
@@ -112,6 +125,11 @@ struct Kernels {
   // Writes the slots of a page that may be seen; returns how many. index: of its first slot.
   std::size_t (*cull)(const CullView& view, const PageSlots& page, std::uint32_t index,
                       Candidate* candidates);
+  // Leaves those slots of a page that tiles may still show, and their numbers so far; returns how
+  // many.
+  std::size_t (*hide)(const CullView& view, const ProjectView& project_view, const Pyramid& pyramid,
+                      const PageSlots& page, std::uint16_t* places, std::uint16_t* numbers,
+                      std::size_t count);
   // Projects slots of a page, by their places in it; returns how many are in the picture. kept: the
   // number of each that is.
   std::size_t (*project)(const ProjectView& view, const PageSlots& page,

@@ -30,6 +30,13 @@ typedef std::uint32_t Words __attribute__((vector_size(4 * kLanes)));
 inline Floats all(float value) { return value - Floats{}; }
 inline Ints allInts(std::int32_t value) { return value - Ints{}; }
 
+// 0, 1, 2 and so on.
+inline Floats counting() {
+  Floats v;
+  for (int i = 0; i < kLanes; ++i) v[i] = float(i);
+  return v;
+}
+
 template <typename Vector, typename T>
 Vector load(const T* from) {
   Vector v;
@@ -69,12 +76,45 @@ inline Floats sqrt(Floats v) {
 }
 
 // The second where one is no number.
-inline Floats min(Floats a, Floats b) { return a < b ? a : b; }
-inline Floats max(Floats a, Floats b) { return a > b ? a : b; }
+inline Floats min(Floats a, Floats b) {
+#if defined(__AVX512F__)
+  return _mm512_min_ps(a, b);
+#elif defined(__AVX2__)
+  return _mm256_min_ps(a, b);
+#elif defined(__SSE2__)
+  return _mm_min_ps(a, b);
+#else
+  return a < b ? a : b;
+#endif
+}
+inline Floats max(Floats a, Floats b) {
+#if defined(__AVX512F__)
+  return _mm512_max_ps(a, b);
+#elif defined(__AVX2__)
+  return _mm256_max_ps(a, b);
+#elif defined(__SSE2__)
+  return _mm_max_ps(a, b);
+#else
+  return a > b ? a : b;
+#endif
+}
 inline Floats clamp(Floats v, Floats least, Floats most) { return min(max(v, least), most); }
 inline Floats abs(Floats v) { return (Floats)((Ints)v & 0x7fffffff); }
 inline Ints min(Ints a, Ints b) { return a < b ? a : b; }
 inline Ints max(Ints a, Ints b) { return a > b ? a : b; }
+
+// Whether any is true.
+inline bool any(Ints where) {
+#if defined(__AVX512F__)
+  return _mm512_test_epi32_mask((__m512i)where, (__m512i)where);
+#elif defined(__AVX2__)
+  return _mm256_movemask_ps((__m256)where);
+#elif defined(__SSE2__)
+  return _mm_movemask_ps((__m128)where);
+#else
+  return where[0] | where[1] | where[2] | where[3];
+#endif
+}
 
 inline Floats toFloats(Ints v) { return __builtin_convertvector(v, Floats); }
 // Towards zero; only for what fits.
