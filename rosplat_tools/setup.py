@@ -28,6 +28,6 @@ setup(
     description="Publishes maps of 3D Gaussians from scene files and SLAM back ends.",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": [f"{name} = rosplat_tools.{name}:main" for name in EXECUTABLES]
+        "console_scripts": [f"{name} = rosplat_tools.commands:{name}" for name in EXECUTABLES]
     },
 )

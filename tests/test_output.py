@@ -32,3 +32,17 @@ def test_nothing_is_said_where_nobody_reads(command: str, tmp_path: Path) -> Non
     )  # fmt: skip
     os.close(writing)
     assert (ended.stderr, ended.returncode) == ("", 1)
+
+
+@pytest.mark.parametrize("command", ["inspect procedural:10", "inspect --help", "generate --help"])
+def test_a_full_disk_is_a_line_and_code_1(command: str) -> None:
+    program, *arguments = command.split()
+    run = f"import sys; from rosplat_tools.commands import {program}; sys.exit({program}())"
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-c", run, *arguments],
+            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+            env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
+        )  # fmt: skip
+    assert ended.stderr == "can't print: No space left on device\n"
+    assert ended.returncode == 1

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from rosplat_sorter import backends, camera, edits
 from rosplat_sorter.backends import AUTO, Backend, Unavailable
 from rosplat_sorter.camera import Camera, CameraError
-from rosplat_sorter.edits import Edit, EditError
+from rosplat_sorter.edits import Edit
+from rosplat_sorter.log_text import shown
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_sorter.view import View
@@ -29,6 +30,8 @@ T = TypeVar("T")
 # Viewers show their cameras at least each second; who is silent for so long is gone. [s]
 FORGET_AFTER = 10.0
 MAX_VIEWS = 32
+
+MOST_SHOWN = 300  # characters of an error in a line of the log
 
 # Edits that wait for longer are waited for, and what their messages bring with them. [bytes]
 MOST_WAITING = 1 << 25
@@ -81,6 +84,13 @@ class _Inbox:
         self.edits.append(edit)
         self.edit_bytes += edit.nbytes
 
+    def look(self, message: ViewCamera) -> None:
+        """Keeps a camera, the newest of each view, and of no more views than are answered."""
+        self.views.pop(message.view_id, None)
+        self.views[message.view_id] = message
+        if len(self.views) > MAX_VIEWS:
+            del self.views[next(iter(self.views))]
+
     def __bool__(self) -> bool:
         return bool(self.edits or self.views or self.backend)
 
@@ -131,7 +141,7 @@ class Worker:
         """Takes an edit of the map; waits while too much lies there that isn't applied yet."""
         try:
             edit = edits.decode(message)
-        except (EditError, MemoryError) as error:
+        except Exception as error:  # no message may end the node
             self._drop_batch(message.map_id, message.revision, error)
             return
         with self._wake:
@@ -142,7 +152,7 @@ class Worker:
     def look(self, message: ViewCamera) -> None:
         """Takes a camera; one of the same view that still waits is forgotten."""
         with self._wake:
-            self._inbox.views[message.view_id] = message
+            self._inbox.look(message)
             self._wake.notify_all()
 
     def use(self, backend: str, threads: int) -> None:
@@ -187,7 +197,9 @@ class Worker:
         try:
             do(what)
         except Exception as error:
-            self._host.warn("sort", f"could not sort: {type(error).__name__}: {error}")
+            self._host.warn(
+                "sort", f"could not sort: {type(error).__name__}: {shown(error, MOST_SHOWN)}"
+            )
 
     def _forget_silent(self, now: float) -> None:
         for view_id, viewer in list(self._viewers.items()):
@@ -202,8 +214,9 @@ class Worker:
         self._dropped_batches += 1
         self._host.warn(
             "batch",
-            f"gaussians: batch {revision} of map '{map_id}' dropped: "
-            f"{str(error) or 'out of memory'} ({self._dropped_batches} dropped so far)",
+            f"gaussians: batch {revision} of map '{shown(map_id)}' dropped: "
+            f"{shown(error, MOST_SHOWN) or 'out of memory'} "
+            f"({self._dropped_batches} dropped so far)",
         )
 
     def _apply(self, edit: Edit) -> None:
@@ -224,12 +237,14 @@ class Worker:
             for viewer in self._viewers.values():
                 viewer.answered = None  # its revisions say nothing about these
         if edit.map_id != known_map:
-            self._host.inform("map", f"map '{edit.map_id}' begins, in frame '{edit.frame_id}'")
+            self._host.inform(
+                "map", f"map '{shown(edit.map_id)}' begins, in frame '{shown(edit.frame_id)}'"
+            )
         if self._map.missed > known_missed:
             self._host.warn(
                 "gap",
                 f"gaussians: missed {self._map.missed - known_missed} batches before "
-                f"{edit.revision} of map '{edit.map_id}'; the map may be incomplete "
+                f"{edit.revision} of map '{shown(edit.map_id)}'; the map may be incomplete "
                 f"({self._map.missed} missed so far)",
             )
         rejected = self._map.rejected
@@ -275,8 +290,8 @@ class Worker:
         self._dropped_views += 1
         self._host.warn(
             "view",
-            f"gaussians/view: camera {message.sequence} of view '{message.view_id}' dropped: "
-            f"{reason} ({self._dropped_views} dropped so far)",
+            f"gaussians/view: camera {message.sequence} of view '{shown(message.view_id)}' "
+            f"dropped: {shown(reason, MOST_SHOWN)} ({self._dropped_views} dropped so far)",
         )
 
     def _answer(self, view_id: str) -> None:
@@ -288,7 +303,8 @@ class Worker:
         if header.frame_id not in ("", splats.frame_id):
             self._drop_view(
                 viewer.message,
-                f"header.frame_id is '{header.frame_id}', the map's '{splats.frame_id}'",
+                f"header.frame_id is '{shown(header.frame_id)}', "
+                f"the map's '{shown(splats.frame_id)}'",
             )
             return
         last = viewer.answer
@@ -337,8 +353,8 @@ class Worker:
             self._introduced = (self._map.map_id, backend.name, max(1, len(self._map)))
             self._host.inform(
                 f"sort {backend.name}",
-                f"map '{self._map.map_id}': {len(slots)} of {len(self._map)} splats in view, "
-                f"sorted in {1000 * sort_time:.1f} ms with {_describe(backend)}",
+                f"map '{shown(self._map.map_id)}': {len(slots)} of {len(self._map)} splats in "
+                f"view, sorted in {1000 * sort_time:.1f} ms with {_describe(backend)}",
             )
         answer = Answer(
             header=viewer.message.header,

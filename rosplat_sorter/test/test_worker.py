@@ -436,3 +436,29 @@ def test_without_room_orders_travel_in_messages(start, make_batch, make_look, mo
         assert host.answer(sequence).generation == 0
         assert host.answer(sequence).slots.tolist() == [2, 1, 0]
     host.said("orders travel in messages: [Errno 28] no room")
+
+
+def test_what_peers_send_makes_no_more_than_a_line(start, make_batch, make_look):
+    worker, host = start()
+    long = "a\n\x1b[31m" * 100_000
+    worker.edit(make_batch(map_id=long, frame_id=long))
+    worker.edit(make_batch(map_id=long, revision=0))
+    worker.edit(make_batch(map_id=long, revision=5))
+    worker.look(make_look(view_id=long, frame_id=long))
+    host.said("header.frame_id is 'a\\n\\x1b[31ma")
+    worker.look(make_look(view_id=long, fx=0.0))
+    host.said("fx is 0.0")
+    host.said("revision is 0")
+    assert max(map(len, host.lines)) < 1000
+    assert all(line.isprintable() for line in host.lines)
+
+
+def test_views_that_wait_do_not_pile_up(start, make_batch, make_look):
+    worker, _ = start()
+    GatedBackend.gate.clear()
+    worker.edit(make_batch())
+    worker.look(make_look())
+    assert GatedBackend.sorting.wait(10)
+    for number in range(1000):
+        worker.look(make_look(view_id=str(number)))
+    assert list(worker._inbox.views) == [str(number) for number in range(1000 - MAX_VIEWS, 1000)]

@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Where the block is to write what then takes the path's place: a file beside it.
+    """Where the block is to write what then takes the path's place: a new file beside it.
 
-    A reader sees the old file or the new one. Where the block raises, the old one stays.
+    Its name is nobody's to guess, so that no link can stand there. A reader sees the old file or
+    the new one. Where the block raises, the old one stays.
     """
-    partial = path.with_name(f".{path.name}.part")
+    file, name = tempfile.mkstemp(prefix=f".{path.name[:100]}.", suffix=".part", dir=path.parent)
+    partial = Path(name)
     try:
+        os.fchmod(file, 0o666 & ~_umask())
+        os.close(file)
         yield partial
         partial.replace(path)
     finally:
-        with contextlib.suppress(OSError):  # it was replaced, or its place is none
+        with contextlib.suppress(OSError):  # it was replaced
             partial.unlink()
+
+
+def _umask() -> int:
+    status = Path("/proc/self/status").read_text()  # os.umask would change it, for all threads
+    return int(status.partition("\nUmask:")[2].split()[0], 8)
 
 
 def write_text(path: Path, text: str) -> None:

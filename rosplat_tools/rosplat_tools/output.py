@@ -8,14 +8,27 @@ from typing import NoReturn
 
 
 def say(text: object) -> None:
-    """Prints a line, at once. Ends the program as `unheard` does where nobody reads any more."""
+    """Prints a line, at once. Ends the program where it can't, as `unheard` does."""
     try:
         print(text, flush=True)
-    except BrokenPipeError:
-        unheard()
+    except OSError as error:
+        unheard(error)
 
 
-def unheard() -> NoReturn:
-    """Ends the program quietly, block by block, for its output's reader has gone, `head` say."""
+def finish() -> None:
+    """Writes what is still to be printed, --help say. Ends the program where it can't."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        unheard(error)
+
+
+def unheard(error: OSError) -> NoReturn:
+    """Ends the program where its output can't be written, with code 1.
+
+    Quietly, where the reader has gone, `head` say; else, on a full disk say, by a line.
+    """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python's last flush fails
+    if not isinstance(error, BrokenPipeError):
+        print(f"can't print: {error.strerror}", file=sys.stderr)
     sys.exit(1)

@@ -12,6 +12,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from rclpy.node import Node
 
 from rosplat_msgs.srv import LoadScene, SaveMap
+from rosplat_sorter.log_text import shown
 from rosplat_sorter.qos import HISTORY_DEPTH
 from rosplat_tools import formats
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
@@ -60,26 +61,26 @@ class PlyPublisher(Node):
         start = time.monotonic()
         self._newest = mine = next(self._requests)
         with self._busy:
-            with bar("loading") as shown:
+            with bar("loading") as drawn:
 
                 def loaded(part: float) -> None:
                     self._go_on()
                     if self._newest != mine:
                         raise Cancelled
-                    shown.update(part - shown.n)
-                    if shown.disable:
+                    drawn.update(part - drawn.n)
+                    if drawn.disable:
                         self.get_logger().info(
-                            f"reading {path}: {part:.0%}", throttle_duration_sec=0.5
+                            f"reading {shown(path)}: {part:.0%}", throttle_duration_sec=0.5
                         )
 
                 splats = load_scene(path, loaded, self.get_logger().warning)
                 put_in_space_order(splats)
                 loaded(1.0)
-            with bar("publishing", len(splats)) as shown:
+            with bar("publishing", len(splats)) as drawn:
 
                 def published(count: int) -> None:
                     self._go_on()
-                    shown.update(count)
+                    drawn.update(count)
 
                 try:
                     self._map.replace(splats, progress=published)
@@ -89,7 +90,7 @@ class PlyPublisher(Node):
             f"{path}: {len(splats):,} splats, SH degree {splats.without_empty_bands().sh_degree}, "
             f"loaded and sent in {time.monotonic() - start:.1f} s"
         )
-        self.get_logger().info(text)
+        self.get_logger().info(shown(text, 500))
         return text
 
     def _go_on(self) -> None:
@@ -106,13 +107,13 @@ class PlyPublisher(Node):
                 self._newest = next(self._requests)
                 response.message = "what was being loaded is not read any further"
             response.success = True
-        except SceneError as error:
-            self.get_logger().error(f"not loaded, the map stays: {error}")
-            response.message = str(error)
         except Cancelled:
             response.message = (
                 f"{request.path}: cancelled" if self.context.ok() else "the publisher ended"
             )
+        except Exception as error:  # no file may end the node
+            response.message = str(error) if isinstance(error, SceneError) else f"{error!r}"
+            self.get_logger().error(f"not loaded, the map stays: {shown(response.message, 500)}")
         response.splats = len(self._map)
         return response
 
@@ -125,7 +126,7 @@ class PlyPublisher(Node):
             response.splats = len(splats)
             response.message = f"{request.path}: {len(splats):,} splats"
             response.success = True
-        except (SceneError, OSError, MemoryError) as error:
+        except Exception as error:  # no request may end the node
             response.message = str(error) or "not enough memory"
         return response
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import os
 import re
@@ -13,6 +14,8 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
+
+from rosplat_tools.output import finish
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 5.0  # what a program gets to end by itself [s]
@@ -81,26 +84,48 @@ def since_interrupt() -> float:
     return time.monotonic() - _interrupted_at if _interrupted_at else 0.0
 
 
-def run_module(program: str, module: str, arguments: list[str] | None) -> int:
-    """The exit code of a module's main. Loading it takes seconds, interrupted as quietly as later.
+def run_module(program: str, module: str, arguments: list[str] | None = None) -> int:
+    """The exit code of a module's main, a command's or a node's.
 
-    A library, or rviz_gaussian_plugin, that is not here is named.
+    Loading it takes seconds, interrupted as quietly as later. A library, or rviz_gaussian_plugin,
+    that is not here is named.
     """
     interrupt_by_signals()
     try:
-        code: int = importlib.import_module(module).main(arguments)
-        return code
+        main = importlib.import_module(module).main
+        if since_interrupt():
+            return 130
+        code: int | None = main() if arguments is None else main(arguments)
+        return code or 0
     except ModuleNotFoundError as error:
         print(f"{program}: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
+    except Exception:
+        if since_interrupt():  # libraries in C make other exceptions of it as they load
+            return 130
+        raise
+    finally:
+        finish()
+
+
+_PR_SET_PDEATHSIG = 1  # of linux/prctl.h
+_libc = ctypes.CDLL(None)
+
+
+def end_with_parent() -> None:
+    """Has the kernel end this program when the thread that started it ends, killed or not.
+
+    For subprocess's preexec_fn.
+    """
+    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 class Processes:
     """Starts programs and ends all of them, last started first, when the `with` block is left.
 
-    For the main thread, which is where signals arrive.
+    They end with this program however it ends. For the main thread, which is where signals arrive.
     """
 
     def __init__(self, log_folder: Path) -> None:
@@ -140,6 +165,7 @@ class Processes:
                     | fast_dds_profile(os.environ | environment)
                     | environment,
                     start_new_session=True,
+                    preexec_fn=end_with_parent,
                 )
             except OSError as error:
                 raise ProcessError(f"{name} can't be started: {error}") from error

@@ -1,5 +1,7 @@
 """A file is replaced whole, or stays as it was."""
 
+import os
+import stat
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,31 @@ def test_an_interrupted_writing_leaves_the_old_file(
         raise error
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_nobody_can_lay_a_link_where_it_writes(tmp_path: Path) -> None:
+    victim, path = tmp_path / "victim", tmp_path / "a.json"
+    victim.write_text("mine")
+    for name in (".a.json.part", "a.json.part", "a.json.tmp", "a.json"):
+        (tmp_path / name).symlink_to(victim)
+    names: list[str] = []
+    for _ in range(2):
+        with replacing(path) as partial:
+            names.append(partial.name)
+            partial.write_text("yours")
+    assert victim.read_text() == "mine"
+    assert (path.is_symlink(), path.read_text()) == (False, "yours")
+    assert names[0] != names[1]
+
+
+def test_a_file_is_for_whom_the_user_s_mask_lets(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    before = os.umask(0o027)
+    try:
+        write_text(path, "x")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
 
 
 def test_what_stands_above_the_mark_stays(tmp_path: Path) -> None:

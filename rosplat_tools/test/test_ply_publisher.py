@@ -1,5 +1,6 @@
 """The node that publishes scene files: its start, its services, its end."""
 
+import lzma
 import signal
 import subprocess
 from collections.abc import Callable
@@ -8,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_tools import formats
+from rosplat_tools.ply_publisher import PlyPublisher
 from rosplat_tools.processes import quoted
 from rosplat_tools.space_order import put_in_space_order
 from rosplat_tools.splats import Splats
@@ -155,3 +158,25 @@ def test_a_request_ends_the_one_that_is_still_reading(
     listener.wait(loading.done)
     assert not loading.result().success
     listener.wait_for(2000)
+
+
+@pytest.mark.parametrize("error", [lzma.LZMAError("corrupt\n" * 10**6), MemoryError(), KeyError(3)])
+def test_whatever_loading_raises_is_an_answer(
+    node: Node, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], error: Exception
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene", fail)
+    rclpy.init()
+    try:
+        publisher = PlyPublisher()
+        answer = publisher._on_load(LoadScene.Request(path="a.ply"), LoadScene.Response())
+        publisher.destroy_node()
+    finally:
+        rclpy.shutdown()
+    assert not answer.success
+    assert type(error).__name__ in answer.message
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "the map stays" in line
+    assert len(line) < 1000

@@ -122,6 +122,50 @@ def test_a_signal_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) 
     assert not is_alive(child)
 
 
+def test_a_killed_program_leaves_none_of_those_it_started(tmp_path: Path) -> None:
+    program = (
+        "import sys; from pathlib import Path; from rosplat_tools.processes import Processes\n"
+        "with Processes(Path(sys.argv[1])) as processes:\n"
+        "    child = processes.start('sleep', sys.argv[2:])\n"
+        "    print(child.pid, flush=True); child.wait()\n"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path), *SLEEP]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        child = int(process.stdout.readline())
+        assert is_alive(child)
+        process.kill()
+    deadline = time.monotonic() + 10
+    while is_alive(child):
+        assert time.monotonic() < deadline, "a child is left"
+        time.sleep(0.02)
+
+
+INTERRUPTED = "import os, signal; os.kill(os.getpid(), signal.SIGINT); x = [1] * 1000; "
+
+
+@pytest.mark.parametrize(
+    "module", [INTERRUPTED, f"try: {INTERRUPTED}\nexcept BaseException: raise ImportError('of C')"]
+)
+def test_an_interrupt_while_a_command_loads_is_quiet(tmp_path: Path, module: str) -> None:
+    (tmp_path / "loading.py").write_text(module + "\ndef main(): print('ran')")
+    program = (
+        "import sys; from rosplat_tools.processes import run_module; "
+        "sys.exit(run_module('program', 'loading'))"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
+
+
+def test_programs_begin_with_nothing_that_takes_long_to_load() -> None:
+    """Before run_module has made an interrupt quiet."""
+    code = "import sys, rosplat_tools.commands; assert not {'numpy', 'rclpy'} & sys.modules.keys()"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
 def test_a_library_that_a_command_lacks_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,6 +9,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+from rosplat_tools.processes import end_with_parent
 from rviz_gaussian_plugin import _offscreen
 from rviz_gaussian_plugin._config import OGRE_PLUGINS
 
@@ -76,6 +77,7 @@ def ensure_display(width: int = 1920, height: int = 1080) -> Iterator[str]:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,  # Ctrl-C ends the program first, then its display
+        preexec_fn=end_with_parent,
     )
     os.close(write)
     try:

@@ -5,6 +5,7 @@ import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from rosplat_tools.view_messages import view_camera
 offscreen = pytest.importorskip(
     "rviz_gaussian_plugin.offscreen", reason="the renderer is not built: no viewer to test"
 )
+
+from rviz_gaussian_plugin.viewer.node import Viewer  # noqa: E402
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -334,3 +337,40 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
     assert name in output
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("a\nb" * 10**6)])
+def test_no_message_ends_it(error: Exception) -> None:
+    lines: list[str] = []
+
+    def fail(*_: object) -> None:
+        raise error
+
+    viewer = SimpleNamespace(
+        renderer=SimpleNamespace(apply=fail, set_order=fail, read_order=fail),
+        get_logger=lambda: SimpleNamespace(
+            error=lambda text, **_: lines.append(text), warning=lambda text, **_: lines.append(text)
+        ),
+        _map=SimpleNamespace(topic="gaussians"),
+        _instance="me",
+    )
+    viewer._take = lambda message: Viewer._take(viewer, message)
+    Viewer._on_batch(viewer, GaussianArray())
+    for encoding in (SplatOrder.SLOTS, SplatOrder.SHARED):
+        assert not Viewer._on_order(viewer, SplatOrder(view_id="me/view", encoding=encoding))
+    assert len(lines) == 3
+    assert all(line.isprintable() and len(line) < 1000 for line in lines)
+
+
+def test_a_killed_viewer_leaves_no_display(start: Start, listener: Any, node: Node) -> None:
+    process = start("rviz_gaussian_plugin.viewer", serve=True)
+    listener.wait(lambda: node.count_subscribers("gaussians") == 2)  # it and the listener
+    (server,) = children(process.pid, "Xvfb")
+    process.kill()
+    process.wait()
+    listener.wait(lambda: not Path(f"/proc/{server}").exists(), timeout=10)
+
+
+def children(pid: int, name: str) -> list[int]:
+    found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(child) for child in found if Path(f"/proc/{child}/comm").read_text() == f"{name}\n"]

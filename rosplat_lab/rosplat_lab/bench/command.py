@@ -75,8 +75,8 @@ def main(arguments: list[str] | None = None) -> int:
         if arguments[:1] == ["tables"]:
             return _tabulate(arguments[1:])
         return _measure(arguments, console)
-    except BrokenPipeError:  # of rich before 13.8
-        unheard()
+    except BrokenPipeError as error:  # of rich before 13.8
+        unheard(error)
     except (SceneError, RecordError, OSError) as error:
         print(f"bench: {error}", file=sys.stderr)
         return 1

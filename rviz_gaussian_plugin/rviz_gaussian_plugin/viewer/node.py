@@ -18,11 +18,12 @@ from sensor_msgs.msg import Image
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.log_text import shown
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.parameters import declare
 from rosplat_tools.splats import SceneError
-from rviz_gaussian_plugin.offscreen import BatchError, OrderError, OrderSource, Renderer
+from rviz_gaussian_plugin.offscreen import OrderSource, Renderer
 from rviz_gaussian_plugin.viewer.orbit import Sample
 
 DISCOVERY = 5.0  # how long stills wait for a sorter to be found [s]
@@ -128,20 +129,23 @@ class Viewer(Node):
 
     def _on_batch(self, message: GaussianArray) -> None:
         try:
-            report = self.renderer.apply(
-                message.operation, message.first_slot, message.count,
-                _array(message.slots, np.uint32), message.sh_degree, message.antialiased,
-                (message.origin.x, message.origin.y, message.origin.z),
-                _array(message.positions), _array(message.orientations), _array(message.scales),
-                _array(message.opacities), _array(message.sh),
-                message.map_id, message.revision, message.expected_slots, message.encoding,
-                message.snapshot,
-            )  # fmt: skip
-        except BatchError as error:
+            self._take(message)
+        except Exception as error:  # no message may end the viewer: the map stays
+            reason = shown(error, 300) or "out of memory"
             self.get_logger().error(
-                f"{self._map.topic}: a batch is refused: {error}", throttle_duration_sec=5.0
+                f"{self._map.topic}: a batch is refused: {reason}", throttle_duration_sec=5.0
             )
-            return
+
+    def _take(self, message: GaussianArray) -> None:
+        report = self.renderer.apply(
+            message.operation, message.first_slot, message.count,
+            _array(message.slots, np.uint32), message.sh_degree, message.antialiased,
+            (message.origin.x, message.origin.y, message.origin.z),
+            _array(message.positions), _array(message.orientations), _array(message.scales),
+            _array(message.opacities), _array(message.sh),
+            message.map_id, message.revision, message.expected_slots, message.encoding,
+            message.snapshot,
+        )  # fmt: skip
         if report["duplicate"]:
             return
         if report["missed"] or report["dropped"]:
@@ -163,7 +167,7 @@ class Viewer(Node):
             return False
         order = (
             message.view_id, message.sequence, message.map_id, message.revision,
-            f"sidecar ({message.backend})", message.sort_time,
+            f"sidecar ({shown(message.backend)})", message.sort_time,
         )  # fmt: skip
         try:
             if message.encoding == SplatOrder.SLOTS:
@@ -173,9 +177,10 @@ class Viewer(Node):
                     *order, message.encoding, message.packed, message.count, message.slot_bits,
                     message.segment, message.generation,
                 )  # fmt: skip
-        except OrderError as error:
+        except Exception as error:  # no order may end the viewer
+            reason = shown(error, 300) or "out of memory"
             self.get_logger().warning(
-                f"{self._map.topic}/order: an order is dropped: {error}",
+                f"{self._map.topic}/order: an order is dropped: {reason}",
                 throttle_duration_sec=5.0,
             )
             return False
@@ -290,8 +295,8 @@ class Viewer(Node):
         stamp = request.camera.header.stamp
         if frame not in ("", self.frame_id):
             response.message = (
-                f"camera.header.frame_id is '{frame}', the map is in '{self.frame_id}': "
-                "this viewer knows no transforms"
+                f"camera.header.frame_id is '{shown(frame)}', the map is in "
+                f"'{shown(self.frame_id)}': this viewer knows no transforms"
             )
             return
         try:
@@ -300,8 +305,10 @@ class Viewer(Node):
             )
             response.color = _image(self.renderer.read_color(), "32FC4")
             response.depth = _image(self.renderer.read_depth(), "32FC1")
-        except (ValueError, RuntimeError, MemoryError) as error:
-            response.message = str(error)
+        except ExternalShutdownException:
+            raise
+        except Exception as error:  # no request may end the viewer
+            response.message = str(error) or "out of memory"
             return
         for image in (response.color, response.depth):
             image.header.frame_id, image.header.stamp = frame or self.frame_id, stamp

@@ -1,0 +1,14 @@
+"""The package's programs, each loaded where an interrupt is quiet already: that takes a second."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from rosplat_tools.processes import run_module
+
+convert = partial(run_module, "convert", "rosplat_tools.convert")
+demo_sensors = partial(run_module, "demo_sensors", "rosplat_tools.demo_sensors")
+generate = partial(run_module, "generate", "rosplat_tools.generate")
+inspect = partial(run_module, "inspect", "rosplat_tools.inspect")
+ply_publisher = partial(run_module, "ply_publisher", "rosplat_tools.ply_publisher")
+slam_emulator = partial(run_module, "slam_emulator", "rosplat_tools.slam_emulator")
