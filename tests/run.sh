@@ -12,6 +12,10 @@ fi
 if ! python -c 'import ros2bag' 2>/dev/null; then
   printf '\n\033[1;33mSKIPPED: no rosbag2 here, no bag was played into rviz.\033[0m\n\n'
 fi
+if ! command -v splat-transform >/dev/null; then
+  printf '\n\033[1;33mSKIPPED: no splat-transform here (npm install -g @playcanvas/splat-transform), scene files were '
+  printf 'not held against it.\033[0m\n\n'
+fi
 # One run for each, from a folder where no package's sources hide the installed ones.
 cd tests
 for package in rosplat_sorter rosplat_tools rviz_gaussian_plugin rosplat_lab; do

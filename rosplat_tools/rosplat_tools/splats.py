@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rosplat_sorter.log_text import shown
+
 MAX_SH_DEGREE = 3
 
 # float32 holds half a millimetre at this distance from zero; farther out, an origin is needed.
@@ -16,7 +18,11 @@ FAR_FROM_ZERO = 1e4
 
 
 class SceneError(ValueError):
-    """A scene, camera or option that can't be used; its text is meant for the user."""
+    """A scene, camera or option that can't be used; its text, a line, is meant for the user."""
+
+    def __init__(self, text: str) -> None:
+        """Cuts what a file put into the text, and escapes its control characters."""
+        super().__init__(shown(text, 800))
 
 
 @dataclass(frozen=True, eq=False)

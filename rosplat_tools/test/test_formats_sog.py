@@ -131,6 +131,7 @@ def test_reserved_quaternion_tags_drop_their_splats(tmp_path: Path) -> None:
         (["version"], [], r"SOG version \[\]"),
         (["version"], 3, "SOG version 3"),
         (["count"], "many", "count is 'many'"),
+        (["count"], True, "count is True"),
         (["count"], 9, "means_l.webp holds 8 pixels, fewer than 9"),
         (["means", "mins"], [0, 0], r"means\.mins: expected 3"),
         (["means", "maxs"], [0, 0, None], r"means\.maxs: expected 3"),

@@ -252,7 +252,7 @@ class _Reader:
             n, name = shape[0] if isinstance(shape, list) and shape else shape, "means.shape[0]"
         else:
             n, name = self._field("count"), "count"
-        if not isinstance(n, int) or n < 0:
+        if type(n) is not int or n < 0:  # true is an int, too
             raise SceneError(f"{self._path}: {name} is {n!r}, expected a number of splats")
         return n
 
@@ -274,7 +274,7 @@ class _Reader:
             degree = ks.get(image.width)
         else:
             degree = self._field("shN", "bands")
-            if not isinstance(degree, int) or not 1 <= degree <= MAX_SH_DEGREE:
+            if type(degree) is not int or not 1 <= degree <= MAX_SH_DEGREE:
                 raise SceneError(f"{self._path}: shN.bands is {degree!r}, expected 1, 2 or 3")
         if degree is None or ks.get(image.width) != degree:
             wanted = ", ".join(str(w) for w, d in ks.items() if degree in (None, d))
