@@ -73,11 +73,14 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
        {"Off", OrderSource::kOff}});
   rasterizer_ = choice<Rasterizer>(
       "Rasterizer", "Auto",
-      "What blends the splats. Tiles: compute shaders, more exact and on a graphics card five to "
-      "ten times as fast. Quads: fixed-function blending, faster in software. Auto: the faster "
-      "one.",
+      "What blends the splats. Tiles: compute shaders. Quads: fixed-function blending. Processor: "
+      "its own vector instructions, beside rviz: pictures follow the camera, and the newest is "
+      "shown meanwhile. Auto: Tiles where a graphics card draws, else Processor.",
       display,
-      {{"Auto", Rasterizer::kAuto}, {"Tiles", Rasterizer::kTiles}, {"Quads", Rasterizer::kQuads}});
+      {{"Auto", Rasterizer::kAuto},
+       {"Tiles", Rasterizer::kTiles},
+       {"Quads", Rasterizer::kQuads},
+       {"Processor", Rasterizer::kProcessor}});
   profile_ = new BoolProperty("Profile", false,
                               "Show the time of each stage of a frame in the Status; frames then "
                               "wait for the graphics card.",
@@ -174,6 +177,7 @@ RenderSettings DisplaySettings::get() const {
   settings.max_sh_degree = sh_degree_->getOptionInt();
   settings.only_band = sh_band_->getOptionInt();
   settings.order = static_cast<OrderSource>(order_->getOptionInt());
+  settings.asynchronous = true;
   settings.rasterizer = static_cast<Rasterizer>(rasterizer_->getOptionInt());
   settings.profile = profile_->getBool();
   settings.antialiasing = static_cast<Antialiasing>(antialiasing_->getOptionInt());

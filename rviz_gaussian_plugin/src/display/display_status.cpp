@@ -117,7 +117,14 @@ StatusLine orderStatus(const FrameReport& frame, const std::string& view) {
 }
 
 StatusLine frameStatus(const FrameReport& frame, const std::string& view) {
-  std::string text = concat(frame.draw_time * 1e3, " ms to draw in ", frame.rasterizer);
+  std::string text;
+  if (frame.paint_time > 0) {
+    text = concat(frame.paint_time * 1e3, " ms to paint by the ", frame.rasterizer, ", at most ",
+                  frame.picture_age * 1e3, " ms old, ", frame.draw_time * 1e3, " ms to show");
+  } else {
+    text = concat(frame.draw_time * 1e3, " ms to draw in ", frame.rasterizer);
+  }
+  if (frame.frame_interval > 0) text += concat(", every ", frame.frame_interval * 1e3, " ms");
   for (const auto& [stage, time] : frame.profile) {
     text += concat(", ", stage, " ", std::setprecision(2), time * 1e3);
   }

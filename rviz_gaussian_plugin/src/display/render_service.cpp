@@ -48,11 +48,12 @@ void RenderService::serve() {
   if (!request_ && !take()) return;
   const bool wanted = cloud_.scene().wantsOrders(cloud_.settings());
   view_.setOrdersWanted(wanted);
-  const bool answered = wanted && cloud_.scene().answered(view_.id());
+  const bool answered = wanted && cloud_.scene().answered(view_.id(), cloud_.settings());
   if (wanted && !answered && Clock::now() < deadline_) {
     if (view_.age() > kAskAgain) view_.ask(view_.camera());
     return;
   }
+  if (!cloud_.scene().ready(view_.id(), inFull(cloud_.settings()), !answered)) return;
   auto response = draw(!answered);
   request_->answer(response);
   request_.reset();

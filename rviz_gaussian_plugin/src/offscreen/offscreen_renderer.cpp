@@ -44,9 +44,6 @@ OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string
   }
   graphics_ = std::string(reinterpret_cast<const char*>(glGetString(GL_RENDERER))) + ", OpenGL " +
               reinterpret_cast<const char*>(glGetString(GL_VERSION));
-  if (const std::string reason = gl::unsupported(); !reason.empty()) {
-    throw std::runtime_error(reason);
-  }
   auto& resources = Ogre::ResourceGroupManager::getSingleton();
   resources.addResourceLocation(media, "FileSystem", kResourceGroup);
   resources.initialiseResourceGroup(kResourceGroup);

@@ -174,6 +174,7 @@ py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort
   return py::dict("splats"_a = report.splats, "order_source"_a = report.order_source,
                   "order_fresh"_a = report.order_fresh, "order_age"_a = report.order_age,
                   "sort_time"_a = report.sort_time, "draw_time"_a = report.draw_time,
+                  "paint_time"_a = report.paint_time, "picture_age"_a = report.picture_age,
                   "rasterizer"_a = report.rasterizer, "profile"_a = report.profile,
                   "gpu_bytes"_a = renderer.scene().gpuBytes(),
                   "map_bytes"_a = renderer.scene().mapBytes());
@@ -268,7 +269,8 @@ PYBIND11_MODULE(_offscreen, module) {
   py::enum_<Rasterizer>(module, "Rasterizer")
       .value("AUTO", Rasterizer::kAuto)
       .value("QUADS", Rasterizer::kQuads)
-      .value("TILES", Rasterizer::kTiles);
+      .value("TILES", Rasterizer::kTiles)
+      .value("PROCESSOR", Rasterizer::kProcessor);
   py::class_<ClipBox>(module, "ClipBox")
       .def(py::init<>())
       .def_readwrite("enabled", &ClipBox::enabled)
@@ -281,6 +283,7 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("only_band", &RenderSettings::only_band)
       .def_readwrite("float_blending", &RenderSettings::float_blending)
       .def_readwrite("wait_for_order", &RenderSettings::wait_for_order)
+      .def_readwrite("asynchronous", &RenderSettings::asynchronous)
       .def_readwrite("half_resolution", &RenderSettings::half_resolution)
       .def_readwrite("scale", &RenderSettings::scale)
       .def_readwrite("opacity", &RenderSettings::opacity)
@@ -320,7 +323,9 @@ PYBIND11_MODULE(_offscreen, module) {
       .def("wants_orders", [](OffscreenRenderer& r) { return r.scene().wantsOrders(r.settings); })
       .def(
           "has_order",
-          [](OffscreenRenderer& r, const std::string& id) { return r.scene().answered(id); },
+          [](OffscreenRenderer& r, const std::string& id) {
+            return r.scene().answered(id, r.settings);
+          },
           "view_id"_a)
       .def("draw", &draw, "view_id"_a, "sort_now"_a = false)
       .def("read_color",

@@ -225,7 +225,7 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCam
   const std::string view = on_view_(viewport, camera);
   if (view.empty()) {
     seen_.clear();
-    scene_->upload();
+    scene_->upload(settings_);
     return;
   }
   for (auto of = seen_.begin(); of != seen_.end();) {

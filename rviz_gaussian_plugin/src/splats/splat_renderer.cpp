@@ -3,20 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <string_view>
 
 namespace rosplat {
 
 namespace {
-
-bool isAccelerated() {
-  const auto* name = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
-  const std::string_view renderer = name ? name : "";
-  for (const char* software : {"llvmpipe", "softpipe", "swrast", "SWR", "Software"}) {
-    if (renderer.find(software) != std::string_view::npos) return false;
-  }
-  return true;
-}
 
 const ShaderSource& checked(const ShaderSource& source) {
   if (const std::string reason = gl::unsupported(); !reason.empty()) throw gl::Error(reason);
@@ -26,7 +16,7 @@ const ShaderSource& checked(const ShaderSource& source) {
 }  // namespace
 
 SplatRenderer::SplatRenderer(const ShaderSource& source)
-    : accelerated_(isAccelerated()),
+    : accelerated_(gl::accelerated()),
       shaders_(checked(source)),
       reader_(shaders_),
       sort_(shaders_),
@@ -43,6 +33,12 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
 void SplatRenderer::apply(const GaussianEdit& edit) {
   store_.apply(edit, clock());
   splats_.forget();
+}
+
+void SplatRenderer::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
+  for (const SlotPage& page : store_.pages().pages()) {
+    if (store_.holds(page)) take(store_.edit(page));
+  }
 }
 
 double SplatRenderer::clock() const {

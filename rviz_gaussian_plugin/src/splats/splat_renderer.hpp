@@ -42,6 +42,9 @@ class SplatRenderer {
   // has no memory left.
   void apply(const GaussianEdit& edit);
 
+  // What writes the map elsewhere, a page of it at a time.
+  void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
+
   // Makes slots[0..count) what draw() draws, farthest first.
   void setOrder(const std::uint32_t* slots, std::size_t count) { splats_.setOrder(slots, count); }
   // Lets draw() sort what is visible itself, by the sorters' depth and with their ties.

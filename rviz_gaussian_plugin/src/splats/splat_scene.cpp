@@ -1,5 +1,6 @@
 #include "splat_scene.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <limits>
 
@@ -25,6 +26,12 @@ std::size_t bytes(const GaussianEdit& edit) {
   return words * sizeof(std::uint32_t);
 }
 
+// Who waited for a sidecar in vain takes what is best here.
+OrderSource sourceOf(const RenderSettings& settings, bool sort_now) {
+  const bool in_vain = sort_now && settings.order == OrderSource::kSidecar;
+  return in_vain ? OrderSource::kAuto : settings.order;
+}
+
 }  // namespace
 
 BatchReport SplatScene::apply(const GaussianBatch& batch) {
@@ -34,6 +41,7 @@ BatchReport SplatScene::apply(const GaussianBatch& batch) {
     if (unusable_) return;
     sorter_.apply(edit, state.id);
     const std::lock_guard queue_lock(queue_mutex_);
+    queued_ = state;
     arrivals_.push_back({edit, state});
     if (edit->clear) arrivals_.erase(arrivals_.begin(), arrivals_.end() - 1);  // never to be seen
   });
@@ -44,6 +52,11 @@ void SplatScene::offer(OrderPtr order) {
   const std::lock_guard lock(queue_mutex_);
   OrderPtr& newest = orders_[order->view_id];
   newest = std::move(order);
+}
+
+MapState SplatScene::queued() const {
+  const std::lock_guard lock(queue_mutex_);
+  return queued_;
 }
 
 MapState SplatScene::state() const {
@@ -57,21 +70,66 @@ std::vector<std::string> SplatScene::hardRegimes(const RenderSettings& settings,
   return rosplat::hardRegimes(map_.state(), map_.sample(), settings, cameras);
 }
 
-void SplatScene::prepare() {
-  if (renderer_) return;
+// The processor rasterises where no graphics card does, or none that can.
+bool SplatScene::prefersSoftware(const RenderSettings& settings) {
+  if (settings.rasterizer != Rasterizer::kAuto) {
+    return settings.rasterizer == Rasterizer::kProcessor;
+  }
+  if (!auto_is_software_) auto_is_software_ = !gl::accelerated() || !gl::unsupported().empty();
+  return *auto_is_software_;
+}
+
+void SplatScene::prepare(const RenderSettings& settings) {
+  const bool software = prefersSoftware(settings);
+  if (software ? bool(software_) : renderer_.has_value()) return;
   try {
-    renderer_.emplace(shaders_);
+    if (software) {
+      auto fresh = std::make_unique<SoftwareRenderer>(
+          shaders_, [this](auto& edit, MapState& state) { return nextEdit(edit, state); });
+      if (renderer_) {
+        renderer_->forEachPage([&](const GaussianEdit& page) { fresh->painter().hold(page); });
+        fresh->painter().hold(drawn_map_);
+        renderer_.reset();
+      }
+      software_ = std::move(fresh);
+    } else {
+      renderer_.emplace(shaders_);
+      if (software_) moveToCard();
+    }
   } catch (...) {
-    unusable_ = true;
+    unusable_ = settings.rasterizer == Rasterizer::kAuto;
     const std::lock_guard lock(queue_mutex_);
-    arrivals_.clear();
+    if (unusable_) arrivals_.clear();
     throw;
   }
 }
 
-void SplatScene::upload() {
-  prepare();
-  takeArrivals(kUploadBytesPerFrame);
+void SplatScene::moveToCard() {
+  software_->painter().stop();
+  software_->painter().forEachPage([this](const GaussianEdit& page) { renderer_->apply(page); });
+  drawn_map_ = software_->map();
+  software_.reset();
+  std::shared_ptr<const GaussianEdit> edit;
+  while (nextEdit(edit, drawn_map_)) renderer_->apply(*edit);
+  book(drawn_map_);
+}
+
+bool SplatScene::nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
+  const std::lock_guard lock(queue_mutex_);
+  if (arrivals_.empty()) return false;
+  edit = std::move(arrivals_.front().edit);
+  state = std::move(arrivals_.front().state);
+  arrivals_.pop_front();
+  return true;
+}
+
+void SplatScene::upload(const RenderSettings& settings) {
+  prepare(settings);
+  if (software_) {
+    software_->wake();
+  } else {
+    takeArrivals(kUploadBytesPerFrame);
+  }
 }
 
 void SplatScene::takeArrivals(std::size_t budget) {
@@ -95,8 +153,19 @@ void SplatScene::takeArrivals(std::size_t budget) {
     }
     uploaded += bytes(*arrival.edit);
     drawn_map_ = std::move(arrival.state);
-    book_.mapChanged(drawn_map_, now());
+    book(drawn_map_);
   }
+  takeOrders();
+}
+
+void SplatScene::book(const MapState& map) {
+  if (map.id == booked_.id && map.round == booked_.round && map.revision == booked_.revision)
+    return;
+  booked_ = map;
+  book_.mapChanged(map, now());
+}
+
+void SplatScene::takeOrders() {
   std::map<std::string, OrderPtr> orders;
   {
     const std::lock_guard lock(queue_mutex_);
@@ -119,14 +188,19 @@ bool SplatScene::sortsOnGpu(OrderSource source) {
 }
 
 bool SplatScene::wantsOrders(const RenderSettings& settings) {
-  prepare();
+  prepare(settings);
+  if (software_) return settings.order == OrderSource::kSidecar;
   const bool others =
       settings.order != OrderSource::kBuiltIn && settings.order != OrderSource::kOff;
   return others && !sortsOnGpu(settings.order);
 }
 
-bool SplatScene::answered(const std::string& view_id) {
-  prepare();
+bool SplatScene::answered(const std::string& view_id, const RenderSettings& settings) {
+  prepare(settings);
+  if (software_) {
+    takeMap();
+    return book_.answered(view_id);
+  }
   takeArrivals(kEverything);
   const std::lock_guard lock(queue_mutex_);
   return arrivals_.empty() && book_.answered(view_id);
@@ -156,12 +230,15 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
                                     Canvas canvas, bool sort_now,
                                     const DrawTranslucent& translucent) {
   const double start = now();
-  prepare();
+  prepare(settings);
+  const OrderSource source = sourceOf(settings, sort_now);
+  if (software_) {
+    FrameReport report = drawSoftware(view_id, settings, canvas, source, translucent);
+    report.draw_time = now() - start;
+    keepPace(view_id, report);
+    return reports_[view_id] = std::move(report);
+  }
   takeArrivals(sort_now ? kEverything : kUploadBytesPerFrame);
-  const OrderSource named = settings.order;
-  // Who waited for a sidecar in vain takes what is best here.
-  const OrderSource source =
-      sort_now && named == OrderSource::kSidecar ? OrderSource::kAuto : named;
   const bool on_gpu = sortsOnGpu(source);
   OrderBook::Choice choice;
   if (on_gpu) {
@@ -194,7 +271,89 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
     report.sort_time = choice.order->sort_time;
   }
   report.draw_time = now() - start;
+  keepPace(view_id, report);
   return reports_[view_id] = std::move(report);
+}
+
+void SplatScene::takeMap() {
+  drawn_map_ = software_->map();
+  // What is queued is painted before anything that is waited for.
+  book(queued());
+  upload_error_ = software_->mapError();
+  takeOrders();
+}
+
+OrderBook::Choice SplatScene::chooseForSoftware(const std::string& view_id, OrderSource source) {
+  const bool given = source == OrderSource::kSidecar || source == OrderSource::kOff;
+  return given ? book_.choose(view_id, now(), source) : OrderBook::Choice{};
+}
+
+bool SplatScene::ready(const std::string& view_id, const RenderSettings& settings, bool sort_now) {
+  prepare(settings);
+  if (!software_) return true;
+  takeMap();
+  const OrderPtr order = chooseForSoftware(view_id, sourceOf(settings, sort_now)).order;
+  return software_->ready(view_id, cameras_.at(view_id), settings, order, queued());
+}
+
+FrameReport SplatScene::drawSoftware(const std::string& view_id, const RenderSettings& settings,
+                                     Canvas canvas, OrderSource source,
+                                     const DrawTranslucent& translucent) {
+  software_->wake();
+  takeMap();
+  const OrderBook::Choice choice = chooseForSoftware(view_id, source);
+  FrameReport report;
+  report.rasterizer = "processor";
+  const PaintingPtr painting = software_->draw(view_id, cameras_.at(view_id), settings,
+                                               choice.order, queued(), canvas, translucent);
+  if (!painting) return report;
+  takeMap();
+  report.splats = choice.order ? choice.order->slots.size() : painting->drawn;
+  report.paint_time = painting->took;
+  if (settings.profile) report.profile = painting->profile;
+  if (!software_->exact()) report.picture_age = now() - painting->asked;
+  if (painting->request->order) {
+    report.order_source = painting->request->order->source;
+    report.order_fresh = choice.fresh && software_->exact();
+    report.order_age = choice.age;
+    report.sort_time = painting->request->order->sort_time;
+  } else {
+    report.order_source = "processor";
+    report.order_fresh = software_->exact();
+    report.order_age = report.picture_age;
+    if (const auto sort = painting->profile.find("sort"); sort != painting->profile.end()) {
+      report.sort_time = sort->second;
+    }
+  }
+  return report;
+}
+
+void SplatScene::keepPace(const std::string& view_id, FrameReport& report) {
+  constexpr std::size_t kFrames = 100;
+  auto& [times, ages] = paces_[view_id];
+  times.push_back(now());
+  ages.push_back(report.picture_age);
+  if (times.size() > kFrames) times.pop_front();
+  if (ages.size() > kFrames) ages.pop_front();
+  report.picture_age = *std::max_element(ages.begin(), ages.end());
+  if (times.size() < 2) return;
+  std::vector<double> intervals;
+  for (std::size_t i = 1; i < times.size(); ++i) intervals.push_back(times[i] - times[i - 1]);
+  const auto most = intervals.begin() + std::ptrdiff_t((intervals.size() - 1) * 19 / 20);
+  std::nth_element(intervals.begin(), most, intervals.end());
+  report.frame_interval = *most;
+}
+
+std::size_t SplatScene::gpuBytes() const {
+  return software_ ? software_->gpuBytes() : renderer_ ? renderer_->gpuBytes() : 0;
+}
+
+std::size_t SplatScene::mapBytes() const {
+  return software_ ? software_->mapBytes() : renderer_ ? renderer_->mapBytes() : 0;
+}
+
+std::size_t SplatScene::hostBytes() const {
+  return sorter_.bytes() + (software_ ? software_->hostBytes() : 0);
 }
 
 FrameReport SplatScene::report(const std::string& view_id) const {
@@ -204,20 +363,23 @@ FrameReport SplatScene::report(const std::string& view_id) const {
 
 void SplatScene::drawSurface(const SplatCamera& camera, const RenderSettings& settings,
                              Canvas canvas, double far_clip) {
-  prepare();
+  prepare(settings);
+  if (software_) return software_->drawSurface(camera, inFull(settings), canvas, far_clip);
   sortNow(camera);
   renderer_->drawSurface(camera, drawn_map_, inFull(settings), canvas, far_clip);
 }
 
 void SplatScene::drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
                           std::uint32_t handle) {
-  prepare();
+  prepare(settings);
+  if (software_) return software_->drawPick(camera, inFull(settings), canvas, handle);
   sortNow(camera);
   renderer_->drawPick(camera, drawn_map_, inFull(settings), canvas, handle);
 }
 
 std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {
   std::vector<SplatValues> splats;
+  if (software_) splats = software_->readSlots(slots);
   if (renderer_) splats = renderer_->readSlots(slots);
   for (SplatValues& splat : splats) {
     for (int i = 0; i < 3; ++i) splat.position[i] += drawn_map_.origin[i];
@@ -228,7 +390,9 @@ std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>&
 void SplatScene::forget(const std::string& view_id) {
   cameras_.erase(view_id);
   reports_.erase(view_id);
+  paces_.erase(view_id);
   book_.forget(view_id);
+  if (software_) software_->forget(view_id);
 }
 
 }  // namespace rosplat

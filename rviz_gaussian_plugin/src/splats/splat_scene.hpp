@@ -16,6 +16,7 @@
 #include "order/built_in_sorter.hpp"
 #include "order/order.hpp"
 #include "order/order_book.hpp"
+#include "software_renderer.hpp"
 #include "splat_renderer.hpp"
 
 namespace rosplat {
@@ -28,8 +29,11 @@ struct FrameReport {
   double order_age = 0;                   // [s]
   double sort_time = 0;                   // [s]
   double draw_time = 0;                   // of the render thread [s]
-  std::string rasterizer;                 // "quads" or "tiles"
-  std::map<std::string, double> profile;  // of the graphics card by stage, if asked for [s]
+  double paint_time = 0;                  // of the processor beside it, if that rasterises [s]
+  double frame_interval = 0;              // 19 of 20 frames of late follow within this [s]
+  double picture_age = 0;                 // of late at most, 0 where it is of the very camera [s]
+  std::string rasterizer;                 // "quads", "tiles" or "processor"
+  std::map<std::string, double> profile;  // by stage, if asked for [s]
 };
 
 // A map with everything that draws it. apply() and offer() may be called from any thread; whatever
@@ -52,20 +56,23 @@ class SplatScene {
   // Render thread: the camera of a view; sequence grows by one with each.
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
   // Render thread: uploads some of what waits, for a map that isn't to be seen. Throws gl::Error.
-  void upload();
+  void upload(const RenderSettings& settings);
   // Render thread: whether a sidecar's orders are drawn, or only its own. Throws gl::Error.
   bool wantsOrders(const RenderSettings& settings);
   // Render thread: uploads what waits; whether an order of the sidecar is there for the view's
   // newest camera and the whole map. Throws gl::Error.
-  bool answered(const std::string& view_id);
+  bool answered(const std::string& view_id, const RenderSettings& settings);
+  // Render thread: whether draw() with these settings, which aren't asynchronous, doesn't have to
+  // wait for the processor; has it begin otherwise. Throws gl::Error.
+  bool ready(const std::string& view_id, const RenderSettings& settings, bool sort_now);
   // Render thread: uploads what waits, chooses an order and draws into the current framebuffer.
   // With sort_now none is waited for: it is sorted here, on the graphics card if there is one,
   // unless the settings name another. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
                           bool sort_now = false, const DrawTranslucent& translucent = nullptr);
   // Render thread: after a draw() with translucent objects; see SplatRenderer.
-  void hideFarther() const { renderer_->hideFarther(); }
-  void drawBefore() const { renderer_->drawBefore(); }
+  void hideFarther() const { software_ ? software_->hideFarther() : renderer_->hideFarther(); }
+  void drawBefore() const { software_ ? software_->drawBefore() : renderer_->drawBefore(); }
   // Render thread: what draw() drew last of a view; of no order source before.
   FrameReport report(const std::string& view_id) const;
   // Render thread: writes where the surface is; see SplatRenderer. Sorts, and waits for it.
@@ -74,7 +81,9 @@ class SplatScene {
   // Render thread: writes which splats are seen; see SplatRenderer. Sorts, and waits for it.
   void drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
                 std::uint32_t handle);
-  std::vector<std::uint32_t> readPick() const { return renderer_->readPick(); }
+  std::vector<std::uint32_t> readPick() const {
+    return software_ ? software_->readPick() : renderer_->readPick();
+  }
   // Render thread: the values of slots as they are drawn, in the map's frame.
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
   // Render thread: the map as it is drawn.
@@ -91,12 +100,16 @@ class SplatScene {
   const std::string& uploadError() const { return upload_error_; }
 
   // Render thread: what draw() drew last; see SplatRenderer.
-  std::vector<float> readColor() const { return renderer_->readColor(); }
-  std::vector<float> readDepth() { return renderer_->readDepth(); }
+  std::vector<float> readColor() const {
+    return software_ ? software_->readColor() : renderer_->readColor();
+  }
+  std::vector<float> readDepth() {
+    return software_ ? software_->readDepth() : renderer_->readDepth();
+  }
 
-  std::size_t gpuBytes() const { return renderer_ ? renderer_->gpuBytes() : 0; }
-  std::size_t mapBytes() const { return renderer_ ? renderer_->mapBytes() : 0; }  // of gpuBytes()
-  std::size_t hostBytes() const { return sorter_.bytes(); }
+  std::size_t gpuBytes() const;
+  std::size_t mapBytes() const;  // of what draws the map
+  std::size_t hostBytes() const;
 
  private:
   struct Arrival {
@@ -104,7 +117,23 @@ class SplatScene {
     MapState state;
   };
 
-  void prepare();
+  // What was drawn of a view lately.
+  struct Pace {
+    std::deque<double> times, ages;  // of the frames, and of their pictures [s]
+  };
+
+  bool prefersSoftware(const RenderSettings& settings);
+  void prepare(const RenderSettings& settings);
+  void moveToCard();
+  MapState queued() const;
+  void book(const MapState& map);
+  bool nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state);
+  void takeOrders();
+  void takeMap();  // as the painter has it by now
+  OrderBook::Choice chooseForSoftware(const std::string& view_id, OrderSource source);
+  FrameReport drawSoftware(const std::string& view_id, const RenderSettings& settings,
+                           Canvas canvas, OrderSource source, const DrawTranslucent& translucent);
+  void keepPace(const std::string& view_id, FrameReport& report);
   void useOrder(const OrderPtr& order);
   bool sortsOnGpu(OrderSource source);
   void sortOnGpu();
@@ -112,10 +141,11 @@ class SplatScene {
   void takeArrivals(std::size_t budget);
 
   mutable std::mutex map_mutex_;    // map_
-  mutable std::mutex queue_mutex_;  // arrivals_, orders_
+  mutable std::mutex queue_mutex_;  // arrivals_, queued_, orders_
   OrderPool pool_;
   GaussianMap map_;
   std::deque<Arrival> arrivals_;
+  MapState queued_;                         // after arrivals_
   std::map<std::string, OrderPtr> orders_;  // newest by view
   std::atomic<bool> unusable_{false};
 
@@ -127,9 +157,12 @@ class SplatScene {
   OrderBook book_{sorter_};
   std::map<std::string, SplatCamera> cameras_;
   std::map<std::string, FrameReport> reports_;
-  MapState drawn_map_;
+  std::map<std::string, Pace> paces_;
+  MapState drawn_map_, booked_;
+  std::optional<bool> auto_is_software_;
   std::uint64_t surface_sequence_ = 0;
   OrderPtr uploaded_order_;
+  std::unique_ptr<SoftwareRenderer> software_;  // or renderer_; its thread takes arrivals_
 };
 
 }  // namespace rosplat

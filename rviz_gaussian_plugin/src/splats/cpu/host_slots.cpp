@@ -119,4 +119,27 @@ std::vector<SplatValues> HostSlots::read(const std::vector<std::uint32_t>& slots
   return splats;
 }
 
+GaussianEdit HostSlots::edit(const SlotPage& of) const {
+  const Page& page = at(of);
+  std::vector<std::uint32_t> slots(kSlots * kSlotWords);
+  for (std::size_t i = 0; i < kSlots; ++i) {
+    std::uint32_t* const words = &slots[kSlotWords * i];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      std::memcpy(&words[axis], &page.position[axis][i], sizeof(float));
+    }
+    for (std::size_t k = 0; k < page.words.size(); ++k) words[3 + k] = page.words[k][i];
+  }
+  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;
+  for (int band = 1; band <= sh_degree_; ++band) {
+    const auto coefficients = static_cast<std::size_t>(kBandWords[band]);
+    bands[band].resize(kSlots * coefficients);
+    for (std::size_t k = 0; page.bands[band] && k < coefficients; ++k) {
+      for (std::size_t i = 0; i < kSlots; ++i) {
+        bands[band][coefficients * i + k] = page.bands[band][k * kSlots + i];
+      }
+    }
+  }
+  return editOf(of.first_slot, std::move(slots), std::move(bands), sh_degree_);
+}
+
 }  // namespace rosplat

@@ -41,6 +41,8 @@ class HostSlots {
 
   // The values of slots as they are drawn, positions relative to the map's origin.
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
+  // What writes a page elsewhere.
+  GaussianEdit edit(const SlotPage& page) const;
 
  private:
   void write(const GaussianEdit& edit, std::size_t source, std::uint32_t first, std::uint32_t count,

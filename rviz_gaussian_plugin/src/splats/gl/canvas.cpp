@@ -11,11 +11,11 @@ CanvasScope::CanvasScope(Canvas canvas) : canvas_(canvas) {
   x_ = viewport[0];
   y_ = viewport[1];
   // What Ogre may have left that would spoil a pass.
-  for (const GLenum off :
-       {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST, GL_POLYGON_OFFSET_FILL,
-        GL_SAMPLE_ALPHA_TO_COVERAGE, GL_FRAMEBUFFER_SRGB}) {
+  for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
+                           GL_POLYGON_OFFSET_FILL, GL_SAMPLE_ALPHA_TO_COVERAGE}) {
     glDisable(off);
   }
+  if (epoxy_gl_version() >= 30) glDisable(GL_FRAMEBUFFER_SRGB);
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
   glPolygonMode(GL_FRONT_AND_BACK, GL_FILL);
 }
@@ -25,6 +25,27 @@ void CanvasScope::copyDepth(const gl::Target& target) const {
   glBindFramebuffer(GL_READ_FRAMEBUFFER, guard_.drawFramebuffer());
   glBlitFramebuffer(x_, y_, x_ + target.width(), y_ + target.height(), 0, 0, target.width(),
                     target.height(), GL_DEPTH_BUFFER_BIT, GL_NEAREST);
+}
+
+std::vector<float> CanvasScope::readDepth(int width, int height) const {
+  if (!depth_format_) return {};
+  gl::dropErrors();
+  GLint samples = 0;
+  glGetIntegerv(GL_SAMPLES, &samples);
+  std::vector<float> depths;
+  if (samples > 0 && gl::hasFramebuffers()) {
+    const gl::DepthFramebuffer resolved(depth_format_, width, height);
+    glBindFramebuffer(GL_READ_FRAMEBUFFER, guard_.drawFramebuffer());
+    glBlitFramebuffer(x_, y_, x_ + width, y_ + height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT,
+                      GL_NEAREST);
+    glBindFramebuffer(GL_READ_FRAMEBUFFER, resolved.id());
+    depths = gl::readDepths(0, 0, width, height, canvas_ == Canvas::kTexture);
+    glBindFramebuffer(GL_FRAMEBUFFER, guard_.drawFramebuffer());
+  } else {
+    depths = gl::readDepths(x_, y_, width, height, canvas_ == Canvas::kTexture);
+  }
+  if (glGetError() != GL_NO_ERROR) depths.clear();
+  return depths;
 }
 
 void CanvasScope::layOver(const gl::Program& program, const gl::Target& target) const {
@@ -37,6 +58,31 @@ void CanvasScope::layOver(const gl::Program& program, const gl::Target& target) 
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.color());
   glDrawArrays(GL_TRIANGLES, 0, 3);
+}
+
+std::vector<float> depthsOf(Canvas canvas, int width, int height,
+                            const std::function<void()>& draw) {
+  if (!gl::hasFramebuffers()) return {};
+  GLint drawn = 0, read = 0;
+  std::array<GLint, 4> viewport{};
+  glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &drawn);
+  glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read);
+  glGetIntegerv(GL_VIEWPORT, viewport.data());
+  const gl::DepthFramebuffer framebuffer(GL_DEPTH_COMPONENT24, width, height);
+  glViewport(0, 0, width, height);
+  glPushAttrib(GL_DEPTH_BUFFER_BIT | GL_SCISSOR_BIT);
+  glDisable(GL_SCISSOR_TEST);
+  glDepthMask(GL_TRUE);
+  glClearDepth(1.0);
+  glClear(GL_DEPTH_BUFFER_BIT);
+  glPopAttrib();
+  draw();
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer.id());
+  std::vector<float> depths = gl::readDepths(0, 0, width, height, canvas == Canvas::kTexture);
+  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, static_cast<GLuint>(drawn));
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, static_cast<GLuint>(read));
+  glViewport(viewport[0], viewport[1], viewport[2], viewport[3]);
+  return depths;
 }
 
 void clearDepth() {

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <functional>
+#include <vector>
+
 #include "gl/gl_objects.hpp"
 
 namespace rosplat {
@@ -24,6 +27,9 @@ class CanvasScope {
   // The opaque scene's depth into the target that is bound, resolved to one sample a pixel. Where
   // there is none, nothing is hidden.
   void copyDepth(const gl::Target& target) const;
+  // The same in the processor's memory: window depths, the picture's top row first; empty where
+  // there are none, or the driver keeps them.
+  std::vector<float> readDepth(int width, int height) const;
   // Draws a target over the canvas by a program that knows how.
   void layOver(const gl::Program& program, const gl::Target& target) const;
 
@@ -33,6 +39,11 @@ class CanvasScope {
   GLenum depth_format_ = 0;
   GLint x_ = 0, y_ = 0;  // of the viewport
 };
+
+// The window depths of what Ogre draws in a call, without anything else of its scene, the picture's
+// top row first; empty where OpenGL has no framebuffer objects.
+std::vector<float> depthsOf(Canvas canvas, int width, int height,
+                            const std::function<void()>& draw);
 
 // Makes a target as deep as can be: nothing hides what is drawn there.
 void clearDepth();

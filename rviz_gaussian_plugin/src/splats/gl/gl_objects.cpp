@@ -1,8 +1,10 @@
 #include "gl/gl_objects.hpp"
 
+#include <algorithm>
 #include <array>
 #include <functional>
 #include <map>
+#include <string_view>
 #include <vector>
 
 namespace rosplat::gl {
@@ -117,9 +119,11 @@ std::multimap<std::string, GLuint>& retiredPrograms() {
   return programs;
 }
 
+bool hasLabels() { return epoxy_gl_version() >= 43 || epoxy_has_gl_extension("GL_KHR_debug"); }
+
 std::string labelOf(GLuint program) {
   std::array<char, 64> label{};
-  if (glIsProgram(program)) {
+  if (hasLabels() && glIsProgram(program)) {
     glGetObjectLabel(GL_PROGRAM, program, static_cast<GLsizei>(label.size()), nullptr,
                      label.data());
   }
@@ -193,7 +197,7 @@ void Program::link(const std::string& name) {
     glGetProgramInfoLog(id_, length, nullptr, log.data());
     throw Error(name + " does not link: " + log.data());
   }
-  glObjectLabel(GL_PROGRAM, id_, -1, label_.c_str());
+  if (hasLabels()) glObjectLabel(GL_PROGRAM, id_, -1, label_.c_str());
 }
 
 GLint Program::at(const char* uniform) const {
@@ -222,7 +226,16 @@ void dropErrors() {
   }
 }
 
+bool hasFramebuffers() {
+  return epoxy_gl_version() >= 30 || epoxy_has_gl_extension("GL_ARB_framebuffer_object");
+}
+
 GLenum depthFormat(GLuint framebuffer) {
+  if (!hasFramebuffers()) {
+    GLint bits = 0;
+    glGetIntegerv(GL_DEPTH_BITS, &bits);
+    return bits > 0 ? GL_DEPTH24_STENCIL8 : 0;
+  }
   glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer);
   const GLenum attachment = framebuffer == 0 ? GL_DEPTH : GL_DEPTH_ATTACHMENT;
   const auto ask = [attachment](GLenum what) {
@@ -394,48 +407,107 @@ DepthScope::~DepthScope() {
   glViewport(viewport_[0], viewport_[1], viewport_[2], viewport_[3]);
 }
 
-std::vector<float> readPixels(int width, int height) {
-  std::vector<float> pixels(4 * static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+PixelScope::PixelScope() {
+  glGetIntegerv(GL_PIXEL_PACK_BUFFER_BINDING, &pack_buffer_);
+  glGetIntegerv(GL_PIXEL_UNPACK_BUFFER_BINDING, &unpack_buffer_);
   glPushClientAttrib(GL_CLIENT_PIXEL_STORE_BIT);
   glBindBuffer(GL_PIXEL_PACK_BUFFER, 0);
-  for (const GLenum none : {GL_PACK_ROW_LENGTH, GL_PACK_SKIP_ROWS, GL_PACK_SKIP_PIXELS,
-                            GL_PACK_SWAP_BYTES, GL_PACK_LSB_FIRST}) {
+  glBindBuffer(GL_PIXEL_UNPACK_BUFFER, 0);
+  for (const GLenum none :
+       {GL_PACK_ROW_LENGTH, GL_PACK_SKIP_ROWS, GL_PACK_SKIP_PIXELS, GL_PACK_SWAP_BYTES,
+        GL_PACK_LSB_FIRST, GL_UNPACK_ROW_LENGTH, GL_UNPACK_SKIP_ROWS, GL_UNPACK_SKIP_PIXELS,
+        GL_UNPACK_SWAP_BYTES, GL_UNPACK_LSB_FIRST}) {
     glPixelStorei(none, 0);
   }
-  glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, pixels.data());
+}
+
+PixelScope::~PixelScope() {
   glPopClientAttrib();
+  glBindBuffer(GL_PIXEL_PACK_BUFFER, static_cast<GLuint>(pack_buffer_));
+  glBindBuffer(GL_PIXEL_UNPACK_BUFFER, static_cast<GLuint>(unpack_buffer_));
+}
+
+DepthFramebuffer::DepthFramebuffer(GLenum format, int width, int height) {
+  GLint bound = 0;
+  glGetIntegerv(GL_RENDERBUFFER_BINDING, &bound);
+  glGenRenderbuffers(1, &depths_);
+  glBindRenderbuffer(GL_RENDERBUFFER, depths_);
+  glRenderbufferStorage(GL_RENDERBUFFER, format, width, height);
+  glBindRenderbuffer(GL_RENDERBUFFER, static_cast<GLuint>(bound));
+  glGenFramebuffers(1, &id_);
+  glBindFramebuffer(GL_FRAMEBUFFER, id_);
+  const bool stencil = format == GL_DEPTH24_STENCIL8 || format == GL_DEPTH32F_STENCIL8;
+  glFramebufferRenderbuffer(GL_FRAMEBUFFER,
+                            stencil ? GL_DEPTH_STENCIL_ATTACHMENT : GL_DEPTH_ATTACHMENT,
+                            GL_RENDERBUFFER, depths_);
+  glDrawBuffer(GL_NONE);
+  glReadBuffer(GL_NONE);
+}
+
+DepthFramebuffer::~DepthFramebuffer() {
+  glDeleteFramebuffers(1, &id_);
+  glDeleteRenderbuffers(1, &depths_);
+}
+
+std::vector<float> readDepths(int x, int y, int width, int height, bool top_first) {
+  const auto columns = static_cast<std::size_t>(width), rows = static_cast<std::size_t>(height);
+  std::vector<float> depths(columns * rows);
+  const PixelScope scope;
+  glReadPixels(x, y, width, height, GL_DEPTH_COMPONENT, GL_FLOAT, depths.data());
+  for (std::size_t row = 0; !top_first && row < rows / 2; ++row) {
+    float* const upper = &depths[columns * row];
+    std::swap_ranges(upper, upper + columns, &depths[columns * (rows - 1 - row)]);
+  }
+  return depths;
+}
+
+std::vector<float> readPixels(int width, int height) {
+  std::vector<float> pixels(4 * static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+  const PixelScope scope;
+  glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, pixels.data());
   return pixels;
 }
 
-StateGuard::StateGuard() {
-  GLint draw = 0, read = 0;
-  glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &draw);
-  glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read);
-  draw_framebuffer_ = static_cast<GLuint>(draw);
-  read_framebuffer_ = static_cast<GLuint>(read);
+StateGuard::StateGuard()
+    : framebuffers_(hasFramebuffers()),
+      vertex_arrays_(epoxy_gl_version() >= 30 ||
+                     epoxy_has_gl_extension("GL_ARB_vertex_array_object")),
+      sampled_textures_(epoxy_gl_version() >= 32) {
+  if (framebuffers_) {
+    GLint draw = 0, read = 0;
+    glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &draw);
+    glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read);
+    draw_framebuffer_ = static_cast<GLuint>(draw);
+    read_framebuffer_ = static_cast<GLuint>(read);
+  }
   glGetIntegerv(GL_CURRENT_PROGRAM, &program_);
-  glGetIntegerv(GL_VERTEX_ARRAY_BINDING, &vertex_array_);
+  if (vertex_arrays_) glGetIntegerv(GL_VERTEX_ARRAY_BINDING, &vertex_array_);
   glGetIntegerv(GL_ARRAY_BUFFER_BINDING, &array_buffer_);
   glGetIntegerv(GL_ACTIVE_TEXTURE, &active_texture_);
   glActiveTexture(GL_TEXTURE0);
   glGetIntegerv(GL_TEXTURE_BINDING_2D, &texture_);
-  glGetIntegerv(GL_TEXTURE_BINDING_2D_MULTISAMPLE, &sampled_texture_);
+  if (sampled_textures_) glGetIntegerv(GL_TEXTURE_BINDING_2D_MULTISAMPLE, &sampled_texture_);
   // rviz's context is a compatibility profile: the attribute stack holds the rest.
   glPushAttrib(GL_ALL_ATTRIB_BITS);
 }
 
 StateGuard::~StateGuard() {
   // First: the attributes hold the draw and read buffers of the framebuffer that was bound.
-  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, draw_framebuffer_);
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, read_framebuffer_);
+  if (framebuffers_) {
+    glBindFramebuffer(GL_DRAW_FRAMEBUFFER, draw_framebuffer_);
+    glBindFramebuffer(GL_READ_FRAMEBUFFER, read_framebuffer_);
+  }
   glPopAttrib();
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, static_cast<GLuint>(texture_));
-  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, static_cast<GLuint>(sampled_texture_));
+  if (sampled_textures_) {
+    glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, static_cast<GLuint>(sampled_texture_));
+  }
   glActiveTexture(static_cast<GLenum>(active_texture_));
-  glBindVertexArray(static_cast<GLuint>(vertex_array_));
+  if (vertex_arrays_) glBindVertexArray(static_cast<GLuint>(vertex_array_));
   glBindBuffer(GL_ARRAY_BUFFER, static_cast<GLuint>(array_buffer_));
   glUseProgram(static_cast<GLuint>(program_));
+  if (epoxy_gl_version() < 44) return;  // nor was any of the rest bound
   glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, kStorageBindings, nullptr);
   glBindImageTextures(0, kImageUnits, nullptr);
   for (const GLenum target :
@@ -466,6 +538,15 @@ std::map<std::string, double> Stopwatch::laps() const {
     last = time;
   }
   return laps;
+}
+
+bool accelerated() {
+  const auto* name = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
+  const std::string_view renderer = name ? name : "";
+  for (const char* software : {"llvmpipe", "softpipe", "swrast", "SWR", "Software"}) {
+    if (renderer.find(software) != std::string_view::npos) return false;
+  }
+  return true;
 }
 
 std::string unsupported() {

@@ -228,6 +228,38 @@ class DepthScope {
   std::array<GLint, 4> viewport_{};
 };
 
+// Whether the current context has framebuffer objects.
+bool hasFramebuffers();
+
+// Pixels go to and come from plain memory for the duration of a scope, whatever was set before.
+class PixelScope {
+ public:
+  PixelScope();
+  ~PixelScope();
+  PixelScope(const PixelScope&) = delete;
+  PixelScope& operator=(const PixelScope&) = delete;
+
+ private:
+  GLint pack_buffer_ = 0, unpack_buffer_ = 0;
+};
+
+// A framebuffer of depths alone, bound for drawing.
+class DepthFramebuffer {
+ public:
+  DepthFramebuffer(GLenum format, int width, int height);
+  ~DepthFramebuffer();
+  DepthFramebuffer(const DepthFramebuffer&) = delete;
+  DepthFramebuffer& operator=(const DepthFramebuffer&) = delete;
+
+  GLuint id() const { return id_; }
+
+ private:
+  GLuint id_ = 0, depths_ = 0;
+};
+
+// Window depths of the framebuffer that is bound for reading, the last row first unless top_first.
+std::vector<float> readDepths(int x, int y, int width, int height, bool top_first);
+
 // The colour of the framebuffer that is bound for reading: RGBA, its first row first.
 std::vector<float> readPixels(int width, int height);
 
@@ -243,6 +275,7 @@ class StateGuard {
   GLuint drawFramebuffer() const { return draw_framebuffer_; }
 
  private:
+  bool framebuffers_, vertex_arrays_, sampled_textures_;  // the context has
   GLint program_ = 0, vertex_array_ = 0, array_buffer_ = 0;
   GLint active_texture_ = 0, texture_ = 0, sampled_texture_ = 0;
   GLuint draw_framebuffer_ = 0, read_framebuffer_ = 0;
@@ -265,6 +298,9 @@ class Stopwatch {
   bool running_;
   std::vector<std::pair<const char*, GLuint>> queries_;
 };
+
+// Whether a graphics card draws in the current context, not the processor.
+bool accelerated();
 
 // An empty string where the current context can draw splats, else a sentence for the user.
 std::string unsupported();

@@ -133,6 +133,21 @@ void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_
   }
 }
 
+GaussianEdit SlotStore::edit(const SlotPage& page) const {
+  const Place place = placeOf(page);
+  const Arena& arena = arenas_[place.arena];
+  const auto read = [&](const gl::Buffer& from, std::size_t words) {
+    std::vector<std::uint32_t> values(SlotPage::kSlots * words);
+    from.read(place.page * values.size() * kWord, values.data(), values.size() * kWord);
+    return values;
+  };
+  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;
+  for (int band = 1; band <= sh_degree_; ++band) {
+    bands[band] = read(arena.bands[band], static_cast<std::size_t>(kBandWords[band]));
+  }
+  return editOf(page.first_slot, read(arena.slots, kSlotWords), std::move(bands), sh_degree_);
+}
+
 std::size_t SlotStore::bytes() const {
   std::size_t bytes = 0;
   for (const Arena& arena : arenas_) {

@@ -40,6 +40,8 @@ class SlotStore {
     return {page.place / arena_pages_, page.place % arena_pages_};
   }
   const std::vector<Arena>& arenas() const { return arenas_; }
+  // What writes a page elsewhere. Waits for the graphics card.
+  GaussianEdit edit(const SlotPage& page) const;
 
   std::uint32_t capacity() const { return capacity_; }  // one past the highest slot in use
   // How many may be in use.

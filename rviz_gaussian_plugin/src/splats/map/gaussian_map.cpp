@@ -75,13 +75,6 @@ SlotRuns runsOf(const GaussianBatch& batch) {
   return runs;
 }
 
-// Radius of the ellipsoid on which alpha falls to 1/255, -1 for a splat that never reaches that.
-float extent(const float* scale, float opacity) {
-  if (!(opacity >= 1.0f / 255.0f)) return -1.0f;
-  const float sigmas = std::min(3.33f, std::sqrt(2.0f * std::log(255.0f * opacity)));
-  return sigmas * std::max({scale[0], scale[1], scale[2]});
-}
-
 // Lays the splats of a batch out, relative to an origin; which of them mean something.
 std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin,
                          GaussianEdit& edit) {
@@ -124,7 +117,7 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
     }
     packSlot(splat, sh + 3, batch.sh_degree, &edit.slots[kSlotWords * i], bands);
     std::copy_n(position, 3, &edit.positions[3 * i]);
-    edit.extents[i] = extent(scale, splat.opacity);
+    edit.extents[i] = extentOf(splat);
   }
   return kept;
 }
@@ -216,6 +209,24 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     }
     ++i;
   });
+  return edit;
+}
+
+GaussianEdit editOf(std::uint32_t first_slot, std::vector<std::uint32_t> slots,
+                    std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands, int sh_degree) {
+  GaussianEdit edit;
+  const std::size_t count = slots.size() / kSlotWords;
+  edit.runs = {{first_slot, static_cast<std::uint32_t>(count)}};
+  edit.capacity = first_slot + static_cast<std::uint32_t>(count);
+  edit.sh_degree = sh_degree;
+  edit.slots = std::move(slots);
+  edit.bands = std::move(bands);
+  for (std::size_t i = 0; i < count; ++i) {
+    edit.slots[kSlotWords * i + kChangeWord] &= 0xffffu;
+    const Splat splat = unpackSlot(&edit.slots[kSlotWords * i]);
+    edit.positions.insert(edit.positions.end(), splat.position.begin(), splat.position.end());
+    edit.extents.push_back(extentOf(splat));
+  }
   return edit;
 }
 

@@ -35,6 +35,10 @@ struct GaussianEdit {
   std::vector<float> extents;    // radius of the 1/255 ellipsoid along its longest axis [m], or -1
 };
 
+// An edit that writes neighbouring slots as they were packed once, to a map that lacks them.
+GaussianEdit editOf(std::uint32_t first_slot, std::vector<std::uint32_t> slots,
+                    std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands, int sh_degree);
+
 // What became of a batch.
 struct BatchReport {
   bool duplicate = false;     // a snapshot of what is here already, ignored

@@ -89,6 +89,12 @@ std::array<float, 4> fromSmallestThree(std::uint64_t packed) {
 
 }  // namespace
 
+float extentOf(const Splat& splat) {
+  if (!(splat.opacity >= 1.0f / 255.0f)) return -1.0f;
+  const float sigmas = std::min(3.33f, std::sqrt(2.0f * std::log(255.0f * splat.opacity)));
+  return sigmas * std::max({splat.scale[0], splat.scale[1], splat.scale[2]});
+}
+
 void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t* slot,
               const std::array<std::uint32_t*, kMaxShDegree + 1>& bands) {
   const int coefficients = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);

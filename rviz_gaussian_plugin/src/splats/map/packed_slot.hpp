@@ -29,6 +29,10 @@ struct Splat {
   std::array<float, 3> color{};        // band 0 of the spherical harmonics
 };
 
+// Radius of the ellipsoid on which alpha falls to 1/255 [m], -1 for a splat that never reaches
+// that.
+float extentOf(const Splat& splat);
+
 // Packs a splat of finite values. sh: the coefficients of bands 1 to sh_degree, RGB interleaved;
 // bands[b]: room for kBandWords[b] words, for 1 <= b <= sh_degree. What a field can't hold becomes
 // the nearest that it can.

@@ -28,9 +28,10 @@ enum class OrderSource { kAuto, kSidecar, kBuiltIn, kOff, kGpu };
 
 // What blends the splats.
 enum class Rasterizer {
-  kAuto,   // tiles where a graphics card draws, else quads
-  kQuads,  // the fixed-function blending of quads, back to front
-  kTiles,  // compute shaders, tile by tile, front to back
+  kAuto,       // tiles where a graphics card draws, else the processor
+  kQuads,      // the fixed-function blending of quads, back to front
+  kTiles,      // compute shaders, tile by tile, front to back
+  kProcessor,  // the processor's own vector instructions
 };
 
 // What is kept of a map: splats with their mean in a box of the map's frame.
@@ -52,7 +53,9 @@ struct RenderSettings {
   // In 32-bit floats instead of 16-bit ones. Unset: where the processor draws, which takes as long
   // either way ("blend" in docs/accuracy.md); on a GPU, quads take two to five times as long.
   std::optional<bool> float_blending;
-  bool wait_for_order = false;   // sort in the frame rather than draw an order that isn't fresh
+  bool wait_for_order = false;  // sort in the frame rather than draw an order that isn't fresh
+  // On the processor: pictures follow the camera, and the newest is shown meanwhile.
+  bool asynchronous = false;
   bool half_resolution = false;  // quads in pixels twice as wide and high, smoothed; tiles as ever
   float scale = 1;               // of the splats' size
   float opacity = 1;             // of their opacity, 0 to 1
@@ -81,6 +84,7 @@ inline double extentScale(const RenderSettings& settings) { return std::max(1.0f
 // kept.
 inline RenderSettings inFull(RenderSettings settings) {
   settings.half_resolution = false;
+  settings.asynchronous = false;
   return settings;
 }
 

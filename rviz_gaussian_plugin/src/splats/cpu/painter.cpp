@@ -1,0 +1,283 @@
+#include "cpu/painter.hpp"
+
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <new>
+
+namespace rosplat {
+
+namespace {
+
+// So much of a map that streams in is taken before what there is of it is shown.
+constexpr std::size_t kEditBytesPerPicture = std::size_t{256} << 20;
+constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
+
+double now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+// What shows the pictures comes first. The threads that this one starts are like it.
+void giveWay() {
+#ifdef __linux__
+  constexpr int kNiceness = 10;
+  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), kNiceness);
+#endif
+}
+
+template <typename T>
+ArrayView<T> viewOf(const std::vector<T>& values) {
+  return {values.data(), values.size()};
+}
+
+// 16 bits a channel. What is brighter than white stays white when it is laid over something.
+std::vector<std::uint16_t> packed(const std::vector<float>& rgba) {
+  std::vector<std::uint16_t> words(rgba.size());
+  for (std::size_t i = 0; i < rgba.size(); ++i) {
+    words[i] =
+        static_cast<std::uint16_t>(std::min(std::max(rgba[i], 0.0f), 1.0f) * 65535.0f + 0.5f);
+  }
+  return words;
+}
+
+// The mean window depth of what is more opaque than not, 1 elsewhere.
+std::vector<float> hidingDepths(const std::vector<float>& nearness) {
+  std::vector<float> depths(nearness.size() / 2, 1.0f);
+  for (std::size_t i = 0; i < depths.size(); ++i) {
+    if (nearness[2 * i + 1] >= 0.5f) depths[i] = 1.0f - nearness[2 * i] / nearness[2 * i + 1];
+  }
+  return depths;
+}
+
+}  // namespace
+
+bool PaintRequest::operator==(const PaintRequest& o) const {
+  return camera == o.camera && camera.ndc_scale == o.camera.ndc_scale &&
+         camera.ndc_offset == o.camera.ndc_offset && settings.projectsAs(o.settings) &&
+         settings.depth_range == o.settings.depth_range && age_tick == o.age_tick &&
+         order == o.order && window == o.window && scene_depth == o.scene_depth &&
+         translucent_depth == o.translucent_depth;
+}
+
+Painter::Painter(NextEdit next_edit)
+    : next_edit_(std::move(next_edit)),
+      start_(now()),
+      looker_(std::make_shared<rosplat_sorter::ThreadTeam>(1)),
+      thread_([this] { run(); }) {}
+
+Painter::~Painter() { stop(); }
+
+void Painter::stop() {
+  {
+    const std::lock_guard lock(mutex_);
+    stop_ = true;
+    cancelled_ = true;
+  }
+  wake_.notify_all();
+  if (thread_.joinable()) thread_.join();
+}
+
+double Painter::clock() const { return std::fmod((now() - start_) * kTicksPerSecond, 65536.0); }
+
+void Painter::wake() {
+  {
+    const std::lock_guard lock(mutex_);
+    edits_ = true;
+  }
+  wake_.notify_one();
+}
+
+void Painter::hold(const GaussianEdit& page) {
+  const std::unique_lock lock(slots_mutex_);
+  slots_.apply(page, clock());
+}
+
+void Painter::hold(const MapState& map) {
+  const std::unique_lock lock(slots_mutex_);
+  map_ = map;
+}
+
+void Painter::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
+  const std::shared_lock lock(slots_mutex_);
+  for (const SlotPage& page : slots_.pages()) take(slots_.edit(page));
+}
+
+std::uint64_t Painter::enqueue(const std::string& view_id, PaintRequestPtr&& request) {
+  View& view = views_[view_id];
+  if (!view.waiting) queue_.push_back(view_id);
+  view.waiting = Waiting{++asked_, std::move(request), now()};
+  wake_.notify_one();
+  return asked_;
+}
+
+void Painter::ask(const std::string& view_id, PaintRequestPtr request) {
+  const std::lock_guard lock(mutex_);
+  enqueue(view_id, std::move(request));
+}
+
+void Painter::hurry(const std::string& view_id) {
+  const std::lock_guard lock(mutex_);
+  const auto found = views_.find(view_id);
+  if (found == views_.end() || !found->second.waiting || found->second.given_up) return;
+  if (painting_ == view_id) cancelled_ = found->second.given_up = true;
+}
+
+PaintingPtr Painter::newest(const std::string& view_id) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = views_.find(view_id);
+  return found == views_.end() ? nullptr : found->second.newest;
+}
+
+PaintingPtr Painter::paintNow(const std::string& view_id, PaintRequestPtr request) {
+  std::unique_lock lock(mutex_);
+  const std::uint64_t number = enqueue(view_id, std::move(request));
+  finished_.wait(lock, [&] { return views_[view_id].painted >= number; });
+  PaintingPtr painting = views_[view_id].newest;
+  if (!painting->error.empty()) throw PictureError(painting->error);
+  return painting;
+}
+
+void Painter::forget(const std::string& view_id) {
+  const std::lock_guard lock(mutex_);
+  views_.erase(view_id);
+  queue_.erase(std::remove(queue_.begin(), queue_.end(), view_id), queue_.end());
+  if (painting_ == view_id) cancelled_ = true;
+}
+
+void Painter::run() {
+  giveWay();
+  std::unique_lock lock(mutex_);
+  while (true) {
+    wake_.wait(lock, [this] { return stop_ || edits_ || !queue_.empty(); });
+    if (stop_) return;
+    edits_ = false;
+    if (queue_.empty()) {
+      lock.unlock();
+      takeEdits(kEverything);
+      lock.lock();
+      continue;
+    }
+    const std::string view_id = std::move(queue_.front());
+    queue_.pop_front();
+    Waiting job = *std::exchange(views_[view_id].waiting, std::nullopt);
+    const std::uint64_t number = painting_number_ = job.number;
+    painting_ = view_id;
+    cancelled_ = false;
+    lock.unlock();
+    takeEdits(job.request->settings.asynchronous ? kEditBytesPerPicture : kEverything);
+    const std::shared_ptr<Painting> painting = paint(std::move(job));
+    lock.lock();
+    painting_.clear();
+    const auto found = views_.find(view_id);
+    if (!painting || found == views_.end()) continue;
+    found->second.newest = painting;
+    found->second.painted = number;
+    found->second.given_up = false;
+    finished_.notify_all();
+  }
+}
+
+void Painter::takeEdits(std::size_t most_bytes) {
+  std::size_t taken = 0;
+  std::shared_ptr<const GaussianEdit> edit;
+  MapState state;
+  while (taken < most_bytes && !cancelled_ && next_edit_(edit, state)) {
+    const std::unique_lock lock(slots_mutex_);
+    if (edit->clear) map_error_.clear();
+    try {
+      slots_.apply(*edit, clock());
+    } catch (const std::bad_alloc&) {  // the rest of the map is still worth seeing
+      map_error_ = "there is no memory for all of the map";
+    }
+    taken += edit->slots.size() * sizeof(std::uint32_t);
+    for (const auto& band : edit->bands) taken += band.size() * sizeof(std::uint32_t);
+    map_ = std::move(state);
+  }
+  if (taken < most_bytes) return;
+  const std::lock_guard lock(mutex_);
+  edits_ = true;  // the rest
+}
+
+std::shared_ptr<Painting> Painter::paint(Waiting&& job) {
+  const double start = now();
+  auto painting = std::make_shared<Painting>();
+  painting->asked = job.asked;
+  painting->request = std::move(job.request);
+  const PaintRequest& asked = *painting->request;
+  try {
+    PictureRequest request;
+    request.camera = asked.camera;
+    request.settings = asked.settings;
+    request.now = clock();
+    request.scene_depth = viewOf(asked.scene_depth);
+    request.translucent_depth = viewOf(asked.translucent_depth);
+    if (asked.order) request.order = viewOf(asked.order->slots);
+    request.mean_depth = true;
+    request.cancelled = &cancelled_;
+    {
+      const std::shared_lock lock(slots_mutex_);
+      painting->map = map_;
+      if (!rasterizer_.draw(slots_, map_, request, picture_)) return nullptr;
+    }
+    painting->drawn = picture_.drawn;
+    painting->profile = picture_.profile;
+    if (asked.window) {
+      painting->mesh = PictureMesh(asked.camera, picture_);
+      painting->colour = packed(picture_.colour);
+      painting->behind = packed(picture_.behind);
+      painting->hiding = hidingDepths(picture_.nearness);
+    }
+    if (!asked.settings.asynchronous) painting->picture = std::exchange(picture_, {});
+  } catch (const PictureError& error) {
+    painting->error = error.what();
+  } catch (const std::bad_alloc&) {
+    painting->error = "there is no memory for a picture of " + std::to_string(asked.camera.width) +
+                      "x" + std::to_string(asked.camera.height) + " pixels";
+  }
+  workspace_ = rasterizer_.bytes();
+  painting->took = now() - start;
+  return painting;
+}
+
+SplatPicture Painter::look(const PictureRequest& request) {
+  const std::lock_guard turn(look_mutex_);
+  const std::shared_lock lock(slots_mutex_);
+  SplatPicture picture;
+  looker_.draw(slots_, map_, request, picture);
+  return picture;
+}
+
+std::vector<std::uint32_t> Painter::pick(const PictureRequest& request) {
+  const std::lock_guard turn(look_mutex_);
+  const std::shared_lock lock(slots_mutex_);
+  return looker_.pick(slots_, map_, request);
+}
+
+std::vector<SplatValues> Painter::read(const std::vector<std::uint32_t>& slots) const {
+  const std::shared_lock lock(slots_mutex_);
+  return slots_.read(slots);
+}
+
+MapState Painter::map() const {
+  const std::shared_lock lock(slots_mutex_);
+  return map_;
+}
+
+std::string Painter::mapError() const {
+  const std::shared_lock lock(slots_mutex_);
+  return map_error_;
+}
+
+std::size_t Painter::mapBytes() const {
+  const std::shared_lock lock(slots_mutex_);
+  return slots_.bytes();
+}
+
+std::size_t Painter::bytes() const { return mapBytes() + workspace_; }
+
+}  // namespace rosplat

@@ -1,0 +1,114 @@
+#include "gl/overlay.hpp"
+
+#include <string>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+gl::Program programOf(const ShaderSource& source, const char* fragment) {
+  const std::string version = "#version 120\n";
+  gl::Program program;
+  program.attach(GL_VERTEX_SHADER, "overlay.vert", version + source("overlay.vert"));
+  program.attach(GL_FRAGMENT_SHADER, fragment, version + source(fragment));
+  program.link(fragment);
+  return program;
+}
+
+// Without arrays: these would be as whoever drew before has left them.
+void draw(const CanvasScope& canvas, const OverlayTexture& texture, const PictureMesh::View* mesh) {
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, texture.id());
+  // Pixel on pixel there is nothing to smooth.
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, mesh ? GL_LINEAR : GL_NEAREST);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, mesh ? GL_LINEAR : GL_NEAREST);
+  const float up = canvas.canvas() == Canvas::kTexture ? -1.0f : 1.0f;
+  const auto put = [up](const PictureMesh::Corner& corner) {
+    glTexCoord2f(corner.u, corner.v);
+    glVertex4f(corner.x, up * corner.y, 0.0f, corner.w);
+  };
+  const PictureMesh::View whole{
+      2, {{-1, 1, 1, 0, 0}, {1, 1, 1, 1, 0}, {-1, -1, 1, 0, 1}, {1, -1, 1, 1, 1}}};
+  const auto& [columns, corners] = mesh ? *mesh : whole;
+  for (std::size_t row = columns; row < corners.size(); row += columns) {
+    glBegin(GL_TRIANGLE_STRIP);
+    for (std::size_t i = row; i < row + columns; ++i) {
+      put(corners[i - columns]);
+      put(corners[i]);
+    }
+    glEnd();
+  }
+}
+
+}  // namespace
+
+OverlayTexture& OverlayTexture::operator=(OverlayTexture&& other) noexcept {
+  std::swap(id_, other.id_);
+  std::swap(stored_as_, other.stored_as_);
+  std::swap(width_, other.width_);
+  std::swap(height_, other.height_);
+  std::swap(bytes_, other.bytes_);
+  return *this;
+}
+
+OverlayTexture::~OverlayTexture() {
+  if (id_) glDeleteTextures(1, &id_);
+}
+
+void OverlayTexture::write(int width, int height, const std::vector<std::uint16_t>& rgba) {
+  write(width, height, GL_RGBA16, GL_RGBA, GL_UNSIGNED_SHORT, rgba.data(),
+        rgba.size() * sizeof(rgba[0]));
+}
+
+void OverlayTexture::write(int width, int height, const std::vector<std::uint8_t>& rgba) {
+  write(width, height, GL_RGBA8, GL_RGBA, GL_UNSIGNED_BYTE, rgba.data(), rgba.size());
+}
+
+void OverlayTexture::write(int width, int height, const std::vector<float>& window_depths) {
+  write(width, height, GL_DEPTH_COMPONENT24, GL_DEPTH_COMPONENT, GL_FLOAT, window_depths.data(),
+        window_depths.size() * sizeof(window_depths[0]));
+}
+
+void OverlayTexture::write(int width, int height, GLint stored_as, GLenum format, GLenum type,
+                           const void* data, std::size_t bytes) {
+  const bool fits = id_ && width_ == width && height_ == height && stored_as_ == stored_as;
+  if (!id_) glGenTextures(1, &id_);
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, id_);
+  const gl::PixelScope pixels;
+  if (fits) {
+    glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, width, height, format, type, data);
+    return;
+  }
+  gl::dropErrors();
+  glTexImage2D(GL_TEXTURE_2D, 0, stored_as, width, height, 0, format, type, data);
+  if (glGetError() != GL_NO_ERROR) {
+    throw gl::Error("the graphics driver has no texture of " + std::to_string(width) + "x" +
+                    std::to_string(height) + " pixels");
+  }
+  for (const GLenum along : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T}) {
+    glTexParameteri(GL_TEXTURE_2D, along, GL_CLAMP_TO_EDGE);
+  }
+  stored_as_ = stored_as;
+  width_ = width;
+  height_ = height;
+  bytes_ = bytes;
+}
+
+Overlay::Overlay(const ShaderSource& source)
+    : colour_(programOf(source, "overlay.frag")), depth_(programOf(source, "overlay_depth.frag")) {}
+
+void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture,
+                   const PictureMesh::View* mesh) const {
+  colour_.use();
+  rosplat::draw(canvas, texture, mesh);
+}
+
+void Overlay::drawDepth(const CanvasScope& canvas, const OverlayTexture& texture,
+                        const PictureMesh::View* mesh) const {
+  depth_.use();
+  rosplat::draw(canvas, texture, mesh);
+}
+
+}  // namespace rosplat

@@ -1,0 +1,56 @@
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "cpu/picture_mesh.hpp"
+#include "gl/canvas.hpp"
+#include "gl/gl_objects.hpp"
+#include "gl/shaders.hpp"
+
+namespace rosplat {
+
+// A texture of what the processor has made, its top row first.
+class OverlayTexture {
+ public:
+  OverlayTexture() = default;
+  OverlayTexture(OverlayTexture&& other) noexcept { *this = std::move(other); }
+  OverlayTexture& operator=(OverlayTexture&& other) noexcept;
+  ~OverlayTexture();
+
+  // So many channels of as many bits as T has. Throws gl::Error where it is too large.
+  void write(int width, int height, const std::vector<std::uint16_t>& rgba);
+  void write(int width, int height, const std::vector<std::uint8_t>& rgba);
+  void write(int width, int height, const std::vector<float>& window_depths);
+
+  GLuint id() const { return id_; }
+  std::size_t bytes() const { return bytes_; }
+
+ private:
+  void write(int width, int height, GLint stored_as, GLenum format, GLenum type, const void* data,
+             std::size_t bytes);
+
+  GLuint id_ = 0;
+  GLint stored_as_ = 0;
+  int width_ = 0, height_ = 0;
+  std::size_t bytes_ = 0;
+};
+
+// Draws on a canvas what the processor has made. Needs no more of OpenGL than rviz itself: 2.1.
+class Overlay {
+ public:
+  // Throws gl::Error.
+  explicit Overlay(const ShaderSource& source);
+
+  // A texture on a mesh, or as large as the canvas, with the blending and depth test that are set.
+  void draw(const CanvasScope& canvas, const OverlayTexture& texture,
+            const PictureMesh::View* mesh = nullptr) const;
+  // The same of its depths alone.
+  void drawDepth(const CanvasScope& canvas, const OverlayTexture& texture,
+                 const PictureMesh::View* mesh = nullptr) const;
+
+ private:
+  gl::Program colour_, depth_;
+};
+
+}  // namespace rosplat

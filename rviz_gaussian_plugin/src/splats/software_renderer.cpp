@@ -1,0 +1,223 @@
+#include "software_renderer.hpp"
+
+#include <cmath>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+bool same(const MapState& a, const MapState& b) {
+  return a.id == b.id && a.round == b.round && a.revision == b.revision;
+}
+
+bool shows(const Painting& painting, const PaintRequest& request, const MapState& map) {
+  return same(painting.map, map) && *painting.request == request;
+}
+
+// A number of 24 bits as an opaque colour, its lowest byte in blue.
+void putNumber(std::uint8_t* rgba, std::uint32_t number) {
+  rgba[0] = static_cast<std::uint8_t>(number >> 16);
+  rgba[1] = static_cast<std::uint8_t>(number >> 8);
+  rgba[2] = static_cast<std::uint8_t>(number);
+  rgba[3] = 255;
+}
+
+}  // namespace
+
+SoftwareRenderer::SoftwareRenderer(const ShaderSource& source, Painter::NextEdit next_edit)
+    : overlay_(source), painter_(std::move(next_edit)) {}
+
+void SoftwareRenderer::ask(const std::string& view_id, PaintRequestPtr request,
+                           const MapState& map) {
+  View& view = views_[view_id];
+  view.asked = request;
+  view.asked_of = map;
+  painter_.ask(view_id, std::move(request));
+}
+
+bool SoftwareRenderer::asked(const View& view, const PaintRequest& request, const MapState& map) {
+  return view.asked && *view.asked == request && same(view.asked_of, map);
+}
+
+bool SoftwareRenderer::ready(const std::string& view_id, const SplatCamera& camera,
+                             const RenderSettings& settings, const OrderPtr& order,
+                             const MapState& map) {
+  auto request = std::make_shared<PaintRequest>();
+  request->camera = camera;
+  request->settings = inFull(settings);
+  request->order = order;
+  const View& view = views_[view_id];
+  const PaintingPtr newest = painter_.newest(view_id);
+  if (newest && shows(*newest, *request, map)) return true;
+  if (!asked(view, *request, map)) ask(view_id, std::move(request), map);
+  return false;
+}
+
+PaintingPtr SoftwareRenderer::draw(const std::string& view_id, const SplatCamera& camera,
+                                   const RenderSettings& settings, const OrderPtr& order,
+                                   const MapState& map, Canvas canvas,
+                                   const std::function<void()>& translucent) {
+  auto request = std::make_shared<PaintRequest>();
+  request->camera = camera;
+  request->settings = settings;
+  request->order = order;
+  request->window = canvas != Canvas::kNone;
+  if (settings.asynchronous && settings.mode == DrawMode::kAge) {
+    request->age_tick = static_cast<std::uint64_t>(painter_.clock());
+  }
+  if (translucent) {
+    request->translucent_depth = depthsOf(canvas, camera.width, camera.height, translucent);
+  }
+  const CanvasScope window(canvas);
+  request->scene_depth = window.readDepth(camera.width, camera.height);
+
+  View& view = views_[view_id];
+  drawn_ = nullptr;
+  PaintingPtr painting = painter_.newest(view_id);
+  exact_ = painting && shows(*painting, *request, map);
+  if (exact_ && !painting->error.empty()) {
+    view.asked = nullptr;  // another time it may succeed
+    painter_.ask(view_id, request);
+    throw PictureError(painting->error);
+  }
+  if (!settings.asynchronous && !exact_) {
+    view.asked = nullptr;
+    painting = painter_.paintNow(view_id, request);
+    exact_ = true;
+  } else if (!exact_ && asked(view, *request, map)) {
+    painter_.hurry(view_id);  // the camera rests
+  } else if (!exact_) {
+    ask(view_id, request, map);
+  }
+  const bool fits =
+      painting && painting->error.empty() && (painting->request->window || canvas == Canvas::kNone);
+  if (!fits) return nullptr;
+  drawn_ = &view;
+  canvas_ = canvas;
+  mesh_.reset();
+  if (canvas == Canvas::kNone) {
+    view.shown = painting;
+    return painting;
+  }
+  show(view, painting);
+  if (!(painting->request->camera == camera)) mesh_ = painting->mesh.seenBy(camera);
+  blendOver();
+  glDisable(GL_DEPTH_TEST);
+  const bool divided = !painting->behind.empty();
+  if (divided) layOver(window, view.behind);
+  if (!divided || !translucent) layOver(window, view.colour);
+  return painting;
+}
+
+void SoftwareRenderer::show(View& view, const PaintingPtr& painting) {
+  if (view.shown == painting) return;
+  const SplatCamera& camera = painting->request->camera;
+  view.colour.write(camera.width, camera.height, painting->colour);
+  if (!painting->behind.empty()) {
+    view.behind.write(camera.width, camera.height, painting->behind);
+    view.hiding.write(camera.width, camera.height, painting->hiding);
+  }
+  view.shown = painting;
+}
+
+void SoftwareRenderer::layOver(const CanvasScope& window, const OverlayTexture& texture) const {
+  overlay_.draw(window, texture, mesh_ ? &*mesh_ : nullptr);
+}
+
+void SoftwareRenderer::hideFarther() const {
+  if (!drawn_ || drawn_->shown->hiding.empty()) return;
+  const CanvasScope window(canvas_);
+  glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
+  glEnable(GL_DEPTH_TEST);
+  glDepthFunc(GL_LESS);
+  glDepthMask(GL_TRUE);
+  overlay_.drawDepth(window, drawn_->hiding, mesh_ ? &*mesh_ : nullptr);
+}
+
+void SoftwareRenderer::drawBefore() const {
+  if (!drawn_ || drawn_->shown->behind.empty()) return;
+  const CanvasScope window(canvas_);
+  blendOver();
+  glDisable(GL_DEPTH_TEST);
+  layOver(window, drawn_->colour);
+}
+
+PictureRequest SoftwareRenderer::lookAt(const SplatCamera& camera, const RenderSettings& settings,
+                                        const std::vector<float>& scene_depth) const {
+  PictureRequest request;
+  request.camera = camera;
+  request.settings = settings;
+  request.now = painter_.clock();
+  request.scene_depth = {scene_depth.data(), scene_depth.size()};
+  return request;
+}
+
+void SoftwareRenderer::drawSurface(const SplatCamera& camera, const RenderSettings& settings,
+                                   Canvas canvas, double far_clip) {
+  const CanvasScope window(canvas);
+  const std::vector<float> scene_depth = window.readDepth(camera.width, camera.height);
+  PictureRequest request = lookAt(camera, settings, scene_depth);
+  request.mean_depth = true;
+  const SplatPicture picture = painter_.look(request);
+  std::vector<std::uint8_t> rgba(4 * picture.depth.size(), 0);
+  for (std::size_t i = 0; i < picture.depth.size(); ++i) {
+    if (!(picture.colour[4 * i + 3] >= 0.5f)) continue;  // more void than surface
+    const double part = std::min(std::max(picture.depth[i] / far_clip, 0.0), 1.0);
+    putNumber(&rgba[4 * i], static_cast<std::uint32_t>(16777215.0 * part));
+  }
+  drawBytes(window, camera, rgba);
+}
+
+void SoftwareRenderer::drawPick(const SplatCamera& camera, const RenderSettings& settings,
+                                Canvas canvas, std::uint32_t handle) {
+  constexpr std::uint32_t kHandles = 1u << 24;
+  const CanvasScope window(canvas);
+  const std::vector<float> scene_depth = window.readDepth(camera.width, camera.height);
+  picked_ = painter_.pick(lookAt(camera, settings, scene_depth));
+  if (canvas == Canvas::kNone) return;
+  std::vector<std::uint8_t> rgba(4 * picked_.size(), 0);
+  for (std::size_t i = 0; i < picked_.size(); ++i) {
+    if (picked_[i] >= kHandles - 1) continue;
+    putNumber(&rgba[4 * i], handle ? handle : picked_[i] + 1);
+  }
+  drawBytes(window, camera, rgba);
+}
+
+void SoftwareRenderer::drawBytes(const CanvasScope& window, const SplatCamera& camera,
+                                 const std::vector<std::uint8_t>& rgba) {
+  bytes_.write(camera.width, camera.height, rgba);
+  glDisable(GL_BLEND);
+  glDisable(GL_DEPTH_TEST);
+  overlay_.draw(window, bytes_);
+}
+
+const std::vector<float>& SoftwareRenderer::readColor() const {
+  if (!drawn_ || drawn_->shown->request->settings.asynchronous) {
+    throw PictureError("pictures that follow the camera are only shown");
+  }
+  return drawn_->shown->picture.colour;
+}
+
+const std::vector<float>& SoftwareRenderer::readDepth() const {
+  readColor();
+  return drawn_->shown->picture.depth;
+}
+
+void SoftwareRenderer::forget(const std::string& view_id) {
+  painter_.forget(view_id);
+  const auto found = views_.find(view_id);
+  if (found == views_.end()) return;
+  if (drawn_ == &found->second) drawn_ = nullptr;
+  views_.erase(found);
+}
+
+std::size_t SoftwareRenderer::gpuBytes() const {
+  std::size_t bytes = bytes_.bytes();
+  for (const auto& [id, view] : views_) {
+    bytes += view.colour.bytes() + view.behind.bytes() + view.hiding.bytes();
+  }
+  return bytes;
+}
+
+}  // namespace rosplat

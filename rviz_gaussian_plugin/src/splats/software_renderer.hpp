@@ -1,0 +1,100 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "cpu/painter.hpp"
+#include "gl/canvas.hpp"
+#include "gl/overlay.hpp"
+#include "gl/shaders.hpp"
+#include "map/gaussian_map.hpp"
+#include "map/render_settings.hpp"
+#include "map/splat_camera.hpp"
+
+namespace rosplat {
+
+// Draws a map where no graphics card does: a painter makes its pictures, and OpenGL only lays them
+// over the window. Knows no Ogre; runs in the render thread only, which waits for a picture if it
+// isn't asynchronous, and never otherwise.
+class SoftwareRenderer {
+ public:
+  // Throws gl::Error where the driver can't do it.
+  SoftwareRenderer(const ShaderSource& source, Painter::NextEdit next_edit);
+
+  // There are edits to take.
+  void wake() { painter_.wake(); }
+  // Where the map goes, or comes from, if something else draws it at other times.
+  Painter& painter() { return painter_; }
+  // Has a picture made that isn't for a window; whether it is there, of the map as it is now.
+  // order: null by depth.
+  bool ready(const std::string& view_id, const SplatCamera& camera, const RenderSettings& settings,
+             const OrderPtr& order, const MapState& map);
+  // Shows a view as SplatRenderer::draw() does, or what there is of it: the newest picture, carried
+  // over to this camera. What is shown, and null where nothing is yet. Throws PictureError.
+  PaintingPtr draw(const std::string& view_id, const SplatCamera& camera,
+                   const RenderSettings& settings, const OrderPtr& order, const MapState& map,
+                   Canvas canvas, const std::function<void()>& translucent);
+  // Whether that was this very camera, and the map as it is now.
+  bool exact() const { return exact_; }
+  // After a draw() with translucent objects; see SplatRenderer.
+  void hideFarther() const;
+  void drawBefore() const;
+
+  // See SplatRenderer. Of few pixels, for they are waited for. Throw PictureError.
+  void drawSurface(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
+                   double far_clip);
+  void drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
+                std::uint32_t handle);
+  const std::vector<std::uint32_t>& readPick() const { return picked_; }
+  std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const {
+    return painter_.read(slots);
+  }
+
+  // What draw() showed last; see SplatRenderer. Throw PictureError where it is asynchronous.
+  const std::vector<float>& readColor() const;
+  const std::vector<float>& readDepth() const;
+
+  MapState map() const { return painter_.map(); }  // that is painted
+  std::string mapError() const { return painter_.mapError(); }
+  void forget(const std::string& view_id);
+  std::size_t hostBytes() const { return painter_.bytes(); }
+  std::size_t mapBytes() const { return painter_.mapBytes(); }
+  std::size_t gpuBytes() const;
+
+ private:
+  struct View {
+    PaintRequestPtr asked;
+    MapState asked_of;
+    PaintingPtr shown;
+    OverlayTexture colour, behind, hiding;
+  };
+
+  // Whether a picture of this map as it is now is what was asked for last.
+  static bool asked(const View& view, const PaintRequest& request, const MapState& map);
+  PictureRequest lookAt(const SplatCamera& camera, const RenderSettings& settings,
+                        const std::vector<float>& scene_depth) const;
+  void ask(const std::string& view_id, PaintRequestPtr request, const MapState& map);
+  void show(View& view, const PaintingPtr& painting);
+  void layOver(const CanvasScope& window, const OverlayTexture& texture) const;
+  // Writes colours of 8 bits, of the size of a camera's picture.
+  void drawBytes(const CanvasScope& window, const SplatCamera& camera,
+                 const std::vector<std::uint8_t>& rgba);
+
+  Overlay overlay_;
+  Painter painter_;
+  std::map<std::string, View> views_;
+  OverlayTexture bytes_;
+  std::vector<std::uint32_t> picked_;
+
+  // Of the last draw().
+  const View* drawn_ = nullptr;
+  Canvas canvas_ = Canvas::kNone;
+  std::optional<PictureMesh::View> mesh_;  // where it was carried over
+  bool exact_ = false;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,292 @@
+// What the processor paints beside the render thread, and what that shows meanwhile.
+
+#include <epoxy/egl.h>
+#include <epoxy/gl.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <condition_variable>
+#include <fstream>
+#include <mutex>
+#include <sstream>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "software_renderer.hpp"
+
+using namespace rosplat;
+
+namespace {
+
+bool makeContext() {
+  if (!epoxy_has_egl_extension(EGL_NO_DISPLAY, "EGL_MESA_platform_surfaceless")) return false;
+  const EGLDisplay display =
+      eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
+  if (!eglInitialize(display, nullptr, nullptr) || !eglBindAPI(EGL_OPENGL_API)) return false;
+  const EGLContext context = eglCreateContext(display, EGL_NO_CONFIG_KHR, EGL_NO_CONTEXT, nullptr);
+  return context && eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, context);
+}
+
+ShaderSource shaders() {
+  return [](const std::string& name) {
+    std::ifstream file(ROSPLAT_MEDIA "/" + name);
+    std::stringstream text;
+    text << file.rdbuf();
+    return text.str();
+  };
+}
+
+// A window of 8-bit colours with nothing in it.
+class Window {
+ public:
+  Window(int width, int height) : width_(width), height_(height) {
+    glGenFramebuffers(1, &id_);
+    glGenRenderbuffers(2, buffers_.data());
+    glBindFramebuffer(GL_FRAMEBUFFER, id_);
+    attach(0, GL_RGBA8, GL_COLOR_ATTACHMENT0);
+    attach(1, GL_DEPTH_COMPONENT24, GL_DEPTH_ATTACHMENT);
+    clear();
+  }
+  ~Window() {
+    glDeleteFramebuffers(1, &id_);
+    glDeleteRenderbuffers(2, buffers_.data());
+  }
+  Window(const Window&) = delete;
+  Window& operator=(const Window&) = delete;
+
+  void clear() const {
+    glBindFramebuffer(GL_FRAMEBUFFER, id_);
+    glViewport(0, 0, width_, height_);
+    glClearColor(0, 0, 0, 0);
+    glClearDepth(1);
+    glDepthMask(GL_TRUE);
+    glClear(GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT);
+  }
+  std::vector<std::uint8_t> pixels() const {
+    std::vector<std::uint8_t> pixels(4 * std::size_t(width_) * std::size_t(height_));
+    glBindFramebuffer(GL_FRAMEBUFFER, id_);
+    glReadPixels(0, 0, width_, height_, GL_RGBA, GL_UNSIGNED_BYTE, pixels.data());
+    return pixels;
+  }
+
+ private:
+  void attach(std::size_t i, GLenum format, GLenum where) {
+    glBindRenderbuffer(GL_RENDERBUFFER, buffers_[i]);
+    glRenderbufferStorage(GL_RENDERBUFFER, format, width_, height_);
+    glFramebufferRenderbuffer(GL_FRAMEBUFFER, where, GL_RENDERBUFFER, buffers_[i]);
+  }
+
+  int width_, height_;
+  GLuint id_ = 0;
+  std::array<GLuint, 2> buffers_{};
+};
+
+// Looks along z from a place beside the origin [m].
+SplatCamera camera(double x = 0, int width = 64, int height = 48) {
+  SplatCamera camera = makeCamera({x, 0, 0}, {0, 0, 0, 1}, false, 40, 40, width / 2.0, height / 2.0,
+                                  width, height, 0.1, 100);
+  camera.ndc_scale = (100 + 0.1) / (100 - 0.1);
+  camera.ndc_offset = -2 * 100 * 0.1 / (100 - 0.1);
+  return camera;
+}
+
+// A map whose edits reach the painter when they are let through.
+class Source {
+ public:
+  // Splats 5 to 15 m away, all over the picture.
+  void add(std::uint32_t count) {
+    std::vector<float> positions, orientations, scales, opacities, sh;
+    for (std::uint32_t i = 0; i < count; ++i) {
+      const auto part = [i](double step) { return static_cast<float>(std::fmod(step * i, 1.0)); };
+      const float z = 5 + 10 * part(0.6180339887);
+      positions.insert(positions.end(), {1.4f * z * (part(0.7548776662) - 0.5f),
+                                         1.1f * z * (part(0.5698402909) - 0.5f), z});
+      orientations.insert(orientations.end(), {0, 0, 0, 1});
+      scales.insert(scales.end(), 3, 0.4f);
+      opacities.push_back(0.7f);
+      sh.insert(sh.end(), {3 * part(0.8191725134), 3 * part(0.6710436067), 0});
+    }
+    GaussianBatch batch;
+    batch.map_id = "map";
+    batch.revision = map.state().revision + 1;
+    batch.operation = GaussianBatch::UPSERT;
+    batch.first_slot = map.state().capacity;
+    batch.count = count;
+    batch.positions = {positions.data(), positions.size()};
+    batch.orientations = {orientations.data(), orientations.size()};
+    batch.scales = {scales.data(), scales.size()};
+    batch.opacities = {opacities.data(), opacities.size()};
+    batch.sh = {sh.data(), sh.size()};
+    BatchReport report;
+    const auto edit = map.apply(batch, report);
+    const std::lock_guard lock(mutex_);
+    waiting_.push_back({edit, map.state()});
+  }
+  bool next(std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
+    std::unique_lock lock(mutex_);
+    if (held_) {
+      reached_ = true;
+      changed_.notify_all();
+      changed_.wait(lock, [this] { return !held_; });
+    }
+    if (waiting_.empty()) return false;
+    std::tie(edit, state) = waiting_.front();
+    waiting_.erase(waiting_.begin());
+    return true;
+  }
+  // Whoever asks for edits is held.
+  void hold() {
+    const std::lock_guard lock(mutex_);
+    held_ = true;
+    reached_ = false;
+  }
+  void waitUntilReached() {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [this] { return reached_; });
+  }
+  void letGo() {
+    const std::lock_guard lock(mutex_);
+    held_ = false;
+    changed_.notify_all();
+  }
+
+  GaussianMap map;
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::vector<std::pair<std::shared_ptr<const GaussianEdit>, MapState>> waiting_;
+  bool held_ = false, reached_ = false;
+};
+
+class SoftwareRendererTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    if (!makeContext()) GTEST_SKIP() << "no OpenGL without a window";
+    renderer_ = std::make_unique<SoftwareRenderer>(
+        shaders(), [this](auto& edit, MapState& state) { return source_.next(edit, state); });
+    source_.add(2000);
+  }
+  void TearDown() override {
+    source_.letGo();
+    renderer_.reset();
+  }
+
+  PaintingPtr draw(const SplatCamera& camera, bool asynchronous = true, const char* view = "view") {
+    RenderSettings settings;
+    settings.asynchronous = asynchronous;
+    return renderer_->draw(view, camera, settings, nullptr, source_.map.state(), Canvas::kWindow,
+                           nullptr);
+  }
+  // Until the picture of this camera is shown.
+  void rest(const Window& window, const SplatCamera& camera, const char* view = "view") {
+    do {
+      std::this_thread::yield();
+      window.clear();
+      draw(camera, true, view);
+    } while (!renderer_->exact());
+  }
+  std::vector<std::uint8_t> expected(const Window& window, const SplatCamera& camera) {
+    window.clear();
+    draw(camera, false, "expected");
+    return window.pixels();
+  }
+
+  Source source_;
+  std::unique_ptr<SoftwareRenderer> renderer_;
+};
+
+TEST_F(SoftwareRendererTest, DrawsGoOnWhileThePainterPaints) {
+  const Window window(64, 48);
+  source_.hold();
+  EXPECT_EQ(draw(camera(0)), nullptr);  // nothing is there yet
+  source_.waitUntilReached();           // and the painter is busy
+  for (int frame = 1; frame <= 20; ++frame) {
+    EXPECT_EQ(draw(camera(0.01 * frame)), nullptr);
+  }
+  source_.letGo();
+  rest(window, camera(0.2));
+  // What had come in between was never painted.
+  EXPECT_EQ(window.pixels(), expected(window, camera(0.2)));
+}
+
+TEST_F(SoftwareRendererTest, TheNewestPictureIsShownMeanwhileNearToWhereItIs) {
+  const Window window(64, 48);
+  const auto farther = expected(window, camera(0.3));
+  rest(window, camera(0));
+  const auto stale = window.pixels();
+  source_.hold();
+  renderer_->wake();
+  source_.waitUntilReached();
+  window.clear();
+  EXPECT_NE(draw(camera(0.3)), nullptr);
+  EXPECT_FALSE(renderer_->exact());
+  const auto carried = window.pixels();
+  const auto error = [&](const std::vector<std::uint8_t>& shown) {
+    double sum = 0;
+    for (std::size_t i = 0; i < shown.size(); ++i) sum += std::abs(shown[i] - farther[i]);
+    return sum;
+  };
+  EXPECT_LT(error(carried), 0.5 * error(stale));
+  source_.letGo();
+  rest(window, camera(0.3));
+  EXPECT_EQ(window.pixels(), farther);
+}
+
+TEST_F(SoftwareRendererTest, EditsThatComeWhileItPaintsAreShown) {
+  const Window window(64, 48);
+  rest(window, camera());
+  const auto before = window.pixels();
+  source_.hold();
+  draw(camera(0.1));
+  source_.waitUntilReached();
+  source_.add(3000);
+  renderer_->wake();
+  source_.letGo();
+  rest(window, camera());
+  EXPECT_NE(window.pixels(), before);
+  EXPECT_EQ(window.pixels(), expected(window, camera()));
+  EXPECT_EQ(renderer_->map().splats, 5000u);
+}
+
+TEST_F(SoftwareRendererTest, AViewThatIsForgottenWhileItIsPaintedIsGone) {
+  const Window window(64, 48);
+  source_.hold();
+  draw(camera(), true, "gone");
+  source_.waitUntilReached();
+  renderer_->forget("gone");
+  draw(camera(), true, "here");
+  source_.letGo();
+  rest(window, camera(), "here");
+  EXPECT_EQ(renderer_->painter().newest("gone"), nullptr);
+}
+
+TEST_F(SoftwareRendererTest, SeveralViewsOfAnySizeTakeTurns) {
+  const Window large(300, 200), small(33, 17), pixel(1, 1);
+  for (const double x : {0.0, 0.1}) {
+    rest(large, camera(x, 300, 200), "large");
+    const auto shown = large.pixels();
+    rest(pixel, camera(x, 1, 1), "small");
+    EXPECT_EQ(pixel.pixels(), expected(pixel, camera(x, 1, 1)));
+    rest(small, camera(x, 33, 17), "small");  // resized
+    EXPECT_EQ(small.pixels(), expected(small, camera(x, 33, 17)));
+    EXPECT_EQ(shown, expected(large, camera(x, 300, 200)));
+  }
+}
+
+TEST_F(SoftwareRendererTest, WhatCantBePaintedSaysWhyAndTheMapStays) {
+  const Window window(64, 48);
+  SplatCamera wide = camera();
+  wide.width = wide.height = 1 << 20;
+  RenderSettings settings;
+  EXPECT_THROW(
+      renderer_->draw("view", wide, settings, nullptr, source_.map.state(), Canvas::kNone, nullptr),
+      PictureError);
+  rest(window, camera());
+  EXPECT_EQ(window.pixels(), expected(window, camera()));
+}
+
+}  // namespace
