@@ -8,10 +8,12 @@ CAMERAS ?=
 OUT ?= out/render
 VIA ?= host
 FORMAT ?= png16
+CASES ?= 2000
+SEED ?= 0
 
 ENTER = . ./env.sh
 
-.PHONY: help setup demo render bench lab test lint pictures clean
+.PHONY: help setup demo render bench lab test fuzz lint pictures clean
 
 help: ## This list
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16

@@ -10,6 +10,8 @@ import pytest
 
 from rviz_harness import MARKERS, Rviz, World, configuration, map_display
 
+pytest_plugins = ["rosplat_tools.testing"]
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 

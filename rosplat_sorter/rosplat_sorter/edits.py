@@ -130,11 +130,11 @@ def is_usable(
         (orientations != 0).any(axis=1) & (scales >= 0).all(axis=1) & np.isfinite(opacities)
     )
     for values in (positions, orientations, scales, sh):
-        usable &= finite_rows(values)
+        usable &= _finite_rows(values)
     return usable
 
 
-def finite_rows(values: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _finite_rows(values: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Whether all values of a row are finite, bool (n,), of float32 (n, any)."""
     with np.errstate(over="ignore", invalid="ignore"):
         finite: NDArray[np.bool_] = np.isfinite(values.sum(axis=1))  # never, where one is not

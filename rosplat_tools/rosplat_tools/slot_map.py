@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.edits import finite_rows, is_usable
+from rosplat_sorter.edits import is_usable
 from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, SlotPages
 from rosplat_tools.splats import Splats, sh_coefficients
 
@@ -61,9 +61,11 @@ class SlotMap:
             mine = replace(mine, origin=splats.origin, antialiased=splats.antialiased)
             self._arrays = mine
         rows = self._pages.find(into)
-        shift = splats.origin - mine.origin
-        with np.errstate(over="ignore", invalid="ignore"):
-            mine.positions[rows] = splats.positions + shift if shift.any() else splats.positions
+        positions, shift = splats.positions, splats.origin - mine.origin
+        if shift.any():
+            with np.errstate(over="ignore", invalid="ignore"):
+                positions = (positions + shift).astype(np.float32)
+        mine.positions[rows] = positions
         mine.orientations[rows] = splats.orientations
         mine.scales[rows] = splats.scales
         mine.opacities[rows] = splats.opacities
@@ -71,13 +73,12 @@ class SlotMap:
         mine.sh[rows, :k] = splats.sh
         mine.sh[rows, k:] = 0
         usable = is_usable(
-            splats.positions,
+            positions,
             splats.orientations,
             splats.scales,
             splats.opacities,
             splats.sh.reshape(len(splats), -1),
         )
-        usable &= finite_rows(mine.positions[rows])
         self._used[rows] = usable
         return len(usable) - int(np.count_nonzero(usable))
 
