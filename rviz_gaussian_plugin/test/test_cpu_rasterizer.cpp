@@ -304,6 +304,53 @@ TEST(CpuRasterizer, draws_8192_pixels_in_width_and_height) {
   EXPECT_EQ(alpha(6000, 6000), 0);
 }
 
+// A part of a picture has fewer splats, and fewer slices of depth.
+TEST(CpuRasterizer, draws_slices_of_depth_as_it_draws_all_at_once) {
+  Scene scene;
+  std::mt19937 random(2);
+  std::uniform_real_distribution<float> unit(0, 1);
+  for (int i = 0; i < 1200000; ++i) {
+    const float z = 2 + 20 * unit(random);
+    scene.add({z * (unit(random) - 0.5f), z * (unit(random) - 0.5f), z}, 0.004f * z, unit(random),
+              {unit(random), unit(random), unit(random)});
+  }
+  scene.write();
+  PictureRequest wanted = request(320, 320);
+  wanted.mean_depth = true;
+  const SplatPicture whole = draw(rasterizer(2), scene, wanted);
+  EXPECT_LT(whole.drawn, 900000u);  // what is behind isn't looked at
+  const SplatPicture again = draw(rasterizer(1), scene, wanted);
+  EXPECT_EQ(whole.colour, again.colour);
+  EXPECT_EQ(whole.depth, again.depth);
+  wanted.camera = crop(wanted.camera, 64, 128, 96, 48);
+  const SplatPicture part = draw(rasterizer(2), scene, wanted);
+  for (std::size_t y = 0; y < 48; ++y) {
+    for (std::size_t x = 0; x < 96; ++x) {
+      const std::size_t i = 96 * y + x, k = 320 * (y + 128) + x + 64;
+      for (std::size_t c = 0; c < 4; ++c) {
+        ASSERT_NEAR(part.colour[4 * i + c], whole.colour[4 * k + c], 3e-4) << x << ", " << y;
+      }
+      ASSERT_NEAR(part.depth[i], whole.depth[k], 2e-3);
+    }
+  }
+}
+
+TEST(CpuRasterizer, draws_more_pairs_of_splat_and_tile_than_there_is_room_for) {
+  Scene scene;
+  for (int i = 0; i < 300; ++i) {  // on each of 65,536 tiles: 20 million pairs
+    scene.add({0, 0, 5 + 0.01f * float(i)}, 1000, 0.02f, {1, 1, 1});
+  }
+  scene.write();
+  CpuRasterizer with = rasterizer(2);
+  SplatPicture picture;
+  ASSERT_TRUE(with.draw(scene.slots, scene.map.state(), request(4096, 4096), picture));
+  EXPECT_LT(with.bytes(), std::size_t{1} << 30);
+  const float expected = 1 - std::pow(1 - 0.02f, 300.0f);
+  for (std::size_t i = 3; i < picture.colour.size(); i += 4 * 4097) {
+    ASSERT_NEAR(picture.colour[i], expected, 1e-3);
+  }
+}
+
 TEST(CpuRasterizer, rounds_to_half_floats) {
   std::vector<float> values = {0, 1, -2.5f, 0x1p-24f, 0x1.8p-24f, -0x1.004p0f, 0x1.006p0f, 1e9f};
   values.insert(values.end(), 9, 0.1f);  // more than a vector, and some

@@ -6,6 +6,7 @@
 #include <cstring>
 #include <limits>
 #include <new>
+#include <numeric>
 
 #include "cpu/kernels.hpp"
 #include "map/sorter_view.hpp"
@@ -19,13 +20,14 @@ namespace {
 
 constexpr std::uint32_t kSlots = HostSlots::kSlots;
 constexpr std::uint32_t kNotOrdered = 0xffffffffu;
-constexpr std::size_t kMostPairs = std::size_t{1} << 26;  // of splat and tile, at a time
+constexpr std::size_t kMostPairs = std::size_t{1} << 24;  // of splat and tile, at a time: 256 MiB
 constexpr int kLongestSide = 16384;                       // [px], as makeCamera() has it
 constexpr std::size_t kSliceSize = std::size_t{1} << 18;  // splats that are worth a slice
 constexpr std::size_t kMostSlices = 32;
 constexpr float kLeastPicked = 0.05f;    // contribution to a pixel; less nobody sees
 constexpr float kOpen = 2, kEnded = -1;  // window depths up to which tiles may show something
-constexpr float kTransparent = 1e-5f;    // what is still to come can't change a pixel by more
+constexpr float kTransparent =
+    1e-4f;  // 106 dB and more against blending all; gsplat ends there, too
 
 const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -78,12 +80,30 @@ struct Pair {
   std::uint32_t tile, record;
 };
 
+// Pairs one after the other, in memory that is made before they are written.
+struct PairList {
+  // Where so many more may be written.
+  Pair* makeRoom(std::size_t more) {
+    if (size + more > room) {
+      const std::size_t larger = size + more + room / 2;
+      std::unique_ptr<Pair[]> memory(new Pair[larger]);
+      std::copy_n(pairs.get(), size, memory.get());
+      pairs = std::move(memory);
+      room = larger;
+    }
+    return pairs.get() + size;
+  }
+
+  std::unique_ptr<Pair[]> pairs;
+  std::size_t size = 0, room = 0;
+};
+
 // A share of a step, and what was found in it.
 struct Part {
   std::size_t begin = 0, end = 0;
   std::vector<std::size_t> slices;    // candidates of each, then where the next one goes
   std::vector<std::uint32_t> counts;  // pairs of each tile, then where the next one goes
-  std::vector<Pair> pairs;
+  PairList pairs;
   std::size_t drawn = 0;
 };
 
@@ -109,7 +129,7 @@ void columnsOf(const Footprint& f, int row, int& first, int& last) {
 
 // By key, and those of equal keys as they come.
 void sortByKey(Listed* listed, std::size_t count, Listed* spare) {
-  if (count < 64) {
+  if (count < 48) {
     for (std::size_t i = 1; i < count; ++i) {
       const Listed moved = listed[i];
       std::size_t k = i;
@@ -118,22 +138,33 @@ void sortByKey(Listed* listed, std::size_t count, Listed* spare) {
     }
     return;
   }
+  // Least significant digit first, over the bits in which the keys differ.
+  constexpr unsigned kDigitBits = 9, kMostPasses = 4;
   std::uint32_t least = ~0u, greatest = 0;
   for (std::size_t i = 0; i < count; ++i) {
     least = std::min(least, listed[i].key);
     greatest = std::max(greatest, listed[i].key);
   }
+  unsigned bits = 0;
+  while (bits < 32 && (greatest - least) >> bits != 0) ++bits;
+  const unsigned passes = (bits + kDigitBits - 1) / kDigitBits;
+  const unsigned digit_bits = passes > 0 ? (bits + passes - 1) / passes : 0;
+  const std::uint32_t mask = (1u << digit_bits) - 1;
+  std::array<std::array<std::uint32_t, 1u << kDigitBits>, kMostPasses> targets;
+  for (unsigned pass = 0; pass < passes; ++pass) std::fill_n(targets[pass].begin(), mask + 1, 0u);
+  for (std::size_t i = 0; i < count; ++i) {
+    std::uint32_t key = listed[i].key - least;
+    for (unsigned pass = 0; pass < passes; ++pass, key >>= digit_bits) ++targets[pass][key & mask];
+  }
   Listed* from = listed;
   Listed* to = spare;
-  for (unsigned shift = 0; shift < 32 && (greatest - least) >> shift != 0; shift += 8) {
-    std::array<std::uint32_t, 256> targets{};
-    for (std::size_t i = 0; i < count; ++i) ++targets[(from[i].key - least) >> shift & 255u];
-    std::uint32_t next = 0;
-    for (std::uint32_t& target : targets) next += std::exchange(target, next);
+  for (unsigned pass = 0; pass < passes; ++pass, std::swap(from, to)) {
+    std::uint32_t* const target = targets[pass].data();
+    std::exclusive_scan(target, target + mask + 1, target, 0u);
+    const unsigned shift = pass * digit_bits;
     for (std::size_t i = 0; i < count; ++i) {
-      to[targets[(from[i].key - least) >> shift & 255u]++] = from[i];
+      to[target[(from[i].key - least) >> shift & mask]++] = from[i];
     }
-    std::swap(from, to);
   }
   if (from != listed) std::copy_n(from, count, listed);
 }
@@ -196,6 +227,7 @@ struct CpuRasterizer::Work {
   void halve(const Slice& slice);
   void openTiles(const PictureRequest& request);
   void raisePyramid();
+  void findTiles(const Footprint& footprint, std::uint32_t record, Part& part) const;
   bool project(const Slice& slice);
   void list();
   void blend(const PictureRequest& request, SplatPicture& picture, bool first, std::size_t tile,
@@ -547,6 +579,31 @@ void CpuRasterizer::Work::raisePyramid() {
   }
 }
 
+// Pairs a record with its tiles.
+void CpuRasterizer::Work::findTiles(const Footprint& f, std::uint32_t record, Part& part) const {
+  Pair* out = part.pairs.makeRoom(std::size_t(f.bottom - f.top) * std::size_t(f.right - f.left));
+  const float* const until = hides ? open.data() : nullptr;
+  const float window_depth = records[record].window_depth;
+  std::uint32_t* const counts = part.counts.data();
+  const bool spans = f.bottom - f.top <= Footprint::kRows;
+  for (int row = f.top; row < f.bottom; ++row) {
+    int first, last;
+    if (spans) {
+      first = f.first[row - f.top];
+      last = f.last[row - f.top];
+    } else {
+      columnsOf(f, row, first, last);
+    }
+    const int begin = row * project_view.tiles_across;
+    for (int tile = begin + first; tile < begin + last; ++tile) {
+      if (until && window_depth > until[tile]) continue;
+      *out++ = {std::uint32_t(tile), record};
+      ++counts[tile];
+    }
+  }
+  part.pairs.size = std::size_t(out - part.pairs.pairs.get());
+}
+
 // Projects a slice and finds its splats' tiles; false where there are too many pairs.
 bool CpuRasterizer::Work::project(const Slice& slice) {
   const std::size_t begin = slice.begin, end = slice.end;
@@ -555,8 +612,8 @@ bool CpuRasterizer::Work::project(const Slice& slice) {
   std::atomic<std::size_t> pairs{0};
   inParts(end - begin, 4096, [&](Part& part, Member& member) {
     part.counts.assign(tiles, 0);
-    part.pairs.clear();
-    member.places.resize(kSlots);
+    part.pairs.size = 0;
+    member.places.resize(kSlots + kMostLanes);
     member.kept.resize(kSlots);
     member.numbers.resize(kSlots);
     member.footprints.resize(kSlots);
@@ -576,30 +633,13 @@ bool CpuRasterizer::Work::project(const Slice& slice) {
       const std::size_t seen =
           kernels.project(project_view, pages[page], member.places.data(), count, &records[out],
                           member.footprints.data(), member.kept.data());
-      const std::size_t before = part.pairs.size();
+      const std::size_t before = part.pairs.size;
       for (std::size_t k = 0; k < seen; ++k, ++out) {
         const std::uint16_t number = member.kept[k];
         keys[out] = run[hides ? member.numbers[number] : number].key;
-        const float window_depth = records[out].window_depth;
-        const Footprint& f = member.footprints[k];
-        const bool spans = f.bottom - f.top <= Footprint::kRows;
-        for (int row = f.top; row < f.bottom; ++row) {
-          int first, last;
-          if (spans) {
-            first = f.first[row - f.top];
-            last = f.last[row - f.top];
-          } else {
-            columnsOf(f, row, first, last);
-          }
-          for (int column = first; column < last; ++column) {
-            const auto tile = std::uint32_t(row * project_view.tiles_across + column);
-            if (window_depth > open[tile]) continue;
-            part.pairs.push_back({tile, std::uint32_t(out)});
-            ++part.counts[tile];
-          }
-        }
+        findTiles(member.footprints[k], static_cast<std::uint32_t>(out), part);
       }
-      pairs += part.pairs.size() - before;
+      pairs += part.pairs.size - before;
     }
     part.drawn = out - part.begin;
   });
@@ -621,7 +661,8 @@ void CpuRasterizer::Work::list() {
   begins[tiles] = next;
   team->run(unsigned(parts.size()), [&](unsigned number, unsigned) {
     Part& part = parts[number];
-    for (const Pair& pair : part.pairs) {
+    for (std::size_t i = 0; i < part.pairs.size; ++i) {
+      const Pair pair = part.pairs.pairs[i];
       listed[part.counts[pair.tile]++] = {keys[pair.record], pair.record};
     }
   });
@@ -884,8 +925,7 @@ std::size_t CpuRasterizer::bytes() const {
                       w.begins.capacity() * sizeof(w.begins[0]) +
                       w.pages.capacity() * sizeof(w.pages[0]);
   for (const Part& part : w.parts) {
-    bytes += part.counts.capacity() * sizeof(part.counts[0]) +
-             part.pairs.capacity() * sizeof(part.pairs[0]);
+    bytes += part.counts.capacity() * sizeof(part.counts[0]) + part.pairs.room * sizeof(Pair);
   }
   for (const Work::Member& member : w.members) bytes += sizeof(member) + member.spare.bytes();
   return bytes;

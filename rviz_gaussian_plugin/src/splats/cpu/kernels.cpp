@@ -32,6 +32,27 @@ T most(T a, T b) {
   return a > b ? a : b;
 }
 
+// Values of slots, by their places in a page.
+class Places {
+ public:
+  Places(const std::uint16_t* places, int lanes)
+      : index_(__builtin_convertvector(load<Halves>(places), Ints)),
+        first_(places[0]),
+        dense_(lanes == kLanes && places[kLanes - 1] - places[0] == kLanes - 1) {}
+
+  template <typename T>
+  auto of(const T* values) const {
+    using Vector = decltype(gather(values, index_));
+    return dense_ ? load<Vector>(values + first_) : gather(values, index_);
+  }
+  int operator[](int lane) const { return index_[lane]; }
+
+ private:
+  Ints index_;
+  int first_;
+  bool dense_;
+};
+
 struct Vec2 {
   Floats x, y;
 };
@@ -133,9 +154,10 @@ Floats radiance(Floats c) { return c > 0.0f ? min(c, all(65504.0f)) : all(0.0f);
 
 // Adds a band of harmonics: a coefficient is a fraction of the slot's unit.
 template <int kCount>
-void addBand(Vec3& c, const std::uint32_t* band, Ints places, const Floats (&basis)[kCount]) {
+void addBand(Vec3& c, const std::uint32_t* band, const Places& places,
+             const Floats (&basis)[kCount]) {
   for (int k = 0; k < kCount; ++k) {
-    const Words word = gather(band + k * kSlots, places);
+    const Words word = places.of(band + k * kSlots);
     c.x += basis[k] * (signedBits(word, 0, 11) * (1.0f / 1023.0f));
     c.y += basis[k] * (signedBits(word, 11, 11) * (1.0f / 1023.0f));
     c.z += basis[k] * (signedBits(word, 22, 10) * (1.0f / 511.0f));
@@ -147,8 +169,8 @@ struct Slot {
 };
 
 // Spherical harmonics in the map's frame (Kerbl et al. 2023).
-Vec3 trainedColour(const ProjectView& view, const PageSlots& page, const Slot& slot, Ints places,
-                   const Vec3& direction) {
+Vec3 trainedColour(const ProjectView& view, const PageSlots& page, const Slot& slot,
+                   const Places& places, const Vec3& direction) {
   const auto wanted = [&](int band) {
     return band <= view.sh_degree && (view.only_band < 0 || band == view.only_band);
   };
@@ -182,9 +204,9 @@ Vec3 trainedColour(const ProjectView& view, const PageSlots& page, const Slot& s
   return {radiance(c.x + 0.5f), radiance(c.y + 0.5f), radiance(c.z + 0.5f)};
 }
 
-Vec3 colourOf(const ProjectView& view, const PageSlots& page, const Slot& slot, Ints places,
-              const Vec3& mean, Floats depth, const Vec3& scale, const Vec3* orientation,
-              Floats opacity) {
+Vec3 colourOf(const ProjectView& view, const PageSlots& page, const Slot& slot,
+              const Places& places, const Vec3& mean, Floats depth, const Vec3& scale,
+              const Vec3* orientation, Floats opacity) {
   if (view.mode == kOpacity) return turbo(opacity);
   if (view.mode == kDepth) {
     const float range = view.depth_range[1] - view.depth_range[0];
@@ -245,12 +267,10 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
   std::size_t n = 0;
   for (std::size_t group = 0; group < count; group += kLanes) {
     const int lanes = int(least(std::size_t(kLanes), count - group));
-    Ints places;
-    for (int i = 0; i < kLanes; ++i)
-      places[i] = places_of[group + std::size_t(least(i, lanes - 1))];
-    const Vec3 mean = {gather(page.position[0], places), gather(page.position[1], places),
-                       gather(page.position[2], places)};
-    const Floats extent = gather(page.extent, places);
+    const Places places(places_of + group, lanes);
+    const Vec3 mean = {places.of(page.position[0]), places.of(page.position[1]),
+                       places.of(page.position[2])};
+    const Floats extent = places.of(page.extent);
     const Floats z = transform(view.rotation + 6, view.translation[2], mean);
     const Floats over_w = view.orthographic ? all(1.0f) : 1.0f / z;
     const auto tilesAlong = [&](int axis, float focal, float centre, float slope, int tiles) {
@@ -294,12 +314,11 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
   std::size_t n = 0;
   for (std::size_t group = 0; group < count; group += kLanes) {
     const int lanes = int(least(std::size_t(kLanes), count - group));
-    Ints places;
-    for (int i = 0; i < kLanes; ++i) places[i] = places_of[group + least(i, lanes - 1)];
-    const Vec3 mean = {gather(page.position[0], places), gather(page.position[1], places),
-                       gather(page.position[2], places)};
+    const Places places(places_of + group, lanes);
+    const Vec3 mean = {places.of(page.position[0]), places.of(page.position[1]),
+                       places.of(page.position[2])};
     Slot slot;
-    for (int k = 0; k < 6; ++k) slot.word[k] = gather(page.words + k * kSlots, places);
+    for (int k = 0; k < 6; ++k) slot.word[k] = places.of(page.words + k * kSlots);
 
     const Vec3 p = {transform(view.rotation, view.translation[0], mean),
                     transform(view.rotation + 3, view.translation[1], mean),
@@ -358,7 +377,9 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     // Eigenvector of the larger eigenvalue, from whichever row is longer.
     Vec2 axis = {a > c ? radius + half : b, a > c ? b : radius - half};
     const Floats norm = sqrt(axis.x * axis.x + axis.y * axis.y);
-    axis = {norm > 0.0f ? axis.x / norm : all(1.0f), norm > 0.0f ? axis.y / norm : all(0.0f)};
+    const Floats over_norm = 1.0f / norm;
+    axis = {norm > 0.0f ? axis.x * over_norm : all(1.0f),
+            norm > 0.0f ? axis.y * over_norm : all(0.0f)};
 
     const Floats peak = log2(max(opacity, all(kCutoffAlpha)));
     const Floats sigmas =
@@ -430,9 +451,9 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
         footprint.first[row] = std::int16_t(first[row][i]);
         footprint.last[row] = std::int16_t(last[row][i]);
       }
+      footprint.left = std::int16_t(box.first[i]);
+      footprint.right = std::int16_t(box.last[i]);
       if (many[i] > Footprint::kRows) {
-        footprint.left = std::int16_t(box.first[i]);
-        footprint.right = std::int16_t(box.last[i]);
         footprint.x = x[i];
         footprint.y = y[i];
         footprint.reach_y = reach_y[i];
@@ -585,7 +606,6 @@ bool pick(const PickTile& tile, bool balls) {
 
 // To the nearest, ties to even; beyond the largest, the largest.
 void toHalves(const float* from, std::size_t count, std::uint16_t* halves) {
-  typedef std::uint16_t Halves __attribute__((vector_size(2 * kLanes)));
   const auto each = [](Floats v) {
     const Words sign = (Words)v >> 16 & 0x8000u;
     const Floats magnitude = min(abs(v), all(65504.0f));

@@ -8,7 +8,8 @@
 
 namespace rosplat::cpu {
 
-constexpr int kTile = 16;  // [px], in width and height
+constexpr int kTile = 16;       // [px], in width and height
+constexpr int kMostLanes = 16;  // of any target
 constexpr int kTilePixels = kTile * kTile;
 
 // What a slot is tested with before anything else: rosplat_sorter::View, and a box.
@@ -130,8 +131,8 @@ struct Kernels {
   std::size_t (*hide)(const CullView& view, const ProjectView& project_view, const Pyramid& pyramid,
                       const PageSlots& page, std::uint16_t* places, std::uint16_t* numbers,
                       std::size_t count);
-  // Projects slots of a page, by their places in it; returns how many are in the picture. kept: the
-  // number of each that is.
+  // Projects slots of a page, by their places in it (beyond them kMostLanes may be read); returns
+  // how many are in the picture. kept: the number of each that is.
   std::size_t (*project)(const ProjectView& view, const PageSlots& page,
                          const std::uint16_t* places, std::size_t count, Record* records,
                          Footprint* footprints, std::uint16_t* kept);
