@@ -66,6 +66,10 @@ if ! cat "${requirements[@]}" | cmp -s - .venv/installed; then
   .venv/bin/python -m pip install -qq --disable-pip-version-check "${requirements[@]/#/--requirement=}"
   cat "${requirements[@]}" >.venv/installed
 fi
+# ROS 2 as a robot has it may lack the tools that build packages.
+if ! command -v colcon >/dev/null; then
+  .venv/bin/python -m pip install -qq --disable-pip-version-check colcon-common-extensions catkin_pkg
+fi
 if [ "$ROSPLAT_ROS" = wheels ] && [ ! -f .venv/exports-rewritten ]; then
   # The wheels' CMake exports name the include folders of the machine that built them.
   read -r python_include numpy_include < <(.venv/bin/python -c \
