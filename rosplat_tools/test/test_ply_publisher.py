@@ -92,7 +92,7 @@ def test_a_scene_that_can_t_be_loaded_leaves_the_map_as_it_was(
 
 def test_it_answers_while_it_loads(start: Start, listener: Any) -> None:
     start("ply_publisher")
-    loading = listener.request(LoadScene, "ply_publisher/load", path="procedural:600000")
+    loading = listener.request(LoadScene, "ply_publisher/load", path="procedural:300000")
     described = listener.call(
         DescribeParameters, "ply_publisher/describe_parameters", names=["path", "chunk_bytes"]
     )
