@@ -34,8 +34,8 @@ NUMBERS = [
     for value in values
 ]
 VALUES: list[Any] = [
-    None, True, -1, 0, 1, 2**25, 2**31, 2**63, 10**30, 1.5, float("nan"), float("inf"), 1e308, "", "x",
-    "meta.json", "../a", "\0", "a" * 5000, [], [0], [[]], [1e308] * 256, {}, {"files": []},
+    None, True, -1, 0, 1, 2**25, 2**31, 2**63, 10**30, 1.5, float("nan"), float("inf"), 1e308, "",
+    "x", "meta.json", "../a", "\0", "a" * 5000, [], [0], [[]], [1e308] * 256, {}, {"files": []},
 ]  # fmt: skip
 
 Damage = Callable[[bytes, random.Random], bytes]
