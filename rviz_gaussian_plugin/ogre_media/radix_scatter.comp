@@ -1,6 +1,7 @@
-// One pass of a stable radix sort: keys and values go to where their digit's turn is. Lanes of 32
-// find those with the same digit by ballots, one for each bit (Ashkiani et al. 2016). A block is
-// put in order in shared memory first, so that what is next to each other is written together.
+// One pass of a stable radix sort: keys and values go to where their digit's turn is. Lanes that run
+// together, a warp, find those with the same digit by ballots, one for each bit (Ashkiani et al. 2016);
+// their width is the driver's, 8 to 64. A block is put in order in shared memory first, so that what
+// is next to each other is written together.
 
 #pragma optionNV(unroll all)  // or NVIDIA's compiler keeps arrays in memory instead of registers
 
@@ -17,55 +18,101 @@ uniform uint shift;
 uniform bool first_pass;  // the values are 0, 1, 2...
 uniform bool last_pass;   // nobody needs the keys any more
 
-const uint kWarps = 8u, kEach = kBlock / 256u;
+const uint kEach = kBlock / 256u;
+const uint kMostWarps = 32u;
 
-shared uint turns[kWarps][256];  // of each digit: within a warp's keys, then within the block
-shared uint block_order[kBlock];
-shared uint block_start[256];    // a digit's first place among all keys, less that in the block
+shared uint memory[kBlock];    // the warps' turns, then the block in its order
+shared uint block_start[256];  // a digit's first place among all keys, less that in the block
 
-// Warps are 32 lanes each; takeTurn() counts how many of a warp's keys so far, and of the lanes
-// before, have this digit too.
+// How many of a warp's keys have had a digit, later its first place in the block; two warps a word.
+uint turnsAt(uint warp, uint digit) { return 256u * (warp / 2u) + digit; }
+uint turnsShift(uint warp) { return 16u * (warp & 1u); }
+uint turns(uint warp, uint digit) {
+  return memory[turnsAt(warp, digit)] >> turnsShift(warp) & 0xffffu;
+}
+uint takeTurns(uint warp, uint digit, uint count) {
+  return atomicAdd(memory[turnsAt(warp, digit)], count << turnsShift(warp)) >> turnsShift(warp) & 0xffffu;
+}
+
+// A bit for each lane.
+#if WARP > 32
+#define Votes uvec2
+uint countVotes(Votes votes) { return uint(bitCount(votes.x) + bitCount(votes.y)); }
+uint firstVote(Votes votes) { return uint(votes.x != 0u ? findLSB(votes.x) : 32 + findLSB(votes.y)); }
+Votes lanesBefore(uint lane) {
+  uint bits = (1u << (lane & 31u)) - 1u;
+  return lane < 32u ? uvec2(bits, 0u) : uvec2(kNone, bits);
+}
+#else
+#define Votes uint
+uint countVotes(Votes votes) { return uint(bitCount(votes)); }
+uint firstVote(Votes votes) { return uint(findLSB(votes)); }
+Votes lanesBefore(uint lane) { return (1u << lane) - 1u; }
+#endif
+
+// takeTurn() counts how many of a warp's keys so far, and of the lanes before, have this digit too.
 #ifdef SUBGROUPS
 // What a driver calls a subgroup's size is the most that it may be: it may run smaller ones.
-bool haveWarps() { return gl_NumSubgroups == kWarps; }
+uint warpCount() { return gl_NumSubgroups; }
+uint warpSize() { return gl_SubgroupSize; }
 uint warpOf(uint local) { return gl_SubgroupID; }
 uint laneOf(uint local) { return gl_SubgroupInvocationID; }
 
+Votes ballot(bool vote) {
+#if WARP > 32
+  return subgroupBallot(vote).xy;
+#else
+  return subgroupBallot(vote).x;
+#endif
+}
+
 uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
-  uint same = subgroupBallot(valid).x;
+  Votes same = ballot(valid);
   for (uint bit = 0u; bit < 8u; ++bit) {
     bool set = (digit >> bit & 1u) != 0u;
-    uint votes = subgroupBallot(set).x;
+    Votes votes = ballot(set);
     same &= set ? votes : ~votes;
   }
-  uint earlier = uint(bitCount(same & ((1u << lane) - 1u))), turn = 0u;
-  if (valid && earlier == 0u) turn = atomicAdd(turns[warp][digit], uint(bitCount(same)));
-  return subgroupShuffle(turn, uint(findLSB(same)) & 31u) + earlier;
+  uint earlier = countVotes(same & lanesBefore(lane)), turn = 0u;
+  if (valid && earlier == 0u) turn = takeTurns(warp, digit, countVotes(same));
+  return subgroupShuffle(turn, firstVote(same) & (gl_SubgroupSize - 1u)) + earlier;
 }
 #else
-bool haveWarps() { return true; }
-uint warpOf(uint local) { return local >> 5; }
-uint laneOf(uint local) { return local & 31u; }
+const uint kWarp = uint(WARP), kWarps = 256u / kWarp;
+uint warpCount() { return kWarps; }
+uint warpSize() { return kWarp; }
+uint warpOf(uint local) { return local / kWarp; }
+uint laneOf(uint local) { return local % kWarp; }
 
-shared uint votes[kWarps][9];
+shared uint votes_of[kWarps][9][2];
+
+void vote(uint warp, uint lane, uint bit) { atomicOr(votes_of[warp][bit][lane / 32u], 1u << lane % 32u); }
+
+Votes votesFor(uint warp, uint bit) {
+#if WARP > 32
+  return uvec2(votes_of[warp][bit][0], votes_of[warp][bit][1]);
+#else
+  return votes_of[warp][bit][0];
+#endif
+}
 
 uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
-  if (lane < 9u) votes[warp][lane] = 0u;
+  for (uint bit = lane; bit < 9u; bit += kWarp) votes_of[warp][bit] = uint[2](0u, 0u);
   barrier();
   if (valid) {
-    atomicOr(votes[warp][8], 1u << lane);
+    vote(warp, lane, 8u);
     for (uint bit = 0u; bit < 8u; ++bit) {
-      if ((digit >> bit & 1u) != 0u) atomicOr(votes[warp][bit], 1u << lane);
+      if ((digit >> bit & 1u) != 0u) vote(warp, lane, bit);
     }
   }
   barrier();
-  uint same = votes[warp][8];
+  Votes same = votesFor(warp, 8u);
   for (uint bit = 0u; bit < 8u; ++bit) {
-    same &= (digit >> bit & 1u) != 0u ? votes[warp][bit] : ~votes[warp][bit];
+    same &= (digit >> bit & 1u) != 0u ? votesFor(warp, bit) : ~votesFor(warp, bit);
   }
-  uint earlier = uint(bitCount(same & ((1u << lane) - 1u))), turn = turns[warp][digit] + earlier;
+  uint earlier = countVotes(same & lanesBefore(lane)), turn = turns(warp, digit) + earlier;
   barrier();
-  if (valid && earlier == 0u) turns[warp][digit] += uint(bitCount(same));
+  if (valid && earlier == 0u) takeTurns(warp, digit, countVotes(same));
   barrier();
   return turn;
 }
@@ -77,51 +124,56 @@ void main() {
   uint local = gl_LocalInvocationIndex, block = workGroup();
   uint warp = warpOf(local), lane = laneOf(local);
   uint count = keys_tally.count, blocks = (count + kBlock - 1u) / kBlock;
-  if (block >= blocks || !haveWarps()) return;
-  for (uint w = 0u; w < kWarps; ++w) turns[w][local] = 0u;
+  uint pairs = (warpCount() + 1u) / 2u, stride = warpSize();
+  if (block >= blocks || warpCount() > kMostWarps) return;
+  for (uint pair = 0u; pair < pairs; ++pair) memory[256u * pair + local] = 0u;
   barrier();
 
-  uint first = block * kBlock + warp * kEach * 32u + lane;
+  uint first = block * kBlock + warp * kEach * stride + lane;
   uint key[kEach], place[kEach];
   for (uint k = 0u; k < kEach; ++k) {
-    uint i = first + 32u * k;
+    uint i = first + stride * k;
     bool valid = i < count;
     key[k] = valid ? keys[i] : 0u;
     place[k] = takeTurn(warp, lane, digitOf(key[k]), valid);
   }
   barrier();
   uint here = 0u, all;
-  for (uint w = 0u; w < kWarps; ++w) here += turns[w][local];
+  for (uint pair = 0u; pair < pairs; ++pair) {
+    uint counts = memory[256u * pair + local];
+    here += (counts & 0xffffu) + (counts >> 16);
+  }
   uint next = groupSum(here, all);
   block_start[local] = groupSum(firsts[256u * blocks + local], all) +
                        firsts[local * blocks + block] - next;
-  for (uint w = 0u; w < kWarps; ++w) {
-    uint mine = turns[w][local];
-    turns[w][local] = next;
-    next += mine;
+  for (uint pair = 0u; pair < pairs; ++pair) {
+    uint counts = memory[256u * pair + local], second = next + (counts & 0xffffu);
+    memory[256u * pair + local] = next | second << 16;
+    next = second + (counts >> 16);
   }
+  barrier();
+  for (uint k = 0u; k < kEach; ++k) place[k] += turns(warp, digitOf(key[k]));
   barrier();
 
   uint size = min(count - block * kBlock, kBlock), target[kEach];
   for (uint k = 0u; k < kEach; ++k) {
-    place[k] += turns[warp][digitOf(key[k])];
-    if (first + 32u * k < count) block_order[place[k]] = key[k];
+    if (first + stride * k < count) memory[place[k]] = key[k];
   }
   barrier();
   for (uint k = 0u; k < kEach; ++k) {
     uint i = 256u * k + local;
     if (i >= size) break;
-    target[k] = block_start[digitOf(block_order[i])] + i;
-    if (!last_pass) sorted_keys[target[k]] = block_order[i];
+    target[k] = block_start[digitOf(memory[i])] + i;
+    if (!last_pass) sorted_keys[target[k]] = memory[i];
   }
   barrier();
   for (uint k = 0u; k < kEach; ++k) {
-    uint i = first + 32u * k;
-    if (i < count) block_order[place[k]] = first_pass ? i : values[i];
+    uint i = first + stride * k;
+    if (i < count) memory[place[k]] = first_pass ? i : values[i];
   }
   barrier();
   for (uint k = 0u; k < kEach; ++k) {
     uint i = 256u * k + local;
-    if (i < size) sorted_values[target[k]] = block_order[i];
+    if (i < size) sorted_values[target[k]] = memory[i];
   }
 }

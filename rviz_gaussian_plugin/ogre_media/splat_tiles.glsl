@@ -1,4 +1,5 @@
-// The picture's tiles of 16x16 pixels, and which of them a splat touches.
+// The picture's tiles of 16x16 pixels, and which of them a splat touches: `precise`, for what one program
+// counts another one lists.
 const int kTile = 16;
 
 uniform ivec2 tiles;  // in the picture, across and down
@@ -12,34 +13,37 @@ struct Outline {
 };
 
 Outline outlineOf(Ellipse e) {
-  float sigmas = cutoffSigmas(e.opacity);
-  vec2 minor = minorAxis(e);
-  vec2 variance = e.major * e.major + minor * minor;
-  float covariance = e.major.x * e.major.y + minor.x * minor.y;
-  return Outline(e.centre, sigmas * sqrt(variance),
-                 sigmas * length(e.major) * e.minor / sqrt(variance.y), covariance / variance.y,
-                 sigmas * covariance / sqrt(variance.x));
+  precise float sigmas = cutoffSigmas(e.opacity);
+  precise vec2 minor = minorAxis(e);
+  precise vec2 variance = e.major * e.major + minor * minor;
+  precise float covariance = e.major.x * e.major.y + minor.x * minor.y;
+  precise Outline o =
+      Outline(e.centre, sigmas * sqrt(variance), sigmas * length(e.major) * e.minor / sqrt(variance.y),
+              covariance / variance.y, sigmas * covariance / sqrt(variance.x));
+  return o;
 }
 
 // From where to where pixels may be covered, whose centres are so far down. [px]
 vec2 across(Outline o, float top, float bottom) {
-  vec2 rows = clamp(vec2(top, bottom) - o.centre.y, -o.reach.y, o.reach.y);
-  vec2 down = clamp(vec2(-o.rightmost, o.rightmost), rows.x, rows.y);
-  vec2 half_width = o.half_width * sqrt(max(1.0 - down * down / (o.reach.y * o.reach.y), 0.0));
-  return o.centre.x + o.lean * down + vec2(-half_width.x, half_width.y);
+  precise vec2 rows = clamp(vec2(top, bottom) - o.centre.y, -o.reach.y, o.reach.y);
+  precise vec2 down = clamp(vec2(-o.rightmost, o.rightmost), rows.x, rows.y);
+  precise vec2 half_width = o.half_width * sqrt(max(1.0 - down * down / (o.reach.y * o.reach.y), 0.0));
+  precise vec2 ends = o.centre.x + o.lean * down + vec2(-half_width.x, half_width.y);
+  return ends;
 }
 
 // Which of so many cells of a size hold centres of pixels in a range: first, and one past the last.
 ivec2 cellsIn(vec2 range, float size, int cells) {
-  float slack = 0.05 + 1e-5 * (range.y - range.x);  // for rounding
-  vec2 pixels = vec2(ceil(range.x - 0.5 - slack), floor(range.y - 0.5 + slack));
+  precise float slack = 0.05 + 1e-5 * (range.y - range.x);  // for rounding
+  precise vec2 pixels = vec2(ceil(range.x - 0.5 - slack), floor(range.y - 0.5 + slack));
   if (!(pixels.x <= pixels.y)) return ivec2(0);
   // Clamped as floats: integers end sooner.
   return ivec2(clamp(floor(pixels / size) + vec2(0.0, 1.0), 0.0, float(cells)));
 }
 
 ivec2 tileRows(Outline o) {
-  return cellsIn(o.centre.y + vec2(-o.reach.y, o.reach.y), float(kTile), tiles.y);
+  precise vec2 range = o.centre.y + vec2(-o.reach.y, o.reach.y);
+  return cellsIn(range, float(kTile), tiles.y);
 }
 
 ivec2 tileColumns(Outline o, int row) {

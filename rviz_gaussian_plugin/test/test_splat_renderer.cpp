@@ -319,13 +319,13 @@ class OthersState {
   std::array<GLuint, 2> buffers_{};
 };
 
-// A driver that is said to have larger buffers and subgroups, or not; notes the shaders that it
-// gets.
+// A driver that is said to have buffers of a size, and subgroups of one or (0) none; notes the
+// shaders that it gets.
 class Disguise {
  public:
-  Disguise(GLint64 largest_buffer, bool subgroups) {
+  Disguise(GLint64 largest_buffer, GLint subgroup_size) {
     largest_buffer_ = largest_buffer;
-    subgroups_ = subgroups;
+    subgroup_size_ = subgroup_size;
     epoxy_glGetInteger64v = [](GLenum name, GLint64* value) {
       real<PFNGLGETINTEGER64VPROC>("glGetInteger64v")(name, value);
       if (name == GL_MAX_SHADER_STORAGE_BLOCK_SIZE) *value = largest_buffer_;
@@ -334,7 +334,7 @@ class Disguise {
       const bool subgroup =
           name >= GL_SUBGROUP_SIZE_KHR && name <= GL_SUBGROUP_SUPPORTED_FEATURES_KHR;
       if (!subgroup) return real<PFNGLGETINTEGERVPROC>("glGetIntegerv")(name, value);
-      *value = name == GL_SUBGROUP_SIZE_KHR ? subgroups_ * 32 : ~0;
+      *value = name == GL_SUBGROUP_SIZE_KHR ? subgroup_size_ : ~0;
     };
     // The last of its extensions is another.
     epoxy_glGetStringi = [](GLenum name, GLuint index) {
@@ -371,7 +371,7 @@ class Disguise {
   }
 
   static inline GLint64 largest_buffer_ = 0;
-  static inline bool subgroups_ = false;
+  static inline GLint subgroup_size_ = 0;
 };
 
 class SplatRendererTest : public testing::Test {
@@ -400,13 +400,29 @@ TEST_F(SplatRendererTest, SortsOnTheGpuAsTheProcessorDoes) {
 
 // Where lanes don't vote as the driver says. Without subgroups, nothing of this runs.
 TEST_F(SplatRendererTest, SortsWithoutSubgroupsThatVoteWrongly) {
-  SplatScene scene(shaders({"subgroupBallot(valid).x", "subgroupBallot(valid).x & 0xffffu"}));
+  SplatScene scene(shaders({"subgroupBallot(vote).x", "subgroupBallot(vote).x & 0xffffu"}));
   fill(scene);
   const auto expected = picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn);
   EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kGpu), expected);
   EXPECT_EQ(scene.report("view").order_source, "gpu");
   const bool subgroups = epoxy_has_gl_extension("GL_KHR_shader_subgroup");
   EXPECT_EQ(scene.warning().find("subgroups") != std::string::npos, subgroups);
+}
+
+// As drivers may run them, with what stands in for subgroups.
+TEST_F(SplatRendererTest, SortsInWarpsOfAnyWidth) {
+  SplatScene processor(shaders());
+  fill(processor);
+  const auto expected = picture(processor, Rasterizer::kQuads, OrderSource::kBuiltIn);
+  for (const char* width : {"8", "16", "32", "64"}) {
+    SplatScene scene(
+        shaders({"#pragma optionNV(unroll all)",
+                 std::string("#undef SUBGROUPS\n#undef WARP\n#define WARP ") + width}));
+    fill(scene);
+    EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kGpu), expected) << width;
+    EXPECT_EQ(scene.report("view").order_source, "gpu") << width;
+    EXPECT_EQ(scene.warning(), "") << width;
+  }
 }
 
 TEST_F(SplatRendererTest, DrawsTheProcessorsOrderWhereTheGpuSortsWrongly) {
@@ -436,7 +452,7 @@ TEST_F(SplatRendererTest, DrawsTheSameOutOfSmallBuffers) {
   const auto expected = picture(whole, Rasterizer::kQuads, OrderSource::kBuiltIn);
   const auto expected_picks = picked(whole);
   const auto buffersOf = [](std::size_t splats) {
-    return Disguise(static_cast<GLint64>(splats * Shaders::kEllipseBytes), false);
+    return Disguise(static_cast<GLint64>(splats * Shaders::kEllipseBytes), 0);
   };
   // In two parts; and in four, which leave no room for the lists of tiles.
   for (const auto& [parts, rasterizer] : {std::pair(2u, "tiles"), std::pair(4u, "quads")}) {
@@ -458,7 +474,7 @@ TEST_F(SplatRendererTest, DrawsTheSameOutOfSmallBuffers) {
 // Of more pairs of splat and tile than there is room for: quads are drawn instead, and as soon as
 // there are fewer, tiles.
 TEST_F(SplatRendererTest, ListsNotInVainWhatWasTooMuch) {
-  const Disguise disguise(static_cast<GLint64>(kSplats / 4 * Shaders::kEllipseBytes), false);
+  const Disguise disguise(static_cast<GLint64>(kSplats / 4 * Shaders::kEllipseBytes), 0);
   SplatScene scene(shaders());
   fill(scene);
   RenderSettings settings;
@@ -670,8 +686,8 @@ TEST_F(SplatRendererTest, GivesAnyDriverShadersThatConform) {
     GTEST_SKIP() << "no glslangValidator";
   Disguise::noted.clear();
   for (const GLint64 largest_buffer : {GLint64{1} << 27, (GLint64{1} << 31) - 1}) {
-    for (const bool subgroups : {false, true}) {
-      const Disguise disguise(largest_buffer, subgroups);
+    for (const GLint subgroup_size : {0, 8, 32, 64}) {
+      const Disguise disguise(largest_buffer, subgroup_size);
       try {
         // Not the very texts of other tests, whose programs would be used again.
         const SplatRenderer renderer(shaders({"void main() {", "void main() {  // noted\n"}));
@@ -687,7 +703,7 @@ TEST_F(SplatRendererTest, GivesAnyDriverShadersThatConform) {
   };
   EXPECT_GT(count("#define PARTS 1\n"), 20);
   EXPECT_GT(count("#define PARTS 4\n"), 20);
-  EXPECT_EQ(count("#define SUBGROUPS\n"), 2);
+  EXPECT_EQ(count("#define SUBGROUPS\n"), 6);
   const std::string prefix = testing::TempDir() + "rosplat_" + std::to_string(getpid()) + "_";
   std::string command = "glslangValidator";
   std::vector<std::string> files;

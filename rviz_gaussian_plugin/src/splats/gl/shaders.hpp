@@ -23,9 +23,10 @@ class Shaders {
   using Files = std::initializer_list<const char*>;
   // The last file names the program. Throw gl::Error.
   gl::Program compute(Files files) const;
-  // For lanes of 32 that vote together; only where the driver says that it has them.
-  gl::Program computeInSubgroups(Files files) const;
-  bool subgroups() const { return subgroups_; }
+  // For lanes that vote together, in shaders of WARP lanes at most: the driver's subgroups where it
+  // says that it has some, else, or where they don't serve, what stands in for them.
+  gl::Program computeInWarps(Files files, bool in_subgroups) const;
+  bool subgroups() const { return warp_ > 0; }
   gl::Program draw(Files vertex, Files fragment) const;
 
   // Projected splats in one buffer of the driver's, and of the renderer's, at most kEllipseParts.
@@ -35,13 +36,13 @@ class Shaders {
   static constexpr std::size_t kEllipseParts = 4;
 
  private:
-  void attach(gl::Program& program, GLenum stage, const char* extensions, Files files) const;
-  gl::Program compute(const char* extensions, Files files) const;
+  void attach(gl::Program& program, GLenum stage, const std::string& extensions, Files files) const;
+  gl::Program compute(const std::string& extensions, Files files) const;
 
   ShaderSource source_;
   std::size_t part_size_ = 0;
   std::size_t parts_ = 1;
-  bool subgroups_ = false;
+  int warp_ = 0;  // lanes of the driver's subgroups, at most; 0: it has none that serve
 };
 
 }  // namespace rosplat

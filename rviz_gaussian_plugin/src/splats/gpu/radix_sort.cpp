@@ -38,14 +38,13 @@ RadixSort::RadixSort(const Shaders& shaders)
     : shaders_(shaders),
       count_(shaders.compute({"radix_count.comp"})),
       sum_(shaders.compute({"group_sum.glsl", "radix_sum.comp"})),
-      scatter_(shaders.subgroups() ? shaders.computeInSubgroups(kScatter)
-                                   : shaders.compute(kScatter)) {}
+      scatter_(shaders.computeInWarps(kScatter, shaders.subgroups())) {}
 
 bool RadixSort::check() {
   if (sortsRight()) return true;
   if (!shaders_.subgroups() || lost_ballots_) return false;
   lost_ballots_ = true;
-  scatter_ = shaders_.compute(kScatter);
+  scatter_ = shaders_.computeInWarps(kScatter, false);
   return sortsRight();
 }
 
