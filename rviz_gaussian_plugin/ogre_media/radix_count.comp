@@ -4,13 +4,9 @@ layout(local_size_x = 256) in;
 layout(std430, binding = 0) readonly buffer Keys { uint keys[]; };
 layout(std430, binding = 4) writeonly buffer Counts { uint counts[]; };
 layout(std430, binding = 5) readonly buffer Length { Tally keys_tally; };
-layout(std430, binding = 6) readonly buffer Least { uint least; };  // key
 
-uniform uint shift;
 
 shared uint histogram[256];
-
-uint digitOf(uint key) { return key - least >> shift & 255u; }
 
 void main() {
   uint local = gl_LocalInvocationIndex, block = workGroup(), count = keys_tally.count;

@@ -12,9 +12,7 @@ layout(std430, binding = 2) writeonly buffer SortedKeys { uint sorted_keys[]; };
 layout(std430, binding = 3) writeonly buffer SortedValues { uint sorted_values[]; };
 layout(std430, binding = 4) readonly buffer Firsts { uint firsts[]; };  // as radix_sum.comp says
 layout(std430, binding = 5) readonly buffer Length { Tally keys_tally; };
-layout(std430, binding = 6) readonly buffer Least { uint least; };  // key
 
-uniform uint shift;
 uniform bool first_pass;  // the values are 0, 1, 2...
 uniform bool last_pass;   // nobody needs the keys any more
 
@@ -117,8 +115,6 @@ uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
   return turn;
 }
 #endif
-
-uint digitOf(uint key) { return key - least >> shift & 255u; }
 
 void main() {
   uint local = gl_LocalInvocationIndex, block = workGroup();

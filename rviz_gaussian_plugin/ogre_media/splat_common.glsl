@@ -73,6 +73,20 @@ vec2 minorAxis(Ellipse e) { return e.minor * normalize(vec2(-e.major.y, e.major.
 
 float cutoffSigmas(float opacity) { return min(kMaxSigmas, sqrt(2.0 * log(255.0 * opacity))); }
 
+// exp(-x^2 / 2) of a distance from the centre, along the axes and in their lengths times kHalfLog2.
+const float kHalfLog2 = 0.84932180028801907;  // sqrt(log2(e) / 2)
+
+float falloffAt(vec2 sigmas) { return exp2(-dot(sigmas, sigmas)); }
+
+bool isBall(int mode) { return mode == kFlatBall || mode == kGaussianBall; }
+
+// How opaque a splat is at a falloff, 0 where it can't be seen.
+float alphaAt(float opacity, float falloff, int mode) {
+  if (isBall(mode)) return falloff < kBallEdge ? 0.0 : 1.0;
+  float alpha = min(kMaxAlpha, opacity * falloff);
+  return alpha < kCutoffAlpha ? 0.0 : alpha;
+}
+
 // What depths are sorted by: grows with them, over negative ones too.
 uint depthKey(float depth) {
   uint bits = floatBitsToUint(depth + 0.0);  // the sum makes one depth of -0 and 0
@@ -100,4 +114,9 @@ vec3 turbo(float t) {
 // Red for near, blue for far.
 vec3 depthColour(float depth, vec2 range) {
   return turbo(1.0 - (depth - range.x) / max(range.y - range.x, 1e-6));
+}
+
+// The texel of a pixel, counted from the picture's top, in a target of some rows.
+ivec2 texelOf(ivec2 pixel, int rows, bool top_first) {
+  return ivec2(pixel.x, top_first ? pixel.y : rows - 1 - pixel.y);
 }

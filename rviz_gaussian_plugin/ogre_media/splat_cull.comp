@@ -3,11 +3,7 @@
 
 layout(local_size_x = 256) in;
 
-uniform mat3 rotation;    // map -> camera: x right, y down, z forward
-uniform vec3 translation;
 uniform vec2 focal, offset, half_size, slope;
-uniform vec2 clip;  // near, far [m]
-uniform bool orthographic;
 uniform float opacity_modifier;
 uniform bool clip_to_box;
 uniform vec3 box_centre, box_size;  // [m]
@@ -21,7 +17,7 @@ bool mayBeSeen(uint slot) {
   if (clip_to_box && any(greaterThan(abs(mean - box_centre), 0.5 * box_size))) return false;
   vec3 scale = slotScale(slot);
   float extent = cutoffSigmas(opacity) * max(max(scale.x, scale.y), scale.z);
-  precise vec3 p = ((rotation[0] * mean.x + rotation[1] * mean.y) + rotation[2] * mean.z) + translation;
+  vec3 p = toCamera(mean);
   float w = orthographic ? 1.0 : p.z;
   precise vec2 reach = half_size * w + slope * extent;
   precise vec2 along = abs(focal * p.xy + offset * w);

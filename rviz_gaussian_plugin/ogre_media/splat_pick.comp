@@ -24,13 +24,10 @@ shared uint indices[kBatch];
 shared vec4 places[kBatch];  // centre [px], window depth, opacity
 shared vec4 axes[kBatch];    // directions of the axes over their lengths [1/px]
 
-float alphaAt(uint k, vec2 pixel) {
+float pixelAlpha(uint k, vec2 pixel) {
   vec2 offset = pixel - places[k].xy;
-  vec2 sigmas = vec2(dot(offset, axes[k].xy), dot(offset, axes[k].zw));
-  float falloff = exp(-0.5 * dot(sigmas, sigmas));
-  if (mode == kFlatBall || mode == kGaussianBall) return falloff < kBallEdge ? 0.0 : 1.0;
-  float alpha = min(kMaxAlpha, places[k].w * falloff);
-  return alpha < kCutoffAlpha ? 0.0 : alpha;
+  vec2 sigmas = kHalfLog2 * vec2(dot(offset, axes[k].xy), dot(offset, axes[k].zw));
+  return alphaAt(places[k].w, falloffAt(sigmas), mode);
 }
 
 void take(uint k, uint index) {
@@ -45,11 +42,11 @@ void take(uint k, uint index) {
 
 void main() {
   uint lane = gl_LocalInvocationIndex;
-  ivec2 tile = ivec2(int(workGroup()) % tiles.x, int(workGroup()) / tiles.x);
+  ivec2 tile = groupTile();
   if (tile.y >= tiles.y) return;
   ivec2 pixel = tile * kTile + ivec2(gl_LocalInvocationID.xy);
   bool inside = all(lessThan(pixel, picture));
-  ivec2 texel = ivec2(pixel.x, top_first ? pixel.y : picture.y - 1 - pixel.y);
+  ivec2 texel = texelOf(pixel, picture.y, top_first);
   float hidden_from = inside ? texelFetch(scene_depth, texel, 0).r : 0.0;
   float transmittance = inside ? 1.0 : 0.0, most = kLeastContribution;
   uint winner = kNone;
@@ -70,7 +67,7 @@ void main() {
     uint count = min(kBatch, end - first);
     for (uint k = 0u; k < count && transmittance > most; ++k) {
       if (places[k].z > hidden_from || places[k].z < 0.0) continue;
-      float alpha = alphaAt(k, vec2(pixel) + 0.5);
+      float alpha = pixelAlpha(k, vec2(pixel) + 0.5);
       if (transmittance * alpha > most) {
         most = transmittance * alpha;
         winner = indices[k];

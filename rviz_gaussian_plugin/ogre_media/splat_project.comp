@@ -12,15 +12,11 @@ layout(std430, binding = 10) writeonly buffer Keys { uint keys[]; };
 layout(std430, binding = 12) writeonly buffer Boxes { uint boxes[]; };  // boxOf() the splats
 layout(std430, binding = 11) buffer DepthRange { uint nearest, farthest; };  // keys drawn
 
-uniform mat3 rotation;    // map -> camera: x right, y down, z forward
-uniform vec3 translation;
 uniform vec3 eye;  // the camera in the map's frame; orthographic: its forward direction
-uniform bool orthographic;
 uniform vec2 focal;            // [px], orthographic [px/m]
 uniform vec2 principal_point;  // [px]
 uniform vec2 picture;          // [px]
 uniform vec2 whole_principal_point, whole_picture;  // of which the picture is a part, or itself [px]
-uniform vec2 clip;             // near, far [m]
 uniform int sh_degree;
 uniform int only_band;  // -1: all
 uniform bool antialiased;
@@ -166,7 +162,7 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
 // The key of a slot's depth, if it is drawn. number: among those of all pages that are kept.
 uint projected(uint slot, uint number) {
   vec3 mean = slotPosition(slot);
-  precise vec3 p = ((rotation[0] * mean.x + rotation[1] * mean.y) + rotation[2] * mean.z) + translation;
+  vec3 p = toCamera(mean);
   Ellipse e = project(slot, mean, p);
   uint index = visibleIndex(number);
   if (index >= room) return kNone;

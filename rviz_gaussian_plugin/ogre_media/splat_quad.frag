@@ -14,14 +14,9 @@ void main() {
 #ifdef BEHIND
   if (gl_FragCoord.z > texelFetch(scene_depth, ivec2(gl_FragCoord.xy), 0).r) discard;
 #endif
-  float falloff = exp(-0.5 * dot(sigmas, sigmas));
-  float alpha = min(kMaxAlpha, colour.a * falloff);
-  vec3 rgb = colour.rgb;
-  if (mode == kFlatBall || mode == kGaussianBall) {
-    alpha = falloff < kBallEdge ? 0.0 : 1.0;
-    if (mode == kGaussianBall) rgb *= falloff;
-  }
-  if (alpha < kCutoffAlpha) discard;
+  float falloff = falloffAt(kHalfLog2 * sigmas), alpha = alphaAt(colour.a, falloff, mode);
+  if (alpha == 0.0) discard;
+  vec3 rgb = colour.rgb * (mode == kGaussianBall ? falloff : 1.0);
   blended = vec4(rgb * alpha, alpha);
 #ifdef BEHIND
   nearness = vec4((1.0 - gl_FragCoord.z) * alpha, alpha, 0.0, alpha);

@@ -1,8 +1,15 @@
-// The picture's tiles of 16x16 pixels, and which of them a splat touches: `precise`, for what one program
-// counts another one lists.
+// The picture's tiles of 16x16 pixels, and which of them a splat touches.
 const int kTile = 16;
 
+#ifndef EXACTLY
+#define EXACTLY
+#endif
+
 uniform ivec2 tiles;  // in the picture, across and down
+
+#ifdef COMPUTE
+ivec2 groupTile() { return ivec2(int(workGroup()) % tiles.x, int(workGroup()) / tiles.x); }  // a work group each
+#endif
 
 // A splat's 1/255 ellipse, as rows of the picture cut it.
 struct Outline {
@@ -13,11 +20,11 @@ struct Outline {
 };
 
 Outline outlineOf(Ellipse e) {
-  precise float sigmas = cutoffSigmas(e.opacity);
-  precise vec2 minor = minorAxis(e);
-  precise vec2 variance = e.major * e.major + minor * minor;
-  precise float covariance = e.major.x * e.major.y + minor.x * minor.y;
-  precise Outline o =
+  EXACTLY float sigmas = cutoffSigmas(e.opacity);
+  EXACTLY vec2 minor = minorAxis(e);
+  EXACTLY vec2 variance = e.major * e.major + minor * minor;
+  EXACTLY float covariance = e.major.x * e.major.y + minor.x * minor.y;
+  EXACTLY Outline o =
       Outline(e.centre, sigmas * sqrt(variance), sigmas * length(e.major) * e.minor / sqrt(variance.y),
               covariance / variance.y, sigmas * covariance / sqrt(variance.x));
   return o;
@@ -25,24 +32,24 @@ Outline outlineOf(Ellipse e) {
 
 // From where to where pixels may be covered, whose centres are so far down. [px]
 vec2 across(Outline o, float top, float bottom) {
-  precise vec2 rows = clamp(vec2(top, bottom) - o.centre.y, -o.reach.y, o.reach.y);
-  precise vec2 down = clamp(vec2(-o.rightmost, o.rightmost), rows.x, rows.y);
-  precise vec2 half_width = o.half_width * sqrt(max(1.0 - down * down / (o.reach.y * o.reach.y), 0.0));
-  precise vec2 ends = o.centre.x + o.lean * down + vec2(-half_width.x, half_width.y);
+  EXACTLY vec2 rows = clamp(vec2(top, bottom) - o.centre.y, -o.reach.y, o.reach.y);
+  EXACTLY vec2 down = clamp(vec2(-o.rightmost, o.rightmost), rows.x, rows.y);
+  EXACTLY vec2 half_width = o.half_width * sqrt(max(1.0 - down * down / (o.reach.y * o.reach.y), 0.0));
+  EXACTLY vec2 ends = o.centre.x + o.lean * down + vec2(-half_width.x, half_width.y);
   return ends;
 }
 
 // Which of so many cells of a size hold centres of pixels in a range: first, and one past the last.
 ivec2 cellsIn(vec2 range, float size, int cells) {
-  precise float slack = 0.05 + 1e-5 * (range.y - range.x);  // for rounding
-  precise vec2 pixels = vec2(ceil(range.x - 0.5 - slack), floor(range.y - 0.5 + slack));
+  EXACTLY float slack = 0.05 + 1e-5 * (range.y - range.x);  // for rounding
+  EXACTLY vec2 pixels = vec2(ceil(range.x - 0.5 - slack), floor(range.y - 0.5 + slack));
   if (!(pixels.x <= pixels.y)) return ivec2(0);
   // Clamped as floats: integers end sooner.
   return ivec2(clamp(floor(pixels / size) + vec2(0.0, 1.0), 0.0, float(cells)));
 }
 
 ivec2 tileRows(Outline o) {
-  precise vec2 range = o.centre.y + vec2(-o.reach.y, o.reach.y);
+  EXACTLY vec2 range = o.centre.y + vec2(-o.reach.y, o.reach.y);
   return cellsIn(range, float(kTile), tiles.y);
 }
 

@@ -23,7 +23,6 @@ const ivec2 kPart = ivec2(8, 4);
 const uint kParts = 8u;
 // What is still to come can't change a pixel by more than this, of a white splat.
 const float kTransparent = 1e-5;
-const float kHalfLog2 = 0.84932180028801907;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = exp2(-(k x)^2)
 
 shared vec4 places[kBatch];   // centre [px], direction of the major axis over its length [1/px]
 shared vec4 shapes[kBatch];   // the same of the minor axis, window depth, -
@@ -37,7 +36,7 @@ void mark(uint k, Ellipse e, ivec2 tile) {
   outline.centre -= vec2(tile * kTile);
   ivec2 rows = cellsIn(outline.centre.y + vec2(-outline.reach.y, outline.reach.y), float(kPart.y),
                        kTile / kPart.y);
-  bool ball = mode == kFlatBall || mode == kGaussianBall;  // which may end beyond the outline
+  bool ball = isBall(mode);  // which may end beyond the outline
   if (ball) rows = ivec2(0, kTile / kPart.y);
   for (int row = rows.x; row < rows.y; ++row) {
     float top = float(kPart.y * row) + 0.5;
@@ -51,13 +50,13 @@ void mark(uint k, Ellipse e, ivec2 tile) {
 }
 
 void main() {
-  ivec2 tile = ivec2(int(workGroup()) % tiles.x, int(workGroup()) / tiles.x);
+  ivec2 tile = groupTile();
   if (tile.y >= tiles.y) return;
   uint local = gl_LocalInvocationIndex;
   uint part = local / 32u;
   ivec2 in_part = ivec2(int(local) % kPart.x, int(local % 32u) / kPart.x);
   ivec2 pixel = tile * kTile + ivec2(part % 2u, part / 2u) * kPart + in_part;
-  ivec2 texel = ivec2(pixel.x, top_first ? pixel.y : picture.y - 1 - pixel.y);
+  ivec2 texel = texelOf(pixel, picture.y, top_first);
   bool inside = all(lessThan(pixel, picture));
   bool done = !inside;
   float hidden_from = inside ? texelFetch(scene_depth, texel, 0).r : 0.0;
@@ -94,15 +93,12 @@ void main() {
         vec4 place = places[k], shape = shapes[k];
         vec2 offset = vec2(pixel) + 0.5 - place.xy;
         vec2 sigmas = vec2(dot(offset, place.zw), dot(offset, shape.xy));
-        float falloff = exp2(-dot(sigmas, sigmas));
+        float falloff = falloffAt(sigmas);
         vec4 splat = colours[k];
-        float alpha = min(kMaxAlpha, splat.a * falloff);
-        if (mode == kFlatBall || mode == kGaussianBall) {
-          alpha = falloff < kBallEdge ? 0.0 : 1.0;
-          if (mode == kGaussianBall) splat.rgb *= falloff;
-        }
+        float alpha = alphaAt(splat.a, falloff, mode);
+        if (mode == kGaussianBall) splat.rgb *= falloff;
 #ifdef BEHIND
-        if (alpha >= kCutoffAlpha && shape.z > hidden_from && shape.z <= behind_until) {
+        if (alpha > 0.0 && shape.z > hidden_from && shape.z <= behind_until) {
           colour_behind += transmittance_behind * alpha * splat.rgb;
           nearness += transmittance_behind * alpha * (1.0 - shape.z);
           transmittance_behind *= 1.0 - alpha;
@@ -111,7 +107,7 @@ void main() {
           continue;
         }
 #endif
-        if (alpha < kCutoffAlpha || shape.z > hidden_from || shape.z < 0.0) continue;
+        if (alpha == 0.0 || shape.z > hidden_from || shape.z < 0.0) continue;
         colour += transmittance * alpha * splat.rgb;
         transmittance *= 1.0 - alpha;
         done = transmittance < kTransparent;

@@ -12,7 +12,7 @@ uniform bool top_first;  // the target's first row is the picture's top
 shared uint nearest, farthest;
 
 void main() {
-  ivec2 tile = ivec2(int(workGroup()) % tiles.x, int(workGroup()) / tiles.x);
+  ivec2 tile = groupTile();
   if (tile.y >= tiles.y) return;
   if (gl_LocalInvocationIndex == 0u) {
     nearest = floatBitsToUint(2.0);
@@ -21,7 +21,7 @@ void main() {
   barrier();
   ivec2 pixel = tile * kTile + ivec2(gl_LocalInvocationID.xy);
   if (all(lessThan(pixel, picture))) {
-    ivec2 texel = ivec2(pixel.x, top_first ? pixel.y : picture.y - 1 - pixel.y);
+    ivec2 texel = texelOf(pixel, picture.y, top_first);
     float depth = texelFetch(divided, texel, 0).r;
     atomicMax(farthest, floatBitsToUint(depth));
     if (depth < texelFetch(scene_depth, texel, 0).r) atomicMin(nearest, floatBitsToUint(depth));

@@ -12,6 +12,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <map>
+#include <memory>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -26,9 +27,10 @@ namespace {
 constexpr int kSize = 64;                // of the picture [px]
 constexpr std::uint32_t kSplats = 5000;  // of the map
 
-// rviz's kind of context: the compatibility profile. False where there is none to be had.
-bool makeContext() {
-  if (!epoxy_has_egl_extension(EGL_NO_DISPLAY, "EGL_MESA_platform_surfaceless")) return false;
+// rviz's kind of context, the compatibility profile, made current; null where there is none to be
+// had. It shares nothing with others.
+EGLContext makeContext() {
+  if (!epoxy_has_egl_extension(EGL_NO_DISPLAY, "EGL_MESA_platform_surfaceless")) return nullptr;
   const EGLDisplay display =
       eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
   const std::vector<EGLint> wanted{EGL_CONTEXT_MAJOR_VERSION,
@@ -38,10 +40,11 @@ bool makeContext() {
                                    EGL_CONTEXT_OPENGL_PROFILE_MASK,
                                    EGL_CONTEXT_OPENGL_COMPATIBILITY_PROFILE_BIT,
                                    EGL_NONE};
-  if (!eglInitialize(display, nullptr, nullptr) || !eglBindAPI(EGL_OPENGL_API)) return false;
+  if (!eglInitialize(display, nullptr, nullptr) || !eglBindAPI(EGL_OPENGL_API)) return nullptr;
   const EGLContext context =
       eglCreateContext(display, EGL_NO_CONFIG_KHR, EGL_NO_CONTEXT, wanted.data());
-  return context && eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, context);
+  const bool current = context && eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, context);
+  return current ? context : nullptr;
 }
 
 // What a driver gets wrong: shaders with a text replaced by another.
@@ -377,7 +380,7 @@ class Disguise {
 class SplatRendererTest : public testing::Test {
  protected:
   void SetUp() override {
-    static const bool context = makeContext();
+    static const EGLContext context = makeContext();
     if (!context) GTEST_SKIP() << "no OpenGL 4.4 without a window here";
   }
   void TearDown() override { EXPECT_EQ(glGetError(), GLenum(GL_NO_ERROR)); }
@@ -678,6 +681,39 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     scene.readSlots({1, 2, 3});
     EXPECT_EQ(changed(before), State());
   }
+}
+
+// As where a Qt slot removes a display beside a widget that draws with OpenGL.
+TEST_F(SplatRendererTest, IsDestroyedInAnotherContextWithoutHarmToEither) {
+  const EGLDisplay display = eglGetCurrentDisplay();
+  const EGLContext own = eglGetCurrentContext();
+  const auto buffers = [] {
+    GLuint count = 0;
+    for (GLuint id = 1; id < 4096; ++id) count += glIsBuffer(id);
+    return count;
+  };
+  gl::deleteAbandoned();
+  const GLuint before = buffers();
+  auto scene = std::make_unique<SplatScene>(shaders());
+  fill(*scene);
+  picture(*scene, Rasterizer::kTiles, OrderSource::kGpu);
+  const GLuint drawn = buffers();
+  EXPECT_GT(drawn, before);
+
+  const EGLContext other = makeContext();
+  ASSERT_TRUE(other);
+  std::vector<GLuint> theirs(512);
+  glGenBuffers(GLsizei(theirs.size()), theirs.data());
+  for (const GLuint buffer : theirs) glBindBuffer(GL_ARRAY_BUFFER, buffer);
+  scene.reset();
+  gl::deleteAbandoned();
+  for (const GLuint buffer : theirs) EXPECT_TRUE(glIsBuffer(buffer)) << buffer;
+
+  eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, own);
+  eglDestroyContext(display, other);
+  EXPECT_EQ(buffers(), drawn);
+  gl::deleteAbandoned();
+  EXPECT_EQ(buffers(), before);
 }
 
 // Drivers take more than the language has, each something else; the reference compiler doesn't.

@@ -1,10 +1,12 @@
 #include "splat_cloud.hpp"
 
 #include <OgreCamera.h>
+#include <OgreFrameListener.h>
 #include <OgreMaterialManager.h>
 #include <OgreRenderQueue.h>
 #include <OgreRenderTarget.h>
 #include <OgreResourceGroupManager.h>
+#include <OgreRoot.h>
 #include <OgreSceneManager.h>
 #include <OgreSceneNode.h>
 #include <OgreTechnique.h>
@@ -34,6 +36,19 @@ Ogre::MaterialPtr layerMaterial() {
   material->setSceneBlending(Ogre::SBT_TRANSPARENT_ALPHA);
   material->setDepthWriteEnabled(false);
   return material;
+}
+
+// Deletes what maps that are gone have left on the graphics card, while Ogre's context is current.
+struct Undertaker : Ogre::FrameListener {
+  bool frameEnded(const Ogre::FrameEvent&) override {
+    gl::deleteAbandoned();
+    return true;
+  }
+};
+
+void callUndertaker() {
+  static auto* const undertaker = new Undertaker;  // Ogre may end after all that is static
+  Ogre::Root::getSingleton().addFrameListener(undertaker);
 }
 
 // Lists what a queue holds.
@@ -99,6 +114,7 @@ SplatCloud::SplatCloud(const std::string& name, const std::string& resource_grou
       material_(layerMaterial()) {
   setRenderQueueGroup(kRenderQueue);
   setCastShadows(false);
+  callUndertaker();
 }
 
 const Ogre::String& SplatCloud::getMovableType() const {

@@ -32,6 +32,7 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
 
 void SplatRenderer::apply(const GaussianEdit& edit) {
   store_.apply(edit, clock());
+  gl::deleteAbandoned();
   splats_.forget();
 }
 
@@ -172,6 +173,7 @@ void SplatRenderer::divide() {
 void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
                          const RenderSettings& settings, Canvas canvas,
                          const DrawTranslucent& translucent) {
+  gl::deleteAbandoned();
   gl::Stopwatch stopwatch(settings.profile);
   if (translucent) {
     keepTranslucent(camera, translucent);

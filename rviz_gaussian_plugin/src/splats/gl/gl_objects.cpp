@@ -15,51 +15,48 @@ constexpr GLint kStorageBindings = 14, kImageUnits = 3;  // that shaders use
 
 Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
   dropErrors();
-  glGenBuffers(1, &id_);
-  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  GLuint id = 0;
+  glGenBuffers(1, &id);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id);
+  object_ = Object(GL_BUFFER, id);
   glBufferData(GL_COPY_WRITE_BUFFER, static_cast<GLsizeiptr>(bytes), nullptr, usage);
   if (glGetError() != GL_NO_ERROR) {
-    glDeleteBuffers(1, &id_);
+    object_.release();
     throw Error("the graphics driver has no " + std::to_string(bytes >> 20) + " MiB left");
   }
 }
 
-Buffer& Buffer::operator=(Buffer&& other) noexcept {
-  std::swap(id_, other.id_);
-  std::swap(bytes_, other.bytes_);
-  return *this;
-}
-
-Buffer::~Buffer() {
-  if (id_) glDeleteBuffers(1, &id_);
-}
-
 void Buffer::write(std::size_t offset, const void* data, std::size_t bytes) {
-  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id());
   glBufferSubData(GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
                   static_cast<GLsizeiptr>(bytes), data);
 }
 
 void Buffer::read(std::size_t offset, void* data, std::size_t bytes) const {
-  glBindBuffer(GL_COPY_READ_BUFFER, id_);
+  glBindBuffer(GL_COPY_READ_BUFFER, id());
   glGetBufferSubData(GL_COPY_READ_BUFFER, static_cast<GLintptr>(offset),
                      static_cast<GLsizeiptr>(bytes), data);
 }
 
 void Buffer::reserve(std::size_t bytes) {
   if (bytes_ >= bytes) return;
-  *this = Buffer();  // first, so that there is never room for both
+  release();  // first, so that there is never room for both
   *this = Buffer(bytes, GL_DYNAMIC_COPY);
 }
 
+void Buffer::release() {
+  object_.release();
+  bytes_ = 0;
+}
+
 void Buffer::zero() {
-  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id());
   glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
 }
 
 void Buffer::copy(const Buffer& from) {
-  glBindBuffer(GL_COPY_READ_BUFFER, from.id_);
-  glBindBuffer(GL_COPY_WRITE_BUFFER, id_);
+  glBindBuffer(GL_COPY_READ_BUFFER, from.id());
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id());
   glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, 0, 0,
                       static_cast<GLsizeiptr>(from.bytes_));
 }
@@ -79,21 +76,18 @@ void Slice::write(const void* data) const {
 Readback::Readback(std::size_t words) {
   const auto bytes = static_cast<GLsizeiptr>(words * sizeof(GLuint));
   constexpr GLbitfield kAccess = GL_MAP_READ_BIT | GL_MAP_PERSISTENT_BIT | GL_MAP_COHERENT_BIT;
-  glGenBuffers(1, &copy_);
-  glBindBuffer(GL_COPY_WRITE_BUFFER, copy_);
+  GLuint id = 0;
+  glGenBuffers(1, &id);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, id);
+  copy_ = Object(GL_BUFFER, id);
   glBufferStorage(GL_COPY_WRITE_BUFFER, bytes, nullptr, kAccess);
   mapped_ = static_cast<const GLuint*>(glMapBufferRange(GL_COPY_WRITE_BUFFER, 0, bytes, kAccess));
   if (!mapped_) throw Error("the graphics driver maps no buffers");
 }
 
-Readback::~Readback() {
-  if (copied_) glDeleteSync(copied_);
-  glDeleteBuffers(1, &copy_);
-}
-
 void Readback::ask(const Buffer& buffer) {
   glBindBuffer(GL_COPY_READ_BUFFER, buffer.id());
-  glBindBuffer(GL_COPY_WRITE_BUFFER, copy_);
+  glBindBuffer(GL_COPY_WRITE_BUFFER, copy_.id());
   glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, 0, 0,
                       static_cast<GLsizeiptr>(buffer.bytes()));
   if (copied_) glDeleteSync(copied_);
@@ -118,8 +112,6 @@ std::multimap<std::string, GLuint>& retiredPrograms() {
   static std::multimap<std::string, GLuint> programs;
   return programs;
 }
-
-bool hasLabels() { return epoxy_gl_version() >= 43 || epoxy_has_gl_extension("GL_KHR_debug"); }
 
 std::string labelOf(GLuint program) {
   std::array<char, 64> label{};
@@ -285,40 +277,24 @@ Target::Target(GLenum color_format, int width, int height, GLenum depth_format,
     glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
     bytes_ +=
         pixelBytes(format) * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
-    return id;
+    return Object(GL_TEXTURE, id);
   };
   color_ = texture(color_format);
   if (second_format) second_ = texture(second_format);
   depth_ = texture(depth_format);
 }
 
-Target& Target::operator=(Target&& other) noexcept {
-  std::swap(color_, other.color_);
-  std::swap(second_, other.second_);
-  std::swap(depth_, other.depth_);
-  std::swap(format_, other.format_);
-  std::swap(depth_format_, other.depth_format_);
-  std::swap(width_, other.width_);
-  std::swap(height_, other.height_);
-  std::swap(bytes_, other.bytes_);
-  return *this;
-}
-
 bool Target::become(GLenum color_format, int width, int height, GLenum depth_format,
                     GLenum second_format) {
   if (format_ == color_format && width_ == width && height_ == height &&
-      depth_format_ == depth_format && (second_ != 0) == (second_format != 0)) {
+      depth_format_ == depth_format && (second() != 0) == (second_format != 0)) {
     return false;
   }
-  *this = Target();  // first, so that there is never room for both
+  for (Object* texture : {&color_, &second_, &depth_}) {
+    texture->release();  // first, so that there is never room for both
+  }
   *this = Target(color_format, width, height, depth_format, second_format);
   return true;
-}
-
-Target::~Target() {
-  for (const GLuint texture : {color_, second_, depth_}) {
-    if (texture) glDeleteTextures(1, &texture);
-  }
 }
 
 DrawScope::DrawScope(const Target& target, const Target& depth) {
@@ -360,25 +336,14 @@ SampledDepth::SampledDepth(int width, int height, int samples)
            static_cast<std::size_t>(samples);
   GLint bound = 0;
   glGetIntegerv(GL_TEXTURE_BINDING_2D_MULTISAMPLE, &bound);
-  glGenTextures(1, &texture_);
-  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, texture_);
+  GLuint id = 0;
+  glGenTextures(1, &id);
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, id);
+  texture_ = Object(GL_TEXTURE, id);
   // Not of immutable storage: Mesa 22.3 attaches that to a framebuffer only once.
   glTexImage2DMultisample(GL_TEXTURE_2D_MULTISAMPLE, samples, GL_DEPTH_COMPONENT24, width, height,
                           GL_TRUE);
   glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, static_cast<GLuint>(bound));
-}
-
-SampledDepth& SampledDepth::operator=(SampledDepth&& other) noexcept {
-  std::swap(texture_, other.texture_);
-  std::swap(width_, other.width_);
-  std::swap(height_, other.height_);
-  std::swap(samples_, other.samples_);
-  std::swap(bytes_, other.bytes_);
-  return *this;
-}
-
-SampledDepth::~SampledDepth() {
-  if (texture_) glDeleteTextures(1, &texture_);
 }
 
 DepthScope::DepthScope(const SampledDepth& depth) {

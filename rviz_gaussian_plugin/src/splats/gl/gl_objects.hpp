@@ -10,6 +10,8 @@
 #include <utility>
 #include <vector>
 
+#include "gl/object.hpp"
+
 // Owners of OpenGL objects. All of this needs the context current and runs in the render thread.
 namespace rosplat::gl {
 
@@ -24,11 +26,8 @@ class Buffer {
   Buffer() = default;
   // Throws Error where the driver has no memory for it.
   Buffer(std::size_t bytes, GLenum usage);
-  Buffer(Buffer&& other) noexcept { *this = std::move(other); }
-  Buffer& operator=(Buffer&& other) noexcept;
-  ~Buffer();
 
-  GLuint id() const { return id_; }
+  GLuint id() const { return object_.id(); }
   std::size_t bytes() const { return bytes_; }
   void write(std::size_t offset, const void* data, std::size_t bytes);
   // Waits for the graphics card.
@@ -38,6 +37,8 @@ class Buffer {
   void copy(const Buffer& from);
   // Makes room for so many bytes; what was in it is lost if it grows.
   void reserve(std::size_t bytes);
+  // Gives its memory back.
+  void release();
   // Makes room for all of these, and begins with them.
   template <typename Value>
   void upload(const std::vector<Value>& values) {
@@ -45,11 +46,11 @@ class Buffer {
     write(0, values.data(), values.size() * sizeof(Value));
   }
   void bind(GLuint storage_binding) const {
-    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, storage_binding, id_);
+    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, storage_binding, id());
   }
 
  private:
-  GLuint id_ = 0;
+  Object object_;
   std::size_t bytes_ = 0;
 };
 
@@ -75,9 +76,6 @@ class Readback {
  public:
   // Of a buffer of so many words.
   explicit Readback(std::size_t words);
-  ~Readback();
-  Readback(const Readback&) = delete;
-  Readback& operator=(const Readback&) = delete;
 
   // Asks for the buffer as it is between what was submitted and what comes next.
   void ask(const Buffer& buffer);
@@ -85,9 +83,9 @@ class Readback {
   const GLuint* wait() const;
 
  private:
-  GLuint copy_ = 0;
+  Object copy_;
   const GLuint* mapped_ = nullptr;
-  GLsync copied_ = nullptr;
+  GLsync copied_ = nullptr;  // left to its context in the end
 };
 
 // A linked program; uniforms are set by name. What is destroyed waits for the next program of the
@@ -150,17 +148,14 @@ class Target {
   Target() = default;
   Target(GLenum color_format, int width, int height, GLenum depth_format = GL_DEPTH24_STENCIL8,
          GLenum second_format = 0);
-  Target(Target&& other) noexcept { *this = std::move(other); }
-  Target& operator=(Target&& other) noexcept;
-  ~Target();
 
   // Made anew unless it has these formats and this size already; whether it was.
   bool become(GLenum color_format, int width, int height, GLenum depth_format = GL_DEPTH24_STENCIL8,
               GLenum second_format = 0);
 
-  GLuint color() const { return color_; }
-  GLuint second() const { return second_; }
-  GLuint depth() const { return depth_; }
+  GLuint color() const { return color_.id(); }
+  GLuint second() const { return second_.id(); }
+  GLuint depth() const { return depth_.id(); }
   GLenum format() const { return format_; }
   GLenum depthFormat() const { return depth_format_; }
   int width() const { return width_; }
@@ -168,7 +163,7 @@ class Target {
   std::size_t bytes() const { return bytes_; }
 
  private:
-  GLuint color_ = 0, second_ = 0, depth_ = 0;
+  Object color_, second_, depth_;
   GLenum format_ = 0, depth_format_ = 0;
   int width_ = 0, height_ = 0;
   std::size_t bytes_ = 0;
@@ -198,18 +193,15 @@ class SampledDepth {
  public:
   SampledDepth() = default;
   SampledDepth(int width, int height, int samples);
-  SampledDepth(SampledDepth&& other) noexcept { *this = std::move(other); }
-  SampledDepth& operator=(SampledDepth&& other) noexcept;
-  ~SampledDepth();
 
-  GLuint texture() const { return texture_; }
+  GLuint texture() const { return texture_.id(); }
   int width() const { return width_; }
   int height() const { return height_; }
   int samples() const { return samples_; }
   std::size_t bytes() const { return bytes_; }
 
  private:
-  GLuint texture_ = 0;
+  Object texture_;
   int width_ = 0, height_ = 0, samples_ = 0;
   std::size_t bytes_ = 0;
 };

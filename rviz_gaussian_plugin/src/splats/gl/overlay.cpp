@@ -43,19 +43,6 @@ void draw(const CanvasScope& canvas, const OverlayTexture& texture, const Pictur
 
 }  // namespace
 
-OverlayTexture& OverlayTexture::operator=(OverlayTexture&& other) noexcept {
-  std::swap(id_, other.id_);
-  std::swap(stored_as_, other.stored_as_);
-  std::swap(width_, other.width_);
-  std::swap(height_, other.height_);
-  std::swap(bytes_, other.bytes_);
-  return *this;
-}
-
-OverlayTexture::~OverlayTexture() {
-  if (id_) glDeleteTextures(1, &id_);
-}
-
 void OverlayTexture::write(int width, int height, const std::vector<std::uint16_t>& rgba) {
   write(width, height, GL_RGBA16, GL_RGBA, GL_UNSIGNED_SHORT, rgba.data(),
         rgba.size() * sizeof(rgba[0]));
@@ -72,10 +59,12 @@ void OverlayTexture::write(int width, int height, const std::vector<float>& wind
 
 void OverlayTexture::write(int width, int height, GLint stored_as, GLenum format, GLenum type,
                            const void* data, std::size_t bytes) {
-  const bool fits = id_ && width_ == width && height_ == height && stored_as_ == stored_as;
-  if (!id_) glGenTextures(1, &id_);
+  const bool fits = id() && width_ == width && height_ == height && stored_as_ == stored_as;
+  GLuint texture = id();
+  if (!texture) glGenTextures(1, &texture);
   glActiveTexture(GL_TEXTURE0);
-  glBindTexture(GL_TEXTURE_2D, id_);
+  glBindTexture(GL_TEXTURE_2D, texture);
+  if (!id()) texture_ = gl::Object(GL_TEXTURE, texture);
   const gl::PixelScope pixels;
   if (fits) {
     glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, width, height, format, type, data);

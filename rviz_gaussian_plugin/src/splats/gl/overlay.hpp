@@ -13,24 +13,19 @@ namespace rosplat {
 // A texture of what the processor has made, its top row first.
 class OverlayTexture {
  public:
-  OverlayTexture() = default;
-  OverlayTexture(OverlayTexture&& other) noexcept { *this = std::move(other); }
-  OverlayTexture& operator=(OverlayTexture&& other) noexcept;
-  ~OverlayTexture();
-
   // So many channels of as many bits as T has. Throws gl::Error where it is too large.
   void write(int width, int height, const std::vector<std::uint16_t>& rgba);
   void write(int width, int height, const std::vector<std::uint8_t>& rgba);
   void write(int width, int height, const std::vector<float>& window_depths);
 
-  GLuint id() const { return id_; }
+  GLuint id() const { return texture_.id(); }
   std::size_t bytes() const { return bytes_; }
 
  private:
   void write(int width, int height, GLint stored_as, GLenum format, GLenum type, const void* data,
              std::size_t bytes);
 
-  GLuint id_ = 0;
+  gl::Object texture_;
   GLint stored_as_ = 0;
   int width_ = 0, height_ = 0;
   std::size_t bytes_ = 0;

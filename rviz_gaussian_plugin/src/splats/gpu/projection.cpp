@@ -19,10 +19,11 @@ void setView(const gl::Program& program, const rosplat_sorter::View& view) {
 }  // namespace
 
 Projection::Projection(const Shaders& shaders, const Tallies& tallies)
-    : cull_(shaders.compute(
-          {"splat_slot.glsl", "splat_pages.glsl", "splat_visible.glsl", "splat_cull.comp"})),
-      project_(shaders.compute({"splat_slot.glsl", "splat_pages.glsl", "splat_visible.glsl",
-                                "splat_ellipses.glsl", "splat_tiles.glsl", "splat_project.comp"})),
+    : cull_(shaders.compute({"splat_slot.glsl", "splat_pages.glsl", "splat_view.glsl",
+                             "splat_visible.glsl", "splat_cull.comp"})),
+      project_(shaders.compute({"splat_slot.glsl", "splat_pages.glsl", "splat_view.glsl",
+                                "splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
+                                "splat_project.comp"})),
       prefix_sum_(shaders),
       part_size_(shaders.partSize()),
       words_(tallies.of(Tallies::kSlotWords)),

@@ -11,7 +11,7 @@ namespace rosplat {
 
 namespace {
 constexpr std::size_t kDigits = 1u << RadixSort::kDigitBits;
-constexpr Shaders::Files kScatter{"group_sum.glsl", "radix_scatter.comp"};
+constexpr Shaders::Files kScatter{"group_sum.glsl", "radix_digit.glsl", "radix_scatter.comp"};
 
 std::size_t blocks(std::size_t count) { return (count + Tally::kBlock - 1) / Tally::kBlock; }
 }  // namespace
@@ -36,7 +36,7 @@ void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& t
 
 RadixSort::RadixSort(const Shaders& shaders)
     : shaders_(shaders),
-      count_(shaders.compute({"radix_count.comp"})),
+      count_(shaders.compute({"radix_digit.glsl", "radix_count.comp"})),
       sum_(shaders.compute({"group_sum.glsl", "radix_sum.comp"})),
       scatter_(shaders.computeInWarps(kScatter, shaders.subgroups())) {}
 

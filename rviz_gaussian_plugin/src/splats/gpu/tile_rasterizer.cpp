@@ -12,8 +12,10 @@ constexpr std::size_t kMostPairs = std::size_t{1} << 26;  // 1 GiB with what sor
 }  // namespace
 
 TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort, const Tallies& tallies)
-    : count_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_count.comp"})),
-      list_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_list.comp"})),
+    : count_(shaders.compute(
+          {"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl", "tile_count.comp"})),
+      list_(shaders.compute(
+          {"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl", "tile_list.comp"})),
       ranges_(shaders.compute({"tile_ranges.comp"})),
       blend_(shaders.compute(
           {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "tile_blend.comp"})),
