@@ -169,7 +169,9 @@ std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, OrderSource
 }
 
 std::vector<std::uint32_t> picked(SplatScene& scene) {
-  scene.drawPick(camera(), RenderSettings(), Canvas::kNone, 0);
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  scene.drawPick(camera(), settings, Canvas::kNone, 0);
   return scene.readPick();
 }
 
@@ -651,11 +653,12 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
   SplatScene scene(shaders());
   fill(scene);
   const Framebuffer window(GL_DEPTH24_STENCIL8, 4, windowDepth(6));
-  const RenderSettings settings;
-  RenderSettings halved;
-  halved.half_resolution = true;
   const DrawTranslucent translucent = [] {};
   for (const Rasterizer rasterizer : {Rasterizer::kQuads, Rasterizer::kTiles}) {
+    RenderSettings settings;
+    settings.rasterizer = rasterizer;
+    RenderSettings halved = settings;
+    halved.half_resolution = true;
     const auto expected = picture(scene, rasterizer, OrderSource::kGpu, Canvas::kWindow);
     const auto depth = scene.readDepth();
     const OthersState others;
