@@ -21,7 +21,7 @@ help: ## This list
 setup: ## Install what is missing and build the packages
 	@./setup.sh
 
-demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where its vertical is not z; IMU=1 with the IMU panel (GPL)
+demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where its vertical is neither its format's nor z; IMU=1 with the IMU panel (GPL)
 	@./setup.sh $(if $(IMU),imu)
 	@$(ENTER); python -m rviz_gaussian_plugin.demo $(if $(SCENE),"$(SCENE)") $(if $(UP),--up $(UP))
 

@@ -16,13 +16,15 @@ MAX_SH_DEGREE = 3
 # float32 holds half a millimetre at this distance from zero; farther out, an origin is needed.
 FAR_FROM_ZERO = 1e4
 
+LONGEST_ERROR = 10_000  # with a path or a URL in it [characters]
+
 
 class SceneError(ValueError):
     """A scene, camera or option that can't be used; its text, a line, is meant for the user."""
 
     def __init__(self, text: str) -> None:
-        """Cuts what a file put into the text, and escapes its control characters."""
-        super().__init__(shown(text, 800))
+        """Escapes control characters; whoever quotes a file, not a name, cuts the quotation."""
+        super().__init__(shown(text, LONGEST_ERROR))
 
 
 @dataclass(frozen=True, eq=False)

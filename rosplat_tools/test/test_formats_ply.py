@@ -150,6 +150,25 @@ def test_2d_gaussians_are_flat(random_splats: Make, tmp_path: Path) -> None:
     assert flat.scales[:, :2].all()
 
 
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        (["SplatRenderMode: mip"], True),
+        (["splatrendermode: default"], False),
+        (["antialiased 1"], True),
+        (["antialiased 0"], False),
+        (["antialiased 1", "SplatRenderMode: default"], False),
+        (["trained antialiased 1"], False),
+    ],
+)
+def test_comments_tell_how_it_was_trained(
+    random_splats: Make, tmp_path: Path, comments: list[str], expected: bool
+) -> None:
+    save(tmp_path / "a.ply", random_splats(3))
+    write_rows(tmp_path / "b.ply", rows_of(tmp_path / "a.ply"), comments=comments)
+    assert load(tmp_path / "b.ply").antialiased == expected
+
+
 def test_mip_splatting_s_filter_is_applied_as_its_own_fused_ply_has_it(
     random_splats: Make, tmp_path: Path
 ) -> None:

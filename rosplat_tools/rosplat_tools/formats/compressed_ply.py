@@ -35,7 +35,7 @@ from rosplat_tools.formats.decoded import (
     blocks,
     decoded,
 )
-from rosplat_tools.formats.ply import ANTIALIASED, rest_names
+from rosplat_tools.formats.ply import ANTIALIASED, antialiased, rest_names
 from rosplat_tools.formats.ply_file import PlyFile, header
 from rosplat_tools.formats.quantised import largest_restored, smallest_three, to_bytes
 from rosplat_tools.splats import SceneError, Splats
@@ -64,7 +64,7 @@ SQRT2 = np.float32(np.sqrt(2))
 def recognises(path: Path, head: bytes) -> bool:
     """Whether a file begins like a PLY with packed positions."""
     end = head.find(b"end_header")
-    return head[:3] == b"ply" and f"uint {POSITION}".encode() in head[: max(0, end)]
+    return head[:3] == b"ply" and POSITION.encode() in head[: max(0, end)]
 
 
 def axes(path: Path) -> Axes:
@@ -126,7 +126,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         scales=scales,
         opacities=opacities,
         sh=sh,
-        antialiased=ANTIALIASED in file.comments,
+        antialiased=antialiased(file.comments),
     )
 
 

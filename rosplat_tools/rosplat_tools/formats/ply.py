@@ -35,7 +35,7 @@ COLOR = ["f_dc_0", "f_dc_1", "f_dc_2"]
 SCALE = ["scale_0", "scale_1", "scale_2"]
 ROTATION = ["rot_0", "rot_1", "rot_2", "rot_3"]
 
-# Brush's spelling for models trained as Mip-Splatting; splat-transform reads and writes it too.
+# Brush's comment for models trained as Mip-Splatting; splat-transform reads and writes it too.
 ANTIALIASED = "SplatRenderMode: mip"
 
 # Mip-Splatting's own PLYs hold its 3D smoothing filter beside what it is to be applied to. [m]
@@ -100,7 +100,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         scales=scales,
         opacities=opacities,
         sh=sh,
-        antialiased=bool(filters) or ANTIALIASED in file.comments,
+        antialiased=bool(filters) or antialiased(file.comments),
     )
 
 
@@ -133,6 +133,16 @@ def _rows(splats: Splats) -> NDArray[np.void]:
     _fill(rows, SCALE, np.log(np.maximum(splats.scales, TINY)))
     _fill(rows, ROTATION, np.roll(splats.orientations, 1, axis=1))
     return rows
+
+
+def antialiased(comments: list[str]) -> bool:
+    """Whether a header says so: Brush's comment, or Postshot's `antialiased 1`; the last counts."""
+    found = False
+    for comment in comments:
+        words = comment.lower().split()
+        if words[:1] in (["splatrendermode:"], ["antialiased"]):
+            found = words[1:] in (["mip"], ["1"])
+    return found
 
 
 def rest_names(path: Path, rows: NDArray[np.void]) -> list[str]:

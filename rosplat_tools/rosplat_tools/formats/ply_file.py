@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_sorter.log_text import shown
 from rosplat_tools.formats.bounds import size_of
 from rosplat_tools.splats import SceneError
 
@@ -85,7 +86,9 @@ class PlyFile:
             if keyword == "format":
                 form, version = words
                 if version != "1.0" or form not in ORDERS:
-                    raise ValueError(f"{line!r}, expected one of {', '.join(ORDERS)}, version 1.0")
+                    raise ValueError(
+                        f"{shown(line)}, expected one of {', '.join(ORDERS)}, version 1.0"
+                    )
                 order = ORDERS[form]
                 self._text = form == "ascii"
             elif keyword == "comment":
@@ -98,17 +101,17 @@ class PlyFile:
                 if keyword == "element":
                     name, count = words
                     if not count.isdecimal() or len(count) > 18 or name in self.elements:
-                        raise ValueError(f"{line!r}")
+                        raise ValueError(shown(line))
                     self.elements[name] = Element(int(count), np.dtype([]), [])
             elif keyword == "property":
                 if not self.elements or len(words) != (4 if words[0] == "list" else 2):
-                    raise ValueError(f"{line!r}")
+                    raise ValueError(shown(line))
                 if words[0] == "list":
                     lists.append(words[3])
                 elif words[0] in TYPES:
                     columns.append((words[1], order + TYPES[words[0]]))
                 else:
-                    raise ValueError(f"{line!r}: no type {words[0]}")
+                    raise ValueError(f"{shown(line)}: no such type")
         if not order:
             raise ValueError("no format")
 

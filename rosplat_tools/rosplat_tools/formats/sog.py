@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from rosplat_sorter.log_text import shown
 from rosplat_tools.formats.bounds import claim, size_of, unpackable
 from rosplat_tools.formats.codebook import codebook, nearest, palette
 from rosplat_tools.formats.decoded import (
@@ -50,6 +51,7 @@ IN_SPACE_ORDER = True
 
 META = "meta.json"
 LARGEST_META = 1 << 20  # it takes 15,000 [bytes]
+LONGEST_NAME = 255  # of a file, as most file systems have it
 LARGEST_TAG = 252  # alpha of a quaternion's pixel: 252 + index of the component left out
 PALETTE_PER_ROW = 64
 LARGEST_PALETTE = 1 << 16
@@ -196,7 +198,9 @@ class _Reader:
             raise SceneError(f"{path}: {META} holds no fields")
         self._version = self._meta.get("version", 1)  # which version 1 had not
         if self._version not in (1, 2):
-            raise SceneError(f"{path}: SOG version {self._version!r} can't be read, only 1 and 2")
+            raise SceneError(
+                f"{path}: SOG version {shown(repr(self._version))} can't be read, only 1 and 2"
+            )
 
     def read(self, progress: Progress, warn: Warn) -> Splats:
         n = self._count()
@@ -253,7 +257,9 @@ class _Reader:
         else:
             n, name = self._field("count"), "count"
         if type(n) is not int or n < 0:  # true is an int, too
-            raise SceneError(f"{self._path}: {name} is {n!r}, expected a number of splats")
+            raise SceneError(
+                f"{self._path}: {name} is {shown(repr(n))}, expected a number of splats"
+            )
         return n
 
     def _table(self, field: str, channels: int) -> NDArray[np.float32]:
@@ -275,7 +281,7 @@ class _Reader:
         else:
             degree = self._field("shN", "bands")
             if type(degree) is not int or not 1 <= degree <= MAX_SH_DEGREE:
-                raise SceneError(f"{self._path}: shN.bands is {degree!r}, expected 1, 2 or 3")
+                raise SceneError(f"{self._path}: shN.bands is {shown(repr(degree))}, not 1, 2 or 3")
         if degree is None or ks.get(image.width) != degree:
             wanted = ", ".join(str(w) for w, d in ks.items() if degree in (None, d))
             name = self._name("shN", 0)
@@ -332,8 +338,10 @@ class _Reader:
         if not isinstance(files, list) or len(files) <= index or not isinstance(files[index], str):
             raise SceneError(f"{self._path}: {field}.files has no file name at {index}")
         name: str = files[index]
-        if Path(name).name != name or "\0" in name:
-            raise SceneError(f"{self._path}: {name!r} is not the name of a file beside {META}")
+        if Path(name).name != name or "\0" in name or len(name) > LONGEST_NAME:
+            raise SceneError(
+                f"{self._path}: {shown(repr(name))} is not the name of a file beside {META}"
+            )
         return name
 
     def _size(self, name: str) -> int:

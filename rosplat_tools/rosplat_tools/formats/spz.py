@@ -143,7 +143,7 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
         packed["scales"][part] = to_bytes(16 * (logarithms + 10))
         packed["rotations"][part] = _packed_rotations(splats.orientations[part])
         packed["sh"][part] = _packed_sh(splats.sh[part, 1:])
-    compressor = zstandard.ZstdCompressor(level=12)
+    compressor = zstandard.ZstdCompressor(level=12, threads=-1)
     streams = [
         (data.nbytes, compressor.compress(data.data)) for data in packed.values() if data.nbytes
     ]
