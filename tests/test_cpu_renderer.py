@@ -1,0 +1,140 @@
+"""The processor's rasteriser, without OpenGL, against its float64 twin and gsplat's pictures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rosplat_lab import reference
+from rosplat_lab.bench.embedded import insert_all, pose
+from rosplat_tools.cameras import Camera, load_cameras, look_at
+from rosplat_tools.formats import load
+from rosplat_tools.splats import Splats
+from rviz_gaussian_plugin import offscreen
+from rviz_gaussian_plugin.offscreen import Antialiasing, CpuRenderer, Instructions
+
+Array = NDArray[Any]
+
+INSTRUCTIONS = [Instructions.PLAIN, Instructions.AVX2, Instructions.AVX512]
+
+
+@pytest.fixture(params=INSTRUCTIONS, ids=lambda instructions: instructions.name)
+def renderer(request: pytest.FixtureRequest) -> CpuRenderer:
+    renderer = CpuRenderer(threads=2, instructions=request.param)
+    if renderer.instructions != request.param.name.lower():
+        pytest.skip(f"this machine has no {request.param.name}")
+    return renderer
+
+
+def draw(renderer: CpuRenderer, camera: Camera, **wanted: Any) -> dict[str, Any]:
+    drawn: dict[str, Any] = renderer.draw(offscreen.Camera(*pose(camera)), **wanted)
+    return drawn
+
+
+def decibels(picture: Array, expected: Array) -> float:
+    """PSNR of what a screen could show, peak 1."""
+    error = np.clip(picture, 0, 1).astype(np.float64) - np.clip(expected, 0, 1)
+    return float(-10 * np.log10(np.mean(error**2) + 1e-300))
+
+
+def camera_at(eye: tuple[float, float, float], **overrides: Any) -> Camera:
+    """A camera that looks at the origin."""
+    fields = {
+        "id": 0, "width": 190, "height": 130, "fx": 170.0, "fy": 170.0, "cx": 95.0, "cy": 65.0,
+        "world_to_camera": look_at(eye, (0, 0, 0)),
+    }  # fmt: skip
+    return Camera(**(fields | overrides))
+
+
+CAMERAS = {
+    "outside": camera_at((2.0, 1.0, 0.7)),
+    "inside": camera_at((0.2, 0.1, 0.1)),
+    "off-centre": camera_at((-1.5, 1.5, 1.0), cx=20.3, cy=99.6, fx=210.0),
+    "orthographic": camera_at((1.0, -2.0, 1.0), orthographic=True, fx=60.0, fy=60.0),
+}
+
+
+def cloud(antialiased: bool = False) -> Splats:
+    """Anisotropic splats of all opacities, as packed slots hold them but for size and rotation."""
+    random = np.random.default_rng(4)
+    count = 600
+    orientations = random.normal(size=(count, 4))
+    return Splats(
+        positions=random.normal(scale=0.4, size=(count, 3)).astype(np.float32),
+        orientations=(orientations / np.linalg.norm(orientations, axis=1, keepdims=True)).astype(
+            np.float32
+        ),
+        scales=(0.15 * random.uniform(0.02, 1, size=(count, 3)) ** 2).astype(np.float32),
+        opacities=(random.integers(0, 65536, count) / 65535).astype(np.float32),
+        sh=random.normal(scale=0.8, size=(count, 1, 3)).astype(np.float16).astype(np.float32),
+        antialiased=antialiased,
+    )
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+@pytest.mark.parametrize("view", CAMERAS)
+def test_matches_the_float64_twin(renderer: CpuRenderer, view: str, antialiased: bool) -> None:
+    splats = cloud(antialiased)
+    insert_all(renderer, splats)
+    drawn = draw(renderer, CAMERAS[view], mean_depth=True)
+    expected = reference.render(splats, CAMERAS[view])
+    assert decibels(drawn["colour"], expected.rgba) >= 80
+    alpha = expected.rgba[..., 3]
+    error = np.abs(drawn["depth"][..., 0] - expected.depth)[alpha > 0.05]
+    assert error.mean() < 2e-4  # [m]
+    # A splat next to the cutoff, on one side here and on the other there, is a 255th of a pixel.
+    assert (error * alpha[alpha > 0.05]).max() < 2 / 255
+    assert expected.rgba.max() > 0.5  # there was something to see
+
+
+def test_antialiasing_can_be_forced(renderer: CpuRenderer) -> None:
+    insert_all(renderer, cloud())
+    renderer.settings.antialiasing = Antialiasing.ON
+    expected = reference.render(cloud(antialiased=True), CAMERAS["outside"]).rgba
+    assert decibels(draw(renderer, CAMERAS["outside"])["colour"], expected) >= 80
+
+
+def test_a_given_order_is_drawn(renderer: CpuRenderer) -> None:
+    splats = cloud()
+    insert_all(renderer, splats)
+    slots = np.random.default_rng(3).permutation(len(splats))[:300].astype(np.uint32)
+    expected = reference.render(splats, CAMERAS["outside"], order=slots).rgba
+    assert decibels(draw(renderer, CAMERAS["outside"], order=slots)["colour"], expected) >= 80
+
+
+@pytest.mark.parametrize("view", CAMERAS)
+def test_picks_what_the_twin_picks(renderer: CpuRenderer, view: str) -> None:
+    insert_all(renderer, cloud())
+    expected, most = reference.pick(cloud(), CAMERAS[view])
+    picked = renderer.pick(offscreen.Camera(*pose(CAMERAS[view]))).astype(np.int32)
+    clear = np.abs(most - 0.05) > 1e-3
+    expected[most < 0.05] = -1
+    assert np.mean(picked[clear] != expected[clear]) < 1e-3  # of next to equal contributions
+
+
+@pytest.mark.parametrize(("name", "file"), [("wolf", "wolf.spz"), ("playbot", "playbot")])
+def test_trained_scenes_match_gsplat(
+    renderer: CpuRenderer, data_folder: Path, reference_folder: Path, name: str, file: str
+) -> None:
+    insert_all(renderer, load(data_folder / file))
+    for camera in load_cameras(reference_folder / name / "cameras.json"):
+        theirs = cv2.imread(str(reference_folder / name / camera.image), cv2.IMREAD_UNCHANGED)
+        ours = draw(renderer, camera)["colour"][..., 2::-1]
+        assert decibels(ours, theirs / 65535) >= 77
+
+
+def test_a_map_far_from_its_origin_is_as_sharp(renderer: CpuRenderer) -> None:
+    insert_all(renderer, cloud())
+    near = draw(renderer, CAMERAS["outside"])["colour"]
+    offset = np.array([4.5e6, -1.2e6, 3.3e5])
+    shifted = CAMERAS["outside"].world_to_camera.copy()
+    shifted[:3, 3] -= shifted[:3, :3] @ offset
+    insert_all(renderer, replace(cloud(), origin=offset))
+    far = draw(renderer, replace(CAMERAS["outside"], world_to_camera=shifted))["colour"]
+    assert decibels(far, near) >= 80
