@@ -1,6 +1,6 @@
 """rviz2 on a screen of its own, with a remote control: what the tests of the Display share.
 
-It draws in software on every machine, so that Order Source Auto asks a sidecar everywhere.
+It draws in software on every machine. Maps take a sidecar's orders where there are any.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TOP = "{Class: rviz_default_plugins/TopDownOrtho, Scale: 100, X: 0, Y: 0, Angle:
 
 def map_display(name: str = "Map", topic: str = "/gaussians", **properties: object) -> str:
     """A GaussianMap in an rviz configuration, which draws pictures for others, too."""
-    serves = {"Render Service": True}
+    serves = {"Render Service": True, "Order Source": "Sidecar"}
     return _display("rviz_gaussian_plugin/GaussianMap", name, Topic=topic, **(serves | properties))
 
 

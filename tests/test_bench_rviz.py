@@ -18,7 +18,7 @@ DISPLAYS = """\
   Name: exact
   Enabled: true
   Value: true
-  Quality: Exact
+  Float Blending: true
   SH Degree: "{sh_degree}"
   Topic: {Value: "{topic}", Depth: 5}
 - Class: nowhere/Nothing

@@ -33,12 +33,12 @@ LIBRARIES = {
     "flip_evaluator": Library(None, "flip-evaluator"),
     "matplotlib": Library("python3-matplotlib", "matplotlib"),
     "numpy": Library("python3-numpy", "numpy"),
+    "plyfile": Library("python3-plyfile-pip", "plyfile"),
     "pygame": Library("python3-pygame", "pygame"),
     "rich": Library("python3-rich", "rich"),
     "skimage": Library("python3-skimage", "scikit-image"),
     "tqdm": Library("python3-tqdm", "tqdm"),
     "yaml": Library("python3-yaml", "pyyaml"),
-    "zstandard": Library(None, "zstandard"),
 }
 # What some machines have and nothing demands: cupy, cuda.core with it, and torch sort on a GPU.
 OPTIONAL = {"cuda", "cupy", "cupyx", "torch"}

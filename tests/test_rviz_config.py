@@ -31,7 +31,6 @@ MAP: dict[str, Any] = {
     "SH Degree/SH Band": "1",
     "Order Source": "Built-in",
     "Antialiasing": "On",
-    "Quality": "Fast",
     "Float Blending": True,
     "Near Fade": 0.25,
     "Clip Box": True,
@@ -45,7 +44,7 @@ MAP: dict[str, Any] = {
     "Sidecar Backend": "native",
     "Publish Camera": True,
     "Render Service": False,
-    "Rasterizer": "Quads",
+    "Rasterizer": "Tiles",
     "Rasterizer/Profile": True,
 }
 SUMS = {"Clip Box/Center", "Clip Box/Size"}  # of their parts

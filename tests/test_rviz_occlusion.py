@@ -115,7 +115,7 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize("rasterizer", ["Quads", "Tiles"])
+@pytest.mark.parametrize("rasterizer", ["Processor", "Tiles"])
 @pytest.mark.parametrize("view", list(VIEWS))
 def test_translucent_markers(rviz: Rviz, world: World, view: str, rasterizer: str) -> None:
     """They colour what is behind them, and are coloured by what is before them."""
@@ -142,14 +142,11 @@ def test_translucent_markers(rviz: Rviz, world: World, view: str, rasterizer: st
     seen(128, 64, 64)
 
 
-@pytest.mark.parametrize("quality", ["Balanced", "Fast"])
-@pytest.mark.parametrize("rasterizer", ["Quads", "Tiles"])
-def test_a_fine_grid_is_as_fine_before_splats(
-    rviz: Rviz, world: World, rasterizer: str, quality: str
-) -> None:
+@pytest.mark.parametrize("rasterizer", ["Processor", "Tiles"])
+def test_a_fine_grid_is_as_fine_before_splats(rviz: Rviz, world: World, rasterizer: str) -> None:
     """Its lines are as bright as before nothing, to the last sample of a pixel."""
     lines = {"Color": "0; 255; 0", "Alpha": 0.5, "Cell Size": 0.5}
-    splats = map_display(Rasterizer=rasterizer, Quality=quality)
+    splats = map_display(Rasterizer=rasterizer)
     rviz.load(configuration(display("Grid", "Grid", **lines), splats))
 
     def inner(picture: np.ndarray) -> np.ndarray:

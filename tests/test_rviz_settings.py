@@ -32,7 +32,6 @@ CHANGES = [
     ("SH Degree/SH Band", "3"),
     ("Order Source", "Off"),
     ("Antialiasing", "On"),
-    ("Quality", "Fast"),
     ("Near Fade", 6.0),
     ("Clip Box", True),
 ]

@@ -272,11 +272,11 @@ def test_each_view_says_who_sorted_it_and_asks_until_the_sidecar_did(
         ]
         return len(texts) == 1 and f"by {whom}" in texts[0] and "fresh" in texts[0]
 
-    world.spin_until(lambda: sorted_by("built-in", False) and sorted_by("sidecar (test)", True))
+    world.spin_until(lambda: sorted_by("processor", False) and sorted_by("sidecar (test)", True))
     before = dict(asked)
     world.spin_until(lambda: asked[False] > before[False] + 2)
     assert asked[True] == before[True]
-    assert sorted_by("built-in", False) and sorted_by("sidecar (test)", True)
+    assert sorted_by("processor", False) and sorted_by("sidecar (test)", True)
     rviz.set("Camera", value=False)
     world.spin_until(lambda: not any("view" in name for name in rviz.status("Map")))
 
@@ -291,7 +291,7 @@ def test_a_display_that_sorts_itself_asks_no_sidecar(rviz: Rviz, world: World) -
     itself = {"Order Source": "GPU", "Publish Camera": True}
     rviz.load(configuration(map_display(**itself), view=FLY))
     world.map.replace(cloud())
-    rviz.until_status("Map", "Order", "Ok", "by gpu", "fresh")
+    rviz.until_status("Map", "Order", "Ok", "by processor", "fresh")
     world.spin_until(lambda: poses and world.node.count_publishers("gaussians/view"))
     rviz.set("Position", "X", value=3.0, root="view")
     world.spin_until(lambda: poses[-1].pose.position.x == pytest.approx(3))

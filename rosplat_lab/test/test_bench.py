@@ -92,6 +92,17 @@ def test_other_renderers_are_measured_beside_the_display_s(tmp_path: Path) -> No
     assert all((r.name, r.splats) == ("frame", 2000) and r.gpu for r in records)
 
 
+def test_a_picture_is_worth_more_carried_over(tmp_path: Path) -> None:
+    records = bench(tmp_path, "moving", "--sizes", "2000")
+    found = {
+        (r.parameters["view"], r.parameters["turned"], r.parameters["shown"]): r.value
+        for r in records
+    }
+    for view in ("overview", "inside"):
+        assert found[view, 2, "carried over"] > found[view, 2, "as it is"] + 3
+        assert found[view, 1, "carried over"] > found[view, 8, "carried over"]
+
+
 def test_a_picture_is_whole_when_nothing_is_added_and_its_order_knows_all() -> None:
     frames = [
         streaming.Frame(ended=when, took=0.1, drawn=drawn, fresh=fresh)

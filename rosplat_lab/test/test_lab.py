@@ -373,7 +373,7 @@ def test_a_summary_is_the_median_over_cameras() -> None:
 def test_names_in_a_chart_lie_on_no_other_name_or_dot() -> None:
     figure, axes = plt.subplots(figsize=(4.3, 4.1), dpi=100)
     crowded = summarise(
-        point(f"method {n}", 5 + 0.02 * n, 80 + 0.3 * n, family="quality") for n in range(6)
+        point(f"method {n}", 5 + 0.02 * n, 80 + 0.3 * n, family="blend") for n in range(6)
     )
     axes.set(xlim=(1, 100), ylim=(10, 95), xscale="log")
     figure.canvas.draw()

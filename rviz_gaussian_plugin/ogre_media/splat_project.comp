@@ -23,7 +23,6 @@ uniform bool antialiased;
 uniform int mode;
 uniform float scale_modifier, opacity_modifier;
 uniform float near_fade;  // [m]
-uniform float trained_low_pass;  // [px^2], less than kLowPass where pixels are larger than the view's
 uniform float now;        // as slotAge() reads it
 uniform float age_range;  // what is old [s]
 uniform uint room;        // for visible splats
@@ -132,9 +131,6 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   float det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
   if (antialiased) {
     opacity *= sqrt(det0 / det);
-  } else if (trained_low_pass < kLowPass) {  // as much in all as in smaller pixels
-    float low_pass = trained_low_pass;
-    opacity *= sqrt((det0 + low_pass * (a0 + c0) + low_pass * low_pass) / det);
   }
   if (!(opacity >= kCutoffAlpha)) return e;
 

@@ -31,7 +31,7 @@ class Renderer(_offscreen.Renderer):  # type: ignore[misc]
     """An Ogre scene that holds one map and draws it into a texture.
 
     One in a process; every call but `apply`, `set_order` and `read_order` from the thread that made
-    it. Needs an X display (`ensure_display`) with OpenGL 4.4; raises RuntimeError where it finds
+    it. Needs an X display (`ensure_display`) with OpenGL 2.1; raises RuntimeError where it finds
     none.
     """
 

@@ -88,28 +88,13 @@ TEST(MapStatus, warnsOfWhatIsMissingNotOfWhatIsStillToCome) {
   MapState map;
   map.splats = 10;
   map.expected = 20;
-  EXPECT_TRUE(has(mapStatus(map, {}), "10 splats of 20"));
-  EXPECT_EQ(mapStatus(map, {}).level, StatusProperty::Ok);
+  EXPECT_TRUE(has(mapStatus(map), "10 splats of 20"));
+  EXPECT_EQ(mapStatus(map).level, StatusProperty::Ok);
   map.missed = 1;
-  EXPECT_EQ(mapStatus(map, {}).level, StatusProperty::Warn);
+  EXPECT_EQ(mapStatus(map).level, StatusProperty::Warn);
   map.missed = 0;
   map.dropped = 1;
-  EXPECT_EQ(mapStatus(map, {}).level, StatusProperty::Warn);
-}
-
-TEST(TopicStatus, tellsWhyAnOrderIsDropped) {
-  GaussianClient::Status received;
-  received.batches = 1;
-  received.frame_id = "map";
-  EXPECT_EQ(topicStatus(received).level, StatusProperty::Ok);
-  received.dropped_order = "it has 9 slots, the map 3";
-  EXPECT_EQ(topicStatus(received).level, StatusProperty::Warn);
-  EXPECT_TRUE(has(topicStatus(received), received.dropped_order));
-}
-
-TEST(MapStatus, tellsWhatWaitsToBeDrawn) {
-  EXPECT_FALSE(has(mapStatus({}, {}), "wait"));
-  EXPECT_TRUE(has(mapStatus({}, {7, 12u << 20}), "7 batches wait to be drawn, 12 MiB"));
+  EXPECT_EQ(mapStatus(map).level, StatusProperty::Warn);
 }
 
 TEST(OrderStatus, isToldForEachView) {

@@ -162,9 +162,8 @@ std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, OrderSource
   settings.float_blending = true;
   settings.rasterizer = rasterizer;
   settings.order = order;
-  settings.wait_for_order = true;
   scene.setCamera("view", 1, camera());
-  scene.draw("view", settings, canvas);
+  scene.draw("view", settings, canvas, true);
   return scene.readColor();
 }
 
@@ -654,11 +653,10 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
   fill(scene);
   const Framebuffer window(GL_DEPTH24_STENCIL8, 4, windowDepth(6));
   const DrawTranslucent translucent = [] {};
-  for (const Rasterizer rasterizer : {Rasterizer::kQuads, Rasterizer::kTiles}) {
+  for (const Rasterizer rasterizer :
+       {Rasterizer::kQuads, Rasterizer::kTiles, Rasterizer::kProcessor}) {
     RenderSettings settings;
     settings.rasterizer = rasterizer;
-    RenderSettings halved = settings;
-    halved.half_resolution = true;
     const auto expected = picture(scene, rasterizer, OrderSource::kGpu, Canvas::kWindow);
     const auto depth = scene.readDepth();
     const OthersState others;
@@ -674,8 +672,6 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     EXPECT_EQ(changed(before), State());
     scene.hideFarther();
     scene.drawBefore();
-    EXPECT_EQ(changed(before), State());
-    scene.draw("view", halved, Canvas::kWindow, false);
     EXPECT_EQ(changed(before), State());
     scene.drawSurface(camera(), settings, Canvas::kWindow, 100);
     EXPECT_EQ(changed(before), State());

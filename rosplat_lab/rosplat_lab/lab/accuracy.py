@@ -59,11 +59,6 @@ LESSONS = {
     "least size": (
         "Leaving out what is smaller than half a pixel costs one scene nothing, the other 26 dB."
     ),
-    "resolution": (
-        "Pixels twice as wide and high, opacities less by what the low-pass filter then widens "
-        "splats, and the picture smoothed into the scene between pixels of the same depth. The "
-        "larger the window, the more is saved and the less is lost."
-    ),
     "other viewers": (
         "RVizSplat and the system of the ROSplat paper, modelled after their public sources "
         "(`lab/viewers.py` says what is and what isn't). RVizSplat's model is within 0.1 dB of the "
@@ -71,20 +66,6 @@ LESSONS = {
         "views of two scenes (no command of this repository repeats that); its frames are timed in "
         "[performance](performance.md). The paper's system raises colours to 1/2.2 before it "
         "blends, which the maps were not trained for; without that it is as good as RGBA8 is."
-    ),
-    "quality": (
-        "The Display's *Quality*. Exact: a fresh order, kept in 32-bit floats. Balanced: 16-bit "
-        "floats on a graphics card, and where a sorter sorts, under motion, its last order (see "
-        "the ages). Fast: besides, quads at half the resolution, which takes 11 to 20 % less time "
-        "in software at 640x360, and a fifth to a quarter at 1920x1080, where it also shows less. "
-        "Tiles stay at full resolution: half of it took an H100 1.4 to 1.9 times as long at "
-        "640x360, presumably because a quarter of the tiles, each with more splats, leave most of "
-        "the card idle. Balanced is the knee. Three other ways to be fast gained less for their "
-        "error: leaving out splats whose alphas add up to less than a pixel (1 to 6 %, 45 to 61 "
-        "dB; on an H100 nothing); drawing some of them, with the weight of the rest, which is "
-        "right on average, but noise (1 to 16 %, 35 to 53 dB); ending quads at eight times the "
-        "least alpha (11 %, 47 dB). None cuts harmonics or bits of keys: they cost much and save "
-        "little."
     ),
 }
 

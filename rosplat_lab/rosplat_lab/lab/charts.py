@@ -33,16 +33,15 @@ GROUPS = {
     "old order": ("age",),
     "blending": ("blend", "order", "stochastic"),
     "what a splat holds": ("SH degree", "precision", "packed"),
-    "fewer splats or pixels": ("budget", "least", "resolution", "cut-off"),
+    "fewer splats or pixels": ("budget", "least", "cut-off"),
     "other viewers": ("other",),
-    "Quality": ("quality",),
 }
 COLORS = ["#222222", "#1f77b4", "#9467bd", "#2ca02c", "#ff7f0e", "#8c564b", "#d62728", "#e6b800"]
 DISTANCES = (9, 18, 28, 40, 54, 70, 90)  # of a name from its dot [points]
 ANGLES = sorted(range(-165, 195, 15), key=abs)  # and where, from its right on [degrees]
 BELOW = (0.5, -0.18)  # an axis and its label, in its height
 MOST_COLUMNS = 3  # of panels
-NAMED = ("quality", "other viewers")  # besides those that nothing beats
+NAMED = ("other viewers",)  # besides those that nothing beats
 # Which number in a method's name its family varies.
 CURVES = {
     "sort keys": (["keys linear", "keys adaptive", "keys float"], "bits", False),
@@ -146,11 +145,10 @@ def _dot(axes: Any, x: float, summary: Summary) -> None:
     """A median with the 10 % and 90 % quantiles of its error."""
     low, middle, high = summary.values["psnr"]
     color = COLORS[_group(summary)]
-    chosen = summary.family == "quality"
     axes.errorbar(
-        x, middle, yerr=[[middle - low], [high - middle]], fmt="*" if chosen else "o", color=color,
-        markerfacecolor="white" if summary.aside else color, markersize=12 if chosen else 4.5,
-        elinewidth=0.5, ecolor=(*to_rgb(color), 0.35), zorder=4 if chosen else 2,
+        x, middle, yerr=[[middle - low], [high - middle]], fmt="o", color=color,
+        markerfacecolor="white" if summary.aside else color, markersize=4.5,
+        elinewidth=0.5, ecolor=(*to_rgb(color), 0.35), zorder=2,
     )  # fmt: skip
 
 

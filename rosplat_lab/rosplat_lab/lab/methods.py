@@ -135,7 +135,7 @@ def large_enough(pixels: float) -> Sort:
 
 
 def drawn(
-    sort: Sort = as_displayed, age: int = 0, float_blending: bool | None = True, **settings: Any
+    sort: Sort = as_displayed, age: int = 0, float_blending: bool = True, **settings: Any
 ) -> Shoot:
     """By the renderer. In 32-bit floats, so that only what a method varies makes its error."""
     settings["float_blending"] = float_blending
@@ -299,8 +299,6 @@ METHODS: tuple[Method, ...] = (
         Method(f"from {pixels} px", "least size", drawn(large_enough(pixels)), aside=NUMPY)
         for pixels in (0.5, 1, 2)
     ),
-    # In how many pixels.
-    Method("half resolution", "resolution", drawn(half_resolution=True)),
     # What others do.
     _shadygm("torch", baselines.torch_uploading),
     _shadygm("cupy", baselines.cupy_uploading),
@@ -310,8 +308,4 @@ METHODS: tuple[Method, ...] = (
         partial(viewers.shadygm, gamma=1.0),
     ),
     modelled("RVizSplat 1.0.0", "other viewers", viewers.rvizsplat),
-    # All at once: the Display's property Quality.
-    Method("quality exact", "quality", drawn()),
-    Method("quality balanced", "quality", drawn(float_blending=None)),
-    Method("quality fast", "quality", drawn(float_blending=None, half_resolution=True)),
 )  # fmt: skip

@@ -15,8 +15,6 @@ namespace {
 
 using namespace rviz_common::properties;
 
-enum class Quality { kFast, kBalanced, kExact };
-
 template <typename Value>
 EnumProperty* choice(const char* name, const char* preset, const char* description,
                      Property* parent,
@@ -62,8 +60,7 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
                          sh_degree_, {{"All", -1}, {"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}});
   order_ = choice<OrderSource>(
       "Order Source", "Auto",
-      "Whose depth order is drawn. Auto: the graphics card's own; where there is none, the "
-      "sidecar's while it answers, else the built-in sort. "
+      "Whose depth order is drawn. Auto: that of what blends. Sidecar: its own while it answers. "
       "Off: the order of the slots, which shows what sorting is for.",
       display,
       {{"Auto", OrderSource::kAuto},
@@ -73,13 +70,12 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
        {"Off", OrderSource::kOff}});
   rasterizer_ = choice<Rasterizer>(
       "Rasterizer", "Auto",
-      "What blends the splats. Tiles: compute shaders. Quads: fixed-function blending. Processor: "
-      "its own vector instructions, beside rviz: pictures follow the camera, and the newest is "
-      "shown meanwhile. Auto: Tiles where a graphics card draws, else Processor.",
+      "What blends the splats. Tiles: the graphics card. Processor: its own vector instructions, "
+      "beside rviz: pictures follow the camera, and the newest is shown meanwhile. Auto: Tiles "
+      "where a graphics card draws, else Processor.",
       display,
       {{"Auto", Rasterizer::kAuto},
        {"Tiles", Rasterizer::kTiles},
-       {"Quads", Rasterizer::kQuads},
        {"Processor", Rasterizer::kProcessor}});
   profile_ = new BoolProperty("Profile", false,
                               "Show the time of each stage of a frame in the Status; frames then "
@@ -93,20 +89,11 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       {{"As Trained", Antialiasing::kAsTrained},
        {"On", Antialiasing::kOn},
        {"Off", Antialiasing::kOff}});
-  quality_ = choice<Quality>(
-      "Quality", "Balanced",
-      "Balanced: the last order is drawn until the next one is there. Exact: no order is ever "
-      "old, a frame sorts for itself if it must, and pictures are kept in 32-bit floats. Fast: "
-      "quads are drawn at half the resolution, but for pictures for services; tiles, as a graphics "
-      "card has them, gain nothing by that.",
-      display,
-      {{"Fast", Quality::kFast}, {"Balanced", Quality::kBalanced}, {"Exact", Quality::kExact}});
-  float_blending_ =
-      new BoolProperty("Float Blending", false,
-                       "Keep 32-bit instead of 16-bit floats, as is always done where no graphics "
-                       "card draws. Tiles blend in 32 bits anyway and only round their sum; quads "
-                       "round each splat, and take two to five times as long in 32 bits.",
-                       display);
+  float_blending_ = new BoolProperty(
+      "Float Blending", false,
+      "Keep 32-bit instead of 16-bit floats, as the processor always does. Tiles blend in "
+      "32 bits anyway and only round their sum.",
+      display);
   near_fade_ = number("Near Fade", 0.0f, "Splats closer than this to the near plane fade out. [m]",
                       display, 0.0f);
   clip_ = new BoolProperty("Clip Box", false, "Draw only the splats with their mean in a box.",
@@ -124,16 +111,16 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
     on_change();
   };
   for (Property* property :
-       {static_cast<Property*>(mode_),           static_cast<Property*>(auto_range_),
-        static_cast<Property*>(nearest_),        static_cast<Property*>(farthest_),
-        static_cast<Property*>(age_range_),      static_cast<Property*>(alpha_),
-        static_cast<Property*>(scale_),          static_cast<Property*>(sh_degree_),
-        static_cast<Property*>(sh_band_),        static_cast<Property*>(order_),
-        static_cast<Property*>(rasterizer_),     static_cast<Property*>(profile_),
-        static_cast<Property*>(antialiasing_),   static_cast<Property*>(quality_),
-        static_cast<Property*>(float_blending_), static_cast<Property*>(near_fade_),
-        static_cast<Property*>(clip_),           static_cast<Property*>(clip_centre_),
-        static_cast<Property*>(clip_size_),      static_cast<Property*>(clip_handles_)}) {
+       {static_cast<Property*>(mode_), static_cast<Property*>(auto_range_),
+        static_cast<Property*>(nearest_), static_cast<Property*>(farthest_),
+        static_cast<Property*>(age_range_), static_cast<Property*>(alpha_),
+        static_cast<Property*>(scale_), static_cast<Property*>(sh_degree_),
+        static_cast<Property*>(sh_band_), static_cast<Property*>(order_),
+        static_cast<Property*>(rasterizer_), static_cast<Property*>(profile_),
+        static_cast<Property*>(antialiasing_), static_cast<Property*>(float_blending_),
+        static_cast<Property*>(near_fade_), static_cast<Property*>(clip_),
+        static_cast<Property*>(clip_centre_), static_cast<Property*>(clip_size_),
+        static_cast<Property*>(clip_handles_)}) {
     QObject::connect(property, &Property::changed, property, changed);
   }
   hideWithoutEffect();
@@ -145,7 +132,6 @@ void DisplaySettings::hideWithoutEffect() {
   auto_range_->setHidden(!depth);
   nearest_->setHidden(!depth || auto_range_->getBool());
   farthest_->setHidden(!depth || auto_range_->getBool());
-  float_blending_->setHidden(static_cast<Quality>(quality_->getOptionInt()) == Quality::kExact);
   age_range_->setHidden(mode != DrawMode::kAge);
   clip_centre_->setHidden(!clip_->getBool());
   clip_size_->setHidden(!clip_->getBool());
@@ -181,10 +167,7 @@ RenderSettings DisplaySettings::get() const {
   settings.rasterizer = static_cast<Rasterizer>(rasterizer_->getOptionInt());
   settings.profile = profile_->getBool();
   settings.antialiasing = static_cast<Antialiasing>(antialiasing_->getOptionInt());
-  const auto quality = static_cast<Quality>(quality_->getOptionInt());
-  if (float_blending_->getBool() || quality == Quality::kExact) settings.float_blending = true;
-  settings.wait_for_order = quality == Quality::kExact;
-  settings.half_resolution = quality == Quality::kFast;  // "quality" in docs/accuracy.md
+  settings.float_blending = float_blending_->getBool();
   settings.near_fade = near_fade_->getFloat();
   settings.clip_box = {clip_->getBool(), array(clip_centre_), array(clip_size_)};
   return settings;

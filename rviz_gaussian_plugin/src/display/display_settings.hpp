@@ -43,7 +43,6 @@ class DisplaySettings {
   rviz_common::properties::FloatProperty* alpha_;
   rviz_common::properties::FloatProperty* near_fade_;
   rviz_common::properties::EnumProperty* antialiasing_;
-  rviz_common::properties::EnumProperty* quality_;
   rviz_common::properties::BoolProperty* float_blending_;
   rviz_common::properties::BoolProperty* clip_;
   rviz_common::properties::VectorProperty* clip_centre_;

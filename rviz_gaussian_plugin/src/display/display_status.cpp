@@ -68,10 +68,6 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
     return line(StatusProperty::Warn, "Publishers clear each other's map, end all but one of: " +
                                           joined(received.publishers));
   }
-  if (!received.dropped_order.empty()) {
-    return line(StatusProperty::Warn,
-                concat(batches, "; an order is dropped: ", received.dropped_order));
-  }
   return line(StatusProperty::Ok, batches);
 }
 
@@ -102,16 +98,12 @@ StatusLine accuracyStatus(const std::vector<std::string>& regimes) {
   return {StatusProperty::Warn, "Accuracy", joined(regimes, "; ")};
 }
 
-StatusLine mapStatus(const MapState& map, const Backlog& backlog) {
+StatusLine mapStatus(const MapState& map) {
   std::string text = concat(map.splats, " splats");
   if (map.expected > map.splats) text += concat(" of ", map.expected);
   text += concat(", SH degree ", map.sh_degree, map.antialiased ? ", antialiased" : "");
   if (map.missed > 0) text += concat("; ", map.missed, " batches are missing");
   if (map.dropped > 0) text += concat("; ", map.dropped, " splats with invalid values left out");
-  if (backlog.edits > 0) {
-    text += concat("; ", backlog.edits, backlog.edits == 1 ? " batch waits" : " batches wait",
-                   " to be drawn, ", backlog.bytes >> 20, " MiB");
-  }
   const bool whole = map.missed + map.dropped == 0;
   return {whole ? StatusProperty::Ok : StatusProperty::Warn, "Map", text};
 }

@@ -26,7 +26,6 @@
 #include <utility>
 
 #include "messages.hpp"
-#include "printable.hpp"
 
 namespace rosplat {
 
@@ -243,7 +242,7 @@ void GaussianDisplay::updateTransform() {
   scene_node_->setVisible(placed_);
   cloud_->setVisible(true);  // or it would neither upload nor draw pictures for services
   if (!known) {
-    setMissingTransformToFixedFrame(printable(frame));
+    setMissingTransformToFixedFrame(frame);
   } else if (!frame.empty()) {
     scene_node_->setPosition(position);
     scene_node_->setOrientation(orientation);
@@ -296,7 +295,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
     const bool any = backend == kUnchanged || backend == kAnyBackend;
     lines.push_back(sidecarStatus(received, any ? "" : backend, views));
   }
-  if (received.batches > 0) lines.push_back(mapStatus(map, scene.backlog()));
+  if (received.batches > 0) lines.push_back(mapStatus(map));
   const bool draws = cloud_->error().empty();
   if (const std::string& error = draws ? scene.uploadError() : cloud_->error(); !error.empty()) {
     lines.push_back({StatusProperty::Error, kGraphics, error});
@@ -318,7 +317,6 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
 }
 
 void GaussianDisplay::showStatus(std::vector<StatusLine> lines) {
-  for (StatusLine& line : lines) line.text = printable(line.text);  // some of it is a peer's
   const auto contains = [](const std::vector<StatusLine>& among, const auto& like) {
     return std::any_of(among.begin(), among.end(), like);
   };

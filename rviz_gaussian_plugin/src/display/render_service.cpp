@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "messages.hpp"
-#include "printable.hpp"
 
 namespace rosplat {
 
@@ -88,7 +87,7 @@ rosplat_msgs::msg::ViewCamera RenderService::inMapFrame(
   if (!frames_.getTransform(map_frame, map_position, map_orientation) ||
       !frames_.transform(frame, rclcpp::Time(camera.header.stamp, RCL_ROS_TIME), camera.pose,
                          position, orientation)) {
-    throw std::invalid_argument("camera.header.frame_id: no transform from '" + printable(frame) +
+    throw std::invalid_argument("camera.header.frame_id: no transform from '" + frame +
                                 "' to the map");
   }
   position = map_orientation.Inverse() * (position - map_position);
@@ -112,13 +111,14 @@ GaussianClient::RenderView::Response RenderService::draw(bool sort_now) {
     const auto& camera = request_->request->camera;
     response.color = toImage(scene.readColor(), "32FC4", camera);
     response.depth = toImage(scene.readDepth(), "32FC1", camera);
+    const MapState map = scene.state();
     response.splats = report.splats;
     response.order_source = report.order_source;
     response.sort_time = report.sort_time;
     response.draw_time = report.draw_time;
-    response.map_id = report.map.id;
-    response.revision = report.map.revision;
-    response.map_complete = report.map.complete();
+    response.map_id = map.id;
+    response.revision = map.revision;
+    response.map_complete = map.splats > 0 && map.splats + map.dropped >= map.expected;
     response.success = true;
   } catch (const std::exception& error) {
     response.message = error.what();

@@ -17,12 +17,16 @@
 
 #include <algorithm>
 #include <stdexcept>
-#include <tuple>
 
 namespace rosplat {
 
 namespace {
 constexpr const char* kResourceGroup = "rosplat";
+
+// The far plane of the depth buffer that hides splats behind opaque objects. [m]
+double depthRange(const SplatCamera& camera) {
+  return std::min(camera.far_clip, camera.near_clip + 1e4);
+}
 }  // namespace
 
 OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string& plugins) {
@@ -64,8 +68,10 @@ void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequ
                                   const SplatCamera& camera) {
   SplatCamera& mine = cameras_[view_id] = camera;
   mine.extent_scale = extentScale(settings);
-  std::tie(mine.ndc_scale, mine.ndc_offset) = depthBuffer(
-      camera.orthographic, camera.near_clip, depthRange(camera.near_clip, camera.far_clip));
+  const double near = camera.near_clip, far = depthRange(camera);
+  mine.ndc_scale = camera.orthographic ? 2 / (far - near) : (far + near) / (far - near);
+  mine.ndc_offset =
+      camera.orthographic ? -(far + near) / (far - near) : -2 * far * near / (far - near);
   cloud_->scene().setCamera(view_id, sequence, mine);
 }
 
@@ -96,6 +102,12 @@ void OffscreenRenderer::resize(int width, int height) {
   target->setAutoUpdated(false);
   Ogre::Viewport* viewport = target->addViewport(camera_);
   viewport->setOverlaysEnabled(false);
+  paintBackground();
+}
+
+void OffscreenRenderer::paintBackground() {
+  texture_->getBuffer()->getRenderTarget()->getViewport(0)->setBackgroundColour(
+      Ogre::ColourValue(background_[0], background_[1], background_[2]));
 }
 
 FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now) {
@@ -180,10 +192,11 @@ std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id, i
 
 std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float, 3>& background) {
   drawn();
-  Ogre::RenderTexture* target = texture_->getBuffer()->getRenderTarget();
-  target->getViewport(0)->setBackgroundColour(
-      Ogre::ColourValue(background[0], background[1], background[2]));
-  update();
+  if (background != background_) {
+    background_ = background;
+    paintBackground();
+    update();
+  }
   std::vector<std::uint8_t> pixels(3 * std::size_t(width()) * std::size_t(height()));
   texture_->getBuffer()->blitToMemory(Ogre::PixelBox(Ogre::uint32(width()), Ogre::uint32(height()),
                                                      1, Ogre::PF_BYTE_RGB, pixels.data()));

@@ -55,12 +55,14 @@ class OffscreenRenderer {
   const SplatCamera& cameraOf(const std::string& view_id) const;
   SplatScene& drawn();
   void resize(int width, int height);
+  void paintBackground();
   void update();
 
   std::unique_ptr<Ogre::Root> root_;
   Ogre::SceneManager* manager_ = nullptr;
   Ogre::Camera* camera_ = nullptr;
   Ogre::TexturePtr texture_;
+  std::array<float, 3> background_{};
   std::unique_ptr<SplatCloud> cloud_;
   std::map<std::string, SplatCamera> cameras_;
   std::string view_id_;

@@ -24,7 +24,6 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       tiles_(shaders_, sort_, tallies_),
       quads_(shaders_),
       picker_(shaders_),
-      half_(shaders_),
       divide_(shaders_.draw({"splat_composite.vert"}, {"splat_divide.frag"})),
       composite_(shaders_.draw({"splat_composite.vert"}, {"splat_composite.frag"})),
       hide_(shaders_.draw({"splat_composite.vert"}, {"splat_hide.frag"})),
@@ -180,15 +179,11 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
     stopwatch.lap("translucent");
   }
   const CanvasScope window(canvas);
-  const bool floats = settings.float_blending.value_or(!accelerated_);
-  setTarget(color_, floats ? GL_RGBA32F : GL_RGBA16F, camera, settings, window);
+  setTarget(color_, settings.float_blending ? GL_RGBA32F : GL_RGBA16F, camera, settings, window);
   bool in_tiles = (settings.rasterizer == Rasterizer::kTiles ||
                    (settings.rasterizer == Rasterizer::kAuto && accelerated_)) &&
                   sorts();
-  halved_ = settings.half_resolution && !in_tiles;  // "quality" in docs/accuracy.md
-  const SplatCamera drawn = halved_ ? halved(camera) : camera;
-  const RenderSettings shown = halved_ ? settings : inFull(settings);
-  bool unknown = prepare(drawn, map, shown, stopwatch);
+  bool unknown = prepare(camera, map, settings, stopwatch);
   glFlush();  // the graphics card begins while the rest is submitted
   const gl::DrawScope scope(color_);
   copyDepth(window, color_);
@@ -196,50 +191,37 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
     divide();
     stopwatch.lap("divide");
   }
-  const gl::Target* const full_behind = translucent ? &behind_ : nullptr;
-  const gl::Target *target = &color_, *behind = full_behind;
-  std::optional<gl::DrawScope> half_scope;
-  if (halved_) {
-    half_.shrink(color_, full_behind, raster_.top_first);
-    target = &half_.target();
-    behind = full_behind ? &half_.behind() : nullptr;
-    half_scope.emplace(*target);
-    stopwatch.lap("shrink");
-  }
-  in_tiles = in_tiles && !tiles_.refused(*target);
+  const gl::Target* const behind = translucent ? &behind_ : nullptr;
+  in_tiles = in_tiles && !tiles_.refused(color_);
   while (true) {
     if (in_tiles) {
-      if (!tiles_.listed(*target)) {
-        tiles_.count(splats_, *target, stopwatch);
+      if (!tiles_.listed(color_)) {
+        tiles_.count(splats_, color_, stopwatch);
         tallies_.ask();
         unknown = true;
         // Where there were too many, waiting costs less than to list them in vain again.
         if (tiles_.refused() && !checkRoom(map, in_tiles)) {
-          unknown = prepare(drawn, map, shown, stopwatch);
+          unknown = prepare(camera, map, settings, stopwatch);
           continue;
         }
-        tiles_.list(splats_, *target, stopwatch);
+        tiles_.list(splats_, color_, stopwatch);
       }
-      tiles_.blend(splats_, *target, behind, raster_);
+      tiles_.blend(splats_, color_, behind, raster_);
       stopwatch.lap("blend");
     } else {
       if (unknown) tallies_.ask();
-      quads_.blend(splats_, *target, half_scope ? *half_scope : scope, behind, raster_);
+      quads_.blend(splats_, color_, scope, behind, raster_);
       stopwatch.lap("quads");
     }
     // All is submitted: the graphics card goes on while this waits for what it counted first.
     if (!unknown || checkRoom(map, in_tiles)) break;
-    unknown = prepare(drawn, map, shown, stopwatch);
-  }
-  if (halved_) {
-    half_.enlarge(color_, full_behind, raster_.top_first);
-    stopwatch.lap("enlarge");
+    unknown = prepare(camera, map, settings, stopwatch);
   }
   rasterizer_ = in_tiles ? "tiles" : "quads";
   if (canvas != Canvas::kNone) {
     blendOver();
     glDisable(GL_DEPTH_TEST);
-    window.layOver(composite_, full_behind ? behind_ : color_);
+    window.layOver(composite_, behind ? behind_ : color_);
     stopwatch.lap("composite");
   }
   profile_ = stopwatch.laps();
@@ -316,7 +298,7 @@ std::vector<float> SplatRenderer::readDepth() {
   const gl::DrawScope scope(depth_);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, color.framebuffer());
   glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT, GL_NEAREST);
-  quads_.blendDepth(splats_, depth_, raster_, halved_ ? 2 : 1);
+  quads_.blendDepth(splats_, depth_, raster_);
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
@@ -335,7 +317,7 @@ std::vector<float> SplatRenderer::readDepth() {
 std::size_t SplatRenderer::gpuBytes() const {
   return store_.bytes() + splats_.bytes() + sort_.bytes() + tiles_.bytes() + quads_.bytes() +
          picker_.bytes() + color_.bytes() + depth_.bytes() + translucent_.bytes() +
-         behind_.bytes() + half_.bytes() + surface_depth_.bytes() + pick_depth_.bytes();
+         behind_.bytes() + surface_depth_.bytes() + pick_depth_.bytes();
 }
 
 }  // namespace rosplat

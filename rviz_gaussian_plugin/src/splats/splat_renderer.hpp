@@ -13,7 +13,6 @@
 #include "gl/canvas.hpp"
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
-#include "gpu/half_picture.hpp"
 #include "gpu/ordered_splats.hpp"
 #include "gpu/quad_rasterizer.hpp"
 #include "gpu/radix_sort.hpp"
@@ -52,7 +51,7 @@ class SplatRenderer {
 
   // Blends the splats of the order, hidden where the current framebuffer and viewport have
   // something nearer, into a target of its own; then over that viewport, which has the camera's
-  // size. At half resolution, what hides splats keeps its edges. Where the scene has translucent
+  // size. Where the scene has translucent
   // objects, which come next, the splats are divided at the nearest of them in each pixel, and only
   // those behind it are laid over.
   void draw(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
@@ -131,15 +130,13 @@ class SplatRenderer {
   TileRasterizer tiles_;
   QuadRasterizer quads_;
   SplatPicker picker_;
-  HalfPicture half_;
   gl::Program divide_, composite_, hide_, surface_;
 
   gl::Target color_, depth_, surface_depth_, pick_depth_;
   GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver did, or wouldn't copy
   gl::SampledDepth translucent_;                 // of the nearest translucent objects
-  gl::Target behind_;    // the splats behind them, these splats' nearness; the scene's depth
-  Raster raster_;        // of what was drawn last
-  bool halved_ = false;  // the picture was
+  gl::Target behind_;  // the splats behind them, these splats' nearness; the scene's depth
+  Raster raster_;      // of what was drawn last
   const char* rasterizer_ = "";
   std::map<std::string, double> profile_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();

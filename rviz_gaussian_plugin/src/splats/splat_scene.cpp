@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <chrono>
 #include <limits>
-#include <new>
 
 #include "map/hard_regimes.hpp"
 
@@ -13,7 +12,6 @@ namespace {
 
 // What one frame uploads at most, so that a map that streams in doesn't stop the picture.
 constexpr std::size_t kUploadBytesPerFrame = 32u << 20;
-constexpr std::size_t kMostOrders = 64;  // that wait, a view's newest each
 // The view of the mouse tools, which no sidecar hears of.
 constexpr const char* kSurfaceView = "surface";
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
@@ -22,9 +20,8 @@ double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-// What an edit uploads.
 std::size_t bytes(const GaussianEdit& edit) {
-  std::size_t words = kSlotWords * countSlots(edit.runs);
+  std::size_t words = edit.slots.size();
   for (const auto& band : edit.bands) words += band.size();
   return words * sizeof(std::uint32_t);
 }
@@ -42,19 +39,17 @@ BatchReport SplatScene::apply(const GaussianBatch& batch) {
   const std::lock_guard lock(map_mutex_);
   map_.apply(batch, report, [this](const auto& edit, const MapState& state) {
     if (unusable_) return;
-    auto to_draw = EditQueue::node(edit, state), to_sort = EditQueue::node(edit, state);
-    MapState queued = state;  // the last to need memory
+    sorter_.apply(edit, state.id);
     const std::lock_guard queue_lock(queue_mutex_);
-    queued_ = std::move(queued);
-    arrivals_.push(std::move(to_draw));
-    sorter_.apply(std::move(to_sort));
+    queued_ = state;
+    arrivals_.push_back({edit, state});
+    if (edit->clear) arrivals_.erase(arrivals_.begin(), arrivals_.end() - 1);  // never to be seen
   });
   return report;
 }
 
 void SplatScene::offer(OrderPtr order) {
   const std::lock_guard lock(queue_mutex_);
-  if (orders_.size() >= kMostOrders && orders_.count(order->view_id) == 0) return;
   OrderPtr& newest = orders_[order->view_id];
   newest = std::move(order);
 }
@@ -64,21 +59,9 @@ MapState SplatScene::queued() const {
   return queued_;
 }
 
-std::size_t SplatScene::mostSlots(const std::string& map_id, std::uint64_t revision) const {
-  const std::lock_guard lock(map_mutex_);
-  const MapState& map = map_.state();
-  const bool known = map.id == map_id && map.revision == revision;
-  return known ? map.capacity : kMaxSlots;
-}
-
 MapState SplatScene::state() const {
   const std::lock_guard lock(map_mutex_);
   return map_.state();
-}
-
-Backlog SplatScene::backlog() const {
-  const std::lock_guard lock(queue_mutex_);
-  return {arrivals_.size(), arrivals_.bytes()};
 }
 
 std::vector<std::string> SplatScene::hardRegimes(const RenderSettings& settings,
@@ -134,9 +117,9 @@ void SplatScene::moveToCard() {
 bool SplatScene::nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
   const std::lock_guard lock(queue_mutex_);
   if (arrivals_.empty()) return false;
-  EditQueue::Waiting oldest = arrivals_.pop();
-  edit = std::move(oldest.edit);
-  state = std::move(oldest.state);
+  edit = std::move(arrivals_.front().edit);
+  state = std::move(arrivals_.front().state);
+  arrivals_.pop_front();
   return true;
 }
 
@@ -152,11 +135,12 @@ void SplatScene::upload(const RenderSettings& settings) {
 void SplatScene::takeArrivals(std::size_t budget) {
   std::size_t uploaded = 0;
   while (uploaded < budget) {
-    EditQueue::Waiting arrival;
+    Arrival arrival;
     {
       const std::lock_guard lock(queue_mutex_);
       if (arrivals_.empty()) break;
-      arrival = arrivals_.pop();
+      arrival = std::move(arrivals_.front());
+      arrivals_.pop_front();
     }
     if (arrival.edit->clear) {
       uploaded_order_ = nullptr;
@@ -166,8 +150,6 @@ void SplatScene::takeArrivals(std::size_t budget) {
       renderer_->apply(*arrival.edit);
     } catch (const gl::Error& error) {  // the rest of the map is still worth seeing
       upload_error_ = error.what();
-    } catch (const std::bad_alloc&) {
-      upload_error_ = "a part of the map isn't drawn: memory is lacking";
     }
     uploaded += bytes(*arrival.edit);
     drawn_map_ = std::move(arrival.state);
@@ -263,10 +245,8 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
     sortOnGpu();
   } else {
     const bool ours_to_sort = source != OrderSource::kSidecar && source != OrderSource::kOff;
-    const bool sorts = ours_to_sort && sort_now;
-    if (!sorts) choice = book_.choose(view_id, start, source);
-    const bool too_old = ours_to_sort && settings.wait_for_order && !choice.fresh;
-    if (sorts || too_old) choice = book_.sortNow(view_id);
+    choice =
+        ours_to_sort && sort_now ? book_.sortNow(view_id) : book_.choose(view_id, start, source);
     useOrder(choice.order);
   }
   renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas, translucent);
@@ -289,7 +269,6 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
     report.sort_time = choice.order->sort_time;
   }
   report.draw_time = now() - start;
-  report.map = drawn_map_;
   keepPace(view_id, report);
   return reports_[view_id] = std::move(report);
 }
@@ -304,7 +283,9 @@ void SplatScene::takeMap() {
 
 OrderBook::Choice SplatScene::chooseForSoftware(const std::string& view_id, OrderSource source) {
   const bool given = source == OrderSource::kSidecar || source == OrderSource::kOff;
-  return given ? book_.choose(view_id, now(), source) : OrderBook::Choice{};
+  if (!given) return {};
+  const OrderBook::Choice choice = book_.choose(view_id, now(), source);
+  return choice.age > OrderBook::kPatience ? OrderBook::Choice{} : choice;
 }
 
 bool SplatScene::ready(const std::string& view_id, const RenderSettings& settings, bool sort_now) {
@@ -326,7 +307,6 @@ FrameReport SplatScene::drawSoftware(const std::string& view_id, const RenderSet
   const PaintingPtr painting = software_->draw(view_id, cameras_.at(view_id), settings,
                                                choice.order, queued(), canvas, translucent);
   if (!painting) return report;
-  report.map = painting->map;
   takeMap();
   report.splats = choice.order ? choice.order->slots.size() : painting->drawn;
   report.paint_time = painting->took;

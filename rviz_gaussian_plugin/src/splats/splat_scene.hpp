@@ -11,7 +11,6 @@
 #include <utility>
 #include <vector>
 
-#include "map/edit_queue.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/splat_camera.hpp"
 #include "order/built_in_sorter.hpp"
@@ -35,13 +34,6 @@ struct FrameReport {
   double picture_age = 0;                 // of late at most, 0 where it is of the very camera [s]
   std::string rasterizer;                 // "quads", "tiles" or "processor"
   std::map<std::string, double> profile;  // by stage, if asked for [s]
-  MapState map;                           // as it was drawn
-};
-
-// What has arrived and isn't drawn yet.
-struct Backlog {
-  std::size_t edits = 0;
-  std::size_t bytes = 0;
 };
 
 // A map with everything that draws it. apply() and offer() may be called from any thread; whatever
@@ -55,12 +47,8 @@ class SplatScene {
   // Any thread: an order to fill, and a sidecar's to be drawn.
   std::shared_ptr<Order> newOrder() { return pool_.make(); }
   void offer(OrderPtr order);
-  // Any thread: how many slots an order of a map can have.
-  std::size_t mostSlots(const std::string& map_id, std::uint64_t revision) const;
   // Any thread: the map as queued so far.
   MapState state() const;
-  // Any thread: what of it waits to be drawn.
-  Backlog backlog() const;
   // Any thread: where that map and cameras in its frame are hard to draw; see hardRegimes().
   std::vector<std::string> hardRegimes(const RenderSettings& settings,
                                        const std::vector<SplatCamera>& cameras) const;
@@ -124,6 +112,11 @@ class SplatScene {
   std::size_t hostBytes() const;
 
  private:
+  struct Arrival {
+    std::shared_ptr<const GaussianEdit> edit;
+    MapState state;
+  };
+
   // What was drawn of a view lately.
   struct Pace {
     std::deque<double> times, ages;  // of the frames, and of their pictures [s]
@@ -137,6 +130,7 @@ class SplatScene {
   bool nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state);
   void takeOrders();
   void takeMap();  // as the painter has it by now
+  // An order that the processor is to draw instead of its own.
   OrderBook::Choice chooseForSoftware(const std::string& view_id, OrderSource source);
   FrameReport drawSoftware(const std::string& view_id, const RenderSettings& settings,
                            Canvas canvas, OrderSource source, const DrawTranslucent& translucent);
@@ -151,7 +145,7 @@ class SplatScene {
   mutable std::mutex queue_mutex_;  // arrivals_, queued_, orders_
   OrderPool pool_;
   GaussianMap map_;
-  EditQueue arrivals_;
+  std::deque<Arrival> arrivals_;
   MapState queued_;                         // after arrivals_
   std::map<std::string, OrderPtr> orders_;  // newest by view
   std::atomic<bool> unusable_{false};

@@ -128,7 +128,6 @@ void Projection::project(const SlotStore& store, const rosplat_sorter::View& vie
   project_.set("scale_modifier", settings.scale);
   project_.set("opacity_modifier", settings.opacity);
   project_.set("near_fade", settings.near_fade);
-  project_.set("trained_low_pass", settings.half_resolution ? 0.3f / 4 : 0.3f);
   project_.set("now", static_cast<float>(now));
   project_.set("age_range", settings.age_range);
   glUniform2i(project_.at("tiles"), tilesIn(camera.width), tilesIn(camera.height));

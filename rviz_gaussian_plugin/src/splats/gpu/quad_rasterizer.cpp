@@ -30,8 +30,8 @@ void QuadRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
 }
 
 void QuadRasterizer::blendDepth(const OrderedSplats& splats, const gl::Target& target,
-                                const Raster& raster, int pixel) const {
-  draw(splats, splats.drawn(), target, raster, Quads::kDepth, pixel);
+                                const Raster& raster) const {
+  draw(splats, splats.drawn(), target, raster, Quads::kDepth);
 }
 
 // Lists the splats that may be seen before and behind what divides them, by tiles.
@@ -67,8 +67,7 @@ void QuadRasterizer::divide(const OrderedSplats& splats, const gl::Target& targe
 }
 
 void QuadRasterizer::draw(const OrderedSplats& splats, const gl::Buffer& drawn,
-                          const gl::Target& target, const Raster& raster, Quads what,
-                          int pixel) const {
+                          const gl::Target& target, const Raster& raster, Quads what) const {
   glViewport(0, 0, target.width(), target.height());
   const std::array<float, 4> nothing{};
   glClearBufferfv(GL_COLOR, 0, nothing.data());
@@ -80,7 +79,7 @@ void QuadRasterizer::draw(const OrderedSplats& splats, const gl::Buffer& drawn,
   const gl::Program& program = what == Quads::kBehind ? quads_behind_ : quads_;
   program.use();
   raster.set(program);
-  program.set("picture", double(target.width()) / pixel, double(target.height()) / pixel);
+  program.set("picture", double(target.width()), double(target.height()));
   program.set("up", raster.top_first ? -1.0f : 1.0f);
   program.set("raw_depth", int(what == Quads::kDepth));
   splats.projection().bindEllipses(program);

@@ -19,9 +19,8 @@ class QuadRasterizer {
   void blend(const OrderedSplats& splats, const gl::Target& target, const gl::DrawScope& scope,
              const gl::Target* behind, const Raster& raster);
   // Overwrites the colour of the target that is bound by depth [m] and how much there is, instead.
-  // pixel: of the splats' camera, in those of the target.
-  void blendDepth(const OrderedSplats& splats, const gl::Target& target, const Raster& raster,
-                  int pixel = 1) const;
+  void blendDepth(const OrderedSplats& splats, const gl::Target& target,
+                  const Raster& raster) const;
 
   std::size_t bytes() const;
 
@@ -32,7 +31,7 @@ class QuadRasterizer {
   void divide(const OrderedSplats& splats, const gl::Target& target, const gl::Target& behind,
               const Raster& raster);
   void draw(const OrderedSplats& splats, const gl::Buffer& drawn, const gl::Target& target,
-            const Raster& raster, Quads what, int pixel = 1) const;
+            const Raster& raster, Quads what) const;
 
   gl::Program quads_, quads_behind_, tile_depth_, divide_;
   gl::Target tile_depths_;  // nearest and farthest depth that divides the splats in a tile

@@ -217,13 +217,13 @@ GaussianEdit editOf(std::uint32_t first_slot, std::vector<std::uint32_t> slots,
   GaussianEdit edit;
   const std::size_t count = slots.size() / kSlotWords;
   edit.runs = {{first_slot, static_cast<std::uint32_t>(count)}};
-  edit.capacity = first_slot + static_cast<std::uint32_t>(count);
   edit.sh_degree = sh_degree;
   edit.slots = std::move(slots);
   edit.bands = std::move(bands);
   for (std::size_t i = 0; i < count; ++i) {
     edit.slots[kSlotWords * i + kChangeWord] &= 0xffffu;
     const Splat splat = unpackSlot(&edit.slots[kSlotWords * i]);
+    if (splat.opacity > 0) edit.capacity = first_slot + static_cast<std::uint32_t>(i) + 1;
     edit.positions.insert(edit.positions.end(), splat.position.begin(), splat.position.end());
     edit.extents.push_back(extentOf(splat));
   }

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <optional>
 
 #include "map/gaussian_map.hpp"
 
@@ -50,15 +49,13 @@ struct RenderSettings {
   DrawMode mode = DrawMode::kColor;
   int max_sh_degree = kMaxShDegree;
   int only_band = -1;  // draw one band of spherical harmonics alone; -1: all
-  // In 32-bit floats instead of 16-bit ones. Unset: where the processor draws, which takes as long
-  // either way ("blend" in docs/accuracy.md); on a GPU, quads take two to five times as long.
-  std::optional<bool> float_blending;
-  bool wait_for_order = false;  // sort in the frame rather than draw an order that isn't fresh
+  // In 32-bit floats instead of 16-bit ones: more exact ("blend" in docs/accuracy.md); quads take
+  // two to five times as long. The processor always does.
+  bool float_blending = false;
   // On the processor: pictures follow the camera, and the newest is shown meanwhile.
   bool asynchronous = false;
-  bool half_resolution = false;  // quads in pixels twice as wide and high, smoothed; tiles as ever
-  float scale = 1;               // of the splats' size
-  float opacity = 1;             // of their opacity, 0 to 1
+  float scale = 1;    // of the splats' size
+  float opacity = 1;  // of their opacity, 0 to 1
   Antialiasing antialiasing = Antialiasing::kAsTrained;
   OrderSource order = OrderSource::kAuto;
   Rasterizer rasterizer = Rasterizer::kAuto;
@@ -71,9 +68,8 @@ struct RenderSettings {
   // Whether splats are projected alike.
   bool projectsAs(const RenderSettings& o) const {
     return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
-           half_resolution == o.half_resolution && scale == o.scale && opacity == o.opacity &&
-           antialiasing == o.antialiasing && clip_box == o.clip_box && near_fade == o.near_fade &&
-           age_range == o.age_range;
+           scale == o.scale && opacity == o.opacity && antialiasing == o.antialiasing &&
+           clip_box == o.clip_box && near_fade == o.near_fade && age_range == o.age_range;
   }
 };
 
@@ -83,7 +79,6 @@ inline double extentScale(const RenderSettings& settings) { return std::max(1.0f
 // The same without what is for the eye's speed alone: for the mouse, and for pictures that are
 // kept.
 inline RenderSettings inFull(RenderSettings settings) {
-  settings.half_resolution = false;
   settings.asynchronous = false;
   return settings;
 }

@@ -2,6 +2,7 @@
 
 #include <condition_variable>
 #include <cstdint>
+#include <deque>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -11,9 +12,7 @@
 #include <utility>
 #include <vector>
 
-#include "map/edit_queue.hpp"
 #include "map/gaussian_map.hpp"
-#include "map/slot_pages.hpp"
 #include "map/sorter_view.hpp"
 #include "order/order.hpp"
 #include "rosplat_sorter/depth_order.hpp"
@@ -29,7 +28,7 @@ class BuiltInSorter {
   ~BuiltInSorter();
 
   // Edits reach the worker in order, before any sort asked for later.
-  void apply(EditQueue::Node edit) noexcept;
+  void apply(std::shared_ptr<const GaussianEdit> edit, const std::string& map_id);
 
   // Sorts for a camera; a newer request for the same view replaces one that waits. With `base`, a
   // sidecar's order of an older revision, only the slots changed since are sorted and merged into
@@ -54,33 +53,40 @@ class BuiltInSorter {
     rosplat_sorter::View view{};
     OrderPtr base;
   };
+  struct Edit {
+    std::shared_ptr<const GaussianEdit> edit;
+    std::string map_id;
+  };
+
+  // The slots that an edit changed.
+  struct Change {
+    std::uint64_t revision = 0;
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;  // first, count
+  };
+
   void run();
-  void apply(const EditQueue::Waiting& item);
+  void apply(const Edit& edit);
   void hold(const GaussianEdit& edit);
   OrderPtr sort(const std::string& view_id, const Request& request);
-  void sortAll(const rosplat_sorter::View& view, std::vector<std::uint32_t>& slots);
   void merge(const Request& request, std::vector<std::uint32_t>& merged);
 
   OrderPool& pool_;
   mutable std::mutex mutex_;
   std::condition_variable wake_, finished_;
   bool stop_ = false;
-  EditQueue edits_;
+  std::deque<Edit> edits_;
   std::map<std::string, Request> requests_;
   std::map<std::string, OrderPtr> orders_;
   std::size_t bytes_ = 0;
 
-  // The worker's own.
+  // The worker's own, by slot.
   std::string map_id_;
-  std::uint64_t round_ = 0, revision_ = 0;
+  std::uint64_t revision_ = 0;
   std::uint64_t begun_at_ = 0;  // revision since which it only grew
   bool out_of_memory_ = false;  // until the next clear
-  std::uint32_t capacity_ = 0;  // as GaussianEdit::capacity
-  SlotPages pages_;
-  // Rows of the pages' slots, by place.
   std::vector<float> positions_, extents_;
-  std::vector<std::uint64_t> changed_at_;    // revision of a slot's last change
-  std::vector<std::uint64_t> page_changed_;  // of a page's, by place
+  std::vector<std::uint64_t> changed_at_;  // revision of a slot's last change
+  std::deque<Change> recent_;              // whose slots a merge sorts
   rosplat_sorter::DepthOrder depth_order_{rosplat_sorter::ThreadTeam::ofViewers()};
   std::thread thread_;
 };

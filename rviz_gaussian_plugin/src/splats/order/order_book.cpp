@@ -22,7 +22,7 @@ void OrderBook::setCamera(const std::string& view_id, std::uint64_t sequence,
 
 void OrderBook::mapChanged(const MapState& map, double now) {
   // Another map, or the same that is played once more: its revisions begin again.
-  const bool begins = map.round != map_.round;
+  const bool begins = map.id != map_.id || map.revision <= map_.revision;
   for (auto& [id, view] : views_) {
     if (view.sidecar && fresh(view, *view.sidecar)) view.waiting_since = now;
     if (begins) {
@@ -51,7 +51,7 @@ bool OrderBook::offer(const OrderPtr& order, double now) {
     return true;
   }
   if (view.sidecar && order->sequence < view.sidecar->sequence) return false;
-  if (order->bound > map_.capacity || order->slots.size() > map_.capacity) return false;
+  if (order->bound > map_.capacity) return false;
   view.sidecar = order;
   view.waiting_since = now;
   return true;
