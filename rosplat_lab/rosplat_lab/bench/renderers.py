@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rosplat_lab.bench import embedded
 from rosplat_tools.cameras import Camera
@@ -40,4 +43,48 @@ class CpuRenderer:
         self._renderer.draw(self._camera(*embedded.pose(camera)))
 
 
-RENDERERS: dict[str, Callable[[], Renderer]] = {"cpu": CpuRenderer}
+class GsplatRenderer:
+    """gsplat's rasterisation by CUDA, without gradients, until its colours are on the GPU."""
+
+    def __init__(self) -> None:
+        import gsplat
+        import torch
+
+        if not torch.cuda.is_available():
+            raise RuntimeError("torch finds no GPU")
+        self._gsplat, self._torch = gsplat, torch
+        self.device = f"{torch.cuda.get_device_name()}, gsplat {gsplat.__version__}"
+
+    def show(self, splats: Splats) -> None:
+        def put(values: NDArray[np.float32]) -> Any:
+            return self._torch.from_numpy(np.ascontiguousarray(values)).cuda()
+
+        self._origin = splats.origin
+        self._degree = splats.sh_degree
+        self._mode = "antialiased" if splats.antialiased else "classic"
+        self._splats = [
+            put(splats.positions),
+            put(np.roll(splats.orientations, 1, axis=1)),  # w first
+            put(splats.scales),
+            put(splats.opacities),
+            put(splats.sh),
+        ]
+
+    def draw(self, camera: Camera) -> None:
+        torch = self._torch
+        view = camera.world_to_camera.copy()
+        view[:3, 3] += view[:3, :3] @ self._origin
+        lens = [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]
+        with torch.no_grad():
+            self._gsplat.rasterization(
+                *self._splats,
+                torch.tensor(view[None], dtype=torch.float32, device="cuda"),
+                torch.tensor([lens], dtype=torch.float32, device="cuda"),
+                camera.width, camera.height, near_plane=camera.near, far_plane=camera.far,
+                sh_degree=self._degree, packed=False, rasterize_mode=self._mode,
+                camera_model="ortho" if camera.orthographic else "pinhole",
+            )  # fmt: skip
+        torch.cuda.synchronize()
+
+
+RENDERERS: dict[str, Callable[[], Renderer]] = {"cpu": CpuRenderer, "gsplat": GsplatRenderer}
