@@ -80,11 +80,10 @@ float falloffAt(vec2 sigmas) { return exp2(-dot(sigmas, sigmas)); }
 
 bool isBall(int mode) { return mode == kFlatBall || mode == kGaussianBall; }
 
-// How opaque a splat is at a falloff, 0 where it can't be seen.
+// How opaque a splat is at a falloff; less than kCutoffAlpha can't be seen.
 float alphaAt(float opacity, float falloff, int mode) {
   if (isBall(mode)) return falloff < kBallEdge ? 0.0 : 1.0;
-  float alpha = min(kMaxAlpha, opacity * falloff);
-  return alpha < kCutoffAlpha ? 0.0 : alpha;
+  return min(kMaxAlpha, opacity * falloff);
 }
 
 // What depths are sorted by: grows with them, over negative ones too.

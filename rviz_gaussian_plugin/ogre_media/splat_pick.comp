@@ -68,6 +68,7 @@ void main() {
     for (uint k = 0u; k < count && transmittance > most; ++k) {
       if (places[k].z > hidden_from || places[k].z < 0.0) continue;
       float alpha = pixelAlpha(k, vec2(pixel) + 0.5);
+      if (alpha < kCutoffAlpha) continue;
       if (transmittance * alpha > most) {
         most = transmittance * alpha;
         winner = indices[k];

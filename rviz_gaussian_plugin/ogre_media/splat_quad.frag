@@ -15,7 +15,7 @@ void main() {
   if (gl_FragCoord.z > texelFetch(scene_depth, ivec2(gl_FragCoord.xy), 0).r) discard;
 #endif
   float falloff = falloffAt(kHalfLog2 * sigmas), alpha = alphaAt(colour.a, falloff, mode);
-  if (alpha == 0.0) discard;
+  if (alpha < kCutoffAlpha) discard;
   vec3 rgb = colour.rgb * (mode == kGaussianBall ? falloff : 1.0);
   blended = vec4(rgb * alpha, alpha);
 #ifdef BEHIND

@@ -98,7 +98,7 @@ void main() {
         float alpha = alphaAt(splat.a, falloff, mode);
         if (mode == kGaussianBall) splat.rgb *= falloff;
 #ifdef BEHIND
-        if (alpha > 0.0 && shape.z > hidden_from && shape.z <= behind_until) {
+        if (alpha >= kCutoffAlpha && shape.z > hidden_from && shape.z <= behind_until) {
           colour_behind += transmittance_behind * alpha * splat.rgb;
           nearness += transmittance_behind * alpha * (1.0 - shape.z);
           transmittance_behind *= 1.0 - alpha;
@@ -107,7 +107,7 @@ void main() {
           continue;
         }
 #endif
-        if (alpha == 0.0 || shape.z > hidden_from || shape.z < 0.0) continue;
+        if (alpha < kCutoffAlpha || shape.z > hidden_from || shape.z < 0.0) continue;
         colour += transmittance * alpha * splat.rgb;
         transmittance *= 1.0 - alpha;
         done = transmittance < kTransparent;
