@@ -3,8 +3,8 @@
 #include <random>
 #include <vector>
 
+#include "map/page_view.hpp"
 #include "order/built_in_sorter.hpp"
-#include "order/page_view.hpp"
 
 namespace rosplat {
 namespace {

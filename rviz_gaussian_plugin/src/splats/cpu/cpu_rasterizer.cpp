@@ -7,8 +7,10 @@
 #include <limits>
 #include <new>
 #include <numeric>
+#include <utility>
 
 #include "cpu/kernels.hpp"
+#include "map/page_view.hpp"
 #include "map/sorter_view.hpp"
 
 namespace rosplat {
@@ -221,12 +223,13 @@ struct CpuRasterizer::Work {
   bool run(const HostSlots& slots, const MapState& map, const PictureRequest& request,
            SplatPicture* picture, std::vector<std::uint32_t>* picked);
   void setViews(const HostSlots& slots, const MapState& map, const PictureRequest& request);
-  void choosePages(const HostSlots& slots);
+  void choosePages(const HostSlots& slots, const PageView& view);
   void cull();
   void deal();
   void halve(const Slice& slice);
   void openTiles(const PictureRequest& request);
   void raisePyramid();
+  bool hidden(const SlotPage& page) const;
   void findTiles(const Footprint& footprint, std::uint32_t record, Part& part) const;
   bool project(const Slice& slice);
   void list();
@@ -356,7 +359,6 @@ void CpuRasterizer::Work::setViews(const HostSlots& slots, const MapState& map,
   p.ndc_offset = static_cast<float>(camera.ndc_offset);
   p.scale_modifier = settings.scale;
   p.opacity_modifier = settings.opacity;
-  p.trained_low_pass = request.trained_low_pass;
   p.now = static_cast<float>(request.now);
   p.age_range = settings.age_range;
   p.depth_range[0] = settings.depth_range[0];
@@ -388,43 +390,13 @@ void CpuRasterizer::Work::setViews(const HostSlots& slots, const MapState& map,
   }
 }
 
-// Those whose bounds may be in the picture, with room for rounding.
-void CpuRasterizer::Work::choosePages(const HostSlots& slots) {
+// Those that may have something in the picture.
+void CpuRasterizer::Work::choosePages(const HostSlots& slots, const PageView& view) {
   static const std::vector<std::uint32_t> kZeros(std::size_t{7} * kSlots);
   pages.clear();
   bounds.clear();
-  const CullView& v = cull_view;
   for (const SlotPage& page : slots.pages()) {
-    if (page.extent < 0) continue;
-    // The most that a linear function can be over the box.
-    const auto most = [&](double x, double y, double z, double w) {
-      const double n[3] = {x, y, z};
-      double sum = w, size = std::fabs(w);
-      for (int i = 0; i < 3; ++i) {
-        const double along = std::max(n[i] * page.least[i], n[i] * page.most[i]);
-        sum += along;
-        size += std::fabs(along);
-      }
-      return sum + 1e-5 * size;
-    };
-    const float* const r = v.rotation;
-    const float* const t = v.translation;
-    const double one = v.orthographic ? 1 : 0;
-    const auto side = [&](double sign, int axis, double focal, double offset, double half) {
-      // half w - sign (focal p + offset w), w = z or 1
-      const double w = half - sign * offset, f = -sign * focal;
-      const double wz = v.orthographic ? 0 : w;
-      return most(f * r[3 * axis] + wz * r[6], f * r[3 * axis + 1] + wz * r[7],
-                  f * r[3 * axis + 2] + wz * r[8], f * t[axis] + wz * t[2] + one * w);
-    };
-    bool seen = most(r[6], r[7], r[8], t[2]) > v.near_clip &&
-                -most(-r[6], -r[7], -r[8], -t[2]) < v.far_clip;
-    for (const double sign : {-1.0, 1.0}) {
-      seen = seen &&
-             side(sign, 0, v.fx, v.offset_x, v.half_width) >= -1.00001 * v.slope_x * page.extent &&
-             side(sign, 1, v.fy, v.offset_y, v.half_height) >= -1.00001 * v.slope_y * page.extent;
-    }
-    if (!seen) continue;
+    if (!view.mayShow(page)) continue;
     const HostSlots::Page& memory = slots.at(page);
     PageSlots& chosen = pages.emplace_back();
     for (int i = 0; i < 3; ++i) chosen.position[i] = memory.position[i].data();
@@ -550,14 +522,16 @@ void CpuRasterizer::Work::openTiles(const PictureRequest& request) {
   pyramid.open = open.data();
   hides = !request.scene_depth.empty();
   if (!hides) return;
-  for (std::size_t tile = 0; tile < tiles; ++tile) {
-    const TileRect rect(tile, across, request.camera.width, request.camera.height);
-    float farthest = 0;
-    rect.forEach([&](std::size_t, std::size_t pixel) {
-      farthest = std::max(farthest, request.scene_depth[pixel]);
-    });
-    open[tile] = farthest;
-  }
+  inParts(tiles, 256, [&](const Part& part, Member&) {
+    for (std::size_t tile = part.begin; tile < part.end; ++tile) {
+      const TileRect rect(tile, across, request.camera.width, request.camera.height);
+      float farthest = 0;
+      rect.forEach([&](std::size_t, std::size_t pixel) {
+        farthest = std::max(farthest, request.scene_depth[pixel]);
+      });
+      open[tile] = farthest;
+    }
+  });
 }
 
 void CpuRasterizer::Work::raisePyramid() {
@@ -577,6 +551,48 @@ void CpuRasterizer::Work::raisePyramid() {
     w = width;
     h = height;
   }
+}
+
+// Whether all that a page may hold lies behind what tiles may still show.
+bool CpuRasterizer::Work::hidden(const SlotPage& page) const {
+  const ProjectView& v = project_view;
+  float centre[3], half[3];  // of a box around it, as the camera sees it [m]
+  for (int axis = 0; axis < 3; ++axis) {
+    const float* const row = v.rotation + 3 * axis;
+    centre[axis] = v.translation[axis];
+    half[axis] = 0;
+    for (int i = 0; i < 3; ++i) {
+      centre[axis] += row[i] * 0.5f * (page.least[i] + page.most[i]);
+      half[axis] += std::fabs(row[i]) * 0.5f * (page.most[i] - page.least[i]);
+    }
+    half[axis] += 1e-5f * (std::fabs(centre[axis]) + half[axis]);  // for rounding
+  }
+  const float nearest = centre[2] - half[2], farthest = centre[2] + half[2];
+  if (!v.orthographic && nearest <= v.near_clip) return false;
+  const float ndc = (v.ndc_scale * nearest + v.ndc_offset) / (v.orthographic ? 1 : nearest);
+  const float window_depth = 0.5f * std::min(ndc, 1.0f) + 0.5f;
+  const auto tilesAlong = [&](int axis, float focal, float middle, float slope, int count) {
+    constexpr float kMargin = 3;  // of the low-pass filter, and for rounding [px]
+    const float least = centre[axis] - half[axis], most = centre[axis] + half[axis];
+    const float over_near = v.orthographic ? 1 : 1 / nearest;
+    const float over_far = v.orthographic ? 1 : 1 / farthest;
+    const float reach = slope * page.extent * over_near + kMargin;
+    const auto tile = [&](float pixel) {
+      return int(std::clamp(pixel / kTile, 0.0f, float(count - 1)));
+    };
+    return std::pair(tile(focal * std::min(least * over_near, least * over_far) + middle - reach),
+                     tile(focal * std::max(most * over_near, most * over_far) + middle + reach));
+  };
+  auto [left, right] = tilesAlong(0, v.fx, v.cx, cull_view.slope_x, v.tiles_across);
+  auto [top, bottom] = tilesAlong(1, v.fy, v.cy, cull_view.slope_y, v.tiles_down);
+  int level = 0;
+  for (; right - left > 1 || bottom - top > 1; ++level)
+    left /= 2, right /= 2, top /= 2, bottom /= 2;
+  const float* const open_here = &open[std::size_t(pyramid.begins[level])];
+  const int width = pyramid.widths[level];
+  return window_depth >
+         std::max(std::max(open_here[top * width + left], open_here[top * width + right]),
+                  std::max(open_here[bottom * width + left], open_here[bottom * width + right]));
 }
 
 // Pairs a record with its tiles.
@@ -626,6 +642,7 @@ bool CpuRasterizer::Work::project(const Slice& slice) {
         member.places[count] = static_cast<std::uint16_t>(run[count].index % kSlots);
         ++count;
       }
+      if (hides && hidden(*bounds[page])) continue;
       if (hides) {
         count = kernels.hide(cull_view, project_view, pyramid, pages[page], member.places.data(),
                              member.numbers.data(), count);
@@ -823,7 +840,8 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     contributions.resize(2 * pixels);
   }
   setViews(slots, map, request);
-  choosePages(slots);
+  choosePages(slots,
+              PageView(sorterView(camera, map.origin, 1.0), request.settings.clip_box, map.origin));
   cull();
   if (cancelled()) return false;
   deal();
@@ -869,11 +887,13 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
                          open.begin() + std::ptrdiff_t(tiles);
   }
   if (picture) {
-    for (std::size_t i = 0; i < picture->depth.size(); ++i) {
-      const float alpha = picture->colour[4 * i + 3];
-      picture->depth[i] =
-          alpha > 0 ? picture->depth[i] / alpha : std::numeric_limits<float>::quiet_NaN();
-    }
+    inParts(picture->depth.size(), 1 << 14, [&](const Part& part, Member&) {
+      for (std::size_t i = part.begin; i < part.end; ++i) {
+        const float alpha = picture->colour[4 * i + 3];
+        picture->depth[i] =
+            alpha > 0 ? picture->depth[i] / alpha : std::numeric_limits<float>::quiet_NaN();
+      }
+    });
     picture->drawn = drawn;
     picture->profile = profile;
   }

@@ -34,8 +34,6 @@ struct PictureRequest {
   // depth, with the sorters' ties.
   std::optional<ArrayView<std::uint32_t>> order;
   bool mean_depth = false;  // of the splats, too
-  // [px^2], less than the 0.3 of training where pixels are larger than the view's.
-  float trained_low_pass = 0.3f;
   // Set by another thread to have the picture given up.
   const std::atomic<bool>* cancelled = nullptr;
 };

@@ -367,9 +367,6 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     const Floats det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
     if (view.antialiased) {
       opacity *= sqrt(det0 / det);
-    } else if (view.trained_low_pass < kLowPass) {  // as much in all as in smaller pixels
-      const float low_pass = view.trained_low_pass;
-      opacity *= sqrt((det0 + low_pass * (a0 + c0) + low_pass * low_pass) / det);
     }
 
     const Floats mid = 0.5f * (a + c), half = 0.5f * (a - c), radius = sqrt(half * half + b * b);

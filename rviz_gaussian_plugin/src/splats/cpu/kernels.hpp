@@ -44,7 +44,7 @@ struct ProjectView {
   float least_tangent[2], most_tangent[2];
   float near_clip, near_fade;
   float ndc_scale, ndc_offset;
-  float scale_modifier, opacity_modifier, trained_low_pass, now, age_range;
+  float scale_modifier, opacity_modifier, now, age_range;
   float depth_range[2];
   int mode, sh_degree, only_band, tiles_across, tiles_down;
   bool orthographic, antialiased;

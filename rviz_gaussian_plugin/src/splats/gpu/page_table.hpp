@@ -6,7 +6,7 @@
 
 #include "gl/gl_objects.hpp"
 #include "gpu/slot_store.hpp"
-#include "order/page_view.hpp"
+#include "map/page_view.hpp"
 
 namespace rosplat {
 

@@ -2,8 +2,8 @@
 
 #include <algorithm>
 
+#include "map/page_view.hpp"
 #include "order/built_in_sorter.hpp"
-#include "order/page_view.hpp"
 
 namespace rosplat {
 

@@ -1,4 +1,4 @@
-#include "order/page_view.hpp"
+#include "map/page_view.hpp"
 
 #include <cmath>
 
