@@ -598,6 +598,35 @@ TEST_F(SplatRendererTest, NeedsMemoryForThePagesOfSlotsAlone) {
   EXPECT_EQ(scene.mapBytes(), kPageBytes);
 }
 
+TEST_F(SplatRendererTest, DrawsQuadsWhereTheListOfTilesFindsNoMemory) {
+  Splats splats;
+  for (std::uint32_t i = 0; i < 20000; ++i) {
+    const auto part = [i](double step) { return static_cast<float>(std::fmod(step * i, 1.0)); };
+    splats.add({8 * part(0.7548776662) - 4, 8 * part(0.5698402909) - 4, 5 + 10 * part(0.618)},
+               {part(0.8191725134), part(0.6710436067), 0});
+  }
+  SplatScene whole(shaders());
+  whole.apply(splats.batch(1, {}));
+  const auto expected = picture(whole, Rasterizer::kQuads, OrderSource::kGpu);
+  ASSERT_LT(greatestDifference(picture(whole, Rasterizer::kTiles, OrderSource::kGpu), expected),
+            1e-4f);
+  SplatScene scene(shaders());
+  scene.apply(splats.batch(1, {}));
+  EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kGpu), expected);
+  // From now on, only the list asks for that much.
+  epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
+    const bool list = bytes > 130000;
+    reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"))(
+        target, list ? -1 : bytes, data, usage);
+  };
+  for (int frame = 0; frame < 3; ++frame) {
+    EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kGpu), expected);
+    EXPECT_EQ(scene.report("view").rasterizer, "quads");
+  }
+  EXPECT_EQ(picked(scene), picked(whole));
+  epoxy_glBufferData = reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"));
+}
+
 // A depth is copied only to its own format.
 TEST_F(SplatRendererTest, IsHiddenByAnOpaqueSceneInWhateverDepthFormat) {
   SplatScene scene(shaders());

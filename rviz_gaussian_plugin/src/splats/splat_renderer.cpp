@@ -113,7 +113,7 @@ bool SplatRenderer::prepareAndCheck(const SplatCamera& camera, const MapState& m
     unknown = prepare(camera, map, settings, stopwatch);
     in_tiles = in_tiles && !tiles_.refused(*lists_for);
     if (in_tiles && !tiles_.listed(*lists_for)) {
-      tiles_.count(splats_, *lists_for, stopwatch);
+      in_tiles = tiles_.count(splats_, *lists_for, stopwatch);
       unknown = true;
     }
     if (unknown) tallies_.ask();
@@ -196,7 +196,8 @@ void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
   while (true) {
     if (in_tiles) {
       if (!tiles_.listed(color_)) {
-        tiles_.count(splats_, color_, stopwatch);
+        in_tiles = tiles_.count(splats_, color_, stopwatch);
+        if (!in_tiles) continue;
         tallies_.ask();
         unknown = true;
         // Where there were too many, waiting costs less than to list them in vain again.

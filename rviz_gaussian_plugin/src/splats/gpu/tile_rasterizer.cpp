@@ -43,13 +43,22 @@ bool TileRasterizer::counted(const gl::Target& target) const {
   return counted_width_ == target.width() && counted_height_ == target.height();
 }
 
-void TileRasterizer::count(const OrderedSplats& splats, const gl::Target& target,
+bool TileRasterizer::count(const OrderedSplats& splats, const gl::Target& target,
                            gl::Stopwatch& stopwatch) {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
   const std::size_t room = std::max(room_, splats.most());
+  counted_width_ = target.width();
+  counted_height_ = target.height();
+  listed_ = false;
   room_ = 0;  // should there be no memory
-  prefix_sum_.reserve(splats.most());
-  sort_.reserve(room);
+  try {
+    prefix_sum_.reserve(splats.most());
+    sort_.reserve(room);
+  } catch (const gl::Error&) {
+    most_pairs_ = room / 2;
+    refused_ = true;
+    return false;
+  }
   room_ = room;
   const gl::Buffer& counts = sort_.spare();
   count_.use();
@@ -63,9 +72,7 @@ void TileRasterizer::count(const OrderedSplats& splats, const gl::Target& target
   gl::storageBarrier();
   prefix_sum_.run(counts, splats.tally(), pair_count_, room_);
   stopwatch.lap("list");
-  counted_width_ = target.width();
-  counted_height_ = target.height();
-  listed_ = false;
+  return true;
 }
 
 void TileRasterizer::list(const OrderedSplats& splats, const gl::Target& target,

@@ -18,8 +18,9 @@ class TileRasterizer {
   // The sort may be one that others use too.
   TileRasterizer(const Shaders& shaders, RadixSort& sort, const Tallies& tallies);
 
-  // Counts the pairs of a splat and a tile of the target that it touches.
-  void count(const OrderedSplats& splats, const gl::Target& target, gl::Stopwatch& stopwatch);
+  // Counts the pairs of a splat and a tile of the target that it touches; false where there is no
+  // memory to list them, which is refused() then, and so are as many from now on.
+  bool count(const OrderedSplats& splats, const gl::Target& target, gl::Stopwatch& stopwatch);
   // Lists what was counted; of more pairs than there is room for, the last are left out.
   void list(const OrderedSplats& splats, const gl::Target& target, gl::Stopwatch& stopwatch);
   // Whether what was listed last is for a target like this.
