@@ -100,8 +100,8 @@ PaintingPtr SoftwareRenderer::draw(const std::string& view_id, const SplatCamera
     view.shown = painting;
     return painting;
   }
-  show(view, painting);
   if (!(painting->request->camera == camera)) mesh_ = painting->mesh.seenBy(camera);
+  show(view, painting, mesh_.has_value());
   blendOver();
   glDisable(GL_DEPTH_TEST);
   const bool divided = !painting->behind.empty();
@@ -110,15 +110,23 @@ PaintingPtr SoftwareRenderer::draw(const std::string& view_id, const SplatCamera
   return painting;
 }
 
-void SoftwareRenderer::show(View& view, const PaintingPtr& painting) {
-  if (view.shown == painting) return;
+void SoftwareRenderer::show(View& view, const PaintingPtr& painting, bool rough) {
+  if (view.shown == painting && view.rough == rough) return;
   const SplatCamera& camera = painting->request->camera;
-  view.colour.write(camera.width, camera.height, painting->colour);
+  const auto write = [&](OverlayTexture& texture, const auto& exact, const auto& in_motion) {
+    if (rough) {
+      texture.write(camera.width, camera.height, in_motion);
+    } else {
+      texture.write(camera.width, camera.height, exact);
+    }
+  };
+  write(view.colour, painting->colour, painting->rough_colour);
   if (!painting->behind.empty()) {
-    view.behind.write(camera.width, camera.height, painting->behind);
+    write(view.behind, painting->behind, painting->rough_behind);
     view.hiding.write(camera.width, camera.height, painting->hiding);
   }
   view.shown = painting;
+  view.rough = rough;
 }
 
 void SoftwareRenderer::layOver(const CanvasScope& window, const OverlayTexture& texture) const {

@@ -70,6 +70,7 @@ class SoftwareRenderer {
     PaintRequestPtr asked;
     MapState asked_of;
     PaintingPtr shown;
+    bool rough = false;  // it is
     OverlayTexture colour, behind, hiding;
   };
 
@@ -78,7 +79,7 @@ class SoftwareRenderer {
   PictureRequest lookAt(const SplatCamera& camera, const RenderSettings& settings,
                         const std::vector<float>& scene_depth) const;
   void ask(const std::string& view_id, PaintRequestPtr request, const MapState& map);
-  void show(View& view, const PaintingPtr& painting);
+  void show(View& view, const PaintingPtr& painting, bool rough);
   void layOver(const CanvasScope& window, const OverlayTexture& texture) const;
   // Writes colours of 8 bits, of the size of a camera's picture.
   void drawBytes(const CanvasScope& window, const SplatCamera& camera,

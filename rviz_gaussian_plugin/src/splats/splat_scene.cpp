@@ -329,12 +329,14 @@ FrameReport SplatScene::drawSoftware(const std::string& view_id, const RenderSet
 }
 
 void SplatScene::keepPace(const std::string& view_id, FrameReport& report) {
-  constexpr std::size_t kFrames = 100;
+  constexpr double kOfLate = 2;  // [s]
   auto& [times, ages] = paces_[view_id];
   times.push_back(now());
   ages.push_back(report.picture_age);
-  if (times.size() > kFrames) times.pop_front();
-  if (ages.size() > kFrames) ages.pop_front();
+  while (times.front() < times.back() - kOfLate) {
+    times.pop_front();
+    ages.pop_front();
+  }
   report.picture_age = *std::max_element(ages.begin(), ages.end());
   if (times.size() < 2) return;
   std::vector<double> intervals;

@@ -35,12 +35,13 @@ ArrayView<T> viewOf(const std::vector<T>& values) {
   return {values.data(), values.size()};
 }
 
-// 16 bits a channel. What is brighter than white stays white when it is laid over something.
-std::vector<std::uint16_t> packed(const std::vector<float>& rgba) {
-  std::vector<std::uint16_t> words(rgba.size());
+// As integers. What is brighter than white stays white when it is laid over something.
+template <typename T>
+std::vector<T> packed(const std::vector<float>& rgba) {
+  constexpr float kMost = std::numeric_limits<T>::max();
+  std::vector<T> words(rgba.size());
   for (std::size_t i = 0; i < rgba.size(); ++i) {
-    words[i] =
-        static_cast<std::uint16_t>(std::min(std::max(rgba[i], 0.0f), 1.0f) * 65535.0f + 0.5f);
+    words[i] = static_cast<T>(std::min(std::max(rgba[i], 0.0f), 1.0f) * kMost + 0.5f);
   }
   return words;
 }
@@ -228,8 +229,10 @@ std::shared_ptr<Painting> Painter::paint(Waiting&& job) {
     painting->profile = picture_.profile;
     if (asked.window) {
       painting->mesh = PictureMesh(asked.camera, picture_);
-      painting->colour = packed(picture_.colour);
-      painting->behind = packed(picture_.behind);
+      painting->colour = packed<std::uint16_t>(picture_.colour);
+      painting->behind = packed<std::uint16_t>(picture_.behind);
+      painting->rough_colour = packed<std::uint8_t>(picture_.colour);
+      painting->rough_behind = packed<std::uint8_t>(picture_.behind);
       painting->hiding = hidingDepths(picture_.nearness);
     }
     if (!asked.settings.asynchronous) painting->picture = std::exchange(picture_, {});

@@ -50,6 +50,8 @@ struct Painting {
   SplatPicture picture;  // unless it is asynchronous: then only a window sees it
   // For windows.
   std::vector<std::uint16_t> colour, behind;  // RGBA, premultiplied
+  // The same for while it is carried over: in software, these are shown in half the time.
+  std::vector<std::uint8_t> rough_colour, rough_behind;
   std::vector<float> hiding;  // window depth of what is behind translucent objects and hides them
   PictureMesh mesh;
 };
