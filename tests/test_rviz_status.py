@@ -213,21 +213,26 @@ def test_where_pictures_fail_is_told_while_it_lasts(rviz: Rviz, world: World) ->
     rviz.until_status("Map", "Accuracy", "Warn", "Fixed Frame")
 
 
-def test_opengl_that_is_too_old(tmp_path: Path, world: World) -> None:
-    topic = "/too_old"  # the other rviz2 answers for /gaussians
+def test_old_opengl_serves_the_processor_alone(tmp_path: Path, world: World) -> None:
+    old = World(frame=world.frame, namespace="old")  # the other rviz2 answers for /gaussians
     rviz = Rviz(
         tmp_path,
-        config=configuration(map_display(topic=topic)),
-        MESA_GL_VERSION_OVERRIDE="3.3COMPAT",
+        config=configuration(map_display(topic="/old/gaussians")),
+        MESA_GL_VERSION_OVERRIDE="3.0COMPAT",
     )
     try:
-        rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.4 is needed", "3.3", "driver")
-        rviz.set("Map", value=False)
-        rviz.set("Map", value=True)
-        rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.4 is needed")
-        answer = ask_for_picture(world, topic=topic)
+        old.place()
+        old.map.replace(disc((1, 0, 0)))
+        rviz.until(lambda s: red(s).sum() > 3000)
+        assert ask_for_picture(old, topic="/old/gaussians").success
+        rviz.set("Map", "Rasterizer", value="Tiles")
+        rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.4 is needed", "3.0", "driver")
+        answer = ask_for_picture(old, topic="/old/gaussians")
         assert not answer.success and "OpenGL 4.4 is needed" in answer.message
-        assert not red(rviz.picture()).any()
+        rviz.set("Map", "Rasterizer", value="Auto")
+        rviz.until(lambda s: red(s).sum() > 3000)
+        assert ask_for_picture(old, topic="/old/gaussians").success
         assert rviz.quit() == 0
     finally:
         rviz.close()
+        old.close()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rosplat_tools.cameras import Camera, look_at, orbit
 from rosplat_tools.scenes import PROCEDURAL, load_scene
+from rosplat_tools.space_order import put_in_space_order
 from rosplat_tools.splats import Splats
 
 GARDEN = 2.4  # radius of the procedural scene [m]
@@ -19,8 +20,10 @@ PICTURES = ((1280, 720), (1920, 1080))
 
 
 def load(name: str) -> Splats:
-    """A scene by its name. Raises SceneError."""
-    return load_scene(name, lambda _: None, lambda _: None)
+    """A scene by its name, as publishers send it. Raises SceneError."""
+    splats = load_scene(name, lambda _: None, lambda _: None)
+    put_in_space_order(splats)
+    return splats
 
 
 def names(sizes: tuple[int, ...], scenes: tuple[str, ...]) -> list[str]:
