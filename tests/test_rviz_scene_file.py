@@ -120,7 +120,7 @@ def test_a_publisher_that_ends_while_it_loads_is_replaced(
         rviz_alone.set("Map", "Scene File", value=slow)
         rviz_alone.until_status("Map", "Scene File", "Ok", "loading")
         publisher.terminate()
-        rviz_alone.until_status("Map", "Scene File", "Ok", f"{slow}: 1,500,000 splats")
+        rviz_alone.until_status("Map", "Scene File", "Ok", f"{slow}: 1,500,000 splats", seconds=120)
 
 
 def test_what_cannot_be_loaded_is_said_in_the_status(rviz_alone: Rviz, tmp_path: Path) -> None:

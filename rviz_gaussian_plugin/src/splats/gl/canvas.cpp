@@ -1,8 +1,31 @@
 #include "gl/canvas.hpp"
 
+#include <algorithm>
 #include <array>
 
 namespace rosplat {
+
+namespace {
+
+// Where nothing is in the middle of a pixel, the nearest that is in one beside it: some of the
+// window's samples of that pixel may have it. To divide splats where nothing is changes nothing.
+std::vector<float> widened(const std::vector<float>& depths, int width, int height) {
+  std::vector<float> wide = depths;
+  for (int row = 0; row < height; ++row) {
+    for (int column = 0; column < width; ++column) {
+      float& depth = wide[static_cast<std::size_t>(row) * width + column];
+      if (depth < 1.0f) continue;
+      for (int y = std::max(row - 1, 0); y <= std::min(row + 1, height - 1); ++y) {
+        for (int x = std::max(column - 1, 0); x <= std::min(column + 1, width - 1); ++x) {
+          depth = std::min(depth, depths[static_cast<std::size_t>(y) * width + x]);
+        }
+      }
+    }
+  }
+  return wide;
+}
+
+}  // namespace
 
 CanvasScope::CanvasScope(Canvas canvas) : canvas_(canvas) {
   if (canvas != Canvas::kNone) depth_format_ = gl::depthFormat(guard_.drawFramebuffer());
@@ -63,8 +86,9 @@ void CanvasScope::layOver(const gl::Program& program, const gl::Target& target) 
 std::vector<float> depthsOf(Canvas canvas, int width, int height,
                             const std::function<void()>& draw) {
   if (!gl::hasFramebuffers()) return {};
-  GLint drawn = 0, read = 0;
+  GLint drawn = 0, read = 0, samples = 0;
   std::array<GLint, 4> viewport{};
+  glGetIntegerv(GL_SAMPLES, &samples);
   glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &drawn);
   glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read);
   glGetIntegerv(GL_VIEWPORT, viewport.data());
@@ -78,11 +102,11 @@ std::vector<float> depthsOf(Canvas canvas, int width, int height,
   glPopAttrib();
   draw();
   glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer.id());
-  std::vector<float> depths = gl::readDepths(0, 0, width, height, canvas == Canvas::kTexture);
+  const std::vector<float> depths = gl::readDepths(0, 0, width, height, canvas == Canvas::kTexture);
   glBindFramebuffer(GL_DRAW_FRAMEBUFFER, static_cast<GLuint>(drawn));
   glBindFramebuffer(GL_READ_FRAMEBUFFER, static_cast<GLuint>(read));
   glViewport(viewport[0], viewport[1], viewport[2], viewport[3]);
-  return depths;
+  return samples > 1 ? widened(depths, width, height) : depths;
 }
 
 void clearDepth() {
