@@ -18,8 +18,6 @@ gl::Program programOf(const ShaderSource& source, const char* fragment) {
 
 // Without arrays: these would be as whoever drew before has left them.
 void draw(const CanvasScope& canvas, const OverlayTexture& texture, const PictureMesh::View* mesh) {
-  // All samples of a pixel are alike: in software, that takes half the time.
-  glDisable(GL_MULTISAMPLE);
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, texture.id());
   // Pixel on pixel there is nothing to smooth.
@@ -93,6 +91,9 @@ Overlay::Overlay(const ShaderSource& source)
 void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture,
                    const PictureMesh::View* mesh) const {
   colour_.use();
+  // All samples of a pixel are alike: in software, that takes half the time. Depths that a shader
+  // writes need each.
+  glDisable(GL_MULTISAMPLE);
   rosplat::draw(canvas, texture, mesh);
 }
 
