@@ -45,7 +45,7 @@ def test_pictures_and_figures(tmp_path: Path) -> None:
     assert (out / "demo.webp").stat().st_size > 10_000
     figures = next(line for line in output.splitlines() if "splats" in line)
     assert "5,000 splats" in figures
-    assert re.search(r"sorted by (sidecar|gpu)", figures)
+    assert re.search(r"sorted by (processor|gpu)", figures)
     assert "order age" in figures
     assert not programs_of(tmp_path)
 

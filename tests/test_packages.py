@@ -39,9 +39,11 @@ LIBRARIES = {
     "skimage": Library("python3-skimage", "scikit-image"),
     "tqdm": Library("python3-tqdm", "tqdm"),
     "yaml": Library("python3-yaml", "pyyaml"),
+    "zstandard": Library(None, "zstandard"),
 }
-# What some machines have and nothing demands: cupy, cuda.core with it, and torch sort on a GPU.
-OPTIONAL = {"cuda", "cupy", "cupyx", "torch"}
+# What some machines have and nothing demands: cupy, cuda.core with it, and torch sort on a GPU;
+# gsplat is measured beside ours.
+OPTIONAL = {"cuda", "cupy", "cupyx", "gsplat", "torch"}
 
 
 def named(package: str, *kinds: str) -> set[str]:

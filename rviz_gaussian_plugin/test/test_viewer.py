@@ -299,6 +299,7 @@ def test_with_a_display_a_window_asks_for_its_view(
 def test_a_renderer_that_sorts_itself_asks_no_sorter(
     display: str, node: Node, listener: Any
 ) -> None:
+    from rviz_gaussian_plugin.offscreen import Rasterizer
     from rviz_gaussian_plugin.viewer.node import ORDER_SOURCES, Viewer
 
     views: list[ViewCamera] = []
@@ -308,6 +309,7 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
     namespace = f"__ns:={node.get_namespace()}"
     rclpy.init(args=["--ros-args", "-r", namespace, "-p", "order_source:=gpu"])
     viewer = Viewer()
+    viewer.renderer.settings.rasterizer = Rasterizer.TILES
     try:
         with spinning(viewer, threads=4):
             listener.wait(lambda: viewer.complete() and viewer.count_subscribers("gaussians/view"))

@@ -36,7 +36,7 @@ GROUPS = {
     "fewer splats or pixels": ("budget", "least", "cut-off"),
     "other viewers": ("other",),
 }
-COLORS = ["#222222", "#1f77b4", "#9467bd", "#2ca02c", "#ff7f0e", "#8c564b", "#d62728", "#e6b800"]
+COLORS = ["#222222", "#1f77b4", "#9467bd", "#2ca02c", "#ff7f0e", "#8c564b", "#d62728"]
 DISTANCES = (9, 18, 28, 40, 54, 70, 90)  # of a name from its dot [points]
 ANGLES = sorted(range(-165, 195, 15), key=abs)  # and where, from its right on [degrees]
 BELOW = (0.5, -0.18)  # an axis and its label, in its height

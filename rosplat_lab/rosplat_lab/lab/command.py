@@ -200,7 +200,9 @@ def main(arguments: list[str] | None = None) -> int:
     command = shlex.join(["lab", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         if options.points:
-            kept = [point for path in options.points for point in points.load(path)]
+            families = {method.family for method in METHODS}  # of others, records outlive them
+            read = (point for path in options.points for point in points.load(path))
+            kept = [point for point in read if point.family in families]
             write(Store(options.out).folder, kept, options)
             return 0
         names = [] if options.part == "atlas" else options.scenes or [f"{PROCEDURAL}100000"]
