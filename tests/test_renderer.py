@@ -496,6 +496,8 @@ def test_a_wrong_batch_is_refused_and_the_map_stays(host: Host) -> None:
         ("width", 0),
         ("orientation", (0.0, 0.0, 0.0, 0.0)),
         ("position", (np.nan, 0, 0)),
+        ("fx", 1e100),
+        ("near", 1e-100),
     ],
 )
 def test_a_camera_that_cannot_see_is_refused(host: Host, field: str, value: Any) -> None:
@@ -505,6 +507,34 @@ def test_a_camera_that_cannot_see_is_refused(host: Host, field: str, value: Any)
     }  # fmt: skip
     with pytest.raises(ValueError, match=field):
         host.renderer.set_camera("test", host.sequence + 1, **(camera | {field: value}))
+
+
+@pytest.mark.parametrize("projection", [0, 1])
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"fx": 4e9, "fy": 4e-9},
+        {"cx": 4e9, "cy": -4e9},
+        {"near": 1e-9},
+        {"near": 1e6, "far": 1.001e6},
+        {"near": 1.0, "far": 1.0 + 2e-7},
+        {"far": np.inf},
+        {"position": (1e18, -1e18, 1e18)},
+    ],
+)
+def test_a_camera_that_is_not_refused_draws(
+    host: Host, numbers: dict[str, Any], projection: int
+) -> None:
+    """Ogre ends the process over a matrix that overflows."""
+    host.show(cloud(10))
+    host.sequence += 1
+    camera: dict[str, Any] = {
+        "position": (0, 0, -5), "orientation": (0, 0, 0, 1), "fx": 8.0, "fy": 8.0, "cx": 4.0,
+        "cy": 4.0, "width": 8, "height": 8,
+    }  # fmt: skip
+    host.renderer.set_camera("test", host.sequence, projection=projection, **(camera | numbers))
+    assert host.renderer.draw("test", sort_now=True)["revision"] == host.revision
+    assert host.renderer.read_color8().shape == (8, 8, 3)
 
 
 def test_an_empty_map_is_an_empty_picture(host: Host) -> None:

@@ -88,13 +88,18 @@ TEST(MapStatus, warnsOfWhatIsMissingNotOfWhatIsStillToCome) {
   MapState map;
   map.splats = 10;
   map.expected = 20;
-  EXPECT_TRUE(has(mapStatus(map), "10 splats of 20"));
-  EXPECT_EQ(mapStatus(map).level, StatusProperty::Ok);
+  EXPECT_TRUE(has(mapStatus(map, {}), "10 splats of 20"));
+  EXPECT_EQ(mapStatus(map, {}).level, StatusProperty::Ok);
   map.missed = 1;
-  EXPECT_EQ(mapStatus(map).level, StatusProperty::Warn);
+  EXPECT_EQ(mapStatus(map, {}).level, StatusProperty::Warn);
   map.missed = 0;
   map.dropped = 1;
-  EXPECT_EQ(mapStatus(map).level, StatusProperty::Warn);
+  EXPECT_EQ(mapStatus(map, {}).level, StatusProperty::Warn);
+}
+
+TEST(MapStatus, tellsWhatWaitsToBeDrawn) {
+  EXPECT_FALSE(has(mapStatus({}, {}), "wait"));
+  EXPECT_TRUE(has(mapStatus({}, {7, 12u << 20}), "7 batches wait to be drawn, 12 MiB"));
 }
 
 TEST(OrderStatus, isToldForEachView) {

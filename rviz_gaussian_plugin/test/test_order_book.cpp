@@ -48,7 +48,8 @@ class OrderBookTest : public testing::Test {
     batch.opacities = {opacity.data(), opacity.size()};
     batch.sh = {sh.data(), sh.size()};
     BatchReport report;
-    sorter.apply(map.apply(batch, report), map.state().id);
+    const auto edit = map.apply(batch, report);
+    sorter.apply(EditQueue::node(edit, map.state()));
     book.mapChanged(map.state(), now);
   }
 

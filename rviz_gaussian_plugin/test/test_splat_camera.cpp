@@ -1,6 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <limits>
 #include <stdexcept>
+#include <string>
 
 #include "map/splat_camera.hpp"
 
@@ -46,6 +48,50 @@ TEST(SplatCamera, picturesThatNobodyCanHoldAreRefused) {
   EXPECT_NO_THROW(picture(1, 16384));
   EXPECT_THROW(picture(16384, 2049), std::invalid_argument);
   EXPECT_THROW(picture(16385, 1), std::invalid_argument);
+}
+
+// Ogre ends the process over a matrix that overflows.
+TEST(SplatCamera, whatIsNoMatrixOf32BitFloatsIsRefused) {
+  struct Numbers {
+    bool orthographic = false;
+    double x = 0, fx = 500, fy = 400, cx = 310, cy = 250, near_clip = 0.1, far_clip = 100;
+  };
+  // The field that is refused once these numbers are changed.
+  const auto fault = [](Numbers n, const auto& change) -> std::string {
+    change(n);
+    try {
+      makeCamera({n.x, 0, 0}, {0, 0, 0, 1}, n.orthographic, n.fx, n.fy, n.cx, n.cy, 640, 480,
+                 n.near_clip, n.far_clip);
+    } catch (const std::invalid_argument& error) {
+      const std::string what = error.what();
+      return what.substr(0, what.find(' '));
+    }
+    return "";
+  };
+  for (const bool orthographic : {false, true}) {
+    Numbers good;
+    good.orthographic = orthographic;
+    for (const double bad : {1e308, 1e100, 1e38, 1e13, 1e-38, 1e-45, 1e-100}) {
+      EXPECT_EQ(fault(good, [&](Numbers& n) { n.fx = bad; }), "fx") << bad;
+      EXPECT_EQ(fault(good, [&](Numbers& n) { n.fy = bad; }), "fy") << bad;
+      if (bad < 1) continue;
+      EXPECT_EQ(fault(good, [&](Numbers& n) { n.cx = -bad; }), "cx") << bad;
+      EXPECT_EQ(fault(good, [&](Numbers& n) { n.cy = bad; }), "cy") << bad;
+      const auto far_away = [&](Numbers& n) {
+        n.near_clip = orthographic ? -bad : bad;
+        n.far_clip = std::numeric_limits<double>::infinity();
+      };
+      EXPECT_EQ(fault(good, far_away), "near_clip") << bad;
+    }
+    const auto range = [&](double near_clip, double far_clip) {
+      return fault(good, [&](Numbers& n) { n.near_clip = near_clip, n.far_clip = far_clip; });
+    };
+    EXPECT_EQ(range(1, 1 + 1e-15), "near_clip");
+    EXPECT_EQ(range(orthographic ? 0 : 1e-100, 1e-30), "near_clip");
+    EXPECT_EQ(range(1, 1.001), "");
+    EXPECT_EQ(range(1e-6, std::numeric_limits<double>::infinity()), "");
+    EXPECT_EQ(fault(good, [](Numbers& n) { n.x = 1e30; }), "pose.position");
+  }
 }
 
 TEST(SplatCamera, noPartOfAPictureFromElsewhere) {

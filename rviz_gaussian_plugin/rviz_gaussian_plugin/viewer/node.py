@@ -8,6 +8,7 @@ import threading
 import time
 import uuid
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ ORDER_SOURCES = {name.lower(): source for name, source in OrderSource.__members_
 
 @dataclass(frozen=True)
 class Figures:
-    """What a frame was."""
+    """What a frame was. map_id, revision, map_complete: of the map as it was drawn."""
 
     splats: int
     drawn: int
@@ -45,6 +46,9 @@ class Figures:
     sort_time: float
     draw_time: float
     order_age: float
+    map_id: str
+    revision: int
+    map_complete: bool
 
     def __str__(self) -> str:
         order = f"sorted by {self.order_source} in {self.sort_time * 1e3:.1f} ms"
@@ -269,7 +273,7 @@ class Viewer(Node):
             self._ask(camera)
         return self._figures(self.renderer.draw(view_id))
 
-    def _figures(self, report: dict[str, float | str]) -> Figures:
+    def _figures(self, report: dict[str, Any]) -> Figures:
         return Figures(
             splats=self.renderer.splats,
             drawn=report["splats"],
@@ -277,6 +281,9 @@ class Viewer(Node):
             sort_time=report["sort_time"],
             draw_time=report["draw_time"],
             order_age=report["order_age"],
+            map_id=report["map_id"],
+            revision=report["revision"],
+            map_complete=report["map_complete"],
         )
 
     def serve_request(self, wait: float) -> None:
@@ -316,9 +323,9 @@ class Viewer(Node):
         response.order_source = figures.order_source
         response.sort_time = figures.sort_time
         response.draw_time = figures.draw_time
-        response.map_id = self.renderer.map_id
-        response.revision = self.renderer.revision
-        response.map_complete = self.complete()
+        response.map_id = figures.map_id
+        response.revision = figures.revision
+        response.map_complete = figures.map_complete and self.complete()
         response.success = True
 
 

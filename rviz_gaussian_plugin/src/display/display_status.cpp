@@ -98,12 +98,16 @@ StatusLine accuracyStatus(const std::vector<std::string>& regimes) {
   return {StatusProperty::Warn, "Accuracy", joined(regimes, "; ")};
 }
 
-StatusLine mapStatus(const MapState& map) {
+StatusLine mapStatus(const MapState& map, const Backlog& backlog) {
   std::string text = concat(map.splats, " splats");
   if (map.expected > map.splats) text += concat(" of ", map.expected);
   text += concat(", SH degree ", map.sh_degree, map.antialiased ? ", antialiased" : "");
   if (map.missed > 0) text += concat("; ", map.missed, " batches are missing");
   if (map.dropped > 0) text += concat("; ", map.dropped, " splats with invalid values left out");
+  if (backlog.edits > 0) {
+    text += concat("; ", backlog.edits, backlog.edits == 1 ? " batch waits" : " batches wait",
+                   " to be drawn, ", backlog.bytes >> 20, " MiB");
+  }
   const bool whole = map.missed + map.dropped == 0;
   return {whole ? StatusProperty::Ok : StatusProperty::Warn, "Map", text};
 }

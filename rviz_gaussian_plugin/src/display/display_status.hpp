@@ -29,8 +29,8 @@ StatusLine sidecarStatus(const GaussianClient::Status& received, const std::stri
                          const std::vector<DrawnViews::Report>& views);
 // Why pictures may be worse than elsewhere: SplatScene::hardRegimes().
 StatusLine accuracyStatus(const std::vector<std::string>& regimes);
-// What there is of the map, and what is missing.
-StatusLine mapStatus(const MapState& map);
+// What there is of the map, what is missing, and what waits to be drawn.
+StatusLine mapStatus(const MapState& map, const Backlog& backlog);
 // Who sorted a frame, and what it took; `view` is empty for rviz's own.
 StatusLine orderStatus(const FrameReport& frame, const std::string& view);
 StatusLine frameStatus(const FrameReport& frame, const std::string& view);

@@ -295,7 +295,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
     const bool any = backend == kUnchanged || backend == kAnyBackend;
     lines.push_back(sidecarStatus(received, any ? "" : backend, views));
   }
-  if (received.batches > 0) lines.push_back(mapStatus(map));
+  if (received.batches > 0) lines.push_back(mapStatus(map, scene.backlog()));
   const bool draws = cloud_->error().empty();
   if (const std::string& error = draws ? scene.uploadError() : cloud_->error(); !error.empty()) {
     lines.push_back({StatusProperty::Error, kGraphics, error});

@@ -111,14 +111,13 @@ GaussianClient::RenderView::Response RenderService::draw(bool sort_now) {
     const auto& camera = request_->request->camera;
     response.color = toImage(scene.readColor(), "32FC4", camera);
     response.depth = toImage(scene.readDepth(), "32FC1", camera);
-    const MapState map = scene.state();
     response.splats = report.splats;
     response.order_source = report.order_source;
     response.sort_time = report.sort_time;
     response.draw_time = report.draw_time;
-    response.map_id = map.id;
-    response.revision = map.revision;
-    response.map_complete = map.splats > 0 && map.splats + map.dropped >= map.expected;
+    response.map_id = report.map.id;
+    response.revision = report.map.revision;
+    response.map_complete = report.map.complete();
     response.success = true;
   } catch (const std::exception& error) {
     response.message = error.what();

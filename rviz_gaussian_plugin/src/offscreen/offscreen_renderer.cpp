@@ -17,16 +17,12 @@
 
 #include <algorithm>
 #include <stdexcept>
+#include <tuple>
 
 namespace rosplat {
 
 namespace {
 constexpr const char* kResourceGroup = "rosplat";
-
-// The far plane of the depth buffer that hides splats behind opaque objects. [m]
-double depthRange(const SplatCamera& camera) {
-  return std::min(camera.far_clip, camera.near_clip + 1e4);
-}
 }  // namespace
 
 OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string& plugins) {
@@ -68,10 +64,8 @@ void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequ
                                   const SplatCamera& camera) {
   SplatCamera& mine = cameras_[view_id] = camera;
   mine.extent_scale = extentScale(settings);
-  const double near = camera.near_clip, far = depthRange(camera);
-  mine.ndc_scale = camera.orthographic ? 2 / (far - near) : (far + near) / (far - near);
-  mine.ndc_offset =
-      camera.orthographic ? -(far + near) / (far - near) : -2 * far * near / (far - near);
+  std::tie(mine.ndc_scale, mine.ndc_offset) = depthBuffer(
+      camera.orthographic, camera.near_clip, depthRange(camera.near_clip, camera.far_clip));
   cloud_->scene().setCamera(view_id, sequence, mine);
 }
 

@@ -176,6 +176,8 @@ py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort
                   "sort_time"_a = report.sort_time, "draw_time"_a = report.draw_time,
                   "paint_time"_a = report.paint_time, "picture_age"_a = report.picture_age,
                   "rasterizer"_a = report.rasterizer, "profile"_a = report.profile,
+                  "map_id"_a = report.map.id, "revision"_a = report.map.revision,
+                  "map_complete"_a = report.map.complete(),
                   "gpu_bytes"_a = renderer.scene().gpuBytes(),
                   "map_bytes"_a = renderer.scene().mapBytes());
 }

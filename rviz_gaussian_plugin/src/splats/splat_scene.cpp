@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <limits>
+#include <new>
 
 #include "map/hard_regimes.hpp"
 
@@ -20,8 +21,9 @@ double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
+// What an edit uploads.
 std::size_t bytes(const GaussianEdit& edit) {
-  std::size_t words = edit.slots.size();
+  std::size_t words = kSlotWords * countSlots(edit.runs);
   for (const auto& band : edit.bands) words += band.size();
   return words * sizeof(std::uint32_t);
 }
@@ -39,11 +41,12 @@ BatchReport SplatScene::apply(const GaussianBatch& batch) {
   const std::lock_guard lock(map_mutex_);
   map_.apply(batch, report, [this](const auto& edit, const MapState& state) {
     if (unusable_) return;
-    sorter_.apply(edit, state.id);
+    auto to_draw = EditQueue::node(edit, state), to_sort = EditQueue::node(edit, state);
+    MapState queued = state;  // the last to need memory
     const std::lock_guard queue_lock(queue_mutex_);
-    queued_ = state;
-    arrivals_.push_back({edit, state});
-    if (edit->clear) arrivals_.erase(arrivals_.begin(), arrivals_.end() - 1);  // never to be seen
+    queued_ = std::move(queued);
+    arrivals_.push(std::move(to_draw));
+    sorter_.apply(std::move(to_sort));
   });
   return report;
 }
@@ -62,6 +65,11 @@ MapState SplatScene::queued() const {
 MapState SplatScene::state() const {
   const std::lock_guard lock(map_mutex_);
   return map_.state();
+}
+
+Backlog SplatScene::backlog() const {
+  const std::lock_guard lock(queue_mutex_);
+  return {arrivals_.size(), arrivals_.bytes()};
 }
 
 std::vector<std::string> SplatScene::hardRegimes(const RenderSettings& settings,
@@ -117,9 +125,9 @@ void SplatScene::moveToCard() {
 bool SplatScene::nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
   const std::lock_guard lock(queue_mutex_);
   if (arrivals_.empty()) return false;
-  edit = std::move(arrivals_.front().edit);
-  state = std::move(arrivals_.front().state);
-  arrivals_.pop_front();
+  EditQueue::Waiting oldest = arrivals_.pop();
+  edit = std::move(oldest.edit);
+  state = std::move(oldest.state);
   return true;
 }
 
@@ -135,12 +143,11 @@ void SplatScene::upload(const RenderSettings& settings) {
 void SplatScene::takeArrivals(std::size_t budget) {
   std::size_t uploaded = 0;
   while (uploaded < budget) {
-    Arrival arrival;
+    EditQueue::Waiting arrival;
     {
       const std::lock_guard lock(queue_mutex_);
       if (arrivals_.empty()) break;
-      arrival = std::move(arrivals_.front());
-      arrivals_.pop_front();
+      arrival = arrivals_.pop();
     }
     if (arrival.edit->clear) {
       uploaded_order_ = nullptr;
@@ -150,6 +157,8 @@ void SplatScene::takeArrivals(std::size_t budget) {
       renderer_->apply(*arrival.edit);
     } catch (const gl::Error& error) {  // the rest of the map is still worth seeing
       upload_error_ = error.what();
+    } catch (const std::bad_alloc&) {
+      upload_error_ = "a part of the map isn't drawn: memory is lacking";
     }
     uploaded += bytes(*arrival.edit);
     drawn_map_ = std::move(arrival.state);
@@ -269,6 +278,7 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
     report.sort_time = choice.order->sort_time;
   }
   report.draw_time = now() - start;
+  report.map = drawn_map_;
   keepPace(view_id, report);
   return reports_[view_id] = std::move(report);
 }
@@ -307,6 +317,7 @@ FrameReport SplatScene::drawSoftware(const std::string& view_id, const RenderSet
   const PaintingPtr painting = software_->draw(view_id, cameras_.at(view_id), settings,
                                                choice.order, queued(), canvas, translucent);
   if (!painting) return report;
+  report.map = painting->map;
   takeMap();
   report.splats = choice.order ? choice.order->slots.size() : painting->drawn;
   report.paint_time = painting->took;

@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "map/edit_queue.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/splat_camera.hpp"
 #include "order/built_in_sorter.hpp"
@@ -34,6 +35,13 @@ struct FrameReport {
   double picture_age = 0;                 // of late at most, 0 where it is of the very camera [s]
   std::string rasterizer;                 // "quads", "tiles" or "processor"
   std::map<std::string, double> profile;  // by stage, if asked for [s]
+  MapState map;                           // as it was drawn
+};
+
+// What has arrived and isn't drawn yet.
+struct Backlog {
+  std::size_t edits = 0;
+  std::size_t bytes = 0;
 };
 
 // A map with everything that draws it. apply() and offer() may be called from any thread; whatever
@@ -49,6 +57,8 @@ class SplatScene {
   void offer(OrderPtr order);
   // Any thread: the map as queued so far.
   MapState state() const;
+  // Any thread: what of it waits to be drawn.
+  Backlog backlog() const;
   // Any thread: where that map and cameras in its frame are hard to draw; see hardRegimes().
   std::vector<std::string> hardRegimes(const RenderSettings& settings,
                                        const std::vector<SplatCamera>& cameras) const;
@@ -112,11 +122,6 @@ class SplatScene {
   std::size_t hostBytes() const;
 
  private:
-  struct Arrival {
-    std::shared_ptr<const GaussianEdit> edit;
-    MapState state;
-  };
-
   // What was drawn of a view lately.
   struct Pace {
     std::deque<double> times, ages;  // of the frames, and of their pictures [s]
@@ -145,7 +150,7 @@ class SplatScene {
   mutable std::mutex queue_mutex_;  // arrivals_, queued_, orders_
   OrderPool pool_;
   GaussianMap map_;
-  std::deque<Arrival> arrivals_;
+  EditQueue arrivals_;
   MapState queued_;                         // after arrivals_
   std::map<std::string, OrderPtr> orders_;  // newest by view
   std::atomic<bool> unusable_{false};

@@ -66,6 +66,9 @@ struct MapState {
   std::array<double, 3> origin{};
   std::uint64_t missed = 0;   // batches, since the last clear
   std::uint64_t dropped = 0;  // splats, since the last clear
+
+  // Whether all that its publisher announced is there.
+  bool complete() const { return splats > 0 && splats + dropped >= expected; }
 };
 
 constexpr std::uint32_t kNoSlot = 0xffffffffu;

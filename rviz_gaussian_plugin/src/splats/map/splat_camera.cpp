@@ -1,28 +1,56 @@
 #include "map/splat_camera.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 namespace rosplat {
+
+std::pair<double, double> depthBuffer(bool orthographic, double near_clip, double far_clip) {
+  const double range = far_clip - near_clip, sum = far_clip + near_clip;
+  return orthographic ? std::pair(2 / range, -sum / range)
+                      : std::pair(sum / range, -2 * far_clip * near_clip / range);
+}
+
+double depthRange(double near_clip, double far_clip) { return std::min(far_clip, near_clip + 1e4); }
 
 SplatCamera makeCamera(const std::array<double, 3>& position,
                        const std::array<double, 4>& orientation, bool orthographic, double fx,
                        double fy, double cx, double cy, double width, double height,
                        double near_clip, double far_clip) {
   constexpr double kLongestSide = 16384, kMostPixels = 1 << 25;  // 512 MiB of float colours
+  // Of a projection matrix's elements: products of four are 32-bit floats, and so is the inverse.
+  constexpr double kLeast = 1e-9, kMost = 1e9;
+  constexpr double kFarthest = 1e18;  // whose square is a 32-bit float [m]
+  const auto isMost = [](double x, double most) { return std::fabs(x) <= most; };  // not of NaN
+  const auto isElement = [&](double x) { return x >= kLeast && x <= kMost; };
   const auto& [x, y, z, w] = orientation;
   const double norm = x * x + y * y + z * z + w * w;
   const auto check = [](bool good, const char* fault) {
     if (!good) throw std::invalid_argument(fault);
   };
-  check(std::isfinite(position[0] + position[1] + position[2]), "pose.position is not finite");
+  for (const double p : position) {
+    check(isMost(p, kFarthest), "pose.position is not finite, or too far away for 32-bit floats");
+  }
   check(std::isnormal(norm), "pose.orientation is no rotation");
   check(fx > 0 && fy > 0 && std::isfinite(fx + fy + cx + cy), "fx, fy, cx, cy are no intrinsics");
   check(width >= 1 && height >= 1 && width <= kLongestSide && height <= kLongestSide &&
             width * height <= kMostPixels,
         "width and height must be 1 to 16384, and 2^25 pixels at most");
+  check(isElement(2 * fx / width), "fx is too small or too large for 32-bit floats");
+  check(isElement(2 * fy / height), "fy is too small or too large for 32-bit floats");
+  check(isMost(2 * cx / width, kMost), "cx is too far away for 32-bit floats");
+  check(isMost(2 * cy / height, kMost), "cy is too far away for 32-bit floats");
   check(near_clip < far_clip && (orthographic || near_clip > 0),
         "near_clip and far_clip are no range of depths");
+  check(orthographic ? isMost(near_clip, kMost) : isElement(near_clip),
+        "near_clip is too small or too large for 32-bit floats");
+  const auto [scale, offset] =
+      depthBuffer(orthographic, near_clip, depthRange(near_clip, far_clip));
+  check(static_cast<float>(near_clip) < static_cast<float>(far_clip) && isMost(scale, kMost) &&
+            isMost(offset, kMost),
+        "near_clip and far_clip are no range of depths to 32-bit floats");
 
   SplatCamera camera;
   const double s = 2 / norm;
@@ -41,7 +69,7 @@ SplatCamera makeCamera(const std::array<double, 3>& position,
   camera.width = static_cast<int>(width);
   camera.height = static_cast<int>(height);
   camera.near_clip = near_clip;
-  camera.far_clip = far_clip;
+  camera.far_clip = std::min(far_clip, double(std::numeric_limits<float>::max()));
   return camera;
 }
 

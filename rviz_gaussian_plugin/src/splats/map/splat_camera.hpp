@@ -2,6 +2,7 @@
 
 #include <array>
 #include <limits>
+#include <utility>
 
 namespace rosplat {
 
@@ -38,8 +39,14 @@ struct SplatCamera {
   }
 };
 
+// How a depth buffer between two distances [m] sees a camera: ndc_scale and ndc_offset.
+std::pair<double, double> depthBuffer(bool orthographic, double near_clip, double far_clip);
+// The farther one of the depth buffer that hides splats behind opaque objects. [m]
+double depthRange(double near_clip, double far_clip);
+
 // A camera at the pose of its optical frame in the map's frame: position [m], quaternion x y z w of
-// any length but zero. Throws std::invalid_argument, naming the field, for a camera that can't see.
+// any length but zero. Throws std::invalid_argument, naming the field, for a camera that can't see,
+// or whose matrices are none of 32-bit floats.
 SplatCamera makeCamera(const std::array<double, 3>& position,
                        const std::array<double, 4>& orientation, bool orthographic, double fx,
                        double fy, double cx, double cy, double width, double height,

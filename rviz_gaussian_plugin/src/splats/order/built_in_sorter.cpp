@@ -21,10 +21,10 @@ BuiltInSorter::~BuiltInSorter() {
   thread_.join();
 }
 
-void BuiltInSorter::apply(std::shared_ptr<const GaussianEdit> edit, const std::string& map_id) {
+void BuiltInSorter::apply(EditQueue::Node edit) noexcept {
   {
     const std::lock_guard lock(mutex_);
-    edits_.push_back({std::move(edit), map_id});
+    edits_.push(std::move(edit));
   }
   wake_.notify_one();
 }
@@ -80,8 +80,7 @@ void BuiltInSorter::run() {
     if (stop_) return;
     // A request sees every edit that came before it.
     while (!edits_.empty()) {
-      const Edit edit = std::move(edits_.front());
-      edits_.pop_front();
+      const EditQueue::Waiting edit = edits_.pop();
       lock.unlock();
       apply(edit);
       lock.lock();
@@ -98,19 +97,20 @@ void BuiltInSorter::run() {
   }
 }
 
-void BuiltInSorter::apply(const Edit& item) {
+void BuiltInSorter::apply(const EditQueue::Waiting& item) {
   const GaussianEdit& edit = *item.edit;
   if (edit.clear) {
     positions_.clear();
     extents_.clear();
     out_of_memory_ = false;
   }
-  if (edit.clear || edit.revision <= revision_) {  // revisions so far say nothing any more
+  if (edit.clear || edit.round != round_) {  // revisions so far say nothing any more
     changed_at_.assign(changed_at_.size(), 0);
     recent_.clear();
     begun_at_ = edit.revision;
   }
-  map_id_ = item.map_id;
+  map_id_ = item.state.id;
+  round_ = edit.round;
   revision_ = edit.revision;
   if (out_of_memory_) return;
   try {

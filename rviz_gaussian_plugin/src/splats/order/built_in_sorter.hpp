@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "map/edit_queue.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/sorter_view.hpp"
 #include "order/order.hpp"
@@ -28,7 +29,7 @@ class BuiltInSorter {
   ~BuiltInSorter();
 
   // Edits reach the worker in order, before any sort asked for later.
-  void apply(std::shared_ptr<const GaussianEdit> edit, const std::string& map_id);
+  void apply(EditQueue::Node edit) noexcept;
 
   // Sorts for a camera; a newer request for the same view replaces one that waits. With `base`, a
   // sidecar's order of an older revision, only the slots changed since are sorted and merged into
@@ -53,11 +54,6 @@ class BuiltInSorter {
     rosplat_sorter::View view{};
     OrderPtr base;
   };
-  struct Edit {
-    std::shared_ptr<const GaussianEdit> edit;
-    std::string map_id;
-  };
-
   // The slots that an edit changed.
   struct Change {
     std::uint64_t revision = 0;
@@ -65,7 +61,7 @@ class BuiltInSorter {
   };
 
   void run();
-  void apply(const Edit& edit);
+  void apply(const EditQueue::Waiting& item);
   void hold(const GaussianEdit& edit);
   OrderPtr sort(const std::string& view_id, const Request& request);
   void merge(const Request& request, std::vector<std::uint32_t>& merged);
@@ -74,14 +70,14 @@ class BuiltInSorter {
   mutable std::mutex mutex_;
   std::condition_variable wake_, finished_;
   bool stop_ = false;
-  std::deque<Edit> edits_;
+  EditQueue edits_;
   std::map<std::string, Request> requests_;
   std::map<std::string, OrderPtr> orders_;
   std::size_t bytes_ = 0;
 
   // The worker's own, by slot.
   std::string map_id_;
-  std::uint64_t revision_ = 0;
+  std::uint64_t round_ = 0, revision_ = 0;
   std::uint64_t begun_at_ = 0;  // revision since which it only grew
   bool out_of_memory_ = false;  // until the next clear
   std::vector<float> positions_, extents_;

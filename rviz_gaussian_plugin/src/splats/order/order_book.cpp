@@ -22,7 +22,7 @@ void OrderBook::setCamera(const std::string& view_id, std::uint64_t sequence,
 
 void OrderBook::mapChanged(const MapState& map, double now) {
   // Another map, or the same that is played once more: its revisions begin again.
-  const bool begins = map.id != map_.id || map.revision <= map_.revision;
+  const bool begins = map.round != map_.round;
   for (auto& [id, view] : views_) {
     if (view.sidecar && fresh(view, *view.sidecar)) view.waiting_since = now;
     if (begins) {

@@ -1,0 +1,131 @@
+#include "map/edit_queue.hpp"
+
+#include <algorithm>
+#include <iterator>
+#include <new>
+#include <utility>
+#include <vector>
+
+namespace rosplat {
+
+namespace {
+
+template <typename T>
+std::size_t bytesOf(const std::vector<T>& values) {
+  return values.capacity() * sizeof(T);
+}
+
+std::size_t bytesOf(const EditQueue::Waiting& waiting) {
+  const GaussianEdit& edit = *waiting.edit;
+  std::size_t bytes = sizeof(waiting) + sizeof(edit) + waiting.state.id.capacity();
+  for (const auto& band : edit.bands) bytes += bytesOf(band);
+  return bytes + bytesOf(edit.runs) + bytesOf(edit.slots) + bytesOf(edit.positions) +
+         bytesOf(edit.extents);
+}
+
+// Of `width` values each, those that are kept.
+template <typename T>
+std::vector<T> part(const std::vector<T>& values, std::size_t width, const std::vector<bool>& kept,
+                    std::size_t count) {
+  std::vector<T> taken;
+  if (values.empty()) return taken;
+  taken.reserve(width * count);
+  for (std::size_t i = 0; i < kept.size(); ++i) {
+    if (kept[i]) {
+      const auto begin = values.begin() + static_cast<std::ptrdiff_t>(width * i);
+      taken.insert(taken.end(), begin, begin + static_cast<std::ptrdiff_t>(width));
+    }
+  }
+  return taken;
+}
+
+// An edit of fewer slots: `count` of them are kept.
+std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, const std::vector<bool>& kept,
+                                         std::size_t count) {
+  auto taken = std::make_shared<GaussianEdit>();
+  taken->clear = edit.clear;
+  taken->round = edit.round;
+  taken->revision = edit.revision;
+  taken->capacity = edit.capacity;
+  taken->sh_degree = edit.sh_degree;
+  std::size_t i = 0;
+  for (const auto& [first, length] : edit.runs) {
+    bool goes_on = false;
+    for (std::uint32_t k = 0; k < length; ++k, ++i) {
+      if (kept[i] && goes_on) {
+        ++taken->runs.back().second;
+      } else if (kept[i]) {
+        taken->runs.emplace_back(first + k, 1);
+      }
+      goes_on = kept[i];
+    }
+  }
+  taken->runs.shrink_to_fit();
+  taken->slots = part(edit.slots, kSlotWords, kept, count);
+  taken->positions = part(edit.positions, 3, kept, count);
+  taken->extents = part(edit.extents, 1, kept, count);
+  for (std::size_t band = 1; band < edit.bands.size(); ++band) {
+    taken->bands[band] = part(edit.bands[band], kBandWords[band], kept, count);
+  }
+  return taken;
+}
+
+}  // namespace
+
+void EditQueue::push(Node node) noexcept {
+  if (node.front().edit->clear) clear();
+  bytes_ += bytesOf(node.front());
+  waiting_.splice(waiting_.end(), node);
+  if (bytes_ <= settled_ + std::max(worthwhile_, settled_ / 2)) return;
+  try {
+    coalesce();
+  } catch (const std::bad_alloc&) {  // what is left out so far stays so
+  }
+  settled_ = bytes_;
+}
+
+EditQueue::Waiting EditQueue::pop() {
+  Waiting oldest = std::move(waiting_.front());
+  bytes_ -= bytesOf(oldest);
+  settled_ = std::min(settled_, bytes_);
+  waiting_.pop_front();
+  return oldest;
+}
+
+void EditQueue::clear() {
+  waiting_.clear();
+  bytes_ = settled_ = 0;
+}
+
+void EditQueue::coalesce() {
+  SlotSet later;
+  for (auto next = waiting_.end(); next != waiting_.begin();) {
+    const auto waiting = std::prev(next);
+    const GaussianEdit& edit = *waiting->edit;
+    later.makeRoom(edit.runs);
+    std::vector<bool> kept(countSlots(edit.runs));
+    std::size_t i = kept.size(), count = 0;
+    // From the last on: of a slot that is listed twice, that one counts.
+    for (auto run = edit.runs.rbegin(); run != edit.runs.rend(); ++run) {
+      for (std::uint32_t k = run->second; k > 0; --k) {
+        kept[--i] = !later.set(run->first + k - 1, true);
+        count += kept[i];
+      }
+    }
+    const bool last = next == waiting_.end();
+    if (count == 0 && !edit.clear && !last) {
+      bytes_ -= bytesOf(*waiting);
+      waiting_.erase(waiting);
+      continue;
+    }
+    if (count < kept.size()) {
+      auto rest = part(edit, kept, count);
+      bytes_ -= bytesOf(*waiting);
+      waiting->edit = std::move(rest);
+      bytes_ += bytesOf(*waiting);
+    }
+    next = waiting;
+  }
+}
+
+}  // namespace rosplat

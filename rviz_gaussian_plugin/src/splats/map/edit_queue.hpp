@@ -1,0 +1,47 @@
+#pragma once
+
+#include <cstddef>
+#include <list>
+#include <memory>
+
+#include "map/gaussian_map.hpp"
+
+namespace rosplat {
+
+// Edits that wait to be taken over, oldest first, each with the map's state after it. What later
+// ones overwrite is left out as soon as that is worth it: what waits takes little more memory than
+// the slots that it writes, however many edits there were. For one thread at a time.
+class EditQueue {
+ public:
+  struct Waiting {
+    std::shared_ptr<const GaussianEdit> edit;
+    MapState state;
+  };
+  using Node = std::list<Waiting>;  // of one, to be put in without memory
+
+  // worthwhile: how much may wait anyway. [bytes]
+  explicit EditQueue(std::size_t worthwhile = 16u << 20) : worthwhile_(worthwhile) {}
+
+  static Node node(std::shared_ptr<const GaussianEdit> edit, const MapState& state) {
+    return Node(1, {std::move(edit), state});
+  }
+  // A clear drops all that waits.
+  void push(Node node) noexcept;
+  // The oldest; there must be one.
+  Waiting pop();
+  void clear();
+
+  bool empty() const { return waiting_.empty(); }
+  std::size_t size() const { return waiting_.size(); }
+  std::size_t bytes() const { return bytes_; }
+
+ private:
+  void coalesce();
+
+  std::size_t worthwhile_;
+  std::list<Waiting> waiting_;
+  std::size_t bytes_ = 0;
+  std::size_t settled_ = 0;  // bytes, when what was overwritten was left out last
+};
+
+}  // namespace rosplat

@@ -1,0 +1,154 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <random>
+#include <utility>
+#include <vector>
+
+#include "map/edit_queue.hpp"
+#include "random_batches.hpp"
+
+using namespace rosplat;
+
+namespace {
+
+constexpr std::uint32_t kSlots = 3000;
+
+// What a receiver holds, slot by slot: all words, those of absent bands zero, position and extent.
+class Model {
+ public:
+  void apply(const GaussianEdit& edit) {
+    if (edit.clear) slots_.clear();
+    std::size_t i = 0;
+    forEachSlot(edit.runs, [&](std::uint32_t slot) {
+      if (edit.sh_degree < 0) {
+        slots_.erase(slot);
+      } else {
+        Slot& held = slots_[slot] = {};
+        const auto keep = [&](const std::vector<std::uint32_t>& words, std::size_t width) {
+          for (std::size_t k = 0; k < width; ++k) {
+            held.words.push_back(words.empty() ? 0 : words[width * i + k]);
+          }
+        };
+        keep(edit.slots, kSlotWords);
+        for (int band = 1; band <= kMaxShDegree; ++band) keep(edit.bands[band], kBandWords[band]);
+        for (int k = 0; k < 3; ++k) held.position[k] = edit.positions[3 * i + k];
+        held.extent = edit.extents[i];
+      }
+      ++i;
+    });
+  }
+  bool operator==(const Model& o) const { return slots_ == o.slots_; }
+
+ private:
+  struct Slot {
+    std::vector<std::uint32_t> words;
+    std::array<float, 3> position{};
+    float extent = -1;
+    bool operator==(const Slot& o) const {
+      return words == o.words && position == o.position && extent == o.extent;
+    }
+  };
+  std::map<std::uint32_t, Slot> slots_;
+};
+
+// What 300 edits, coalesced or not, may be made of.
+OwnedBatch randomBatch(std::uint64_t revision, std::mt19937& random) {
+  const auto chance = [&](int in) { return std::uniform_int_distribution<>(1, in)(random) == 1; };
+  OwnedBatch batch;
+  batch.map_id = "map";
+  batch.revision = revision;
+  batch.operation = chance(60)  ? GaussianBatch::REPLACE
+                    : chance(4) ? GaussianBatch::DELETE
+                                : GaussianBatch::UPSERT;
+  batch.sh_degree = static_cast<std::uint8_t>(std::uniform_int_distribution<>(0, 3)(random));
+  chooseSlots(batch, kSlots, chance(10) ? kSlots : 40, random);
+  batch.fill(random);
+  if (chance(3) && !batch.opacity.empty()) batch.opacity.front() = NAN;  // its slot becomes empty
+  return batch;
+}
+
+std::shared_ptr<const GaussianEdit> apply(GaussianMap& map, const GaussianBatch& batch) {
+  BatchReport report;
+  return map.apply(batch, report);
+}
+
+}  // namespace
+
+TEST(EditQueue, WhatIsCoalescedLeavesWhatOneByOneDoes) {
+  for (unsigned seed = 0; seed < 20; ++seed) {
+    std::mt19937 random(seed);
+    GaussianMap map;
+    EditQueue queue(20000);  // bytes, so that most edits are coalesced
+    Model one_by_one, drawn;
+    MapState state;
+    const auto take = [&] {
+      const EditQueue::Waiting waiting = queue.pop();
+      EXPECT_GE(waiting.state.revision, state.revision);
+      EXPECT_EQ(waiting.edit->revision, waiting.state.revision);
+      drawn.apply(*waiting.edit);
+      state = waiting.state;
+    };
+    std::size_t most = 0;
+    for (std::uint64_t revision = 1; revision <= 300; ++revision) {
+      const auto edit = apply(map, randomBatch(revision, random));
+      one_by_one.apply(*edit);
+      queue.push(EditQueue::node(edit, map.state()));
+      most = std::max(most, queue.size());
+      for (int i = std::uniform_int_distribution<>(-20, 2)(random); i > 0 && !queue.empty(); --i) {
+        take();
+      }
+    }
+    EXPECT_LT(most, 250u);  // some were left out
+    while (!queue.empty()) take();
+    EXPECT_EQ(queue.bytes(), 0u);
+    EXPECT_TRUE(drawn == one_by_one) << "seed " << seed;
+    EXPECT_EQ(state.revision, 300u);
+    EXPECT_EQ(state.splats, map.state().splats);
+  }
+}
+
+TEST(EditQueue, TakesNoMoreMemoryThanTheSlotsThatItWrites) {
+  std::mt19937 random(1);
+  GaussianMap map;
+  EditQueue queue;
+  OwnedBatch batch;
+  batch.map_id = "map";
+  batch.operation = GaussianBatch::UPSERT;
+  batch.sh_degree = 3;
+  batch.count = 1000;
+  batch.fill(random);
+  std::size_t most = 0;
+  for (batch.revision = 1; batch.revision <= 3000; ++batch.revision) {
+    queue.push(EditQueue::node(apply(map, batch), map.state()));
+    most = std::max(most, queue.bytes());
+  }
+  EXPECT_LT(most, 17u << 20);  // of 350 MB
+  OwnedBatch nothing;
+  nothing.map_id = "map";
+  nothing.operation = GaussianBatch::UPSERT;
+  nothing.look();
+  for (nothing.revision = 3001; nothing.revision <= 103000; ++nothing.revision) {
+    queue.push(EditQueue::node(apply(map, nothing), map.state()));
+  }
+  EXPECT_LT(queue.bytes(), 17u << 20);
+}
+
+TEST(EditQueue, AClearDropsWhatWaits) {
+  std::mt19937 random(1);
+  GaussianMap map;
+  EditQueue queue;
+  OwnedBatch batch;
+  batch.map_id = "map";
+  batch.count = 10;
+  for (batch.revision = 1; batch.revision <= 3; ++batch.revision) {
+    batch.operation = batch.revision == 2 ? GaussianBatch::UPSERT : GaussianBatch::REPLACE;
+    batch.fill(random);
+    queue.push(EditQueue::node(apply(map, batch), map.state()));
+  }
+  EXPECT_EQ(queue.size(), 1u);
+  EXPECT_EQ(queue.pop().state.revision, 3u);
+}
