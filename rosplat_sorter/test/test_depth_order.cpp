@@ -138,9 +138,44 @@ TEST(DepthOrder, OfSomeSlotsIsThatOfAllWithoutTheOthers) {
   expected.erase(std::remove_if(expected.begin(), expected.end(),
                                 [](std::uint32_t slot) { return slot % 3 != 0; }),
                  expected.end());
-  EXPECT_EQ(
-      DepthOrder(2).sort(view, row.positions.data(), row.extents.data(), some.data(), some.size()),
-      expected);
+  std::vector<float> positions, extents;
+  for (const std::uint32_t slot : some) {
+    positions.insert(positions.end(), &row.positions[3 * slot], &row.positions[3 * slot] + 3);
+    extents.push_back(row.extents[slot]);
+  }
+  EXPECT_EQ(DepthOrder(2).sort(view, positions.data(), extents.data(), some.data(), some.size()),
+            expected);
+}
+
+TEST(DepthOrder, OfPagesIsThatOfTheirSlots) {
+  constexpr std::uint32_t kSlots = Page::kSlots, kPages = 150;
+  Row row = cloud(kPages * kSlots, 0.5f);
+  for (std::size_t i = 0; i < 5000; ++i) row.positions[3 * (20 * i) + 2] = 5;  // ties
+  std::vector<Page> pages;
+  Slots listed;
+  std::vector<float> positions, extents;  // of these
+  for (std::uint32_t page = 0; page < kPages; ++page) {
+    // With gaps between the slots; their rows lie in another order.
+    pages.push_back({(page < 70 ? page : 2 * page + 1000) * kSlots, page * 7 % kPages});
+    for (std::uint32_t i = 0; i < kSlots; ++i) {
+      const std::size_t at = std::size_t{pages.back().place} * kSlots + i;
+      listed.push_back(pages.back().first_slot + i);
+      positions.insert(positions.end(), &row.positions[3 * at], &row.positions[3 * at] + 3);
+      extents.push_back(row.extents[at]);
+    }
+  }
+  const Slots expected = DepthOrder(1).sort(lookAhead(), positions.data(), extents.data(),
+                                            listed.data(), listed.size());
+  EXPECT_GT(expected.size(), 10000u);
+  for (const unsigned threads : {1u, 2u, 3u}) {
+    Slots order;
+    DepthOrder(threads).sort(lookAhead(), row.positions.data(), row.extents.data(), pages.data(),
+                             pages.size(), [&](std::size_t total) {
+                               order.resize(total);
+                               return order.data();
+                             });
+    EXPECT_EQ(order, expected);
+  }
 }
 
 TEST(DepthOrder, CanBeUsedAgainForSmallerAndLargerMaps) {

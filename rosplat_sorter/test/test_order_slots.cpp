@@ -99,6 +99,15 @@ TEST(PackedSlots, OfAnotherSizeAreRefused) {
   EXPECT_THROW(unpackSlots(packed, 5, 1, 40, slots), OrderError);
   const std::size_t overflowing = std::size_t{1} << 62;  // times 32 is 0
   EXPECT_THROW(unpackSlots(packed, 0, overflowing, 32, slots), OrderError);
+  // No more slots than numbers of so many bits: 4 MB would be 33 million instances.
+  const std::vector<std::uint8_t> bits(4u << 20, 0xff);
+  Slots none;
+  OrderReader reader;
+  EXPECT_THROW(
+      reader.read(OrderReader::kPacked, bits.data(), bits.size(), 1u << 25, 1, "", 0, none),
+      OrderError);
+  EXPECT_THROW(reader.read(OrderReader::kPacked, packed, 8, 3, 20, "", 0, none, 2), OrderError);
+  EXPECT_EQ(none.capacity(), 0u);
 }
 
 TEST_F(SegmentTest, HoldsTheOrderOfItsGeneration) {

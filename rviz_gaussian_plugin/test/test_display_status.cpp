@@ -97,6 +97,16 @@ TEST(MapStatus, warnsOfWhatIsMissingNotOfWhatIsStillToCome) {
   EXPECT_EQ(mapStatus(map, {}).level, StatusProperty::Warn);
 }
 
+TEST(TopicStatus, tellsWhyAnOrderIsDropped) {
+  GaussianClient::Status received;
+  received.batches = 1;
+  received.frame_id = "map";
+  EXPECT_EQ(topicStatus(received).level, StatusProperty::Ok);
+  received.dropped_order = "it has 9 slots, the map 3";
+  EXPECT_EQ(topicStatus(received).level, StatusProperty::Warn);
+  EXPECT_TRUE(has(topicStatus(received), received.dropped_order));
+}
+
 TEST(MapStatus, tellsWhatWaitsToBeDrawn) {
   EXPECT_FALSE(has(mapStatus({}, {}), "wait"));
   EXPECT_TRUE(has(mapStatus({}, {7, 12u << 20}), "7 batches wait to be drawn, 12 MiB"));

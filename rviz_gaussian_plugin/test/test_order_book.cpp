@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <fstream>
 #include <memory>
+#include <random>
 #include <string>
 #include <thread>
 #include <vector>
@@ -27,7 +28,7 @@ class OrderBookTest : public testing::Test {
 
   // The map's next batch, or that revision once more; the first replaces the map.
   void upsert(std::uint32_t first, const std::vector<float>& depths, double now,
-              std::uint64_t revision = 0) {
+              std::uint64_t revision = 0, const std::vector<std::uint32_t>& listed = {}) {
     std::vector<float> position, orientation, scale, opacity, sh;
     for (float depth : depths) {
       position.insert(position.end(), {0.0f, 0.0f, depth});
@@ -41,6 +42,7 @@ class OrderBookTest : public testing::Test {
     batch.revision = revision ? revision : map.state().revision + 1;
     batch.operation = batch.revision == 1 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
     batch.first_slot = first;
+    batch.slots = {listed.data(), listed.size()};
     batch.count = static_cast<std::uint32_t>(depths.size());
     batch.positions = {position.data(), position.size()};
     batch.orientations = {orientation.data(), orientation.size()};
@@ -207,8 +209,9 @@ TEST_F(OrderBookTest, RefusesOrdersThatFitNothing) {
   upsert(0, {1, 3, 2}, 0.0);
   EXPECT_FALSE(book.offer(sidecar(1, 1, {0}), 0.0));  // no such view yet
   book.setCamera("view", 5, camera, 0.0);
-  EXPECT_FALSE(book.offer(sidecar(6, 1, {0}), 0.0));     // of a camera never sent
-  EXPECT_FALSE(book.offer(sidecar(5, 1, {0, 3}), 0.0));  // a slot beyond the map
+  EXPECT_FALSE(book.offer(sidecar(6, 1, {0}), 0.0));           // of a camera never sent
+  EXPECT_FALSE(book.offer(sidecar(5, 1, {0, 3}), 0.0));        // a slot beyond the map
+  EXPECT_FALSE(book.offer(sidecar(5, 1, {0, 1, 1, 2}), 0.0));  // more than the map has
   EXPECT_TRUE(book.offer(sidecar(5, 1, {0, 2}), 0.0));
   EXPECT_FALSE(book.offer(sidecar(4, 1, {0}), 0.0));  // older than the one that is here
 }
@@ -226,12 +229,61 @@ TEST_F(OrderBookTest, SortNowMatchesTheDepthsExactly) {
   EXPECT_EQ(book.sortNow("view").order->slots, expected);
 }
 
+TEST_F(OrderBookTest, SlotsFarApartCostTheirPagesUntilAReplace) {
+  book.setCamera("view", 1, camera, 0.0);
+  Slots slots;  // as keyframe << 16 | i
+  for (std::uint32_t keyframe = 0; keyframe < 512; ++keyframe) slots.push_back(keyframe << 16);
+  std::vector<float> depths;
+  for (std::size_t i = 0; i < slots.size(); ++i) depths.push_back(float(1 + i % 7));
+  upsert(0, depths, 0.0, 0, slots);
+  Slots expected = slots;
+  std::stable_sort(expected.begin(), expected.end(),
+                   [](std::uint32_t a, std::uint32_t b) { return (a >> 16) % 7 < (b >> 16) % 7; });
+  std::reverse(expected.begin(), expected.end());
+  EXPECT_EQ(book.sortNow("view").order->slots, expected);
+  EXPECT_LT(sorter.bytes(), 16u << 20);
+  upsert(0, {1}, 0.0, 1);
+  EXPECT_EQ(book.sortNow("view").order->slots, Slots{0});
+  EXPECT_LT(sorter.bytes(), 64u << 10);
+}
+
+// However many edits lie between, and whatever they do.
+TEST_F(OrderBookTest, AMergedOrderIsThatOfAll) {
+  std::mt19937 random(1);
+  const auto upTo = [&](std::uint32_t end) {
+    return std::uniform_int_distribution<std::uint32_t>(0, end)(random);
+  };
+  const auto write = [&](std::uint32_t count) {
+    Slots slots;
+    std::vector<float> depths;
+    for (std::uint32_t i = 0; i < count; ++i) {
+      slots.push_back(upTo(3) * 100000 + upTo(400));
+      depths.push_back(float(upTo(99)) - 3);  // with ties, some behind the camera
+    }
+    upsert(0, depths, 0.0, 0, slots);
+  };
+  for (int round = 0; round < 20; ++round) {
+    write(300);
+    book.setCamera("view", std::uint64_t(round) + 1, camera, 0.0);
+    auto base = std::make_shared<Order>(*book.sortNow("view").order);
+    base->source = "sidecar " + std::to_string(round);
+    ASSERT_TRUE(book.offer(base, 0.0));
+    for (std::uint32_t edits = upTo(300); edits > 0; --edits) write(upTo(3));
+    write(1);
+    const auto merged = chooseUntil(base->source + " + built-in", 0.0);
+    ASSERT_TRUE(merged.order);
+    EXPECT_EQ(merged.order->slots, book.sortNow("view").order->slots);
+  }
+}
+
 TEST_F(OrderBookTest, aMapThatNoMemoryIsThereForIsSortedByNobody) {
   book.setCamera("view", 1, camera, 0.0);
   upsert(0, {1, 2}, 0.0);
   {
     const MemoryLimit limit(200u << 20);
-    upsert(kMaxSlots - 1, {3}, 0.0);  // 800 MB
+    Slots slots;  // each in a page of its own: 490 MB
+    for (std::uint32_t page = 0; page < 20000; ++page) slots.push_back(page * 1024);
+    upsert(0, std::vector<float>(slots.size(), 3), 0.0, 0, slots);
     const OrderBook::Choice choice = book.sortNow("view");
     EXPECT_TRUE(choice.order->slots.empty());
     EXPECT_EQ(choice.order->source, "built-in (out of memory)");

@@ -130,7 +130,7 @@ class DepthOrder {
     sort(view, Splats{positions, extents, nullptr, pages, page_count * Page::kSlots}, allocate);
   }
 
-  // The same among the count given slots only, which are in ascending order.
+  // The same of the count given slots, which ascend: positions and extents have a row for each.
   const std::vector<std::uint32_t>& sort(const View& view, const float* positions,
                                          const float* extents, const std::uint32_t* slots,
                                          std::size_t count) {
@@ -162,7 +162,7 @@ class DepthOrder {
       return static_cast<std::uint32_t>(first + i % Page::kSlots);
     }
     std::size_t row(std::size_t i) const {
-      if (!pages) return slot(i);
+      if (!pages) return i;
       return std::size_t{pages[i / Page::kSlots].place} * Page::kSlots + i % Page::kSlots;
     }
 
@@ -354,8 +354,6 @@ class DepthOrder {
   // Writes an entry for each visible splat of [part.begin, part.end), shortens the part to them,
   // and counts them by bucket.
   void cull(const View& view, const Splats& splats, Entry* entries, Part& part) const {
-    std::array<float, 3 * kBlock> positions;
-    std::array<float, kBlock> extents;
     std::array<std::uint32_t, kBlock> keys;
     std::array<std::uint32_t, kBlock> seen;
     Entry* out = entries + part.begin;
@@ -363,26 +361,12 @@ class DepthOrder {
     part.buckets.fill(0);
     for (std::size_t first = part.begin; first < part.end; first += kBlock) {
       const std::size_t size = std::min(kBlock, part.end - first);
-      if (splats.slots) {
-        for (std::size_t i = 0; i < size; ++i) {
-          const std::size_t slot = splats.slots[first + i];
-          std::copy_n(splats.positions + 3 * slot, 3, &positions[3 * i]);
-          extents[i] = splats.extents[slot];
-        }
-        look(view, positions.data(), extents.data(), size, keys.data(), seen.data());
-        for (std::size_t i = 0; i < size; ++i) {
-          *out = {keys[i], splats.slots[first + i]};
-          out += seen[i];
-        }
-      } else {
-        const std::size_t row = splats.row(first);
-        look(view, splats.positions + 3 * row, splats.extents + row, size, keys.data(),
-             seen.data());
-        const std::uint32_t slot = splats.slot(first);
-        for (std::size_t i = 0; i < size; ++i) {
-          *out = {keys[i], slot + static_cast<std::uint32_t>(i)};
-          out += seen[i];
-        }
+      const std::size_t row = splats.row(first);
+      look(view, splats.positions + 3 * row, splats.extents + row, size, keys.data(), seen.data());
+      const std::uint32_t slot = splats.slot(first);
+      for (std::size_t i = 0; i < size; ++i) {
+        *out = {keys[i], splats.slots ? splats.slots[first + i] : slot + std::uint32_t(i)};
+        out += seen[i];
       }
       for (; counted < out; ++counted) ++part.buckets[bucketOf(counted->key)];
     }

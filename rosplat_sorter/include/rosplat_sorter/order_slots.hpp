@@ -49,6 +49,14 @@ struct OrderError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+// Refuses an order of more slots than there are to draw, before memory is taken for it.
+inline void checkCount(std::size_t count, std::size_t most) {
+  if (count > most) {
+    throw OrderError("it has " + std::to_string(count) + " slots, the map at most " +
+                     std::to_string(most));
+  }
+}
+
 // Bytes that count numbers of `bits` bits each take.
 constexpr std::size_t packedBytes(std::size_t count, unsigned bits) {
   return (count * bits + 7) / 8;
@@ -91,9 +99,11 @@ class SpareSlots {
     }
     return taken;
   }
+  // Not of an order that needed little of it: of a map that was replaced nothing stays.
   void keep(std::vector<std::uint32_t>&& slots) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (kept_.size() < kMost) kept_.push_back(std::move(slots));
+    const bool worth = slots.size() >= slots.capacity() / 8;
+    if (kept_.size() < kMost && worth) kept_.push_back(std::move(slots));
   }
 
  private:
@@ -123,7 +133,8 @@ inline std::size_t unpackSlots(const std::uint8_t* packed, std::size_t size, std
   if (bits < 1 || bits > 32) {
     throw OrderError("slot_bits is " + std::to_string(bits) + ", not 1 to 32");
   }
-  if (count > kMostSlots || size != packedBytes(count, bits)) {
+  checkCount(count, kMostSlots);
+  if (size != packedBytes(count, bits)) {
     throw OrderError("packed has " + std::to_string(size) + " bytes, which are not " +
                      std::to_string(count) + " slots of " + std::to_string(bits) + " bits");
   }
@@ -206,8 +217,9 @@ class SegmentReader {
   std::size_t read(std::size_t count, std::uint64_t generation, std::vector<std::uint32_t>& slots,
                    ThreadTeam& team) const {
     struct stat status;
+    checkCount(count, kMostSlots);
     const std::size_t bytes = count * sizeof(std::uint32_t);
-    if (count > kMostSlots || ::fstat(file_, &status) != 0 ||
+    if (::fstat(file_, &status) != 0 ||
         static_cast<std::size_t>(status.st_size) < SegmentHeader::kBytes + bytes) {
       throw OrderError(complaint("does not hold " + std::to_string(count) + " slots"));
     }
@@ -278,13 +290,17 @@ class OrderReader {
   // As in SplatOrder.
   enum Encoding : std::uint8_t { kSlots, kPacked, kShared };
 
-  // Reads the slots of an order that doesn't carry them plainly, arguments as in SplatOrder;
-  // returns their bound. Throws OrderError; what `slots` holds then is nobody's order.
+  // Reads the slots of an order that doesn't carry them plainly, arguments as in SplatOrder, at
+  // most so many; returns their bound. Throws OrderError; what `slots` holds then is nobody's
+  // order.
   std::size_t read(std::uint8_t encoding, const std::uint8_t* packed, std::size_t packed_size,
                    std::size_t count, unsigned slot_bits, const std::string& segment,
-                   std::uint64_t generation, std::vector<std::uint32_t>& slots) {
+                   std::uint64_t generation, std::vector<std::uint32_t>& slots,
+                   std::size_t most = kMostSlots) {
+    checkCount(count, most);
     if (encoding == kPacked) {
       learnKey(segment);
+      if (slot_bits < 32) checkCount(count, std::size_t{1} << slot_bits);  // each slot once
       return unpackSlots(packed, packed_size, count, slot_bits, slots);
     }
     if (encoding != kShared) {

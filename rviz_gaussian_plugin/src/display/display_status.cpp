@@ -68,6 +68,10 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
     return line(StatusProperty::Warn, "Publishers clear each other's map, end all but one of: " +
                                           joined(received.publishers));
   }
+  if (!received.dropped_order.empty()) {
+    return line(StatusProperty::Warn,
+                concat(batches, "; an order is dropped: ", received.dropped_order));
+  }
   return line(StatusProperty::Ok, batches);
 }
 

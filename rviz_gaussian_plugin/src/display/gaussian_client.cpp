@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "messages.hpp"
+#include "printable.hpp"
 #include "ros_versions.hpp"
 
 namespace rosplat {
@@ -28,7 +29,8 @@ void GaussianClient::RenderRequest::answer(RenderView::Response& response) const
   try {
     service->send_response(*id, response);
   } catch (const std::exception& error) {  // a picture too large for the middleware, say
-    RCLCPP_ERROR(rclcpp::get_logger("rosplat"), "a picture isn't sent: %s", error.what());
+    RCLCPP_ERROR(rclcpp::get_logger("rosplat"), "a picture isn't sent: %s",
+                 printable(error.what()).c_str());
   }
 }
 
@@ -78,7 +80,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
         executor_.spin_once(100ms);
       } catch (const std::exception& error) {  // of a message that memory is lacking for, say
         RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: %s", topic_.c_str(),
-                              error.what());
+                              printable(error.what()).c_str());
       }
     }
   });
@@ -120,7 +122,7 @@ void GaussianClient::receive(const GaussianArray& message) {
 
 void GaussianClient::refuse(const std::string& why) {
   RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: a batch is refused: %s",
-                        topic_.c_str(), why.c_str());
+                        topic_.c_str(), printable(why).c_str());
   const std::lock_guard lock(mutex_);
   ++status_.refused;
   status_.refusal = why;
@@ -133,12 +135,22 @@ void GaussianClient::receive(SplatOrder& message) {
   }
   try {
     const auto order = scene_.newOrder();
-    toOrder(message, reader_, *order);
+    toOrder(message, scene_.mostSlots(message.map_id, message.revision), reader_, *order);
     scene_.offer(order);
+    const std::lock_guard lock(mutex_);
+    status_.dropped_order.clear();
   } catch (const rosplat_sorter::OrderError& error) {
-    RCLCPP_WARN_THROTTLE(node_->get_logger(), steady_clock_, 5000,
-                         "%s/order: an order is dropped: %s", topic_.c_str(), error.what());
+    dropOrder(error.what());
+  } catch (const std::bad_alloc&) {
+    dropOrder("memory is lacking");
   }
+}
+
+void GaussianClient::dropOrder(const std::string& why) {
+  RCLCPP_WARN_THROTTLE(node_->get_logger(), steady_clock_, 5000,
+                       "%s/order: an order is dropped: %s", topic_.c_str(), printable(why).c_str());
+  const std::lock_guard lock(mutex_);
+  status_.dropped_order = why;
 }
 
 void GaussianClient::publish(rosplat_msgs::msg::ViewCamera view) {

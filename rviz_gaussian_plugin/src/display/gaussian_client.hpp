@@ -49,6 +49,7 @@ class GaussianClient {
     std::uint64_t batches = 0;
     std::uint64_t refused = 0;            // batches that contradict themselves
     std::string refusal;                  // why, if the last one did
+    std::string dropped_order;            // why the last order was dropped, if it was
     std::vector<std::string> publishers;  // nodes that publish on the map's topic
     bool contended = false;               // a map came back that another had replaced
     std::string other_type;               // that one of them publishes
@@ -92,6 +93,7 @@ class GaussianClient {
   void receive(const GaussianArray& message);
   void refuse(const std::string& why);
   void receive(SplatOrder& message);
+  void dropOrder(const std::string& why);
   void watchPublishers();
 
   rclcpp::Node::SharedPtr node_;

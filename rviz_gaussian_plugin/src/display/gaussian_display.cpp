@@ -26,6 +26,7 @@
 #include <utility>
 
 #include "messages.hpp"
+#include "printable.hpp"
 
 namespace rosplat {
 
@@ -242,7 +243,7 @@ void GaussianDisplay::updateTransform() {
   scene_node_->setVisible(placed_);
   cloud_->setVisible(true);  // or it would neither upload nor draw pictures for services
   if (!known) {
-    setMissingTransformToFixedFrame(frame);
+    setMissingTransformToFixedFrame(printable(frame));
   } else if (!frame.empty()) {
     scene_node_->setPosition(position);
     scene_node_->setOrientation(orientation);
@@ -317,6 +318,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
 }
 
 void GaussianDisplay::showStatus(std::vector<StatusLine> lines) {
+  for (StatusLine& line : lines) line.text = printable(line.text);  // some of it is a peer's
   const auto contains = [](const std::vector<StatusLine>& among, const auto& like) {
     return std::any_of(among.begin(), among.end(), like);
   };

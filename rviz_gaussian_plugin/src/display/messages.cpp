@@ -4,6 +4,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "printable.hpp"
+
 namespace rosplat {
 
 static_assert(kMaxSlots == rosplat_msgs::msg::GaussianArray::MAX_SLOTS);
@@ -42,21 +44,22 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   return batch;
 }
 
-void toOrder(rosplat_msgs::msg::SplatOrder& message, rosplat_sorter::OrderReader& reader,
-             Order& order) {
+void toOrder(rosplat_msgs::msg::SplatOrder& message, std::size_t most,
+             rosplat_sorter::OrderReader& reader, Order& order) {
   order.view_id = message.view_id;
   order.sequence = message.sequence;
   order.map_id = message.map_id;
   order.revision = message.revision;
-  order.source = "sidecar (" + message.backend + ")";
+  order.source = "sidecar (" + printable(message.backend, 40) + ")";
   order.sort_time = message.sort_time;
   if (message.encoding == rosplat_msgs::msg::SplatOrder::SLOTS) {
+    rosplat_sorter::checkCount(message.slots.size(), most);
     order.slots = std::move(message.slots);
     order.bound = rosplat_sorter::boundOf(order.slots.data(), order.slots.size());
   } else {
     order.bound =
         reader.read(message.encoding, message.packed.data(), message.packed.size(), message.count,
-                    message.slot_bits, message.segment, message.generation, order.slots);
+                    message.slot_bits, message.segment, message.generation, order.slots, most);
   }
 }
 

@@ -19,10 +19,10 @@ namespace rosplat {
 // A batch that looks into the message, which must outlive it.
 GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message);
 
-// Fills an order; takes the slots from the message or from where it says. Throws
+// Fills an order; takes the slots, `most` of them, from the message or from where it says. Throws
 // rosplat_sorter::OrderError.
-void toOrder(rosplat_msgs::msg::SplatOrder& message, rosplat_sorter::OrderReader& reader,
-             Order& order);
+void toOrder(rosplat_msgs::msg::SplatOrder& message, std::size_t most,
+             rosplat_sorter::OrderReader& reader, Order& order);
 
 rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::string& view_id,
                                         std::uint64_t sequence,

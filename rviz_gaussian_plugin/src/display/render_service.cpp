@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "messages.hpp"
+#include "printable.hpp"
 
 namespace rosplat {
 
@@ -87,7 +88,7 @@ rosplat_msgs::msg::ViewCamera RenderService::inMapFrame(
   if (!frames_.getTransform(map_frame, map_position, map_orientation) ||
       !frames_.transform(frame, rclcpp::Time(camera.header.stamp, RCL_ROS_TIME), camera.pose,
                          position, orientation)) {
-    throw std::invalid_argument("camera.header.frame_id: no transform from '" + frame +
+    throw std::invalid_argument("camera.header.frame_id: no transform from '" + printable(frame) +
                                 "' to the map");
   }
   position = map_orientation.Inverse() * (position - map_position);

@@ -147,6 +147,7 @@ void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint
               double sort_time, const Array<std::uint32_t>& slots) {
   const ArrayView<std::uint32_t> given = view(slots);
   offer(renderer, view_id, sequence, map_id, revision, source, sort_time, [&](Order& order) {
+    rosplat_sorter::checkCount(given.size, renderer.scene().mostSlots(map_id, revision));
     order.slots.assign(given.data, given.data + given.size);
     order.bound = rosplat_sorter::boundOf(given.data, given.size);
   });
@@ -159,9 +160,9 @@ void readOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uin
   const py::buffer_info bytes = packed.request();
   const auto size = static_cast<std::size_t>(bytes.size * bytes.itemsize);
   offer(renderer, view_id, sequence, map_id, revision, source, sort_time, [&](Order& order) {
-    order.bound =
-        renderer.order_reader.read(encoding, static_cast<const std::uint8_t*>(bytes.ptr), size,
-                                   count, slot_bits, segment, generation, order.slots);
+    order.bound = renderer.order_reader.read(
+        encoding, static_cast<const std::uint8_t*>(bytes.ptr), size, count, slot_bits, segment,
+        generation, order.slots, renderer.scene().mostSlots(map_id, revision));
   });
 }
 
@@ -171,15 +172,14 @@ py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort
     const py::gil_scoped_release release;  // or orders would wait for the frame
     report = renderer.draw(view_id, sort_now);
   }
-  return py::dict("splats"_a = report.splats, "order_source"_a = report.order_source,
-                  "order_fresh"_a = report.order_fresh, "order_age"_a = report.order_age,
-                  "sort_time"_a = report.sort_time, "draw_time"_a = report.draw_time,
-                  "paint_time"_a = report.paint_time, "picture_age"_a = report.picture_age,
-                  "rasterizer"_a = report.rasterizer, "profile"_a = report.profile,
-                  "map_id"_a = report.map.id, "revision"_a = report.map.revision,
-                  "map_complete"_a = report.map.complete(),
-                  "gpu_bytes"_a = renderer.scene().gpuBytes(),
-                  "map_bytes"_a = renderer.scene().mapBytes());
+  return py::dict(
+      "splats"_a = report.splats, "order_source"_a = report.order_source,
+      "order_fresh"_a = report.order_fresh, "order_age"_a = report.order_age,
+      "sort_time"_a = report.sort_time, "draw_time"_a = report.draw_time,
+      "paint_time"_a = report.paint_time, "picture_age"_a = report.picture_age,
+      "rasterizer"_a = report.rasterizer, "profile"_a = report.profile, "map_id"_a = report.map.id,
+      "revision"_a = report.map.revision, "map_complete"_a = report.map.complete(),
+      "gpu_bytes"_a = renderer.scene().gpuBytes(), "map_bytes"_a = renderer.scene().mapBytes());
 }
 
 py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>& slots) {

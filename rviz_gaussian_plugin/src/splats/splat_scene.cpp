@@ -13,6 +13,7 @@ namespace {
 
 // What one frame uploads at most, so that a map that streams in doesn't stop the picture.
 constexpr std::size_t kUploadBytesPerFrame = 32u << 20;
+constexpr std::size_t kMostOrders = 64;  // that wait, a view's newest each
 // The view of the mouse tools, which no sidecar hears of.
 constexpr const char* kSurfaceView = "surface";
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
@@ -53,6 +54,7 @@ BatchReport SplatScene::apply(const GaussianBatch& batch) {
 
 void SplatScene::offer(OrderPtr order) {
   const std::lock_guard lock(queue_mutex_);
+  if (orders_.size() >= kMostOrders && orders_.count(order->view_id) == 0) return;
   OrderPtr& newest = orders_[order->view_id];
   newest = std::move(order);
 }
@@ -60,6 +62,13 @@ void SplatScene::offer(OrderPtr order) {
 MapState SplatScene::queued() const {
   const std::lock_guard lock(queue_mutex_);
   return queued_;
+}
+
+std::size_t SplatScene::mostSlots(const std::string& map_id, std::uint64_t revision) const {
+  const std::lock_guard lock(map_mutex_);
+  const MapState& map = map_.state();
+  const bool known = map.id == map_id && map.revision == revision;
+  return known ? map.capacity : kMaxSlots;
 }
 
 MapState SplatScene::state() const {

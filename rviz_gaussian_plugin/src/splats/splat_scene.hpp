@@ -55,6 +55,8 @@ class SplatScene {
   // Any thread: an order to fill, and a sidecar's to be drawn.
   std::shared_ptr<Order> newOrder() { return pool_.make(); }
   void offer(OrderPtr order);
+  // Any thread: how many slots an order of a map can have.
+  std::size_t mostSlots(const std::string& map_id, std::uint64_t revision) const;
   // Any thread: the map as queued so far.
   MapState state() const;
   // Any thread: what of it waits to be drawn.

@@ -7,8 +7,18 @@
 namespace rosplat {
 
 namespace {
-constexpr std::size_t kRecentEdits = 256;  // a sidecar further behind than this is not merged with
+
+// A page's first row.
+std::size_t rowOf(const SlotPage& page) { return std::size_t{page.place} * SlotPage::kSlots; }
+
+// With room for a quarter more, where doubling would take as much again as there is.
+template <typename T>
+void grow(std::vector<T>& values, std::size_t size, T value) {
+  if (size > values.capacity()) values.reserve(size + size / 4);
+  values.resize(size, value);
 }
+
+}  // namespace
 
 BuiltInSorter::BuiltInSorter(OrderPool& pool) : pool_(pool), thread_([this] { run(); }) {}
 
@@ -86,7 +96,7 @@ void BuiltInSorter::run() {
       lock.lock();
     }
     bytes_ = (positions_.capacity() + extents_.capacity()) * sizeof(float) +
-             changed_at_.capacity() * sizeof(std::uint64_t);
+             changed_at_.capacity() * sizeof(std::uint64_t) + pages_.bytes();
     if (requests_.empty()) continue;
     const auto node = requests_.extract(requests_.begin());
     lock.unlock();
@@ -99,14 +109,21 @@ void BuiltInSorter::run() {
 
 void BuiltInSorter::apply(const EditQueue::Waiting& item) {
   const GaussianEdit& edit = *item.edit;
+  const auto forget = [this] {
+    pages_ = SlotPages();
+    positions_ = std::vector<float>();
+    extents_ = std::vector<float>();
+    changed_at_ = std::vector<std::uint64_t>();
+    page_changed_ = std::vector<std::uint64_t>();
+    capacity_ = 0;
+  };
   if (edit.clear) {
-    positions_.clear();
-    extents_.clear();
+    forget();
     out_of_memory_ = false;
   }
   if (edit.clear || edit.round != round_) {  // revisions so far say nothing any more
-    changed_at_.assign(changed_at_.size(), 0);
-    recent_.clear();
+    std::fill(changed_at_.begin(), changed_at_.end(), 0);
+    std::fill(page_changed_.begin(), page_changed_.end(), 0);
     begun_at_ = edit.revision;
   }
   map_id_ = item.state.id;
@@ -116,36 +133,40 @@ void BuiltInSorter::apply(const EditQueue::Waiting& item) {
   try {
     hold(edit);
   } catch (const std::bad_alloc&) {
-    positions_ = std::vector<float>();
-    extents_ = std::vector<float>();
-    changed_at_ = std::vector<std::uint64_t>();
-    recent_.clear();
+    forget();
     out_of_memory_ = true;
   }
 }
 
 void BuiltInSorter::hold(const GaussianEdit& edit) {
-  if (extents_.size() < edit.capacity) {
-    positions_.resize(3 * std::size_t{edit.capacity}, 0.0f);
-    extents_.resize(edit.capacity, -1.0f);
-    changed_at_.resize(edit.capacity, 0);
-  }
+  pages_.apply(edit);
+  capacity_ = edit.capacity;
+  const std::size_t rows = pages_.pages().size() * SlotPage::kSlots;
+  grow(positions_, 3 * rows, 0.0f);
+  grow(extents_, rows, -1.0f);
+  grow(changed_at_, rows, std::uint64_t{0});
+  grow(page_changed_, pages_.pages().size(), std::uint64_t{0});
   std::size_t source = 0;
   for (const auto& [first, run_count] : edit.runs) {
-    const std::size_t count =
-        first < edit.capacity ? std::min(run_count, edit.capacity - first) : 0;
-    if (edit.sh_degree >= 0) {
-      std::copy_n(&edit.positions[3 * source], 3 * count,
-                  positions_.data() + 3 * std::size_t{first});
-      std::copy_n(&edit.extents[source], count, extents_.data() + first);
-    } else {
-      std::fill_n(extents_.data() + first, count, -1.0f);
+    std::uint32_t slot = first, left = run_count;
+    while (left > 0) {
+      const std::uint32_t count = std::min(left, SlotPage::kSlots - slot % SlotPage::kSlots);
+      if (const SlotPage* const page = pages_.find(slot)) {
+        const std::size_t row = rowOf(*page) + slot % SlotPage::kSlots;
+        if (edit.sh_degree >= 0) {
+          std::copy_n(&edit.positions[3 * source], 3 * count, &positions_[3 * row]);
+          std::copy_n(&edit.extents[source], count, &extents_[row]);
+        } else {
+          std::fill_n(&extents_[row], count, -1.0f);
+        }
+        std::fill_n(&changed_at_[row], count, edit.revision);
+        page_changed_[page->place] = edit.revision;
+      }
+      slot += count;
+      left -= count;
+      source += count;
     }
-    std::fill_n(changed_at_.data() + first, count, edit.revision);
-    source += run_count;
   }
-  recent_.push_back({edit.revision, edit.runs});  // not the edit: its splats would stay in memory
-  if (recent_.size() > kRecentEdits) recent_.pop_front();
 }
 
 OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request) {
@@ -155,21 +176,16 @@ OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request)
   order->sequence = request.sequence;
   order->map_id = map_id_;
   order->revision = revision_;
-  // Only an order of this map, not too far behind, can be brought up to date.
-  const bool mergeable = request.base && request.base->map_id == map_id_ && !recent_.empty() &&
-                         request.base->revision >= begun_at_ &&
-                         request.base->revision + 1 >= recent_.front().revision;
+  // Only an order of this map, since its revisions began, can be brought up to date.
+  const bool mergeable =
+      request.base && request.base->map_id == map_id_ && request.base->revision >= begun_at_;
   order->source = mergeable ? request.base->source + " + built-in" : "built-in";
   bool lacking = out_of_memory_;
   try {
     if (mergeable) {
       merge(request, order->slots);
     } else {
-      depth_order_.sort(request.view, positions_.data(), extents_.data(), extents_.size(),
-                        [&order](std::size_t total) {
-                          order->slots.resize(total);
-                          return order->slots.data();
-                        });
+      sortAll(request.view, order->slots);
     }
   } catch (const std::bad_alloc&) {
     lacking = true;
@@ -178,36 +194,57 @@ OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request)
     order->slots.clear();
     order->source += " (out of memory)";
   }
-  order->bound = extents_.size();
+  order->bound = capacity_;
   order->sort_time =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return order;
 }
 
+void BuiltInSorter::sortAll(const rosplat_sorter::View& view, std::vector<std::uint32_t>& slots) {
+  std::vector<rosplat_sorter::Page> pages;
+  pages.reserve(pages_.pages().size());
+  for (const SlotPage& page : pages_.pages()) pages.push_back({page.first_slot, page.place});
+  depth_order_.sort(view, positions_.data(), extents_.data(), pages.data(), pages.size(),
+                    [&slots](std::size_t total) {
+                      slots.resize(total);
+                      return slots.data();
+                    });
+}
+
 void BuiltInSorter::merge(const Request& request, std::vector<std::uint32_t>& merged) {
   const std::uint64_t known = request.base->revision;
+  constexpr std::size_t kNowhere = ~std::size_t{0};
+  std::vector<std::size_t> row_of(capacity_ / SlotPage::kSlots + 1, kNowhere);  // a page's first
   std::vector<std::uint32_t> changed;
-  for (const Change& change : recent_) {
-    if (change.revision <= known) continue;
-    for (const auto& [first, count] : change.runs) {
-      for (std::uint32_t slot = first; slot < first + count && slot < extents_.size(); ++slot) {
-        changed.push_back(slot);
-      }
+  std::vector<float> positions, extents;  // of these
+  for (const SlotPage& page : pages_.pages()) {
+    const std::size_t first = rowOf(page);
+    row_of[page.first_slot / SlotPage::kSlots] = first;
+    if (page_changed_[page.place] <= known) continue;
+    for (std::size_t row = first; row < first + SlotPage::kSlots; ++row) {
+      if (changed_at_[row] <= known) continue;
+      changed.push_back(page.first_slot + static_cast<std::uint32_t>(row - first));
+      positions.insert(positions.end(), &positions_[3 * row], &positions_[3 * row] + 3);
+      extents.push_back(extents_[row]);
     }
   }
-  std::sort(changed.begin(), changed.end());
-  changed.erase(std::unique(changed.begin(), changed.end()), changed.end());
   const std::vector<std::uint32_t>& fresh = depth_order_.sort(
-      request.view, positions_.data(), extents_.data(), changed.data(), changed.size());
+      request.view, positions.data(), extents.data(), changed.data(), changed.size());
 
   merged.clear();
   merged.reserve(request.base->slots.size() + fresh.size());
   auto next = fresh.begin();
+  const auto row = [&](std::uint32_t slot) {
+    const std::size_t page = slot / SlotPage::kSlots;
+    const std::size_t first = page < row_of.size() ? row_of[page] : kNowhere;
+    return first == kNowhere ? kNowhere : first + slot % SlotPage::kSlots;
+  };
   const auto depth = [&](std::uint32_t slot) {
-    return rosplat_sorter::DepthOrder::depth(request.view, &positions_[3 * std::size_t{slot}]);
+    return rosplat_sorter::DepthOrder::depth(request.view, &positions_[3 * row(slot)]);
   };
   for (const std::uint32_t slot : request.base->slots) {
-    if (slot >= changed_at_.size() || changed_at_[slot] > known) continue;
+    const std::size_t at = row(slot);
+    if (at == kNowhere || changed_at_[at] > known) continue;
     const float here = depth(slot);
     while (next != fresh.end()) {
       const float there = depth(*next);

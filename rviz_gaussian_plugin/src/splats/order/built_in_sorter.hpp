@@ -2,7 +2,6 @@
 
 #include <condition_variable>
 #include <cstdint>
-#include <deque>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -14,6 +13,7 @@
 
 #include "map/edit_queue.hpp"
 #include "map/gaussian_map.hpp"
+#include "map/slot_pages.hpp"
 #include "map/sorter_view.hpp"
 #include "order/order.hpp"
 #include "rosplat_sorter/depth_order.hpp"
@@ -54,16 +54,11 @@ class BuiltInSorter {
     rosplat_sorter::View view{};
     OrderPtr base;
   };
-  // The slots that an edit changed.
-  struct Change {
-    std::uint64_t revision = 0;
-    std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;  // first, count
-  };
-
   void run();
   void apply(const EditQueue::Waiting& item);
   void hold(const GaussianEdit& edit);
   OrderPtr sort(const std::string& view_id, const Request& request);
+  void sortAll(const rosplat_sorter::View& view, std::vector<std::uint32_t>& slots);
   void merge(const Request& request, std::vector<std::uint32_t>& merged);
 
   OrderPool& pool_;
@@ -75,14 +70,17 @@ class BuiltInSorter {
   std::map<std::string, OrderPtr> orders_;
   std::size_t bytes_ = 0;
 
-  // The worker's own, by slot.
+  // The worker's own.
   std::string map_id_;
   std::uint64_t round_ = 0, revision_ = 0;
   std::uint64_t begun_at_ = 0;  // revision since which it only grew
   bool out_of_memory_ = false;  // until the next clear
+  std::uint32_t capacity_ = 0;  // as GaussianEdit::capacity
+  SlotPages pages_;
+  // Rows of the pages' slots, by place.
   std::vector<float> positions_, extents_;
-  std::vector<std::uint64_t> changed_at_;  // revision of a slot's last change
-  std::deque<Change> recent_;              // whose slots a merge sorts
+  std::vector<std::uint64_t> changed_at_;    // revision of a slot's last change
+  std::vector<std::uint64_t> page_changed_;  // of a page's, by place
   rosplat_sorter::DepthOrder depth_order_{rosplat_sorter::ThreadTeam::ofViewers()};
   std::thread thread_;
 };

@@ -51,7 +51,7 @@ bool OrderBook::offer(const OrderPtr& order, double now) {
     return true;
   }
   if (view.sidecar && order->sequence < view.sidecar->sequence) return false;
-  if (order->bound > map_.capacity) return false;
+  if (order->bound > map_.capacity || order->slots.size() > map_.capacity) return false;
   view.sidecar = order;
   view.waiting_since = now;
   return true;
