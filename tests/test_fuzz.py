@@ -17,7 +17,7 @@ import numpy as np
 from test_conformance import Display, Publisher, Sorter
 
 from rosplat_msgs.msg import GaussianArray, ViewCamera
-from rosplat_msgs.srv import LoadScene, SaveMap
+from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
 from rosplat_sorter import camera, depth
 from rosplat_sorter.backends import open_backend
 from rosplat_sorter.qos import MAP, VIEW
@@ -172,22 +172,26 @@ def test_nodes_outlive_what_their_peers_send(tmp_path: Path, node: Any, listener
         started = [
             processes.node("rosplat_sorter", "sorter", *hostile),
             processes.node("rosplat_tools", "ply_publisher", *remap),
+            processes.node("rviz_gaussian_plugin", "viewer", *hostile, "-p", "serve:=true"),
         ]
         maps = node.create_publisher(GaussianArray, "hostile", MAP)
         views = node.create_publisher(ViewCamera, "hostile/view", VIEW)
-        listener.wait(lambda: maps.get_subscription_count() == 1)
+        listener.wait(lambda: maps.get_subscription_count() == 2)
 
         def call(kind: Any, name: str, **request: object) -> None:
             """Calls a service, unless one of them ends."""
             answer = listener.request(kind, name, **request)
             listener.wait(lambda: processes.check() or answer.done())
 
+        listener.call(RenderView, "hostile/render")
         before = [peak_of(process) for process in started]
         for case in range(cases):
             rng = fuzz.random(case)
             for message in fuzz.batches(rng):
                 maps.publish(message)
-            views.publish(fuzz.view_camera(rng))
+            camera = fuzz.view_camera(rng)
+            views.publish(camera)
+            call(RenderView, "hostile/render", camera=camera)
             (tmp_path / "damaged").write_bytes(fuzz.damaged(rng, scene.read_bytes()))
             path = fuzz.one_of(rng, paths)
             if case % 4 == 0:
@@ -198,7 +202,7 @@ def test_nodes_outlive_what_their_peers_send(tmp_path: Path, node: Any, listener
             processes.check()
         for process, least in zip(started, before, strict=True):
             assert peak_of(process) - least < FLOOR
-        for name in ("sorter", "ply_publisher"):
+        for name in ("sorter", "ply_publisher", "viewer"):
             assert "Traceback" not in processes.said(name)
             assert max(map(len, processes.said(name).splitlines())) < 2000
 
