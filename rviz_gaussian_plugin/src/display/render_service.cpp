@@ -46,32 +46,31 @@ RenderService::RenderService(const std::string& view_id, SplatCloud& cloud, Gaus
 
 void RenderService::serve() {
   served_ = true;
-  if (!request_ && !take()) return;
-  const bool wanted = cloud_.scene().wantsOrders(cloud_.settings());
-  view_.setOrdersWanted(wanted);
-  const bool answered = wanted && cloud_.scene().answered(view_.id(), cloud_.settings());
-  if (wanted && !answered && Clock::now() < deadline_) {
-    if (view_.age() > kAskAgain) view_.ask(view_.camera());
-    return;
+  try {
+    if (!request_ && !take()) return;
+    SplatScene& scene = cloud_.scene();
+    const bool wanted = scene.wantsOrders(cloud_.settings());
+    view_.setOrdersWanted(wanted);
+    const bool answered = wanted && scene.answered(view_.id(), cloud_.settings());
+    if (wanted && !answered && Clock::now() < deadline_) {
+      if (view_.age() > kAskAgain) view_.ask(view_.camera());
+      return;
+    }
+    if (!scene.ready(view_.id(), inFull(cloud_.settings()), !answered)) return;
+    auto response = draw(!answered);
+    request_->answer(response);
+  } catch (const std::exception& error) {
+    request_->refuse(error.what());
   }
-  if (!cloud_.scene().ready(view_.id(), inFull(cloud_.settings()), !answered)) return;
-  auto response = draw(!answered);
-  request_->answer(response);
   request_.reset();
 }
 
 bool RenderService::take() {
   request_ = client_.takeRenderRequest();
   if (!request_) return false;
-  try {
-    SplatCamera camera = toCamera(inMapFrame(request_->request->camera));
-    camera.extent_scale = extentScale(cloud_.settings());
-    view_.ask(camera);
-  } catch (const std::invalid_argument& error) {
-    request_->refuse(error.what());
-    request_.reset();
-    return false;
-  }
+  SplatCamera camera = toCamera(inMapFrame(request_->request->camera));
+  camera.extent_scale = extentScale(cloud_.settings());
+  view_.ask(camera);
   const double asked = request_->request->order_timeout;
   const std::chrono::duration<double> wait(asked > 0 ? std::min(asked, kLongestWait) : 0.0);
   deadline_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(wait);
@@ -105,24 +104,20 @@ rosplat_msgs::msg::ViewCamera RenderService::inMapFrame(
 
 GaussianClient::RenderView::Response RenderService::draw(bool sort_now) {
   GaussianClient::RenderView::Response response;
-  try {
-    SplatScene& scene = cloud_.scene();
-    const FrameReport report =
-        scene.draw(view_.id(), inFull(cloud_.settings()), Canvas::kNone, sort_now);
-    const auto& camera = request_->request->camera;
-    response.color = toImage(scene.readColor(), "32FC4", camera);
-    response.depth = toImage(scene.readDepth(), "32FC1", camera);
-    response.splats = report.splats;
-    response.order_source = report.order_source;
-    response.sort_time = report.sort_time;
-    response.draw_time = report.draw_time;
-    response.map_id = report.map.id;
-    response.revision = report.map.revision;
-    response.map_complete = report.map.complete();
-    response.success = true;
-  } catch (const std::exception& error) {
-    response.message = error.what();
-  }
+  SplatScene& scene = cloud_.scene();
+  const FrameReport report =
+      scene.draw(view_.id(), inFull(cloud_.settings()), Canvas::kNone, sort_now);
+  const auto& camera = request_->request->camera;
+  response.color = toImage(scene.readColor(), "32FC4", camera);
+  response.depth = toImage(scene.readDepth(), "32FC1", camera);
+  response.splats = report.splats;
+  response.order_source = report.order_source;
+  response.sort_time = report.sort_time;
+  response.draw_time = report.draw_time;
+  response.map_id = report.map.id;
+  response.revision = report.map.revision;
+  response.map_complete = report.map.complete();
+  response.success = true;
   return response;
 }
 
