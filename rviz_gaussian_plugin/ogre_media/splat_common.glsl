@@ -69,14 +69,25 @@ Ellipse unpackEllipse(PackedEllipse p) {
   return e;
 }
 
-vec2 minorAxis(Ellipse e) { return e.minor * normalize(vec2(-e.major.y, e.major.x)); }
+vec2 minorDirection(Ellipse e) { return normalize(vec2(-e.major.y, e.major.x)); }
+
+vec2 minorAxis(Ellipse e) { return e.minor * minorDirection(e); }
 
 float cutoffSigmas(float opacity) { return min(kMaxSigmas, sqrt(2.0 * log(255.0 * opacity))); }
 
-// exp(-x^2 / 2) of a distance from the centre, along the axes and in their lengths times kHalfLog2.
+// A Gaussian's falloff is exp(-x^2 / 2), x in lengths of its axes.
 const float kHalfLog2 = 0.84932180028801907;  // sqrt(log2(e) / 2)
 
-float falloffAt(vec2 sigmas) { return exp2(-dot(sigmas, sigmas)); }
+// Directions of the axes over their lengths, times kHalfLog2. [1/px]
+vec4 falloffAxes(Ellipse e) {
+  return vec4(kHalfLog2 * e.major / dot(e.major, e.major), kHalfLog2 * minorDirection(e) / e.minor);
+}
+
+// At an offset from the centre. [px]
+float falloffAt(vec4 axes, vec2 offset) {
+  vec2 sigmas = vec2(dot(offset, axes.xy), dot(offset, axes.zw));
+  return exp2(-dot(sigmas, sigmas));
+}
 
 bool isBall(int mode) { return mode == kFlatBall || mode == kGaussianBall; }
 

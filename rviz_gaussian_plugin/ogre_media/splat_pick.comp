@@ -22,12 +22,10 @@ const uint kBatch = 256u;
 shared uint searching;  // pixels that a farther splat may still win
 shared uint indices[kBatch];
 shared vec4 places[kBatch];  // centre [px], window depth, opacity
-shared vec4 axes[kBatch];    // directions of the axes over their lengths [1/px]
+shared vec4 axes[kBatch];    // falloffAxes()
 
 float pixelAlpha(uint k, vec2 pixel) {
-  vec2 offset = pixel - places[k].xy;
-  vec2 sigmas = kHalfLog2 * vec2(dot(offset, axes[k].xy), dot(offset, axes[k].zw));
-  return alphaAt(places[k].w, falloffAt(sigmas), mode);
+  return alphaAt(places[k].w, falloffAt(axes[k], pixel - places[k].xy), mode);
 }
 
 void take(uint k, uint index) {
@@ -37,7 +35,7 @@ void take(uint k, uint index) {
   Ellipse e = ellipse(index);
   if (e.opacity == 0.0) return;
   places[k] = vec4(e.centre, windowDepth(e.depth), e.opacity);
-  axes[k] = vec4(e.major / dot(e.major, e.major), minorAxis(e) / (e.minor * e.minor));
+  axes[k] = falloffAxes(e);
 }
 
 void main() {

@@ -1,7 +1,8 @@
 // A Gaussian's colour and alpha, premultiplied, to be blended back to front.
 
-flat in vec4 colour;
-in vec2 sigmas;
+flat in vec4 colour;  // rgb, opacity
+flat in vec2 centre;
+flat in vec4 axes;
 layout(location = 0) out vec4 blended;
 #ifdef BEHIND
 layout(location = 1) out vec4 nearness;  // as in splat_hide.frag
@@ -14,7 +15,8 @@ void main() {
 #ifdef BEHIND
   if (gl_FragCoord.z > texelFetch(scene_depth, ivec2(gl_FragCoord.xy), 0).r) discard;
 #endif
-  float falloff = falloffAt(kHalfLog2 * sigmas), alpha = alphaAt(colour.a, falloff, mode);
+  float falloff = falloffAt(axes, gl_FragCoord.xy - centre);
+  float alpha = alphaAt(colour.a, falloff, mode);
   if (alpha < kCutoffAlpha) discard;
   vec3 rgb = colour.rgb * (mode == kGaussianBall ? falloff : 1.0);
   blended = vec4(rgb * alpha, alpha);

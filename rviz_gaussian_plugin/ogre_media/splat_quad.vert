@@ -10,8 +10,13 @@ uniform int mode;
 uniform bool raw_depth;    // blend depths [m] instead of colours
 uniform vec2 depth_range;  // of mode kDepth [m]; empty: that of what is drawn
 
+// What a pixel needs to find its falloff itself: corners lie on a grid, as fine as the driver has it,
+// and what is interpolated between them is as coarse.
 flat out vec4 colour;  // rgb, opacity
-out vec2 sigmas;       // from the centre along the ellipse's axes
+flat out vec2 centre;  // in the target [px]
+flat out vec4 axes;    // falloffAxes(), there
+
+const float kGrid = 1.0 / 16.0;  // at most [px]
 
 void main() {
   uint index = drawn[drawn_tally.count - 1u - uint(gl_InstanceID)];
@@ -20,8 +25,8 @@ void main() {
   if (index != kNone) e = ellipse(index);
   if (e.opacity <= 0.0) {
     gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-    sigmas = vec2(0.0);
-    colour = vec4(0.0);
+    colour = axes = vec4(0.0);
+    centre = vec2(0.0);
     return;
   }
   colour = vec4(e.colour, e.opacity);
@@ -33,9 +38,10 @@ void main() {
                                           : vec2(keyDepth(nearest), keyDepth(farthest)));
   }
   vec2 corner = vec2((gl_VertexID & 1) * 2 - 1, (gl_VertexID >> 1) * 2 - 1);
-  sigmas = corner * cutoffSigmas(e.opacity);
-  vec2 minor = minorAxis(e);
-  vec2 pixel = e.centre + sigmas.x * e.major + sigmas.y * minor;
+  vec2 sigmas = corner * (cutoffSigmas(e.opacity) + kGrid / vec2(length(e.major), e.minor));
+  vec2 pixel = e.centre + sigmas.x * e.major + sigmas.y * minorAxis(e);
   vec2 ndc = 2.0 * pixel / picture - 1.0;
   gl_Position = vec4(ndc.x, -up * ndc.y, ndcDepth(e.depth), 1.0);
+  centre = vec2(e.centre.x, up < 0.0 ? e.centre.y : picture.y - e.centre.y);
+  axes = falloffAxes(e) * vec2(1.0, -up).xyxy;
 }

@@ -24,9 +24,9 @@ const uint kParts = 8u;
 // What is still to come can't change a pixel by more than this, of a white splat.
 const float kTransparent = 1e-5;
 
-shared vec4 places[kBatch];   // centre [px], direction of the major axis over its length [1/px]
-shared vec4 shapes[kBatch];   // the same of the minor axis, window depth, -
-shared vec4 colours[kBatch];  // rgb, opacity
+shared vec4 places[kBatch];  // centre [px], window depth, opacity
+shared vec4 axes[kBatch];    // falloffAxes()
+shared vec3 colours[kBatch];
 shared uint reaching[kParts][kWords];  // a bit for each splat of the batch
 shared uint finished;
 
@@ -79,36 +79,32 @@ void main() {
     barrier();
     if (first + local < end) {
       Ellipse e = ellipse(splat_of[first + local]);
-      vec2 major = kHalfLog2 * e.major / dot(e.major, e.major);
-      places[local] = vec4(e.centre, major);
-      vec2 minor = kHalfLog2 * normalize(vec2(-e.major.y, e.major.x)) / e.minor;
-      shapes[local] = vec4(minor, windowDepth(e.depth), 0.0);
-      colours[local] = vec4(mode == kDepth ? depthColour(e.depth, range) : e.colour, e.opacity);
+      places[local] = vec4(e.centre, windowDepth(e.depth), e.opacity);
+      axes[local] = falloffAxes(e);
+      colours[local] = mode == kDepth ? depthColour(e.depth, range) : e.colour;
       mark(local, e, tile);
     }
     barrier();
     for (uint word = 0u; word < kWords; ++word) {
       for (uint bits = reaching[part][word]; bits != 0u && !done; bits &= bits - 1u) {
         uint k = 32u * word + uint(findLSB(bits));
-        vec4 place = places[k], shape = shapes[k];
-        vec2 offset = vec2(pixel) + 0.5 - place.xy;
-        vec2 sigmas = vec2(dot(offset, place.zw), dot(offset, shape.xy));
-        float falloff = falloffAt(sigmas);
-        vec4 splat = colours[k];
-        float alpha = alphaAt(splat.a, falloff, mode);
-        if (mode == kGaussianBall) splat.rgb *= falloff;
+        vec4 place = places[k];
+        float falloff = falloffAt(axes[k], vec2(pixel) + 0.5 - place.xy);
+        vec3 splat = colours[k];
+        float alpha = alphaAt(place.w, falloff, mode);
+        if (mode == kGaussianBall) splat *= falloff;
 #ifdef BEHIND
-        if (alpha >= kCutoffAlpha && shape.z > hidden_from && shape.z <= behind_until) {
-          colour_behind += transmittance_behind * alpha * splat.rgb;
-          nearness += transmittance_behind * alpha * (1.0 - shape.z);
+        if (alpha >= kCutoffAlpha && place.z > hidden_from && place.z <= behind_until) {
+          colour_behind += transmittance_behind * alpha * splat;
+          nearness += transmittance_behind * alpha * (1.0 - place.z);
           transmittance_behind *= 1.0 - alpha;
           done = transmittance * transmittance_behind < kTransparent;
           if (done) atomicAdd(finished, 1u);
           continue;
         }
 #endif
-        if (alpha < kCutoffAlpha || shape.z > hidden_from || shape.z < 0.0) continue;
-        colour += transmittance * alpha * splat.rgb;
+        if (alpha < kCutoffAlpha || place.z > hidden_from || place.z < 0.0) continue;
+        colour += transmittance * alpha * splat;
         transmittance *= 1.0 - alpha;
         done = transmittance < kTransparent;
         if (done) atomicAdd(finished, 1u);

@@ -502,7 +502,7 @@ TEST_F(SplatRendererTest, ListsNotInVainWhatWasTooMuch) {
   EXPECT_EQ(stages(0), "quads: bin blend list project quads sort");
   const auto picks = picked(scene);
   EXPECT_EQ(picked(scene), picks);
-  EXPECT_EQ(stages(0), "quads: list project quads sort");
+  EXPECT_EQ(stages(0.1), "quads: list project quads sort");
 }
 
 // Wherever slots are, and in whatever order they come: pages are found and numbered.
@@ -650,17 +650,18 @@ TEST_F(SplatRendererTest, IsHiddenByAnOpaqueSceneInWhateverDepthFormat) {
   EXPECT_GT(greatestDifference(all, hidden.front()), 0.2f);
 }
 
-// Stands for any reason: here the framebuffer isn't complete.
+// For whatever reason: no two drivers refuse the same.
 TEST_F(SplatRendererTest, IsHiddenByNothingAndSaysSoWhereTheDriverKeepsTheDepth) {
   SplatScene scene(shaders());
   fill(scene);
   const auto all = picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn);
   const Framebuffer window(GL_DEPTH24_STENCIL8, 4, windowDepth(6));
-  GLuint other = 0;
-  glGenRenderbuffers(1, &other);
-  glBindRenderbuffer(GL_RENDERBUFFER, other);
-  glRenderbufferStorage(GL_RENDERBUFFER, GL_RGBA8, kSize, kSize);
-  glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_RENDERBUFFER, other);
+  epoxy_glBlitFramebuffer = [](GLint, GLint, GLint, GLint, GLint, GLint, GLint, GLint, GLbitfield,
+                               GLenum) {
+    constexpr GLbitfield kNoSuchBuffer = GL_ACCUM_BUFFER_BIT;  // an error
+    reinterpret_cast<PFNGLBLITFRAMEBUFFERPROC>(eglGetProcAddress("glBlitFramebuffer"))(
+        0, 0, 1, 1, 0, 0, 1, 1, kNoSuchBuffer, GL_NEAREST);
+  };
   for (int frame = 0; frame < 2; ++frame) {
     EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn, Canvas::kWindow).size(),
               all.size());
@@ -672,8 +673,8 @@ TEST_F(SplatRendererTest, IsHiddenByNothingAndSaysSoWhereTheDriverKeepsTheDepth)
       EXPECT_NEAR(now[4 * kSize * row + i], all[4 * kSize * row + i], 1e-5f);
     }
   }
-  glDeleteRenderbuffers(1, &other);
-  gl::dropErrors();  // of laying the picture over such a framebuffer
+  epoxy_glBlitFramebuffer =
+      reinterpret_cast<PFNGLBLITFRAMEBUFFERPROC>(eglGetProcAddress("glBlitFramebuffer"));
 }
 
 // Neither spoils what others have set a picture, nor what is drawn here theirs.
