@@ -15,6 +15,7 @@ from rosplat_lab import reference
 from rosplat_lab.bench.embedded import insert_all, pose
 from rosplat_tools.cameras import Camera, load_cameras, look_at
 from rosplat_tools.formats import load
+from rosplat_tools.generate import generate
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin import offscreen
 from rviz_gaussian_plugin.offscreen import Antialiasing, CpuRenderer, Instructions
@@ -127,6 +128,29 @@ def test_trained_scenes_match_gsplat(
         theirs = cv2.imread(str(reference_folder / name / camera.image), cv2.IMREAD_UNCHANGED)
         ours = draw(renderer, camera)["colour"][..., 2::-1]
         assert decibels(ours, theirs / 65535) >= 77
+
+
+@pytest.mark.parametrize("view", CAMERAS)
+def test_contributions_are_those_of_the_twin(renderer: CpuRenderer, view: str) -> None:
+    splats = cloud()[:60]
+    insert_all(renderer, splats)
+    found = renderer.contribute(offscreen.Camera(*pose(CAMERAS[view])))
+    weights, errors = reference.contributions(splats, CAMERAS[view])
+    assert errors.max() > 1  # there was something to see
+    np.testing.assert_allclose(found["weight"], weights, rtol=2e-3, atol=0.02)
+    np.testing.assert_allclose(found["error"], errors, rtol=5e-3, atol=1e-3)
+    drawn = draw(renderer, CAMERAS[view])["colour"]
+    np.testing.assert_array_equal(found["colour"], drawn)
+
+
+def test_contributions_of_slices_of_depth_add_up() -> None:
+    """The processor draws so many splats in several slices; what hides is in the nearest."""
+    splats = generate(600_000)
+    camera = camera_at((5.0, 1.0, 2.0))
+    renderer = CpuRenderer(threads=2)
+    insert_all(renderer, splats)
+    found = renderer.contribute(offscreen.Camera(*pose(camera)))
+    assert found["weight"].sum() == pytest.approx(found["colour"][..., 3].sum(), rel=1e-4)
 
 
 def test_a_map_far_from_its_origin_is_as_sharp(renderer: CpuRenderer) -> None:

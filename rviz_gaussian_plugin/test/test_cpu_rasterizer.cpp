@@ -257,6 +257,8 @@ TEST(CpuRasterizer, gives_up_when_it_is_told_to) {
   SplatPicture picture;
   EXPECT_FALSE(with.draw(scene.slots, scene.map.state(), wanted, picture));
   EXPECT_TRUE(with.pick(scene.slots, scene.map.state(), wanted).empty());
+  Contributions contributions;
+  EXPECT_FALSE(with.contribute(scene.slots, scene.map.state(), wanted, picture, contributions));
   cancelled = false;
   EXPECT_TRUE(with.draw(scene.slots, scene.map.state(), wanted, picture));
 }

@@ -232,6 +232,21 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
   return drawn;
 }
 
+py::dict contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
+                         const std::optional<Array<float>>& scene_depth) {
+  const PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
+  SplatPicture& picture = renderer.picture;
+  Contributions found;
+  {
+    const py::gil_scoped_release release;
+    renderer.rasterizer.contribute(renderer.slots, renderer.map.state(), request, picture, found);
+  }
+  const auto slots = static_cast<py::ssize_t>(found.weight.size());
+  return py::dict("colour"_a = toArray(picture.colour, {picture.height, picture.width, 4}),
+                  "weight"_a = toArray(std::move(found.weight), {slots}),
+                  "error"_a = toArray(std::move(found.error), {slots}));
+}
+
 Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
                                const std::optional<Array<float>>& scene_depth) {
   const PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
@@ -383,6 +398,7 @@ PYBIND11_MODULE(_offscreen, module) {
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "scene_depth"_a = py::none(),
            "translucent_depth"_a = py::none(), "order"_a = py::none())
       .def("pick", &pickOnCpu, "camera"_a, "scene_depth"_a = py::none())
+      .def("contribute", &contributeOnCpu, "camera"_a, "scene_depth"_a = py::none())
       .def_property_readonly("map_bytes", [](CpuRenderer& r) { return r.slots.bytes(); })
       .def_property_readonly("instructions",
                              [](CpuRenderer& r) { return r.rasterizer.instructions(); });

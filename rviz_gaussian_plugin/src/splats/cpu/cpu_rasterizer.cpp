@@ -220,8 +220,15 @@ struct CpuRasterizer::Work {
     std::vector<Footprint> footprints;
   };
 
+  // Draws, or picks, or finds what contributes to a picture that was drawn.
+  struct Wanted {
+    SplatPicture* picture = nullptr;
+    std::vector<std::uint32_t>* picked = nullptr;
+    Contributions* contributions = nullptr;
+  };
+
   bool run(const HostSlots& slots, const MapState& map, const PictureRequest& request,
-           SplatPicture* picture, std::vector<std::uint32_t>* picked);
+           const Wanted& wanted);
   void setViews(const HostSlots& slots, const MapState& map, const PictureRequest& request);
   void choosePages(const HostSlots& slots, const PageView& view);
   void cull();
@@ -237,6 +244,9 @@ struct CpuRasterizer::Work {
              Member& member);
   void pick(const PictureRequest& request, std::vector<std::uint32_t>& picked, bool first,
             std::size_t tile, Member& member);
+  void contribute(const PictureRequest& request, const SplatPicture& picture, bool first,
+                  std::size_t tile, Member& member);
+  void addUp(Contributions& contributions) const;
   std::size_t inTile(std::size_t tile, Member& member);
   void findDepthRange();
 
@@ -263,9 +273,11 @@ struct CpuRasterizer::Work {
   bool ordered = false;
   Room<Candidate> found, dealt;
   std::size_t candidates = 0;
-  std::vector<Slice> waiting;        // the nearest one last
-  std::vector<float> open;           // the pyramid's
-  std::vector<float> contributions;  // when picking: transmittance and the most so far, by pixel
+  std::vector<Slice> waiting;    // the nearest one last
+  std::vector<float> open;       // the pyramid's
+  std::vector<float> picking;    // transmittance and the most contributed so far, by pixel
+  std::vector<float> remaining;  // transmittance and what is still to come of the colour, by pixel
+  Room<Contribution> of_listed;
   Pyramid pyramid;
   int levels = 0;
   bool hides = false;  // some tile isn't open
@@ -773,18 +785,55 @@ void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::u
   tile.slot = member.slots;
   std::fill_n(tile.transmittance, kTilePixels, 0.0f);
   rect.forEach([&](std::size_t i, std::size_t pixel) {
-    tile.transmittance[i] = first ? 1 : contributions[2 * pixel];
-    tile.most[i] = first ? kLeastPicked : contributions[2 * pixel + 1];
+    tile.transmittance[i] = first ? 1 : picking[2 * pixel];
+    tile.most[i] = first ? kLeastPicked : picking[2 * pixel + 1];
     tile.slot[i] = first ? kNoSlot : picked[pixel];
   });
   const bool ended =
       kernels.pick(tile, mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall);
   if (ended) open[number] = kEnded;
   rect.forEach([&](std::size_t i, std::size_t pixel) {
-    contributions[2 * pixel] = tile.transmittance[i];
-    contributions[2 * pixel + 1] = tile.most[i];
+    picking[2 * pixel] = tile.transmittance[i];
+    picking[2 * pixel + 1] = tile.most[i];
     picked[pixel] = tile.slot[i];
   });
+}
+
+void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatPicture& picture,
+                                     bool first, std::size_t number, Member& member) {
+  const TileRect rect(number, project_view.tiles_across, picture.width, picture.height);
+  ContributeTile tile;
+  tile.count = inTile(number, member);
+  if (tile.count == 0 && !first) return;
+  tile.listed = &listed[begins[number]];
+  tile.records = records.get();
+  tile.left = rect.left;
+  tile.top = rect.top;
+  tile.ends_at = kTransparent;
+  tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
+  tile.pixels = &member.pixels;
+  tile.splats = &of_listed[begins[number]];
+  std::memset(&member.pixels, 0, sizeof(member.pixels));
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    member.pixels.transmittance[i] = first ? 1 : remaining[4 * pixel + 3];
+    for (int k = 0; k < 3; ++k) {
+      member.pixels.colour[k][i] = first ? picture.colour[4 * pixel + k] : remaining[4 * pixel + k];
+    }
+  });
+  if (kernels.contribute(tile)) open[number] = kEnded;
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    for (int k = 0; k < 3; ++k) remaining[4 * pixel + k] = member.pixels.colour[k][i];
+    remaining[4 * pixel + 3] = member.pixels.transmittance[i];
+  });
+}
+
+// Tile by tile, so that sums are the same for any number of threads.
+void CpuRasterizer::Work::addUp(Contributions& contributions) const {
+  for (std::size_t i = 0; i < total_pairs; ++i) {
+    const std::uint32_t slot = records[listed[i].record].slot;
+    contributions.weight[slot] += of_listed[i].weight;
+    contributions.error[slot] += of_listed[i].error;
+  }
 }
 
 // Of mode kDepth without a range: that of all that is in the picture.
@@ -808,8 +857,8 @@ void CpuRasterizer::Work::findDepthRange() {
 }
 
 bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
-                              const PictureRequest& request, SplatPicture* picture,
-                              std::vector<std::uint32_t>* picked) {
+                              const PictureRequest& request, const Wanted& wanted) {
+  SplatPicture* const picture = wanted.picture;
   cancel = request.cancelled;
   out_of_memory = false;
   profile.clear();
@@ -828,7 +877,11 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
                          " pixels do not fit a picture of " + std::to_string(pixels));
     }
   }
-  if (picture) {
+  if (wanted.contributions) {
+    remaining.resize(4 * pixels);
+    wanted.contributions->weight.assign(map.capacity, 0);
+    wanted.contributions->error.assign(map.capacity, 0);
+  } else if (picture) {
     picture->width = camera.width;
     picture->height = camera.height;
     picture->colour.resize(4 * pixels);
@@ -836,8 +889,8 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     picture->behind.resize(request.translucent_depth.empty() ? 0 : 4 * pixels);
     picture->nearness.resize(request.translucent_depth.empty() ? 0 : 2 * pixels);
   } else {
-    picked->resize(pixels);
-    contributions.resize(2 * pixels);
+    wanted.picked->resize(pixels);
+    picking.resize(2 * pixels);
   }
   setViews(slots, map, request);
   choosePages(slots,
@@ -863,15 +916,18 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     }
     list();
     lap("list");
+    if (wanted.contributions) of_listed.reserve(total_pairs);
     std::atomic<std::size_t> next{0};
     team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
       Member& member = members[number];
       try {
         for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
-          if (picture) {
+          if (wanted.contributions) {
+            contribute(request, *picture, first, tile, member);
+          } else if (picture) {
             blend(request, *picture, first, tile, member);
           } else {
-            pick(request, *picked, first, tile, member);
+            pick(request, *wanted.picked, first, tile, member);
           }
         }
       } catch (const std::bad_alloc&) {
@@ -880,13 +936,14 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     });
     if (out_of_memory) throw std::bad_alloc();
     if (cancelled()) return false;
+    if (wanted.contributions) addUp(*wanted.contributions);
     lap("blend");
     for (const Part& part : parts) drawn += part.drawn;
     first = false;
     hides = hides || std::find(open.begin(), open.begin() + std::ptrdiff_t(tiles), kEnded) !=
                          open.begin() + std::ptrdiff_t(tiles);
   }
-  if (picture) {
+  if (picture && !wanted.contributions) {
     inParts(picture->depth.size(), 1 << 14, [&](const Part& part, Member&) {
       for (std::size_t i = part.begin; i < part.end; ++i) {
         const float alpha = picture->colour[4 * i + 3];
@@ -924,16 +981,27 @@ bool orSay(const SplatCamera& camera, const Run& run) {
 
 bool CpuRasterizer::draw(const HostSlots& slots, const MapState& map, const PictureRequest& request,
                          SplatPicture& picture) {
-  return orSay(request.camera, [&] { return work_->run(slots, map, request, &picture, nullptr); });
+  return orSay(request.camera, [&] { return work_->run(slots, map, request, {&picture}); });
 }
 
 std::vector<std::uint32_t> CpuRasterizer::pick(const HostSlots& slots, const MapState& map,
                                                const PictureRequest& request) {
   std::vector<std::uint32_t> picked;
   const bool whole =
-      orSay(request.camera, [&] { return work_->run(slots, map, request, nullptr, &picked); });
+      orSay(request.camera, [&] { return work_->run(slots, map, request, {nullptr, &picked}); });
   if (!whole) picked.clear();
   return picked;
+}
+
+bool CpuRasterizer::contribute(const HostSlots& slots, const MapState& map,
+                               const PictureRequest& request, SplatPicture& picture,
+                               Contributions& contributions) {
+  PictureRequest in_colour = request;
+  in_colour.settings.mode = DrawMode::kColor;
+  in_colour.translucent_depth = {};
+  return draw(slots, map, in_colour, picture) && orSay(request.camera, [&] {
+           return work_->run(slots, map, in_colour, {&picture, nullptr, &contributions});
+         });
 }
 
 const char* CpuRasterizer::instructions() const { return work_->kernels.name; }
@@ -941,7 +1009,7 @@ const char* CpuRasterizer::instructions() const { return work_->kernels.name; }
 std::size_t CpuRasterizer::bytes() const {
   const Work& w = *work_;
   std::size_t bytes = w.ranks.bytes() + w.found.bytes() + w.dealt.bytes() + w.records.bytes() +
-                      w.keys.bytes() + w.listed.bytes() +
+                      w.keys.bytes() + w.listed.bytes() + w.of_listed.bytes() +
                       w.begins.capacity() * sizeof(w.begins[0]) +
                       w.pages.capacity() * sizeof(w.pages[0]);
   for (const Part& part : w.parts) {

@@ -49,6 +49,12 @@ struct SplatPicture {
   std::map<std::string, double> profile;  // by stage [s]
 };
 
+// What splats are to a picture, by slot: sums over its pixels.
+struct Contributions {
+  std::vector<float> weight;  // of alpha x transmittance: of how many pixels a splat is the colour
+  std::vector<float> error;   // of the squares by which red, green and blue change without it
+};
+
 // A picture that can't be drawn; the text says why.
 struct PictureError : std::runtime_error {
   using std::runtime_error::runtime_error;
@@ -77,6 +83,11 @@ class CpuRasterizer {
   // cancelled. Throws PictureError.
   std::vector<std::uint32_t> pick(const HostSlots& slots, const MapState& map,
                                   const PictureRequest& request);
+
+  // Draws, in colour and without translucent objects, and finds what each slot contributes. False
+  // where it was cancelled. Throws PictureError.
+  bool contribute(const HostSlots& slots, const MapState& map, const PictureRequest& request,
+                  SplatPicture& picture, Contributions& contributions);
 
   const char* instructions() const;  // in use
   std::size_t bytes() const;         // of the workspace

@@ -601,6 +601,51 @@ bool pick(const PickTile& tile, bool balls) {
               });
 }
 
+float sumOf(Floats v) {
+  float sum = 0;
+  for (int i = 0; i < kLanes; ++i) sum += v[i];
+  return sum;
+}
+
+bool contribute(const ContributeTile& tile) {
+  TilePixels& pixels = *tile.pixels;
+  Contribution* next = tile.splats;
+  Floats weights = {}, errors = {};  // of the splat that is being walked over
+  const auto finish = [&] {
+    if (next == tile.splats) return;
+    next[-1] = {sumOf(weights), sumOf(errors)};
+    weights = errors = Floats{};
+  };
+  const bool has_ended =
+      walk(tile.listed, tile.count, tile.records, tile.left, tile.top, false, pixels.transmittance,
+           nullptr, tile.ends_at, [&](const Record& e) {
+             finish();
+             ++next;
+             const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
+             return [=, &pixels, &tile, &weights, &errors, &e](int pixel, Floats exponent,
+                                                               Ints covered) {
+               if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
+               const Floats alpha = covered ? min(falloffOf(exponent), all(kMaxAlpha)) : Floats{};
+               const Floats transmittance = load(pixels.transmittance + pixel);
+               const Floats weight = transmittance * alpha;
+               store(pixels.transmittance + pixel, transmittance - weight);
+               weights += weight;
+               // Without it, what is behind would be seen by 1 / (1 - alpha) as much.
+               const Floats uncovers = alpha / (1.0f - alpha);
+               for (int i = 0; i < 3; ++i) {
+                 float* const channel = pixels.colour[i] + pixel;
+                 const Floats behind = fma(-weight, colour[i], load(channel));
+                 store(channel, behind);
+                 const Floats change = fma(weight, colour[i], -uncovers * behind);
+                 errors = fma(change, change, errors);
+               }
+             };
+           });
+  finish();
+  for (; next < tile.splats + tile.count; ++next) *next = {};
+  return has_ended;
+}
+
 // To the nearest, ties to even; beyond the largest, the largest.
 void toHalves(const float* from, std::size_t count, std::uint16_t* halves) {
   const auto each = [](Floats v) {
@@ -621,6 +666,7 @@ void toHalves(const float* from, std::size_t count, std::uint16_t* halves) {
 
 #define ROSPLAT_QUOTE(name) #name
 #define ROSPLAT_NAME(name) ROSPLAT_QUOTE(name)
-const Kernels kKernels = {ROSPLAT_NAME(ROSPLAT_TARGET), cull, hide, project, blend, pick, toHalves};
+const Kernels kKernels = {
+    ROSPLAT_NAME(ROSPLAT_TARGET), cull, hide, project, blend, pick, contribute, toHalves};
 
 }  // namespace rosplat::cpu::ROSPLAT_TARGET

@@ -121,6 +121,23 @@ struct PickTile {
   std::uint32_t* slot;  // that it is from
 };
 
+// What a splat is to a picture: sums over its pixels.
+struct Contribution {
+  float weight;  // of alpha x transmittance: of how many pixels it is the colour
+  float error;   // of the squares by which red, green and blue change without it
+};
+
+struct ContributeTile {
+  const Listed* listed;
+  std::size_t count;
+  const Record* records;
+  int left, top;
+  float ends_at;         // as BlendTile
+  const float* opaque;   // or null
+  TilePixels* pixels;    // their colour: what is still to come of the picture's
+  Contribution* splats;  // of the listed, one for each
+};
+
 struct Kernels {
   const char* name;
   // Writes the slots of a page that may be seen; returns how many. index: of its first slot.
@@ -139,6 +156,7 @@ struct Kernels {
   // Blends until nothing behind can be seen; returns whether that is so.
   bool (*blend)(const BlendTile& tile, bool balls, bool gaussian_balls, bool with_depth);
   bool (*pick)(const PickTile& tile, bool balls);
+  bool (*contribute)(const ContributeTile& tile);
   void (*toHalves)(const float* from, std::size_t count, std::uint16_t* halves);
 };
 
