@@ -12,6 +12,7 @@ import os
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -291,6 +292,14 @@ def disc(
         opacities=np.full(1, opacity, np.float32),
         sh=((np.array([[colour]], np.float32) - 0.5) / 0.28209479).astype(np.float32),
     )
+
+
+def far_disc(world: World, x: float, yaw: float = 0.7, **of: Any) -> Any:
+    """A disc 4,500 km from its frame's origin, the frame so that it lies at x of rviz2's."""
+    distance = 4.5e6
+    world.place(x - distance, yaw=yaw)
+    origin = distance * np.array([math.cos(yaw), -math.sin(yaw), 0.0])
+    return replace(disc((1, 0, 0), **of), origin=origin)
 
 
 def red(picture: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from rviz_harness import (
     centre,
     configuration,
     disc,
+    far_disc,
     green,
     map_display,
     needs_rviz,
@@ -50,6 +51,19 @@ def test_the_map_follows_its_frame(rviz: Rviz, world: World) -> None:
     world.place(0, yaw=math.pi)
     turned = centre(red(rviz.until(lambda s: np.abs(centre(red(s)) - before).max() > 150)))
     assert np.abs(turned - before).max() == pytest.approx(200, abs=3)
+
+
+def test_a_map_far_from_its_origin_is_where_tf_puts_it(rviz: Rviz, world: World) -> None:
+    """A map in the earth's frame and a robot's Fixed Frame: what cancels out is 4,500 km."""
+    world.place(0.37)
+    world.map.replace(disc((1, 0, 0), sigma=0.3))
+    near = centre(red(rviz.until(lambda s: red(s).any())))
+    world.map.replace(far_disc(world, 1.37, sigma=0.3))  # pixels are centimetres
+    far = centre(red(rviz.until(lambda s: abs(centre(red(s)) - near).max() > 80)))
+    assert far - near == pytest.approx([0, 100], abs=1)
+    far_disc(world, 1.47)
+    moved = centre(red(rviz.until(lambda s: abs(centre(red(s)) - far).max() > 5)))
+    assert moved - far == pytest.approx([0, 10], abs=1)
 
 
 def test_the_picture_outlives_its_sidecar(rviz: Rviz, world: World) -> None:

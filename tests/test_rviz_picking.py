@@ -18,6 +18,7 @@ from rviz_harness import (
     centre,
     configuration,
     disc,
+    far_disc,
     green,
     map_display,
     needs_rviz,
@@ -95,6 +96,16 @@ def test_a_click_selects_shows_and_publishes_the_splat(
     rows, columns = np.nonzero(outline)
     assert columns.max() - columns.min() == pytest.approx(120, abs=4)
     assert rows.max() - rows.min() == pytest.approx(120, abs=4)
+
+
+def test_the_outline_of_a_splat_far_from_the_origin_is_around_it(
+    rviz: Rviz, world: World, picked: list[Any]
+) -> None:
+    world.map.replace(far_disc(world, 0.37, sigma=0.3))
+    splat = spot(rviz, red)
+    rviz.click(*splat)
+    outline = centre(cyan(rviz.until(lambda s: cyan(s).sum() > 100)))
+    assert outline == pytest.approx(splat, abs=2)
 
 
 def test_a_box_selects_more_keys_add_and_remove(

@@ -25,6 +25,7 @@
 #include <thread>
 #include <utility>
 
+#include "frames.hpp"
 #include "messages.hpp"
 #include "printable.hpp"
 
@@ -113,6 +114,11 @@ void GaussianDisplay::setTopic(const QString& topic, const QString&) { topic_->s
 void GaussianDisplay::onEnable() { subscribe(); }
 
 void GaussianDisplay::onDisable() { unsubscribe(); }
+
+void GaussianDisplay::fixedFrameChanged() {
+  Display::fixedFrameChanged();
+  placed_ = false;
+}
 
 void GaussianDisplay::reset() {
   Display::reset();
@@ -233,21 +239,21 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
 }
 
 void GaussianDisplay::updateTransform() {
-  const std::string frame = client_->frameId();
-  Ogre::Vector3 position;
-  Ogre::Quaternion orientation;
-  const bool known =
-      frame.empty() || context_->getFrameManager()->getTransform(frame, position, orientation);
+  if (placed_ && context_->getFrameManager()->getPause()) return;
+  geometry_msgs::msg::PoseStamped map;
+  map.header.frame_id = client_->frameId();
+  const bool named = !map.header.frame_id.empty();
+  const auto pose = named ? inFixedFrame(*context_->getFrameManager(), map) : std::nullopt;
   // Where the map belongs nobody knows: showing it somewhere would be wrong.
-  placed_ = known && !frame.empty();
+  placed_ = pose.has_value();
   scene_node_->setVisible(placed_);
   cloud_->setVisible(true);  // or it would neither upload nor draw pictures for services
-  if (!known) {
-    setMissingTransformToFixedFrame(printable(frame));
-  } else if (!frame.empty()) {
-    scene_node_->setPosition(position);
-    scene_node_->setOrientation(orientation);
+  if (placed_) {
+    cloud_->setPlace(toPlacement(*pose));
+    selection_->follow();
     setTransformOk();
+  } else if (named) {
+    setMissingTransformToFixedFrame(printable(map.header.frame_id));
   }
 }
 

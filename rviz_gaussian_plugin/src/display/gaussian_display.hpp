@@ -45,6 +45,7 @@ class GaussianDisplay : public rviz_common::Display {
   void onInitialize() override;
   void onEnable() override;
   void onDisable() override;
+  void fixedFrameChanged() override;
 
  private Q_SLOTS:
   void subscribe();

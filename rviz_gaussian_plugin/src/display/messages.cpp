@@ -132,6 +132,12 @@ rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::
   return message;
 }
 
+Placement toPlacement(const geometry_msgs::msg::Pose& pose) {
+  const auto& p = pose.position;
+  const auto& q = pose.orientation;
+  return makePlacement({p.x, p.y, p.z}, {q.x, q.y, q.z, q.w});
+}
+
 SplatCamera toCamera(const rosplat_msgs::msg::ViewCamera& m) {
   if (m.projection > rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC) {
     throw std::invalid_argument("projection " + std::to_string(m.projection) + " is unknown");

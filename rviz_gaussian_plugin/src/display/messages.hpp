@@ -32,6 +32,8 @@ rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::st
 rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::msg::Header& header,
                                       const std::string& map_id, std::uint64_t revision);
 
+Placement toPlacement(const geometry_msgs::msg::Pose& pose);
+
 // Throws std::invalid_argument, naming the field, for a camera that can't see.
 SplatCamera toCamera(const rosplat_msgs::msg::ViewCamera& message);
 

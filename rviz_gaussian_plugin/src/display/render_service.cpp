@@ -1,8 +1,5 @@
 #include "render_service.hpp"
 
-#include <OgreQuaternion.h>
-#include <OgreVector.h>
-
 #include <algorithm>
 #include <cstring>
 #include <rviz_common/frame_manager_iface.hpp>
@@ -11,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "frames.hpp"
 #include "messages.hpp"
 #include "printable.hpp"
 
@@ -68,7 +66,7 @@ void RenderService::serve() {
 bool RenderService::take() {
   request_ = client_.takeRenderRequest();
   if (!request_) return false;
-  SplatCamera camera = toCamera(inMapFrame(request_->request->camera));
+  SplatCamera camera = inMapFrame(request_->request->camera);
   camera.extent_scale = extentScale(cloud_.settings());
   view_.ask(camera);
   const double asked = request_->request->order_timeout;
@@ -77,29 +75,20 @@ bool RenderService::take() {
   return true;
 }
 
-rosplat_msgs::msg::ViewCamera RenderService::inMapFrame(
-    rosplat_msgs::msg::ViewCamera camera) const {
-  const std::string map_frame = client_.frameId();
-  const std::string& frame = camera.header.frame_id;
-  if (frame.empty() || frame == map_frame) return camera;
-  Ogre::Vector3 map_position, position;
-  Ogre::Quaternion map_orientation, orientation;
-  if (!frames_.getTransform(map_frame, map_position, map_orientation) ||
-      !frames_.transform(frame, rclcpp::Time(camera.header.stamp, RCL_ROS_TIME), camera.pose,
-                         position, orientation)) {
-    throw std::invalid_argument("camera.header.frame_id: no transform from '" + printable(frame) +
-                                "' to the map");
+SplatCamera RenderService::inMapFrame(rosplat_msgs::msg::ViewCamera camera) const {
+  const SplatCamera asked = toCamera(camera);  // names what is wrong with it
+  geometry_msgs::msg::PoseStamped map, eye;
+  map.header.frame_id = client_.frameId();
+  eye.header = camera.header;
+  eye.pose = camera.pose;
+  if (eye.header.frame_id.empty() || eye.header.frame_id == map.header.frame_id) return asked;
+  const auto map_pose = inFixedFrame(frames_, map), eye_pose = inFixedFrame(frames_, eye);
+  if (!map_pose || !eye_pose) {
+    throw std::invalid_argument("camera.header.frame_id: no transform from '" +
+                                printable(eye.header.frame_id) + "' to the map");
   }
-  position = map_orientation.Inverse() * (position - map_position);
-  orientation = map_orientation.Inverse() * orientation;
-  camera.pose.position.x = position.x;
-  camera.pose.position.y = position.y;
-  camera.pose.position.z = position.z;
-  camera.pose.orientation.x = orientation.x;
-  camera.pose.orientation.y = orientation.y;
-  camera.pose.orientation.z = orientation.z;
-  camera.pose.orientation.w = orientation.w;
-  return camera;
+  camera.pose = *eye_pose;
+  return inFrameOf(toPlacement(*map_pose), toCamera(camera));
 }
 
 GaussianClient::RenderView::Response RenderService::draw(bool sort_now) {

@@ -34,7 +34,7 @@ class RenderService {
 
  private:
   bool take();
-  rosplat_msgs::msg::ViewCamera inMapFrame(rosplat_msgs::msg::ViewCamera camera) const;
+  SplatCamera inMapFrame(rosplat_msgs::msg::ViewCamera camera) const;
   GaussianClient::RenderView::Response draw(bool sort_now);
 
   SplatCloud& cloud_;

@@ -139,6 +139,23 @@ void SplatSelection::read() {
   std::vector<std::uint32_t> slots(slots_.begin(), slots_.end());
   slots.resize(std::min(slots.size(), kOutlined));
   splats_ = cloud_.scene().readSlots(slots);
+  origin_ = map.origin;
+  follow();
+}
+
+void SplatSelection::follow() {
+  const Placement& map = cloud_.place();
+  const auto [x, y, z] = map(origin_);
+  outline_node_->setPosition(Ogre::Real(x), Ogre::Real(y), Ogre::Real(z));
+  Ogre::Matrix3 rotation;
+  for (int i = 0; i < 9; ++i) rotation[i / 3][i % 3] = Ogre::Real(map.rotation[i]);
+  outline_node_->setOrientation(Ogre::Quaternion(rotation));
+}
+
+SplatValues SplatSelection::outlined(const SplatValues& splat) const {
+  SplatValues relative = splat;
+  for (int i = 0; i < 3; ++i) relative.position[i] -= origin_[i];
+  return relative;
 }
 
 void SplatSelection::drawOutlines() {
@@ -148,7 +165,7 @@ void SplatSelection::drawOutlines() {
                    material_->getGroup());
   for (const SplatValues& splat : splats_) {
     if (splat.opacity <= 0) continue;
-    for (const Ogre::Vector3& end : outline(splat, kOutlineSigmas)) {
+    for (const Ogre::Vector3& end : outline(outlined(splat), kOutlineSigmas)) {
       outlines_->position(end);
       outlines_->colour(Ogre::ColourValue(0, 1, 1));
     }
@@ -186,7 +203,7 @@ rviz_common::interaction::V_AABB SplatSelection::getAABBs(const Picked& picked) 
   const Ogre::Affine3 map(outline_node_->_getFullTransform());
   rviz_common::interaction::V_AABB boxes;
   for (const SplatValues& splat : splats_) {
-    if (slots.count(splat.slot)) boxes.push_back(boxAround(splat, kOutlineSigmas, map));
+    if (slots.count(splat.slot)) boxes.push_back(boxAround(outlined(splat), kOutlineSigmas, map));
   }
   return boxes;
 }

@@ -2,6 +2,7 @@
 
 #include <OgreMaterial.h>
 
+#include <array>
 #include <chrono>
 #include <functional>
 #include <map>
@@ -32,13 +33,15 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
   // Called with what has been selected anew, kListed splats at most.
   using SelectCallback = std::function<void(const std::vector<SplatValues>&)>;
 
-  // Of the cloud, whose map lives in the frame of the node; both must outlive the handler.
+  // Of the cloud, which hangs on the node; both must outlive the handler.
   SplatSelection(rviz_common::DisplayContext* context, SplatCloud* cloud, Ogre::SceneNode* node,
                  SelectCallback on_select);
   ~SplatSelection() override;
 
   // Render thread: reads the selected slots again where the map has changed, some times a second.
   void refresh();
+  // Puts the outlines to where the map is now.
+  void follow();
 
   // rviz_common::interaction::SelectionHandler
   bool needsAdditionalRenderPass(std::uint32_t pass) override { return pass < 2; }
@@ -57,6 +60,7 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
  private:
   void read();
   void drawOutlines();
+  SplatValues outlined(const SplatValues& splat) const;
   void list(rviz_common::properties::Property* parent);
 
   SplatCloud& cloud_;
@@ -66,8 +70,9 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
   std::string read_map_;             // as it was when they were read
   std::uint64_t read_revision_ = 0;
   std::chrono::steady_clock::time_point read_at_;
-  bool shown_ = true;  // outlines and panel show what was read
-  Ogre::SceneNode* outline_node_;
+  bool shown_ = true;               // outlines and panel show what was read
+  std::array<double, 3> origin_{};  // the map's; outlines are relative to it, for Ogre's floats
+  Ogre::SceneNode* outline_node_;   // stands there
   std::unique_ptr<Ogre::ManualObject> outlines_;
   Ogre::MaterialPtr material_;
 };

@@ -17,8 +17,7 @@
 namespace rosplat {
 
 // A map as a part of an Ogre scene: drawn after everything opaque, hidden by it, before and behind
-// what is translucent, in the frame of the scene node it is attached to (which must not scale or
-// mirror).
+// what is translucent. It is where setPlace() says, wherever the node is that it is attached to.
 class SplatCloud : public Ogre::MovableObject {
  public:
   // Names the view that a viewport shows and registers its camera with the scene; called in the
@@ -32,6 +31,9 @@ class SplatCloud : public Ogre::MovableObject {
   SplatScene& scene() { return *scene_; }
   const RenderSettings& settings() const { return settings_; }
   void setSettings(const RenderSettings& settings) { settings_ = settings; }
+  // Where the map's frame is in the scene; a node has only floats for that.
+  void setPlace(const Placement& place) { place_ = place; }
+  const Placement& place() const { return place_; }
   // Sort in the next draws rather than take what order there is.
   void setSortNow(bool sort_now) { sort_now_ = sort_now; }
 
@@ -83,6 +85,7 @@ class SplatCloud : public Ogre::MovableObject {
   ViewCallback on_view_;
   std::map<std::string, SplatCamera> seen_;  // by view, as drawn last; mouse tools draw parts
   RenderSettings settings_;
+  Placement place_;
   bool sort_now_ = false;
   std::uint32_t pick_handle_ = 0;
   bool drawn_ = false;    // in this frame

@@ -4,10 +4,7 @@ namespace rosplat {
 
 rosplat_sorter::View sorterView(const SplatCamera& camera, const std::array<double, 3>& origin,
                                 double overscan) {
-  std::array<double, 3> t = camera.translation;
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) t[i] += camera.rotation[3 * i + k] * origin[k];
-  }
+  const std::array<double, 3> t = Placement{camera.rotation, camera.translation}(origin);
   const auto view = [&](double cx, double cy, double width, double height) {
     return rosplat_sorter::makeView(camera.rotation.data(), t.data(), camera.fx, camera.fy, cx, cy,
                                     width, height, camera.near_clip, camera.far_clip,

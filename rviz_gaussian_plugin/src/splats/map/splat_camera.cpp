@@ -7,6 +7,38 @@
 
 namespace rosplat {
 
+Placement makePlacement(const std::array<double, 3>& position,
+                        const std::array<double, 4>& orientation) {
+  const auto& [x, y, z, w] = orientation;
+  const double s = 2 / (x * x + y * y + z * z + w * w);
+  return {{1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y), s * (x * y + w * z),
+           1 - s * (x * x + z * z), s * (y * z - w * x), s * (x * z - w * y), s * (y * z + w * x),
+           1 - s * (x * x + y * y)},
+          position};
+}
+
+std::array<double, 3> Placement::operator()(const std::array<double, 3>& point) const {
+  std::array<double, 3> there = translation;
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) there[i] += rotation[3 * i + k] * point[k];
+  }
+  return there;
+}
+
+SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera) {
+  SplatCamera moved = camera;
+  moved.translation = Placement{camera.rotation, camera.translation}(map.translation);
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) {
+      moved.rotation[3 * i + k] = 0;
+      for (int j = 0; j < 3; ++j) {
+        moved.rotation[3 * i + k] += camera.rotation[3 * i + j] * map.rotation[3 * j + k];
+      }
+    }
+  }
+  return moved;
+}
+
 std::pair<double, double> depthBuffer(bool orthographic, double near_clip, double far_clip) {
   const double range = far_clip - near_clip, sum = far_clip + near_clip;
   return orthographic ? std::pair(2 / range, -sum / range)
@@ -51,13 +83,12 @@ SplatCamera makeCamera(const std::array<double, 3>& position,
         "near_clip and far_clip are no range of depths to 32-bit floats");
 
   SplatCamera camera;
-  const double s = 2 / norm;
-  // The transpose of the pose's rotation.
-  camera.rotation = {1 - s * (y * y + z * z), s * (x * y + w * z),     s * (x * z - w * y),
-                     s * (x * y - w * z),     1 - s * (x * x + z * z), s * (y * z + w * x),
-                     s * (x * z + w * y),     s * (y * z - w * x),     1 - s * (x * x + y * y)};
+  const Placement pose = makePlacement(position, orientation);
   for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) camera.translation[i] -= camera.rotation[3 * i + k] * position[k];
+    for (int k = 0; k < 3; ++k) {
+      camera.rotation[3 * i + k] = pose.rotation[3 * k + i];
+      camera.translation[i] -= camera.rotation[3 * i + k] * position[k];
+    }
   }
   camera.orthographic = orthographic;
   camera.fx = fx;

@@ -39,6 +39,21 @@ struct SplatCamera {
   }
 };
 
+// Where a map's frame is in a scene, in double precision.
+struct Placement {
+  std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // map -> scene, rows
+  std::array<double, 3> translation{};                        // [m]
+
+  std::array<double, 3> operator()(const std::array<double, 3>& point) const;
+};
+
+// A frame's pose in another: position [m], quaternion x y z w of any length but zero.
+Placement makePlacement(const std::array<double, 3>& position,
+                        const std::array<double, 4>& orientation);
+
+// A camera of a scene, as one in the frame of a map that is placed there.
+SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera);
+
 // How a depth buffer between two distances [m] sees a camera: ndc_scale and ndc_offset.
 std::pair<double, double> depthBuffer(bool orthographic, double near_clip, double far_clip);
 // The farther one of the depth buffer that hides splats behind opaque objects. [m]
