@@ -1,9 +1,10 @@
-"""The procedural scene as it is seen."""
+"""Procedural scenes as they are seen."""
 
 from dataclasses import replace
 
 import numpy as np
 
+from rosplat_lab.bench import scenes
 from rosplat_lab.reference import render
 from rosplat_lab.reference.projection import rotation_matrices
 from rosplat_tools.cameras import Camera, look_at
@@ -32,3 +33,15 @@ def test_sheen_depends_on_the_view() -> None:
     ).rgba
     assert np.abs(left - same).max() > 0.1
     assert np.abs(left - right).max() > 0.1
+
+
+def test_walls_hide_the_other_rooms() -> None:
+    splats = generate(200_000, scene="rooms", sh_degree=0)
+    camera = scenes.room(splats, 640, 360, 1)[0]
+    x, y, _ = np.abs(splats.positions).T
+    room = splats[np.maximum(x, y) < 2.15]  # the middle one, of nine
+    assert len(room) < len(splats) / 5
+    wall = (60, 90, 100, 130)
+    alone, among_all = (render(part, camera, crop=wall).rgba for part in (room, splats))
+    assert alone[..., 3].min() > 0.99
+    np.testing.assert_allclose(alone, among_all, atol=0.01)

@@ -1,4 +1,4 @@
-"""A scene by the name that a user gives it: a path, or procedural:COUNT for the garden."""
+"""A scene by the name that a user gives it: a path, procedural:COUNT (a garden) or rooms:COUNT."""
 
 from __future__ import annotations
 
@@ -12,16 +12,24 @@ from rosplat_tools.generate import generate
 from rosplat_tools.splats import SceneError, Splats
 
 PROCEDURAL = "procedural:"
+ROOMS = "rooms:"
+GENERATED = {PROCEDURAL: "garden", ROOMS: "rooms"}
 
 NAMES = (
-    ".ply, .compressed.ply, .spz, .sog, a SOG folder, .splat, .ksplat, or procedural:COUNT[:SEED]"
+    ".ply, .compressed.ply, .spz, .sog, a SOG folder, .splat, .ksplat, or procedural:COUNT[:SEED] "
+    "or rooms:COUNT[:SEED]"
 )
+
+
+def is_generated(name: str) -> bool:
+    """Whether a scene's name asks for one to be generated, and is no file's."""
+    return name.startswith(tuple(GENERATED))
 
 
 def check_scene(name: str) -> None:
     """Raises SceneError, before other work, for a file that isn't there."""
     try:
-        if not name.startswith(PROCEDURAL):
+        if not is_generated(name):
             Path(name).stat()
     except (OSError, ValueError) as error:
         raise SceneError(f"{name}: {getattr(error, 'strerror', None) or error}") from error
@@ -32,7 +40,7 @@ def vertical(name: str) -> tuple[float, float, float] | None:
 
     Raises SceneError for a file that isn't there, or is no scene.
     """
-    return (0.0, 0.0, 1.0) if name.startswith(PROCEDURAL) else formats.axes(name).up
+    return (0.0, 0.0, 1.0) if is_generated(name) else formats.axes(name).up
 
 
 def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:
@@ -48,7 +56,7 @@ def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
 
     Raises SceneError, also for more splats than a map or this machine's memory holds.
     """
-    if name.startswith(PROCEDURAL):
+    if is_generated(name):
         return _generated(name, progress)
     splats = formats.load(name, progress, warn)
     _check(name, len(splats))
@@ -56,13 +64,14 @@ def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
 
 
 def _generated(name: str, progress: Progress) -> Splats:
-    match = re.fullmatch(r"(\d{1,18})(?::(\d{1,18}))?", name.removeprefix(PROCEDURAL))
+    kind, _, numbers = name.partition(":")
+    match = re.fullmatch(r"(\d{1,18})(?::(\d{1,18}))?", numbers)
     if not match:
-        raise SceneError(f"{name}: expected procedural:COUNT[:SEED]")
+        raise SceneError(f"{name}: expected {kind}:COUNT[:SEED]")
     count, seed = (int(number or 0) for number in match.groups())
     _check(name, count)
     try:
-        return generate(count, seed, progress=progress)
+        return generate(count, seed, progress=progress, scene=GENERATED[f"{kind}:"])
     except MemoryError as error:
         raise SceneError(f"{name}: too large for this machine's memory") from error
 

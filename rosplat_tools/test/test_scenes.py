@@ -15,7 +15,11 @@ def load(name: str) -> Splats:
 
 
 def test_count_and_seed_are_in_the_name() -> None:
-    for name, made in (("procedural:40", generate(40)), ("procedural:40:7", generate(40, 7))):
+    for name, made in (
+        ("procedural:40", generate(40)),
+        ("procedural:40:7", generate(40, 7)),
+        ("rooms:40:7", generate(40, 7, scene="rooms")),
+    ):
         np.testing.assert_array_equal(load(name).positions, made.positions)
 
 
@@ -49,7 +53,7 @@ def test_up_follows_the_format_where_it_has_one(tmp_path: Path) -> None:
     for ending, up in ((".spz", (0, 1, 0)), (".ply", None), (".sog", None), (".splat", None)):
         formats.save(tmp_path / f"a{ending}", generate(3))
         assert scenes.vertical(str(tmp_path / f"a{ending}")) == up
-    assert scenes.vertical("procedural:3") == (0, 0, 1)
+    assert scenes.vertical("procedural:3") == scenes.vertical("rooms:3") == (0, 0, 1)
     with pytest.raises(SceneError, match="No such file"):
         scenes.vertical(str(tmp_path / "none.spz"))
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.bench.records import Record
-from rosplat_tools.scenes import PROCEDURAL
+from rosplat_tools.scenes import PROCEDURAL, is_generated
 
 Key = Callable[[Record], str]
 
@@ -165,8 +165,10 @@ def table(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> st
 
 
 def _family(record: Record) -> str:
-    """What tells scenes of one size apart: no name for the procedural one, which has any size."""
-    return "" if record.scene.startswith(PROCEDURAL) else Path(record.scene).stem
+    """What tells scenes of one size apart: no name for the garden, and generated ones' kind."""
+    if record.scene.startswith(PROCEDURAL):
+        return ""
+    return record.scene.partition(":")[0] if is_generated(record.scene) else Path(record.scene).stem
 
 
 def _number(value: float) -> str:

@@ -20,6 +20,7 @@ from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
 from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_lab.bench.sort import map_of, view_of
 from rosplat_tools.cameras import Camera
+from rosplat_tools.scenes import ROOMS
 from rosplat_tools.splats import SceneError, Splats
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 SOFTWARE_SIZES = (100_000, 500_000)  # where no GPU draws
 QUICK_SIZES = (50_000,)
 STREAMED, QUICK_STREAMED = 5_000_000, 100_000
-VIEWS = ("overview", "inside")
 STEPS = 8  # cameras that take turns
 PROFILED = Budget(least=3, most=30, seconds=0.5)  # frames whose stages are measured
 
@@ -99,7 +99,9 @@ def measure(plan: Plan) -> Iterator[Event]:
             chosen = plan.variants or chosen
             ours = [variant for variant in chosen if variant in variants()]
             jobs = []
-            for name in scenes.names(plan.sizes or sizes, plan.scenes):
+            # Where walls hide much, beside the garden, where little does.
+            rooms = () if plan.quick or plan.sizes else (f"{ROOMS}{max(sizes)}",)
+            for name in scenes.names(plan.sizes or sizes, plan.scenes or rooms):
                 if ours:
                     jobs.append(partial(isolated, _scene, plan, name, ours))
                 beside = [renderer for renderer in chosen if renderer in RENDERERS]
@@ -126,11 +128,12 @@ def _hardware() -> Iterator[Event]:
     yield Measurement.of("", "", 0, gpu=embedded.open_renderer().renderer_info)
 
 
-def _looks(plan: Plan) -> list[tuple[tuple[int, int], str]]:
-    """Sizes of pictures and views to measure."""
+def _looks(plan: Plan, name: str) -> list[tuple[tuple[int, int], str]]:
+    """Sizes of pictures and views to measure a scene with."""
+    views = scenes.views(name)
     if plan.quick:
-        return [(scenes.PICTURES[0], VIEWS[0])]
-    return [(picture, view) for picture in scenes.PICTURES for view in VIEWS]
+        return [(scenes.PICTURES[0], views[0])]
+    return [(picture, view) for picture in scenes.PICTURES for view in views]
 
 
 def _beside(plan: Plan, name: str, which: str) -> Iterator[Event]:
@@ -143,7 +146,7 @@ def _beside(plan: Plan, name: str, which: str) -> Iterator[Event]:
         return
     splats = scenes.load(name)
     renderer.show(splats)
-    looks = _looks(plan)
+    looks = _looks(plan, name)
     for index, (picture, view) in enumerate(looks):
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
         size = f"{picture[0]}x{picture[1]}"
@@ -167,7 +170,7 @@ def _scene(plan: Plan, name: str, chosen: Sequence[str]) -> Iterator[Event]:
     splats = scenes.load(name)
     count = len(splats)
     embedded.insert_all(renderer, splats)
-    looks = _looks(plan)
+    looks = _looks(plan, name)
     for index, (picture, view) in enumerate(looks):
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
         orders = _sorted(splats, cameras)

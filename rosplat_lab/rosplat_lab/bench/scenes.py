@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_tools.cameras import Camera, look_at, orbit
-from rosplat_tools.scenes import PROCEDURAL, load_scene
+from rosplat_tools.generated import rooms
+from rosplat_tools.scenes import PROCEDURAL, ROOMS, load_scene
 from rosplat_tools.space_order import put_in_space_order
 from rosplat_tools.splats import Splats
 
 GARDEN = 2.4  # radius of the procedural scene [m]
+EYE = 1.6  # of who stands in a room, above its floor [m]
 STEP = math.radians(1)  # by which the camera turns from picture to picture
 PICTURES = ((1280, 720), (1920, 1080))
 
@@ -64,10 +66,52 @@ def inside(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
     return _around(place(splats), 0.6, 0.3, 60, width, height, count)
 
 
+def room(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
+    """From the door of the middle room of generated rooms: walls hide most of the others."""
+    x, y = rooms.middle(1, 1)
+    return _turning(
+        (x - 1.7, y + rooms.DOOR_ASIDE, EYE), (x + 1, y + 0.9, 0.8), width, height, count
+    )
+
+
+def eye_level(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
+    """Along the row of doors of generated rooms: through some walls, past others."""
+    x, y = rooms.middle(0, 1)
+    eye = (x - 1.8, y + rooms.DOOR_ASIDE, EYE)
+    return _turning(eye, (eye[0] + 4, eye[1], EYE - 0.3), width, height, count)
+
+
 Motion = Callable[[Splats, int, int, int], list[Camera]]
 """Cameras that turn around a scene by STEP from one to the next: splats, width, height, count."""
 
-VIEWS: dict[str, Motion] = {"all": all_of_it, "overview": overview, "inside": inside}
+VIEWS: dict[str, Motion] = {
+    "all": all_of_it,
+    "overview": overview,
+    "inside": inside,
+    "room": room,
+    "eye level": eye_level,
+}
+
+
+def views(name: str) -> tuple[str, ...]:
+    """The VIEWS that a scene's frames are measured in."""
+    return ("room", "eye level", "overview") if name.startswith(ROOMS) else ("overview", "inside")
+
+
+def _turning(
+    eye: tuple[float, ...], target: tuple[float, ...], width: int, height: int, count: int
+) -> list[Camera]:
+    """Cameras at one place, of which the first looks at target. [m]"""
+    focal = 0.5 * height / math.tan(math.radians(60 / 2))
+    across, along, down = np.subtract(target, eye)
+    heading, distance = math.atan2(along, across), math.hypot(across, along)
+    cameras = []
+    for index in range(count):
+        turn = heading + index * STEP
+        ahead = [distance * math.cos(turn), distance * math.sin(turn), down]
+        transform = look_at(eye, np.add(eye, ahead))
+        cameras.append(Camera(index, width, height, focal, focal, width / 2, height / 2, transform))
+    return cameras
 
 
 def _around(

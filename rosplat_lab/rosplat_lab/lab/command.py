@@ -29,7 +29,7 @@ from rosplat_lab.machine import commit, machine
 from rosplat_lab.metrics import MOST_PSNR
 from rosplat_tools.cameras import Camera
 from rosplat_tools.output import say
-from rosplat_tools.scenes import NAMES, PROCEDURAL, check_scene, load_scene
+from rosplat_tools.scenes import NAMES, PROCEDURAL, check_scene, is_generated, load_scene
 from rosplat_tools.splats import SceneError, Splats
 from rviz_gaussian_plugin.offscreen import ensure_display
 
@@ -60,11 +60,11 @@ class Job:
 
 def load(path: str, options: argparse.Namespace) -> Scene:
     """A scene and the cameras around it. Raises SceneError."""
-    procedural = path.startswith(PROCEDURAL)
+    generated = is_generated(path)
     splats = load_scene(path, lambda done: None, lambda text: print(text, file=sys.stderr))
-    up = options.up or ((0, 0, 1) if procedural else (0, -1, 0))
+    up = options.up or ((0, 0, 1) if generated else (0, -1, 0))
     cameras = motion.around(splats, options.cameras, up, options.width, options.height)
-    name = path if procedural else Path(path).stem
+    name = path if generated else Path(path).stem
     return Scene(path, f"{name}, {options.width}x{options.height}", splats, cameras)
 
 
@@ -169,7 +169,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--height", type=side, default=360, help="of the pictures [px]")
     parser.add_argument(
         "--up", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="the scenes' vertical; files have 0 -1 0, procedural scenes 0 0 1",
+        help="the scenes' vertical; files have 0 -1 0, generated scenes 0 0 1",
     )  # fmt: skip
     parser.add_argument(
         "--only", nargs="+", default=[""], help="methods whose name or family holds one of these"
