@@ -75,7 +75,8 @@ def _checks(points: Array, noise: Noise) -> Array:
 
 def _weave(points: Array, noise: Noise) -> Array:
     x, y, z = (points * 2 * np.pi / 0.018).T
-    return 0.1 * np.sin(x) * np.sin(y) * np.cos(z) + 0.1 * noise.at(points * 2)
+    shade: Array = 0.1 * np.sin(x) * np.sin(y) * np.cos(z) + 0.1 * noise.at(points * 2)
+    return shade
 
 
 FLOOR = _Material((0.58, 0.40, 0.25), _planks, 0.22)
