@@ -5,6 +5,7 @@ from setuptools import find_packages, setup
 EXECUTABLES = [
     "convert",
     "demo_sensors",
+    "follow",
     "generate",
     "inspect",
     "ply_publisher",

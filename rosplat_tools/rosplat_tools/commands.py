@@ -8,6 +8,7 @@ from rosplat_tools.processes import run_module
 
 convert = partial(run_module, "convert", "rosplat_tools.convert")
 demo_sensors = partial(run_module, "demo_sensors", "rosplat_tools.demo_sensors")
+follow = partial(run_module, "follow", "rosplat_tools.follow")
 generate = partial(run_module, "generate", "rosplat_tools.generate")
 inspect = partial(run_module, "inspect", "rosplat_tools.inspect")
 ply_publisher = partial(run_module, "ply_publisher", "rosplat_tools.ply_publisher")

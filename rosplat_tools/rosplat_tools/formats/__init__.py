@@ -14,7 +14,16 @@ from types import ModuleType
 import numpy as np
 
 from rosplat_tools.files import replacing
-from rosplat_tools.formats import compressed_ply, ksplat, ply, sog, splat, spz, streamed_sog
+from rosplat_tools.formats import (
+    compressed_ply,
+    ksplat,
+    ply,
+    sog,
+    splat,
+    splatam,
+    spz,
+    streamed_sog,
+)
 from rosplat_tools.formats.bounds import size_of
 from rosplat_tools.formats.decoded import Axes, Progress, Warn
 from rosplat_tools.space_order import space_order
@@ -44,6 +53,7 @@ FORMATS: tuple[ModuleType, ...] = (
     ply,
     spz,
     streamed_sog,
+    splatam,
     sog,
     splat,
     ksplat,

@@ -55,15 +55,26 @@ def axes(path: Path) -> Axes:
 
 
 def read(path: Path, progress: Progress, warn: Warn) -> Splats:
-    """Reads the vertices of a PLY as splats; without scale_2 (2D Gaussians) they are flat.
-
-    Mip-Splatting's 3D filter is applied, as its create_fused_ply.py does.
-    """
+    """Reads the vertices of a PLY as splats; see from_rows."""
     file = PlyFile(path)
     if "vertex" not in file.elements:
         raise SceneError(f"{path}: not a Gaussian splat: no element vertex")
     claim(path, file.elements["vertex"].length, 0, size_of(path))
-    rows = file.rows("vertex")
+    return from_rows(path, file.rows("vertex"), progress, warn, antialiased(file.comments))
+
+
+def from_rows(
+    path: Path,
+    rows: NDArray[np.void],
+    progress: Progress,
+    warn: Warn,
+    antialiased: bool = False,
+) -> Splats:
+    """Splats from rows with a PLY's properties; without scale_2 (2D Gaussians) they are flat.
+
+    Mip-Splatting's 3D filter is applied, as its create_fused_ply.py does. path is for errors to
+    name. Raises SceneError where a property is missing.
+    """
     has_third_scale = SCALE[2] in (rows.dtype.names or ())
     scale = SCALE if has_third_scale else SCALE[:2]
     rest = rest_names(path, rows)
@@ -100,7 +111,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         scales=scales,
         opacities=opacities,
         sh=sh,
-        antialiased=bool(filters) or antialiased(file.comments),
+        antialiased=bool(filters) or antialiased,
     )
 
 

@@ -1,0 +1,119 @@
+"""Shows maps as others make them: a file that is written again and again, other packages' messages.
+
+Parameter `path`: a scene file, or a pattern of which the newest counts; taken when it was written.
+Topic `cloud`: sensor_msgs/PointCloud2 with a PLY's properties for fields. A message is a whole map.
+Topic `splat_array`: gsplat_msgs/SplatArray, where that package is installed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import PointCloud2
+
+from rosplat_sorter.log_text import shown
+from rosplat_tools.changes import WholeMaps
+from rosplat_tools.foreign_messages import from_point_cloud, from_splat_array
+from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.parameters import declare
+from rosplat_tools.running import Cancelled, run, spinning, wait_for_end
+from rosplat_tools.scenes import load_scene
+from rosplat_tools.splats import SceneError, Splats
+from rosplat_tools.watched_file import WatchedFile
+
+
+class Follow(Node):
+    """Publishes on `gaussians` what it hears or reads last."""
+
+    def __init__(self) -> None:
+        super().__init__("follow")
+        path = declare(
+            self, "path", "", "Scene file to follow, or a pattern of which the newest counts."
+        )
+        period = declare(self, "period", 0.5, "Between two looks at the file. [s]", 0.05, 60.0)
+        frame_id = declare(self, "frame_id", "", "Frame of the map; empty: the message's, or map.")
+        self._frame_id = frame_id
+        self._publisher = MapPublisher(self, frame_id=frame_id or "map")
+        self._maps = WholeMaps(self._publisher)
+        if path:
+            self._file = WatchedFile(path)
+            self.create_timer(period, self._look)
+            self.get_logger().info(f"following {shown(path)}")
+        self._subscribe(PointCloud2, "cloud", self._on_cloud)
+        try:
+            from gsplat_msgs.msg import SplatArray
+        except ImportError:
+            pass
+        else:
+            self._subscribe(SplatArray, "splat_array", self._on_array)
+
+    def _subscribe(self, kind: type, topic: str, heard: Any) -> None:
+        self.create_subscription(
+            kind,
+            topic,
+            heard,
+            QoSProfile(depth=1),  # reliable and volatile; qos_overrides.* are parameters
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def _look(self) -> None:
+        version = self._file.poll()
+        if version is None:
+            return
+        try:
+            splats = load_scene(str(version.path), self._go_on, self.get_logger().warning)
+        except SceneError as error:
+            self._refuse(error)  # what is being written isn't whole
+            return
+        if self._file.is_still(version):
+            self._show(splats, str(version.path))
+
+    def _go_on(self, _: float) -> None:
+        if not self.context.ok():
+            raise Cancelled
+
+    def _on_cloud(self, message: PointCloud2) -> None:
+        self._take(message.header.frame_id, from_point_cloud, message, "cloud")
+
+    def _on_array(self, message: Any) -> None:
+        frame = message.splats[0].pose.header.frame_id if message.splats else ""
+        self._take(frame, from_splat_array, message, "splat_array")
+
+    def _take(self, frame_id: str, read: Any, message: Any, topic: str) -> None:
+        self._publisher.frame_id = self._frame_id or frame_id or "map"
+        try:
+            name = self.resolve_topic_name(topic)
+            self._show(read(message, name, self.get_logger().warning), name)
+        except SceneError as error:
+            self._refuse(error)
+
+    def _show(self, splats: Splats, source: str) -> None:
+        try:
+            sent = self._maps.show(splats)
+        except (ValueError, MemoryError) as error:
+            self._refuse(f"{source}: {error or 'too large for this machine'}")
+            return
+        self.get_logger().info(f"{shown(source)}: {len(splats):,} splats, {sent:,} of them sent")
+
+    def _refuse(self, why: object) -> None:
+        self.get_logger().warning(
+            f"the map stays: {shown(str(why), 500)}", throttle_duration_sec=1.0
+        )
+
+
+def main() -> None:
+    """Runs the node until it is told to end."""
+    run("follow", _follow)
+
+
+def _follow() -> None:
+    node = Follow()
+    with spinning(node):
+        wait_for_end(node)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+"""A file that another program writes again and again."""
+
+from __future__ import annotations
+
+import glob
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Version(NamedTuple):
+    """A file as it was once."""
+
+    path: Path
+    inode: int
+    bytes: int
+    written: int
+    """[ns]"""
+
+
+class WatchedFile:
+    """The newest file of a path or glob pattern, each time that it was written."""
+
+    def __init__(self, pattern: str) -> None:
+        """Nothing is looked at yet."""
+        self._pattern = pattern
+        self._seen: Version | None = None
+        self._told: Version | None = None
+
+    def poll(self) -> Version | None:
+        """What was written since the last that was told, once it is as it was a poll before."""
+        newest = self._newest()
+        rests, self._seen = newest == self._seen, newest
+        if newest is None or not rests or newest == self._told:
+            return None
+        self._told = newest
+        return newest
+
+    def is_still(self, version: Version) -> bool:
+        """Whether nobody has written since: then what was read meanwhile is whole."""
+        return _version(version.path) == version
+
+    def _newest(self) -> Version | None:
+        paths = glob.glob(os.path.expanduser(self._pattern), recursive=True)
+        found = [version for path in paths if (version := _version(Path(path)))]
+        return max(found, key=lambda version: version.written, default=None)
+
+
+def _version(path: Path) -> Version | None:
+    try:
+        found = path.stat()
+    except OSError:  # it is being replaced
+        return None
+    return Version(path, found.st_ino, found.st_size, found.st_mtime_ns)

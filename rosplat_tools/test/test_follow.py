@@ -1,0 +1,41 @@
+"""The node that follows what others write and send."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from point_cloud import cloud
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from rosplat_tools import formats
+from rosplat_tools.testing import random_splats
+
+Start = Callable[..., subprocess.Popen[str]]
+
+
+def test_a_file_is_shown_each_time_it_was_written(
+    start: Start, listener: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "map.ply"
+    path.write_bytes(b"ply\nformat binary_little_endian 1.0\n")  # its trainer has just begun
+    start("follow", path=path, period=0.05)
+    for count in (500, 800):
+        splats = random_splats(count, 1, seed=count)
+        formats.save(path, splats)
+        listener.wait_for(count)
+        _, shown = listener.map.snapshot()
+        np.testing.assert_allclose(np.sort(shown.opacities), np.sort(splats.opacities), atol=1e-6)
+
+
+def test_a_cloud_is_shown_in_its_frame(start: Start, listener: Any, node: Node) -> None:
+    start("follow")
+    publisher = node.create_publisher(PointCloud2, "cloud", 1)
+    message = cloud(random_splats(300, 0))
+    message.header.frame_id = "camera_init"
+    listener.wait(publisher.get_subscription_count)
+    publisher.publish(message)
+    listener.wait_for(300)
+    assert listener.batches[-1].header.frame_id == "camera_init"

@@ -1,0 +1,39 @@
+"""A file that another program writes again and again."""
+
+import os
+from pathlib import Path
+
+from rosplat_tools.watched_file import WatchedFile
+
+
+def test_a_version_is_told_once_it_rests(tmp_path: Path) -> None:
+    path = tmp_path / "map.ply"
+    watched = WatchedFile(str(path))
+    assert watched.poll() is None
+    path.write_bytes(b"begun")
+    assert watched.poll() is None
+    path.write_bytes(b"begun and ended")
+    assert watched.poll() is None
+    version = watched.poll()
+    assert version
+    assert watched.is_still(version)
+    assert watched.poll() is None
+    path.unlink()
+    assert not watched.is_still(version)
+    assert watched.poll() is None
+    path.write_bytes(b"another")
+    assert watched.poll() is None
+    assert watched.poll()
+
+
+def test_of_a_pattern_the_newest_counts(tmp_path: Path) -> None:
+    watched = WatchedFile(str(tmp_path / "iteration_*" / "point_cloud.ply"))
+    for written, iteration in [(30, 7000), (40, 30000), (20, 100)]:
+        path = tmp_path / f"iteration_{iteration}" / "point_cloud.ply"
+        path.parent.mkdir()
+        path.write_bytes(b"ply")
+        os.utime(path, (written, written))
+    watched.poll()
+    version = watched.poll()
+    assert version
+    assert version.path.parent.name == "iteration_30000"
