@@ -69,6 +69,7 @@ def _rvizsplat(splats: Splats, camera: Camera) -> Projected:
         opacities=opacities,
         colors=np.clip(base / 255 + above, 0, 1),
         depths=means[:, 2],
+        shares=np.ones(len(kept)),
     )[solid]
 
 

@@ -36,14 +36,19 @@ class Projected:
     """(m, 3) RGB, 0 or more."""
     depths: Array
     """(m,) z in the camera. [m]"""
+    shares: Array
+    """(m,) how much of each is drawn: 1 - (1 - alpha)^share."""
 
     def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Projected:
         """The splats that an index array or a mask picks, in its order."""
         return Projected(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
-def project(splats: Splats, camera: Camera) -> Projected:
-    """Projects splats and leaves out those that no pixel of the picture can see."""
+def project(splats: Splats, camera: Camera, shares: Array | None = None) -> Projected:
+    """Projects splats and leaves out those that no pixel of the picture can see.
+
+    shares: (n,) how much of each is drawn, 1 if not given.
+    """
     world = splats.positions.astype(np.float64) + splats.origin
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     depths = world @ rotation[2] + translation[2]
@@ -81,6 +86,7 @@ def project(splats: Splats, camera: Camera) -> Projected:
         opacities=opacities[inside],
         colors=harmonics.colors(seen.sh[inside].astype(np.float64), directions[inside]),
         depths=means[inside, 2],
+        shares=np.ones(inside.sum()) if shares is None else shares[slots][inside],
     )
 
 

@@ -32,6 +32,7 @@ def render(
     *,
     crop: tuple[int, int, int, int] | None = None,
     order: NDArray[np.integer] | None = None,
+    shares: Array | None = None,
     max_alpha: float = 0.99,
     min_transmittance: float = 0.0,
 ) -> Picture:
@@ -39,14 +40,15 @@ def render(
 
     crop is left, top, right, bottom [px] of the part to draw; the camera stays what it is. order
     are slots back to front, as in SplatOrder, instead of the exact order by z; slots that it leaves
-    out are not drawn. max_alpha caps a splat's alpha: INRIA 0.99, gsplat 0.999. A pixel is finished
+    out are not drawn. shares: (n,) how much of each splat is drawn, as levels.cut() has it; all, if
+    not given. max_alpha caps a splat's alpha: INRIA 0.99, gsplat 0.999. A pixel is finished
     by the splat that would take its transmittance to min_transmittance or below (INRIA and gsplat:
     1e-4); 0 blends everything. Raises ValueError for a crop outside the picture.
     """
     left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
     if not (0 <= left < right <= camera.width and 0 <= top < bottom <= camera.height):
         raise ValueError(f"crop {crop} is not inside {camera.width} x {camera.height}")
-    projected = project(splats, camera)
+    projected = project(splats, camera, shares)
     projected = projected[_front_to_back(projected, order, len(splats))]
     rgba = np.zeros((bottom - top, right - left, 4))
     depth = np.full((bottom - top, right - left), np.nan)
@@ -176,6 +178,7 @@ def _weights(
         exponent = -0.5 * (xx * dx**2 + yy * dy**2) - xy * dx * dy
         alpha = np.minimum(max_alpha, splats.opacities[part, None, None] * np.exp(exponent))
         alpha[alpha < MIN_ALPHA] = 0
+        alpha = 1 - (1 - alpha) ** splats.shares[part, None, None]
         after = transmittance * np.cumprod(1 - alpha, axis=0)
         before = np.concatenate([transmittance[None], after[:-1]])
         yield part, np.where(after > min_transmittance, alpha * before, 0)

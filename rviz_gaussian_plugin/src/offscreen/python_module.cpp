@@ -45,10 +45,14 @@ BatchReport take(GaussianMap& map, const GaussianBatch& batch) {
 // A map that the processor alone draws, without OpenGL.
 struct CpuRenderer {
   CpuRenderer(unsigned threads, CpuRasterizer::Instructions instructions)
-      : rasterizer(std::make_shared<rosplat_sorter::ThreadTeam>(threads), instructions) {}
+      : CpuRenderer(std::make_shared<rosplat_sorter::ThreadTeam>(threads), instructions) {}
+  CpuRenderer(const std::shared_ptr<rosplat_sorter::ThreadTeam>& team,
+              CpuRasterizer::Instructions instructions)
+      : levels(team), rasterizer(team, instructions) {}
 
   GaussianMap map;
   HostSlots slots;
+  Levels levels;
   CpuRasterizer rasterizer;
   SplatPicture picture;
   RenderSettings settings;
@@ -56,8 +60,11 @@ struct CpuRenderer {
 
 BatchReport take(CpuRenderer& renderer, const GaussianBatch& batch) {
   BatchReport report;
-  renderer.map.apply(batch, report,
-                     [&](const auto& edit, const MapState&) { renderer.slots.apply(*edit, 0); });
+  renderer.map.apply(batch, report, [&](const auto& edit, const MapState&) {
+    if (edit->clear) renderer.levels.clear();
+    renderer.slots.apply(*edit, 0);
+    renderer.levels.mark(renderer.slots, edit->runs);
+  });
   return report;
 }
 
@@ -194,6 +201,12 @@ py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>
   return splats;
 }
 
+// Has nodes made of all of the map; returns how many there are.
+std::size_t merge(CpuRenderer& renderer) {
+  renderer.levels.advance(renderer.slots, [] { return false; });
+  return renderer.levels.nodes();
+}
+
 // Whose arrays must outlive it.
 PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
                          const std::optional<Array<float>>& scene_depth,
@@ -212,12 +225,17 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
 py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
                    const std::optional<Array<float>>& scene_depth,
                    const std::optional<Array<float>>& translucent_depth,
-                   const std::optional<Array<std::uint32_t>>& order) {
+                   const std::optional<Array<std::uint32_t>>& order, double error) {
   PictureRequest request = requestOf(renderer, camera, scene_depth, translucent_depth, order);
   request.mean_depth = mean_depth;
+  if (error > 0) {
+    request.levels = &renderer.levels;
+    request.error = error;
+  }
   SplatPicture& picture = renderer.picture;
   {
     const py::gil_scoped_release release;
+    if (request.levels) merge(renderer);
     renderer.rasterizer.draw(renderer.slots, renderer.map.state(), request, picture);
   }
   py::dict drawn("splats"_a = picture.drawn, "profile"_a = picture.profile,
@@ -256,6 +274,38 @@ Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
     picked = renderer.rasterizer.pick(renderer.slots, renderer.map.state(), request);
   }
   return toArray(std::move(picked), {camera.height, camera.width});
+}
+
+// The nodes of a level, by ascending cells: the width of these, their corners [m], and values as of
+// splats.
+py::dict nodesOf(const CpuRenderer& renderer, int level) {
+  const int degree = renderer.slots.shDegree();
+  std::vector<double> corners;
+  std::vector<float> positions, orientations, scales, opacities, sh;
+  const auto add = [](auto& all, const auto& values) {
+    all.insert(all.end(), values.begin(), values.end());
+  };
+  for (const auto& page : renderer.levels.pages().at(static_cast<std::size_t>(level))) {
+    for (std::size_t i = 0; i < page->cells.size(); ++i) {
+      const Node node = page->node(i, degree);
+      const Splat splat = unpackSlot(node.packed.words.data());
+      add(corners, cornerOf(node.cell));
+      add(positions, splat.position);
+      add(orientations, splat.orientation);
+      add(scales, splat.scale);
+      opacities.push_back(kMostNodeOpacity * splat.opacity);
+      add(sh, splat.color);
+      add(sh, unpackHarmonics(node.packed.words.data(), degree, node.packed.bandWords()));
+    }
+  }
+  const auto n = static_cast<py::ssize_t>(opacities.size());
+  const py::ssize_t coefficients = (degree + 1) * (degree + 1);
+  return py::dict("size"_a = cellSize(level), "corners"_a = toArray(std::move(corners), {n, 3}),
+                  "positions"_a = toArray(std::move(positions), {n, 3}),
+                  "orientations"_a = toArray(std::move(orientations), {n, 4}),
+                  "scales"_a = toArray(std::move(scales), {n, 3}),
+                  "opacities"_a = toArray(std::move(opacities), {n}),
+                  "sh"_a = toArray(std::move(sh), {n, coefficients, 3}));
 }
 
 }  // namespace
@@ -396,7 +446,10 @@ PYBIND11_MODULE(_offscreen, module) {
            "instructions"_a = CpuRasterizer::Instructions::kBest)
       .def_readwrite("settings", &CpuRenderer::settings)
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "scene_depth"_a = py::none(),
-           "translucent_depth"_a = py::none(), "order"_a = py::none())
+           "translucent_depth"_a = py::none(), "order"_a = py::none(), "error"_a = 0.0)
+      .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
+      .def("nodes", &nodesOf, "level"_a)
+      .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })
       .def("pick", &pickOnCpu, "camera"_a, "scene_depth"_a = py::none())
       .def("contribute", &contributeOnCpu, "camera"_a, "scene_depth"_a = py::none())
       .def_property_readonly("map_bytes", [](CpuRenderer& r) { return r.slots.bytes(); })

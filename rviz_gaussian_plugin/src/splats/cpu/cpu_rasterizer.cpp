@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "cpu/kernels.hpp"
+#include "map/cut.hpp"
 #include "map/page_view.hpp"
 #include "map/sorter_view.hpp"
 
@@ -99,6 +100,11 @@ struct PairList {
   std::unique_ptr<Pair[]> pairs;
   std::size_t size = 0, room = 0;
 };
+
+// Whether splats are solid.
+bool drawsBalls(DrawMode mode) {
+  return mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall;
+}
 
 // A share of a step, and what was found in it.
 struct Part {
@@ -230,7 +236,8 @@ struct CpuRasterizer::Work {
   bool run(const HostSlots& slots, const MapState& map, const PictureRequest& request,
            const Wanted& wanted);
   void setViews(const HostSlots& slots, const MapState& map, const PictureRequest& request);
-  void choosePages(const HostSlots& slots, const PageView& view);
+  void choosePages(const HostSlots& slots, const MapState& map, const PictureRequest& request);
+  void choose(const SlotPage& page, const HostSlots::Page& memory);
   void cull();
   void deal();
   void halve(const Slice& slice);
@@ -269,6 +276,7 @@ struct CpuRasterizer::Work {
   ProjectView project_view;
   std::vector<PageSlots> pages;  // that the picture may show
   std::vector<const SlotPage*> bounds;
+  std::array<HostSlots::PerSlot<float>, kLevels> node_parents;  // PageSlots::parents, by level
   Room<std::uint32_t> ranks;  // in a given order, by place of a page and in that
   bool ordered = false;
   Room<Candidate> found, dealt;
@@ -403,23 +411,60 @@ void CpuRasterizer::Work::setViews(const HostSlots& slots, const MapState& map,
 }
 
 // Those that may have something in the picture.
-void CpuRasterizer::Work::choosePages(const HostSlots& slots, const PageView& view) {
-  static const std::vector<std::uint32_t> kZeros(std::size_t{7} * kSlots);
+void CpuRasterizer::Work::choosePages(const HostSlots& slots, const MapState& map,
+                                      const PictureRequest& request) {
   pages.clear();
   bounds.clear();
-  for (const SlotPage& page : slots.pages()) {
-    if (!view.mayShow(page)) continue;
-    const HostSlots::Page& memory = slots.at(page);
-    PageSlots& chosen = pages.emplace_back();
-    for (int i = 0; i < 3; ++i) chosen.position[i] = memory.position[i].data();
-    chosen.extent = memory.extent.data();
-    chosen.words = memory.words[0].data();
-    for (int band = 1; band <= kMaxShDegree; ++band) {
-      chosen.bands[band] = memory.bands[band] ? memory.bands[band].get() : kZeros.data();
+  const PageView view(sorterView(request.camera, map.origin, 1.0), request.settings.clip_box,
+                      map.origin);
+  if (!request.levels) {
+    for (const SlotPage& page : slots.pages()) {
+      if (view.mayShow(page)) choose(page, slots.at(page));
     }
-    chosen.first_slot = page.first_slot;
-    bounds.push_back(&page);
+    return;
   }
+  const Cut cut(request.camera, map.origin, request.error, drawsBalls(request.settings.mode));
+  CutView& c = cull_view.cut;
+  for (int i = 0; i < 3; ++i) c.eye[i] = static_cast<float>(cut.eye[i]);
+  c.focal = static_cast<float>(cut.focal);
+  c.from = static_cast<float>(cut.from);
+  c.over_span = static_cast<float>(1 / (cut.to - cut.from));
+  c.orthographic = cut.orthographic;
+  project_view.cut = c;
+  for (const SlotPage& page : slots.pages()) {
+    const HostSlots::Page& memory = slots.at(page);
+    if (!view.mayShow(page) || !cut.mayShow(page, 0, memory.widest_parent)) continue;
+    choose(page, memory);
+    if (memory.parents) pages.back().parents = memory.parents->data();
+  }
+  for (int level = 0; level < kLevels; ++level) {
+    const float own = cellSize(level), parent = level + 1 < kLevels ? 2 * own : kBoundless;
+    HostSlots::PerSlot<float>& parents = node_parents[std::size_t(level)];
+    parents.fill(parent);
+    for (const auto& page : request.levels->pages()[std::size_t(level)]) {
+      if (!view.mayShow(page->bounds) || !cut.mayShow(page->bounds, own, parent)) continue;
+      choose(page->bounds, page->slots);
+      pages.back().parents = parents.data();
+      pages.back().own_cell = own;
+      pages.back().opacity_unit *= kMostNodeOpacity;
+    }
+  }
+}
+
+void CpuRasterizer::Work::choose(const SlotPage& page, const HostSlots::Page& memory) {
+  static const std::vector<std::uint32_t> kZeros(std::size_t{7} * kSlots);
+  PageSlots& chosen = pages.emplace_back();
+  for (int i = 0; i < 3; ++i) chosen.position[i] = memory.position[i].data();
+  chosen.extent = memory.extent.data();
+  chosen.words = memory.words[0].data();
+  for (int band = 1; band <= kMaxShDegree; ++band) {
+    chosen.bands[band] = memory.bands[band] ? memory.bands[band].get() : kZeros.data();
+  }
+  chosen.parents = nullptr;
+  chosen.own_cell = 0;
+  chosen.opacity_unit = 1.0f / 65535.0f;
+  chosen.first_slot = page.first_slot;
+  bounds.push_back(&page);
 }
 
 void CpuRasterizer::Work::cull() {
@@ -742,8 +787,7 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
   tile.divided = depthsOf(request.translucent_depth, rect, member.divided);
   const bool ended =
-      kernels.blend(tile, mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall,
-                    mode == DrawMode::kGaussianBall, request.mean_depth);
+      kernels.blend(tile, drawsBalls(mode), mode == DrawMode::kGaussianBall, request.mean_depth);
   if (ended) open[number] = kEnded;
 
   const auto write = [&](const TilePixels& pixels, std::vector<float>& colour) {
@@ -789,8 +833,7 @@ void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::u
     tile.most[i] = first ? kLeastPicked : picking[2 * pixel + 1];
     tile.slot[i] = first ? kNoSlot : picked[pixel];
   });
-  const bool ended =
-      kernels.pick(tile, mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall);
+  const bool ended = kernels.pick(tile, drawsBalls(mode));
   if (ended) open[number] = kEnded;
   rect.forEach([&](std::size_t i, std::size_t pixel) {
     picking[2 * pixel] = tile.transmittance[i];
@@ -893,8 +936,7 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     picking.resize(2 * pixels);
   }
   setViews(slots, map, request);
-  choosePages(slots,
-              PageView(sorterView(camera, map.origin, 1.0), request.settings.clip_box, map.origin));
+  choosePages(slots, map, request);
   cull();
   if (cancelled()) return false;
   deal();

@@ -11,9 +11,10 @@
 #include <string>
 #include <vector>
 
-#include "cpu/host_slots.hpp"
 #include "map/gaussian_batch.hpp"
 #include "map/gaussian_map.hpp"
+#include "map/host_slots.hpp"
+#include "map/levels.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
 #include "rosplat_sorter/thread_team.hpp"
@@ -34,6 +35,10 @@ struct PictureRequest {
   // depth, with the sorters' ties.
   std::optional<ArrayView<std::uint32_t>> order;
   bool mean_depth = false;  // of the splats, too
+  // Nodes of the map to be drawn in place of what is smaller than `error`. Null: all is drawn in
+  // full, as it is where the order is given, and for picks.
+  const Levels* levels = nullptr;
+  double error = 0;  // [px]
   // Set by another thread to have the picture given up.
   const std::atomic<bool>* cancelled = nullptr;
 };

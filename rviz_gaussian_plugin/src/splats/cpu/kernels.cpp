@@ -14,7 +14,7 @@ constexpr int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNor
 
 constexpr float kLowPass = 0.3f;  // [px^2], part of the trained model
 constexpr float kCutoffAlpha = 1.0f / 255.0f;
-constexpr float kMaxSigmas = 3.33f;      // where the most opaque splat falls below the cutoff
+constexpr float kMaxSigmas = 4.08f;      // where the most opaque node falls below the cutoff
 constexpr float kMaxAlpha = 0.99f;       // as in Kerbl et al. 2023; nothing is ever fully opaque
 constexpr float kBallSigmas = 1.74017f;  // where a ball ends: 0.22 of the peak
 constexpr float kBallEnd = -2.18442457f / kSquared;    // log2 of that
@@ -72,6 +72,27 @@ Floats transform(const float* row, float translation, const Vec3& p) {
   return ((row[0] * p.x + row[1] * p.y) + row[2] * p.z) + translation;
 }
 
+// How wide a cell around a position is in the picture, at its nearest point [px].
+Floats errorOf(const CutView& cut, const Vec3& p, Floats cell) {
+  const auto outside = [&](Floats x, float eye) {
+    const Floats least = toFloats(floorToInts(x / cell)) * cell;
+    return max(max(least - eye, eye - (least + cell)), Floats{});
+  };
+  if (cut.orthographic) return cut.focal * cell;
+  const Vec3 away = {outside(p.x, cut.eye[0]), outside(p.y, cut.eye[1]), outside(p.z, cut.eye[2])};
+  return cut.focal * cell / max(sqrt(dot(away, away)), all(1e-6f));
+}
+
+// The share of slots that a cut draws: see cut.hpp.
+Floats shareOf(const CutView& cut, const Vec3& p, Floats parent, float own) {
+  const auto rise = [&](Floats error) {
+    const Floats t = clamp((error - cut.from) * cut.over_span, Floats{}, all(1.0f));
+    return t * t * (3.0f - 2.0f * t);
+  };
+  const Floats coarser = rise(errorOf(cut, p, parent));
+  return own > 0.0f ? coarser - rise(errorOf(cut, p, all(own))) : coarser;
+}
+
 std::size_t cull(const CullView& given, const PageSlots& page, std::uint32_t index,
                  Candidate* candidates) {
   const CullView view = given;  // a copy that no store below can alias
@@ -91,6 +112,9 @@ std::size_t cull(const CullView& given, const PageSlots& page, std::uint32_t ind
       seen &= abs(p.x - view.box_centre[0]) <= view.half_box[0];
       seen &= abs(p.y - view.box_centre[1]) <= view.half_box[1];
       seen &= abs(p.z - view.box_centre[2]) <= view.half_box[2];
+    }
+    if (page.parents && any(seen)) {
+      seen &= shareOf(view.cut, p, load(page.parents + i), page.own_cell) > 0.0f;
     }
     const Ints bits = (Ints)(z + 0.0f);  // the sum makes one depth of -0 and 0
     const Ints keys = bits ^ ((bits >> 31) | INT32_MIN);
@@ -323,7 +347,9 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     const Vec3 p = {transform(view.rotation, view.translation[0], mean),
                     transform(view.rotation + 3, view.translation[1], mean),
                     transform(view.rotation + 6, view.translation[2], mean)};
-    const Floats trained_opacity = toFloats((Ints)(slot.word[0] & 0xffffu)) * (1.0f / 65535.0f);
+    const Floats trained_opacity = toFloats((Ints)(slot.word[0] & 0xffffu)) * page.opacity_unit;
+    const Floats share =
+        page.parents ? shareOf(view.cut, mean, places.of(page.parents), page.own_cell) : all(1.0f);
     Floats opacity = view.opacity_modifier * trained_opacity;
     if (view.near_fade > 0.0f) opacity *= min((p.z - view.near_clip) / view.near_fade, all(1.0f));
 
@@ -441,6 +467,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
       record.right = std::int16_t(columns.last[i]);
       record.bottom = std::int16_t(lines.last[i]);
       record.slot = page.first_slot + std::uint32_t(places[i]);
+      record.share = share[i];
       Footprint& footprint = footprints[n];
       footprint.top = std::int16_t(rows_of_tiles.first[i]);
       footprint.bottom = std::int16_t(rows_of_tiles.last[i]);
@@ -532,8 +559,10 @@ template <bool kBalls, bool kGaussianBalls, bool kDepth, bool kOpaque, bool kDiv
 bool blendAs(const BlendTile& tile) {
   // A vector of pixels under a splat.
   const auto blend = [](TilePixels& into, int pixel, Floats falloff, Ints where,
-                        const Floats(&colour)[3], Floats depth) {
-    const Floats alpha = where ? (kBalls ? all(1.0f) : min(falloff, all(kMaxAlpha))) : Floats{};
+                        const Floats(&colour)[3], Floats depth, float share) {
+    Floats alpha = kBalls ? all(1.0f) : min(falloff, all(kMaxAlpha));
+    if (!kBalls && share < 1.0f) alpha = 1.0f - exp2(share * log2(1.0f - alpha));
+    alpha = where ? alpha : Floats{};
     const Floats transmittance = load(into.transmittance + pixel);
     Floats weight = transmittance * alpha;
     store(into.transmittance + pixel, transmittance - weight);
@@ -545,20 +574,23 @@ bool blendAs(const BlendTile& tile) {
     }
   };
   TilePixels& pixels = *tile.pixels;
-  return walk(
-      tile.listed, tile.count, tile.records, tile.left, tile.top, kBalls, pixels.transmittance,
-      kDivided ? tile.behind->transmittance : nullptr, tile.ends_at, [&](const Record& e) {
-        const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
-        const Floats depth = all(e.depth), window_depth = all(e.window_depth);
-        return [=, &pixels, &tile](int pixel, Floats exponent, Ints covered) {
-          const Floats falloff = falloffOf(exponent);
-          if (kOpaque) covered &= window_depth <= load(tile.opaque + pixel);
-          if (!kDivided) return blend(pixels, pixel, falloff, covered, colour, depth);
-          const Ints before = window_depth <= load(tile.divided + pixel);
-          blend(pixels, pixel, falloff, covered & before, colour, depth);
-          blend(*tile.behind, pixel, falloff, covered & ~before, colour, 1.0f - window_depth);
-        };
-      });
+  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, kBalls,
+              pixels.transmittance, kDivided ? tile.behind->transmittance : nullptr, tile.ends_at,
+              [&](const Record& e) {
+                const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
+                const Floats depth = all(e.depth), window_depth = all(e.window_depth);
+                const float share = e.share;
+                return [=, &pixels, &tile](int pixel, Floats exponent, Ints covered) {
+                  const Floats falloff = falloffOf(exponent);
+                  if (kOpaque) covered &= window_depth <= load(tile.opaque + pixel);
+                  if (!kDivided)
+                    return blend(pixels, pixel, falloff, covered, colour, depth, share);
+                  const Ints before = window_depth <= load(tile.divided + pixel);
+                  blend(pixels, pixel, falloff, covered & before, colour, depth, share);
+                  blend(*tile.behind, pixel, falloff, covered & ~before, colour,
+                        1.0f - window_depth, share);
+                };
+              });
 }
 
 template <bool kBalls, bool kGaussianBalls, bool kDepth>

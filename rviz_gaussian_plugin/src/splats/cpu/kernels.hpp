@@ -12,6 +12,12 @@ constexpr int kTile = 16;       // [px], in width and height
 constexpr int kMostLanes = 16;  // of any target
 constexpr int kTilePixels = kTile * kTile;
 
+// A Cut.
+struct CutView {
+  float eye[3], focal, from, over_span;  // over_span: 1 / (to - from)
+  bool orthographic;
+};
+
 // What a slot is tested with before anything else: rosplat_sorter::View, and a box.
 struct CullView {
   float rotation[9], translation[3];
@@ -20,6 +26,7 @@ struct CullView {
   bool orthographic;
   bool clip_to_box;
   float box_centre[3], half_box[3];  // [m]
+  CutView cut;
 };
 
 // A slot that may be seen.
@@ -28,12 +35,15 @@ struct Candidate {
   std::uint32_t index;  // of its page in the order of pages, times slots of a page, and in that
 };
 
-// A page of HostSlots.
+// A page of HostSlots, or of nodes.
 struct PageSlots {
   const float* position[3];
   const float* extent;
   const std::uint32_t* words;     // 3 to 8, all slots of each
   const std::uint32_t* bands[4];  // by coefficient, all slots of each
+  const float* parents;           // widths of cells, or null where all is drawn in full [m]
+  float own_cell;                 // of nodes: how wide their cells are [m], else 0
+  float opacity_unit;
   std::uint32_t first_slot;
 };
 
@@ -48,6 +58,7 @@ struct ProjectView {
   float depth_range[2];
   int mode, sh_degree, only_band, tiles_across, tiles_down;
   bool orthographic, antialiased;
+  CutView cut;
 };
 
 // Up to which window depth something may still be seen, tile by tile, and the most of that in 2x2,
@@ -69,7 +80,9 @@ struct alignas(64) Record {
   float depth, window_depth;
   std::int16_t left, top, right, bottom;  // pixels around it, the last two beyond it
   std::uint32_t slot;
+  float share;  // of it that is drawn: 1 - (1 - alpha)^share
 };
+static_assert(sizeof(Record) == 64);
 
 // alpha = (2^(peak - u^2 - v^2))^kSquared
 constexpr int kSquarings = 4;

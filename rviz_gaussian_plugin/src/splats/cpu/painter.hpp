@@ -16,9 +16,9 @@
 #include <vector>
 
 #include "cpu/cpu_rasterizer.hpp"
-#include "cpu/host_slots.hpp"
 #include "cpu/picture_mesh.hpp"
 #include "map/gaussian_map.hpp"
+#include "map/host_slots.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
 #include "order/order.hpp"

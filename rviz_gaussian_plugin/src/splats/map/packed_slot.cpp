@@ -91,7 +91,7 @@ std::array<float, 4> fromSmallestThree(std::uint64_t packed) {
 
 float extentOf(const Splat& splat) {
   if (!(splat.opacity >= 1.0f / 255.0f)) return -1.0f;
-  const float sigmas = std::min(3.33f, std::sqrt(2.0f * std::log(255.0f * splat.opacity)));
+  const float sigmas = std::sqrt(2.0f * std::log(255.0f * splat.opacity));
   return sigmas * std::max({splat.scale[0], splat.scale[1], splat.scale[2]});
 }
 
@@ -134,21 +134,27 @@ Splat unpackSlot(const std::uint32_t* slot) {
   return splat;
 }
 
-std::vector<float> unpackHarmonics(
-    const std::uint32_t* slot, int sh_degree,
-    const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands) {
+void unpackHarmonics(const std::uint32_t* slot, int sh_degree,
+                     const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands, float* sh) {
   const float unit = fromHalf(slot[6] >> 16);
   const auto fraction = [unit](std::uint32_t word, int shift, int bits, float steps) {
     return unit * float(std::int32_t(word << (32 - shift - bits)) >> (32 - bits)) / steps;
   };
-  std::vector<float> sh;
   for (int band = 1; band <= sh_degree; ++band) {
-    for (int i = 0; i < kBandWords[band]; ++i) {
+    for (int i = 0; i < kBandWords[band]; ++i, sh += 3) {
       const std::uint32_t word = bands[band][i];
-      sh.insert(sh.end(), {fraction(word, 0, 11, 1023), fraction(word, 11, 11, 1023),
-                           fraction(word, 22, 10, 511)});
+      sh[0] = fraction(word, 0, 11, 1023);
+      sh[1] = fraction(word, 11, 11, 1023);
+      sh[2] = fraction(word, 22, 10, 511);
     }
   }
+}
+
+std::vector<float> unpackHarmonics(
+    const std::uint32_t* slot, int sh_degree,
+    const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands) {
+  std::vector<float> sh(std::size_t(3 * ((sh_degree + 1) * (sh_degree + 1) - 1)));
+  unpackHarmonics(slot, sh_degree, bands, sh.data());
   return sh;
 }
 

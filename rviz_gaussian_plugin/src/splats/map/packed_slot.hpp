@@ -29,6 +29,16 @@ struct Splat {
   std::array<float, 3> color{};        // band 0 of the spherical harmonics
 };
 
+// A slot's words, for where they lie apart.
+struct PackedSlot {
+  std::array<std::uint32_t, kSlotWords> words{};
+  std::array<std::array<std::uint32_t, kBandWords.back()>, kMaxShDegree + 1> bands{};
+
+  std::array<const std::uint32_t*, kMaxShDegree + 1> bandWords() const {
+    return {bands[0].data(), bands[1].data(), bands[2].data(), bands[3].data()};
+  }
+};
+
 // Radius of the ellipsoid on which alpha falls to 1/255 [m], -1 for a splat that never reaches
 // that.
 float extentOf(const Splat& splat);
@@ -43,6 +53,9 @@ void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t*
 Splat unpackSlot(const std::uint32_t* slot);
 
 // Its coefficients of bands 1 to sh_degree, as packSlot() takes them.
+// Room for 3 ((sh_degree + 1)^2 - 1) floats in the first case.
+void unpackHarmonics(const std::uint32_t* slot, int sh_degree,
+                     const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands, float* sh);
 std::vector<float> unpackHarmonics(const std::uint32_t* slot, int sh_degree,
                                    const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands);
 

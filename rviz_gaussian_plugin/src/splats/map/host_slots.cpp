@@ -1,4 +1,4 @@
-#include "cpu/host_slots.hpp"
+#include "map/host_slots.hpp"
 
 #include <algorithm>
 #include <cstring>
@@ -16,7 +16,7 @@ void HostSlots::apply(const GaussianEdit& edit, double now) {
     memory_.clear();
     pages_ = {};
     sh_degree_ = 0;
-    band_bytes_ = 0;
+    extra_bytes_ = 0;
   }
   sh_degree_ = std::max(sh_degree_, edit.sh_degree);
   pages_.apply(edit);
@@ -46,6 +46,13 @@ void HostSlots::write(const GaussianEdit& edit, std::size_t source, std::uint32_
   if (!found) return;  // slots that were never used are empty already
   Page& page = *memory_[found->place];
   const std::size_t target = first % kSlots;
+  if (page.parents) {
+    for (std::size_t i = 0; i < count; ++i) {
+      const bool shows = edit.sh_degree >= 0 && edit.extents[source + i] >= 0;
+      (*page.parents)[target + i] = shows ? kBoundless : 0;
+    }
+    page.widest_parent = kBoundless;
+  }
   if (edit.sh_degree < 0) {
     for (auto& words : page.words) std::fill_n(&words[target], count, 0u);
     std::fill_n(&page.extent[target], count, -1.0f);
@@ -68,7 +75,7 @@ void HostSlots::write(const GaussianEdit& edit, std::size_t source, std::uint32_
       if (band > edit.sh_degree) continue;
       page.bands[band].reset(new std::uint32_t[bandWords(band)]{});
       memory = page.bands[band].get();
-      band_bytes_ += bandWords(band) * sizeof(std::uint32_t);
+      extra_bytes_ += bandWords(band) * sizeof(std::uint32_t);
     }
     for (std::size_t i = 0; i < count; ++i) {
       for (std::size_t k = 0; k < coefficients; ++k) {
@@ -79,9 +86,54 @@ void HostSlots::write(const GaussianEdit& edit, std::size_t source, std::uint32_
   }
 }
 
+void HostSlots::setParents(const std::vector<std::pair<std::uint32_t, float>>& sizes) {
+  for (auto next = sizes.begin(); next != sizes.end();) {
+    const SlotPage& of = *pages_.find(next->first);
+    Page& page = at(of);
+    if (!page.parents) {
+      page.parents = std::make_unique<PerSlot<float>>();
+      for (std::size_t i = 0; i < kSlots; ++i) {
+        (*page.parents)[i] = page.extent[i] >= 0 ? kBoundless : 0;
+      }
+      extra_bytes_ += sizeof(*page.parents);
+    }
+    for (; next != sizes.end() && next->first - of.first_slot < kSlots; ++next) {
+      (*page.parents)[next->first - of.first_slot] = next->second;
+    }
+    page.widest_parent = *std::max_element(page.parents->begin(), page.parents->end());
+  }
+}
+
 std::size_t HostSlots::bytes() const {
-  return memory_.size() * sizeof(Page) + band_bytes_ + pages_.bytes() +
+  return memory_.size() * sizeof(Page) + extra_bytes_ + pages_.bytes() +
          memory_.capacity() * sizeof(memory_[0]);
+}
+
+PackedSlot HostSlots::Page::packed(std::size_t i, int sh_degree) const {
+  PackedSlot slot;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    std::memcpy(&slot.words[axis], &position[axis][i], sizeof(float));
+  }
+  for (std::size_t k = 0; k < words.size(); ++k) slot.words[3 + k] = words[k][i];
+  for (int band = 1; band <= sh_degree; ++band) {
+    for (int k = 0; bands[band] && k < kBandWords[band]; ++k) {
+      slot.bands[band][k] = bands[band][std::size_t(k) * kSlots + i];
+    }
+  }
+  return slot;
+}
+
+void HostSlots::Page::put(std::size_t i, const PackedSlot& slot, int sh_degree) {
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    std::memcpy(&position[axis][i], &slot.words[axis], sizeof(float));
+  }
+  for (std::size_t k = 0; k < words.size(); ++k) words[k][i] = slot.words[3 + k];
+  for (int band = 1; band <= sh_degree; ++band) {
+    if (!bands[band]) bands[band].reset(new std::uint32_t[bandWords(band)]{});
+    for (int k = 0; k < kBandWords[band]; ++k) {
+      bands[band][std::size_t(k) * kSlots + i] = slot.bands[band][k];
+    }
+  }
 }
 
 std::vector<SplatValues> HostSlots::read(const std::vector<std::uint32_t>& slots) const {
@@ -91,52 +143,32 @@ std::vector<SplatValues> HostSlots::read(const std::vector<std::uint32_t>& slots
     values.slot = slot;
     const SlotPage* const found = pages_.find(slot);
     if (!found) continue;
-    const Page& page = *memory_[found->place];
-    const std::size_t i = slot % kSlots;
-    std::array<std::uint32_t, kSlotWords> words;
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      std::memcpy(&words[axis], &page.position[axis][i], sizeof(float));
-    }
-    for (std::size_t k = 0; k < page.words.size(); ++k) words[3 + k] = page.words[k][i];
-    const Splat splat = unpackSlot(words.data());
+    const PackedSlot packed = at(*found).packed(slot % kSlots, sh_degree_);
+    const Splat splat = unpackSlot(packed.words.data());
     std::copy(splat.position.begin(), splat.position.end(), values.position.begin());
     values.orientation = splat.orientation;
     values.scale = splat.scale;
     values.opacity = splat.opacity;
-
-    std::array<std::array<std::uint32_t, 7>, kMaxShDegree + 1> bands{};
-    std::array<const std::uint32_t*, kMaxShDegree + 1> bands_of{};
-    for (int band = 1; band <= sh_degree_; ++band) {
-      for (int k = 0; k < kBandWords[band] && page.bands[band]; ++k) {
-        bands[band][k] = page.bands[band][std::size_t(k) * kSlots + i];
-      }
-      bands_of[band] = bands[band].data();
-    }
     values.sh.assign(splat.color.begin(), splat.color.end());
-    const std::vector<float> rest = unpackHarmonics(words.data(), sh_degree_, bands_of);
+    const std::vector<float> rest =
+        unpackHarmonics(packed.words.data(), sh_degree_, packed.bandWords());
     values.sh.insert(values.sh.end(), rest.begin(), rest.end());
   }
   return splats;
 }
 
 GaussianEdit HostSlots::edit(const SlotPage& of) const {
-  const Page& page = at(of);
   std::vector<std::uint32_t> slots(kSlots * kSlotWords);
-  for (std::size_t i = 0; i < kSlots; ++i) {
-    std::uint32_t* const words = &slots[kSlotWords * i];
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      std::memcpy(&words[axis], &page.position[axis][i], sizeof(float));
-    }
-    for (std::size_t k = 0; k < page.words.size(); ++k) words[3 + k] = page.words[k][i];
-  }
   std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;
   for (int band = 1; band <= sh_degree_; ++band) {
-    const auto coefficients = static_cast<std::size_t>(kBandWords[band]);
-    bands[band].resize(kSlots * coefficients);
-    for (std::size_t k = 0; page.bands[band] && k < coefficients; ++k) {
-      for (std::size_t i = 0; i < kSlots; ++i) {
-        bands[band][coefficients * i + k] = page.bands[band][k * kSlots + i];
-      }
+    bands[band].resize(kSlots * static_cast<std::size_t>(kBandWords[band]));
+  }
+  for (std::size_t i = 0; i < kSlots; ++i) {
+    const PackedSlot slot = at(of).packed(i, sh_degree_);
+    std::copy(slot.words.begin(), slot.words.end(), &slots[kSlotWords * i]);
+    for (int band = 1; band <= sh_degree_; ++band) {
+      std::copy_n(slot.bands[band].begin(), kBandWords[band],
+                  &bands[band][std::size_t(kBandWords[band]) * i]);
     }
   }
   return editOf(of.first_slot, std::move(slots), std::move(bands), sh_degree_);

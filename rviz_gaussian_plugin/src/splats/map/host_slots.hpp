@@ -4,15 +4,19 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "map/gaussian_map.hpp"
+#include "map/lattice.hpp"
+#include "map/packed_slot.hpp"
 #include "map/slot_pages.hpp"
 
 namespace rosplat {
 
 // The slots of a map in the processor's memory, page by page: 40 bytes a slot and those of its
-// further bands. Not for several threads at once, but any number may read.
+// further bands, and 4 where there are levels. Not for several threads at once, but any number may
+// read.
 class HostSlots {
  public:
   static constexpr std::size_t kSlots = SlotPage::kSlots;
@@ -27,6 +31,14 @@ class HostSlots {
     std::array<PerSlot<std::uint32_t>, 6> words;  // 3 to 8 of a packed slot
     std::array<std::unique_ptr<std::uint32_t[]>, kMaxShDegree + 1>
         bands;  // coefficient by coefficient, kSlots of each; null where there are none
+    // How wide the cells are whose nodes stand for each slot where they are small in a picture:
+    // kBoundless where there is none, 0 of empty slots. Null where there are none for the page. [m]
+    std::unique_ptr<PerSlot<float>> parents;
+    float widest_parent = kBoundless;  // of any slot [m]
+
+    PackedSlot packed(std::size_t i, int sh_degree) const;
+    // Of all but the extent.
+    void put(std::size_t i, const PackedSlot& slot, int sh_degree);
   };
 
   // now: the clock of `change` in packed_slot.hpp. Throws std::bad_alloc: then some of the edit is
@@ -35,6 +47,7 @@ class HostSlots {
 
   const std::vector<SlotPage>& pages() const { return pages_.pages(); }  // by ascending first_slot
   const Page& at(const SlotPage& page) const { return *memory_[page.place]; }
+  Page& at(const SlotPage& page) { return *memory_[page.place]; }
   const SlotPages& index() const { return pages_; }
   int shDegree() const { return sh_degree_; }
   std::size_t bytes() const;
@@ -43,6 +56,8 @@ class HostSlots {
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   // What writes a page elsewhere.
   GaussianEdit edit(const SlotPage& page) const;
+  // Says how wide the cells are whose nodes stand for what slots hold now. Slots ascend.
+  void setParents(const std::vector<std::pair<std::uint32_t, float>>& sizes);
 
  private:
   void write(const GaussianEdit& edit, std::size_t source, std::uint32_t first, std::uint32_t count,
@@ -51,7 +66,7 @@ class HostSlots {
   SlotPages pages_;
   std::vector<std::unique_ptr<Page>> memory_;  // by place
   int sh_degree_ = 0;
-  std::size_t band_bytes_ = 0;
+  std::size_t extra_bytes_ = 0;
 };
 
 }  // namespace rosplat

@@ -1,0 +1,36 @@
+#include "map/cut.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace rosplat {
+
+Cut::Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool sharp)
+    : focal(std::max(camera.fx, camera.fy)),
+      orthographic(camera.orthographic),
+      from(error * (sharp ? 1 - 1e-5 : std::sqrt(0.5))),
+      to(error) {
+  for (std::size_t i = 0; i < 3; ++i) {
+    eye[i] = -origin[i];
+    for (std::size_t k = 0; k < 3; ++k) {
+      eye[i] -= camera.rotation[3 * k + i] * camera.translation[k];
+    }
+  }
+}
+
+bool Cut::mayShow(const SlotPage& page, double own, double parent) const {
+  constexpr double kRounding = 1.001;
+  double nearest = 0, farthest = 0;  // squared
+  for (std::size_t i = 0; i < 3; ++i) {
+    const double below = page.least[i] - parent - eye[i], above = eye[i] - page.most[i] - parent;
+    const double outside = std::max({below, above, 0.0});
+    const double across = std::max(page.most[i] - eye[i], eye[i] - page.least[i]);
+    nearest += outside * outside;
+    farthest += across * across;
+  }
+  const double most = orthographic ? 1 : 1 / std::sqrt(nearest);
+  const double least = orthographic ? 1 : 1 / std::sqrt(farthest);
+  return kRounding * focal * parent * most > from && focal * own * least < kRounding * to;
+}
+
+}  // namespace rosplat

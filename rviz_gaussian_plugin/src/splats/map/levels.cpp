@@ -1,0 +1,347 @@
+#include "map/levels.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <iterator>
+#include <limits>
+#include <new>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+constexpr std::uint32_t kSlots = SlotPage::kSlots;
+
+// Goes through the nodes of a level as they ascend, from a cell on.
+class NodeCursor {
+ public:
+  NodeCursor(const Levels::Pages& pages, Cell from) : end_(pages.end()) {
+    page_ = std::upper_bound(pages.begin(), pages.end(), from, [](Cell cell, const auto& page) {
+      return cell < page->cells.front();
+    });
+    if (page_ == pages.begin()) return;
+    --page_;
+    const std::vector<Cell>& cells = (*page_)->cells;
+    i_ = std::size_t(std::lower_bound(cells.begin(), cells.end(), from) - cells.begin());
+    settle();
+  }
+
+  bool before(Cell cell) const { return page_ != end_ && (*page_)->cells[i_] < cell; }
+  Node node(int sh_degree) const { return (*page_)->node(i_, sh_degree); }
+  PackedSlot packed(int sh_degree) const { return (*page_)->slots.packed(i_, sh_degree); }
+  void next() {
+    ++i_;
+    settle();
+  }
+  // The page that begins here, if it ends before a cell, too.
+  std::shared_ptr<const NodePage> wholePage(Cell end) const {
+    return i_ == 0 && before(end) && (*page_)->cells.back() < end ? *page_ : nullptr;
+  }
+
+ private:
+  void settle() {
+    if (i_ < (*page_)->cells.size()) return;
+    ++page_;
+    i_ = 0;
+  }
+
+  Levels::Pages::const_iterator page_, end_;
+  std::size_t i_ = 0;
+};
+
+// Where slots lie that come in ascending order, mostly.
+class SlotFinder {
+ public:
+  explicit SlotFinder(const HostSlots& slots) : slots_(slots) {}
+
+  const HostSlots::Page& pageOf(std::uint32_t slot) {
+    if (!page_ || slot - page_->first_slot >= kSlots) page_ = slots_.index().find(slot);
+    return slots_.at(*page_);
+  }
+
+ private:
+  const HostSlots& slots_;
+  const SlotPage* page_ = nullptr;
+};
+
+template <typename Changes>
+auto changesFrom(const Changes& changes, Cell from) {
+  return std::lower_bound(changes.begin(), changes.end(), from,
+                          [](const auto& change, Cell cell) { return change.cell < cell; });
+}
+
+}  // namespace
+
+NodePage::NodePage(const Node* nodes, std::size_t count, int sh_degree) {
+  constexpr float infinity = std::numeric_limits<float>::infinity();
+  bounds.first_slot = kNoSlot;
+  bounds.least.fill(infinity);
+  bounds.most.fill(-infinity);
+  slots.extent.fill(-1);
+  for (std::size_t i = 0; i < count; ++i) {
+    const Node& node = nodes[i];
+    slots.put(i, node.packed, sh_degree);
+    slots.extent[i] = node.extent;
+    bounds.extent = std::max(bounds.extent, node.extent);
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const float x = slots.position[axis][i];
+      bounds.least[axis] = std::min(bounds.least[axis], x);
+      bounds.most[axis] = std::max(bounds.most[axis], x);
+    }
+    cells.push_back(node.cell);
+    members_.insert(members_.end(), node.members.begin(), node.members.end());
+    ends_.push_back(static_cast<std::uint32_t>(members_.size()));
+  }
+}
+
+Node NodePage::node(std::size_t i, int sh_degree) const {
+  const auto begin = members_.begin() + (i > 0 ? ends_[i - 1] : 0);
+  return {
+      cells[i], slots.packed(i, sh_degree), slots.extent[i], {begin, members_.begin() + ends_[i]}};
+}
+
+std::size_t NodePage::bytes() const {
+  std::size_t bytes = sizeof(*this) + cells.capacity() * sizeof(Cell) +
+                      (members_.capacity() + ends_.capacity()) * sizeof(std::uint32_t);
+  for (std::size_t band = 1; band < slots.bands.size(); ++band) {
+    if (slots.bands[band]) bytes += kSlots * std::size_t(kBandWords[band]) * sizeof(std::uint32_t);
+  }
+  return bytes;
+}
+
+void Levels::inParts(std::size_t count, const std::function<void(std::size_t)>& step) const {
+  std::atomic<bool> out_of_memory{false};
+  team_->run(static_cast<unsigned>(count), [&](unsigned number, unsigned) {
+    try {
+      step(number);
+    } catch (const std::bad_alloc&) {
+      out_of_memory = true;
+    }
+  });
+  if (out_of_memory) throw std::bad_alloc();
+}
+
+void Levels::mark(const HostSlots& slots, const SlotRuns& runs) {
+  if (!begun_) return;
+  for (const auto& [first, count] : runs) {
+    for (std::uint32_t slot = first, next; slot < first + count; slot = next) {
+      next = std::min(first + count, slot - slot % kSlots + kSlots);
+      const SlotPage* const page = slots.index().find(slot);
+      if (!page) continue;
+      known_.resize(std::max(known_.size(), std::size_t(page->place) + 1));
+      std::unique_ptr<Known>& known = known_[page->place];
+      if (!known) {
+        known = std::make_unique<Known>();
+        known->cells.fill(kNoCell);
+      }
+      if (known->marked.none()) marked_.push_back(page->first_slot);
+      for (; slot < next; ++slot) known->marked.set(slot % kSlots);
+    }
+  }
+}
+
+void Levels::clear() {
+  begun_ = false;
+  known_.clear();
+  marked_.clear();
+  job_.reset();
+  pages_ = {};
+}
+
+bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop) {
+  if (!std::exchange(begun_, true)) {
+    for (const SlotPage& page : slots.pages()) mark(slots, {{page.first_slot, kSlots}});
+  }
+  while (job_ || !marked_.empty()) {
+    if (!job_) begin(slots);
+    while (job_->level < kLevels) {
+      if (stop()) return false;
+      const std::size_t left = job_->pieces.size() - job_->done;
+      if (left == 0) {
+        nextLevel();
+        continue;
+      }
+      const std::size_t more = std::min(left, 4 * std::size_t(team_->size()));
+      inParts(more, [&](std::size_t i) { make(slots, job_->pieces[job_->done + i]); });
+      job_->done += more;
+    }
+    publish(slots);
+  }
+  return true;
+}
+
+// Finds what has changed since nodes were made last.
+void Levels::begin(const HostSlots& slots) {
+  auto job = std::make_unique<Job>();
+  const auto byCell = [](const Change& a, const Change& b) {
+    return a.cell != b.cell ? a.cell < b.cell : a.slot < b.slot;
+  };
+  std::vector<Changes> parts(team_->size());
+  inParts(parts.size(), [&](std::size_t number) {
+    const std::size_t end = marked_.size() * (number + 1) / parts.size();
+    for (std::size_t i = marked_.size() * number / parts.size(); i < end; ++i) {
+      findChanges(slots, *slots.index().find(marked_[i]), parts[number]);
+    }
+    std::sort(parts[number].begin(), parts[number].end(), byCell);
+  });
+  Changes& changes = job->changes;
+  for (Changes& part : parts) {
+    const auto sorted = std::ptrdiff_t(changes.size());
+    changes.insert(changes.end(), part.begin(), part.end());
+    std::inplace_merge(changes.begin(), changes.begin() + sorted, changes.end(), byCell);
+    part = {};
+  }
+
+  // Nothing from here on needs memory: the job has what was marked.
+  const auto knownOf = [&](std::uint32_t slot) -> Known& {
+    return *known_[slots.index().find(slot)->place];
+  };
+  for (const bool enters : {false, true}) {
+    for (const Change& change : changes) {
+      if (change.enters != enters) continue;
+      knownOf(change.slot).cells[change.slot % kSlots] = enters ? change.cell : kNoCell;
+    }
+  }
+  for (const std::uint32_t first_slot : marked_) knownOf(first_slot).marked.reset();
+  marked_.clear();
+  job_ = std::move(job);
+}
+
+void Levels::findChanges(const HostSlots& slots, const SlotPage& of, Changes& changes) const {
+  const Known& known = *known_[of.place];
+  const HostSlots::Page& page = slots.at(of);
+  for (std::uint32_t i = 0; i < kSlots; ++i) {
+    if (!known.marked[i]) continue;
+    const bool shows = page.extent[i] >= 0;
+    const Cell cell = shows ? entryOf(unpackSlot(page.packed(i, 0).words.data())) : kNoCell;
+    const Cell before = known.cells[i];
+    if (before != cell && before != kNoCell) changes.push_back({before, of.first_slot + i, false});
+    if (cell != kNoCell) changes.push_back({cell, of.first_slot + i, true});
+  }
+}
+
+// Cuts the next level into pieces: where its pages begin, and so that in none more cells are
+// touched than a page holds.
+void Levels::nextLevel() {
+  Job& job = *job_;
+  std::vector<Cell> touched;
+  for (const Piece& piece : job.pieces) {
+    Pages& pages = job.pages[std::size_t(job.level)];
+    pages.insert(pages.end(), piece.pages.begin(), piece.pages.end());
+    if (job.level + 1 == kLevels) continue;
+    std::transform(piece.touched.begin(), piece.touched.end(), std::back_inserter(touched),
+                   parentOf);
+  }
+  job.pieces.clear();
+  job.done = 0;
+  if (++job.level == kLevels) return;
+
+  const auto inherited = std::ptrdiff_t(touched.size());
+  const Cell level_begin = firstCell(job.level), level_end = firstCell(job.level + 1);
+  auto change = changesFrom(job.changes, level_begin);
+  for (; change != job.changes.end() && change->cell < level_end; ++change) {
+    touched.push_back(change->cell);
+  }
+  std::inplace_merge(touched.begin(), touched.begin() + inherited, touched.end());
+  touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
+
+  std::vector<Cell> begins{level_begin};
+  for (const auto& page : pages_[std::size_t(job.level)]) begins.push_back(page->cells.front());
+  for (std::size_t i = kSlots; i < touched.size(); i += kSlots) begins.push_back(touched[i]);
+  std::sort(begins.begin(), begins.end());
+  begins.erase(std::unique(begins.begin(), begins.end()), begins.end());
+  begins.push_back(level_end);
+  auto next = touched.begin();
+  for (std::size_t i = 0; i + 1 < begins.size(); ++i) {
+    const auto from = std::exchange(next, std::lower_bound(next, touched.end(), begins[i + 1]));
+    job.pieces.push_back({begins[i], begins[i + 1], {from, next}, {}});
+  }
+}
+
+// The nodes of a piece: those of touched cells from what is in them, the others as they are.
+void Levels::make(const HostSlots& slots, Piece& piece) const {
+  const auto level = std::size_t(job_->level);
+  const int degree = slots.shDegree();
+  NodeCursor old(pages_[level], piece.begin);
+  piece.pages.clear();
+  if (piece.touched.empty()) {
+    if (auto page = old.wholePage(piece.end)) return piece.pages.push_back(std::move(page));
+  }
+  std::vector<Node> nodes;
+  const auto keepUntil = [&](Cell cell) {
+    for (; old.before(cell); old.next()) nodes.push_back(old.node(degree));
+  };
+  SlotFinder found(slots);
+  for (const Cell cell : piece.touched) {
+    keepUntil(cell);
+    Node node{};
+    node.cell = cell;
+    std::vector<std::uint32_t> before;
+    if (old.before(cell + 1)) {
+      before = old.node(degree).members;
+      old.next();
+    }
+    auto member = before.begin();
+    auto change = changesFrom(job_->changes, cell);
+    for (; change != job_->changes.end() && change->cell == cell; ++change) {
+      while (member != before.end() && *member < change->slot) node.members.push_back(*member++);
+      if (member != before.end() && *member == change->slot) ++member;
+      if (change->enters) node.members.push_back(change->slot);
+    }
+    node.members.insert(node.members.end(), member, before.end());
+
+    Mixture mixture(cell, degree);
+    if (level > 0) {
+      const Cell children = childrenOf(cell);
+      NodeCursor child(job_->pages[level - 1], children);
+      for (; child.before(children + 8); child.next()) {
+        mixture.add(child.packed(degree), kMostNodeOpacity);
+      }
+    }
+    for (const std::uint32_t slot : node.members) {
+      mixture.add(found.pageOf(slot).packed(slot % kSlots, degree), 1);
+    }
+    if (mixture.empty()) continue;
+    node.packed = mixture.pack();
+    node.extent = nodeExtentOf(node.packed);
+    nodes.push_back(std::move(node));
+  }
+  keepUntil(piece.end);
+  const std::size_t pages = (nodes.size() + kSlots - 1) / kSlots;
+  for (std::size_t i = 0; i < pages; ++i) {
+    const std::size_t begin = nodes.size() * i / pages, end = nodes.size() * (i + 1) / pages;
+    piece.pages.push_back(std::make_shared<NodePage>(&nodes[begin], end - begin, degree));
+  }
+}
+
+void Levels::publish(HostSlots& slots) {
+  std::vector<std::pair<std::uint32_t, float>> parents;
+  for (const Change& change : job_->changes) {
+    const Known& known = *known_[slots.index().find(change.slot)->place];
+    if (!change.enters || known.marked[change.slot % kSlots]) continue;
+    parents.emplace_back(change.slot, cellSize(levelOf(change.cell)));
+  }
+  std::sort(parents.begin(), parents.end());
+  slots.setParents(parents);
+  pages_ = std::move(job_->pages);
+  job_.reset();
+}
+
+std::size_t Levels::nodes() const {
+  std::size_t nodes = 0;
+  for (const Pages& level : pages_) {
+    for (const auto& page : level) nodes += page->cells.size();
+  }
+  return nodes;
+}
+
+std::size_t Levels::bytes() const {
+  std::size_t bytes = known_.size() * sizeof(Known);
+  for (const Pages& level : pages_) {
+    for (const auto& page : level) bytes += page->bytes();
+  }
+  return bytes;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,113 @@
+#pragma once
+
+#include <array>
+#include <bitset>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "map/host_slots.hpp"
+#include "map/lattice.hpp"
+#include "map/mixture.hpp"
+#include "rosplat_sorter/thread_team.hpp"
+
+namespace rosplat {
+
+// One Gaussian for all that is in a cell.
+struct Node {
+  Cell cell;
+  PackedSlot packed;                   // as Mixture::pack() has it
+  float extent;                        // as nodeExtentOf()
+  std::vector<std::uint32_t> members;  // slots that enter the lattice here, ascending
+};
+
+// Nodes of one level, neighbours in space. Never changed, once it is made.
+class NodePage {
+ public:
+  NodePage(const Node* nodes, std::size_t count, int sh_degree);
+
+  SlotPage bounds;        // as if the nodes were slots
+  HostSlots::Page slots;  // the nodes, in the order of their cells
+  std::vector<Cell> cells;
+
+  int level() const { return levelOf(cells.front()); }
+  Node node(std::size_t i, int sh_degree) const;
+  std::size_t members() const { return members_.size(); }  // of all its nodes
+  std::size_t bytes() const;
+
+ private:
+  std::vector<std::uint32_t> members_, ends_;  // those of one node after the other
+};
+
+// Levels of detail, merged from a map: a node for each cell of the lattice that holds anything, of
+// the nodes in that cell and the slots that enter there. An edit has the cells that it touches, and
+// those around them, made anew from all that is in them, in a fixed order: so the nodes are to the
+// bit those of a map that was there at once. What they don't hold yet has no parent, and is drawn
+// in full. For one thread at a time, with the help of a team.
+class Levels {
+ public:
+  using Pages = std::vector<std::shared_ptr<const NodePage>>;  // by their cells
+
+  explicit Levels(std::shared_ptr<rosplat_sorter::ThreadTeam> team) : team_(std::move(team)) {}
+
+  // Slots were written, or emptied.
+  void mark(const HostSlots& slots, const SlotRuns& runs);
+  // The map is another.
+  void clear();
+
+  // Works on what is marked, the first time on all, until `stop` says so, which is asked every few
+  // milliseconds; whether nothing is left. The nodes are those of before until all of the new ones
+  // stand. Throws std::bad_alloc, and goes on from there the next time.
+  bool advance(HostSlots& slots, const std::function<bool()>& stop);
+
+  const std::array<Pages, kLevels>& pages() const { return pages_; }
+  std::size_t nodes() const;
+  std::size_t bytes() const;
+
+ private:
+  // A slot that enters a cell, or is there anew; or that leaves it.
+  struct Change {
+    Cell cell;
+    std::uint32_t slot;
+    bool enters;
+  };
+  using Changes = std::vector<Change>;  // by cell, then slot
+  // What is known of a page of slots.
+  struct Known {
+    std::array<Cell, SlotPage::kSlots> cells;  // in which the nodes hold them, or soon will
+    std::bitset<SlotPage::kSlots> marked;
+  };
+  // A range of a level's cells.
+  struct Piece {
+    Cell begin, end;
+    std::vector<Cell> touched;
+    Pages pages;  // what it becomes
+  };
+  // The way from what was marked to nodes that hold it, level by level.
+  struct Job {
+    Changes changes;
+    std::array<Pages, kLevels> pages;
+    int level = -1;  // that is being made
+    std::vector<Piece> pieces;
+    std::size_t done = 0;  // of them
+  };
+
+  void begin(const HostSlots& slots);
+  void findChanges(const HostSlots& slots, const SlotPage& page, Changes& changes) const;
+  void nextLevel();
+  void make(const HostSlots& slots, Piece& piece) const;
+  void publish(HostSlots& slots);
+  // Does step(number) for each number below count, side by side.
+  void inParts(std::size_t count, const std::function<void(std::size_t)>& step) const;
+
+  std::shared_ptr<rosplat_sorter::ThreadTeam> team_;
+  bool begun_ = false;
+  std::vector<std::unique_ptr<Known>> known_;  // by place
+  std::vector<std::uint32_t> marked_;          // first slots of pages
+  std::unique_ptr<Job> job_;
+  std::array<Pages, kLevels> pages_;
+};
+
+}  // namespace rosplat

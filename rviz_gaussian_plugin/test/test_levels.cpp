@@ -1,0 +1,359 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <map>
+#include <memory>
+#include <random>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "cpu/cpu_rasterizer.hpp"
+#include "map/levels.hpp"
+
+namespace rosplat {
+namespace {
+
+using rosplat_sorter::ThreadTeam;
+
+bool never() { return false; }
+
+// A map that is edited, and its levels.
+struct Scene {
+  explicit Scene(unsigned threads = 2) : levels(std::make_shared<ThreadTeam>(threads)) {}
+
+  void write(std::uint32_t slot, std::array<float, 3> position, std::array<float, 3> scale,
+             float opacity = 0.8f, std::array<float, 4> orientation = {0, 0, 0, 1}) {
+    positions.insert(positions.end(), position.begin(), position.end());
+    orientations.insert(orientations.end(), orientation.begin(), orientation.end());
+    scales.insert(scales.end(), scale.begin(), scale.end());
+    opacities.push_back(opacity);
+    numbers.push_back(slot);
+    // Of degree 1, each its own.
+    for (int k = 0; k < 12; ++k) sh.push_back(std::sin(float(slot) + float(k)));
+  }
+  void send(std::uint8_t operation = GaussianBatch::UPSERT) {
+    GaussianBatch batch;
+    batch.map_id = "map";
+    batch.revision = map.state().revision + 1;
+    batch.operation = operation;
+    batch.count = static_cast<std::uint32_t>(numbers.size());
+    batch.slots = {numbers.data(), numbers.size()};
+    batch.sh_degree = 1;
+    batch.positions = {positions.data(), positions.size()};
+    batch.orientations = {orientations.data(), orientations.size()};
+    batch.scales = {scales.data(), scales.size()};
+    batch.opacities = {opacities.data(), opacities.size()};
+    batch.sh = {sh.data(), sh.size()};
+    BatchReport report;
+    const auto edit = map.apply(batch, report);
+    if (edit->clear) levels.clear();
+    slots.apply(*edit, 0);
+    levels.mark(slots, edit->runs);
+    positions.clear(), orientations.clear(), scales.clear(), opacities.clear(), sh.clear();
+    numbers.clear();
+  }
+  void remove(std::vector<std::uint32_t> slots_to_empty) {
+    numbers = std::move(slots_to_empty);
+    send(GaussianBatch::DELETE);
+  }
+
+  GaussianMap map;
+  HostSlots slots;
+  Levels levels;
+  std::vector<float> positions, orientations, scales, opacities, sh;
+  std::vector<std::uint32_t> numbers;
+};
+
+struct Content {
+  std::array<std::uint32_t, kSlotWords> words;
+  std::array<std::array<std::uint32_t, 7>, kMaxShDegree + 1> bands;
+  float extent;
+  std::vector<std::uint32_t> members;
+
+  bool operator==(const Content& o) const {
+    return words == o.words && bands == o.bands && extent == o.extent && members == o.members;
+  }
+};
+
+std::map<Cell, Content> nodesOf(const Levels& levels) {
+  std::map<Cell, Content> nodes;
+  for (int level = 0; level < kLevels; ++level) {
+    Cell before = 0;
+    for (const auto& page : levels.pages()[std::size_t(level)]) {
+      EXPECT_LE(page->cells.size(), SlotPage::kSlots);
+      for (std::size_t i = 0; i < page->cells.size(); ++i) {
+        const Node node = page->node(i, 1);
+        EXPECT_EQ(levelOf(node.cell), level);
+        EXPECT_TRUE(before == 0 || before < node.cell);
+        before = node.cell;
+        nodes[node.cell] = {node.packed.words, node.packed.bands, node.extent, node.members};
+      }
+    }
+  }
+  return nodes;
+}
+
+// What is drawn in place of each slot: the widths of its parent's cell.
+std::map<std::uint32_t, float> parentsOf(const HostSlots& slots) {
+  std::map<std::uint32_t, float> parents;
+  for (const SlotPage& page : slots.pages()) {
+    const HostSlots::Page& memory = slots.at(page);
+    for (std::uint32_t i = 0; i < SlotPage::kSlots; ++i) {
+      if (memory.extent[i] >= 0) {
+        parents[page.first_slot + i] = memory.parents ? (*memory.parents)[i] : kBoundless;
+      }
+    }
+  }
+  return parents;
+}
+
+// As if the map had been there at once.
+void expectAsBuiltAtOnce(const Scene& scene) {
+  HostSlots copy;
+  for (const SlotPage& page : scene.slots.pages()) copy.apply(scene.slots.edit(page), 0);
+  Levels levels(std::make_shared<ThreadTeam>(1));
+  ASSERT_TRUE(levels.advance(copy, never));
+  EXPECT_TRUE(nodesOf(scene.levels) == nodesOf(levels));
+  EXPECT_EQ(parentsOf(scene.slots), parentsOf(copy));
+}
+
+TEST(Lattice, ACellLiesInItsParent) {
+  std::mt19937 random(1);
+  std::uniform_real_distribution<float> unit(-1, 1);
+  for (int i = 0; i < 1000; ++i) {
+    const float far = std::exp(8 * unit(random));
+    const std::array<float, 3> p{far * unit(random), far * unit(random), far * unit(random)};
+    const Cell entry = entryOf({p, {0, 0, 0, 1}, {0.01f * far, 0.001f, 0}});
+    Cell cell = entry;
+    for (int level = levelOf(cell); level + 1 < kLevels; ++level, cell = parentOf(cell)) {
+      ASSERT_EQ(levelOf(cell), level);
+      ASSERT_EQ(cell, cellAt(p, level));
+      for (int axis = 0; axis < 3; ++axis) {
+        ASSERT_LE(cornerOf(cell)[axis], p[axis]);
+        ASSERT_GT(cornerOf(cell)[axis] + cellSize(level), p[axis]);
+      }
+      const Cell first = childrenOf(parentOf(cell));
+      ASSERT_GE(cell, first);
+      ASSERT_LT(cell, first + 8);
+    }
+    EXPECT_GT(cellSize(levelOf(entry)), 0.02f * far);
+  }
+}
+
+TEST(Lattice, ParentsSortAsTheirChildren) {
+  std::mt19937 random(2);
+  std::uniform_real_distribution<float> unit(-100, 100);
+  std::set<Cell> cells;
+  for (int i = 0; i < 1000; ++i)
+    cells.insert(cellAt({unit(random), unit(random), unit(random)}, 12));
+  Cell before = 0;
+  for (const Cell cell : cells) {
+    EXPECT_LE(before, parentOf(cell));
+    before = parentOf(cell);
+  }
+}
+
+TEST(Lattice, WhatIsTooLargeOrTooFarHasNoCell) {
+  EXPECT_EQ(entryOf({{}, {0, 0, 0, 1}, {1e6f, 0, 0}}), kNoCell);
+  EXPECT_EQ(entryOf({{1e12f, 0, 0}, {0, 0, 0, 1}, {1, 1, 1}}), kNoCell);
+  EXPECT_NE(entryOf({{}, {0, 0, 0, 1}, {0, 0, 0}}), kNoCell);
+}
+
+TEST(Levels, OfOneSplatAreThatSplat) {
+  Scene scene;
+  scene.write(7, {0.3f, -0.2f, 5}, {0.1f, 0.02f, 0.05f}, 0.5f, {0.5f, 0.5f, 0.1f, 0.7f});
+  scene.send();
+  ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+  const PackedSlot splat = scene.slots.at(*scene.slots.index().find(7)).packed(7, 1);
+  const auto nodes = nodesOf(scene.levels);
+  const int entry = levelOf(nodes.begin()->first);
+  EXPECT_EQ(nodes.size(), std::size_t(kLevels - entry));
+  for (const auto& [cell, node] : nodes) {
+    EXPECT_EQ(node.members, levelOf(cell) == entry ? std::vector<std::uint32_t>{7}
+                                                   : std::vector<std::uint32_t>{});
+    for (int k = 0; k < kSlotWords; ++k) {
+      const std::uint32_t mask = k == 3 ? 0xffff0000u : 0xffffffffu;  // but for the opacity
+      EXPECT_EQ(node.words[k] & mask, splat.words[k] & mask);
+    }
+    EXPECT_NEAR(float(node.words[3] & 0xffffu) / 65535 * kMostNodeOpacity, 0.5f, 2e-4f);
+    EXPECT_EQ(node.bands, splat.bands);
+  }
+  EXPECT_EQ(parentsOf(scene.slots).at(7), cellSize(entry));
+}
+
+TEST(Levels, ANodeHasTheMomentsOfWhatIsInIt) {
+  Scene scene;
+  scene.write(0, {0.26f, 0.26f, 0.26f}, {0.1f, 0.1f, 0.1f}, 0.5f);
+  scene.write(1, {0.30f, 0.26f, 0.26f}, {0.1f, 0.1f, 0.1f}, 0.5f);
+  scene.send();
+  ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+  const auto nodes = nodesOf(scene.levels);
+  const Splat node = unpackSlot(nodes.begin()->second.words.data());
+  EXPECT_EQ(nodes.begin()->second.members, (std::vector<std::uint32_t>{0, 1}));
+  EXPECT_NEAR(node.position[0], 0.28f, 1e-6f);
+  EXPECT_NEAR(node.position[1], 0.26f, 1e-6f);
+  const float widest = *std::max_element(node.scale.begin(), node.scale.end());
+  EXPECT_NEAR(widest, std::sqrt(0.01f + 0.02f * 0.02f), 1e-4f);
+  // Two of 0.5, one nearly on the other.
+  EXPECT_GT(node.opacity * kMostNodeOpacity, 0.95f);
+  EXPECT_LT(node.opacity * kMostNodeOpacity, 1);
+}
+
+TEST(Levels, AfterAnyEditsAreThoseOfAMapBuiltAtOnce) {
+  for (unsigned seed = 0; seed < 12; ++seed) {
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<float> unit(0, 1);
+    // Dense and sparse, near the origin and far from it.
+    const float spread = std::exp(6 * unit(random) - 3),
+                away = seed % 3 == 0 ? 0 : 300 * unit(random);
+    const std::uint32_t most_slots = seed % 2 == 0 ? 6000 : kMaxSlots - 1;  // sparse pages
+    Scene scene(1 + seed % 3);
+    std::set<std::uint32_t> used;
+    for (int edit = 0; edit < 12; ++edit) {
+      if (unit(random) < 0.3f && !used.empty()) {
+        std::vector<std::uint32_t> gone;
+        for (const std::uint32_t slot : used) {
+          if (unit(random) < 0.4f) gone.push_back(slot);
+        }
+        for (const std::uint32_t slot : gone) used.erase(slot);
+        scene.remove(gone);
+      } else {
+        const int count = int(3000 * std::pow(unit(random), 3.0f)) + 1;
+        for (int i = 0; i < count; ++i) {
+          auto slot = std::uint32_t(unit(random) * float(most_slots));
+          if (seed % 2 == 1) slot = slot % 50 * 600000 + slot % 40;  // of a few pages
+          used.insert(slot);
+          const float size = 0.01f * spread * std::exp(4 * unit(random) - 2);
+          scene.write(slot,
+                      {away + spread * (unit(random) - 0.5f), spread * (unit(random) - 0.5f),
+                       spread * (unit(random) - 0.5f)},
+                      {size, size * unit(random), size * unit(random)},
+                      unit(random) < 0.1f ? 0.001f : unit(random),
+                      {unit(random), unit(random), unit(random), unit(random) + 0.1f});
+        }
+        const bool anew = edit == 6 && seed % 4 == 1;
+        if (anew) used = {scene.numbers.begin(), scene.numbers.end()};
+        scene.send(anew ? GaussianBatch::REPLACE : GaussianBatch::UPSERT);
+      }
+      // It is interrupted at will, and edits go on meanwhile.
+      int patience = int(6 * unit(random));
+      scene.levels.advance(scene.slots, [&] { return patience-- <= 0; });
+    }
+    ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+    expectAsBuiltAtOnce(scene);
+    if (HasFailure()) FAIL() << "seed " << seed;
+  }
+}
+
+TEST(Levels, ASlotIsDrawnInFullUntilItsNodesStand) {
+  Scene scene;
+  for (std::uint32_t slot = 0; slot < 100; ++slot) {
+    scene.write(slot, {0.01f * float(slot), 0, 0}, {0.01f, 0.01f, 0.01f});
+  }
+  scene.send();
+  ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+  scene.write(50, {9, 9, 9}, {0.01f, 0.01f, 0.01f});
+  scene.send();
+  EXPECT_EQ(parentsOf(scene.slots).at(50), kBoundless);
+  EXPECT_LT(parentsOf(scene.slots).at(51), kBoundless);
+  const auto before = nodesOf(scene.levels);
+  EXPECT_FALSE(scene.levels.advance(scene.slots, [] { return true; }));
+  EXPECT_TRUE(nodesOf(scene.levels) == before);
+  EXPECT_EQ(parentsOf(scene.slots).at(50), kBoundless);
+  ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+  EXPECT_LT(parentsOf(scene.slots).at(50), kBoundless);
+}
+
+TEST(Levels, ManySplatsInOnePlaceAreOneNodeALevel) {
+  Scene scene;
+  for (std::uint32_t slot = 0; slot < 200000; ++slot)
+    scene.write(slot, {1, 1, 1}, {0.01f, 0, 0}, 1);
+  scene.send();
+  ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+  const auto nodes = nodesOf(scene.levels);
+  EXPECT_EQ(nodes.begin()->second.members.size(), 200000u);
+  EXPECT_EQ(nodes.size(), std::size_t(kLevels - levelOf(nodes.begin()->first)));
+  for (const auto& [cell, node] : nodes) {
+    const Splat splat = unpackSlot(node.words.data());
+    EXPECT_EQ(splat.position, (std::array<float, 3>{1, 1, 1}));
+    EXPECT_EQ(splat.opacity, 1);  // as far as it goes
+  }
+}
+
+TEST(Levels, OfAnEmptyMapAreEmpty) {
+  Scene scene;
+  ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+  EXPECT_EQ(scene.levels.nodes(), 0u);
+  scene.write(3, {}, {1, 1, 1});
+  scene.send();
+  scene.remove({3});
+  ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+  EXPECT_EQ(scene.levels.nodes(), 0u);
+}
+
+// A camera at the origin that looks along z.
+PictureRequest request(const Scene& scene, double error) {
+  PictureRequest request;
+  request.camera.fx = request.camera.fy = 200;
+  request.camera.cx = 80;
+  request.camera.cy = 60;
+  request.camera.width = 160;
+  request.camera.height = 120;
+  request.levels = &scene.levels;
+  request.error = error;
+  return request;
+}
+
+Scene wall(float distance) {
+  Scene scene;
+  std::mt19937 random(3);
+  std::uniform_real_distribution<float> unit(-1, 1);
+  for (std::uint32_t slot = 0; slot < 20000; ++slot) {
+    scene.write(slot, {4 * unit(random), 4 * unit(random), distance + 0.1f * unit(random)},
+                {0.05f, 0.05f, 0.05f}, 0.9f);
+  }
+  scene.send();
+  return scene;
+}
+
+TEST(Cut, LeavesNoHole) {
+  Scene scene = wall(6);
+  ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+  CpuRasterizer rasterizer(std::make_shared<ThreadTeam>(1));
+  SplatPicture full, picture;
+  PictureRequest wanted = request(scene, 0);
+  wanted.levels = nullptr;
+  rasterizer.draw(scene.slots, scene.map.state(), wanted, full);
+  std::size_t before = full.drawn + full.drawn / 2;  // where levels blend, both are drawn
+  for (double error = 1; error < 100; error *= 1.3) {
+    rasterizer.draw(scene.slots, scene.map.state(), request(scene, error), picture);
+    for (std::size_t i = 3; i < picture.colour.size(); i += 4) {
+      ASSERT_GT(picture.colour[i], full.colour[i] - 0.15f) << "at " << error << " px";
+    }
+    before = std::min(before, picture.drawn);
+  }
+  EXPECT_LT(before, full.drawn / 20);
+}
+
+TEST(Cut, SharesOfALoneSplatAndItsNodesSumToAll) {
+  Scene scene;
+  scene.write(0, {0.3f, 0.1f, 6}, {0.2f, 0.1f, 0.2f}, 0.95f);
+  scene.send();
+  ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+  CpuRasterizer rasterizer(std::make_shared<ThreadTeam>(1));
+  SplatPicture full, picture;
+  PictureRequest wanted = request(scene, 0);
+  wanted.levels = nullptr;
+  rasterizer.draw(scene.slots, scene.map.state(), wanted, full);
+  for (double error = 1; error < 1e4; error *= 1.1) {
+    rasterizer.draw(scene.slots, scene.map.state(), request(scene, error), picture);
+    for (std::size_t i = 0; i < picture.colour.size(); ++i) {
+      ASSERT_NEAR(picture.colour[i], full.colour[i], 5e-3f) << "at " << error << " px";
+    }
+  }
+}
+
+}  // namespace
+}  // namespace rosplat

@@ -1,0 +1,88 @@
+"""The levels of detail that the plugin merges, against their float64 twin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from test_cpu_renderer import CAMERAS, decibels, draw
+
+from rosplat_lab import reference
+from rosplat_lab.bench.embedded import insert_all
+from rosplat_lab.reference import levels
+from rosplat_lab.reference.projection import rotation_matrices
+from rosplat_tools.splats import Splats
+from rviz_gaussian_plugin.offscreen import CpuRenderer
+
+Array = NDArray[Any]
+
+
+@pytest.fixture(scope="module")
+def splats() -> Splats:
+    """Neighbours of all sizes and opacities, with harmonics of degree 2."""
+    random = np.random.default_rng(7)
+    count = 4000
+    orientations = random.normal(size=(count, 4))
+    scales = 0.05 * np.exp(random.uniform(-3, 0, size=(count, 3)))
+    # None so near to where the next level begins that packing could put it there.
+    octaves = np.log2(scales.max(axis=1))
+    scales[np.abs(octaves - np.rint(octaves)) < 1e-3] *= 1.1
+    return Splats(
+        positions=random.normal(scale=0.5, size=(count, 3)),
+        orientations=orientations / np.linalg.norm(orientations, axis=1, keepdims=True),
+        scales=scales,
+        opacities=random.uniform(0, 1, count),
+        sh=random.normal(scale=0.5, size=(count, 9, 3)),
+    )
+
+
+@pytest.fixture(scope="module")
+def merged(splats: Splats) -> list[levels.Nodes]:
+    return levels.merge(splats)
+
+
+@pytest.fixture
+def renderer(splats: Splats) -> CpuRenderer:
+    renderer = CpuRenderer(threads=2)
+    insert_all(renderer, splats)
+    return renderer
+
+
+def test_nodes_are_those_of_the_twin(renderer: CpuRenderer, merged: list[levels.Nodes]) -> None:
+    assert renderer.merge() == sum(map(len, merged))
+    for level, expected in enumerate(merged):
+        nodes = renderer.nodes(level)
+        assert nodes["size"] == expected.size
+        cells = np.rint(nodes["corners"] / nodes["size"]).astype(np.int64)
+        by_row = np.lexsort(cells.T[::-1])
+        np.testing.assert_array_equal(cells[by_row], expected.cells)
+        nodes = {name: values[by_row] for name, values in nodes.items() if name != "size"}
+        # What packing rounds, level by level: scales by 3e-4, harmonics by 1e-3 of the largest.
+        away = np.abs(nodes["positions"] - expected.means).max(axis=1)
+        assert (away <= 2e-3 * expected.size).all()
+        axes = rotation_matrices(nodes["orientations"].astype(np.float64))
+        axes *= nodes["scales"][:, None, :]
+        covariances = axes @ axes.transpose(0, 2, 1)
+        widths = np.trace(expected.covariances, axis1=1, axis2=2)
+        wrong = np.abs(covariances - expected.covariances).max(axis=(1, 2))
+        assert (wrong <= 1e-2 * widths).all()
+        most = np.minimum(expected.opacities, 16)
+        assert (np.abs(nodes["opacities"] - most) <= 1e-2 * most + 1e-3).all()
+        assert (np.abs(nodes["sh"] - expected.sh).max(axis=(1, 2)) <= 2e-2).all()
+    assert len(merged[0]) < len(merged[8]) > len(merged[-1])  # there was something to merge
+
+
+@pytest.mark.parametrize("error", [20.0, 50.0, 120.0])
+@pytest.mark.parametrize("view", CAMERAS)
+def test_a_cut_is_that_of_the_twin(
+    renderer: CpuRenderer, splats: Splats, merged: list[levels.Nodes], view: str, error: float
+) -> None:
+    camera = CAMERAS[view]
+    drawn = draw(renderer, camera, error=error)
+    some, shares = levels.cut(splats, merged, camera, error)
+    expected = reference.render(some, camera, shares=shares)
+    assert decibels(drawn["colour"], expected.rgba) >= 55
+    full = reference.render(splats, camera)
+    assert decibels(drawn["colour"], full.rgba) < 50  # nodes were drawn
