@@ -171,7 +171,7 @@ def test_nodes_outlive_what_their_peers_send(tmp_path: Path, node: Any, listener
     with Processes(tmp_path / "log") as processes:
         started = [
             processes.node("rosplat_sorter", "sorter", *hostile),
-            processes.node("rosplat_tools", "ply_publisher", *remap),
+            processes.node("rosplat_tools", "ply_publisher", *remap, "-p", "save_root:=/"),
             processes.node("rviz_gaussian_plugin", "viewer", *hostile, "-p", "serve:=true"),
         ]
         maps = node.create_publisher(GaussianArray, "hostile", MAP)

@@ -238,7 +238,12 @@ class MapPublisher:
 
         Who still lacks a revision that a snapshot repeats would take it for that one.
         """
-        acknowledged: bool = self._publisher.wait_for_all_acked(Duration(seconds=timeout))
+        deadline = time.monotonic() + timeout
+        # Not for as long as that at once: rclpy keeps Python's lock while it waits.
+        while not (acknowledged := self._publisher.wait_for_all_acked(Duration())):
+            if time.monotonic() > deadline:
+                break
+            time.sleep(0.005)
         return acknowledged
 
     def _large_chunks(self, splats: Splats) -> Iterator[slice]:

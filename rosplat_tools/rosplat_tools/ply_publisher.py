@@ -19,7 +19,7 @@ from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.parameters import declare
 from rosplat_tools.progress import bar
 from rosplat_tools.running import Cancelled, run, spinning, wait_for_end
-from rosplat_tools.scenes import NAMES, load_scene
+from rosplat_tools.scenes import NAMES, is_generated, load_scene
 from rosplat_tools.space_order import put_in_space_order
 from rosplat_tools.splats import SceneError
 
@@ -39,6 +39,12 @@ class PlyPublisher(Node):
         history_depth = declare(
             self, "history_depth", HISTORY_DEPTH, "Batches kept for late subscribers.", 2, 100_000
         )
+        self._scene_root: str = declare(
+            self, "scene_root", "/", "Folder below which ~/load may read; empty: nowhere."
+        )
+        self._save_root: str = declare(
+            self, "save_root", "", "Folder below which ~/save may write; empty: nowhere."
+        )
         self._map = MapPublisher(
             self, frame_id=frame_id, chunk_bytes=chunk_bytes, history_depth=history_depth
         )
@@ -53,13 +59,15 @@ class PlyPublisher(Node):
             SaveMap, "~/save", self._on_save, callback_group=MutuallyExclusiveCallbackGroup()
         )
 
-    def load(self, path: str) -> str:
-        """Makes a scene the map; returns what was loaded.
+    def load(self, path: str, root: str = "/") -> str:
+        """Makes a scene, a file of a folder at any depth, the map; returns what was loaded.
 
         A later call ends one that is still reading. Raises SceneError or Cancelled: the map stays.
         """
         start = time.monotonic()
         self._newest = mine = next(self._requests)
+        if root != "/" and not is_generated(path):
+            _check_below("scene_root", root, path)
         with self._busy:
             with bar("loading") as drawn:
 
@@ -102,7 +110,7 @@ class PlyPublisher(Node):
     ) -> LoadScene.Response:
         try:
             if request.path:
-                response.message = self.load(request.path)
+                response.message = self.load(request.path, self._scene_root)
             else:
                 self._newest = next(self._requests)
                 response.message = "what was being loaded is not read any further"
@@ -119,6 +127,7 @@ class PlyPublisher(Node):
 
     def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
         try:
+            _check_below("save_root", self._save_root, request.path)
             if Path(request.path).exists() and not request.overwrite:
                 raise SceneError(f"{request.path}: exists already; set overwrite to replace it")
             _, splats = self._map.snapshot()
@@ -129,6 +138,17 @@ class PlyPublisher(Node):
         except Exception as error:  # no request may end the node
             response.message = str(error) or "not enough memory"
         return response
+
+
+def _check_below(parameter: str, root: str, path: str) -> None:
+    """Raises SceneError for a path that leads out of a folder, by links or otherwise."""
+    try:
+        if root and Path(path).resolve().is_relative_to(Path(root).resolve()):
+            return
+    except (OSError, RuntimeError, ValueError):  # a circle of links, or no name of a file
+        pass
+    why = f"not below {root}, its" if root else "none is allowed by its"
+    raise SceneError(f"{path}: refused by the publisher: {why} parameter {parameter}")
 
 
 def main() -> None:

@@ -54,7 +54,7 @@ def test_the_scene_of_the_parameter_is_published_whole(
 def test_scenes_are_loaded_and_saved_while_it_runs(
     start: Start, listener: Any, ply: Path, tmp_path: Path
 ) -> None:
-    start("ply_publisher")
+    start("ply_publisher", save_root=tmp_path)
     answer = listener.call(LoadScene, "ply_publisher/load", path=str(ply))
     assert answer.success
     assert answer.splats == 5000
@@ -72,6 +72,29 @@ def test_scenes_are_loaded_and_saved_while_it_runs(
     assert str(copy) in answer.message
     assert copy.read_bytes() == before
     assert listener.call(SaveMap, "ply_publisher/save", path=str(copy), overwrite=True).success
+
+
+def test_only_folders_that_are_allowed_are_read_and_written(
+    start: Start, listener: Any, ply: Path, tmp_path: Path
+) -> None:
+    allowed = tmp_path / "scenes"
+    allowed.mkdir()
+    (allowed / "link.ply").symlink_to(ply)
+    start("ply_publisher", scene_root=allowed)
+    for path in (ply, allowed / ".." / ply.name, allowed / "link.ply", tmp_path / "none.ply"):
+        answer = listener.call(LoadScene, "ply_publisher/load", path=str(path))
+        assert not answer.success
+        assert answer.message.startswith(f"{path}: refused")
+        assert "scene_root" in answer.message
+    (allowed / "scene.ply").write_bytes(ply.read_bytes())
+    path = str(allowed / "scene.ply")
+    assert listener.call(LoadScene, "ply_publisher/load", path=path).success
+    assert listener.call(LoadScene, "ply_publisher/load", path="procedural:10").success
+    copy = allowed / "copy.ply"
+    answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
+    assert not answer.success
+    assert "save_root" in answer.message
+    assert not copy.exists()
 
 
 def test_a_scene_that_can_t_be_loaded_leaves_the_map_as_it_was(
