@@ -15,7 +15,6 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
 from rosplat_sorter.log_text import shown
-from rosplat_tools.changes import WholeMaps
 from rosplat_tools.foreign_messages import from_point_cloud, from_splat_array
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.parameters import declare
@@ -23,6 +22,7 @@ from rosplat_tools.running import Cancelled, run, spinning, wait_for_end
 from rosplat_tools.scenes import load_scene
 from rosplat_tools.splats import SceneError, Splats
 from rosplat_tools.watched_file import WatchedFile
+from rosplat_tools.whole_maps import WholeMaps
 
 
 class Follow(Node):

@@ -1,0 +1,108 @@
+"""Maps that their author gives whole again and again, as trainers do: what differs is sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.space_order import space_order
+from rosplat_tools.splats import Splats
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A map as it was sent: what its author calls splats, where they are."""
+
+    splats: Splats
+    ids: NDArray[np.int64]
+    """(n,) ascending."""
+    rows: NDArray[np.intp]
+    """(n,) of splats, by id."""
+    slots: NDArray[np.intp]
+    """(n,) by id."""
+
+
+class WholeMaps:
+    """Publishes each map in place of the one before, as edits where that is less.
+
+    A splat keeps its slot for as long as its id is there; slots that are free are taken again. So
+    arrays may shrink, grow and be put in another order from one map to the next. The first map is
+    put in space order.
+    """
+
+    def __init__(self, publisher: MapPublisher) -> None:
+        """Nothing is sent yet. The publisher's map must be changed by nobody else."""
+        self._publisher = publisher
+        self._shown: _Shown | None = None
+
+    def show(self, splats: Splats, ids: ArrayLike | None = None) -> int:
+        """Makes splats the map; returns how many were sent.
+
+        ids: (n,) what the author calls them, by default their rows. Raises ValueError for an id
+        that is there twice, and whatever MapPublisher raises.
+        """
+        ids = np.arange(len(splats)) if ids is None else np.asarray(ids, np.int64)
+        if ids.shape != (len(splats),):
+            raise ValueError(f"ids: expected shape {(len(splats),)}, got {ids.shape}")
+        rows = np.argsort(ids)
+        ids = ids[rows]
+        if np.any(ids[1:] == ids[:-1]):
+            raise ValueError("ids: each may be there once")
+        shown, self._shown = self._shown, None  # where sending fails, all is sent the next time
+        sent = self._edit(shown, splats, ids, rows) if shown else None
+        if sent is None:
+            sent = self._replace(splats, ids, rows)
+        return sent
+
+    def _replace(self, splats: Splats, ids: NDArray[np.int64], rows: NDArray[np.intp]) -> int:
+        order = space_order(splats.positions)
+        self._publisher.replace(splats[order])
+        slots = np.empty(len(order), np.intp)
+        slots[order] = np.arange(len(order))
+        self._shown = _Shown(splats, ids, rows, slots[rows])
+        return len(splats)
+
+    def _edit(
+        self, before: _Shown, splats: Splats, ids: NDArray[np.int64], rows: NDArray[np.intp]
+    ) -> int | None:
+        """Sends what differs, if that can be done and is less than half; else None."""
+        if splats.antialiased != before.splats.antialiased or np.any(
+            splats.origin != before.splats.origin
+        ):
+            return None
+        _, old, same = np.intersect1d(before.ids, ids, assume_unique=True, return_indices=True)
+        differs = np.ones(len(ids), bool)
+        differs[same] = _differ(before.splats, before.rows[old], splats, rows[same])
+        if np.count_nonzero(differs) > len(ids) // 2:
+            return None
+        new = np.delete(np.arange(len(ids)), same)
+        new = new[space_order(splats.positions[rows[new]])]
+        gone = np.sort(np.delete(before.slots, old))
+        used = np.zeros(before.slots.max(initial=-1) + 1 + len(new), bool)
+        used[before.slots[old]] = True
+        free = np.flatnonzero(~used)[: len(new)]
+        slots = np.empty(len(ids), np.intp)
+        slots[same], slots[new] = before.slots[old], free
+        if len(emptied := np.setdiff1d(gone, free, assume_unique=True)):
+            self._publisher.delete(emptied)
+        changed = np.flatnonzero(differs)
+        if len(changed):
+            self._publisher.upsert(slots[changed], splats[rows[changed]])
+        self._shown = _Shown(splats, ids, rows, slots)
+        return len(changed)
+
+
+def _differ(
+    before: Splats, old: NDArray[np.intp], after: Splats, new: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """(n,) whether the i-th of some rows of one map differs from the i-th of another's."""
+    degree = max(before.sh_degree, after.sh_degree)
+    a, b = before.with_sh_degree(degree), after.with_sh_degree(degree)
+    differs = a.opacities[old] != b.opacities[new]
+    for name in ("positions", "orientations", "scales", "sh"):
+        other = getattr(a, name)[old] != getattr(b, name)[new]
+        differs |= other.any(axis=tuple(range(1, other.ndim)))
+    return differs

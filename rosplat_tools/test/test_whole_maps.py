@@ -1,0 +1,90 @@
+"""A map that is given whole again and again: what of it is sent."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.node import Node
+
+from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.splats import Splats, concatenate
+from rosplat_tools.testing import random_splats
+from rosplat_tools.whole_maps import WholeMaps
+
+
+@pytest.fixture
+def publisher(node: Node) -> MapPublisher:
+    return MapPublisher(node)
+
+
+@pytest.fixture
+def maps(publisher: MapPublisher) -> WholeMaps:
+    return WholeMaps(publisher)
+
+
+def contents(splats: Splats) -> list[tuple[float, ...]]:
+    """What is in a map, in whatever order."""
+    arrays = (splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
+    rows = np.concatenate([array.reshape(len(splats), -1) for array in arrays], axis=1)
+    return sorted(map(tuple, rows))
+
+
+def test_only_what_differs_is_sent(maps: WholeMaps, listener: Any) -> None:
+    first = random_splats(1000, 1)
+    assert maps.show(first) == 1000
+    assert maps.show(first) == 0
+    sh = first.sh.copy()
+    sh[[3, 500], 2, 1] += 0.5
+    grown = concatenate([replace(first, sh=sh), random_splats(200, 2, seed=1)])
+    assert maps.show(grown) == 202
+    listener.wait_for(1200)
+    assert contents(listener.map.snapshot()[1]) == contents(grown)
+
+
+def test_what_keeps_its_id_keeps_its_slot(
+    maps: WholeMaps, publisher: MapPublisher, listener: Any
+) -> None:
+    """Whatever a trainer does to its arrays, and without sending what stayed."""
+    rng = np.random.default_rng(0)
+    splats, ids, next_id = random_splats(400, 0), np.arange(400), 400
+    maps.show(splats, ids)
+    for _ in range(8):
+        kept = rng.permutation(len(ids))[: rng.integers(300, 380)]
+        slot_of = slots_of(publisher, splats, ids)
+        grown = int(rng.integers(0, 100))
+        splats = concatenate([splats[kept], random_splats(grown, 0, seed=next_id)])
+        before, ids = ids[kept], np.concatenate([ids[kept], np.arange(next_id, next_id + grown)])
+        next_id += grown
+        assert maps.show(splats, ids) == grown
+        now = slots_of(publisher, splats, ids)
+        assert all(now[i] == slot_of[i] for i in before.tolist())
+        assert max(now.values()) < 500  # free slots are taken again
+    listener.wait(lambda: listener.batches and listener.batches[-1].revision == publisher.revision)
+    assert contents(listener.map.snapshot()[1]) == contents(splats)
+
+
+def slots_of(publisher: MapPublisher, splats: Splats, ids: Any) -> dict[int, int]:
+    slots, held = publisher.snapshot()
+    by_opacity = dict(zip(held.opacities.tolist(), list(slots), strict=True))
+    return {int(i): by_opacity[o] for i, o in zip(ids, splats.opacities.tolist(), strict=True)}
+
+
+def test_rows_without_ids_that_moved_are_a_new_map(maps: WholeMaps, listener: Any) -> None:
+    first = random_splats(1000, 0)
+    maps.show(first)
+    assert maps.show(first[1:]) == 999
+    assert maps.show(first[::-1]) == 1000
+    assert maps.show(replace(first, antialiased=True)) == 1000
+    listener.wait(lambda: listener.map and listener.map.snapshot()[1].antialiased)
+    assert contents(listener.map.snapshot()[1]) == contents(first)
+
+
+def test_ids_that_are_none_are_refused(maps: WholeMaps) -> None:
+    splats = random_splats(3, 0)
+    with pytest.raises(ValueError, match="once"):
+        maps.show(splats, [1, 2, 1])
+    with pytest.raises(ValueError, match="shape"):
+        maps.show(splats, [1, 2])
+    assert maps.show(splats[:0]) == 0
+    assert maps.show(splats) == 3
