@@ -178,8 +178,7 @@ class SoftwareRendererTest : public testing::Test {
   PaintingPtr draw(const SplatCamera& camera, bool asynchronous = true, const char* view = "view") {
     RenderSettings settings;
     settings.asynchronous = asynchronous;
-    return renderer_->draw(view, camera, settings, nullptr, source_.map.state(), Canvas::kWindow,
-                           nullptr);
+    return renderer_->draw(view, camera, settings, nullptr, source_.map.state(), Canvas::kWindow);
   }
   // Until the picture of this camera is shown.
   void rest(const Window& window, const SplatCamera& camera, const char* view = "view") {
@@ -282,9 +281,8 @@ TEST_F(SoftwareRendererTest, WhatCantBePaintedSaysWhyAndTheMapStays) {
   SplatCamera wide = camera();
   wide.width = wide.height = 1 << 20;
   RenderSettings settings;
-  EXPECT_THROW(
-      renderer_->draw("view", wide, settings, nullptr, source_.map.state(), Canvas::kNone, nullptr),
-      PictureError);
+  EXPECT_THROW(renderer_->draw("view", wide, settings, nullptr, source_.map.state(), Canvas::kNone),
+               PictureError);
   rest(window, camera());
   EXPECT_EQ(window.pixels(), expected(window, camera()));
 }

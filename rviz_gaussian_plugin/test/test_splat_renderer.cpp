@@ -402,6 +402,41 @@ TEST_F(SplatRendererTest, SortsOnTheGpuAsTheProcessorDoes) {
   EXPECT_EQ(scene.warning(), "");
 }
 
+TEST_F(SplatRendererTest, TheSorterIsGivenTheMapOnceItIsAsked) {
+  SplatScene scene(shaders()), asked_before(shaders());
+  fill(scene);
+  fill(asked_before);
+  picture(asked_before, Rasterizer::kQuads, OrderSource::kBuiltIn);
+  picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  EXPECT_EQ(scene.hostBytes(), 0u);
+  for (const std::uint64_t revision : {2, 3}) {
+    Splats more;
+    more.add({0, 0, 4.0f - float(revision)}, {1, 0, float(revision)});
+    for (SplatScene* of : {&scene, &asked_before}) of->apply(more.batch(revision, {3000}));
+    EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn),
+              picture(asked_before, Rasterizer::kQuads, OrderSource::kBuiltIn));
+  }
+  picture(scene, Rasterizer::kProcessor, OrderSource::kAuto);
+  EXPECT_EQ(scene.report("view").order_source, "processor");
+  EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn),
+            picture(asked_before, Rasterizer::kQuads, OrderSource::kBuiltIn));
+}
+
+TEST_F(SplatRendererTest, UnsortedSlotsFarApartCostTheirPages) {
+  SplatScene scene(shaders());
+  Splats splats;
+  splats.add({0, 0, 5}, {1, 0, 0});
+  splats.add({0, 0, 6}, {0, 1, 0});
+  scene.apply(splats.batch(1, {0, 5 << 16}));
+  const auto drawn = picture(scene, Rasterizer::kQuads, OrderSource::kOff);
+  EXPECT_EQ(scene.report("view").order_source, "nobody");
+  EXPECT_EQ(scene.report("view").splats, 1024u + 1);
+  EXPECT_LT(greatestDifference(picture(scene, Rasterizer::kProcessor, OrderSource::kOff), drawn),
+            1e-4f);
+  EXPECT_EQ(scene.report("view").order_source, "nobody");
+  EXPECT_EQ(scene.report("view").splats, 2u);
+}
+
 // Where lanes don't vote as the driver says. Without subgroups, nothing of this runs.
 TEST_F(SplatRendererTest, SortsWithoutSubgroupsThatVoteWrongly) {
   SplatScene scene(shaders({"subgroupBallot(vote).x", "subgroupBallot(vote).x & 0xffffu"}));
@@ -682,7 +717,7 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
   SplatScene scene(shaders());
   fill(scene);
   const Framebuffer window(GL_DEPTH24_STENCIL8, 4, windowDepth(6));
-  const DrawTranslucent translucent = [] {};
+  const Surroundings around{true, [] {}};
   for (const Rasterizer rasterizer :
        {Rasterizer::kQuads, Rasterizer::kTiles, Rasterizer::kProcessor}) {
     RenderSettings settings;
@@ -698,7 +733,7 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
       EXPECT_TRUE(depth_now[i] == depth[i] || std::isnan(depth[i])) << i;
     }
     EXPECT_EQ(changed(before), State());
-    scene.draw("view", settings, Canvas::kWindow, false, translucent);
+    scene.draw("view", settings, Canvas::kWindow, false, around);
     EXPECT_EQ(changed(before), State());
     scene.hideFarther();
     scene.drawBefore();

@@ -47,6 +47,7 @@ bool SoftwareRenderer::ready(const std::string& view_id, const SplatCamera& came
   request->camera = camera;
   request->settings = inFull(settings);
   request->order = order;
+  request->unsorted = settings.order == OrderSource::kOff;
   const View& view = views_[view_id];
   const PaintingPtr newest = painter_.newest(view_id);
   if (newest && shows(*newest, *request, map)) return true;
@@ -56,21 +57,21 @@ bool SoftwareRenderer::ready(const std::string& view_id, const SplatCamera& came
 
 PaintingPtr SoftwareRenderer::draw(const std::string& view_id, const SplatCamera& camera,
                                    const RenderSettings& settings, const OrderPtr& order,
-                                   const MapState& map, Canvas canvas,
-                                   const std::function<void()>& translucent) {
+                                   const MapState& map, Canvas canvas, const Surroundings& around) {
   auto request = std::make_shared<PaintRequest>();
   request->camera = camera;
   request->settings = settings;
   request->order = order;
+  request->unsorted = settings.order == OrderSource::kOff;
   request->window = canvas != Canvas::kNone;
   if (settings.asynchronous && settings.mode == DrawMode::kAge) {
     request->age_tick = static_cast<std::uint64_t>(painter_.clock());
   }
-  if (translucent) {
-    request->translucent_depth = depthsOf(canvas, camera.width, camera.height, translucent);
+  if (around.translucent) {
+    request->translucent_depth = depthsOf(canvas, camera.width, camera.height, around.translucent);
   }
   const CanvasScope window(canvas);
-  request->scene_depth = window.readDepth(camera.width, camera.height);
+  if (around.opaque) request->scene_depth = window.readDepth(camera.width, camera.height);
 
   View& view = views_[view_id];
   drawn_ = nullptr;
@@ -95,60 +96,49 @@ PaintingPtr SoftwareRenderer::draw(const std::string& view_id, const SplatCamera
   if (!fits) return nullptr;
   drawn_ = &view;
   canvas_ = canvas;
-  mesh_.reset();
   if (canvas == Canvas::kNone) {
     view.shown = painting;
     return painting;
   }
-  if (!(painting->request->camera == camera)) mesh_ = painting->mesh.seenBy(camera);
-  show(view, painting, mesh_.has_value());
+  mesh_ = painting->mesh.seenBy(camera);
+  show(view, painting);
   blendOver();
   glDisable(GL_DEPTH_TEST);
-  const bool divided = !painting->behind.empty();
-  if (divided) layOver(window, view.behind);
-  if (!divided || !translucent) layOver(window, view.colour);
+  overlay_.draw(window, view.behind, mesh_, painting->behind.cells);
+  const bool divided = !painting->behind.values.empty();
+  if (!divided || !around.translucent)
+    overlay_.draw(window, view.colour, mesh_, painting->colour.cells);
   return painting;
 }
 
-void SoftwareRenderer::show(View& view, const PaintingPtr& painting, bool rough) {
-  if (view.shown == painting && view.rough == rough) return;
+void SoftwareRenderer::show(View& view, const PaintingPtr& painting) {
+  if (view.shown == painting) return;
   const SplatCamera& camera = painting->request->camera;
-  const auto write = [&](OverlayTexture& texture, const auto& exact, const auto& in_motion) {
-    if (rough) {
-      texture.write(camera.width, camera.height, in_motion);
-    } else {
-      texture.write(camera.width, camera.height, exact);
-    }
+  const auto write = [&camera](OverlayTexture& texture, const auto& layer) {
+    if (!layer.values.empty()) texture.write(camera.width, camera.height, layer.values);
   };
-  write(view.colour, painting->colour, painting->rough_colour);
-  if (!painting->behind.empty()) {
-    write(view.behind, painting->behind, painting->rough_behind);
-    view.hiding.write(camera.width, camera.height, painting->hiding);
-  }
+  write(view.colour, painting->colour);
+  write(view.behind, painting->behind);
+  write(view.hiding, painting->hiding);
   view.shown = painting;
-  view.rough = rough;
-}
-
-void SoftwareRenderer::layOver(const CanvasScope& window, const OverlayTexture& texture) const {
-  overlay_.draw(window, texture, mesh_ ? &*mesh_ : nullptr);
 }
 
 void SoftwareRenderer::hideFarther() const {
-  if (!drawn_ || drawn_->shown->hiding.empty()) return;
+  if (!drawn_) return;
   const CanvasScope window(canvas_);
   glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
   glEnable(GL_DEPTH_TEST);
   glDepthFunc(GL_LESS);
   glDepthMask(GL_TRUE);
-  overlay_.drawDepth(window, drawn_->hiding, mesh_ ? &*mesh_ : nullptr);
+  overlay_.drawDepth(window, drawn_->hiding, mesh_, drawn_->shown->hiding.cells);
 }
 
 void SoftwareRenderer::drawBefore() const {
-  if (!drawn_ || drawn_->shown->behind.empty()) return;
+  if (!drawn_ || drawn_->shown->behind.values.empty()) return;
   const CanvasScope window(canvas_);
   blendOver();
   glDisable(GL_DEPTH_TEST);
-  layOver(window, drawn_->colour);
+  overlay_.draw(window, drawn_->colour, mesh_, drawn_->shown->colour.cells);
 }
 
 PictureRequest SoftwareRenderer::lookAt(const SplatCamera& camera, const RenderSettings& settings,

@@ -3,7 +3,6 @@
 #include <cstdint>
 #include <map>
 #include <memory>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -37,7 +36,7 @@ class SoftwareRenderer {
   // over to this camera. What is shown, and null where nothing is yet. Throws PictureError.
   PaintingPtr draw(const std::string& view_id, const SplatCamera& camera,
                    const RenderSettings& settings, const OrderPtr& order, const MapState& map,
-                   Canvas canvas, const std::function<void()>& translucent);
+                   Canvas canvas, const Surroundings& around = {});
   // Whether that was this very camera, and the map as it is now.
   bool exact() const { return exact_; }
   // After a draw() with translucent objects; see SplatRenderer.
@@ -70,7 +69,6 @@ class SoftwareRenderer {
     PaintRequestPtr asked;
     MapState asked_of;
     PaintingPtr shown;
-    bool rough = false;  // it is
     OverlayTexture colour, behind, hiding;
   };
 
@@ -79,8 +77,7 @@ class SoftwareRenderer {
   PictureRequest lookAt(const SplatCamera& camera, const RenderSettings& settings,
                         const std::vector<float>& scene_depth) const;
   void ask(const std::string& view_id, PaintRequestPtr request, const MapState& map);
-  void show(View& view, const PaintingPtr& painting, bool rough);
-  void layOver(const CanvasScope& window, const OverlayTexture& texture) const;
+  void show(View& view, const PaintingPtr& painting);
   // Writes colours of 8 bits, of the size of a camera's picture.
   void drawBytes(const CanvasScope& window, const SplatCamera& camera,
                  const std::vector<std::uint8_t>& rgba);
@@ -94,7 +91,7 @@ class SoftwareRenderer {
   // Of the last draw().
   const View* drawn_ = nullptr;
   Canvas canvas_ = Canvas::kNone;
-  std::optional<PictureMesh::View> mesh_;  // where it was carried over
+  PictureMesh::View mesh_;  // how it saw the picture
   bool exact_ = false;
 };
 

@@ -55,7 +55,9 @@ void callUndertaker() {
 struct Lister : Ogre::QueuedRenderableVisitor {
   std::vector<Ogre::RenderablePass> found;
   void visit(Ogre::RenderablePass* object) override { found.push_back(*object); }
-  void visit(const Ogre::Pass*, Ogre::RenderableList&) override {}
+  void visit(const Ogre::Pass* pass, Ogre::RenderableList& objects) override {
+    for (auto* object : objects) found.emplace_back(object, const_cast<Ogre::Pass*>(pass));
+  }
 };
 
 // Makes the rows of a rotation of 32-bit floats perpendicular, of unit length: by as little as it
@@ -188,6 +190,20 @@ std::vector<Ogre::RenderablePass> SplatCloud::translucent(Ogre::SceneManager& ma
   return std::move(found);
 }
 
+bool SplatCloud::anyOpaque(Ogre::SceneManager& manager) {
+  Lister lister;
+  const auto& groups = manager.getRenderQueue()->_getQueueGroups();
+  for (std::size_t id = 0; id < kRenderQueue; ++id) {
+    if (!groups[id]) continue;
+    auto priorities = groups[id]->getIterator();
+    while (priorities.hasMoreElements()) {
+      priorities.getNext()->getSolidsBasic().acceptVisitor(
+          &lister, Ogre::QueuedRenderableCollection::OM_PASS_GROUP);
+    }
+  }
+  return !lister.found.empty();
+}
+
 void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
   Ogre::Viewport* viewport = manager.getCurrentViewport();
   // rviz's mouse tools draw the scene in schemes of their own.
@@ -233,11 +249,11 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCam
     if (divided_ && turn == Turn::kBefore) scene_->drawBefore();
     return;
   }
-  DrawTranslucent draw_translucent;
+  Surroundings around;
   if (turn != Turn::kBefore) {
     const auto objects = translucent(manager);
     if (objects.empty()) return;
-    draw_translucent = [&manager, objects] {
+    around.translucent = [&manager, objects] {
       for (const auto& [object, pass] : objects) {
         const bool writes = pass->getDepthWriteEnabled();
         pass->setDepthWriteEnabled(true);
@@ -258,8 +274,9 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCam
     of = scene_->knows(of->first) ? std::next(of) : seen_.erase(of);
   }
   seen_[view] = camera;
-  scene_->draw(view, settings_, canvas, sort_now_, draw_translucent);
-  divided_ = bool(draw_translucent);
+  around.opaque = anyOpaque(manager);
+  scene_->draw(view, settings_, canvas, sort_now_, around);
+  divided_ = bool(around.translucent);
 }
 
 }  // namespace rosplat

@@ -78,6 +78,7 @@ class SplatCloud : public Ogre::MovableObject {
   void draw(Turn turn, Ogre::SceneManager& manager);
   void drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCamera& camera, Canvas canvas);
   std::vector<Ogre::RenderablePass> translucent(Ogre::SceneManager& manager) const;
+  static bool anyOpaque(Ogre::SceneManager& manager);  // before the splats in this view
 
   std::array<Layer, 3> layers_{Layer(*this, Turn::kBehind), Layer(*this, Turn::kHide),
                                Layer(*this, Turn::kBefore)};

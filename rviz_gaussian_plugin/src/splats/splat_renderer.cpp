@@ -36,7 +36,7 @@ void SplatRenderer::apply(const GaussianEdit& edit) {
 }
 
 void SplatRenderer::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
-  for (const SlotPage& page : store_.pages().pages()) {
+  for (const SlotPage& page : pages().pages()) {
     if (store_.holds(page)) take(store_.edit(page));
   }
 }
@@ -137,7 +137,7 @@ bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
 }
 
 // Has the depth of the translucent objects in translucent_, in the samples of the framebuffer.
-void SplatRenderer::keepTranslucent(const SplatCamera& camera, const DrawTranslucent& draw) {
+void SplatRenderer::keepTranslucent(const SplatCamera& camera, const std::function<void()>& draw) {
   GLint samples = 0;
   glGetIntegerv(GL_SAMPLES, &samples);
   samples = std::max(samples, 1);
@@ -171,7 +171,7 @@ void SplatRenderer::divide() {
 
 void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
                          const RenderSettings& settings, Canvas canvas,
-                         const DrawTranslucent& translucent) {
+                         const std::function<void()>& translucent) {
   gl::deleteAbandoned();
   gl::Stopwatch stopwatch(settings.profile);
   if (translucent) {

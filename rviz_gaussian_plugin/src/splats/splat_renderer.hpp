@@ -27,9 +27,6 @@
 
 namespace rosplat {
 
-// Draws the translucent objects of the scene into the current framebuffer and viewport.
-using DrawTranslucent = std::function<void()>;
-
 // Draws a map with OpenGL 4.4: what is visible is projected once a frame, then blended in a given
 // order or in one found here, as quads or in tiles. Knows no Ogre; runs in the render thread only.
 class SplatRenderer {
@@ -41,6 +38,7 @@ class SplatRenderer {
   // has no memory left.
   void apply(const GaussianEdit& edit);
 
+  const SlotPages& pages() const { return store_.pages(); }
   // What writes the map elsewhere, a page of it at a time.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
 
@@ -55,7 +53,7 @@ class SplatRenderer {
   // objects, which come next, the splats are divided at the nearest of them in each pixel, and only
   // those behind it are laid over.
   void draw(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-            Canvas canvas, const DrawTranslucent& translucent = nullptr);
+            Canvas canvas, const std::function<void()>& translucent = nullptr);
   // Lets the splats that a divided draw() has laid over hide what is translucent and farther, where
   // they are more opaque than not.
   void hideFarther() const;
@@ -115,7 +113,7 @@ class SplatRenderer {
   // Whether there was room for all that prepare() and, in_tiles, its lists were to hold; else makes
   // it, or gives up tiles, and all has to be submitted again.
   bool checkRoom(const MapState& map, bool& in_tiles);
-  void keepTranslucent(const SplatCamera& camera, const DrawTranslucent& draw);
+  void keepTranslucent(const SplatCamera& camera, const std::function<void()>& draw);
   void divide();
   double clock() const;  // of `change` in packed_slot.hpp
 

@@ -1,6 +1,7 @@
 #include "splat_scene.hpp"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <limits>
 #include <new>
@@ -42,12 +43,11 @@ BatchReport SplatScene::apply(const GaussianBatch& batch) {
   const std::lock_guard lock(map_mutex_);
   map_.apply(batch, report, [this](const auto& edit, const MapState& state) {
     if (unusable_) return;
-    auto to_draw = EditQueue::node(edit, state), to_sort = EditQueue::node(edit, state);
+    auto arrival = EditQueue::node(edit, state);
     MapState queued = state;  // the last to need memory
     const std::lock_guard queue_lock(queue_mutex_);
     queued_ = std::move(queued);
-    arrivals_.push(std::move(to_draw));
-    sorter_.apply(std::move(to_sort));
+    arrivals_.push(std::move(arrival));
   });
   return report;
 }
@@ -107,6 +107,7 @@ void SplatScene::prepare(const RenderSettings& settings) {
         renderer_->forEachPage([&](const GaussianEdit& page) { fresh->painter().hold(page); });
         fresh->painter().hold(drawn_map_);
         renderer_.reset();
+        sorter_.rest();
       }
       software_ = std::move(fresh);
     } else {
@@ -163,6 +164,7 @@ void SplatScene::takeArrivals(std::size_t budget) {
       upload_error_.clear();
     }
     try {
+      sorter_.apply(EditQueue::node(arrival.edit, arrival.state));
       renderer_->apply(*arrival.edit);
     } catch (const gl::Error& error) {  // the rest of the map is still worth seeing
       upload_error_ = error.what();
@@ -174,6 +176,37 @@ void SplatScene::takeArrivals(std::size_t budget) {
     book(drawn_map_);
   }
   takeOrders();
+}
+
+// Only what is uploaded; what waits will reach it as it is.
+void SplatScene::feedSorter() {
+  if (!renderer_) return;
+  const auto give = [this](GaussianEdit&& edit) {
+    edit.round = drawn_map_.round;
+    edit.revision = drawn_map_.revision;
+    edit.capacity = drawn_map_.capacity;
+    edit.slots = {};
+    edit.bands = {};
+    sorter_.apply(EditQueue::node(std::make_shared<GaussianEdit>(std::move(edit)), drawn_map_));
+  };
+  GaussianEdit nothing;
+  nothing.clear = true;
+  give(std::move(nothing));
+  renderer_->forEachPage([&give](const GaussianEdit& page) { give(GaussianEdit(page)); });
+}
+
+OrderPtr SplatScene::unsorted() {
+  const SlotPages& pages = renderer_->pages();
+  const std::array<std::uint64_t, 3> of{drawn_map_.round, drawn_map_.capacity,
+                                        pages.pages().size()};
+  if (unsorted_ && unsorted_of_ == of) return unsorted_;
+  auto order = std::make_shared<Order>();
+  order->map_id = drawn_map_.id;
+  order->source = "nobody";
+  order->slots = pages.slots(drawn_map_.capacity);
+  order->bound = drawn_map_.capacity;
+  unsorted_of_ = of;
+  return unsorted_ = std::move(order);
 }
 
 void SplatScene::book(const MapState& map) {
@@ -245,13 +278,12 @@ void SplatScene::useOrder(const OrderPtr& order) {
 }
 
 const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
-                                    Canvas canvas, bool sort_now,
-                                    const DrawTranslucent& translucent) {
+                                    Canvas canvas, bool sort_now, const Surroundings& around) {
   const double start = now();
   prepare(settings);
   const OrderSource source = sourceOf(settings, sort_now);
   if (software_) {
-    FrameReport report = drawSoftware(view_id, settings, canvas, source, translucent);
+    FrameReport report = drawSoftware(view_id, settings, canvas, source, around);
     report.draw_time = now() - start;
     keepPace(view_id, report);
     return reports_[view_id] = std::move(report);
@@ -262,12 +294,13 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
   if (on_gpu) {
     sortOnGpu();
   } else {
-    const bool ours_to_sort = source != OrderSource::kSidecar && source != OrderSource::kOff;
-    choice =
-        ours_to_sort && sort_now ? book_.sortNow(view_id) : book_.choose(view_id, start, source);
+    const bool ours_to_sort = source != OrderSource::kSidecar;
+    choice = source == OrderSource::kOff ? OrderBook::Choice{unsorted(), false, 0}
+             : ours_to_sort && sort_now  ? book_.sortNow(view_id)
+                                         : book_.choose(view_id, start, source);
     useOrder(choice.order);
   }
-  renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas, translucent);
+  renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas, around.translucent);
 
   FrameReport report;
   report.rasterizer = renderer_->rasterizer();
@@ -301,10 +334,7 @@ void SplatScene::takeMap() {
 }
 
 OrderBook::Choice SplatScene::chooseForSoftware(const std::string& view_id, OrderSource source) {
-  const bool given = source == OrderSource::kSidecar || source == OrderSource::kOff;
-  if (!given) return {};
-  const OrderBook::Choice choice = book_.choose(view_id, now(), source);
-  return choice.age > OrderBook::kPatience ? OrderBook::Choice{} : choice;
+  return source == OrderSource::kSidecar ? book_.received(view_id, now()) : OrderBook::Choice{};
 }
 
 bool SplatScene::ready(const std::string& view_id, const RenderSettings& settings, bool sort_now) {
@@ -317,14 +347,14 @@ bool SplatScene::ready(const std::string& view_id, const RenderSettings& setting
 
 FrameReport SplatScene::drawSoftware(const std::string& view_id, const RenderSettings& settings,
                                      Canvas canvas, OrderSource source,
-                                     const DrawTranslucent& translucent) {
+                                     const Surroundings& around) {
   software_->wake();
   takeMap();
   const OrderBook::Choice choice = chooseForSoftware(view_id, source);
   FrameReport report;
   report.rasterizer = "processor";
   const PaintingPtr painting = software_->draw(view_id, cameras_.at(view_id), settings,
-                                               choice.order, queued(), canvas, translucent);
+                                               choice.order, queued(), canvas, around);
   if (!painting) return report;
   report.map = painting->map;
   takeMap();
@@ -337,6 +367,8 @@ FrameReport SplatScene::drawSoftware(const std::string& view_id, const RenderSet
     report.order_fresh = choice.fresh && software_->exact();
     report.order_age = choice.age;
     report.sort_time = painting->request->order->sort_time;
+  } else if (painting->request->unsorted) {
+    report.order_source = "nobody";
   } else {
     report.order_source = "processor";
     report.order_fresh = software_->exact();

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <deque>
@@ -81,7 +82,7 @@ class SplatScene {
   // With sort_now none is waited for: it is sorted here, on the graphics card if there is one,
   // unless the settings name another. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
-                          bool sort_now = false, const DrawTranslucent& translucent = nullptr);
+                          bool sort_now = false, const Surroundings& around = {});
   // Render thread: after a draw() with translucent objects; see SplatRenderer.
   void hideFarther() const { software_ ? software_->hideFarther() : renderer_->hideFarther(); }
   void drawBefore() const { software_ ? software_->drawBefore() : renderer_->drawBefore(); }
@@ -137,16 +138,18 @@ class SplatScene {
   bool nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state);
   void takeOrders();
   void takeMap();  // as the painter has it by now
-  // An order that the processor is to draw instead of its own.
+  // A sidecar's order that the processor is to draw instead of its own.
   OrderBook::Choice chooseForSoftware(const std::string& view_id, OrderSource source);
   FrameReport drawSoftware(const std::string& view_id, const RenderSettings& settings,
-                           Canvas canvas, OrderSource source, const DrawTranslucent& translucent);
+                           Canvas canvas, OrderSource source, const Surroundings& around);
   void keepPace(const std::string& view_id, FrameReport& report);
   void useOrder(const OrderPtr& order);
   bool sortsOnGpu(OrderSource source);
   void sortOnGpu();
   void sortNow(const SplatCamera& camera);  // for the mouse tools
   void takeArrivals(std::size_t budget);
+  void feedSorter();
+  OrderPtr unsorted();
 
   mutable std::mutex map_mutex_;    // map_
   mutable std::mutex queue_mutex_;  // arrivals_, queued_, orders_
@@ -161,7 +164,7 @@ class SplatScene {
   ShaderSource shaders_;
   std::string upload_error_;
   std::optional<SplatRenderer> renderer_;
-  BuiltInSorter sorter_{pool_};
+  BuiltInSorter sorter_{pool_, [this] { feedSorter(); }};
   OrderBook book_{sorter_};
   std::map<std::string, SplatCamera> cameras_;
   std::map<std::string, FrameReport> reports_;
@@ -169,7 +172,8 @@ class SplatScene {
   MapState drawn_map_, booked_;
   std::optional<bool> auto_is_software_;
   std::uint64_t surface_sequence_ = 0;
-  OrderPtr uploaded_order_;
+  OrderPtr uploaded_order_, unsorted_;
+  std::array<std::uint64_t, 3> unsorted_of_{};  // round, capacity and number of pages
   std::unique_ptr<SoftwareRenderer> software_;  // or renderer_; its thread takes arrivals_
 };
 

@@ -25,8 +25,9 @@ double now() {
 // What shows the pictures comes first. The threads that this one starts are like it.
 void giveWay() {
 #ifdef __linux__
-  constexpr int kNiceness = 10;
-  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), kNiceness);
+  constexpr int kNicer = 10;
+  const auto self = static_cast<id_t>(syscall(SYS_gettid));
+  setpriority(PRIO_PROCESS, self, getpriority(PRIO_PROCESS, self) + kNicer);
 #endif
 }
 
@@ -35,24 +36,32 @@ ArrayView<T> viewOf(const std::vector<T>& values) {
   return {values.data(), values.size()};
 }
 
-// As integers. What is brighter than white stays white when it is laid over something.
-template <typename T>
-std::vector<T> packed(const std::vector<float>& rgba) {
-  constexpr float kMost = std::numeric_limits<T>::max();
-  std::vector<T> words(rgba.size());
+// As bytes. What is brighter than white stays white when it is laid over something.
+PaintedLayer<std::uint8_t> colourLayer(const std::vector<float>& rgba, int width, int height) {
+  PaintedLayer<std::uint8_t> layer;
+  if (rgba.empty()) return layer;
+  std::vector<std::uint8_t>& bytes = layer.values;
+  bytes.resize(rgba.size());
   for (std::size_t i = 0; i < rgba.size(); ++i) {
-    words[i] = static_cast<T>(std::min(std::max(rgba[i], 0.0f), 1.0f) * kMost + 0.5f);
+    bytes[i] = static_cast<std::uint8_t>(std::min(std::max(rgba[i], 0.0f), 1.0f) * 255.0f + 0.5f);
   }
-  return words;
+  layer.cells = PictureMesh::cells(
+      width, height, [&bytes](std::size_t pixel) { return bytes[4 * pixel + 3] > 0; });
+  return layer;
 }
 
 // The mean window depth of what is more opaque than not, 1 elsewhere.
-std::vector<float> hidingDepths(const std::vector<float>& nearness) {
-  std::vector<float> depths(nearness.size() / 2, 1.0f);
+PaintedLayer<float> hidingLayer(const std::vector<float>& nearness, int width, int height) {
+  PaintedLayer<float> layer;
+  if (nearness.empty()) return layer;
+  std::vector<float>& depths = layer.values;
+  depths.assign(nearness.size() / 2, 1.0f);
   for (std::size_t i = 0; i < depths.size(); ++i) {
     if (nearness[2 * i + 1] >= 0.5f) depths[i] = 1.0f - nearness[2 * i] / nearness[2 * i + 1];
   }
-  return depths;
+  layer.cells =
+      PictureMesh::cells(width, height, [&depths](std::size_t pixel) { return depths[pixel] < 1; });
+  return layer;
 }
 
 }  // namespace
@@ -61,8 +70,8 @@ bool PaintRequest::operator==(const PaintRequest& o) const {
   return camera == o.camera && camera.ndc_scale == o.camera.ndc_scale &&
          camera.ndc_offset == o.camera.ndc_offset && settings.projectsAs(o.settings) &&
          settings.depth_range == o.settings.depth_range && age_tick == o.age_tick &&
-         order == o.order && window == o.window && scene_depth == o.scene_depth &&
-         translucent_depth == o.translucent_depth;
+         order == o.order && unsorted == o.unsorted && window == o.window &&
+         scene_depth == o.scene_depth && translucent_depth == o.translucent_depth;
 }
 
 Painter::Painter(NextEdit next_edit)
@@ -98,9 +107,14 @@ void Painter::hold(const GaussianEdit& page) {
   slots_.apply(page, clock());
 }
 
-void Painter::hold(const MapState& map) {
-  const std::unique_lock lock(slots_mutex_);
+void Painter::hold(const MapState& map) { setMap(map, ""); }
+
+void Painter::setMap(const MapState& map, const std::string& error) {
+  const std::size_t bytes = slots_.bytes();  // of which its writers are the only ones
+  const std::lock_guard lock(map_mutex_);
   map_ = map;
+  map_error_ = error;
+  map_bytes_ = bytes;
 }
 
 void Painter::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
@@ -189,15 +203,15 @@ void Painter::takeEdits(std::size_t most_bytes) {
   MapState state;
   while (taken < most_bytes && !cancelled_ && next_edit_(edit, state)) {
     const std::unique_lock lock(slots_mutex_);
-    if (edit->clear) map_error_.clear();
+    std::string error = edit->clear ? "" : mapError();
     try {
       slots_.apply(*edit, clock());
     } catch (const std::bad_alloc&) {  // the rest of the map is still worth seeing
-      map_error_ = "there is no memory for all of the map";
+      error = "there is no memory for all of the map";
     }
     taken += edit->slots.size() * sizeof(std::uint32_t);
     for (const auto& band : edit->bands) taken += band.size() * sizeof(std::uint32_t);
-    map_ = std::move(state);
+    setMap(state, error);
   }
   if (taken < most_bytes) return;
   const std::lock_guard lock(mutex_);
@@ -222,18 +236,22 @@ std::shared_ptr<Painting> Painter::paint(Waiting&& job) {
     request.cancelled = &cancelled_;
     {
       const std::shared_lock lock(slots_mutex_);
-      painting->map = map_;
-      if (!rasterizer_.draw(slots_, map_, request, picture_)) return nullptr;
+      painting->map = map();
+      std::vector<std::uint32_t> all;
+      if (asked.unsorted) {
+        all = slots_.index().slots(painting->map.capacity);
+        request.order = viewOf(all);
+      }
+      if (!rasterizer_.draw(slots_, painting->map, request, picture_)) return nullptr;
     }
     painting->drawn = picture_.drawn;
     painting->profile = picture_.profile;
     if (asked.window) {
+      const int width = picture_.width, height = picture_.height;
       painting->mesh = PictureMesh(asked.camera, picture_);
-      painting->colour = packed<std::uint16_t>(picture_.colour);
-      painting->behind = packed<std::uint16_t>(picture_.behind);
-      painting->rough_colour = packed<std::uint8_t>(picture_.colour);
-      painting->rough_behind = packed<std::uint8_t>(picture_.behind);
-      painting->hiding = hidingDepths(picture_.nearness);
+      painting->colour = colourLayer(picture_.colour, width, height);
+      painting->behind = colourLayer(picture_.behind, width, height);
+      painting->hiding = hidingLayer(picture_.nearness, width, height);
     }
     if (!asked.settings.asynchronous) painting->picture = std::exchange(picture_, {});
   } catch (const PictureError& error) {
@@ -251,14 +269,14 @@ SplatPicture Painter::look(const PictureRequest& request) {
   const std::lock_guard turn(look_mutex_);
   const std::shared_lock lock(slots_mutex_);
   SplatPicture picture;
-  looker_.draw(slots_, map_, request, picture);
+  looker_.draw(slots_, map(), request, picture);
   return picture;
 }
 
 std::vector<std::uint32_t> Painter::pick(const PictureRequest& request) {
   const std::lock_guard turn(look_mutex_);
   const std::shared_lock lock(slots_mutex_);
-  return looker_.pick(slots_, map_, request);
+  return looker_.pick(slots_, map(), request);
 }
 
 std::vector<SplatValues> Painter::read(const std::vector<std::uint32_t>& slots) const {
@@ -267,18 +285,18 @@ std::vector<SplatValues> Painter::read(const std::vector<std::uint32_t>& slots) 
 }
 
 MapState Painter::map() const {
-  const std::shared_lock lock(slots_mutex_);
+  const std::lock_guard lock(map_mutex_);
   return map_;
 }
 
 std::string Painter::mapError() const {
-  const std::shared_lock lock(slots_mutex_);
+  const std::lock_guard lock(map_mutex_);
   return map_error_;
 }
 
 std::size_t Painter::mapBytes() const {
-  const std::shared_lock lock(slots_mutex_);
-  return slots_.bytes();
+  const std::lock_guard lock(map_mutex_);
+  return map_bytes_;
 }
 
 std::size_t Painter::bytes() const { return mapBytes() + workspace_; }

@@ -31,12 +31,20 @@ struct PaintRequest {
   RenderSettings settings;
   std::vector<float> scene_depth, translucent_depth;  // as PictureRequest has them
   OrderPtr order;                                     // null: by depth
+  bool unsorted = false;                              // or by nobody: as the slots are numbered
   std::uint64_t age_tick = 0;                         // of what is coloured by age: the time
   bool window = false;                                // it goes on a window
 
   bool operator==(const PaintRequest& o) const;
 };
 using PaintRequestPtr = std::shared_ptr<const PaintRequest>;
+
+// What a window is shown of a picture: values by pixel, and the cells of its mesh where any matter.
+template <typename T>
+struct PaintedLayer {
+  std::vector<T> values;
+  PictureMesh::Cells cells;
+};
 
 // A picture of a view.
 struct Painting {
@@ -48,11 +56,9 @@ struct Painting {
   std::map<std::string, double> profile;
 
   SplatPicture picture;  // unless it is asynchronous: then only a window sees it
-  // For windows.
-  std::vector<std::uint16_t> colour, behind;  // RGBA, premultiplied
-  // The same for while it is carried over: in software, these are shown in half the time.
-  std::vector<std::uint8_t> rough_colour, rough_behind;
-  std::vector<float> hiding;  // window depth of what is behind translucent objects and hides them
+  // For windows: premultiplied RGBA, as many bits as they have.
+  PaintedLayer<std::uint8_t> colour, behind;
+  PaintedLayer<float> hiding;  // window depth of what is behind translucent objects and hides them
   PictureMesh mesh;
 };
 using PaintingPtr = std::shared_ptr<const Painting>;
@@ -119,6 +125,7 @@ class Painter {
 
   void run();
   void takeEdits(std::size_t most_bytes);
+  void setMap(const MapState& map, const std::string& error);
   std::shared_ptr<Painting> paint(Waiting&& job);
   std::uint64_t enqueue(const std::string& view_id, PaintRequestPtr&& request);
 
@@ -135,10 +142,14 @@ class Painter {
   std::uint64_t painting_number_ = 0;
   std::atomic<bool> cancelled_{false};
 
+  // With another lock than the slots, for which nobody who shows pictures shall wait.
+  mutable std::mutex map_mutex_;  // what follows
+  MapState map_;                  // of the slots
+  std::string map_error_;
+  std::size_t map_bytes_ = 0;
+
   mutable std::shared_mutex slots_mutex_;  // what follows; the painter paints with a shared lock
   HostSlots slots_;
-  MapState map_;
-  std::string map_error_;
 
   std::mutex look_mutex_;
   CpuRasterizer looker_;  // with the caller's thread alone, which doesn't wait for the others then

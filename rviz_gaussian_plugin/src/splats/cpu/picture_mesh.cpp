@@ -100,7 +100,7 @@ PictureMesh::View PictureMesh::seenBy(const SplatCamera& camera) const {
     if (i < 0) return -0.5 * size;
     return i < count ? std::min(kCell * i, size) : 1.5 * size;
   };
-  View view{static_cast<std::size_t>(columns_ + 2), {}};
+  View view{static_cast<std::size_t>(columns_ + 2), {}, !(camera == camera_)};
   view.corners.reserve(view.columns * static_cast<std::size_t>(rows_ + 2));
   for (int row = -1; row <= rows_; ++row) {
     for (int column = -1; column <= columns_; ++column) {

@@ -10,16 +10,24 @@ namespace {
 // Where nothing is in the middle of a pixel, the nearest that is in one beside it: some of the
 // window's samples of that pixel may have it. To divide splats where nothing is changes nothing.
 std::vector<float> widened(const std::vector<float>& depths, int width, int height) {
-  std::vector<float> wide = depths;
-  for (int row = 0; row < height; ++row) {
-    for (int column = 0; column < width; ++column) {
-      float& depth = wide[static_cast<std::size_t>(row) * width + column];
-      if (depth < 1.0f) continue;
-      for (int y = std::max(row - 1, 0); y <= std::min(row + 1, height - 1); ++y) {
-        for (int x = std::max(column - 1, 0); x <= std::min(column + 1, width - 1); ++x) {
-          depth = std::min(depth, depths[static_cast<std::size_t>(y) * width + x]);
-        }
-      }
+  const auto columns = static_cast<std::size_t>(width), rows = static_cast<std::size_t>(height);
+  const auto least = [](float a, float b, float c) { return std::min(std::min(a, b), c); };
+  std::vector<float> along(depths), wide(depths);  // along: the least of three in a row
+  for (std::size_t row = 0; row < rows; ++row) {
+    const float* const from = &depths[columns * row];
+    float* const to = &along[columns * row];
+    for (std::size_t x = 1; x + 1 < columns; ++x) to[x] = least(from[x - 1], from[x], from[x + 1]);
+    if (columns < 2) continue;
+    to[0] = std::min(from[0], from[1]);
+    to[columns - 1] = std::min(from[columns - 2], from[columns - 1]);
+  }
+  for (std::size_t row = 0; row < rows; ++row) {
+    const float* const here = &along[columns * row];
+    const float* const above = row > 0 ? here - columns : here;
+    const float* const below = row + 1 < rows ? here + columns : here;
+    float* const to = &wide[columns * row];
+    for (std::size_t x = 0; x < columns; ++x) {
+      to[x] = to[x] < 1.0f ? to[x] : least(above[x], here[x], below[x]);
     }
   }
   return wide;
@@ -106,6 +114,7 @@ std::vector<float> depthsOf(Canvas canvas, int width, int height,
   glBindFramebuffer(GL_DRAW_FRAMEBUFFER, static_cast<GLuint>(drawn));
   glBindFramebuffer(GL_READ_FRAMEBUFFER, static_cast<GLuint>(read));
   glViewport(viewport[0], viewport[1], viewport[2], viewport[3]);
+  if (std::all_of(depths.begin(), depths.end(), [](float depth) { return depth >= 1; })) return {};
   return samples > 1 ? widened(depths, width, height) : depths;
 }
 

@@ -14,6 +14,12 @@ enum class Canvas {
   kNone,     // nothing: there is no opaque scene, and the picture is only read back
 };
 
+// What else is seen on a canvas.
+struct Surroundings {
+  bool opaque = true;                 // something that is may have been drawn there
+  std::function<void()> translucent;  // draws what is, and comes next; null where nothing is
+};
+
 // Draws into targets and, from there, over what was the current framebuffer and viewport when the
 // scope began; at its end OpenGL's state is again as Ogre believes it.
 class CanvasScope {
@@ -41,7 +47,7 @@ class CanvasScope {
 };
 
 // The window depths of what Ogre draws in a call, without anything else of its scene, the picture's
-// top row first; empty where OpenGL has no framebuffer objects.
+// top row first; empty where nothing is in sight, or OpenGL has no framebuffer objects.
 std::vector<float> depthsOf(Canvas canvas, int width, int height,
                             const std::function<void()>& draw);
 

@@ -1,5 +1,6 @@
 #include "gl/overlay.hpp"
 
+#include <algorithm>
 #include <string>
 #include <utility>
 
@@ -17,36 +18,40 @@ gl::Program programOf(const ShaderSource& source, const char* fragment) {
 }
 
 // Without arrays: these would be as whoever drew before has left them.
-void draw(const CanvasScope& canvas, const OverlayTexture& texture, const PictureMesh::View* mesh) {
+void draw(const CanvasScope& canvas, const OverlayTexture& texture, const PictureMesh::View& mesh,
+          const PictureMesh::Cells& cells) {
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, texture.id());
   // Pixel on pixel there is nothing to smooth.
-  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, mesh ? GL_LINEAR : GL_NEAREST);
-  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, mesh ? GL_LINEAR : GL_NEAREST);
+  const GLint filter = mesh.moved ? GL_LINEAR : GL_NEAREST;
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, filter);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, filter);
   const float up = canvas.canvas() == Canvas::kTexture ? -1.0f : 1.0f;
   const auto put = [up](const PictureMesh::Corner& corner) {
     glTexCoord2f(corner.u, corner.v);
     glVertex4f(corner.x, up * corner.y, 0.0f, corner.w);
   };
-  const PictureMesh::View whole{
-      2, {{-1, 1, 1, 0, 0}, {1, 1, 1, 1, 0}, {-1, -1, 1, 0, 1}, {1, -1, 1, 1, 1}}};
-  const auto& [columns, corners] = mesh ? *mesh : whole;
-  for (std::size_t row = columns; row < corners.size(); row += columns) {
-    glBegin(GL_TRIANGLE_STRIP);
-    for (std::size_t i = row; i < row + columns; ++i) {
-      put(corners[i - columns]);
-      put(corners[i]);
+  const std::size_t columns = mesh.columns - 1;
+  for (std::size_t row = 0; row < cells.size() / columns; ++row) {
+    const auto first = cells.begin() + static_cast<std::ptrdiff_t>(columns * row);
+    const auto last = first + static_cast<std::ptrdiff_t>(columns);
+    const PictureMesh::Corner* const corners = &mesh.corners[mesh.columns * row];
+    for (auto begin = std::find(first, last, true), end = begin; begin != last;
+         begin = std::find(end, last, true)) {
+      end = std::find(begin, last, false);
+      // Where nothing has moved, the corners between lie on a line.
+      const auto step = mesh.moved ? 1 : end - begin;
+      glBegin(GL_TRIANGLE_STRIP);
+      for (auto column = begin - first; column <= end - first; column += step) {
+        put(corners[column]);
+        put(corners[column + static_cast<std::ptrdiff_t>(mesh.columns)]);
+      }
+      glEnd();
     }
-    glEnd();
   }
 }
 
 }  // namespace
-
-void OverlayTexture::write(int width, int height, const std::vector<std::uint16_t>& rgba) {
-  write(width, height, GL_RGBA16, GL_RGBA, GL_UNSIGNED_SHORT, rgba.data(),
-        rgba.size() * sizeof(rgba[0]));
-}
 
 void OverlayTexture::write(int width, int height, const std::vector<std::uint8_t>& rgba) {
   write(width, height, GL_RGBA8, GL_RGBA, GL_UNSIGNED_BYTE, rgba.data(), rgba.size());
@@ -89,18 +94,24 @@ Overlay::Overlay(const ShaderSource& source)
     : colour_(programOf(source, "overlay.frag")), depth_(programOf(source, "overlay_depth.frag")) {}
 
 void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture,
-                   const PictureMesh::View* mesh) const {
+                   const PictureMesh::View& mesh, const PictureMesh::Cells& cells) const {
   colour_.use();
-  // All samples of a pixel are alike: in software, that takes half the time. Depths that a shader
-  // writes need each.
+  // All samples of a pixel are alike: in software, that saves a fifth. Depths that a shader writes
+  // need each.
   glDisable(GL_MULTISAMPLE);
-  rosplat::draw(canvas, texture, mesh);
+  rosplat::draw(canvas, texture, mesh, cells);
 }
 
 void Overlay::drawDepth(const CanvasScope& canvas, const OverlayTexture& texture,
-                        const PictureMesh::View* mesh) const {
+                        const PictureMesh::View& mesh, const PictureMesh::Cells& cells) const {
   depth_.use();
-  rosplat::draw(canvas, texture, mesh);
+  rosplat::draw(canvas, texture, mesh, cells);
+}
+
+void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture) const {
+  static const PictureMesh::View whole{
+      2, {{-1, 1, 1, 0, 0}, {1, 1, 1, 1, 0}, {-1, -1, 1, 0, 1}, {1, -1, 1, 1, 1}}, false};
+  draw(canvas, texture, whole, {true});
 }
 
 }  // namespace rosplat

@@ -13,8 +13,7 @@ namespace rosplat {
 // A texture of what the processor has made, its top row first.
 class OverlayTexture {
  public:
-  // So many channels of as many bits as T has. Throws gl::Error where it is too large.
-  void write(int width, int height, const std::vector<std::uint16_t>& rgba);
+  // Throws gl::Error where it is too large.
   void write(int width, int height, const std::vector<std::uint8_t>& rgba);
   void write(int width, int height, const std::vector<float>& window_depths);
 
@@ -37,12 +36,15 @@ class Overlay {
   // Throws gl::Error.
   explicit Overlay(const ShaderSource& source);
 
-  // A texture on a mesh, or as large as the canvas, with the blending and depth test that are set.
-  void draw(const CanvasScope& canvas, const OverlayTexture& texture,
-            const PictureMesh::View* mesh = nullptr) const;
+  // A texture on the cells of a mesh that are listed, with the blending and depth test that are
+  // set.
+  void draw(const CanvasScope& canvas, const OverlayTexture& texture, const PictureMesh::View& mesh,
+            const PictureMesh::Cells& cells) const;
   // The same of its depths alone.
   void drawDepth(const CanvasScope& canvas, const OverlayTexture& texture,
-                 const PictureMesh::View* mesh = nullptr) const;
+                 const PictureMesh::View& mesh, const PictureMesh::Cells& cells) const;
+  // One as large as the canvas, all of it.
+  void draw(const CanvasScope& canvas, const OverlayTexture& texture) const;
 
  private:
   gl::Program colour_, depth_;

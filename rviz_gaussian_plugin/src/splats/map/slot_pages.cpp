@@ -48,6 +48,16 @@ const SlotPage* SlotPages::find(std::uint32_t slot) const {
   return found != pages_.end() && found->first_slot == firstSlotOfPage(slot) ? &*found : nullptr;
 }
 
+std::vector<std::uint32_t> SlotPages::slots(std::uint32_t capacity) const {
+  std::vector<std::uint32_t> slots;
+  slots.reserve(pages_.size() * SlotPage::kSlots);
+  for (const SlotPage& page : pages_) {
+    const std::uint32_t end = std::min(page.first_slot + SlotPage::kSlots, capacity);
+    for (std::uint32_t slot = page.first_slot; slot < end; ++slot) slots.push_back(slot);
+  }
+  return slots;
+}
+
 SlotPage& SlotPages::page(std::uint32_t first_slot) {
   const auto at = firstFrom(pages_, first_slot);
   if (at != pages_.end() && at->first_slot == first_slot) return *at;

@@ -31,6 +31,8 @@ class SlotPages {
   const std::vector<SlotPage>& pages() const { return pages_; }  // by ascending first_slot
   // The page of a slot; null where there is none.
   const SlotPage* find(std::uint32_t slot) const;
+  // All slots below the capacity that have a page, ascending.
+  std::vector<std::uint32_t> slots(std::uint32_t capacity) const;
   std::size_t bytes() const { return pages_.capacity() * sizeof(SlotPage); }
 
  private:

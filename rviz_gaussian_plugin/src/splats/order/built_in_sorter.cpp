@@ -20,7 +20,8 @@ void grow(std::vector<T>& values, std::size_t size, T value) {
 
 }  // namespace
 
-BuiltInSorter::BuiltInSorter(OrderPool& pool) : pool_(pool), thread_([this] { run(); }) {}
+BuiltInSorter::BuiltInSorter(OrderPool& pool, Feed feed)
+    : pool_(pool), feed_(std::move(feed)), rests_(bool(feed_)), thread_([this] { run(); }) {}
 
 BuiltInSorter::~BuiltInSorter() {
   {
@@ -31,7 +32,19 @@ BuiltInSorter::~BuiltInSorter() {
   thread_.join();
 }
 
+void BuiltInSorter::begin() {
+  if (std::exchange(rests_, false)) feed_();
+}
+
+void BuiltInSorter::rest() {
+  auto nothing = std::make_shared<GaussianEdit>();
+  nothing->clear = true;
+  apply(EditQueue::node(std::move(nothing), {}));
+  rests_ = bool(feed_);
+}
+
 void BuiltInSorter::apply(EditQueue::Node edit) noexcept {
+  if (rests_) return;
   {
     const std::lock_guard lock(mutex_);
     edits_.push(std::move(edit));
@@ -41,6 +54,7 @@ void BuiltInSorter::apply(EditQueue::Node edit) noexcept {
 
 void BuiltInSorter::request(const std::string& view_id, std::uint64_t sequence,
                             const rosplat_sorter::View& view, OrderPtr base) {
+  begin();
   {
     const std::lock_guard lock(mutex_);
     requests_[view_id] = {sequence, view, std::move(base)};
@@ -59,6 +73,7 @@ OrderPtr BuiltInSorter::take(const std::string& view_id) {
 
 OrderPtr BuiltInSorter::sortNow(const std::string& view_id, std::uint64_t sequence,
                                 const rosplat_sorter::View& view) {
+  begin();
   std::unique_lock lock(mutex_);
   orders_.erase(view_id);
   requests_[view_id] = {sequence, view, nullptr};

@@ -2,6 +2,7 @@
 
 #include <condition_variable>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -24,12 +25,18 @@ namespace rosplat {
 // sort.
 class BuiltInSorter {
  public:
-  // The pool makes its orders, and must outlive it.
-  explicit BuiltInSorter(OrderPool& pool);
+  // Has apply() given the map as it is.
+  using Feed = std::function<void()>;
+
+  // The pool makes its orders, and must outlive it. With a feed, it holds nothing until the first
+  // order is asked for; then it is fed, and takes edits from there on.
+  explicit BuiltInSorter(OrderPool& pool, Feed feed = nullptr);
   ~BuiltInSorter();
 
   // Edits reach the worker in order, before any sort asked for later.
   void apply(EditQueue::Node edit) noexcept;
+  // Lets the map go until an order is asked for again.
+  void rest();
 
   // Sorts for a camera; a newer request for the same view replaces one that waits. With `base`, a
   // sidecar's order of an older revision, only the slots changed since are sorted and merged into
@@ -54,6 +61,7 @@ class BuiltInSorter {
     rosplat_sorter::View view{};
     OrderPtr base;
   };
+  void begin();
   void run();
   void apply(const EditQueue::Waiting& item);
   void hold(const GaussianEdit& edit);
@@ -62,6 +70,8 @@ class BuiltInSorter {
   void merge(const Request& request, std::vector<std::uint32_t>& merged);
 
   OrderPool& pool_;
+  const Feed feed_;
+  bool rests_;
   mutable std::mutex mutex_;
   std::condition_variable wake_, finished_;
   bool stop_ = false;

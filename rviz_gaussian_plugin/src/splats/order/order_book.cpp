@@ -1,6 +1,5 @@
 #include "order/order_book.hpp"
 
-#include <numeric>
 #include <utility>
 
 namespace rosplat {
@@ -82,19 +81,6 @@ void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& 
                     sorterView(camera->camera, map_.origin), base);
 }
 
-OrderPtr OrderBook::unsorted() {
-  if (!unsorted_ || unsorted_->map_id != map_.id || unsorted_->slots.size() != map_.capacity) {
-    auto order = std::make_shared<Order>();
-    order->map_id = map_.id;
-    order->source = "nobody";
-    order->slots.resize(map_.capacity);
-    std::iota(order->slots.begin(), order->slots.end(), 0u);
-    order->bound = map_.capacity;
-    unsorted_ = std::move(order);
-  }
-  return unsorted_;
-}
-
 OrderBook::Choice OrderBook::choose(const std::string& view_id, double now, OrderSource source) {
   View& view = views_[view_id];
   if (view.cameras.empty()) return {};
@@ -104,9 +90,6 @@ OrderBook::Choice OrderBook::choose(const std::string& view_id, double now, Orde
 
   const bool sidecar = view.sidecar && source != OrderSource::kBuiltIn;
   const bool patient = source == OrderSource::kSidecar || now - view.waiting_since < kPatience;
-  if (source == OrderSource::kOff) {
-    return {unsorted(), false, 0};
-  }
   if (sidecar && fresh(view, *view.sidecar)) {
     view.drawn = view.sidecar;
   } else if (sidecar && patient) {
@@ -121,18 +104,26 @@ OrderBook::Choice OrderBook::choose(const std::string& view_id, double now, Orde
     if (view.built_in) view.drawn = view.built_in;
   }
 
-  Choice choice{view.drawn, false, 0};
-  if (choice.order) {
-    choice.fresh = fresh(view, *choice.order);
-    if (!choice.fresh) {
-      // The camera after the one that the order answers, if any: since then the order is old.
-      for (const Camera& camera : view.cameras) {
-        if (camera.sequence > choice.order->sequence) {
-          choice.age = now - camera.time;
-          break;
-        }
-      }
-    }
+  return chosen(view, view.drawn, now);
+}
+
+OrderBook::Choice OrderBook::received(const std::string& view_id, double now) const {
+  const auto found = views_.find(view_id);
+  if (found == views_.end()) return {};
+  const OrderPtr& order = found->second.sidecar;
+  if (!order || order->revision != map_.revision) return {};
+  const Choice choice = chosen(found->second, order, now);
+  return choice.age > kPatience ? Choice{} : choice;
+}
+
+OrderBook::Choice OrderBook::chosen(const View& view, const OrderPtr& order, double now) const {
+  Choice choice{order, order && fresh(view, *order), 0};
+  if (!order || choice.fresh) return choice;
+  // The camera after the one that the order answers, if any: since then the order is old.
+  for (const Camera& camera : view.cameras) {
+    if (camera.sequence <= order->sequence) continue;
+    choice.age = now - camera.time;
+    break;
   }
   return choice;
 }

@@ -50,6 +50,9 @@ class OrderBook {
   // The same, but sorted here and now, whatever the sidecar said.
   Choice sortNow(const std::string& view_id);
 
+  // The sidecar's newest order of the map as it is; null where it has lost patience with it.
+  Choice received(const std::string& view_id, double now) const;
+
   void forget(const std::string& view_id);
 
  private:
@@ -70,12 +73,11 @@ class OrderBook {
 
   bool fresh(const View& view, const Order& order) const;
   void request(const std::string& view_id, View& view, const OrderPtr& base);
-  OrderPtr unsorted();
+  Choice chosen(const View& view, const OrderPtr& order, double now) const;
 
   BuiltInSorter& built_in_;
   std::map<std::string, View> views_;
   MapState map_;
-  OrderPtr unsorted_;
 };
 
 }  // namespace rosplat
