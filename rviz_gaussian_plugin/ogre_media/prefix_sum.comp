@@ -1,10 +1,10 @@
 // Exclusive prefix sum of an array in place, in two passes over blocks of it.
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 0) buffer Values { uint values[]; };
-layout(std430, binding = 1) buffer Sums { uint sums[]; };  // of the blocks
-layout(std430, binding = 2) readonly buffer Length { Tally values_tally; };
-layout(std430, binding = 3) writeonly buffer Total { Tally total; };
+layout(std430) buffer Values { uint values[]; };
+layout(std430) buffer Sums { uint sums[]; };  // of the blocks
+layout(std430) readonly buffer Length { Tally values_tally; };
+layout(std430) writeonly buffer Total { Tally total; };
 
 uniform uint pass;  // 0: sums of blocks, 1: that of each value, and the total
 uniform uint room;  // for as many as the total says

@@ -1,9 +1,9 @@
 // How often each digit occurs in each block of the keys: counts[digit * blocks + block].
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 0) readonly buffer Keys { uint keys[]; };
-layout(std430, binding = 4) writeonly buffer Counts { uint counts[]; };
-layout(std430, binding = 5) readonly buffer Length { Tally keys_tally; };
+layout(std430) readonly buffer Keys { uint keys[]; };
+layout(std430) writeonly buffer Counts { uint counts[]; };
+layout(std430) readonly buffer Length { Tally keys_tally; };
 
 
 shared uint histogram[256];

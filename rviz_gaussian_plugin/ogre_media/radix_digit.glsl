@@ -1,5 +1,5 @@
 // What a pass of the radix sort sorts by: 8 bits of the distance from the least key.
-layout(std430, binding = 6) readonly buffer Least { uint least; };
+layout(std430) readonly buffer Least { uint least; };
 
 uniform uint shift;
 

@@ -6,12 +6,12 @@
 #pragma optionNV(unroll all)  // or NVIDIA's compiler keeps arrays in memory instead of registers
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 0) readonly buffer Keys { uint keys[]; };
-layout(std430, binding = 1) readonly buffer Values { uint values[]; };
-layout(std430, binding = 2) writeonly buffer SortedKeys { uint sorted_keys[]; };
-layout(std430, binding = 3) writeonly buffer SortedValues { uint sorted_values[]; };
-layout(std430, binding = 4) readonly buffer Firsts { uint firsts[]; };  // as radix_sum.comp says
-layout(std430, binding = 5) readonly buffer Length { Tally keys_tally; };
+layout(std430) readonly buffer Keys { uint keys[]; };
+layout(std430) readonly buffer Values { uint values[]; };
+layout(std430) writeonly buffer SortedKeys { uint sorted_keys[]; };
+layout(std430) writeonly buffer SortedValues { uint sorted_values[]; };
+layout(std430) readonly buffer Firsts { uint firsts[]; };  // as radix_sum.comp says
+layout(std430) readonly buffer Length { Tally keys_tally; };
 
 uniform bool first_pass;  // the values are 0, 1, 2...
 uniform bool last_pass;   // nobody needs the keys any more

@@ -2,8 +2,8 @@
 // them, how many keys there are with each digit. A work group a digit.
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 4) buffer Counts { uint counts[]; };
-layout(std430, binding = 5) readonly buffer Length { Tally keys_tally; };
+layout(std430) buffer Counts { uint counts[]; };
+layout(std430) readonly buffer Length { Tally keys_tally; };
 
 void main() {
   uint blocks = (keys_tally.count + kBlock - 1u) / kBlock, digit = gl_WorkGroupID.x, sum = 0u;

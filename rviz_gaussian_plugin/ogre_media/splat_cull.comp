@@ -3,25 +3,20 @@
 
 layout(local_size_x = 256) in;
 
-uniform vec2 focal, offset, half_size, slope;
-uniform float opacity_modifier;
-uniform bool clip_to_box;
-uniform vec3 box_centre, box_size;  // [m]
-
 shared uint words[8];
 
 bool mayBeSeen(uint slot) {
   float opacity = slotOpacity(slot);
-  if (!(opacity >= kCutoffAlpha) || !(opacity_modifier * opacity >= kCutoffAlpha)) return false;
+  if (!(opacity >= kCutoffAlpha) || !(view.opacity_modifier * opacity >= kCutoffAlpha)) return false;
   vec3 mean = slotPosition(slot);
-  if (clip_to_box && any(greaterThan(abs(mean - box_centre), 0.5 * box_size))) return false;
+  if (view.clip_to_box && any(greaterThan(abs(mean - view.box_centre), 0.5 * view.box_size))) return false;
   vec3 scale = slotScale(slot);
   float extent = cutoffSigmas(opacity) * max(max(scale.x, scale.y), scale.z);
   vec3 p = toCamera(mean);
-  float w = orthographic ? 1.0 : p.z;
-  precise vec2 reach = half_size * w + slope * extent;
-  precise vec2 along = abs(focal * p.xy + offset * w);
-  return p.z > clip.x && p.z < clip.y && all(lessThanEqual(along, reach));
+  float w = view.orthographic ? 1.0 : p.z;
+  precise vec2 reach = view.half_size * w + view.slope * extent;
+  precise vec2 along = abs(view.focal * p.xy + view.offset * w);
+  return p.z > view.clip.x && p.z < view.clip.y && all(lessThanEqual(along, reach));
 }
 
 void main() {

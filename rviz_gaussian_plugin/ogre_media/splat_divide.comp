@@ -1,13 +1,11 @@
 // Which splats any tile may show before its translucent objects, and which behind: spares quads.
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 4) readonly buffer Drawn { uint drawn[]; };
-layout(std430, binding = 5) writeonly buffer Before { uint before[]; };  // or kNone
-layout(std430, binding = 6) writeonly buffer Behind { uint behind[]; };  // or kNone
-layout(std430, binding = 7) readonly buffer Length { Tally drawn_tally; };
+layout(std430) readonly buffer Drawn { uint drawn[]; };
+layout(std430) writeonly buffer DrawnBefore { uint before[]; };  // or kNone
+layout(std430) writeonly buffer DrawnBehind { uint behind[]; };  // or kNone
+layout(std430) readonly buffer Length { Tally drawn_tally; };
 layout(binding = 0) uniform sampler2D tile_depths;  // as in tile_depth.comp
-
-uniform int mode;
 
 const int kMostTiles = 32;    // that are looked at
 const float kRounded = 2e-7;  // a depth by the rasterizer
@@ -16,7 +14,7 @@ void main() {
   uint i = invocation();
   if (i >= drawn_tally.count) return;
   uint index = drawn[i];
-  bvec2 seen = bvec2(isBall(mode));  // balls end beyond the outline
+  bvec2 seen = bvec2(isBall(view.mode));  // balls end beyond the outline
   if (index != kNone) {
     Ellipse e = ellipse(index);
     float depth = windowDepth(e.depth);

@@ -1,12 +1,10 @@
 // The projected splats, in as many parts as the driver's largest buffer asks for.
-layout(std430, binding = 0) buffer Ellipses { uvec4 data[]; } ellipses[PARTS];
-
-uniform uint part_size;  // ellipses in a part
+layout(std430) buffer Ellipses { uvec4 data[]; } ellipses[PARTS];
 
 // The buffer in an array must be a constant, or the same for all invocations.
 #define IN_ITS_PART(DO)          \
-  uint k = 2u * (i % part_size); \
-  switch (i / part_size) {       \
+  uint k = 2u * (i % PART_SIZE); \
+  switch (i / PART_SIZE) {       \
     case 0u: DO(0);              \
     case 1u: DO(1 % PARTS);      \
     case 2u: DO(2 % PARTS);      \

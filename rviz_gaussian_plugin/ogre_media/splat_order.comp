@@ -1,13 +1,13 @@
 // Slots in a sorter's order, farthest first -> indices of what is visible, nearest first.
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 7) readonly buffer Order { uint order[]; };
-layout(std430, binding = 8) writeonly buffer Drawn { uint drawn[]; };
-layout(std430, binding = 9) readonly buffer Numbers { uint numbers[]; };  // of pages, or kNone
+layout(std430) readonly buffer Order { uint order[]; };
+layout(std430) writeonly buffer Drawn { uint drawn[]; };
+layout(std430) readonly buffer Numbers { uint numbers[]; };  // of pages, or kNone
 
 uniform uint count;     // of the order
-uniform uint capacity;  // slots of the map as it is uploaded; an order may know more
 uniform uint room;      // for visible splats
+uniform uint capacity;  // slots of the map as it is uploaded; an order may know more
 
 void main() {
   uint i = invocation();

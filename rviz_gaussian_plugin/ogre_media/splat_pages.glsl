@@ -3,7 +3,7 @@ struct Page {
   uint number;  // among all that are kept, in the order of slots
   uint page;    // in the arena
 };
-layout(std430, binding = 13) readonly buffer Pages { Page pages[]; };
+layout(std430) readonly buffer Pages { Page pages[]; };
 
 uniform uint first_entry;  // of the arena in the table
 

@@ -3,18 +3,15 @@
 // a time.
 
 layout(local_size_x = 16, local_size_y = 16) in;
-layout(std430, binding = 4) readonly buffer Splats { uint splat_of[]; };  // nearest first
-layout(std430, binding = 7) writeonly buffer Picked { uint picked[]; };   // slot, or kNone
-layout(std430, binding = 8) readonly buffer Length { Tally drawn_tally; };
-layout(std430, binding = 9) readonly buffer Begins { uint begins[]; };
-layout(std430, binding = 10) readonly buffer FirstSlots { uint first_slots[]; };  // of pages
+layout(std430) readonly buffer Splats { uint splat_of[]; };  // nearest first
+layout(std430) writeonly buffer Picked { uint picked[]; };   // slot, or kNone
+layout(std430) readonly buffer Length { Tally drawn_tally; };
+layout(std430) readonly buffer Begins { uint begins[]; };
+layout(std430) readonly buffer FirstSlots { uint first_slots[]; };  // of pages
 layout(binding = 0) uniform sampler2D scene_depth;
 
 uniform bool listed;     // the splats are listed by tiles; else they are all that is drawn
 uniform uint words;      // of the visible slots' bits
-uniform ivec2 picture;   // [px]
-uniform bool top_first;  // the target's first row is the picture's top
-uniform int mode;
 
 const float kLeastContribution = 0.05;  // less than this nobody sees
 const uint kBatch = 256u;
@@ -25,7 +22,7 @@ shared vec4 places[kBatch];  // centre [px], window depth, opacity
 shared vec4 axes[kBatch];    // falloffAxes()
 
 float pixelAlpha(uint k, vec2 pixel) {
-  return alphaAt(places[k].w, falloffAt(axes[k], pixel - places[k].xy), mode);
+  return alphaAt(places[k].w, falloffAt(axes[k], pixel - places[k].xy), view.mode);
 }
 
 void take(uint k, uint index) {
@@ -41,17 +38,17 @@ void take(uint k, uint index) {
 void main() {
   uint lane = gl_LocalInvocationIndex;
   ivec2 tile = groupTile();
-  if (tile.y >= tiles.y) return;
+  if (tile.y >= view.tiles.y) return;
   ivec2 pixel = tile * kTile + ivec2(gl_LocalInvocationID.xy);
-  bool inside = all(lessThan(pixel, picture));
-  ivec2 texel = texelOf(pixel, picture.y, top_first);
+  bool inside = all(lessThan(pixel, view.picture));
+  ivec2 texel = texelOf(pixel, view.picture.y, view.top_first);
   float hidden_from = inside ? texelFetch(scene_depth, texel, 0).r : 0.0;
   float transmittance = inside ? 1.0 : 0.0, most = kLeastContribution;
   uint winner = kNone;
 
   uint first = 0u, end = drawn_tally.count;
   if (listed) {
-    uint index = uint(tile.y * tiles.x + tile.x);
+    uint index = uint(tile.y * view.tiles.x + tile.x);
     first = begins[index];
     end = begins[index + 1u];
   }
@@ -77,6 +74,6 @@ void main() {
   }
   if (inside && winner != kNone) {
     uint number = visibleNumber(winner, words);
-    picked[texel.y * picture.x + texel.x] = first_slots[number / kPageSlots] + number % kPageSlots;
+    picked[texel.y * view.picture.x + texel.x] = first_slots[number / kPageSlots] + number % kPageSlots;
   }
 }

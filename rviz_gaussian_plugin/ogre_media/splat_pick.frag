@@ -1,6 +1,6 @@
 // The picked splats for rviz's selection: a handle in 24 bits of colour.
 
-layout(std430, binding = 7) readonly buffer Picked { uint picked[]; };  // as in splat_pick.comp
+layout(std430) readonly buffer Picked { uint picked[]; };  // as in splat_pick.comp
 uniform ivec2 corner;  // of the viewport in the target [px]
 uniform int width;     // of the picture [px]
 uniform uint handle;   // of the map; 0: each slot is its own handle, counted from 1

@@ -4,28 +4,15 @@
 layout(local_size_x = 256) in;
 
 // Spherical harmonics of bands 1 to 3: a word for each coefficient, 3, 5 and 7 a slot.
-layout(std430, binding = 7) readonly buffer Band1 { uint band1[]; };
-layout(std430, binding = 8) readonly buffer Band2 { uint band2[]; };
-layout(std430, binding = 9) readonly buffer Band3 { uint band3[]; };
+layout(std430) readonly buffer Band1 { uint band1[]; };
+layout(std430) readonly buffer Band2 { uint band2[]; };
+layout(std430) readonly buffer Band3 { uint band3[]; };
 // What the visible splats are sorted by: grows with their depth.
-layout(std430, binding = 10) writeonly buffer Keys { uint keys[]; };
-layout(std430, binding = 12) writeonly buffer Boxes { uint boxes[]; };  // boxOf() the splats
-layout(std430, binding = 11) buffer DepthRange { uint nearest, farthest; };  // keys drawn
+layout(std430) writeonly buffer Keys { uint keys[]; };
+layout(std430) writeonly buffer Boxes { uint boxes[]; };  // boxOf() the splats
+layout(std430) buffer DepthRange { uint nearest, farthest; };  // keys drawn
 
-uniform vec3 eye;  // the camera in the map's frame; orthographic: its forward direction
-uniform vec2 focal;            // [px], orthographic [px/m]
-uniform vec2 principal_point;  // [px]
-uniform vec2 picture;          // [px]
-uniform vec2 whole_principal_point, whole_picture;  // of which the picture is a part, or itself [px]
-uniform int sh_degree;
-uniform int only_band;  // -1: all
-uniform bool antialiased;
-uniform int mode;
-uniform float scale_modifier, opacity_modifier;
-uniform float near_fade;  // [m]
-uniform float now;        // as slotAge() reads it
-uniform float age_range;  // what is old [s]
-uniform uint room;        // for visible splats
+uniform uint room;  // for visible splats
 
 shared uint group_nearest, group_farthest;
 
@@ -42,7 +29,7 @@ mat3 rotationMatrix(vec4 q) {
 // Never darker than black, but brighter than white may be; and no NaN or infinity in half floats.
 vec3 radiance(vec3 c) { return mix(vec3(0.0), min(c, vec3(65504.0)), greaterThan(c, vec3(0.0))); }
 
-bool bandWanted(int band) { return band <= sh_degree && (only_band < 0 || band == only_band); }
+bool bandWanted(int band) { return band <= view.sh_degree && (view.only_band < 0 || band == view.only_band); }
 
 // A coefficient of bands 1 to 3, as a fraction of the slot's unit.
 vec3 coefficient(uint word) {
@@ -86,9 +73,9 @@ vec3 trainedColour(uint slot, vec3 direction) {
 }
 
 vec3 colour(uint slot, vec3 direction, vec3 scale, mat3 orientation, float opacity) {
-  if (mode == kOpacity) return turbo(opacity);
-  if (mode == kAge) return turbo(1.0 - slotAge(slot, now) / age_range);
-  if (mode == kNormals) {
+  if (view.mode == kOpacity) return turbo(opacity);
+  if (view.mode == kAge) return turbo(1.0 - slotAge(slot, view.now) / view.age_range);
+  if (view.mode == kNormals) {
     int shortest = scale.x <= scale.y && scale.x <= scale.z ? 0 : scale.y <= scale.z ? 1 : 2;
     vec3 normal = orientation[shortest];
     return 0.5 + 0.5 * (dot(normal, direction) > 0.0 ? -normal : normal);
@@ -100,28 +87,28 @@ vec3 colour(uint slot, vec3 direction, vec3 scale, mat3 orientation, float opaci
 Ellipse project(uint slot, vec3 mean, vec3 p) {
   Ellipse e = Ellipse(vec2(0.0), p.z, vec2(0.0), 0.0, vec3(0.0), 0.0);
   float trained_opacity = slotOpacity(slot);
-  float opacity = opacity_modifier * trained_opacity;
-  if (near_fade > 0.0) opacity *= min((p.z - clip.x) / near_fade, 1.0);
+  float opacity = view.opacity_modifier * trained_opacity;
+  if (view.near_fade > 0.0) opacity *= min((p.z - view.clip.x) / view.near_fade, 1.0);
 
   // Rows of the projection's Jacobian; the tangent is clamped as in training.
   vec3 jx, jy;
-  e.centre = focal * p.xy / (orthographic ? 1.0 : p.z) + principal_point;
-  if (orthographic) {
-    jx = vec3(focal.x, 0.0, 0.0);
-    jy = vec3(0.0, focal.y, 0.0);
+  e.centre = view.focal * p.xy / (view.orthographic ? 1.0 : p.z) + view.principal_point;
+  if (view.orthographic) {
+    jx = vec3(view.focal.x, 0.0, 0.0);
+    jy = vec3(0.0, view.focal.y, 0.0);
   } else {
-    vec2 slack = 0.15 * whole_picture / focal;  // 0.3 tan(fov / 2)
-    vec2 tangent = clamp(p.xy / p.z, -whole_principal_point / focal - slack,
-                         (whole_picture - whole_principal_point) / focal + slack);
-    jx = vec3(focal.x, 0.0, -focal.x * tangent.x) / p.z;
-    jy = vec3(0.0, focal.y, -focal.y * tangent.y) / p.z;
+    vec2 slack = 0.15 * view.whole_picture / view.focal;  // 0.3 tan(fov / 2)
+    vec2 tangent = clamp(p.xy / p.z, -view.whole_principal_point / view.focal - slack,
+                         (view.whole_picture - view.whole_principal_point) / view.focal + slack);
+    jx = vec3(view.focal.x, 0.0, -view.focal.x * tangent.x) / p.z;
+    jy = vec3(0.0, view.focal.y, -view.focal.y * tangent.y) / p.z;
   }
 
   // Covariance in the picture: rows of J W R S times their transposes.
-  vec3 scale = scale_modifier * slotScale(slot);
-  if (mode == kBillboard) scale = vec3((scale.x + scale.y + scale.z) / 3.0);
+  vec3 scale = view.scale_modifier * slotScale(slot);
+  if (view.mode == kBillboard) scale = vec3((scale.x + scale.y + scale.z) / 3.0);
   mat3 orientation = rotationMatrix(slotRotation(slot));
-  mat3 axes = rotation * orientation;
+  mat3 axes = view.rotation * orientation;
   vec3 mx = (jx * axes) * scale;
   vec3 my = (jy * axes) * scale;
   vec3 area = cross(mx, my);
@@ -129,7 +116,7 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   float det0 = dot(area, area);  // of M M^T by Cauchy-Binet: no cancellation for needles
   float a = a0 + kLowPass, c = c0 + kLowPass;
   float det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
-  if (antialiased) {
+  if (view.antialiased) {
     opacity *= sqrt(det0 / det);
   }
   if (!(opacity >= kCutoffAlpha)) return e;
@@ -144,12 +131,12 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   axis = norm > 0.0 ? axis / norm : vec2(1.0, 0.0);
 
   vec2 extent = cutoffSigmas(opacity) * sqrt(vec2(a, c));
-  if (!all(greaterThan(e.centre + extent, vec2(0.0))) || !all(lessThan(e.centre - extent, picture))) {
+  if (!all(greaterThan(e.centre + extent, vec2(0.0))) || !all(lessThan(e.centre - extent, vec2(view.picture)))) {
     return e;
   }
   e.major = sqrt(major) * axis;
   e.minor = sqrt(minor);
-  vec3 direction = orthographic ? eye : normalize(mean - eye);
+  vec3 direction = view.orthographic ? view.eye : normalize(mean - view.eye);
   e.colour = colour(slot, direction, scale, orientation, trained_opacity);
   e.opacity = opacity;
   return e;

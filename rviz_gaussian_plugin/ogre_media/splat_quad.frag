@@ -9,16 +9,14 @@ layout(location = 1) out vec4 nearness;  // as in splat_hide.frag
 layout(binding = 0) uniform sampler2D scene_depth;
 #endif
 
-uniform int mode;
-
 void main() {
 #ifdef BEHIND
   if (gl_FragCoord.z > texelFetch(scene_depth, ivec2(gl_FragCoord.xy), 0).r) discard;
 #endif
   float falloff = falloffAt(axes, gl_FragCoord.xy - centre);
-  float alpha = alphaAt(colour.a, falloff, mode);
+  float alpha = alphaAt(colour.a, falloff, view.mode);
   if (alpha < kCutoffAlpha) discard;
-  vec3 rgb = colour.rgb * (mode == kGaussianBall ? falloff : 1.0);
+  vec3 rgb = colour.rgb * (view.mode == kGaussianBall ? falloff : 1.0);
   blended = vec4(rgb * alpha, alpha);
 #ifdef BEHIND
   nearness = vec4((1.0 - gl_FragCoord.z) * alpha, alpha, 0.0, alpha);

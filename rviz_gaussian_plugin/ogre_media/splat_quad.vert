@@ -1,14 +1,10 @@
 // One quad for each splat drawn, as large as its 1/255 ellipse, the farthest first.
 
-layout(std430, binding = 4) readonly buffer Drawn { uint drawn[]; };  // nearest first
-layout(std430, binding = 5) readonly buffer DepthRange { uint nearest, farthest; };
-layout(std430, binding = 6) readonly buffer Length { Tally drawn_tally; };
+layout(std430) readonly buffer Drawn { uint drawn[]; };  // nearest first
+layout(std430) readonly buffer DepthRange { uint nearest, farthest; };
+layout(std430) readonly buffer Length { Tally drawn_tally; };
 
-uniform vec2 picture;      // [px]
-uniform float up;          // 1, or -1 where the target's first row is the picture's top
-uniform int mode;
-uniform bool raw_depth;    // blend depths [m] instead of colours
-uniform vec2 depth_range;  // of mode kDepth [m]; empty: that of what is drawn
+uniform bool raw_depth;  // blend depths [m] instead of colours
 
 // What a pixel needs to find its falloff itself: corners lie on a grid, as fine as the driver has it,
 // and what is interpolated between them is as coarse.
@@ -32,16 +28,17 @@ void main() {
   colour = vec4(e.colour, e.opacity);
   if (raw_depth) {
     colour.rgb = vec3(e.depth);
-  } else if (mode == kDepth) {
-    colour.rgb = depthColour(e.depth, depth_range.y > depth_range.x
-                                          ? depth_range
+  } else if (view.mode == kDepth) {
+    colour.rgb = depthColour(e.depth, view.depth_range.y > view.depth_range.x
+                                          ? view.depth_range
                                           : vec2(keyDepth(nearest), keyDepth(farthest)));
   }
   vec2 corner = vec2((gl_VertexID & 1) * 2 - 1, (gl_VertexID >> 1) * 2 - 1);
   vec2 sigmas = corner * (cutoffSigmas(e.opacity) + kGrid / vec2(length(e.major), e.minor));
   vec2 pixel = e.centre + sigmas.x * e.major + sigmas.y * minorAxis(e);
-  vec2 ndc = 2.0 * pixel / picture - 1.0;
-  gl_Position = vec4(ndc.x, -up * ndc.y, ndcDepth(e.depth), 1.0);
-  centre = vec2(e.centre.x, up < 0.0 ? e.centre.y : picture.y - e.centre.y);
-  axes = falloffAxes(e) * vec2(1.0, -up).xyxy;
+  vec2 ndc = 2.0 * pixel / vec2(view.picture) - 1.0;
+  float down = view.top_first ? 1.0 : -1.0;
+  gl_Position = vec4(ndc.x, down * ndc.y, ndcDepth(e.depth), 1.0);
+  centre = vec2(e.centre.x, view.top_first ? e.centre.y : float(view.picture.y) - e.centre.y);
+  axes = falloffAxes(e) * vec2(1.0, down).xyxy;
 }

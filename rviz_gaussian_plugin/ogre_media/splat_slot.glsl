@@ -1,5 +1,5 @@
 // The slots of an arena, as packed_slot.hpp lays them out.
-layout(std430, binding = 4) readonly buffer Slots { uint slots[]; };
+layout(std430) readonly buffer Slots { uint slots[]; };
 
 vec3 slotPosition(uint slot) {
   uint i = 9u * slot;

@@ -5,10 +5,8 @@ const int kTile = 16;
 #define EXACTLY
 #endif
 
-uniform ivec2 tiles;  // in the picture, across and down
-
 #ifdef COMPUTE
-ivec2 groupTile() { return ivec2(int(workGroup()) % tiles.x, int(workGroup()) / tiles.x); }  // a work group each
+ivec2 groupTile() { return ivec2(int(workGroup()) % view.tiles.x, int(workGroup()) / view.tiles.x); }  // a work group each
 #endif
 
 // A splat's 1/255 ellipse, as rows of the picture cut it.
@@ -50,12 +48,12 @@ ivec2 cellsIn(vec2 range, float size, int cells) {
 
 ivec2 tileRows(Outline o) {
   EXACTLY vec2 range = o.centre.y + vec2(-o.reach.y, o.reach.y);
-  return cellsIn(range, float(kTile), tiles.y);
+  return cellsIn(range, float(kTile), view.tiles.y);
 }
 
 ivec2 tileColumns(Outline o, int row) {
   float top = float(kTile * row) + 0.5;
-  return cellsIn(across(o, top, top + float(kTile - 1)), float(kTile), tiles.x);
+  return cellsIn(across(o, top, top + float(kTile - 1)), float(kTile), view.tiles.x);
 }
 
 // The rectangle of tiles around a splat in a word, 0 where there are none: its first column, its
@@ -64,7 +62,7 @@ const uint kLargeBox = kNone;
 
 uint boxOf(Outline o) {
   ivec2 rows = tileRows(o);
-  ivec2 columns = cellsIn(o.centre.x + vec2(-o.reach.x, o.reach.x), float(kTile), tiles.x);
+  ivec2 columns = cellsIn(o.centre.x + vec2(-o.reach.x, o.reach.x), float(kTile), view.tiles.x);
   ivec2 size = ivec2(columns.y - columns.x, rows.y - rows.x);
   if (size.x == 0 || size.y == 0) return 0u;
   if (any(greaterThan(ivec4(size, columns.x, rows.x), ivec4(62, 62, 1023, 1023)))) return kLargeBox;

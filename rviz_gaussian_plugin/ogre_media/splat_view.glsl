@@ -1,10 +1,35 @@
-// The camera in the map's frame, with the sorters' arithmetic, operation by operation.
-uniform mat3 rotation;  // map -> camera: x right, y down, z forward
-uniform vec3 translation;
-uniform bool orthographic;
-uniform vec2 clip;  // near, far [m]
+// What the shaders of a frame share; view_block.hpp has the same.
+layout(std140) uniform View {
+  mat3 rotation;  // map -> camera: x right, y down, z forward
+  vec3 translation;
+  bool orthographic;
+  vec3 eye;  // the camera in the map's frame; orthographic: its forward direction
+  int mode;  // as in DrawMode
+  vec3 box_centre;  // of what is kept of the map [m]
+  bool clip_to_box;
+  vec3 box_size;        // [m]
+  float near_fade;      // [m]
+  vec2 clip;            // near, far [m]
+  vec2 focal;           // [px], orthographic [px/m]
+  vec2 offset, half_size, slope;  // as in the sorters' test
+  vec2 principal_point;                       // [px]
+  vec2 whole_principal_point, whole_picture;  // of which the picture is a part, or itself [px]
+  ivec2 picture;                              // [px]
+  ivec2 tiles;                                // in the picture, across and down
+  vec2 ndc_depth;                             // ndc.z = (x depth + y) / w
+  vec2 depth_range;  // of mode kDepth [m]; empty: that of what is drawn
+  float scale_modifier, opacity_modifier;
+  int sh_degree;
+  int only_band;     // -1: all
+  bool antialiased;
+  bool top_first;    // the target's first row is the picture's top
+  float now;         // as slotAge() reads it
+  float age_range;   // what is old [s]
+} view;
 
+// With the sorters' arithmetic, operation by operation.
 vec3 toCamera(vec3 mean) {
-  precise vec3 p = ((rotation[0] * mean.x + rotation[1] * mean.y) + rotation[2] * mean.z) + translation;
+  precise vec3 p = ((view.rotation[0] * mean.x + view.rotation[1] * mean.y) + view.rotation[2] * mean.z) +
+                   view.translation;
   return p;
 }

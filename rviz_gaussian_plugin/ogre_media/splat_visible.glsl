@@ -1,8 +1,8 @@
 // Which slots may be seen, of the pages that are kept and as page_table.hpp numbers them: a bit for
 // each, 32 in a word, and how many are set before a word. What is kept of the visible slots lies in
 // their order, without gaps.
-layout(std430, binding = 5) buffer Visible { uint visible[]; };
-layout(std430, binding = 6) buffer Before { uint before[]; };
+layout(std430) buffer Visible { uint visible[]; };
+layout(std430) buffer Before { uint before[]; };
 
 bool isVisible(uint number) { return (visible[number >> 5] & (1u << (number & 31u))) != 0u; }
 

@@ -1,9 +1,9 @@
 // Blends a tile's splats front to back, a pixel an invocation, until nothing behind can be seen.
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 4) readonly buffer Splats { uint splat_of[]; };
-layout(std430, binding = 5) readonly buffer Begins { uint begins[]; };
-layout(std430, binding = 6) readonly buffer DepthRange { uint nearest, farthest; };
+layout(std430) readonly buffer Splats { uint splat_of[]; };
+layout(std430) readonly buffer Begins { uint begins[]; };
+layout(std430) readonly buffer DepthRange { uint nearest, farthest; };
 layout(binding = 0) uniform sampler2D scene_depth;
 layout(binding = 0) writeonly uniform image2D blended;
 #ifdef BEHIND
@@ -12,10 +12,6 @@ layout(binding = 1) writeonly uniform image2D blended_behind;
 layout(binding = 2) writeonly uniform image2D nearness_behind;  // as in splat_hide.frag
 #endif
 
-uniform ivec2 picture;     // [px]
-uniform bool top_first;    // the target's first row is the picture's top
-uniform int mode;
-uniform vec2 depth_range;  // of mode kDepth [m]; empty: that of what is drawn
 
 const uint kBatch = 256u, kWords = kBatch / 32u;
 // 32 lanes blend a block of a tile's pixels, and skip the splats that don't reach it.
@@ -36,7 +32,7 @@ void mark(uint k, Ellipse e, ivec2 tile) {
   outline.centre -= vec2(tile * kTile);
   ivec2 rows = cellsIn(outline.centre.y + vec2(-outline.reach.y, outline.reach.y), float(kPart.y),
                        kTile / kPart.y);
-  bool ball = isBall(mode);  // which may end beyond the outline
+  bool ball = isBall(view.mode);  // which may end beyond the outline
   if (ball) rows = ivec2(0, kTile / kPart.y);
   for (int row = rows.x; row < rows.y; ++row) {
     float top = float(kPart.y * row) + 0.5;
@@ -51,16 +47,16 @@ void mark(uint k, Ellipse e, ivec2 tile) {
 
 void main() {
   ivec2 tile = groupTile();
-  if (tile.y >= tiles.y) return;
+  if (tile.y >= view.tiles.y) return;
   uint local = gl_LocalInvocationIndex;
   uint part = local / 32u;
   ivec2 in_part = ivec2(int(local) % kPart.x, int(local % 32u) / kPart.x);
   ivec2 pixel = tile * kTile + ivec2(part % 2u, part / 2u) * kPart + in_part;
-  ivec2 texel = texelOf(pixel, picture.y, top_first);
-  bool inside = all(lessThan(pixel, picture));
+  ivec2 texel = texelOf(pixel, view.picture.y, view.top_first);
+  bool inside = all(lessThan(pixel, view.picture));
   bool done = !inside;
   float hidden_from = inside ? texelFetch(scene_depth, texel, 0).r : 0.0;
-  vec2 range = depth_range.y > depth_range.x ? depth_range : vec2(keyDepth(nearest), keyDepth(farthest));
+  vec2 range = view.depth_range.y > view.depth_range.x ? view.depth_range : vec2(keyDepth(nearest), keyDepth(farthest));
   vec3 colour = vec3(0.0);
   float transmittance = 1.0;
 #ifdef BEHIND
@@ -69,7 +65,7 @@ void main() {
   float transmittance_behind = 1.0, nearness = 0.0;
 #endif
 
-  uint index = uint(tile.y * tiles.x + tile.x);
+  uint index = uint(tile.y * view.tiles.x + tile.x);
   uint begin = begins[index], end = begins[index + 1u];
   if (local == 0u) finished = 0u;
   barrier();
@@ -81,7 +77,7 @@ void main() {
       Ellipse e = ellipse(splat_of[first + local]);
       places[local] = vec4(e.centre, windowDepth(e.depth), e.opacity);
       axes[local] = falloffAxes(e);
-      colours[local] = mode == kDepth ? depthColour(e.depth, range) : e.colour;
+      colours[local] = view.mode == kDepth ? depthColour(e.depth, range) : e.colour;
       mark(local, e, tile);
     }
     barrier();
@@ -91,8 +87,8 @@ void main() {
         vec4 place = places[k];
         float falloff = falloffAt(axes[k], vec2(pixel) + 0.5 - place.xy);
         vec3 splat = colours[k];
-        float alpha = alphaAt(place.w, falloff, mode);
-        if (mode == kGaussianBall) splat *= falloff;
+        float alpha = alphaAt(place.w, falloff, view.mode);
+        if (view.mode == kGaussianBall) splat *= falloff;
 #ifdef BEHIND
         if (alpha >= kCutoffAlpha && place.z > hidden_from && place.z <= behind_until) {
           colour_behind += transmittance_behind * alpha * splat;

@@ -1,10 +1,10 @@
 // How many tiles each drawn splat touches.
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 4) readonly buffer Drawn { uint drawn[]; };
-layout(std430, binding = 5) writeonly buffer Counts { uint counts[]; };
-layout(std430, binding = 6) readonly buffer Length { Tally drawn_tally; };
-layout(std430, binding = 7) readonly buffer Boxes { uint boxes[]; };
+layout(std430) readonly buffer Drawn { uint drawn[]; };
+layout(std430) writeonly buffer Counts { uint counts[]; };
+layout(std430) readonly buffer Length { Tally drawn_tally; };
+layout(std430) readonly buffer Boxes { uint boxes[]; };
 
 uint touched(uint splat) {
   uint box = boxes[splat];

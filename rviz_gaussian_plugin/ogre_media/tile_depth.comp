@@ -6,22 +6,20 @@ layout(binding = 0) uniform sampler2D divided;  // the nearest of what is transl
 layout(binding = 1) uniform sampler2D scene_depth;
 layout(binding = 0) writeonly uniform image2D tile_depths;
 
-uniform ivec2 picture;   // [px]
-uniform bool top_first;  // the target's first row is the picture's top
 
 shared uint nearest, farthest;
 
 void main() {
   ivec2 tile = groupTile();
-  if (tile.y >= tiles.y) return;
+  if (tile.y >= view.tiles.y) return;
   if (gl_LocalInvocationIndex == 0u) {
     nearest = floatBitsToUint(2.0);
     farthest = 0u;
   }
   barrier();
   ivec2 pixel = tile * kTile + ivec2(gl_LocalInvocationID.xy);
-  if (all(lessThan(pixel, picture))) {
-    ivec2 texel = texelOf(pixel, picture.y, top_first);
+  if (all(lessThan(pixel, view.picture))) {
+    ivec2 texel = texelOf(pixel, view.picture.y, view.top_first);
     float depth = texelFetch(divided, texel, 0).r;
     atomicMax(farthest, floatBitsToUint(depth));
     if (depth < texelFetch(scene_depth, texel, 0).r) atomicMin(nearest, floatBitsToUint(depth));

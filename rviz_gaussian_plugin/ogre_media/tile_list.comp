@@ -1,13 +1,13 @@
 // Lists each drawn splat with each tile that it touches, in the order drawn.
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 4) readonly buffer Drawn { uint drawn[]; };
-layout(std430, binding = 5) readonly buffer Firsts { uint firsts[]; };  // prefix sum of the counts
-layout(std430, binding = 6) readonly buffer Length { Tally drawn_tally; };
-layout(std430, binding = 7) readonly buffer Listed { Tally listed; };
-layout(std430, binding = 8) writeonly buffer Tiles { uint tile_of[]; };
-layout(std430, binding = 9) writeonly buffer Splats { uint splat_of[]; };
-layout(std430, binding = 10) readonly buffer Boxes { uint boxes[]; };
+layout(std430) readonly buffer Drawn { uint drawn[]; };
+layout(std430) readonly buffer Firsts { uint firsts[]; };  // prefix sum of the counts
+layout(std430) readonly buffer Length { Tally drawn_tally; };
+layout(std430) readonly buffer Listed { Tally listed; };
+layout(std430) writeonly buffer Tiles { uint tile_of[]; };
+layout(std430) writeonly buffer Splats { uint splat_of[]; };
+layout(std430) readonly buffer Boxes { uint boxes[]; };
 
 // Splats on more tiles than this are listed by 32 lanes.
 const uint kLarge = 32u;
@@ -25,7 +25,7 @@ void list(uint i, uint lane, uint lanes) {
     uint width = uint(columns.y - columns.x);
     for (uint k = lane; k < width; k += lanes) {
       if (next + k >= listed.count) return;
-      tile_of[next + k] = uint(row * tiles.x + columns.x) + k;
+      tile_of[next + k] = uint(row * view.tiles.x + columns.x) + k;
       splat_of[next + k] = splat;
     }
     next += width;

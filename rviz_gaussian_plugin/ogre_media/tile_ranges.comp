@@ -1,9 +1,9 @@
 // Where each tile's splats begin in the list, sorted by tile. They end where the next tile's begin.
 
 layout(local_size_x = 256) in;
-layout(std430, binding = 4) readonly buffer Tiles { uint tile_of[]; };
-layout(std430, binding = 5) writeonly buffer Begins { uint begins[]; };
-layout(std430, binding = 6) readonly buffer Length { Tally listed; };
+layout(std430) readonly buffer Tiles { uint tile_of[]; };
+layout(std430) writeonly buffer Begins { uint begins[]; };
+layout(std430) readonly buffer Length { Tally listed; };
 
 uniform uint tile_count;
 

@@ -540,6 +540,77 @@ TEST_F(SplatRendererTest, ListsNotInVainWhatWasTooMuch) {
   EXPECT_EQ(stages(0.1), "quads: list project quads sort");
 }
 
+// What lists take follows what is seen, and is tried again where memory was lacking.
+TEST_F(SplatRendererTest, ListsTakeTheMemoryThatTheyNeedOfLate) {
+  constexpr int kPatience = 64;
+  Splats splats;
+  for (int i = 0; i < 500; ++i) {
+    const auto part = [i](double step) { return static_cast<float>(std::fmod(step * i, 1.0)); };
+    splats.add({part(0.7548776662) - 0.5f, part(0.5698402909) - 0.5f, 2}, {1, 1, 1});
+  }
+  SplatScene scene(shaders());
+  scene.apply(splats.batch(1, {}));
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  settings.order = OrderSource::kGpu;
+  std::uint64_t sequence = 0;
+  // Looks from so far away, and never twice from the same place. [m]
+  const auto drawFrom = [&](double distance) {
+    SplatCamera moved = camera();
+    moved.translation = {0.1 * distance + 1e-6 * double(sequence), 0.1 * distance, distance};
+    scene.setCamera("view", ++sequence, moved);
+    return scene.draw("view", settings, Canvas::kNone).rasterizer;
+  };
+  EXPECT_EQ(drawFrom(0), "tiles");
+  const std::size_t near = scene.gpuBytes();
+  for (int frame = 0; frame < 3 * kPatience; ++frame) drawFrom(50);
+  EXPECT_LT(scene.gpuBytes(), near / 2);
+
+  epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
+    reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"))(
+        target, bytes > 17000 ? -1 : bytes, data, usage);
+  };
+  EXPECT_EQ(drawFrom(0), "quads");
+  epoxy_glBufferData = reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"));
+  for (int frame = 0; frame < kPatience; ++frame) drawFrom(50);
+  EXPECT_EQ(drawFrom(0), "tiles");
+}
+
+// As with a second window, a Camera display and a mouse beside.
+TEST_F(SplatRendererTest, KeepsWhatEachViewSees) {
+  SplatScene scene(shaders());
+  fill(scene);
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  settings.order = OrderSource::kGpu;
+  settings.profile = true;
+  const auto stages = [&](const std::string& view, int size) {
+    SplatCamera camera =
+        makeCamera({0, 0, 0}, {0, 0, 0, 1}, false, 40, 40, 32, 32, size, size, 0.1, 100);
+    scene.setCamera(view, 1, camera);
+    scene.draw(view, settings, Canvas::kNone);
+    std::string names;
+    for (const auto& [name, time] : scene.report(view).profile) names += name + " ";
+    return names;
+  };
+  EXPECT_EQ(stages("window", 64), "bin blend list project sort ");
+  const auto expected = scene.readColor();
+  const std::size_t alone = scene.gpuBytes();
+  EXPECT_EQ(stages("camera", 48), "bin blend list project sort ");
+  picked(scene);
+  for (int frame = 0; frame < 2; ++frame) {
+    EXPECT_EQ(stages("camera", 48), "blend ");
+    EXPECT_EQ(stages("window", 64), "blend ");
+    EXPECT_EQ(scene.readColor(), expected);
+  }
+  const std::size_t both = scene.gpuBytes();
+  EXPECT_GT(both, alone);
+  scene.forget("camera");
+  EXPECT_LT(scene.gpuBytes(), both);
+  scene.forget("window");
+  EXPECT_TRUE(scene.readColor().empty());
+}
+
 // Wherever slots are, and in whatever order they come: pages are found and numbered.
 TEST_F(SplatRendererTest, DrawsTheSameFromSparseSlotsThatComeBackwards) {
   SplatScene dense(shaders());
@@ -648,6 +719,13 @@ TEST_F(SplatRendererTest, DrawsQuadsWhereTheListOfTilesFindsNoMemory) {
   SplatScene scene(shaders());
   scene.apply(splats.batch(1, {}));
   EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kGpu), expected);
+  const auto expected_picks = picked(whole);
+  {
+    const Framebuffer window(GL_DEPTH24_STENCIL8, 0, 1);
+    RenderSettings settings;
+    settings.rasterizer = Rasterizer::kTiles;
+    scene.drawSurface(camera(), settings, Canvas::kWindow, 100);  // as picks project
+  }
   // From now on, only the list asks for that much.
   epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
     const bool list = bytes > 130000;
@@ -658,7 +736,7 @@ TEST_F(SplatRendererTest, DrawsQuadsWhereTheListOfTilesFindsNoMemory) {
     EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kGpu), expected);
     EXPECT_EQ(scene.report("view").rasterizer, "quads");
   }
-  EXPECT_EQ(picked(scene), picked(whole));
+  EXPECT_EQ(picked(scene), expected_picks);
   epoxy_glBufferData = reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"));
 }
 

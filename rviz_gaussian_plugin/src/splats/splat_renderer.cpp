@@ -8,6 +8,10 @@ namespace rosplat {
 
 namespace {
 
+// What views may take together, beside one.
+constexpr std::size_t kMostViewBytes = std::size_t{1} << 30;
+constexpr const char* kMouseView = "mouse";  // of picks and of the surface
+
 const ShaderSource& checked(const ShaderSource& source) {
   if (const std::string reason = gl::unsupported(); !reason.empty()) throw gl::Error(reason);
   return source;
@@ -20,19 +24,17 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       shaders_(checked(source)),
       reader_(shaders_),
       sort_(shaders_),
-      splats_(shaders_, sort_, tallies_),
-      tiles_(shaders_, sort_, tallies_),
-      quads_(shaders_),
       picker_(shaders_),
       divide_(shaders_.draw({"splat_composite.vert"}, {"splat_divide.frag"})),
       composite_(shaders_.draw({"splat_composite.vert"}, {"splat_composite.frag"})),
       hide_(shaders_.draw({"splat_composite.vert"}, {"splat_hide.frag"})),
-      surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})) {}
+      surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})) {
+  const ViewState compiled(shaders_, sort_);  // what all views draw with
+}
 
 void SplatRenderer::apply(const GaussianEdit& edit) {
   store_.apply(edit, clock());
   gl::deleteAbandoned();
-  splats_.forget();
 }
 
 void SplatRenderer::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
@@ -68,16 +70,38 @@ std::string SplatRenderer::warning() const {
   return text;
 }
 
-void SplatRenderer::setTarget(gl::Target& target, GLenum format, const SplatCamera& camera,
-                              const RenderSettings& settings, const CanvasScope& window) {
-  target.become(format, camera.width, camera.height,
-                window.depthFormat() ? window.depthFormat() : GL_DEPTH24_STENCIL8);
-  raster_ = {window.canvas() != Canvas::kWindow,
-             camera.orthographic,
-             camera.ndc_scale,
-             camera.ndc_offset,
-             settings.mode,
-             settings.depth_range};
+ViewState& SplatRenderer::view(const std::string& view_id) {
+  auto found = views_.find(view_id);
+  if (found == views_.end()) {
+    std::size_t bytes = 0;
+    auto oldest = views_.begin();
+    for (auto at = views_.begin(); at != views_.end(); ++at) {
+      bytes += at->second.state->bytes();
+      if (at->second.used < oldest->second.used) oldest = at;
+    }
+    if (bytes > kMostViewBytes) {
+      auto node = views_.extract(oldest);
+      node.key() = view_id;
+      found = views_.insert(std::move(node)).position;
+    } else {
+      found = views_.emplace(view_id, std::make_unique<ViewState>(shaders_, sort_)).first;
+    }
+  }
+  found->second.used = ++used_;
+  return *found->second.state;
+}
+
+void SplatRenderer::forget(const std::string& view_id) {
+  const auto found = views_.find(view_id);
+  if (found == views_.end()) return;
+  if (found->second.state.get() == drawn_) drawn_ = nullptr;
+  views_.erase(found);
+}
+
+Frame SplatRenderer::frame(const SplatCamera& camera, const MapState& map,
+                           const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
+                           gl::Stopwatch& stopwatch) const {
+  return {store_, camera, map, settings, order, canvas != Canvas::kWindow, clock(), stopwatch};
 }
 
 void SplatRenderer::copyDepth(const CanvasScope& window, const gl::Target& target) {
@@ -96,70 +120,33 @@ void SplatRenderer::copyDepth(const CanvasScope& window, const gl::Target& targe
   }
 }
 
-bool SplatRenderer::prepare(const SplatCamera& camera, const MapState& map,
-                            const RenderSettings& settings, gl::Stopwatch& stopwatch) {
-  // The frame before may still read what this one writes.
-  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);
-  if (!splats_.prepare(store_, camera, map, settings, clock(), stopwatch)) return false;
-  tiles_.forget();
-  return true;
-}
-
-bool SplatRenderer::prepareAndCheck(const SplatCamera& camera, const MapState& map,
-                                    const RenderSettings& settings, const gl::Target* lists_for) {
-  gl::Stopwatch stopwatch(false);
-  bool in_tiles = lists_for, unknown = false;
-  do {
-    unknown = prepare(camera, map, settings, stopwatch);
-    in_tiles = in_tiles && !tiles_.refused(*lists_for);
-    if (in_tiles && !tiles_.listed(*lists_for)) {
-      in_tiles = tiles_.count(splats_, *lists_for, stopwatch);
-      unknown = true;
-    }
-    if (unknown) tallies_.ask();
-  } while (unknown && !checkRoom(map, in_tiles));
-  if (in_tiles && !tiles_.listed(*lists_for)) tiles_.list(splats_, *lists_for, stopwatch);
-  return in_tiles;
-}
-
-bool SplatRenderer::checkRoom(const MapState& map, bool& in_tiles) {
-  // What is still to come will be as visible as what is there; but not all comes that is announced.
-  const double growth =
-      std::clamp(double(map.expected) / std::max(1u, store_.capacity()), 1.0, 4.0);
-  const std::size_t most = std::max<std::size_t>(store_.slots(), std::min(map.expected, kMaxSlots));
-  bool enough = splats_.checkRoom(most, growth);
-  if (in_tiles) {
-    const std::size_t pairs = tallies_.wait(Tallies::kPairs, Tally::kWanted);
-    enough = enough && pairs <= tiles_.room();
-    in_tiles = tiles_.reserve(pairs, withSlack(pairs, growth));
-  }
-  return enough;
-}
-
-// Has the depth of the translucent objects in translucent_, in the samples of the framebuffer.
-void SplatRenderer::keepTranslucent(const SplatCamera& camera, const std::function<void()>& draw) {
+// Has the depth of the translucent objects in the samples of the framebuffer.
+void SplatRenderer::keepTranslucent(ViewState& view, const SplatCamera& camera,
+                                    const std::function<void()>& draw) {
   GLint samples = 0;
   glGetIntegerv(GL_SAMPLES, &samples);
   samples = std::max(samples, 1);
-  if (translucent_.width() != camera.width || translucent_.height() != camera.height ||
-      translucent_.samples() != samples) {
-    translucent_ = gl::SampledDepth(camera.width, camera.height, samples);
+  gl::SampledDepth& depth = view.translucent;
+  if (depth.width() != camera.width || depth.height() != camera.height ||
+      depth.samples() != samples) {
+    depth = gl::SampledDepth(camera.width, camera.height, samples);
   }
-  const gl::DepthScope scope(translucent_);
+  const gl::DepthScope scope(depth);
   draw();
 }
 
-// Has color_'s depth, so far the opaque scene's, let pass only what is before the translucent
-// objects, and keeps the opaque scene's in behind_.
-void SplatRenderer::divide() {
-  const int width = color_.width(), height = color_.height();
-  behind_.become(color_.format(), width, height, color_.depthFormat(), GL_RG32F);
-  glCopyImageSubData(color_.depth(), GL_TEXTURE_2D, 0, 0, 0, 0, behind_.depth(), GL_TEXTURE_2D, 0,
-                     0, 0, 0, width, height, 1);
+// Has the depth of the view's colour, so far the opaque scene's, let pass only what is before the
+// translucent objects, and keeps the opaque scene's in `behind`.
+void SplatRenderer::divide(ViewState& view) const {
+  const gl::Target& color = view.color;
+  const int width = color.width(), height = color.height();
+  view.behind.become(color.format(), width, height, color.depthFormat(), GL_RG32F);
+  glCopyImageSubData(color.depth(), GL_TEXTURE_2D, 0, 0, 0, 0, view.behind.depth(), GL_TEXTURE_2D,
+                     0, 0, 0, 0, width, height, 1);
   divide_.use();
-  divide_.set("samples", translucent_.samples());
+  divide_.set("samples", view.translucent.samples());
   glActiveTexture(GL_TEXTURE0);
-  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, translucent_.texture());
+  glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, view.translucent.texture());
   glViewport(0, 0, width, height);
   glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
   glEnable(GL_DEPTH_TEST);
@@ -169,91 +156,81 @@ void SplatRenderer::divide() {
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
 }
 
-void SplatRenderer::draw(const SplatCamera& camera, const MapState& map,
-                         const RenderSettings& settings, Canvas canvas,
+void SplatRenderer::draw(const std::string& view_id, const SplatCamera& camera, const MapState& map,
+                         const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
                          const std::function<void()>& translucent) {
   gl::deleteAbandoned();
   gl::Stopwatch stopwatch(settings.profile);
+  ViewState& view = this->view(view_id);
+  drawn_ = &view;
   if (translucent) {
-    keepTranslucent(camera, translucent);
+    keepTranslucent(view, camera, translucent);
     stopwatch.lap("translucent");
   }
   const CanvasScope window(canvas);
-  setTarget(color_, settings.float_blending ? GL_RGBA32F : GL_RGBA16F, camera, settings, window);
-  bool in_tiles = (settings.rasterizer == Rasterizer::kTiles ||
-                   (settings.rasterizer == Rasterizer::kAuto && accelerated_)) &&
-                  sorts();
-  bool unknown = prepare(camera, map, settings, stopwatch);
+  const bool in_tiles = (settings.rasterizer == Rasterizer::kTiles ||
+                         (settings.rasterizer == Rasterizer::kAuto && accelerated_)) &&
+                        sorts();
+  const Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
+  view.color.become(settings.float_blending ? GL_RGBA32F : GL_RGBA16F, camera.width, camera.height,
+                    window.targetDepth());
+  view.prepare(frame);
   glFlush();  // the graphics card begins while the rest is submitted
-  const gl::DrawScope scope(color_);
-  copyDepth(window, color_);
+  const gl::DrawScope scope(view.color);
+  copyDepth(window, view.color);
   if (translucent) {
-    divide();
+    divide(view);
     stopwatch.lap("divide");
   }
-  const gl::Target* const behind = translucent ? &behind_ : nullptr;
-  in_tiles = in_tiles && !tiles_.refused(color_);
-  while (true) {
-    if (in_tiles) {
-      if (!tiles_.listed(color_)) {
-        in_tiles = tiles_.count(splats_, color_, stopwatch);
-        if (!in_tiles) continue;
-        tallies_.ask();
-        unknown = true;
-        // Where there were too many, waiting costs less than to list them in vain again.
-        if (tiles_.refused() && !checkRoom(map, in_tiles)) {
-          unknown = prepare(camera, map, settings, stopwatch);
-          continue;
-        }
-        tiles_.list(splats_, color_, stopwatch);
-      }
-      tiles_.blend(splats_, color_, behind, raster_);
-      stopwatch.lap("blend");
-    } else {
-      if (unknown) tallies_.ask();
-      quads_.blend(splats_, color_, scope, behind, raster_);
-      stopwatch.lap("quads");
-    }
-    // All is submitted: the graphics card goes on while this waits for what it counted first.
-    if (!unknown || checkRoom(map, in_tiles)) break;
-    unknown = prepare(camera, map, settings, stopwatch);
+  view.blend(frame, scope, in_tiles, bool(translucent));
+  // All is submitted: the graphics card goes on while this waits for what it counted first.
+  while (!view.hasRoom(frame)) {
+    view.prepare(frame);
+    view.blend(frame, scope, in_tiles, bool(translucent));
   }
-  rasterizer_ = in_tiles ? "tiles" : "quads";
   if (canvas != Canvas::kNone) {
     blendOver();
     glDisable(GL_DEPTH_TEST);
-    window.layOver(composite_, behind ? behind_ : color_);
+    window.layOver(composite_, translucent ? view.behind : view.color);
     stopwatch.lap("composite");
   }
   profile_ = stopwatch.laps();
 }
 
 void SplatRenderer::hideFarther() const {
+  if (!drawn_) return;
   const CanvasScope window(Canvas::kWindow);
-  const gl::DrawScope scope(behind_);
+  const gl::DrawScope scope(drawn_->behind);
   glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
   glEnable(GL_DEPTH_TEST);
   glDepthFunc(GL_LESS);
   glDepthMask(GL_TRUE);
-  window.layOver(hide_, behind_);
+  window.layOver(hide_, drawn_->behind);
 }
 
 void SplatRenderer::drawBefore() const {
+  if (!drawn_) return;
   const CanvasScope window(Canvas::kWindow);
-  const gl::DrawScope scope(color_);
+  const gl::DrawScope scope(drawn_->color);
   blendOver();
   glDisable(GL_DEPTH_TEST);
-  window.layOver(composite_, color_);
+  window.layOver(composite_, drawn_->color);
 }
 
 void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
-                                const RenderSettings& settings, Canvas canvas, double far_clip) {
+                                const RenderSettings& settings, const OrderPtr& order,
+                                Canvas canvas, double far_clip) {
+  gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
-  setTarget(surface_depth_, GL_RGBA32F, camera, settings, window);
-  prepareAndCheck(camera, map, settings, nullptr);
+  ViewState& view = this->view(kMouseView);
+  const Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
+  do {
+    view.prepare(frame);
+  } while (!view.hasRoom(frame));
+  surface_depth_.become(GL_RGBA32F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(surface_depth_);
   copyDepth(window, surface_depth_);
-  quads_.blendDepth(splats_, surface_depth_, raster_);
+  view.quads().blendDepth(view.splats(), surface_depth_);
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   surface_.use();
@@ -262,13 +239,22 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
 }
 
 void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
-                             const RenderSettings& settings, Canvas canvas, std::uint32_t handle) {
+                             const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
+                             std::uint32_t handle) {
+  gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
-  setTarget(pick_depth_, GL_RGBA16F, camera, settings, window);
-  const bool listed = prepareAndCheck(camera, map, settings, sorts() ? &pick_depth_ : nullptr);
+  ViewState& view = this->view(kMouseView);
+  const Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
+  const bool in_tiles = sorts();
+  bool listed = false;
+  do {
+    view.prepare(frame);
+    listed = in_tiles && view.list(frame);
+  } while (!view.hasRoom(frame));
+  pick_depth_.become(GL_RGBA16F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(pick_depth_);
   copyDepth(window, pick_depth_);
-  picker_.pick(splats_, listed ? &tiles_ : nullptr, pick_depth_, raster_);
+  picker_.pick(view.splats(), listed ? &view.tiles() : nullptr, pick_depth_, view.topFirst());
   if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, handle);
 }
 
@@ -278,11 +264,13 @@ std::vector<SplatValues> SplatRenderer::readSlots(const std::vector<std::uint32_
 }
 
 std::vector<float> SplatRenderer::readColor() const {
-  const std::size_t row = 4 * static_cast<std::size_t>(color_.width());
+  if (!drawn_) return {};
+  const gl::Target& color = drawn_->color;
+  const std::size_t row = 4 * static_cast<std::size_t>(color.width());
   const gl::StateGuard guard;
-  const gl::DrawScope scope(color_);
-  std::vector<float> pixels = gl::readPixels(color_.width(), color_.height());
-  if (!raster_.top_first) {
+  const gl::DrawScope scope(color);
+  std::vector<float> pixels = gl::readPixels(color.width(), color.height());
+  if (!drawn_->topFirst()) {
     for (std::size_t top = 0, bottom = pixels.size() - row; top < bottom;
          top += row, bottom -= row) {
       std::swap_ranges(&pixels[top], &pixels[top] + row, &pixels[bottom]);
@@ -292,21 +280,24 @@ std::vector<float> SplatRenderer::readColor() const {
 }
 
 std::vector<float> SplatRenderer::readDepth() {
+  if (!drawn_) return {};
   const CanvasScope window(Canvas::kNone);
-  const int width = color_.width(), height = color_.height();
-  depth_.become(GL_RGBA32F, width, height, color_.depthFormat());
-  const gl::DrawScope color(color_);
+  const gl::Target& color = drawn_->color;
+  const int width = color.width(), height = color.height();
+  depth_.become(GL_RGBA32F, width, height, color.depthFormat());
+  const gl::DrawScope drawn(color);
   const gl::DrawScope scope(depth_);
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, color.framebuffer());
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, drawn.framebuffer());
   glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT, GL_NEAREST);
-  quads_.blendDepth(splats_, depth_, raster_);
+  drawn_->use();
+  drawn_->quads().blendDepth(drawn_->splats(), depth_);
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
   const std::vector<float> blended = gl::readPixels(width, height);
   std::vector<float> depths(columns * rows);
   for (std::size_t row = 0; row < rows; ++row) {
-    const float* source = &blended[4 * columns * (raster_.top_first ? row : rows - 1 - row)];
+    const float* source = &blended[4 * columns * (drawn_->topFirst() ? row : rows - 1 - row)];
     for (std::size_t column = 0; column < columns; ++column, source += 4) {
       depths[columns * row + column] =
           source[3] > 0.0f ? source[0] / source[3] : std::numeric_limits<float>::quiet_NaN();
@@ -316,9 +307,10 @@ std::vector<float> SplatRenderer::readDepth() {
 }
 
 std::size_t SplatRenderer::gpuBytes() const {
-  return store_.bytes() + splats_.bytes() + sort_.bytes() + tiles_.bytes() + quads_.bytes() +
-         picker_.bytes() + color_.bytes() + depth_.bytes() + translucent_.bytes() +
-         behind_.bytes() + surface_depth_.bytes() + pick_depth_.bytes();
+  std::size_t bytes = store_.bytes() + sort_.bytes() + picker_.bytes() + depth_.bytes() +
+                      surface_depth_.bytes() + pick_depth_.bytes();
+  for (const auto& [id, view] : views_) bytes += view.state->bytes();
+  return bytes;
 }
 
 }  // namespace rosplat

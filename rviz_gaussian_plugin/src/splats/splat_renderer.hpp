@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -13,17 +14,16 @@
 #include "gl/canvas.hpp"
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
-#include "gpu/ordered_splats.hpp"
-#include "gpu/quad_rasterizer.hpp"
+#include "gpu/frame.hpp"
 #include "gpu/radix_sort.hpp"
 #include "gpu/slot_reader.hpp"
 #include "gpu/slot_store.hpp"
 #include "gpu/splat_picker.hpp"
-#include "gpu/tally.hpp"
-#include "gpu/tile_rasterizer.hpp"
+#include "gpu/view_state.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
+#include "order/order.hpp"
 
 namespace rosplat {
 
@@ -42,18 +42,16 @@ class SplatRenderer {
   // What writes the map elsewhere, a page of it at a time.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
 
-  // Makes slots[0..count) what draw() draws, farthest first.
-  void setOrder(const std::uint32_t* slots, std::size_t count) { splats_.setOrder(slots, count); }
-  // Lets draw() sort what is visible itself, by the sorters' depth and with their ties.
-  void sortByDepth() { splats_.sortByDepth(); }
-
-  // Blends the splats of the order, hidden where the current framebuffer and viewport have
-  // something nearer, into a target of its own; then over that viewport, which has the camera's
-  // size. Where the scene has translucent
+  // Blends the splats, in an order or, without one, by the sorters' depth and with their ties,
+  // hidden where the current framebuffer and viewport have something nearer, into a target of the
+  // view's; then over that viewport, which has the camera's size. Where the scene has translucent
   // objects, which come next, the splats are divided at the nearest of them in each pixel, and only
-  // those behind it are laid over.
-  void draw(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-            Canvas canvas, const std::function<void()>& translucent = nullptr);
+  // those behind it are laid over. What a view sees is kept until it is forgotten, or others need
+  // the memory.
+  void draw(const std::string& view_id, const SplatCamera& camera, const MapState& map,
+            const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
+            const std::function<void()>& translucent = nullptr);
+  void forget(const std::string& view_id);
   // Lets the splats that a divided draw() has laid over hide what is translucent and farther, where
   // they are more opaque than not.
   void hideFarther() const;
@@ -64,13 +62,13 @@ class SplatRenderer {
   // Writes where the splats' surface is, for rviz's mouse tools, into the current framebuffer and
   // viewport: mean depth / far_clip as 24-bit colour, lowest byte in blue.
   void drawSurface(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-                   Canvas canvas, double far_clip);
+                   const OrderPtr& order, Canvas canvas, double far_clip);
 
   // Finds the splat that contributes most to each pixel, at least a twentieth of its colour, among
   // those that the current framebuffer and viewport don't hide; then writes there the map's handle
   // for rviz's selection as 24-bit colour, or, without one, slot + 1 (slots of 24 bits only).
   void drawPick(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-                Canvas canvas, std::uint32_t handle);
+                const OrderPtr& order, Canvas canvas, std::uint32_t handle);
   // What drawPick() found: width * height slots, top row first; kNoSlot where there is none.
   std::vector<std::uint32_t> readPick() const { return picker_.read(); }
 
@@ -84,58 +82,54 @@ class SplatRenderer {
   std::vector<float> readDepth();
 
   // Whether the GPU sorts right, which is tried when first asked: if not, nothing is drawn or
-  // picked in tiles, nor may sortByDepth() be called.
+  // picked in tiles, nor without an order.
   bool sorts();
   // What the driver can't do, and what is done instead, for the user; empty where nothing is.
   std::string warning() const;
 
   // Whether a graphics card draws, not the processor.
   bool accelerated() const { return accelerated_; }
-  std::size_t drawn() const { return splats_.count(); }
-  const char* rasterizer() const { return rasterizer_; }  // of the last draw()
+  // Of the last draw().
+  std::size_t drawn() const { return drawn_->splats().count(); }
+  const char* rasterizer() const { return drawn_->rasterizer(); }
   // Of the last draw(), by stage [s]; empty unless settings.profile asked for it.
   const std::map<std::string, double>& profile() const { return profile_; }
   std::size_t mapBytes() const { return store_.bytes(); }
   std::size_t gpuBytes() const;
 
  private:
-  void setTarget(gl::Target& target, GLenum format, const SplatCamera& camera,
-                 const RenderSettings& settings, const CanvasScope& window);
+  struct View {
+    explicit View(std::unique_ptr<ViewState> of) : state(std::move(of)) {}
+
+    std::unique_ptr<ViewState> state;
+    std::uint64_t used = 0;  // the last time
+  };
+
+  // What is kept of a view; where that were too much, another's, drawn longest ago, becomes its.
+  ViewState& view(const std::string& view_id);
+  Frame frame(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
+              const OrderPtr& order, Canvas canvas, gl::Stopwatch& stopwatch) const;
   // As the window's own, where the driver can.
   void copyDepth(const CanvasScope& window, const gl::Target& target);
-  // Submits what projects and sorts what is visible; false where that is there already.
-  bool prepare(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-               gl::Stopwatch& stopwatch);
-  // The same, and sees to it that there is room for all; lists it by the tiles of a target, if
-  // there is one, and returns whether that could be done.
-  bool prepareAndCheck(const SplatCamera& camera, const MapState& map,
-                       const RenderSettings& settings, const gl::Target* lists_for);
-  // Whether there was room for all that prepare() and, in_tiles, its lists were to hold; else makes
-  // it, or gives up tiles, and all has to be submitted again.
-  bool checkRoom(const MapState& map, bool& in_tiles);
-  void keepTranslucent(const SplatCamera& camera, const std::function<void()>& draw);
-  void divide();
+  static void keepTranslucent(ViewState& view, const SplatCamera& camera,
+                              const std::function<void()>& draw);
+  void divide(ViewState& view) const;
   double clock() const;  // of `change` in packed_slot.hpp
 
   bool accelerated_;
   Shaders shaders_;
   SlotStore store_;
   SlotReader reader_;
-  Tallies tallies_;
   RadixSort sort_;
   std::optional<bool> sorts_;
-  OrderedSplats splats_;
-  TileRasterizer tiles_;
-  QuadRasterizer quads_;
   SplatPicker picker_;
-  gl::Program divide_, composite_, hide_, surface_;
+  const gl::Program &divide_, &composite_, &hide_, &surface_;
 
-  gl::Target color_, depth_, surface_depth_, pick_depth_;
+  std::map<std::string, View> views_;
+  std::uint64_t used_ = 0;      // views so far
+  ViewState* drawn_ = nullptr;  // last
+  gl::Target depth_, surface_depth_, pick_depth_;
   GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver did, or wouldn't copy
-  gl::SampledDepth translucent_;                 // of the nearest translucent objects
-  gl::Target behind_;  // the splats behind them, these splats' nearness; the scene's depth
-  Raster raster_;      // of what was drawn last
-  const char* rasterizer_ = "";
   std::map<std::string, double> profile_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };

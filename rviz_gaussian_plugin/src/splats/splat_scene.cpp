@@ -17,6 +17,7 @@ constexpr std::size_t kUploadBytesPerFrame = 32u << 20;
 constexpr std::size_t kMostOrders = 64;  // that wait, a view's newest each
 // The view of the mouse tools, which no sidecar hears of.
 constexpr const char* kSurfaceView = "surface";
+const OrderPtr kNoOrder = std::make_shared<const Order>();  // yet
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 double now() {
@@ -160,7 +161,6 @@ void SplatScene::takeArrivals(std::size_t budget) {
       arrival = arrivals_.pop();
     }
     if (arrival.edit->clear) {
-      uploaded_order_ = nullptr;
       upload_error_.clear();
     }
     try {
@@ -257,24 +257,10 @@ bool SplatScene::answered(const std::string& view_id, const RenderSettings& sett
   return arrivals_.empty() && book_.answered(view_id);
 }
 
-void SplatScene::sortOnGpu() {
-  renderer_->sortByDepth();
-  uploaded_order_ = nullptr;
-}
-
-void SplatScene::sortNow(const SplatCamera& camera) {
-  if (renderer_->accelerated() && renderer_->sorts()) {
-    sortOnGpu();
-  } else {
-    book_.setCamera(kSurfaceView, ++surface_sequence_, camera, now());
-    useOrder(book_.sortNow(kSurfaceView).order);
-  }
-}
-
-void SplatScene::useOrder(const OrderPtr& order) {
-  if (!order || order == uploaded_order_) return;
-  renderer_->setOrder(order->slots.data(), order->slots.size());
-  uploaded_order_ = order;
+OrderPtr SplatScene::sortNow(const SplatCamera& camera) {
+  if (renderer_->accelerated() && renderer_->sorts()) return nullptr;
+  book_.setCamera(kSurfaceView, ++surface_sequence_, camera, now());
+  return book_.sortNow(kSurfaceView).order;
 }
 
 const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
@@ -291,16 +277,15 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
   takeArrivals(sort_now ? kEverything : kUploadBytesPerFrame);
   const bool on_gpu = sortsOnGpu(source);
   OrderBook::Choice choice;
-  if (on_gpu) {
-    sortOnGpu();
-  } else {
+  if (!on_gpu) {
     const bool ours_to_sort = source != OrderSource::kSidecar;
     choice = source == OrderSource::kOff ? OrderBook::Choice{unsorted(), false, 0}
              : ours_to_sort && sort_now  ? book_.sortNow(view_id)
                                          : book_.choose(view_id, start, source);
-    useOrder(choice.order);
+    if (!choice.order && !renderer_->sorts()) choice.order = kNoOrder;
   }
-  renderer_->draw(cameras_.at(view_id), drawn_map_, settings, canvas, around.translucent);
+  renderer_->draw(view_id, cameras_.at(view_id), drawn_map_, settings, choice.order, canvas,
+                  around.translucent);
 
   FrameReport report;
   report.rasterizer = renderer_->rasterizer();
@@ -419,16 +404,14 @@ void SplatScene::drawSurface(const SplatCamera& camera, const RenderSettings& se
                              Canvas canvas, double far_clip) {
   prepare(settings);
   if (software_) return software_->drawSurface(camera, inFull(settings), canvas, far_clip);
-  sortNow(camera);
-  renderer_->drawSurface(camera, drawn_map_, inFull(settings), canvas, far_clip);
+  renderer_->drawSurface(camera, drawn_map_, inFull(settings), sortNow(camera), canvas, far_clip);
 }
 
 void SplatScene::drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
                           std::uint32_t handle) {
   prepare(settings);
   if (software_) return software_->drawPick(camera, inFull(settings), canvas, handle);
-  sortNow(camera);
-  renderer_->drawPick(camera, drawn_map_, inFull(settings), canvas, handle);
+  renderer_->drawPick(camera, drawn_map_, inFull(settings), sortNow(camera), canvas, handle);
 }
 
 std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {
@@ -447,6 +430,7 @@ void SplatScene::forget(const std::string& view_id) {
   paces_.erase(view_id);
   book_.forget(view_id);
   if (software_) software_->forget(view_id);
+  if (renderer_) renderer_->forget(view_id);
 }
 
 }  // namespace rosplat

@@ -143,10 +143,8 @@ class SplatScene {
   FrameReport drawSoftware(const std::string& view_id, const RenderSettings& settings,
                            Canvas canvas, OrderSource source, const Surroundings& around);
   void keepPace(const std::string& view_id, FrameReport& report);
-  void useOrder(const OrderPtr& order);
   bool sortsOnGpu(OrderSource source);
-  void sortOnGpu();
-  void sortNow(const SplatCamera& camera);  // for the mouse tools
+  OrderPtr sortNow(const SplatCamera& camera);  // for the mouse tools; null: on the graphics card
   void takeArrivals(std::size_t budget);
   void feedSorter();
   OrderPtr unsorted();
@@ -172,7 +170,7 @@ class SplatScene {
   MapState drawn_map_, booked_;
   std::optional<bool> auto_is_software_;
   std::uint64_t surface_sequence_ = 0;
-  OrderPtr uploaded_order_, unsorted_;
+  OrderPtr unsorted_;
   std::array<std::uint64_t, 3> unsorted_of_{};  // round, capacity and number of pages
   std::unique_ptr<SoftwareRenderer> software_;  // or renderer_; its thread takes arrivals_
 };

@@ -30,6 +30,8 @@ class CanvasScope {
   // The format that a target's depth must have for copyDepth(); 0 where there is no scene or no
   // depth.
   GLenum depthFormat() const { return depth_format_; }
+  // The same for any target.
+  GLenum targetDepth() const { return depth_format_ ? depth_format_ : GL_DEPTH24_STENCIL8; }
   // The opaque scene's depth into the target that is bound, resolved to one sample a pixel. Where
   // there is none, nothing is hidden.
   void copyDepth(const gl::Target& target) const;

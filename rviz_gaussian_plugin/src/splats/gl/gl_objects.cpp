@@ -138,6 +138,7 @@ GLuint takeRetired(const std::string& label) {
 Program& Program::operator=(Program&& other) noexcept {
   std::swap(id_, other.id_);
   std::swap(locations_, other.locations_);
+  std::swap(blocks_, other.blocks_);
   std::swap(shaders_, other.shaders_);
   std::swap(label_, other.label_);
   return *this;
@@ -177,7 +178,7 @@ void Program::link(const std::string& name) {
   label_ = name.substr(0, 32) + " " + std::to_string(hash);
   const std::vector<Shader> shaders = std::move(shaders_);
   id_ = takeRetired(label_);
-  if (id_) return;
+  if (id_) return numberBlocks();
   id_ = glCreateProgram();
   for (const Shader& shader : shaders) compile(shader);
   glLinkProgram(id_);
@@ -190,6 +191,39 @@ void Program::link(const std::string& name) {
     throw Error(name + " does not link: " + log.data());
   }
   if (hasLabels()) glObjectLabel(GL_PROGRAM, id_, -1, label_.c_str());
+  numberBlocks();
+}
+
+void Program::numberBlocks() {
+  if (epoxy_gl_version() < 43) return;  // there are none
+  GLint count = 0;
+  glGetProgramInterfaceiv(id_, GL_SHADER_STORAGE_BLOCK, GL_ACTIVE_RESOURCES, &count);
+  for (GLuint block = 0; block < static_cast<GLuint>(count); ++block) {
+    std::array<char, 64> name{};
+    glGetProgramResourceName(id_, GL_SHADER_STORAGE_BLOCK, block, GLsizei(name.size()), nullptr,
+                             name.data());
+    glShaderStorageBlockBinding(id_, block, block);
+    blocks_.emplace_back(name.data());
+  }
+}
+
+std::optional<GLuint> Program::binding(std::string_view block) const {
+  const auto found = std::find(blocks_.begin(), blocks_.end(), block);
+  if (found == blocks_.end()) return std::nullopt;
+  return static_cast<GLuint>(found - blocks_.begin());
+}
+
+void Program::bind(std::string_view block, const Buffer& buffer) const {
+  if (const auto at = binding(block)) {
+    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, *at, buffer.id());
+  }
+}
+
+void Program::bind(std::string_view block, const Slice& slice) const {
+  if (const auto at = binding(block)) {
+    glBindBufferRange(GL_SHADER_STORAGE_BUFFER, *at, slice.buffer,
+                      static_cast<GLintptr>(slice.offset), static_cast<GLsizeiptr>(slice.bytes));
+  }
 }
 
 GLint Program::at(const char* uniform) const {
@@ -474,6 +508,7 @@ StateGuard::~StateGuard() {
   glUseProgram(static_cast<GLuint>(program_));
   if (epoxy_gl_version() < 44) return;  // nor was any of the rest bound
   glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, kStorageBindings, nullptr);
+  glBindBufferBase(GL_UNIFORM_BUFFER, 0, 0);
   glBindImageTextures(0, kImageUnits, nullptr);
   for (const GLenum target :
        {GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, GL_DISPATCH_INDIRECT_BUFFER}) {

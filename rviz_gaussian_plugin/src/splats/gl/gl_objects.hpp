@@ -5,8 +5,10 @@
 #include <array>
 #include <cstddef>
 #include <map>
+#include <optional>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -45,9 +47,6 @@ class Buffer {
     reserve(values.size() * sizeof(Value));
     write(0, values.data(), values.size() * sizeof(Value));
   }
-  void bind(GLuint storage_binding) const {
-    glBindBufferBase(GL_SHADER_STORAGE_BUFFER, storage_binding, id());
-  }
 
  private:
   Object object_;
@@ -64,10 +63,6 @@ struct Slice {
   GLuint buffer = 0;
   std::size_t offset = 0, bytes = 0;
 
-  void bind(GLuint storage_binding) const {
-    glBindBufferRange(GL_SHADER_STORAGE_BUFFER, storage_binding, buffer,
-                      static_cast<GLintptr>(offset), static_cast<GLsizeiptr>(bytes));
-  }
   void write(const void* data) const;
 };
 
@@ -88,7 +83,8 @@ class Readback {
   GLsync copied_ = nullptr;  // left to its context in the end
 };
 
-// A linked program; uniforms are set by name. What is destroyed waits for the next program of the
+// A linked program; uniforms are set and storage blocks are bound by name, those that it doesn't
+// have to no effect. What is destroyed waits for the next program of the
 // same sources: drivers (Mesa 22.3's llvmpipe) crash where a program is deleted that another
 // context used.
 class Program {
@@ -103,6 +99,10 @@ class Program {
   void link(const std::string& name);
 
   void use() const { glUseProgram(id_); }
+  // The same for a storage block of a program that need not be in use.
+  void bind(std::string_view block, const Buffer& buffer) const;
+  void bind(std::string_view block, const Slice& slice) const;
+
   GLint at(const char* uniform) const;
   void set(const char* uniform, int value) const { glUniform1i(at(uniform), value); }
   void set(const char* uniform, GLuint value) const { glUniform1ui(at(uniform), value); }
@@ -118,11 +118,14 @@ class Program {
   };
 
   void compile(const Shader& shader) const;
+  void numberBlocks();
+  std::optional<GLuint> binding(std::string_view block) const;
 
   GLuint id_ = 0;
   mutable std::map<std::string, GLint, std::less<>> locations_;
-  std::vector<Shader> shaders_;  // until they are linked
-  std::string label_;            // of the linked program: says what it was made from
+  std::vector<std::string> blocks_;  // storage blocks, by binding
+  std::vector<Shader> shaders_;      // until they are linked
+  std::string label_;                // of the linked program: says what it was made from
 };
 
 // Runs the compute program in use in at least so many work groups, in two dimensions where there

@@ -33,37 +33,45 @@ Shaders::Shaders(ShaderSource source) : source_(std::move(source)), warp_(subgro
   parts_ = part_size_ >= kMaxSlots ? 1 : kEllipseParts;
 }
 
-void Shaders::attach(gl::Program& program, GLenum stage, const std::string& extensions,
-                     Files files) const {
-  std::string text = "#version 430\n" + extensions;
+std::string Shaders::text(const Stage& stage) const {
+  std::string text = "#version 430\n" + stage.extensions;
   text += "#define PARTS " + std::to_string(parts_) + "\n";
-  if (stage == GL_COMPUTE_SHADER) text += "#define COMPUTE\n";
-  text += source_("splat_common.glsl");
-  for (const char* file : files) text += "\n#line 1\n" + source_(file);
-  program.attach(stage, *(files.end() - 1), text);
+  text += "#define PART_SIZE " + std::to_string(part_size_) + "u\n";
+  if (stage.stage == GL_COMPUTE_SHADER) text += "#define COMPUTE\n";
+  text += source_("splat_common.glsl") + source_("splat_view.glsl");
+  for (const char* file : stage.files) text += "\n#line 1\n" + source_(file);
+  return text;
 }
 
-gl::Program Shaders::compute(Files files) const { return compute("", files); }
+const gl::Program& Shaders::program(std::initializer_list<Stage> stages) {
+  std::string key;
+  for (const Stage& stage : stages) {
+    key += stage.extensions;
+    for (const char* file : stage.files) key += std::string(file) + " ";
+  }
+  if (const auto found = programs_.find(key); found != programs_.end()) return found->second;
+  gl::Program program;
+  const char* name = "";
+  for (const Stage& stage : stages) {
+    name = *(stage.files.end() - 1);
+    program.attach(stage.stage, name, text(stage));
+  }
+  program.link(name);
+  return programs_.emplace(std::move(key), std::move(program)).first->second;
+}
 
-gl::Program Shaders::computeInWarps(Files files, bool in_subgroups) const {
+const gl::Program& Shaders::compute(Files files) {
+  return program({{GL_COMPUTE_SHADER, "", files}});
+}
+
+const gl::Program& Shaders::computeInWarps(Files files, bool in_subgroups) {
   const int warp = in_subgroups ? warp_ : kEmulatedWarp;
   const std::string size = "#define WARP " + std::to_string(warp) + "\n";
-  return compute((in_subgroups ? kSubgroups : "") + size, files);
+  return program({{GL_COMPUTE_SHADER, (in_subgroups ? kSubgroups : "") + size, files}});
 }
 
-gl::Program Shaders::compute(const std::string& extensions, Files files) const {
-  gl::Program program;
-  attach(program, GL_COMPUTE_SHADER, extensions, files);
-  program.link(*(files.end() - 1));
-  return program;
-}
-
-gl::Program Shaders::draw(Files vertex, Files fragment) const {
-  gl::Program program;
-  attach(program, GL_VERTEX_SHADER, "", vertex);
-  attach(program, GL_FRAGMENT_SHADER, "", fragment);
-  program.link(*(fragment.end() - 1));
-  return program;
+const gl::Program& Shaders::draw(Files vertex, Files fragment) {
+  return program({{GL_VERTEX_SHADER, "", vertex}, {GL_FRAGMENT_SHADER, "", fragment}});
 }
 
 }  // namespace rosplat

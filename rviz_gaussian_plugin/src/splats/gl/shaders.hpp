@@ -2,6 +2,7 @@
 
 #include <functional>
 #include <initializer_list>
+#include <map>
 #include <string>
 
 #include "gl/gl_objects.hpp"
@@ -14,20 +15,20 @@ constexpr int tilesIn(int pixels) { return (pixels + 15) / 16; }
 // Reads a shader's source by file name.
 using ShaderSource = std::function<std::string(const std::string& name)>;
 
-// Compiles the programs of the renderer: each shader is put together from files, after what is
-// common to all and what the driver is good for.
+// Compiles the programs of the renderer, each once, and has them for as long as it lives: each
+// shader is put together from files, after what is common to all and what the driver is good for.
 class Shaders {
  public:
   explicit Shaders(ShaderSource source);
 
   using Files = std::initializer_list<const char*>;
   // The last file names the program. Throw gl::Error.
-  gl::Program compute(Files files) const;
+  const gl::Program& compute(Files files);
   // For lanes that vote together, in shaders of WARP lanes at most: the driver's subgroups where it
   // says that it has some, else, or where they don't serve, what stands in for them.
-  gl::Program computeInWarps(Files files, bool in_subgroups) const;
+  const gl::Program& computeInWarps(Files files, bool in_subgroups);
   bool subgroups() const { return warp_ > 0; }
-  gl::Program draw(Files vertex, Files fragment) const;
+  const gl::Program& draw(Files vertex, Files fragment);
 
   // Projected splats in one buffer of the driver's, and of the renderer's, at most kEllipseParts.
   std::size_t partSize() const { return part_size_; }
@@ -36,10 +37,16 @@ class Shaders {
   static constexpr std::size_t kEllipseParts = 4;
 
  private:
-  void attach(gl::Program& program, GLenum stage, const std::string& extensions, Files files) const;
-  gl::Program compute(const std::string& extensions, Files files) const;
+  struct Stage {
+    GLenum stage;
+    std::string extensions;
+    Files files;
+  };
+  const gl::Program& program(std::initializer_list<Stage> stages);
+  std::string text(const Stage& stage) const;
 
   ShaderSource source_;
+  std::map<std::string, gl::Program> programs_;  // by what they are made from
   std::size_t part_size_ = 0;
   std::size_t parts_ = 1;
   int warp_ = 0;  // lanes of the driver's subgroups, at most; 0: it has none that serve

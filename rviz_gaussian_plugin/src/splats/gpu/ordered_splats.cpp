@@ -11,65 +11,59 @@ constexpr int kPatience = 16;              // frames until fewer bits are sorted
 
 }  // namespace
 
-OrderedSplats::OrderedSplats(const Shaders& shaders, RadixSort& sort, const Tallies& tallies)
+OrderedSplats::OrderedSplats(Shaders& shaders, RadixSort& sort, const Tallies& tallies)
     : tallies_(tallies),
       sort_(sort),
       projection_(shaders, tallies),
       order_program_(shaders.compute({"splat_visible.glsl", "splat_order.comp"})),
-      order_(tallies) {}
+      order_length_(tallies.of(Tallies::kOrder)) {}
 
-void OrderedSplats::setOrder(const std::uint32_t* slots, std::size_t count) {
-  order_.given = true;
-  order_.count = count;
-  order_.tally.set(count);
-  order_.slots.reserve(count * sizeof(std::uint32_t));
-  if (count > 0) order_.slots.write(0, slots, count * sizeof(std::uint32_t));
-  forget();
+bool OrderedSplats::answers(const Frame& frame) const {
+  return kept_ && prepared_.camera == frame.camera &&
+         prepared_.settings.projectsAs(frame.settings) && prepared_.origin == frame.map.origin &&
+         prepared_.antialiased == frame.map.antialiased && prepared_.edits == frame.store.edits() &&
+         order_ == frame.order && frame.settings.mode != DrawMode::kAge;  // which changes with time
 }
 
-void OrderedSplats::sortByDepth() {
-  if (order_.given) forget();
-  order_.given = false;
-}
-
-bool OrderedSplats::answers(const SplatCamera& camera, const MapState& map,
-                            const RenderSettings& settings) const {
-  return kept_ && prepared_.camera == camera && prepared_.settings.projectsAs(settings) &&
-         prepared_.origin == map.origin && prepared_.antialiased == map.antialiased &&
-         settings.mode != DrawMode::kAge;  // which changes with time
-}
-
-bool OrderedSplats::prepare(const SlotStore& store, const SplatCamera& camera, const MapState& map,
-                            const RenderSettings& settings, double now, gl::Stopwatch& stopwatch) {
-  if (answers(camera, map, settings)) return false;
-  prepared_ = {camera, settings, map.origin, map.antialiased};
-  forget();
-  projection_.reserve(std::min(store.slots(), kLeastRoom));
+void OrderedSplats::prepare(const Frame& frame) {
+  prepared_ = {frame.camera, frame.settings, frame.map.origin, frame.map.antialiased,
+               frame.store.edits()};
+  kept_ = false;
+  if (order_ != frame.order) takeOrder(frame.order);
+  projection_.reserve(std::min(frame.store.slots(), kLeastRoom));
   sort_.reserve(projection_.room());
-  projection_.run(store, camera, map, settings, now, sort_.keys());
-  stopwatch.lap("project");
-  putInOrder(store.capacity());
-  stopwatch.lap("sort");
-  return true;
+  projection_.run(frame, sort_.keys());
+  frame.stopwatch.lap("project");
+  putInOrder(frame.store.capacity());
+  frame.stopwatch.lap("sort");
+}
+
+void OrderedSplats::takeOrder(const OrderPtr& order) {
+  order_ = nullptr;  // should there be no memory
+  if (!order) return slots_.release();
+  slots_.reserve(order->slots.size() * sizeof(std::uint32_t));
+  if (!order->slots.empty()) slots_.upload(order->slots);
+  order_length_.set(order->slots.size());
+  order_ = order;
 }
 
 void OrderedSplats::putInOrder(std::uint32_t capacity) {
-  drawn_.reserve(std::max(projection_.room(), order_.given ? order_.count : 0) * sizeof(GLuint));
-  if (!order_.given) {
+  drawn_.reserve(std::max(projection_.room(), most()) * sizeof(GLuint));
+  if (!order_) {
     sort_.order(projection_.visible(), projection_.depthRange(), key_bits_, drawn_);
     return;
   }
-  if (order_.count == 0) return;
-  order_program_.use();
-  projection_.bindVisible();
+  if (order_->slots.empty()) return;
   page_numbers_.upload(projection_.pages().numbers(capacity));
-  page_numbers_.bind(9);
-  order_.slots.bind(7);
-  drawn_.bind(8);
-  order_program_.set("count", static_cast<GLuint>(order_.count));
+  projection_.bindVisible(order_program_);
+  order_program_.bind("Numbers", page_numbers_);
+  order_program_.bind("Order", slots_);
+  order_program_.bind("Drawn", drawn_);
+  order_program_.use();
+  order_program_.set("count", static_cast<GLuint>(order_->slots.size()));
   order_program_.set("capacity", capacity);
   order_program_.set("room", static_cast<GLuint>(projection_.room()));
-  gl::dispatchInvocations(order_.count);
+  gl::dispatchInvocations(order_->slots.size());
   gl::storageBarrier();
 }
 
@@ -77,7 +71,7 @@ bool OrderedSplats::checkRoom(std::size_t most, double growth) {
   const GLuint visible = tallies_.wait(Tallies::kVisible, Tally::kWanted),
                nearest = tallies_.wait(Tallies::kDepthRange, 0),
                farthest = tallies_.wait(Tallies::kDepthRange, 1);
-  count_ = order_.given ? order_.count : visible;
+  count_ = order_ ? order_->slots.size() : visible;
   bool enough = true;
   if (visible > projection_.room()) {
     projection_.reserve(std::min(withSlack(visible, growth), most));
@@ -97,7 +91,7 @@ bool OrderedSplats::checkRoom(std::size_t most, double growth) {
 }
 
 std::size_t OrderedSplats::bytes() const {
-  return projection_.bytes() + order_.slots.bytes() + page_numbers_.bytes() + drawn_.bytes();
+  return projection_.bytes() + slots_.bytes() + page_numbers_.bytes() + drawn_.bytes();
 }
 
 }  // namespace rosplat

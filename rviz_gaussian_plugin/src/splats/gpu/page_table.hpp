@@ -27,7 +27,7 @@ class PageTable {
   std::size_t count() const { return first_slots_.size(); }
   const std::vector<Range>& ranges() const { return ranges_; }
   // The table, as splat_pages.glsl reads it.
-  void bind(GLuint storage_binding) const { table_.bind(storage_binding); }
+  const gl::Buffer& table() const { return table_; }
   // Of the pages by number.
   const std::vector<std::uint32_t>& firstSlots() const { return first_slots_; }
   // Of a map's pages of so many slots, by first slot / SlotPage::kSlots: their numbers, kNoSlot

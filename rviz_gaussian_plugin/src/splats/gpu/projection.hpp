@@ -5,12 +5,10 @@
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
+#include "gpu/frame.hpp"
 #include "gpu/page_table.hpp"
 #include "gpu/radix_sort.hpp"
-#include "gpu/slot_store.hpp"
 #include "gpu/tally.hpp"
-#include "map/render_settings.hpp"
-#include "map/splat_camera.hpp"
 
 namespace rosplat {
 
@@ -19,19 +17,19 @@ namespace rosplat {
 // how many; of more than there is room for, the last are left out.
 class Projection {
  public:
-  Projection(const Shaders& shaders, const Tallies& tallies);
+  Projection(Shaders& shaders, const Tallies& tallies);
 
   // Makes room for so many visible splats. Throws gl::Error where the driver has none.
   void reserve(std::size_t count);
   std::size_t room() const { return room_; }
 
-  // keys: room for as many. now: the clock of `change` in packed_slot.hpp.
-  void run(const SlotStore& store, const SplatCamera& camera, const MapState& map,
-           const RenderSettings& settings, double now, const gl::Buffer& keys);
+  // keys: room for as many.
+  void run(const Frame& frame, const gl::Buffer& keys);
 
   const Tally& visible() const { return visible_count_; }
-  void bindEllipses(const gl::Program& program) const;  // storage bindings 0 to 3
-  void bindVisible() const;                             // storage bindings 5 and 6
+  // As splat_ellipses.glsl and splat_visible.glsl have them.
+  void bindEllipses(const gl::Program& program) const;
+  void bindVisible(const gl::Program& program) const;
   // Of what these bind: a bit for each slot of pages().
   std::size_t slotWords() const { return pages_.count() * SlotPage::kSlots / 32; }
   const PageTable& pages() const { return pages_; }
@@ -41,13 +39,11 @@ class Projection {
   std::size_t bytes() const;
 
  private:
-  void cull(const rosplat_sorter::View& view, const MapState& map, const RenderSettings& settings);
-  void project(const SlotStore& store, const rosplat_sorter::View& view, const SplatCamera& camera,
-               const MapState& map, const RenderSettings& settings, double now,
-               const gl::Buffer& keys);
+  void cull();
+  void project(const Frame& frame, const gl::Buffer& keys);
 
   PageTable pages_;
-  gl::Program cull_, project_;
+  const gl::Program &cull_, &project_;
   PrefixSum prefix_sum_;
   std::size_t part_size_;
   gl::Buffer visible_, before_;

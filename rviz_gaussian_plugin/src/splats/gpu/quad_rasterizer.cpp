@@ -6,7 +6,7 @@
 
 namespace rosplat {
 
-QuadRasterizer::QuadRasterizer(const Shaders& shaders)
+QuadRasterizer::QuadRasterizer(Shaders& shaders)
     : quads_(shaders.draw({"splat_ellipses.glsl", "splat_depth.glsl", "splat_quad.vert"},
                           {"splat_quad.frag"})),
       quads_behind_(shaders.draw({"splat_ellipses.glsl", "splat_depth.glsl", "splat_quad.vert"},
@@ -16,33 +16,28 @@ QuadRasterizer::QuadRasterizer(const Shaders& shaders)
           {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "splat_divide.comp"})) {}
 
 void QuadRasterizer::blend(const OrderedSplats& splats, const gl::Target& target,
-                           const gl::DrawScope& scope, const gl::Target* behind,
-                           const Raster& raster) {
+                           const gl::DrawScope& scope, const gl::Target* behind) {
   if (behind) {
-    divide(splats, target, *behind, raster);
+    divide(splats, target, *behind);
     const gl::DrawScope behind_scope(*behind, target);
     glActiveTexture(GL_TEXTURE0);
     glBindTexture(GL_TEXTURE_2D, behind->depth());
-    draw(splats, drawn_behind_, *behind, raster, Quads::kBehind);
+    draw(splats, drawn_behind_, *behind, Quads::kBehind);
     scope.bind();
   }
-  draw(splats, behind ? drawn_before_ : splats.drawn(), target, raster, Quads::kColour);
+  draw(splats, behind ? drawn_before_ : splats.drawn(), target, Quads::kColour);
 }
 
-void QuadRasterizer::blendDepth(const OrderedSplats& splats, const gl::Target& target,
-                                const Raster& raster) const {
-  draw(splats, splats.drawn(), target, raster, Quads::kDepth);
+void QuadRasterizer::blendDepth(const OrderedSplats& splats, const gl::Target& target) const {
+  draw(splats, splats.drawn(), target, Quads::kDepth);
 }
 
 // Lists the splats that may be seen before and behind what divides them, by tiles.
 void QuadRasterizer::divide(const OrderedSplats& splats, const gl::Target& target,
-                            const gl::Target& behind, const Raster& raster) {
+                            const gl::Target& behind) {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
   tile_depths_.become(GL_RG32F, across, down);
   tile_depth_.use();
-  glUniform2i(tile_depth_.at("tiles"), across, down);
-  glUniform2i(tile_depth_.at("picture"), target.width(), target.height());
-  tile_depth_.set("top_first", int(raster.top_first));
   glActiveTexture(GL_TEXTURE1);
   glBindTexture(GL_TEXTURE_2D, behind.depth());
   glActiveTexture(GL_TEXTURE0);
@@ -54,20 +49,18 @@ void QuadRasterizer::divide(const OrderedSplats& splats, const gl::Target& targe
   drawn_before_.reserve(splats.drawn().bytes());
   drawn_behind_.reserve(splats.drawn().bytes());
   divide_.use();
-  raster.set(divide_);
   splats.projection().bindEllipses(divide_);
-  glUniform2i(divide_.at("tiles"), across, down);
   glBindTexture(GL_TEXTURE_2D, tile_depths_.color());
-  splats.drawn().bind(4);
-  drawn_before_.bind(5);
-  drawn_behind_.bind(6);
-  splats.tally().bind(7);
+  divide_.bind("Drawn", splats.drawn());
+  divide_.bind("DrawnBefore", drawn_before_);
+  divide_.bind("DrawnBehind", drawn_behind_);
+  divide_.bind("Length", splats.tally().words());
   splats.tally().dispatchGroups();
   gl::storageBarrier();
 }
 
 void QuadRasterizer::draw(const OrderedSplats& splats, const gl::Buffer& drawn,
-                          const gl::Target& target, const Raster& raster, Quads what) const {
+                          const gl::Target& target, Quads what) const {
   glViewport(0, 0, target.width(), target.height());
   const std::array<float, 4> nothing{};
   glClearBufferfv(GL_COLOR, 0, nothing.data());
@@ -78,14 +71,11 @@ void QuadRasterizer::draw(const OrderedSplats& splats, const gl::Buffer& drawn,
   glDepthMask(GL_FALSE);
   const gl::Program& program = what == Quads::kBehind ? quads_behind_ : quads_;
   program.use();
-  raster.set(program);
-  program.set("picture", double(target.width()), double(target.height()));
-  program.set("up", raster.top_first ? -1.0f : 1.0f);
   program.set("raw_depth", int(what == Quads::kDepth));
   splats.projection().bindEllipses(program);
-  drawn.bind(4);
-  splats.projection().depthRange().bind(5);
-  splats.tally().bind(6);
+  program.bind("Drawn", drawn);
+  program.bind("DepthRange", splats.projection().depthRange());
+  program.bind("Length", splats.tally().words());
   splats.tally().drawQuads();
 }
 

@@ -22,10 +22,10 @@ void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& t
                     std::size_t room) {
   sum_.use();
   sum_.set("room", static_cast<GLuint>(room));
-  values.bind(0);
-  sums_.bind(1);
-  count.bind(2);
-  total.bind(3);
+  sum_.bind("Values", values);
+  sum_.bind("Sums", sums_);
+  sum_.bind("Length", count.words());
+  sum_.bind("Total", total.words());
   for (GLuint pass = 0; pass < 2; ++pass) {
     sum_.set("pass", pass);
     count.dispatchBlocks();
@@ -34,17 +34,17 @@ void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& t
   glMemoryBarrier(GL_COMMAND_BARRIER_BIT);  // the total is work to dispatch
 }
 
-RadixSort::RadixSort(const Shaders& shaders)
+RadixSort::RadixSort(Shaders& shaders)
     : shaders_(shaders),
       count_(shaders.compute({"radix_digit.glsl", "radix_count.comp"})),
       sum_(shaders.compute({"group_sum.glsl", "radix_sum.comp"})),
-      scatter_(shaders.computeInWarps(kScatter, shaders.subgroups())) {}
+      scatter_(&shaders.computeInWarps(kScatter, shaders.subgroups())) {}
 
 bool RadixSort::check() {
   if (sortsRight()) return true;
   if (!shaders_.subgroups() || lost_ballots_) return false;
   lost_ballots_ = true;
-  scatter_ = shaders_.computeInWarps(kScatter, false);
+  scatter_ = &shaders_.computeInWarps(kScatter, false);
   return sortsRight();
 }
 
@@ -81,13 +81,18 @@ bool RadixSort::sortsRight() {
   std::iota(values.rbegin(), values.rend(), 0u);
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
   values_.write(0, values.data(), values.size() * sizeof(GLuint));
-  sort(count, least, 2 * kDigitBits);
+  sort(count, least, 2 * kDigitBits, ordered);
   std::transform(places.begin(), places.end(), values.begin(),
                  [&](GLuint i) { return static_cast<GLuint>(kKeys) - 1 - i; });
-  return holds(keys_, sorted) && holds(values_, values);
+  return holds(keys_, sorted) && holds(ordered, values);
 }
 
 void RadixSort::reserve(std::size_t count) {
+  if (room_.wastes(count)) {
+    for (gl::Buffer* buffer : {&keys_, &values_, &next_keys_, &next_values_, &counts_}) {
+      buffer->release();
+    }
+  }
   for (gl::Buffer* buffer : {&keys_, &values_, &next_keys_, &next_values_}) {
     buffer->reserve(count * sizeof(GLuint));
   }
@@ -96,33 +101,41 @@ void RadixSort::reserve(std::size_t count) {
 
 void RadixSort::pass(const Tally& count, const gl::Slice& least, int shift, bool first, bool last,
                      const gl::Buffer& sorted_values) {
-  keys_.bind(0);
-  values_.bind(1);
-  next_keys_.bind(2);
-  sorted_values.bind(3);
-  counts_.bind(4);
-  count.bind(5);
-  least.bind(6);
+  count_.bind("Keys", keys_);
+  count_.bind("Counts", counts_);
+  count_.bind("Length", count.words());
+  count_.bind("Least", least);
   count_.use();
   count_.set("shift", static_cast<GLuint>(shift));
   count.dispatchBlocks();
   gl::storageBarrier();
 
+  sum_.bind("Counts", counts_);
+  sum_.bind("Length", count.words());
   sum_.use();
   gl::dispatch(kDigits);
   gl::storageBarrier();
 
-  scatter_.use();
-  scatter_.set("shift", static_cast<GLuint>(shift));
-  scatter_.set("first_pass", int(first));
-  scatter_.set("last_pass", int(last));
+  scatter_->bind("Keys", keys_);
+  scatter_->bind("Values", values_);
+  scatter_->bind("SortedKeys", next_keys_);
+  scatter_->bind("SortedValues", sorted_values);
+  scatter_->bind("Firsts", counts_);
+  scatter_->bind("Length", count.words());
+  scatter_->bind("Least", least);
+  scatter_->use();
+  scatter_->set("shift", static_cast<GLuint>(shift));
+  scatter_->set("first_pass", int(first));
+  scatter_->set("last_pass", int(last));
   count.dispatchBlocks();
   gl::storageBarrier();
 }
 
-void RadixSort::sort(const Tally& count, const gl::Slice& least, int bits) {
+void RadixSort::sort(const Tally& count, const gl::Slice& least, int bits,
+                     const gl::Buffer& sorted) {
   for (int shift = 0; shift < bits; shift += kDigitBits) {
-    pass(count, least, shift, false, false, next_values_);
+    const bool last = shift + kDigitBits >= bits;
+    pass(count, least, shift, false, false, last ? sorted : next_values_);
     std::swap(keys_, next_keys_);
     std::swap(values_, next_values_);
   }

@@ -14,7 +14,7 @@ constexpr int bitsOf(std::size_t value) { return value ? 1 + bitsOf(value >> 1) 
 // Exclusive prefix sums on the GPU.
 class PrefixSum {
  public:
-  explicit PrefixSum(const Shaders& shaders)
+  explicit PrefixSum(Shaders& shaders)
       : sum_(shaders.compute({"group_sum.glsl", "prefix_sum.comp"})) {}
 
   // Makes room for so many values.
@@ -26,17 +26,16 @@ class PrefixSum {
   std::size_t bytes() const { return sums_.bytes(); }
 
  private:
-  gl::Program sum_;
+  const gl::Program& sum_;
   gl::Buffer sums_;
 };
 
-// A stable radix sort of uint32 keys with uint32 values on the GPU, the least first. Keys and
-// values lie in buffers of its own, which are whoever's turn it is: what was sorted stays until
-// others sort.
+// A stable radix sort of uint32 keys with uint32 values on the GPU, the least first. What is to be
+// sorted is written to keys() and values(); these are whoever's turn it is.
 class RadixSort {
  public:
   // The shaders must outlive it.
-  explicit RadixSort(const Shaders& shaders);
+  explicit RadixSort(Shaders& shaders);
 
   // Sorts some keys and compares with what the CPU makes of them; where lanes don't vote as the
   // driver says, from then on without that. False where nothing helps. What is in the buffers is
@@ -45,16 +44,18 @@ class RadixSort {
   // Whether check() gave up what the driver says that it can.
   bool lostBallots() const { return lost_ballots_; }
 
-  // Makes room for so many; what was in the buffers may be lost.
+  // Makes room for so many, which may be less than there is if that is much more than anybody has
+  // asked for of late; what was in the buffers may be lost.
   void reserve(std::size_t count);
 
   const gl::Buffer& keys() const { return keys_; }
   const gl::Buffer& values() const { return values_; }
-  // Free until sort() is called.
+  // Free until something is sorted.
   const gl::Buffer& spare() const { return next_values_; }
 
-  // Sorts by the lowest `bits` bits of the keys' distances from the first word of `least`.
-  void sort(const Tally& count, const gl::Slice& least, int bits);
+  // Sorts by the lowest `bits` bits, one at least, of the keys' distances from the first word of
+  // `least`: keys() in place, values() to another buffer.
+  void sort(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& sorted);
   // Writes where the keys were before, in their new order, to another buffer; keys and values are
   // used up.
   void order(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& places);
@@ -69,10 +70,12 @@ class RadixSort {
 
   bool sortsRight();
 
-  const Shaders& shaders_;
+  Shaders& shaders_;
   bool lost_ballots_ = false;
-  gl::Program count_, sum_, scatter_;
+  const gl::Program &count_, &sum_;
+  const gl::Program* scatter_;
   gl::Buffer keys_, values_, next_keys_, next_values_, counts_;
+  Room room_;
 };
 
 }  // namespace rosplat

@@ -56,8 +56,8 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
   const gl::Buffer gathered(words.size() * kWord, GL_STREAM_READ);
 
   gather_.use();
-  wanted.bind(0);
-  gathered.bind(2);
+  gather_.bind("Wanted", wanted);
+  gather_.bind("Gathered", gathered);
   gather_.set("stride", static_cast<GLuint>(stride));
   for (std::size_t first = 0, next = 0; first < held.size(); first = next) {
     while (next < held.size() && held[next].arena == held[first].arena) ++next;
@@ -67,7 +67,7 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
     GLuint offset = 0;
     for (int band = 0; band <= store.shDegree(); ++band) {
       const auto size = static_cast<GLuint>(band == 0 ? kSlotWords : kBandWords[band]);
-      (band == 0 ? arena.slots : arena.bands[band]).bind(1);
+      gather_.bind("Held", band == 0 ? arena.slots : arena.bands[band]);
       gather_.set("words", size);
       gather_.set("offset", offset);
       gl::dispatchInvocations((next - first) * size);

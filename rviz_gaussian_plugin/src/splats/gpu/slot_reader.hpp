@@ -13,14 +13,14 @@ namespace rosplat {
 // Reads slots back from the GPU.
 class SlotReader {
  public:
-  explicit SlotReader(const Shaders& shaders) : gather_(shaders.compute({"slot_gather.comp"})) {}
+  explicit SlotReader(Shaders& shaders) : gather_(shaders.compute({"slot_gather.comp"})) {}
 
   // Slots as they are drawn, relative to the map's origin. Waits for the graphics card, once.
   std::vector<SplatValues> read(const SlotStore& store,
                                 const std::vector<std::uint32_t>& slots) const;
 
  private:
-  gl::Program gather_;
+  const gl::Program& gather_;
 };
 
 }  // namespace rosplat

@@ -62,6 +62,7 @@ void SlotStore::makeRoom(std::uint32_t pages) {
 }
 
 void SlotStore::apply(const GaussianEdit& edit, double now) {
+  ++edits_;
   if (edit.clear) {
     arenas_.clear();
     held_.clear();

@@ -49,6 +49,7 @@ class SlotStore {
     return std::min<std::size_t>(capacity_, pages_.pages().size() * SlotPage::kSlots);
   }
   int shDegree() const { return sh_degree_; }
+  std::uint64_t edits() const { return edits_; }  // so far
   std::size_t bytes() const;
 
  private:
@@ -69,6 +70,7 @@ class SlotStore {
   std::vector<bool> held_;  // by a page's place
   std::uint32_t capacity_ = 0;
   int sh_degree_ = 0;
+  std::uint64_t edits_ = 0;
   std::vector<std::uint32_t> staged_;
 };
 

@@ -4,36 +4,32 @@
 
 namespace rosplat {
 
-SplatPicker::SplatPicker(const Shaders& shaders)
+SplatPicker::SplatPicker(Shaders& shaders)
     : pick_(shaders.compute({"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
                              "splat_depth.glsl", "splat_pick.comp"})),
       colour_(shaders.draw({"splat_composite.vert"}, {"splat_pick.frag"})) {}
 
 void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
-                       const gl::Target& target, const Raster& raster) {
+                       const gl::Target& target, bool top_first) {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());
   width_ = static_cast<std::size_t>(target.width());
   height_ = static_cast<std::size_t>(target.height());
-  top_first_ = raster.top_first;
+  top_first_ = top_first;
   const std::vector<std::uint32_t> nothing(width_ * height_, kNoSlot);
   picked_.reserve(nothing.size() * sizeof(std::uint32_t));
   picked_.write(0, nothing.data(), nothing.size() * sizeof(std::uint32_t));
   if (splats.count() == 0) return;
   pick_.use();
   splats.projection().bindEllipses(pick_);
-  splats.projection().bindVisible();
-  raster.set(pick_);
-  glUniform2i(pick_.at("tiles"), across, down);
-  glUniform2i(pick_.at("picture"), target.width(), target.height());
-  pick_.set("top_first", int(raster.top_first));
+  splats.projection().bindVisible(pick_);
   first_slots_.upload(splats.projection().pages().firstSlots());
-  first_slots_.bind(10);
+  pick_.bind("FirstSlots", first_slots_);
   pick_.set("words", static_cast<GLuint>(splats.projection().slotWords()));
   pick_.set("listed", int(lists != nullptr));
-  splats.drawn().bind(4);
-  picked_.bind(7);
-  splats.tally().bind(8);
-  if (lists) lists->bindLists(4, 9);
+  pick_.bind("Splats", lists ? lists->splats() : splats.drawn());
+  if (lists) pick_.bind("Begins", lists->begins());
+  pick_.bind("Picked", picked_);
+  pick_.bind("Length", splats.tally().words());
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
   gl::dispatch(std::size_t(across) * std::size_t(down));
@@ -47,7 +43,7 @@ void SplatPicker::draw(const CanvasScope& canvas, const gl::Target& target,
   colour_.use();
   colour_.set("width", target.width());
   colour_.set("handle", handle);
-  picked_.bind(7);
+  colour_.bind("Picked", picked_);
   canvas.layOver(colour_, target);
 }
 

@@ -8,7 +8,6 @@
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/ordered_splats.hpp"
-#include "gpu/raster.hpp"
 #include "gpu/tile_rasterizer.hpp"
 
 namespace rosplat {
@@ -16,12 +15,12 @@ namespace rosplat {
 // Finds the splat that contributes most to each pixel, at least a twentieth of its colour.
 class SplatPicker {
  public:
-  explicit SplatPicker(const Shaders& shaders);
+  explicit SplatPicker(Shaders& shaders);
 
   // Among those that the depth of the target doesn't hide. They should be listed by the target's
   // tiles: without, each tile walks all of them.
   void pick(const OrderedSplats& splats, const TileRasterizer* lists, const gl::Target& target,
-            const Raster& raster);
+            bool top_first);
   // Writes the map's handle for rviz's selection as 24-bit colour wherever there is a splat, or,
   // without one, slot + 1 (slots of 24 bits only).
   void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t handle) const;
@@ -31,7 +30,7 @@ class SplatPicker {
   std::size_t bytes() const { return picked_.bytes() + first_slots_.bytes(); }
 
  private:
-  gl::Program pick_, colour_;
+  const gl::Program &pick_, &colour_;
   gl::Buffer picked_;       // slots
   gl::Buffer first_slots_;  // of the pages kept
   std::size_t width_ = 0, height_ = 0;

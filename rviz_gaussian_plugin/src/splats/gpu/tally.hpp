@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 
 #include "gl/gl_objects.hpp"
@@ -10,6 +11,28 @@ namespace rosplat {
 constexpr std::size_t withSlack(std::size_t count, double growth = 1) {
   return static_cast<std::size_t>(growth * static_cast<double>(count + count / 8));
 }
+
+// How much of a number's room is used: there is more at once, but less only after a while.
+class Room {
+ public:
+  // Notes what is needed; true where for long not a quarter was of what there is.
+  bool wastes(std::size_t needed) {
+    size_ = std::max(size_, needed);
+    most_ = std::max(most_, needed);
+    if (++uses_ < kPatience) return false;
+    const bool wasted = most_ < size_ / 4;
+    if (wasted) size_ = most_;
+    uses_ = 0;
+    most_ = 0;
+    return wasted;
+  }
+
+ private:
+  static constexpr int kPatience = 64;
+
+  std::size_t size_ = 0, most_ = 0;
+  int uses_ = 0;
+};
 
 // A number that shaders find, with the work that it makes for those that follow, so that none of it
 // has to wait for the CPU. splat_common.glsl has the same.
@@ -27,7 +50,7 @@ class Tally {
   // A shader is to make it another one.
   void forget();
 
-  void bind(GLuint storage_binding) const { words_.bind(storage_binding); }
+  const gl::Slice& words() const { return words_; }  // for a shader to bind
   // Runs the compute program in use for 256, or for kBlock, a work group.
   void dispatchGroups() const;
   void dispatchBlocks() const;
@@ -42,7 +65,7 @@ class Tally {
   std::size_t count_ = 0;
 };
 
-// What is counted in a frame, side by side, so that one copy brings the CPU all of it.
+// What is counted for a view, side by side, so that one copy brings the CPU all of it.
 class Tallies {
  public:
   enum Of : std::size_t { kVisible, kPairs, kSlotWords, kOrder, kDepthRange, kZero, kCount };

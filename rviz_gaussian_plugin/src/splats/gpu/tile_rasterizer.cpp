@@ -7,11 +7,15 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kMostPairs = std::size_t{1} << 26;  // 1 GiB with what sorts them
+constexpr int kPatience = 64;  // pictures, until memory that was lacking may be there
+// 1.25 GiB with what sorts them.
+std::size_t mostPairs() {
+  return std::min(std::size_t{1} << 26, gl::largestStorageBuffer() / sizeof(GLuint));
+}
 
 }  // namespace
 
-TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort, const Tallies& tallies)
+TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies& tallies)
     : count_(shaders.compute(
           {"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl", "tile_count.comp"})),
       list_(shaders.compute(
@@ -24,38 +28,39 @@ TileRasterizer::TileRasterizer(const Shaders& shaders, RadixSort& sort, const Ta
       prefix_sum_(shaders),
       sort_(sort),
       pair_count_(tallies.of(Tallies::kPairs)),
-      zero_(tallies.of(Tallies::kZero)) {
+      zero_(tallies.of(Tallies::kZero)),
+      most_pairs_(mostPairs()) {
   const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> zeros{};
   zero_.write(zeros.data());
-  most_pairs_ = std::min(kMostPairs, gl::largestStorageBuffer() / sizeof(GLuint));
 }
 
-bool TileRasterizer::reserve(std::size_t pairs, std::size_t better) {
+bool TileRasterizer::checkRoom(std::size_t pairs, double growth) {
   refused_ = pairs > most_pairs_;
-  if (pairs > room_) {
-    listed_ = false;
-    if (!refused_) room_ = std::min(better, most_pairs_);
+  if (pairs <= room_) {
+    if (used_.wastes(pairs)) room_ = withSlack(pairs);
+    return true;
   }
-  return !refused_;
+  listed_ = false;
+  if (!refused_) room_ = std::min(withSlack(pairs, growth), most_pairs_);
+  return false;
 }
 
-bool TileRasterizer::counted(const gl::Target& target) const {
-  return counted_width_ == target.width() && counted_height_ == target.height();
-}
-
-bool TileRasterizer::count(const OrderedSplats& splats, const gl::Target& target,
-                           gl::Stopwatch& stopwatch) {
-  const int across = tilesIn(target.width()), down = tilesIn(target.height());
+bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
+  if (out_of_memory_ > 0 && --out_of_memory_ == 0) most_pairs_ = mostPairs();
   const std::size_t room = std::max(room_, splats.most());
-  counted_width_ = target.width();
-  counted_height_ = target.height();
+  width_ = width;
+  height_ = height;
   listed_ = false;
   room_ = 0;  // should there be no memory
   try {
     prefix_sum_.reserve(splats.most());
     sort_.reserve(room);
+    if (splats_.bytes() / 4 > room * sizeof(GLuint)) splats_.release();
+    splats_.reserve(room * sizeof(GLuint));
   } catch (const gl::Error&) {
+    splats_.release();
     most_pairs_ = room / 2;
+    out_of_memory_ = kPatience;
     refused_ = true;
     return false;
   }
@@ -63,42 +68,37 @@ bool TileRasterizer::count(const OrderedSplats& splats, const gl::Target& target
   const gl::Buffer& counts = sort_.spare();
   count_.use();
   splats.projection().bindEllipses(count_);
-  glUniform2i(count_.at("tiles"), across, down);
-  splats.drawn().bind(4);
-  counts.bind(5);
-  splats.tally().bind(6);
-  splats.projection().boxes().bind(7);
+  count_.bind("Drawn", splats.drawn());
+  count_.bind("Counts", counts);
+  count_.bind("Length", splats.tally().words());
+  count_.bind("Boxes", splats.projection().boxes());
   splats.tally().dispatchGroups();
   gl::storageBarrier();
   prefix_sum_.run(counts, splats.tally(), pair_count_, room_);
-  stopwatch.lap("list");
   return true;
 }
 
-void TileRasterizer::list(const OrderedSplats& splats, const gl::Target& target,
-                          gl::Stopwatch& stopwatch) {
-  const int across = tilesIn(target.width()), down = tilesIn(target.height());
-  const std::size_t tiles = std::size_t(across) * std::size_t(down);
+void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch) {
+  const std::size_t tiles = std::size_t(tilesIn(width_)) * std::size_t(tilesIn(height_));
   begins_.reserve((tiles + 1) * sizeof(GLuint));
   list_.use();
   splats.projection().bindEllipses(list_);
-  glUniform2i(list_.at("tiles"), across, down);
-  splats.drawn().bind(4);
-  sort_.spare().bind(5);
-  splats.tally().bind(6);
-  pair_count_.bind(7);
-  sort_.keys().bind(8);
-  sort_.values().bind(9);
-  splats.projection().boxes().bind(10);
+  list_.bind("Drawn", splats.drawn());
+  list_.bind("Firsts", sort_.spare());
+  list_.bind("Length", splats.tally().words());
+  list_.bind("Listed", pair_count_.words());
+  list_.bind("Tiles", sort_.keys());
+  list_.bind("Splats", sort_.values());
+  list_.bind("Boxes", splats.projection().boxes());
   splats.tally().dispatchGroups();
   gl::storageBarrier();
   stopwatch.lap("list");
-  sort_.sort(pair_count_, zero_, bitsOf(tiles - 1));
+  sort_.sort(pair_count_, zero_, std::max(bitsOf(tiles - 1), 1), splats_);
   ranges_.use();
   ranges_.set("tile_count", static_cast<GLuint>(tiles));
-  sort_.keys().bind(4);
-  begins_.bind(5);
-  pair_count_.bind(6);
+  ranges_.bind("Tiles", sort_.keys());
+  ranges_.bind("Begins", begins_);
+  ranges_.bind("Length", pair_count_.words());
   gl::dispatchInvocations(tiles + 1);
   gl::storageBarrier();
   stopwatch.lap("bin");
@@ -106,17 +106,13 @@ void TileRasterizer::list(const OrderedSplats& splats, const gl::Target& target,
 }
 
 void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target,
-                           const gl::Target* behind, const Raster& raster) const {
-  const int across = tilesIn(target.width()), down = tilesIn(target.height());
+                           const gl::Target* behind) const {
   const gl::Program& program = behind ? blend_divided_ : blend_;
   program.use();
   splats.projection().bindEllipses(program);
-  raster.set(program);
-  glUniform2i(program.at("tiles"), across, down);
-  glUniform2i(program.at("picture"), target.width(), target.height());
-  program.set("top_first", int(raster.top_first));
-  bindLists(4, 5);
-  splats.projection().depthRange().bind(6);
+  program.bind("Splats", splats_);
+  program.bind("Begins", begins_);
+  program.bind("DepthRange", splats.projection().depthRange());
   if (behind) {
     glActiveTexture(GL_TEXTURE1);
     glBindTexture(GL_TEXTURE_2D, behind->depth());
@@ -126,11 +122,13 @@ void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
   glBindImageTexture(0, target.color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, target.format());
-  gl::dispatch(std::size_t(across) * std::size_t(down));
+  gl::dispatch(std::size_t(tilesIn(target.width())) * std::size_t(tilesIn(target.height())));
   glMemoryBarrier(GL_TEXTURE_FETCH_BARRIER_BIT | GL_FRAMEBUFFER_BARRIER_BIT |
                   GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);  // what comes may be blended once more
 }
 
-std::size_t TileRasterizer::bytes() const { return begins_.bytes() + prefix_sum_.bytes(); }
+std::size_t TileRasterizer::bytes() const {
+  return splats_.bytes() + begins_.bytes() + prefix_sum_.bytes();
+}
 
 }  // namespace rosplat

@@ -6,7 +6,6 @@
 #include "gl/shaders.hpp"
 #include "gpu/ordered_splats.hpp"
 #include "gpu/radix_sort.hpp"
-#include "gpu/raster.hpp"
 #include "gpu/tally.hpp"
 
 namespace rosplat {
@@ -16,55 +15,55 @@ namespace rosplat {
 class TileRasterizer {
  public:
   // The sort may be one that others use too.
-  TileRasterizer(const Shaders& shaders, RadixSort& sort, const Tallies& tallies);
+  TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies& tallies);
 
-  // Counts the pairs of a splat and a tile of the target that it touches; false where there is no
-  // memory to list them, which is refused() then, and so are as many from now on.
-  bool count(const OrderedSplats& splats, const gl::Target& target, gl::Stopwatch& stopwatch);
+  // Counts the pairs of a splat and a tile that it touches, of a picture of such a size; false
+  // where there is no memory to list them, which is refused() then.
+  bool count(const OrderedSplats& splats, int width, int height);
   // Lists what was counted; of more pairs than there is room for, the last are left out.
-  void list(const OrderedSplats& splats, const gl::Target& target, gl::Stopwatch& stopwatch);
-  // Whether what was listed last is for a target like this.
-  bool listed(const gl::Target& target) const { return listed_ && counted(target); }
+  void list(const OrderedSplats& splats, gl::Stopwatch& stopwatch);
+  // Whether what was listed last is for a picture of this size.
+  bool listed(int width, int height) const { return listed_ && counted(width, height); }
 
   // What is listed: indices of ellipses, tile by tile, nearest first; where each tile's begin.
-  void bindLists(GLuint splats, GLuint begins) const {
-    sort_.values().bind(splats);
-    begins_.bind(begins);
-  }
+  const gl::Buffer& splats() const { return splats_; }
+  const gl::Buffer& begins() const { return begins_; }
 
   // Overwrites the target's colour by what is listed, where its depth lets a splat pass; `behind`,
   // if there is one, gets those that the target's depth hides and its own lets pass, and in its
   // second colour their nearness, as splat_hide.frag reads it.
-  void blend(const OrderedSplats& splats, const gl::Target& target, const gl::Target* behind,
-             const Raster& raster) const;
+  void blend(const OrderedSplats& splats, const gl::Target& target, const gl::Target* behind) const;
 
-  // Makes room for so many pairs, better for more; false where that takes too much memory.
-  bool reserve(std::size_t pairs, std::size_t better);
-  std::size_t room() const { return room_; }
-  // Whether reserve() refused last, so that the next ones should be counted before they are listed;
-  // and whether it was for these splats and a target like this.
+  // Whether there was room for so many pairs; else makes it, better for more by a factor, or, where
+  // that takes too much memory, refuses.
+  bool checkRoom(std::size_t pairs, double growth);
+  // Whether too many were refused last, so that the next ones should be counted before they are
+  // listed; and whether it was these, for a picture of this size.
   bool refused() const { return refused_; }
-  bool refused(const gl::Target& target) const { return refused_ && counted(target); }
+  bool refused(int width, int height) const { return refused_ && counted(width, height); }
 
-  // The splats or their order aren't those of the last draw() any more.
+  // The splats or their order aren't those of the last picture any more.
   void forget() {
-    counted_width_ = 0;
+    width_ = 0;
     listed_ = false;
   }
 
   std::size_t bytes() const;
 
  private:
-  bool counted(const gl::Target& target) const;
+  bool counted(int width, int height) const { return width_ == width && height_ == height; }
 
-  gl::Program count_, list_, ranges_, blend_, blend_divided_;
+  const gl::Program &count_, &list_, &ranges_, &blend_, &blend_divided_;
   PrefixSum prefix_sum_;
   RadixSort& sort_;
   Tally pair_count_;
   gl::Slice zero_;
-  gl::Buffer begins_;
-  std::size_t most_pairs_, room_ = 0;
-  int counted_width_ = 0, counted_height_ = 0;  // the picture that pairs were counted for [px]
+  gl::Buffer splats_, begins_;
+  std::size_t room_ = 0;
+  Room used_;
+  std::size_t most_pairs_;      // that may be listed
+  int out_of_memory_ = 0;       // counts to come until more than half of what failed is tried again
+  int width_ = 0, height_ = 0;  // of the picture that pairs were counted for [px]
   bool listed_ = false, refused_ = false;
 };
 

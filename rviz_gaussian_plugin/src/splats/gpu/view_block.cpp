@@ -1,0 +1,72 @@
+#include "gpu/view_block.hpp"
+
+#include <algorithm>
+
+#include "gl/shaders.hpp"
+#include "map/sorter_view.hpp"
+
+namespace rosplat {
+
+namespace {
+
+std::array<float, 2> floats(double x, double y) {
+  return {static_cast<float>(x), static_cast<float>(y)};
+}
+
+}  // namespace
+
+ViewBlock::ViewBlock(const Frame& frame) {
+  const SplatCamera& camera = frame.camera;
+  const RenderSettings& settings = frame.settings;
+  const MapState& map = frame.map;
+  const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 3; ++column) {
+      rotation[column][row] = view.rotation[3 * row + column];
+    }
+    translation[row] = view.translation[row];
+  }
+  orthographic = view.orthographic;
+  clip = {view.near_clip, view.far_clip};
+  focal = {view.fx, view.fy};
+  offset = {view.offset_x, view.offset_y};
+  half_size = {view.half_width, view.half_height};
+  slope = {view.slope_x, view.slope_y};
+  // Rebased in double precision: neither the map's origin nor the camera's position reaches
+  // float32.
+  const auto& r = camera.rotation;
+  for (int i = 0; i < 3; ++i) {
+    double position = 0;
+    for (int k = 0; k < 3; ++k) {
+      double t = camera.translation[k];
+      for (int j = 0; j < 3; ++j) t += r[3 * k + j] * map.origin[j];
+      position -= r[3 * k + i] * t;
+    }
+    eye[i] = static_cast<float>(camera.orthographic ? r[6 + i] : position);
+    box_centre[i] = static_cast<float>(settings.clip_box.centre[i] - map.origin[i]);
+  }
+  clip_to_box = settings.clip_box.enabled;
+  box_size = settings.clip_box.size;
+  principal_point = floats(camera.cx, camera.cy);
+  const SplatCamera::Whole whole = camera.whole();
+  whole_principal_point = floats(whole.cx, whole.cy);
+  whole_picture = floats(whole.width, whole.height);
+  picture = {camera.width, camera.height};
+  tiles = {tilesIn(camera.width), tilesIn(camera.height)};
+  ndc_depth = floats(camera.ndc_scale, camera.ndc_offset);
+  mode = static_cast<int>(settings.mode);
+  depth_range = settings.depth_range;
+  scale_modifier = settings.scale;
+  opacity_modifier = settings.opacity;
+  near_fade = settings.near_fade;
+  sh_degree = std::min(frame.store.shDegree(), settings.max_sh_degree);
+  only_band = settings.only_band;
+  antialiased = settings.antialiasing == Antialiasing::kAsTrained
+                    ? map.antialiased
+                    : settings.antialiasing == Antialiasing::kOn;
+  top_first = frame.top_first;
+  now = static_cast<float>(frame.now);
+  age_range = settings.age_range;
+}
+
+}  // namespace rosplat

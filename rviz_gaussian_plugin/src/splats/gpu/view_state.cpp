@@ -1,0 +1,89 @@
+#include "gpu/view_state.hpp"
+
+#include <algorithm>
+
+#include "gpu/view_block.hpp"
+
+namespace rosplat {
+
+ViewState::ViewState(Shaders& shaders, RadixSort& sort)
+    : splats_(shaders, sort, tallies_),
+      tiles_(shaders, sort, tallies_),
+      quads_(shaders),
+      block_(sizeof(ViewBlock), GL_DYNAMIC_DRAW) {}
+
+void ViewState::prepare(const Frame& frame) {
+  // The frame before may still read what this one writes.
+  glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);
+  const ViewBlock block(frame);
+  block_.write(0, &block, sizeof(block));
+  use();
+  top_first_ = frame.top_first;
+  if (splats_.answers(frame)) return;
+  splats_.prepare(frame);
+  tiles_.forget();
+  unknown_ = true;
+}
+
+bool ViewState::list(const Frame& frame) {
+  const int width = frame.camera.width, height = frame.camera.height;
+  if (tiles_.refused(width, height)) return false;
+  if (tiles_.listed(width, height)) return true;
+  if (!tiles_.count(splats_, width, height)) return false;
+  frame.stopwatch.lap("list");
+  ask();
+  // Where there were too many, waiting costs less than to list them in vain again.
+  if (tiles_.refused() && !tiles_.checkRoom(tallies_.wait(Tallies::kPairs, Tally::kWanted), 1)) {
+    if (tiles_.refused() || !tiles_.count(splats_, width, height)) return false;
+    ask();
+  }
+  tiles_.list(splats_, frame.stopwatch);
+  listed_ = true;
+  return true;
+}
+
+void ViewState::blend(const Frame& frame, const gl::DrawScope& scope, bool in_tiles, bool divided) {
+  const gl::Target* const farther = divided ? &behind : nullptr;
+  if (in_tiles && list(frame)) {
+    tiles_.blend(splats_, color, farther);
+    rasterizer_ = "tiles";
+    frame.stopwatch.lap("blend");
+  } else {
+    if (unknown_) ask();
+    quads_.blend(splats_, color, scope, farther);
+    rasterizer_ = "quads";
+    frame.stopwatch.lap("quads");
+  }
+}
+
+void ViewState::ask() {
+  tallies_.ask();
+  asked_ = true;
+  unknown_ = false;
+}
+
+bool ViewState::hasRoom(const Frame& frame) {
+  if (unknown_) ask();
+  if (!asked_) return true;
+  asked_ = false;
+  // What is still to come will be as visible as what is there; but not all comes that is announced.
+  const std::size_t expected = frame.map.expected, capacity = frame.store.capacity();
+  const double growth =
+      std::clamp(double(expected) / double(std::max<std::size_t>(1, capacity)), 1.0, 4.0);
+  bool enough = splats_.checkRoom(
+      std::max<std::size_t>(frame.store.slots(), std::min<std::size_t>(expected, kMaxSlots)),
+      growth);
+  if (listed_) {
+    const std::size_t pairs = tallies_.wait(Tallies::kPairs, Tally::kWanted);
+    enough = tiles_.checkRoom(pairs, growth) && enough;
+  }
+  listed_ = false;
+  return enough;
+}
+
+std::size_t ViewState::bytes() const {
+  return splats_.bytes() + tiles_.bytes() + quads_.bytes() + color.bytes() + behind.bytes() +
+         translucent.bytes();
+}
+
+}  // namespace rosplat
