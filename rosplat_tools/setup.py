@@ -10,6 +10,7 @@ EXECUTABLES = [
     "inspect",
     "ply_publisher",
     "slam_emulator",
+    "stream_publisher",
 ]
 
 setup(

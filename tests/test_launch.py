@@ -59,6 +59,7 @@ def test_nothing_is_published_unasked() -> None:
     """Not even a topic of an empty scene, beside which a volatile publisher isn't heard."""
     assert set(started()) == {"sorter", "rviz2"}
     assert set(started(scene="it's mine.ply")) == {"ply_publisher", "sorter", "rviz2"}
+    assert set(started(scene="town/lod-meta.json")) == {"stream_publisher", "sorter", "rviz2"}
     assert "demo_sensors" in started(sensors="true")
 
 

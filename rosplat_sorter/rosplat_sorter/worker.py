@@ -150,7 +150,12 @@ class Worker:
             self._wake.wait_for(lambda: self._closing or self._inbox.edit_bytes <= MOST_WAITING)
 
     def look(self, message: ViewCamera) -> None:
-        """Takes a camera; one of the same view that still waits is forgotten."""
+        """Takes a camera; one of the same view that still waits is forgotten.
+
+        One with the sequence 0 asks for no order.
+        """
+        if not message.sequence:
+            return
         with self._wake:
             self._inbox.look(message)
             self._wake.notify_all()

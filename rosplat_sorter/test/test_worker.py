@@ -164,14 +164,23 @@ def test_of_a_burst_only_the_newest_view_is_sorted(start, make_batch, make_look)
     worker, host = start()
     GatedBackend.gate.clear()
     worker.edit(make_batch())
-    worker.look(make_look(sequence=0))
+    worker.look(make_look(sequence=1))
     assert GatedBackend.sorting.wait(10)
-    for sequence in range(1, 101):
+    for sequence in range(2, 102):
         worker.look(make_look(sequence=sequence, x=0.001 * sequence))
     GatedBackend.gate.set()
-    host.answer(100)
-    assert [answer.sequence for answer in host.answers] == [0, 100]
+    host.answer(101)
+    assert [answer.sequence for answer in host.answers] == [1, 101]
     assert GatedBackend.sorts == 2
+
+
+def test_who_asks_for_no_order_gets_none(start, make_batch, make_look):
+    worker, host = start()
+    worker.edit(make_batch())
+    worker.look(make_look(view_id="sorts itself", sequence=0))
+    worker.look(make_look(view_id="asks", sequence=1))
+    host.answer(1, view_id="asks")
+    assert [answer.view_id for answer in host.answers] == ["asks"]
 
 
 def test_of_a_burst_of_maps_only_the_newest_waits(start, make_batch, make_look):

@@ -304,6 +304,7 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
 
     views: list[ViewCamera] = []
     node.create_subscription(ViewCamera, "gaussians/view", views.append, VIEW)
+    sorter = node.create_publisher(SplatOrder, "gaussians/order", VIEW)
     publisher = MapPublisher(node)
     publisher.replace(discs((RED, 2.0)))
     namespace = f"__ns:={node.get_namespace()}"
@@ -322,6 +323,15 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
             viewer.draw_frame(view_id, camera)
             listener.wait(lambda: views)
             assert [view.view_id for view in views] == [view_id]  # and before it none
+            assert views[0].sequence > 0
+            # Who hears views and sorts nothing is told of them all the same.
+            viewer.renderer.settings.order = ORDER_SOURCES["gpu"]
+            node.destroy_publisher(sorter)
+            listener.wait(lambda: not viewer.count_publishers("gaussians/order"))
+            views.clear()
+            viewer.look(camera, "window")
+            listener.wait(lambda: views)
+            assert (views[0].view_id, views[0].sequence) == (view_id, 0)
     finally:
         del viewer.renderer
         rclpy.try_shutdown()

@@ -82,6 +82,14 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         raise SceneError(f"{path}: broken zip: {error}") from error
 
 
+def count_of(path: Path) -> int:
+    """How many splats a meta.json says that there are beside it. Raises SceneError."""
+    try:
+        return _Reader(path, _Folder(path.parent)).count()
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+
+
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     """Writes a bundled SOG scene of version 2; splats should be in space order."""
     n = len(splats)
@@ -203,7 +211,7 @@ class _Reader:
             )
 
     def read(self, progress: Progress, warn: Warn) -> Splats:
-        n = self._count()
+        n = self.count()
         names = [
             self._name(field, i)
             for field, count in (("means", 2), ("quats", 1), ("scales", 1), ("sh0", 1))
@@ -250,7 +258,8 @@ class _Reader:
             or self._meta.get("model") == "antialiased",
         )
 
-    def _count(self) -> int:
+    def count(self) -> int:
+        """How many splats its meta.json claims."""
         if self._version == 1:
             shape = self._field("means", "shape")
             n, name = shape[0] if isinstance(shape, list) and shape else shape, "means.shape[0]"

@@ -1,27 +1,75 @@
-"""Streamed SOG (PlayCanvas): a tree of levels of detail over many SOG scenes, in a lod-meta.json.
+"""Streamed SOG (PlayCanvas): levels of detail of each of many chunks of space, in a lod-meta.json.
 
-As splat-transform writes it (read-lod.ts, write-lod.ts). It is named here, not read: its parts are
-SOG scenes that can be.
+    lodLevels   how many levels there are at most; 0 is the finest
+    filenames   SOG scenes, relative to lod-meta.json, that the levels are parts of
+    tree        nodes with `children`, or chunks: `bound` {min, max} of its splats [m], and `lods`
+                {level: {file, offset, count}}: which splats of which file
+    environment a SOG scene around it all, which is not read
+
+As splat-transform writes it (read-lod.ts, write-lod.ts).
 """
 
 from __future__ import annotations
 
 import json
+from collections import OrderedDict
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_sorter.edits import MAX_SLOTS
+from rosplat_sorter.log_text import shown
+from rosplat_tools.formats import sog
 from rosplat_tools.formats.bounds import size_of
 from rosplat_tools.formats.decoded import AS_TRAINED, Axes, Progress, Warn
-from rosplat_tools.splats import SceneError, Splats
+from rosplat_tools.splats import SceneError, Splats, concatenate
 
 NAME = "streamed SOG"
 
 META = "lod-meta.json"
 LARGEST_META = 1 << 25  # [bytes]
+MOST_FILES = 100_000
+DEEPEST = 64  # of a tree; it halves space
+
+
+@dataclass(frozen=True)
+class Part:
+    """Splats [offset, offset + count) of one of a scene's files."""
+
+    file: int
+    offset: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A part of space: its bounds, (3,) each [m], and its levels, the coarsest first."""
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    levels: tuple[Part, ...]
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """What a lod-meta.json says."""
+
+    path: Path
+    files: tuple[Path, ...]
+    chunks: tuple[Chunk, ...]
+
+    @property
+    def splats(self) -> int:
+        """Of all chunks at their finest."""
+        return sum(chunk.levels[-1].count for chunk in self.chunks)
 
 
 def recognises(path: Path, head: bytes) -> bool:
     """Whether a path is a lod-meta.json, or a folder that has only that."""
-    folder = (path / META).is_file() and not (path / "meta.json").is_file()
+    folder = (path / META).is_file() and not (path / sog.META).is_file()
     return folder or path.name == META
 
 
@@ -31,18 +79,136 @@ def axes(path: Path) -> Axes:
 
 
 def read(path: Path, progress: Progress, warn: Warn) -> Splats:
-    """Raises SceneError that says what the scene is and what of it can be read."""
+    """Reads all chunks at their finest, where they fit into a map."""
+    scene = open_streamed(path)
+    if scene.splats > MAX_SLOTS:
+        raise SceneError(
+            f"{scene.path}: {scene.splats:,} splats; a map has at most {MAX_SLOTS:,}, "
+            "stream_publisher shows more"
+        )
+    pieces = Pieces(scene, warn)
+    parts = sorted((chunk.levels[-1] for chunk in scene.chunks), key=lambda p: (p.file, p.offset))
+    found = []
+    for number, part in enumerate(parts):
+        found.append(pieces.read(part))
+        progress((number + 1) / len(parts))
+    return concatenate(found)
+
+
+def open_streamed(path: Path) -> Streamed:
+    """Reads a lod-meta.json, and holds what it claims against its files' own meta.json.
+
+    Raises SceneError that names the file: for one that is missing or has fewer splats than a level
+    takes from it, and for a scene without a chunk.
+    """
     path = path / META if path.is_dir() else path
-    if size_of(path) > LARGEST_META:
-        raise SceneError(f"{path}: more than {LARGEST_META:,} bytes")
     try:
+        if size_of(path) > LARGEST_META:
+            raise SceneError(f"{path}: more than {LARGEST_META:,} bytes")
         meta = json.loads(path.read_bytes())
-        levels, parts = meta["lodLevels"], meta["filenames"]
-        found = f"{int(levels)} levels of detail in {len(parts):,} parts"
-        example = next((str(part) for part in parts), "none")[:80]
-    except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
-        raise SceneError(f"{path}: broken {META}: {type(error).__name__}: {error}") from error
-    raise SceneError(
-        f"{path}: a streamed SOG, {found}: it can't be read whole yet, only its parts, such as "
-        f"{example!r}"
-    )
+        scene = _scene(path, meta)
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        OverflowError,
+    ) as error:
+        if isinstance(error, SceneError):
+            raise
+        reason = shown(f"{type(error).__name__}: {error}")
+        raise SceneError(f"{path}: broken {META}: {reason}") from error
+    if not scene.chunks:
+        raise SceneError(f"{path}: holds no splats")
+    ends = dict.fromkeys(range(len(scene.files)), 0)
+    for chunk in scene.chunks:
+        for part in chunk.levels:
+            ends[part.file] = max(ends[part.file], part.offset + part.count)
+    for file, end in ends.items():
+        if end and (held := sog.count_of(scene.files[file])) < end:
+            raise SceneError(
+                f"{scene.files[file]}: holds {held:,} splats, {META} wants {end:,} of it"
+            )
+    return scene
+
+
+def _scene(path: Path, meta: Any) -> Streamed:
+    if meta.get("version", 1) != 1:
+        raise SceneError(f"{path}: version {shown(repr(meta['version']))} can't be read, only 1")
+    names = meta["filenames"]
+    if not isinstance(names, list) or len(names) > MOST_FILES:
+        raise SceneError(f"{path}: filenames: expected a list of {MOST_FILES:,} names at most")
+    chunks: list[Chunk] = []
+    nodes = [(meta["tree"], 0)]
+    while nodes:
+        node, depth = nodes.pop()
+        if depth > DEEPEST:
+            raise SceneError(f"{path}: tree: deeper than {DEEPEST}")
+        nodes += [(child, depth + 1) for child in node.get("children") or ()]
+        levels = [_part(path, level, node["lods"], len(names)) for level in _levels(node)]
+        levels = [part for part in levels if part.count]
+        if levels:
+            low, high = (np.array(node["bound"][end], np.float64) for end in ("min", "max"))
+            if low.shape != (3,) or high.shape != (3,) or not (low <= high).all():
+                raise SceneError(f"{path}: bound: expected min and max of three numbers")
+            if not np.isfinite([low, high]).all():
+                raise SceneError(f"{path}: bound: a number is not finite")
+            chunks.append(Chunk(low, high, tuple(levels)))
+    return Streamed(path, tuple(_inside(path, name) for name in names), tuple(chunks))
+
+
+def _levels(node: Any) -> list[str]:
+    """Names of a node's levels, the coarsest first."""
+    return sorted(node.get("lods") or (), key=int, reverse=True)
+
+
+def _part(path: Path, level: str, lods: Any, files: int) -> Part:
+    numbers = {name: lods[level][name] for name in ("file", "offset", "count")}
+    for name, number in numbers.items():
+        most = files - 1 if name == "file" else MAX_SLOTS
+        if type(number) is not int or not 0 <= number <= most:  # true is an int, too
+            raise SceneError(
+                f"{path}: {name} of level {shown(level)} is {shown(repr(number))}, "
+                f"expected 0 to {most:,}"
+            )
+    return Part(**numbers)
+
+
+def _inside(path: Path, name: Any) -> Path:
+    """A file below lod-meta.json's folder."""
+    relative = Path(name)
+    if relative.is_absolute() or ".." in relative.parts or "\0" in name:
+        raise SceneError(f"{path}: filenames: {shown(repr(name))} is not below {META}")
+    return path.parent / relative
+
+
+class Pieces:
+    """Decoded files of a streamed scene, of which the last few are kept."""
+
+    KEPT = 2
+
+    def __init__(self, scene: Streamed, warn: Warn) -> None:
+        self._scene = scene
+        self._warn = warn
+        self._kept: OrderedDict[int, Splats] = OrderedDict()
+
+    def read(self, part: Part, progress: Progress = lambda fraction: None) -> Splats:
+        """A level of a chunk. Raises SceneError that names the file that can't be read."""
+        if part.file not in self._kept:
+            while len(self._kept) >= self.KEPT:
+                self._kept.popitem(last=False)
+            path = self._scene.files[part.file]
+            try:
+                splats = sog.read(path, progress, self._warn)
+                if len(splats) < sog.count_of(path):  # then offsets mean others
+                    raise SceneError(f"{path}: holds splats that can't be drawn")
+                self._kept[part.file] = splats
+            except OSError as error:
+                raise SceneError(f"{path}: {error.strerror or error}") from error
+            except MemoryError as error:
+                raise SceneError(f"{path}: too large for this machine's memory") from error
+        self._kept.move_to_end(part.file)
+        return self._kept[part.file][part.offset : part.offset + part.count]

@@ -120,9 +120,10 @@ class Viewer(Node):
         own = MutuallyExclusiveCallbackGroup
         self._map = MapSubscription(self, self._on_batch, own())
         topic = self._map.topic
+        self._order_topic = f"{topic}/order"
         self._views = self.create_publisher(ViewCamera, f"{topic}/view", VIEW)
         self.create_subscription(
-            SplatOrder, f"{topic}/order", self._on_order, ORDER, callback_group=own()
+            SplatOrder, self._order_topic, self._on_order, ORDER, callback_group=own()
         )
         if self.serves:
             self.create_service(
@@ -232,14 +233,23 @@ class Viewer(Node):
         return view_id
 
     def _ask(self, camera: ViewCamera) -> None:
-        if not self.renderer.wants_orders():
+        wanted = self.renderer.wants_orders()
+        if not wanted and not self._views_followed():
             self._published = 0.0  # once one is, it is asked for at once
             return
         camera.header.frame_id = self.frame_id
         camera.header.stamp = self.get_clock().now().to_msg()
         camera.segment_key = self.renderer.segment_key
+        number = camera.sequence
+        camera.sequence = number if wanted else 0
         self._views.publish(camera)
+        camera.sequence = number
         self._published = time.monotonic()
+
+    def _views_followed(self) -> bool:
+        """Whether views are heard by others than sorters: who publishes what they show, say."""
+        listeners = self._views.get_subscription_count()
+        return listeners > 0 and listeners > self.count_publishers(self._order_topic)
 
     def draw_still(self, camera: ViewCamera, name: str, order_timeout: float) -> Figures:
         """Draws with the sorter's order, or after order_timeout [s] with one sorted here.

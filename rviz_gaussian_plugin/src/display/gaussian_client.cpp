@@ -168,6 +168,8 @@ void GaussianClient::forget(const std::string& view_id) {
 }
 
 void GaussianClient::watchPublishers() {
+  views_followed_ =
+      view_publisher_->get_subscription_count() > node_->count_publishers(remapped_ + "/order");
   // A transient local subscription gets nothing from a volatile publisher. Never two of them: what
   // comes twice would take the map back.
   bool any_latched = false, any_volatile = false, any_best_effort = false;

@@ -68,8 +68,10 @@ class GaussianClient {
                  const rclcpp::QoS& qos, SplatScene& scene);
   ~GaussianClient();
 
-  // Asks for an order of a view.
+  // Asks for an order of a view, or tells of one whose sequence is 0.
   void publish(rosplat_msgs::msg::ViewCamera view);
+  // Whether views are heard by others than sorters: who publishes of a map what they show, say.
+  bool viewsFollowed() const { return views_followed_; }
   // A view is gone: orders that still come for it aren't read.
   void forget(const std::string& view_id);
   // What was picked with the mouse.
@@ -107,6 +109,7 @@ class GaussianClient {
   rclcpp::Subscription<GaussianArray>::SharedPtr map_;
   rclcpp::Subscription<SplatOrder>::SharedPtr orders_;
   rclcpp::Publisher<rosplat_msgs::msg::ViewCamera>::SharedPtr view_publisher_;
+  std::atomic<bool> views_followed_ = false;
   rclcpp::Publisher<rosplat_msgs::msg::Gaussian>::SharedPtr picked_publisher_;
   rclcpp::Service<RenderView>::SharedPtr render_service_;
   rclcpp::TimerBase::SharedPtr watch_;

@@ -38,7 +38,13 @@ void View::setOrdersWanted(bool wanted) {
 void View::publish() {
   published_ = std::chrono::steady_clock::now();
   const auto message = toMessage(camera_, id_, sequence_, client_.header());
-  if (orders_wanted_) client_.publish(message);
+  if (orders_wanted_) {
+    client_.publish(message);
+  } else if (client_.viewsFollowed()) {
+    auto unordered = message;
+    unordered.sequence = 0;
+    client_.publish(unordered);
+  }
   if (pose_published_) client_.publishPose(message);
 }
 

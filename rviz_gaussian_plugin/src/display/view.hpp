@@ -10,7 +10,8 @@
 namespace rosplat {
 
 // A view of the map that asks for its orders: each of its cameras goes to the scene and, if orders
-// are wanted, out to sidecars, under a number that the orders answer. Render thread only.
+// are wanted, out to sidecars, under a number that the orders answer; to others who follow it in
+// any case. Render thread only.
 class View {
  public:
   // Scene and client must outlive it.

@@ -1,0 +1,121 @@
+"""Publishes of a scene larger than memory what the viewers of its topic look at.
+
+Chunks of a streamed SOG come and go at the levels of detail that views ask for, within a budget.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+from rclpy.node import Node
+
+from rosplat_msgs.msg import GaussianArray, ViewCamera
+from rosplat_sorter.camera import Camera, CameraError, decode
+from rosplat_sorter.log_text import shown
+from rosplat_sorter.qos import HISTORY_DEPTH, VIEW
+from rosplat_tools.formats.streamed_sog import open_streamed
+from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
+from rosplat_tools.parameters import declare
+from rosplat_tools.running import Cancelled, run, spinning
+from rosplat_tools.splats import SceneError
+from rosplat_tools.streamed_map import StreamedMap
+
+FORGET_AFTER = 10.0  # viewers send each view once a second; who doesn't is gone [s]
+MAX_VIEWS = 32
+TELL_EVERY = 2.0  # [s]
+
+
+class StreamPublisher(Node):
+    """Publishes its parameter `path` on `gaussians`, for the views heard on `gaussians/view`."""
+
+    def __init__(self) -> None:
+        super().__init__("stream_publisher")
+        path = declare(self, "path", "", "Streamed SOG to publish: a lod-meta.json.")
+        frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
+        budget = declare(
+            self, "max_splats", 2_000_000, "The most that the map holds, in pages of 1024 slots.",
+            1, GaussianArray.MAX_SLOTS,
+        )  # fmt: skip
+        target = declare(
+            self, "error", 1.0, "Chunks are made finer while splats are farther apart [px].",
+            1e-3, 1e3,
+        )  # fmt: skip
+        scene = open_streamed(Path(path))
+        self._views: dict[str, tuple[Camera, float]] = {}
+        self._looked = threading.Event()
+        publisher = MapPublisher(
+            self, frame_id=frame_id, chunk_bytes=CHUNK_BYTES, history_depth=HISTORY_DEPTH
+        )
+        self._map = StreamedMap(
+            scene, publisher, budget=budget, target=target, warn=self.get_logger().warning
+        )
+        if budget < self._map.least:
+            self.get_logger().warning(
+                f"max_splats {budget:,} is too few for all of {shown(path)}: its "
+                f"{len(scene.chunks):,} chunks take {self._map.least:,} at their coarsest, so some "
+                "are missing"
+            )
+        topic = self.resolve_topic_name("gaussians")  # remapping it takes the views along
+        self.create_subscription(ViewCamera, f"{topic}/view", self._on_view, VIEW)
+
+    def stream(self) -> None:
+        """Follows the views until ROS ends, by a thread that hears none of them meanwhile."""
+        resting = False
+        while self.context.ok():
+            self._looked.clear()
+            try:
+                changed = self._map.step(self._seen(), lambda part: self._go_on())
+            except SceneError as error:
+                self.get_logger().error(f"done without: {error}")
+                continue
+            if changed:
+                self.get_logger().info(str(self._map), throttle_duration_sec=TELL_EVERY)
+            elif not resting:
+                self.get_logger().info(f"at rest: {self._map}")
+            resting = not changed
+            if resting:
+                self._looked.wait(0.5)
+
+    def _seen(self) -> list[Camera]:
+        """The cameras of views that are still there; where none is, the last ones."""
+        views = dict(self._views)
+        lately = time.monotonic() - FORGET_AFTER
+        there = {name: view for name, view in views.items() if view[1] > lately}
+        for name in (views.keys() - there.keys()) if there else ():
+            self._views.pop(name, None)
+        return [camera for camera, _ in (there or views).values()]
+
+    def _on_view(self, message: ViewCamera) -> None:
+        try:
+            camera = decode(message)
+        except CameraError as error:
+            self.get_logger().warning(
+                f"view {shown(message.view_id)} is left out: {error}", throttle_duration_sec=5.0
+            )
+            return
+        self._views.pop(message.view_id, None)
+        self._views[message.view_id] = (camera, time.monotonic())
+        while len(self._views) > MAX_VIEWS:
+            self._views.pop(next(iter(self._views)), None)
+        self._looked.set()
+
+    def _go_on(self) -> None:
+        if not self.context.ok():
+            raise Cancelled
+
+
+def main() -> None:
+    """Runs the node until it is told to end; exit code 1 where the scene of `path` is none."""
+    run("stream_publisher", _publish)
+
+
+def _publish() -> None:
+    node = StreamPublisher()
+    with spinning(node):
+        node.stream()
+
+
+if __name__ == "__main__":
+    main()

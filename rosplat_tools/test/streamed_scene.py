@@ -1,0 +1,58 @@
+"""Writes small streamed SOG scenes, as splat-transform lays them out."""
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rosplat_tools.formats import sog
+from rosplat_tools.generate import generate
+from rosplat_tools.splats import Splats, concatenate
+
+LEVELS = (3000, 700, 100)  # splats of a chunk, the finest first
+APART = 10.0  # chunks, along x [m]
+
+
+def write_scene(folder: Path, chunks: int = 4) -> Path:
+    """A row of gardens, each a chunk, with a file for each level; returns its lod-meta.json."""
+    children: list[dict[str, Any]] = [{"lods": {}} for _ in range(chunks)]
+    for level, count in enumerate(LEVELS):
+        parts = [garden(chunk, count) for chunk in range(chunks)]
+        for chunk, part in enumerate(parts):
+            low, high = part.positions.min(axis=0), part.positions.max(axis=0)
+            children[chunk]["bound"] = {"min": low.tolist(), "max": high.tolist()}
+            children[chunk]["lods"][str(level)] = {
+                "file": level, "offset": count * chunk, "count": count,
+            }  # fmt: skip
+        unpack(concatenate(parts), folder / f"{level}_0")
+    meta = {
+        "version": 1,
+        "lodLevels": len(LEVELS),
+        "filenames": [f"{level}_0/meta.json" for level in range(len(LEVELS))],
+        "tree": {"bound": children[0]["bound"], "children": children},
+    }
+    path = folder / "lod-meta.json"
+    path.write_text(json.dumps(meta))
+    return path
+
+
+def garden(chunk: int, count: int) -> Splats:
+    splats = generate(count, seed=chunk, sh_degree=0)
+    splats.positions[:, 0] += np.float32(APART * chunk)
+    return splats
+
+
+def unpack(splats: Splats, folder: Path) -> None:
+    """Writes a SOG scene as a folder."""
+    packed = io.BytesIO()
+    sog.write(packed, folder, splats)
+    with zipfile.ZipFile(packed) as bundle:
+        bundle.extractall(folder)
+
+
+def edited(path: Path, **changes: Any) -> None:
+    """Changes fields of a lod-meta.json."""
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))

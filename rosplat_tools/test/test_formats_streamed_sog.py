@@ -1,0 +1,122 @@
+"""Streamed SOG: read whole, and refused with a word that names the file that is wrong."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from streamed_scene import APART, LEVELS, edited, garden, write_scene
+
+from rosplat_tools import formats
+from rosplat_tools.formats.streamed_sog import Pieces, open_streamed
+from rosplat_tools.splats import SceneError
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scene(tmp_path_factory.mktemp("made"))
+
+
+@pytest.fixture
+def scene(made: Path, tmp_path: Path) -> Path:
+    """A lod-meta.json that may be damaged."""
+    return Path(shutil.copytree(made.parent, tmp_path / "scene")) / made.name
+
+
+def test_a_level_of_a_chunk_is_what_its_tree_says(made: Path) -> None:
+    streamed = open_streamed(made)
+    assert streamed.splats == 4 * LEVELS[0]
+    pieces = Pieces(streamed, pytest.fail)
+    for chunk in streamed.chunks:
+        number = round(chunk.low[0] / APART)
+        assert [part.count for part in chunk.levels] == sorted(LEVELS)
+        for part in chunk.levels:
+            splats = pieces.read(part)
+            expected = garden(number, part.count)
+            np.testing.assert_allclose(splats.positions, expected.positions, atol=0.01)
+
+
+def test_the_finest_levels_are_read_whole(made: Path) -> None:
+    told: list[float] = []
+    for path in (made, made.parent):
+        splats = formats.load(path, told.append)
+        assert len(splats) == 4 * LEVELS[0]
+    assert told[-1] == 1
+    every = np.concatenate([garden(chunk, LEVELS[0]).positions for chunk in range(4)])
+    np.testing.assert_allclose(splats.positions, every, atol=0.01)
+
+
+def test_few_decoded_files_are_kept(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pieces = Pieces(open_streamed(made), pytest.fail)
+    chunk = pieces._scene.chunks[0]
+    for part in chunk.levels:
+        pieces.read(part)
+    assert len(pieces._kept) == Pieces.KEPT < len(chunk.levels)
+
+
+TREE: dict[str, Any] = {
+    "bound": {"min": [0, 0, 0], "max": [1, 1, 1]},
+    "lods": {"0": {"file": 0, "offset": 0, "count": 5}},
+}
+
+
+def changed(**changes: Any) -> dict[str, Any]:
+    return {"tree": TREE | changes}
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"version": 2}, "version 2 can't be read"),
+        ({"filenames": "0_0"}, "filenames: expected a list"),
+        ({"filenames": ["/etc/passwd"]} | changed(), "'/etc/passwd' is not below"),
+        ({"filenames": ["../x/meta.json"]} | changed(), "is not below"),
+        ({"tree": None}, "broken lod-meta.json"),
+        ({"tree": {}}, "holds no splats"),
+        (changed(lods={"0": {"file": 3, "offset": 0, "count": 5}}), "file of level 0 is 3"),
+        (changed(lods={"0": {"file": 0, "offset": -1, "count": 5}}), "offset of level 0 is -1"),
+        (changed(lods={"0": {"file": 0, "offset": 0, "count": True}}), "count of level 0 is True"),
+        (changed(lods={"fine": {}}), "broken lod-meta.json"),
+        (changed(bound={"min": [0, 0], "max": [1, 1]}), "bound: expected"),
+        (changed(bound={"min": [2, 0, 0], "max": [1, 1, 1]}), "bound: expected"),
+        (changed(bound={"min": [0, 0, 0], "max": [1, 1, 1e999]}), "bound: a number"),
+        (changed(lods={"0": {"file": 0, "offset": 11_999, "count": 9}}), "0_0/meta.json: holds 12"),
+    ],
+)
+def test_a_meta_that_lies(scene: Path, changes: dict[str, Any], reason: str) -> None:
+    edited(scene, **changes)
+    with pytest.raises(SceneError, match=reason):
+        open_streamed(scene)
+
+
+def test_a_tree_without_end(scene: Path) -> None:
+    tree: dict[str, Any] = TREE
+    for _ in range(70):
+        tree = {"children": [tree]}
+    edited(scene, tree=tree)
+    with pytest.raises(SceneError, match="tree: deeper than 64"):
+        open_streamed(scene)
+
+
+def test_files_that_are_missing_cut_or_lie(scene: Path) -> None:
+    streamed = open_streamed(scene)
+    coarse, _, fine = streamed.chunks[0].levels
+    picture = scene.parent / "0_0" / "means_l.webp"
+    picture.write_bytes(picture.read_bytes()[:100])
+    with pytest.raises(SceneError, match=r"0_0/meta.json: means_l.webp is"):
+        Pieces(streamed, pytest.fail).read(fine)
+    assert len(Pieces(streamed, pytest.fail).read(coarse)) == coarse.count
+    meta = scene.parent / "1_0" / "meta.json"
+    meta.write_text(json.dumps(json.loads(meta.read_text()) | {"count": 5}))
+    with pytest.raises(SceneError, match=r"1_0/meta.json: holds 5 splats, lod-meta.json wants 2,8"):
+        open_streamed(scene)
+    meta.unlink()
+    with pytest.raises(SceneError, match=r"1_0/meta\.json: can't read"):
+        open_streamed(scene)
+    scene.write_bytes(scene.read_bytes()[:200])
+    with pytest.raises(SceneError, match=r"lod-meta\.json: broken"):
+        open_streamed(scene)
+    with pytest.raises(SceneError, match=r"nowhere.*: No such file"):
+        open_streamed(scene.parent / "nowhere")

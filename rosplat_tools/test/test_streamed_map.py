@@ -1,0 +1,147 @@
+"""A streamed scene in a living map: right splats, never a hole, within the budget."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from streamed_scene import APART, LEVELS, write_scene
+from test_detail import camera
+
+from rosplat_sorter.camera import Camera
+from rosplat_tools.formats.streamed_sog import open_streamed
+from rosplat_tools.slot_map import SlotMap
+from rosplat_tools.splats import SceneError, Splats
+from rosplat_tools.streamed_map import StreamedMap
+
+EVERYTHING = 1 << 25
+SLOTS = (3 * 1024, 1024, 1024)  # of LEVELS
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scene(tmp_path_factory.mktemp("scene"))
+
+
+class Living:
+    """A map that looks at itself after each edit."""
+
+    def __init__(self) -> None:
+        self.map = SlotMap()
+        self.edits = self.most = 0
+        self.shown: set[int] = set()
+
+    def upsert(self, slots: Any, splats: Splats) -> None:
+        self.map.write(slots, splats)
+        self._look()
+
+    def delete(self, slots: Any) -> None:
+        self.map.clear(slots)
+        self._look()
+
+    def chunks(self) -> dict[int, int]:
+        """How many splats of each chunk there are."""
+        splats = self.map.snapshot()[1]
+        numbers, counts = np.unique(np.round(splats.positions[:, 0] / APART), return_counts=True)
+        return {int(number): int(count) for number, count in zip(numbers, counts, strict=True)}
+
+    def _look(self) -> None:
+        self.edits += 1
+        self.most = max(self.most, len(self.map))
+        now = set(self.chunks())
+        assert now >= self.shown, "a hole"
+        self.shown = now
+
+
+def stream(
+    path: Path, budget: int = EVERYTHING, target: float = 1e-3
+) -> tuple[StreamedMap, Living]:
+    living = Living()
+    streamed = StreamedMap(
+        open_streamed(path), living, budget=budget, target=target, warn=pytest.fail
+    )
+    return streamed, living
+
+
+def before(chunk: int) -> Camera:
+    """A camera near a chunk, which looks along x away from the others beyond it."""
+    return camera((APART * chunk - 4.0, 0.0, 0.5), orientation=(0.5, 0.5, 0.5, 0.5))
+
+
+def settle(streamed: StreamedMap, *views: Camera) -> int:
+    steps = 0
+    while streamed.step(views):
+        steps += 1
+        assert steps < 50
+    return steps
+
+
+def test_all_of_it_comes_and_only_once(path: Path) -> None:
+    streamed, living = stream(path)
+    settle(streamed)
+    assert living.chunks() == dict.fromkeys(range(4), LEVELS[2])
+    settle(streamed, before(0))
+    assert living.chunks() == dict.fromkeys(range(4), LEVELS[0])
+    assert streamed.splats == 4 * LEVELS[0]
+    edits = living.edits
+    assert settle(streamed, before(0), before(3)) == 0
+    assert living.edits == edits
+    assert "12,000 of 12,000 splats, 4 of 4 chunks" in str(streamed)
+
+
+def test_the_budget_follows_the_camera_and_no_chunk_is_ever_missing(path: Path) -> None:
+    budget = SLOTS[0] + 3 * SLOTS[2]
+    streamed, living = stream(path, budget)
+    for chunk in (0, 3, 1, 2, 0):
+        settle(streamed, before(chunk))
+        found = living.chunks()
+        assert len(found) == 4
+        assert found[chunk] == LEVELS[0]
+        assert sum(found.values()) <= budget
+    assert living.most <= budget + SLOTS[0]  # a chunk's old level and its new one
+    assert living.map.snapshot()[0][-1] < 2 * budget  # holes are used again
+
+
+def test_two_views_share_the_budget(path: Path) -> None:
+    streamed, living = stream(path, 2 * SLOTS[0] + 2 * SLOTS[2])
+    settle(streamed, before(0), before(3))
+    found = living.chunks()
+    assert found[0] == found[3] == LEVELS[0]
+
+
+def test_a_budget_for_less_than_all_chunks_shows_the_nearest(path: Path) -> None:
+    streamed, living = stream(path, SLOTS[2])
+    settle(streamed, before(2))
+    assert living.chunks() == {2: LEVELS[1]}  # which takes no more pages than the coarsest
+    streamed, living = stream(path, 1)
+    assert settle(streamed, before(2)) == 0
+    assert living.edits == 0
+
+
+def test_a_damaged_file_is_told_once_and_done_without(tmp_path: Path) -> None:
+    path = write_scene(tmp_path)
+    streamed, living = stream(path)
+    (tmp_path / "0_0" / "quats.webp").write_bytes(b"no picture")
+    told = []
+    for _ in range(20):
+        try:
+            if not streamed.step([before(1)]):
+                break
+        except SceneError as error:
+            told.append(str(error))
+    assert len(told) == 1
+    assert "0_0/meta.json: quats.webp" in told[0]
+    assert living.chunks() == dict.fromkeys(range(4), LEVELS[1])
+
+
+def test_it_ends_between_two_pictures(path: Path) -> None:
+    streamed, living = stream(path)
+
+    def stop(part: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        streamed.step([before(0)], stop)
+    assert living.edits == 0
+    settle(streamed, before(0))
+    assert living.chunks() == dict.fromkeys(range(4), LEVELS[0])
