@@ -275,8 +275,8 @@ def test_small_scenes_are_written(
     assert len(back) == count
 
 
-def test_streamed_scenes_are_named(scene: Callable[[str], Path], tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"lod-meta\.json: a streamed SOG, 7 levels .*'0_0/meta"):
+def test_a_streamed_scene_without_its_files(scene: Callable[[str], Path], tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"0_0/meta\.json: can't read"):
         load(scene("playbot") / "lod-meta.json")
     for text in ("{", "[]", '{"lodLevels": 3}', '{"lodLevels": "x", "filenames": []}', "[" * 10**5):
         (tmp_path / "lod-meta.json").write_text(text)
