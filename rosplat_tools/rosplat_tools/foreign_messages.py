@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from rosplat_tools.formats import ply
-from rosplat_tools.formats.decoded import Warn, decoded
+from rosplat_tools.formats.decoded import Columns, Warn, decoded
 from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 _TYPES = {
@@ -90,15 +90,8 @@ def from_splat_array(message: Any, name: str, warn: Warn) -> Splats:
     vectors[np.linalg.det(vectors) < 0, :, 0] *= -1  # a rotation, not a reflection
     scales = np.sqrt(np.maximum(variances, 0)).astype(np.float32)
     scales[~finite] = np.nan
-    return decoded(
-        Path(name),
-        warn,
-        positions=positions,
-        orientations=_quaternions(vectors),
-        scales=scales,
-        opacities=opacities,
-        sh=sh,
-    )
+    columns = Columns(positions, _quaternions(vectors), scales, opacities, sh)
+    return decoded(Path(name), warn, columns)
 
 
 def _quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:

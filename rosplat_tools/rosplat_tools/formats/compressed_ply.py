@@ -29,6 +29,7 @@ from rosplat_tools.formats.decoded import (
     BLOCK,
     SH_C0,
     Axes,
+    Columns,
     Floats,
     Progress,
     Warn,
@@ -97,11 +98,8 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         if len(rest) != n or any(rest.dtype[name] != np.dtype("u1") for name in names):
             raise SceneError(f"{path}: element sh: expected bytes, for {n:,} splats")
 
-    positions = np.empty((n, 3))
-    orientations = np.empty((n, 4), np.float32)
-    scales = np.empty((n, 3), np.float32)
-    opacities = np.empty(n, np.float32)
-    sh = np.empty((n, 1 + bands, 3), np.float32)
+    columns = Columns.empty(n, 1 + bands)
+    positions, orientations, scales, opacities, sh = columns
     for part in blocks(n, progress):
         block = rows[part]
         chunk = np.arange(part.start, part.stop) // CHUNK
@@ -118,16 +116,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
             block = rest[part]
             by_channel = _COEFFICIENTS[np.stack([block[name] for name in names], axis=1)]
             sh[part, 1:] = by_channel.reshape(-1, 3, bands).transpose(0, 2, 1)
-    return decoded(
-        path,
-        warn,
-        positions=positions,
-        orientations=orientations,
-        scales=scales,
-        opacities=opacities,
-        sh=sh,
-        antialiased=antialiased(file.comments),
-    )
+    return decoded(path, warn, columns, antialiased(file.comments))
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:

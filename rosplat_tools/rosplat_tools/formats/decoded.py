@@ -42,22 +42,39 @@ def blocks(count: int, progress: Progress = lambda fraction: None) -> Iterator[s
         progress(min(start + BLOCK, count) / count)
 
 
-def decoded(
-    path: Path,
-    warn: Warn,
-    *,
-    positions: NDArray[np.float64],
-    orientations: Floats,
-    scales: Floats,
-    opacities: Floats,
-    sh: Floats,
-    antialiased: bool = False,
-) -> Splats:
-    """Splats from arrays shaped as in Splats; quaternions may have any length.
+class Columns(NamedTuple):
+    """The numbers of n splats as a file has them, in float32 but for positions."""
+
+    positions: NDArray[np.float64]
+    """(n, 3) means. [m]"""
+    orientations: Floats
+    """(n, 4) quaternions x, y, z, w of any length."""
+    scales: Floats
+    """(n, 3) standard deviations, linear. [m]"""
+    opacities: Floats
+    """(n,) 0 to 1."""
+    sh: Floats
+    """(n, k, 3) spherical harmonics."""
+
+    @classmethod
+    def empty(cls, n: int, k: int) -> Columns:
+        """Room for n splats of k coefficients; scales are zero, for files that lack some."""
+        return cls(
+            np.empty((n, 3)),
+            np.empty((n, 4), np.float32),
+            np.zeros((n, 3), np.float32),
+            np.empty(n, np.float32),
+            np.empty((n, k, 3), np.float32),
+        )
+
+
+def decoded(path: Path, warn: Warn, columns: Columns, antialiased: bool = False) -> Splats:
+    """Splats from a file's numbers.
 
     Drops splats that hold a number that is not finite or a quaternion of length zero, and tells
     warn how many. The arrays are the callee's from then on.
     """
+    positions, orientations, scales, opacities, sh = columns
     usable = np.empty(len(positions), bool)
     for part in blocks(len(positions)):
         lengths = np.linalg.norm(orientations[part], axis=1)

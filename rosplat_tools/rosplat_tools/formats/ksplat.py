@@ -27,6 +27,7 @@ from rosplat_tools.formats.decoded import (
     AS_TRAINED,
     SH_C0,
     Axes,
+    Columns,
     Floats,
     Progress,
     Warn,
@@ -104,11 +105,9 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         raise SceneError(f"{path}: {header['count']:,} splats, but {n:,} in its sections")
 
     degree = max((int(section.header["degree"]) for section in sections), default=0)
-    positions = np.empty((n, 3))
-    orientations = np.empty((n, 4), np.float32)
-    scales = np.empty((n, 3), np.float32)
-    opacities = np.empty(n, np.float32)
-    sh = np.zeros((n, sh_coefficients(degree), 3), np.float32)
+    columns = Columns.empty(n, sh_coefficients(degree))
+    positions, orientations, scales, opacities, sh = columns
+    sh[:] = 0  # where a section has fewer bands
     begin = 0
     for section in sections:
         count = int(section.header["count"])
@@ -135,15 +134,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
                 sh[to, first : first + 2 * band + 1] = values.transpose(0, 2, 1)
             progress(to.stop / n)
         begin += count
-    return decoded(
-        path,
-        warn,
-        positions=positions,
-        orientations=orientations,
-        scales=scales,
-        opacities=opacities,
-        sh=sh,
-    )
+    return decoded(path, warn, columns)
 
 
 def _sections(path: Path, data: NDArray[np.uint8], header: np.void) -> list[Section]:

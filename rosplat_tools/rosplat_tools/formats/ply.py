@@ -16,6 +16,7 @@ from rosplat_tools.formats.bounds import claim, size_of
 from rosplat_tools.formats.decoded import (
     AS_TRAINED,
     Axes,
+    Columns,
     Floats,
     Progress,
     Warn,
@@ -83,11 +84,8 @@ def from_rows(
     _require_numbers(path, rows, names)
 
     n, k = len(rows), 1 + len(rest) // 3
-    positions = np.empty((n, 3))
-    orientations = np.empty((n, 4), np.float32)
-    scales = np.zeros((n, 3), np.float32)
-    opacities = np.empty(n, np.float32)
-    sh = np.empty((n, k, 3), np.float32)
+    columns = Columns.empty(n, k)
+    positions, orientations, scales, opacities, sh = columns
     for part in blocks(n, progress):
         block = rows[part]
         positions[part] = _columns(block, POSITION, np.float64)
@@ -103,16 +101,7 @@ def from_rows(
         if rest:
             by_channel = _columns(block, rest).reshape(len(block), 3, k - 1)
             sh[part, 1:] = by_channel.transpose(0, 2, 1)
-    return decoded(
-        path,
-        warn,
-        positions=positions,
-        orientations=orientations,
-        scales=scales,
-        opacities=opacities,
-        sh=sh,
-        antialiased=bool(filters) or antialiased,
-    )
+    return decoded(path, warn, columns, bool(filters) or antialiased)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:

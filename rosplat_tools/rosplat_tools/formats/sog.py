@@ -36,6 +36,7 @@ from rosplat_tools.formats.codebook import codebook, nearest, palette
 from rosplat_tools.formats.decoded import (
     AS_TRAINED,
     Axes,
+    Columns,
     Floats,
     Progress,
     Warn,
@@ -246,17 +247,10 @@ class _Reader:
         for part in blocks(n):
             sh[part, 0] = table[base[part, :3], np.arange(3)]
         opacity = sigmoid(table[:, 3]) if self._version == 1 else np.arange(256) / np.float32(255)
-        return decoded(
-            self._path,
-            warn,
-            positions=positions,
-            orientations=orientations,
-            scales=scales,
-            opacities=opacity[base[:, 3]],
-            sh=sh,
-            antialiased=self._meta.get("antialias") is True
-            or self._meta.get("model") == "antialiased",
-        )
+        columns = Columns(positions, orientations, scales, opacity[base[:, 3]], sh)
+        antialiased = self._meta.get("antialias") is True
+        antialiased |= self._meta.get("model") == "antialiased"
+        return decoded(self._path, warn, columns, antialiased)
 
     def count(self) -> int:
         """How many splats its meta.json claims."""

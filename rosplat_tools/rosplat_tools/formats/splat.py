@@ -21,6 +21,7 @@ from rosplat_tools.formats.decoded import (
     AS_TRAINED,
     SH_C0,
     Axes,
+    Columns,
     Progress,
     Warn,
     blocks,
@@ -54,11 +55,8 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
     if rest:
         raise SceneError(f"{path}: {size:,} bytes are no whole number of splats, 32 bytes each")
     claim(path, n, size, size)
-    positions = np.empty((n, 3))
-    orientations = np.empty((n, 4), np.float32)
-    scales = np.empty((n, 3), np.float32)
-    opacities = np.empty(n, np.float32)
-    sh = np.empty((n, 1, 3), np.float32)
+    columns = Columns.empty(n, 1)
+    positions, orientations, scales, opacities, sh = columns
     with path.open("rb") as stream:
         for part in blocks(n, progress):
             rows = np.fromfile(stream, RECORD, part.stop - part.start)
@@ -71,15 +69,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
             sh[part, 0] = (rgba[:, :3] - 0.5) / SH_C0
             wxyz = rows["rotation"] / np.float32(128) - 1
             orientations[part] = np.roll(wxyz, -1, axis=1)
-    return decoded(
-        path,
-        warn,
-        positions=positions,
-        orientations=orientations,
-        scales=scales,
-        opacities=opacities,
-        sh=sh,
-    )
+    return decoded(path, warn, columns)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from rosplat_tools.formats.bounds import claim
-from rosplat_tools.formats.decoded import SH_C0, Axes, Floats, Progress, Warn, decoded
+from rosplat_tools.formats.decoded import SH_C0, Axes, Columns, Floats, Progress, Warn, decoded
 from rosplat_tools.formats.quantised import sigmoid
 from rosplat_tools.splats import SceneError, Splats
 
@@ -53,15 +53,14 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
     if len(set(counts.values())) > 1:
         raise SceneError(f"{path}: arrays of different lengths: {counts}")
     scales = np.exp(arrays["log_scales"])
-    return decoded(
-        path,
-        warn,
+    columns = Columns(
         positions=arrays["means3D"].astype(np.float64),
         orientations=np.roll(arrays["unnorm_rotations"], -1, axis=1),  # w first -> last
         scales=np.repeat(scales, 3, axis=1) if scales.shape[1] == 1 else scales,
         opacities=sigmoid(arrays["logit_opacities"][:, 0]),
         sh=((arrays["rgb_colors"] - 0.5) / SH_C0)[:, None],
     )
+    return decoded(path, warn, columns)
 
 
 def _array(path: Path, archive: zipfile.ZipFile, name: str) -> Floats:

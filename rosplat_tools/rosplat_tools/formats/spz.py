@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_tools.formats.bounds import claim, size_of, unpackable
-from rosplat_tools.formats.decoded import Axes, Floats, Progress, Warn, blocks, decoded
+from rosplat_tools.formats.decoded import Axes, Columns, Floats, Progress, Warn, blocks, decoded
 from rosplat_tools.formats.quantised import largest_restored, smallest_three, to_bytes
 from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
@@ -297,11 +297,8 @@ def _zstandard(path: Path):  # type: ignore[no-untyped-def]  # a module
 
 def _unpack(path: Path, header: Header, packed: Packed, warn: Warn) -> Splats:
     n, k = header.splats, sh_coefficients(min(header.degree, MAX_SH_DEGREE))
-    positions = np.empty((n, 3))
-    orientations = np.empty((n, 4), np.float32)
-    scales = np.empty((n, 3), np.float32)
-    opacities = np.empty(n, np.float32)
-    sh = np.empty((n, k, 3), np.float32)
+    columns = Columns.empty(n, k)
+    positions, orientations, scales, opacities, sh = columns
     for part in blocks(n):
         raw = packed["positions"][part]
         if header.version == 1:
@@ -315,16 +312,7 @@ def _unpack(path: Path, header: Header, packed: Packed, warn: Warn) -> Splats:
         sh[part, 0] = (packed["colors"][part] / 255 - 0.5) / COLOR_SCALE
         bands = packed["sh"][part, : 3 * (k - 1)].reshape(part.stop - part.start, k - 1, 3)
         sh[part, 1:] = bands / np.float32(128) - 1
-    return decoded(
-        path,
-        warn,
-        positions=positions,
-        orientations=orientations,
-        scales=scales,
-        opacities=opacities,
-        sh=sh,
-        antialiased=bool(header.flags & FLAG_ANTIALIASED),
-    )
+    return decoded(path, warn, columns, bool(header.flags & FLAG_ANTIALIASED))
 
 
 def _fixed24(raw: NDArray[np.uint8]) -> NDArray[np.int32]:
