@@ -247,6 +247,23 @@ TEST_F(OrderBookTest, SlotsFarApartCostTheirPagesUntilAReplace) {
   EXPECT_LT(sorter.bytes(), 64u << 10);
 }
 
+TEST_F(OrderBookTest, AReceivedOrderIsOfTheMapAsItIsAndYoung) {
+  book.setCamera("view", 1, camera, 0.0);
+  upsert(0, {1, 2, 3}, 0.0);
+  EXPECT_EQ(book.received("view", 0.0).order, nullptr);
+  const OrderPtr order = sidecar(1, 1, {2, 1, 0});
+  ASSERT_TRUE(book.offer(order, 0.0));
+  EXPECT_EQ(book.received("view", 9.0).order, order);
+  EXPECT_TRUE(book.received("view", 9.0).fresh);
+  camera.translation[2] = 1;
+  book.setCamera("view", 2, camera, 9.0);
+  EXPECT_EQ(book.received("view", 9.1).order, order);
+  EXPECT_NEAR(book.received("view", 9.1).age, 0.1, 1e-9);
+  EXPECT_EQ(book.received("view", 9.1 + OrderBook::kPatience).order, nullptr);
+  upsert(3, {4}, 9.1);
+  EXPECT_EQ(book.received("view", 9.1).order, nullptr);
+}
+
 // However many edits lie between, and whatever they do.
 TEST_F(OrderBookTest, AMergedOrderIsThatOfAll) {
   std::mt19937 random(1);

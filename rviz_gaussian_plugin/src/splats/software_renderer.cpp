@@ -141,21 +141,23 @@ void SoftwareRenderer::drawBefore() const {
   overlay_.draw(window, drawn_->colour, mesh_, drawn_->shown->colour.cells);
 }
 
-PictureRequest SoftwareRenderer::lookAt(const SplatCamera& camera, const RenderSettings& settings,
-                                        const std::vector<float>& scene_depth) const {
+PictureRequest SoftwareRenderer::lookAt(const PaintRequest& asked) const {
   PictureRequest request;
-  request.camera = camera;
-  request.settings = settings;
+  request.camera = asked.camera;
+  request.settings = asked.settings;
   request.now = painter_.clock();
-  request.scene_depth = {scene_depth.data(), scene_depth.size()};
+  request.scene_depth = {asked.scene_depth.data(), asked.scene_depth.size()};
   return request;
 }
 
 void SoftwareRenderer::drawSurface(const SplatCamera& camera, const RenderSettings& settings,
                                    Canvas canvas, double far_clip) {
   const CanvasScope window(canvas);
-  const std::vector<float> scene_depth = window.readDepth(camera.width, camera.height);
-  PictureRequest request = lookAt(camera, settings, scene_depth);
+  PaintRequest asked;
+  asked.camera = camera;
+  asked.settings = settings;
+  asked.scene_depth = window.readDepth(camera.width, camera.height);
+  PictureRequest request = lookAt(asked);
   request.mean_depth = true;
   const SplatPicture picture = painter_.look(request);
   std::vector<std::uint8_t> rgba(4 * picture.depth.size(), 0);
@@ -171,8 +173,17 @@ void SoftwareRenderer::drawPick(const SplatCamera& camera, const RenderSettings&
                                 Canvas canvas, std::uint32_t handle) {
   constexpr std::uint32_t kHandles = 1u << 24;
   const CanvasScope window(canvas);
-  const std::vector<float> scene_depth = window.readDepth(camera.width, camera.height);
-  picked_ = painter_.pick(lookAt(camera, settings, scene_depth));
+  PaintRequest asked;
+  asked.camera = camera;
+  asked.settings = settings;
+  asked.scene_depth = window.readDepth(camera.width, camera.height);
+  // rviz asks twice: for the map that a pixel shows, and for the slot.
+  if (const MapState map = painter_.map(); !(asked == picked_as_) || !same(map, picked_of_)) {
+    picked_of_ = {};
+    picked_ = painter_.pick(lookAt(asked));
+    picked_as_ = std::move(asked);
+    picked_of_ = map;
+  }
   if (canvas == Canvas::kNone) return;
   std::vector<std::uint8_t> rgba(4 * picked_.size(), 0);
   for (std::size_t i = 0; i < picked_.size(); ++i) {

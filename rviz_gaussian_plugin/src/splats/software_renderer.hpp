@@ -74,8 +74,7 @@ class SoftwareRenderer {
 
   // Whether a picture of this map as it is now is what was asked for last.
   static bool asked(const View& view, const PaintRequest& request, const MapState& map);
-  PictureRequest lookAt(const SplatCamera& camera, const RenderSettings& settings,
-                        const std::vector<float>& scene_depth) const;
+  PictureRequest lookAt(const PaintRequest& asked) const;
   void ask(const std::string& view_id, PaintRequestPtr request, const MapState& map);
   void show(View& view, const PaintingPtr& painting);
   // Writes colours of 8 bits, of the size of a camera's picture.
@@ -87,6 +86,8 @@ class SoftwareRenderer {
   std::map<std::string, View> views_;
   OverlayTexture bytes_;
   std::vector<std::uint32_t> picked_;
+  PaintRequest picked_as_;
+  MapState picked_of_;
 
   // Of the last draw().
   const View* drawn_ = nullptr;

@@ -77,7 +77,7 @@ bool PaintRequest::operator==(const PaintRequest& o) const {
 Painter::Painter(NextEdit next_edit)
     : next_edit_(std::move(next_edit)),
       start_(now()),
-      looker_(std::make_shared<rosplat_sorter::ThreadTeam>(1)),
+      looker_(std::make_shared<rosplat_sorter::ThreadTeam>(0)),
       thread_([this] { run(); }) {}
 
 Painter::~Painter() { stop(); }

@@ -95,8 +95,8 @@ class Painter {
   PaintingPtr paintNow(const std::string& view_id, PaintRequestPtr request);
   void forget(const std::string& view_id);
 
-  // A picture, and which splats it shows, at once and in the caller's thread: for the few pixels
-  // that a mouse asks for. Throw PictureError.
+  // A picture, and which splats it shows, while the caller waits: for the few pixels that a mouse
+  // asks for. Throw PictureError.
   SplatPicture look(const PictureRequest& request);
   std::vector<std::uint32_t> pick(const PictureRequest& request);
   // Values of slots, positions relative to the map's origin.
@@ -152,7 +152,7 @@ class Painter {
   HostSlots slots_;
 
   std::mutex look_mutex_;
-  CpuRasterizer looker_;  // with the caller's thread alone, which doesn't wait for the others then
+  CpuRasterizer looker_;  // with threads of its own, which take no turns with the painter's
 
   // The painter's own.
   CpuRasterizer rasterizer_;
