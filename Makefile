@@ -13,7 +13,7 @@ SEED ?= 0
 
 ENTER = . ./env.sh
 
-.PHONY: help setup demo render bench lab test fuzz lint pictures clean
+.PHONY: help setup demo render simplify bench lab test fuzz lint pictures clean
 
 help: ## This list
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -29,6 +29,11 @@ render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=
 	@test -n "$(SCENE)" -a -n "$(CAMERAS)" || { echo 'make render needs SCENE=path and CAMERAS=file.json'; exit 1; }
 	@./setup.sh lab
 	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending)
+
+simplify: ## Fewer splats that look the same: IN=scene OUT=scene PSNR=50, or SPLATS=count or BYTES=20M [REPORT=file.json]
+	@test -n "$(IN)" -a "$(OUT)" != out/render || { echo 'make simplify needs IN=scene OUT=scene, and PSNR=, SPLATS= or BYTES='; exit 1; }
+	@./setup.sh lab
+	@$(ENTER); python -m rosplat_lab.simplify "$(IN)" "$(OUT)" $(if $(PSNR),--psnr $(PSNR)) $(if $(SPLATS),--max-splats $(SPLATS)) $(if $(BYTES),--max-bytes $(BYTES)) $(if $(REPORT),--report "$(REPORT)")
 
 bench: ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" SCENES="a.ply b.spz" SIZES="500k 5M" DISPLAYS=file
 	@./setup.sh lab

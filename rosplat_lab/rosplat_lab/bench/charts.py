@@ -78,6 +78,11 @@ CHARTS = (
         parameter("variant", "picture"), band=False,
     ),
     Chart(
+        "simplify", "simplify", "PSNR", "With fewer splats, in views that nothing was fitted to",
+        "PSNR against the whole map [dB]", parameter("method"), lambda r: Path(r.scene).stem,
+        log=False, band=False,
+    ),
+    Chart(
         "rviz-frame", "rviz", "frame", "Frame of rviz2", "time [ms]",
         parameter("display"), parameter("camera", "view"),
     ),

@@ -56,6 +56,7 @@ SUBJECTS = {
     "sort": Subject("depth orders by every backend, beside other ways to sort"),
     "frame": Subject("pictures by the embedded renderer"),
     "moving": Subject("what a picture is worth to a camera that has turned since"),
+    "simplify": Subject("what is left of pictures with fewer splats, by several ways"),
     "rviz": Subject("rviz2's own frames and pictures, by our Display and others", needs_ros=True),
     "transport": Subject("orders and maps between processes", needs_ros=True),
     "network": Subject("orders from a sorter on another machine", needs_ros=True),

@@ -1,0 +1,97 @@
+"""What is left of a map's pictures with fewer splats: by `simplify`, and by other ways to it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from rosplat_lab.bench import scenes
+from rosplat_lab.bench.isolation import isolated
+from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
+from rosplat_tools.formats import load, save
+from rosplat_tools.splats import Splats
+
+SIZES, QUICK_SIZES = (200_000,), (5_000,)
+SHARES = (0.9, 0.8, 0.7, 0.5, 0.3, 0.1)  # of the splats that are kept
+OTHER = "splat-transform"  # PlayCanvas's, by npm install -g @playcanvas/splat-transform
+ITS_MODES = ("decimate", "decimate-adaptive")
+
+Fewer = Callable[[float], Splats]
+"""A map of a share of a map's splats; called with ever smaller ones."""
+
+
+def measure(plan: Plan) -> Iterator[Event]:
+    """PSNR in views that no way has seen, and processor time, by the share of splats kept."""
+    if not shutil.which(OTHER):
+        yield Skipped(f"{OTHER} is not in PATH: npm install -g @playcanvas/splat-transform")
+    names = scenes.names(plan.sizes or (QUICK_SIZES if plan.quick else SIZES), plan.scenes)
+    for number, name in enumerate(names):
+        yield Doing(name, number / len(names))
+        yield from isolated(_scene, name)
+
+
+def _scene(name: str) -> Iterator[Event]:
+    from rosplat_lab.simplify.search import Simplification
+
+    splats = scenes.load(name)
+    random = np.random.default_rng(0).permutation(len(splats))
+    began = _processor_time()
+    simplification = Simplification(splats)
+    looked = _processor_time() - began  # at the map, before any splat goes
+
+    def simplified(share: float) -> Splats:
+        simplification.reduce(round(share * len(splats)))
+        return simplification.splats
+
+    def first(order: np.ndarray, share: float) -> Splats:
+        return splats[np.sort(order[: round(share * len(splats))])]
+
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        ways: dict[str, Fewer] = {
+            "simplify": simplified,
+            "the most opaque": partial(first, np.argsort(-splats.opacities, kind="stable")),
+            "random": partial(first, random),
+        }
+        if shutil.which(OTHER):
+            save(Path(folder) / "in.ply", splats)
+            for mode in ITS_MODES:
+                ways[f"{OTHER} --{mode}"] = partial(_decimated, Path(folder), mode)
+        for number, (method, fewer) in enumerate(ways.items()):
+            spent = looked if method == "simplify" else 0.0
+            for share in SHARES:
+                yield Doing(f"{name}, {method}, {share:.0%}", number / len(ways))
+                began = _processor_time()
+                kept = fewer(share)
+                took = _processor_time() - began
+                # Ours goes on from the map before, others begin anew.
+                spent = spent + took if method == "simplify" else took
+                quality = simplification.judge(kept)
+                labels = {"scene": name, "splats": len(kept), "method": method, "share": share}
+                yield Measurement.of("PSNR", "dB", quality.psnr, **labels)
+                yield Measurement.of("PSNR of the worst view", "dB", quality.worst, **labels)
+                yield Measurement.of("processor time", "s", spent, **labels)
+
+
+def _decimated(folder: Path, mode: str, share: float) -> Splats:
+    """By splat-transform, without a GPU, as we. Raises RuntimeError where that fails."""
+    out = folder / "out.ply"
+    run = subprocess.run(
+        [OTHER, "-q", "-w", "-g", "cpu", folder / "in.ply", f"--{mode}", f"{share:.0%}", out],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if run.returncode:
+        raise RuntimeError(f"{OTHER} --{mode} failed: {(run.stderr or run.stdout).strip()[-500:]}")
+    return load(out)
+
+
+def _processor_time() -> float:
+    """Of this process and of those that it has waited for, in all their threads. [s]"""
+    return sum(os.times()[:4])

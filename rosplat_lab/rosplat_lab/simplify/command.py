@@ -1,0 +1,229 @@
+"""Writes a scene with fewer splats that looks the same, from the scene alone.
+
+Synthetic views tell what each splat contributes; neighbours that look most like one are merged,
+those first that are missed least. PSNR is that of other views, against the scene as it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shlex
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rosplat_lab.arguments import whole
+from rosplat_lab.machine import commit, machine
+from rosplat_lab.metrics import MOST_PSNR
+from rosplat_lab.simplify.search import CHECKED, LEARNT, Progress, Quality, Simplification
+from rosplat_lab.simplify.views import HEIGHT, WIDTH
+from rosplat_tools.files import write_text
+from rosplat_tools.formats import SUFFIXES, check_output, load, save
+from rosplat_tools.output import say
+from rosplat_tools.progress import bar, watched
+from rosplat_tools.scenes import NAMES, load_scene
+from rosplat_tools.splats import SceneError, Splats
+
+TRIES = 8  # to come below a number of bytes, or to make up for what a format loses
+MARGIN = 0.05  # by which it is to be made up for [dB]
+SPARE = 0.01  # part that is left out more than a number of bytes seems to take
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a file of some splats holds."""
+
+    splats: Splats
+    bytes: int
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; 0 if the simpler scene was written."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(arguments)
+    try:
+        _simplify(options, shlex.join(["simplify", *arguments]))
+    except (SceneError, OSError) as error:
+        print(f"simplify: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="simplify", description=__doc__,
+        epilog=f"Contributions are found in {LEARNT} views of {WIDTH // 2}x{HEIGHT // 2} pixels, "
+        f"PSNR in {CHECKED} others of {WIDTH}x{HEIGHT}, at free places in and around the scene. "
+        "Where a bound can't be met, nothing is written, and the error says what could be.",
+    )  # fmt: skip
+    parser.add_argument("input", metavar="IN", help=f"scene: {NAMES}")
+    parser.add_argument("output", metavar="OUT", help=f"scene to write ({SUFFIXES})")
+    parser.add_argument(
+        "--psnr", type=_decibels, metavar="DB",
+        help="as few splats as have this PSNR, as the file holds them: 50 is next to invisible",
+    )  # fmt: skip
+    parser.add_argument(
+        "--max-splats", type=whole(1), metavar="N", help="no more splats than these"
+    )
+    parser.add_argument(
+        "--max-bytes", type=_bytes, metavar="SIZE", help="no larger file: 20000000, or 20M"
+    )
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE", help="write all maps that were tried as JSON"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an output that exists")
+    return parser
+
+
+def _decibels(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < MOST_PSNR:  # which NaN isn't
+        raise argparse.ArgumentTypeError(f"'{text}' is no PSNR, 0 to {MOST_PSNR:g} dB")
+    return value
+
+
+def _bytes(text: str) -> int:
+    unit = {"k": 10**3, "M": 10**6, "G": 10**9}.get(text[-1:], 1)
+    return whole(1)(text if unit == 1 else text[:-1]) * unit
+
+
+def _simplify(options: argparse.Namespace, command: str) -> None:
+    bounds = (options.psnr, options.max_splats, options.max_bytes)
+    if bounds == (None, None, None):
+        raise SceneError("what for? Give --psnr, --max-splats or --max-bytes")
+    out = Path(options.output)
+    check_output(out, options.overwrite)
+    if out.exists() and Path(options.input).exists() and out.samefile(options.input):
+        raise SceneError(f"{out}: is the scene itself")
+    began = time.monotonic()
+    with watched("reading") as progress:
+        splats = load_scene(options.input, progress, _warn)
+    read, processor = time.monotonic(), time.process_time()
+    with _shown() as tell:
+        work = Simplification(splats, tell)
+        written, quality = _within(work, out, *bounds)
+        tell("writing", 0.0)
+        save(out, work.splats)
+    seconds = time.monotonic() - read
+    if work.steps:
+        say(f"{'splats':>12} {'of all':>7} {'PSNR':>6} {'worst view':>10}")
+    for step in sorted(work.steps, key=lambda step: -step.splats):
+        say(_row(step.splats, len(splats), step.quality))
+    say(
+        f"{out}: {len(work.splats):,} of {len(splats):,} splats, {written.bytes:,} bytes, "
+        f"{quality.psnr:.1f} dB, {quality.worst:.1f} in the view that differs most; {seconds:.1f} s"
+    )
+    if options.report:
+        report = {
+            "scene": options.input,
+            "out": str(out),
+            "splats": len(work.splats),
+            "of": len(splats),
+            "bytes": written.bytes,
+            **asdict(quality),
+            "steps": [{"splats": s.splats, **asdict(s.quality)} for s in work.steps],
+            "reading_s": read - began,
+            "seconds": seconds,
+            "processor_seconds": time.process_time() - processor,
+            "machine": machine(),
+            "commit": commit(),
+            "command": command,
+        }
+        write_text(options.report, json.dumps(report, indent=1, allow_nan=False) + "\n")
+        say(f"wrote {options.report}")
+
+
+def _row(count: int, of: int, quality: Quality) -> str:
+    return f"{count:12,} {100 * count / of:6.1f}% {quality.psnr:6.1f} {quality.worst:10.1f}"
+
+
+def _within(
+    work: Simplification,
+    out: Path,
+    psnr: float | None,
+    max_splats: int | None,
+    max_bytes: int | None,
+) -> tuple[Written, Quality]:
+    """Brings a map within its bounds; what its file will hold. Raises SceneError where none is."""
+    splats, size = max_splats or len(work.splats), max_bytes or sys.maxsize
+    if psnr is None:
+        written = _as_small_as(work, out, splats, size)
+        return written, work.judge(written.splats)
+    written, quality = _as_good_as(work, out, psnr)
+    if len(written.splats) <= splats and written.bytes <= size:
+        return written, quality
+    needed = f"{psnr:g} dB take {len(written.splats):,} splats in {written.bytes:,} bytes"
+    written = _as_small_as(work, out, splats, size)
+    less = work.judge(written.splats).psnr
+    raise SceneError(f"{out}: {needed}; {len(written.splats):,} splats have {less:.1f} dB")
+
+
+def _as_good_as(work: Simplification, out: Path, psnr: float) -> tuple[Written, Quality]:
+    """Few splats of a PSNR. Raises SceneError where no fewer have it than there are."""
+    count = len(work.splats)
+    whole_map = work.judge(_written(out, work.splats).splats).psnr
+    if whole_map < psnr:
+        raise SceneError(
+            f"{out}: {psnr:g} dB can't be had: its format keeps {whole_map:.1f} dB of the whole map"
+        )
+    # Errors of merging and of the format add up, about.
+    bound = -10 * math.log10(max(10 ** (-psnr / 10) - 10 ** (-whole_map / 10), 1e-15))
+    for _ in range(TRIES):
+        work.shrink(bound)
+        if len(work.splats) == count:
+            break
+        written = _written(out, work.splats)
+        quality = work.judge(written.splats)
+        if quality.psnr >= psnr:
+            return written, quality
+        bound += psnr - quality.psnr + MARGIN
+    tried = max(work.steps, key=lambda step: step.splats, default=None)
+    could = f": {tried.splats:,} have {tried.quality.psnr:.1f} dB" if tried else ""
+    raise SceneError(f"{out}: none of {count:,} splats can be spared at {psnr:g} dB{could}")
+
+
+def _as_small_as(work: Simplification, out: Path, splats: int, size: int) -> Written:
+    """At most so many splats, whose file is of at most so many bytes. Raises SceneError."""
+    work.reduce(splats)
+    for _ in range(TRIES):
+        written = _written(out, work.splats)
+        if written.bytes <= size:
+            return written
+        if len(work.splats) == 1:
+            break
+        work.reduce(max(1, int((1 - SPARE) * len(work.splats) * size / written.bytes)))
+    raise SceneError(
+        f"{out}: {len(work.splats):,} splats take {written.bytes:,} bytes, more than {size:,}"
+    )
+
+
+def _written(out: Path, splats: Splats) -> Written:
+    with tempfile.TemporaryDirectory(prefix="simplify-") as folder:
+        path = Path(folder) / out.name
+        save(path, splats)
+        return Written(load(path, warn=lambda _: None), path.stat().st_size)
+
+
+@contextmanager
+def _shown() -> Iterator[Progress]:
+    """A bar for what is being done."""
+    with bar("") as shown:
+
+        def tell(what: str, part: float) -> None:
+            shown.set_description_str(what, refresh=False)
+            shown.update(part - shown.n)
+
+        yield tell
+
+
+def _warn(text: str) -> None:
+    print(f"simplify: {text}", file=sys.stderr)
