@@ -32,7 +32,8 @@ def measure(plan: Plan) -> Iterator[Event]:
     """PSNR in views that no way has seen, and processor time, by the share of splats kept."""
     if not shutil.which(OTHER):
         yield Skipped(f"{OTHER} is not in PATH: npm install -g @playcanvas/splat-transform")
-    names = scenes.names(plan.sizes or (QUICK_SIZES if plan.quick else SIZES), plan.scenes)
+    sizes = plan.sizes or (() if plan.scenes else QUICK_SIZES if plan.quick else SIZES)
+    names = scenes.names(sizes, plan.scenes)
     for number, name in enumerate(names):
         yield Doing(name, number / len(names))
         yield from isolated(_scene, name)
