@@ -36,6 +36,7 @@ LIBRARIES = {
     "plyfile": Library("python3-plyfile-pip", "plyfile"),
     "pygame": Library("python3-pygame", "pygame"),
     "rich": Library("python3-rich", "rich"),
+    "scipy": Library("python3-scipy", "scipy"),
     "skimage": Library("python3-skimage", "scikit-image"),
     "tqdm": Library("python3-tqdm", "tqdm"),
     "yaml": Library("python3-yaml", "pyyaml"),

@@ -28,6 +28,10 @@ Fewer = Callable[[float], Splats]
 """A map of a share of a map's splats; called with ever smaller ones."""
 
 
+class _FailedError(RuntimeError):
+    """A way that could not make a map; the text says why."""
+
+
 def measure(plan: Plan) -> Iterator[Event]:
     """PSNR in views that no way has seen, and processor time, by the share of splats kept."""
     if not shutil.which(OTHER):
@@ -70,7 +74,11 @@ def _scene(name: str) -> Iterator[Event]:
             for share in SHARES:
                 yield Doing(f"{name}, {method}, {share:.0%}", number / len(ways))
                 began = _processor_time()
-                kept = fewer(share)
+                try:
+                    kept = fewer(share)
+                except _FailedError as error:
+                    yield Skipped(f"{name}, {method}, {share:.0%}: {error}")
+                    continue
                 took = _processor_time() - began
                 # Ours goes on from the map before, others begin anew.
                 spent = spent + took if method == "simplify" else took
@@ -82,14 +90,14 @@ def _scene(name: str) -> Iterator[Event]:
 
 
 def _decimated(folder: Path, mode: str, share: float) -> Splats:
-    """By splat-transform, without a GPU, as we. Raises RuntimeError where that fails."""
+    """By splat-transform, without a GPU, as we. Raises _FailedError where it does."""
     out = folder / "out.ply"
     run = subprocess.run(
         [OTHER, "-q", "-w", "-g", "cpu", folder / "in.ply", f"--{mode}", f"{share:.0%}", out],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     if run.returncode:
-        raise RuntimeError(f"{OTHER} --{mode} failed: {(run.stderr or run.stdout).strip()[-500:]}")
+        raise _FailedError((run.stderr or run.stdout).strip()[-300:])
     return load(out)
 
 

@@ -1,0 +1,210 @@
+"""`simplify`, whole: what it writes keeps its bound, what it can't keep it refuses."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rosplat_lab.simplify.command import main
+from rosplat_lab.simplify.search import Judge, Simplification, contributions
+from rosplat_lab.simplify.views import views
+from rosplat_tools.formats import load, save
+from rosplat_tools.generate import generate
+from rosplat_tools.splats import Splats
+
+GARDEN = "procedural:3000"
+
+
+@pytest.fixture(scope="module")
+def garden() -> Splats:
+    return generate(3000)
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "out.ply"
+
+
+def test_views_are_those_of_their_seed_and_of_no_other(garden: Splats) -> None:
+    first, again, others = (views(garden, 6, seed) for seed in (0, 0, 1))
+    assert all(
+        (a.world_to_camera == b.world_to_camera).all() for a, b in zip(first, again, strict=True)
+    )
+    places = np.array([camera.position for camera in [*first, *others]])
+    assert len(np.unique(places, axis=0)) == 12
+
+
+def test_what_no_view_sees_counts_for_little(garden: Splats) -> None:
+    """But for more than nothing: other views will."""
+    cameras = views(garden, 4, 0, 320, 180)
+    hidden = replace(garden[:1], positions=garden.positions[:1] + np.float32(1e4))
+    splats = Splats(
+        *(
+            np.concatenate([getattr(garden, name), getattr(hidden, name)])
+            for name in ("positions", "orientations", "scales", "opacities", "sh")
+        )
+    )
+    weights = contributions(splats, cameras, lambda what, part: None)
+    assert 0 < weights[-1] < 0.1 * weights[0]
+
+
+def test_fewer_splats_that_keep_the_bound(garden: Splats, out: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    assert main([GARDEN, str(out), "--psnr", "35", "--report", str(report)]) == 0
+    found = json.loads(report.read_text())
+    fewer = load(out)
+    assert len(fewer) == found["splats"] < 0.97 * len(garden)
+    assert found["bytes"] == out.stat().st_size
+    quality = Simplification(garden).judge(fewer)
+    assert quality.psnr == pytest.approx(found["psnr"], abs=0.01)
+    assert quality.psnr >= 35 > min(step["psnr"] for step in found["steps"])
+    assert quality.worst <= quality.psnr
+
+
+def test_the_bound_is_that_of_the_file(garden: Splats, tmp_path: Path) -> None:
+    """SPZ rounds; less may then be merged, or nothing."""
+    out = tmp_path / "out.spz"
+    assert main([GARDEN, str(out), "--psnr", "30"]) == 0
+    assert Simplification(garden).judge(load(out)).psnr >= 30
+
+
+def test_a_bound_that_no_splat_can_be_spared_for(
+    out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([GARDEN, str(out), "--psnr", "120"]) == 1
+    assert "none of 3,000 splats can be spared at 120 dB: " in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_bound_that_the_format_breaks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.splat"
+    assert main([GARDEN, str(out), "--psnr", "80"]) == 1
+    assert "80 dB can't be had: its format keeps " in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_bounds_that_exclude_each_other(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([GARDEN, str(out), "--psnr", "50", "--max-splats", "300"]) == 1
+    said = capsys.readouterr().err
+    assert "50 dB take " in said and "; 300 splats have " in said
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("count", [1, 1000, 3000, 5000])
+def test_so_many_splats(out: Path, count: int) -> None:
+    assert main([GARDEN, str(out), "--max-splats", str(count)]) == 0
+    assert len(load(out)) == min(count, 3000)
+
+
+@pytest.mark.parametrize("ending", [".ply", ".spz", ".sog"])
+def test_so_many_bytes(tmp_path: Path, ending: str) -> None:
+    out = tmp_path / f"out{ending}"
+    save(out, generate(3000))
+    most = out.stat().st_size * 2 // 3
+    assert main([GARDEN, str(out), "--max-bytes", str(most), "--overwrite"]) == 0
+    assert 0.9 * most < out.stat().st_size <= most
+
+
+def test_fewer_bytes_than_any_file(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([GARDEN, str(out), "--max-bytes", "10"]) == 1
+    assert "1 splats take " in capsys.readouterr().err
+    assert not out.exists()
+
+
+def one(**fields: object) -> Splats:
+    return replace(generate(1), **fields)
+
+
+SCENES = {
+    "one splat": one(),
+    "all in one place": replace(generate(500), positions=np.ones((500, 3), np.float32)),
+    "one that covers the world": replace(
+        generate(500), scales=np.full((500, 3), 0.01) + 1e8 * (np.arange(500) == 7)[:, None]
+    ),
+    "points": replace(generate(500), scales=np.zeros((500, 3))),
+    "far from zero": replace(generate(500), origin=np.array([5e6, -4e6, 30.0])),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_unlike_others(name: str, out: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "scene.ply"
+    save(scene, SCENES[name])
+    assert main([str(scene), str(out), "--max-splats", "100"]) == 0
+    fewer = load(out)
+    assert len(fewer) == min(100, len(SCENES[name]))
+    assert np.isfinite(fewer.positions).all() and (fewer.scales >= 0).all()
+
+
+def test_one_splat_can_not_be_spared(
+    out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "scene.ply"
+    save(scene, SCENES["one splat"])
+    assert main([str(scene), str(out), "--psnr", "20"]) == 1
+    assert "none of 1 splats can be spared" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "bound",
+    [
+        ["--psnr", "0"], ["--psnr", "inf"], ["--psnr", "nan"], ["--psnr", "-3"], ["--psnr", "much"],
+        ["--max-splats", "0"], ["--max-splats", "1.5"], ["--max-bytes", "0"], ["--max-bytes", "M"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_bounds_that_are_none(
+    bound: list[str], out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([GARDEN, str(out), *bound])
+    assert f"argument {bound[0]}: '" in capsys.readouterr().err
+
+
+def test_refusals_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, empty = tmp_path / "scene.ply", tmp_path / "empty.ply"
+    save(scene, generate(10))
+    save(empty, generate(10)[:0])
+    out = tmp_path / "out.ply"
+    for arguments, error in {
+        (GARDEN, str(out)): "Give --psnr, --max-splats or --max-bytes",
+        (str(scene), str(scene), "--psnr", "50", "--overwrite"): f"{scene}: is the scene itself",
+        (str(scene), str(scene), "--psnr", "50"): f"{scene}: exists already",
+        (GARDEN, str(tmp_path / "no" / "a.ply"), "--psnr", "50"): "is no folder",
+        (GARDEN, str(tmp_path / "a.obj"), "--psnr", "50"): "can't write this ending",
+        (str(empty), str(out), "--psnr", "50"): f"{empty}: holds no splats",
+        (str(tmp_path / "none.ply"), str(out), "--psnr", "50"): "none.ply",
+    }.items():
+        assert main([*arguments]) == 1
+        assert error in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_interrupted_it_leaves_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    command = [sys.executable, "-m", "rosplat_lab.simplify", "procedural:400000"]
+    with subprocess.Popen(
+        [*command, str(folder / "out.ply"), "--psnr", "40"], stderr=subprocess.PIPE, text=True
+    ) as process:
+        time.sleep(6)  # most of which it spends with views
+        process.send_signal(signal.SIGINT)
+        assert process.stderr
+        assert (process.wait(60), process.stderr.read()) == (130, "")
+    assert not list(folder.iterdir())
+
+
+def test_a_judge_tells_what_differs(garden: Splats) -> None:
+    cameras = views(garden, 3, 5, 160, 90)
+    judge = Judge(garden, cameras)
+    assert judge(garden).psnr == judge(garden).worst == 150
+    darker = replace(garden, sh=garden.sh * np.float32(0.9))
+    assert 10 < judge(darker).worst <= judge(darker).psnr < 60
