@@ -29,6 +29,7 @@ MOST = 0.25  # of the splats that are merged before neighbours are looked for ag
 SHAPE = 0.3  # what a change of shape counts beside the same change of colour: most is hidden by
 # what is behind, which is of like colour
 CHUNK = 1 << 16  # pairs whose arrays stay in the cache
+LARGEST = 1e15  # variance whose square a 32-bit float holds [px^2]
 LEAST = 1e-12  # of areas and weights that are divided by
 
 
@@ -129,7 +130,8 @@ class _Field:
     @classmethod
     def of(cls, splats: Splats, weights: NDArray[np.float64], pixel: float) -> _Field:
         # In pixels from the middle: areas in metres may be beyond 32-bit floats.
-        covariances = (_covariances(splats) / pixel**2).astype(np.float32)
+        covariances = np.clip(_covariances(splats) / pixel**2, -LARGEST, LARGEST)
+        covariances = covariances.astype(np.float32)
         covariances[:, :3] += LOW_PASS
         positions = (splats.positions - splats.positions.mean(axis=0)) / np.float32(pixel)
         scaled = (weights / max(weights.max(), LEAST)).astype(np.float32)
