@@ -25,10 +25,10 @@ demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where its v
 	@./setup.sh $(if $(IMU),imu)
 	@$(ENTER); python -m rviz_gaussian_plugin.demo $(if $(SCENE),"$(SCENE)") $(if $(UP),--up $(UP))
 
-render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy] [FLOAT=1]
+render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy] [FLOAT=1] [DETAIL=full|1.5px|800k]
 	@test -n "$(SCENE)" -a -n "$(CAMERAS)" || { echo 'make render needs SCENE=path and CAMERAS=file.json'; exit 1; }
 	@./setup.sh lab
-	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending)
+	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending) $(if $(DETAIL),--detail "$(DETAIL)")
 
 simplify: ## Fewer splats that look the same: IN=scene OUT=scene PSNR=50, or SPLATS=count or BYTES=20M [REPORT=file.json]
 	@test -n "$(IN)" -a "$(OUT)" != out/render || { echo 'make simplify needs IN=scene OUT=scene, and PSNR=, SPLATS= or BYTES='; exit 1; }

@@ -80,9 +80,25 @@ def test_a_cut_is_that_of_the_twin(
     renderer: CpuRenderer, splats: Splats, merged: list[levels.Nodes], view: str, error: float
 ) -> None:
     camera = CAMERAS[view]
-    drawn = draw(renderer, camera, error=error)
+    renderer.settings.detail = f"{error}px"
+    drawn = draw(renderer, camera)
     some, shares = levels.cut(splats, merged, camera, error)
     expected = reference.render(some, camera, shares=shares)
     assert decibels(drawn["colour"], expected.rgba) >= 55
     full = reference.render(splats, camera)
     assert decibels(drawn["colour"], full.rgba) < 50  # nodes were drawn
+
+
+@pytest.mark.parametrize("most", [50, 700, 2500])
+def test_a_budget_is_kept(renderer: CpuRenderer, most: int) -> None:
+    renderer.settings.detail = str(most)
+    drawn = draw(renderer, CAMERAS["outside"])
+    assert most / 4 < drawn["splats"] <= most
+    assert drawn["error"] > 0
+    renderer.settings.detail = "full"
+    assert draw(renderer, CAMERAS["outside"])["error"] == 0
+
+
+def test_a_detail_that_is_none_is_refused(renderer: CpuRenderer) -> None:
+    with pytest.raises(ValueError, match="detail '3 furlongs' is none"):
+        renderer.settings.detail = "3 furlongs"

@@ -129,6 +129,21 @@ TEST(OrderStatus, isToldForEachView) {
   EXPECT_EQ(orderStatus(frame, "").level, StatusProperty::Ok);
 }
 
+TEST(DetailStatus, saysWhatWasDrawnAndWarnsWhereThatIsAllAgainstTheWish) {
+  FrameReport frame;
+  frame.splats = 300;
+  frame.map.splats = 1000;
+  frame.error = 1.5;
+  const Detail wanted{Detail::Kind::kSplats, 300};
+  EXPECT_TRUE(has(detailStatus(wanted, frame, 5 << 20, ""), "300 of 1000 splats drawn, to 1.5 px"));
+  EXPECT_TRUE(has(detailStatus(wanted, frame, 5 << 20, ""), "levels take 5 MiB"));
+  EXPECT_EQ(detailStatus(wanted, frame, 0, "").level, StatusProperty::Ok);
+  frame.error = 0;
+  frame.detail_error = "a graphics card draws all";
+  EXPECT_TRUE(has(detailStatus(wanted, frame, 0, ""), "all in full: a graphics card draws all"));
+  EXPECT_EQ(detailStatus(wanted, frame, 0, "").level, StatusProperty::Warn);
+}
+
 TEST(AccuracyStatus, warnsOfAllRegimesInALine) {
   EXPECT_EQ(accuracyStatus({"far", "wide"}).text, "far; wide");
   EXPECT_EQ(accuracyStatus({"far"}).level, StatusProperty::Warn);

@@ -59,6 +59,7 @@ def render(
     order_timeout: float = 10.0,
     sidecar: str = "",
     float_blending: bool = False,
+    detail: str = "full",
     log_folder: Path = Path("out/log"),
     on_picture: Callable[[Camera, NDArray[np.float32], RenderView.Response], None],
 ) -> None:
@@ -68,7 +69,7 @@ def render(
     via is "host", the embedded renderer, or "rviz", the Display in rviz2. on_picture gets the
     camera, (height, width, 4) premultiplied RGBA and the rest of the answer. sidecar: the sorter's
     backend, for a renderer that sorts nothing itself while the sorter does. float_blending: in
-    32-bit instead of 16-bit floats. Raises RenderError, ProcessError.
+    32-bit instead of 16-bit floats. detail: how much of the map to draw, as RenderView has it. Raises RenderError, ProcessError.
     """
     # Nobody else's publishers, sorters or viewers.
     namespace = f"/render_{uuid.uuid4().hex[:8]}"
@@ -89,7 +90,7 @@ def render(
             _wait_for_service(node, client, processes)
             _wait_for_map(node, client, cameras[0], processes)
             for camera in tqdm(cameras, "drawing", unit="picture", disable=None):
-                answer = _call(node, client, camera, order_timeout, processes)
+                answer = _call(node, client, camera, order_timeout, processes, detail)
                 pixels = np.frombuffer(answer.color.data, np.float32)
                 on_picture(camera, pixels.reshape(camera.height, camera.width, 4), answer)
         finally:
@@ -166,8 +167,11 @@ def _call(
     camera: Camera,
     order_timeout: float,
     processes: Processes,
+    detail: str = "full",
 ) -> RenderView.Response:
-    request = RenderView.Request(camera=view_camera(camera), order_timeout=order_timeout)
+    request = RenderView.Request(
+        camera=view_camera(camera), order_timeout=order_timeout, detail=detail
+    )
     futures = [client.call_async(request)]
     deadline = time.monotonic() + CALL_TIMEOUT
     ask_again = time.monotonic() + order_timeout + ASK_AGAIN
@@ -267,6 +271,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--float-blending", action="store_true", help="blend in 32-bit instead of 16-bit floats"
     )
+    parser.add_argument(
+        "--detail", default="full", metavar="D",
+        help="how much of the map to draw: full, an error (1.5px) or a most of splats (800k)",
+    )  # fmt: skip
     options = parser.parse_args(arguments)
     rows: list[dict[str, object]] = []
 
@@ -276,6 +284,8 @@ def main(arguments: list[str] | None = None) -> int:
             "camera": camera.id,
             "picture": picture.name,
             "splats": answer.splats,
+            "error_px": answer.error,
+            "detail_error": answer.detail_error,
             "order_source": answer.order_source,
             "sort_ms": answer.sort_time * 1e3,
             "draw_ms": answer.draw_time * 1e3,
@@ -295,7 +305,7 @@ def main(arguments: list[str] | None = None) -> int:
         render(
             ("ply_publisher", "-p", f"path:={quoted(options.scene)}"), cameras,
             via=options.via, order_timeout=options.order_timeout, sidecar=options.sidecar,
-            float_blending=options.float_blending,
+            float_blending=options.float_blending, detail=options.detail,
             log_folder=options.out / "log", on_picture=keep,
         )  # fmt: skip
     except (RuntimeError, OSError, ValueError) as error:
@@ -309,10 +319,16 @@ def main(arguments: list[str] | None = None) -> int:
         "scene": options.scene,
         "via": options.via,
         "float_blending": options.float_blending,
+        "detail": options.detail,
     }
     write_report(options.out / "report.json", settings | {"command": command}, rows)
     for row in rows:
-        figures = f"camera {row['camera']}: {row['splats']:,} splats, {row['order_source']}"
+        figures = f"camera {row['camera']}: {row['splats']:,} splats"
+        if row["error_px"]:
+            figures += f" to {row['error_px']:.2f} px"
+        if row["detail_error"]:
+            figures += f" ({row['detail_error']})"
+        figures += f", {row['order_source']}"
         if "psnr" in row:
             figures += (
                 f", PSNR {row['psnr']:.2f} dB, SSIM {row['ssim']:.5f}, FLIP {row['flip']:.5f}"

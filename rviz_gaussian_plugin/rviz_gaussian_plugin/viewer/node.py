@@ -42,6 +42,8 @@ class Figures:
 
     splats: int
     drawn: int
+    error: float
+    detail_error: str
     order_source: str
     sort_time: float
     draw_time: float
@@ -54,8 +56,11 @@ class Figures:
         order = f"sorted by {self.order_source} in {self.sort_time * 1e3:.1f} ms"
         if not self.order_source:
             order = "not sorted yet"
+        detail = f" to {self.error:.2g} px" if self.error else ""
+        if self.detail_error:
+            detail += f" ({self.detail_error})"
         return (
-            f"{self.splats:,} splats, {self.drawn:,} in view | {order} | "
+            f"{self.splats:,} splats, {self.drawn:,} in view{detail} | {order} | "
             f"frame {self.draw_time * 1e3:.1f} ms | order age {self.order_age * 1e3:.0f} ms"
         )
 
@@ -96,6 +101,12 @@ class Viewer(Node):
         float_blending: bool = declare(
             self, "float_blending", False, "Blend in 32-bit instead of 16-bit floats."
         )
+        detail: str = declare(
+            self,
+            "detail",
+            "full",
+            "How much of the map is shown: full, pixels (1.5px), splats (800k), a time (40ms).",
+        )
         if len(self.up) != 3 or not any(self.up) or not np.isfinite(self.up).all():
             raise SceneError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
         if order_source not in ORDER_SOURCES:
@@ -105,6 +116,10 @@ class Viewer(Node):
             )
         self.renderer = Renderer()
         self.renderer.settings.order = ORDER_SOURCES[order_source]
+        try:
+            self.renderer.settings.detail = detail
+        except ValueError as error:
+            raise SceneError(f"parameter detail: {error}") from error
         if float_blending:
             self.renderer.settings.float_blending = True
         self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
@@ -287,6 +302,8 @@ class Viewer(Node):
         return Figures(
             splats=self.renderer.splats,
             drawn=report["splats"],
+            error=report["error"],
+            detail_error=report["detail_error"],
             order_source=report["order_source"],
             sort_time=report["sort_time"],
             draw_time=report["draw_time"],
@@ -316,7 +333,9 @@ class Viewer(Node):
                 f"'{shown(self.frame_id)}': this viewer knows no transforms"
             )
             return
+        shown_detail = self.renderer.settings.detail
         try:
+            self.renderer.settings.detail = request.detail or "full"
             figures = self.draw_still(
                 request.camera, "render", min(request.order_timeout, LONGEST_WAIT)
             )
@@ -327,9 +346,12 @@ class Viewer(Node):
         except Exception as error:  # no request may end the viewer
             response.message = str(error) or "out of memory"
             return
+        finally:
+            self.renderer.settings.detail = shown_detail
         for image in (response.color, response.depth):
             image.header.frame_id, image.header.stamp = frame or self.frame_id, stamp
         response.splats = figures.drawn
+        response.error, response.detail_error = figures.error, figures.detail_error
         response.order_source = figures.order_source
         response.sort_time = figures.sort_time
         response.draw_time = figures.draw_time

@@ -4,10 +4,14 @@
 
 #include <initializer_list>
 #include <rviz_common/properties/bool_property.hpp>
+#include <rviz_common/properties/editable_enum_property.hpp>
 #include <rviz_common/properties/enum_property.hpp>
 #include <rviz_common/properties/float_property.hpp>
 #include <rviz_common/properties/vector_property.hpp>
+#include <stdexcept>
 #include <utility>
+
+#include "map/detail.hpp"
 
 namespace rosplat {
 
@@ -49,6 +53,15 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
   farthest_ = number("Farthest", 10.0f, "Depth that is drawn blue. [m]", mode_, 0.0f);
   age_range_ =
       number("Age Range", 10.0f, "Time after which a slot is drawn as old. [s]", mode_, 0.001f);
+  detail_ = new EditableEnumProperty("Detail", "Full",
+                                     "How much of the map is drawn. Full: all. Pixels (2 px): what "
+                                     "is no wider than that may be one "
+                                     "Gaussian. Splats (1M): so many Gaussians at most. A time (50 "
+                                     "ms): what is painted within it.",
+                                     display);
+  for (const char* example : {"Full", "1 px", "2 px", "4 px", "1M", "50 ms"}) {
+    detail_->addOptionStd(example);
+  }
   alpha_ = number("Alpha", 1.0f, "Multiplies the opacity of every splat.", display, 0.0f);
   alpha_->setMax(1.0f);
   scale_ = number("Scale", 1.0f, "Multiplies the size of every splat.", display, 0.0f);
@@ -111,16 +124,16 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
     on_change();
   };
   for (Property* property :
-       {static_cast<Property*>(mode_), static_cast<Property*>(auto_range_),
-        static_cast<Property*>(nearest_), static_cast<Property*>(farthest_),
-        static_cast<Property*>(age_range_), static_cast<Property*>(alpha_),
-        static_cast<Property*>(scale_), static_cast<Property*>(sh_degree_),
-        static_cast<Property*>(sh_band_), static_cast<Property*>(order_),
-        static_cast<Property*>(rasterizer_), static_cast<Property*>(profile_),
-        static_cast<Property*>(antialiasing_), static_cast<Property*>(float_blending_),
-        static_cast<Property*>(near_fade_), static_cast<Property*>(clip_),
-        static_cast<Property*>(clip_centre_), static_cast<Property*>(clip_size_),
-        static_cast<Property*>(clip_handles_)}) {
+       {static_cast<Property*>(mode_),           static_cast<Property*>(detail_),
+        static_cast<Property*>(auto_range_),     static_cast<Property*>(nearest_),
+        static_cast<Property*>(farthest_),       static_cast<Property*>(age_range_),
+        static_cast<Property*>(alpha_),          static_cast<Property*>(scale_),
+        static_cast<Property*>(sh_degree_),      static_cast<Property*>(sh_band_),
+        static_cast<Property*>(order_),          static_cast<Property*>(rasterizer_),
+        static_cast<Property*>(profile_),        static_cast<Property*>(antialiasing_),
+        static_cast<Property*>(float_blending_), static_cast<Property*>(near_fade_),
+        static_cast<Property*>(clip_),           static_cast<Property*>(clip_centre_),
+        static_cast<Property*>(clip_size_),      static_cast<Property*>(clip_handles_)}) {
     QObject::connect(property, &Property::changed, property, changed);
   }
   hideWithoutEffect();
@@ -136,6 +149,15 @@ void DisplaySettings::hideWithoutEffect() {
   clip_centre_->setHidden(!clip_->getBool());
   clip_size_->setHidden(!clip_->getBool());
   clip_handles_->setHidden(!clip_->getBool());
+}
+
+std::string DisplaySettings::detailError() const {
+  try {
+    parseDetail(detail_->getStdString());
+  } catch (const std::invalid_argument& error) {
+    return error.what();
+  }
+  return {};
 }
 
 bool DisplaySettings::clipBoxIsDragged() const {
@@ -158,6 +180,10 @@ RenderSettings DisplaySettings::get() const {
     settings.depth_range = {nearest_->getFloat(), farthest_->getFloat()};
   }
   settings.age_range = age_range_->getFloat();
+  try {
+    settings.detail = parseDetail(detail_->getStdString());
+  } catch (const std::invalid_argument&) {  // detailError() says so
+  }
   settings.opacity = alpha_->getFloat();
   settings.scale = scale_->getFloat();
   settings.max_sh_degree = sh_degree_->getOptionInt();

@@ -1,11 +1,13 @@
 #pragma once
 
 #include <functional>
+#include <string>
 
 #include "map/render_settings.hpp"
 
 namespace rviz_common::properties {
 class BoolProperty;
+class EditableEnumProperty;
 class EnumProperty;
 class FloatProperty;
 class Property;
@@ -21,6 +23,8 @@ class DisplaySettings {
   DisplaySettings(rviz_common::properties::Property* display, std::function<void()> on_change);
 
   RenderSettings get() const;
+  // Why its detail is Full instead of what was typed; empty where it isn't.
+  std::string detailError() const;
 
   // Whether the clip box has handles.
   bool clipBoxIsDragged() const;
@@ -30,6 +34,7 @@ class DisplaySettings {
   void hideWithoutEffect();
 
   rviz_common::properties::EnumProperty* mode_;
+  rviz_common::properties::EditableEnumProperty* detail_;
   rviz_common::properties::BoolProperty* auto_range_;
   rviz_common::properties::FloatProperty* nearest_;
   rviz_common::properties::FloatProperty* farthest_;

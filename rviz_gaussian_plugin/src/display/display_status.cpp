@@ -139,6 +139,16 @@ StatusLine frameStatus(const FrameReport& frame, const std::string& view) {
   return {StatusProperty::Ok, nameOf("Frame", view), text};
 }
 
+StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::size_t levels_bytes,
+                        const std::string& view) {
+  std::string text = concat(frame.splats, " of ", frame.map.splats, " splats drawn, ");
+  text += frame.error > 0 ? concat("to ", frame.error, " px") : std::string("all in full");
+  if (levels_bytes > 0) text += concat(", levels take ", levels_bytes >> 20, " MiB");
+  if (!frame.detail_error.empty()) text += ": " + frame.detail_error;
+  const bool as_wanted = frame.detail_error.empty() || wanted == Detail{};
+  return {as_wanted ? StatusProperty::Ok : StatusProperty::Warn, nameOf("Detail", view), text};
+}
+
 StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes) {
   return {StatusProperty::Ok, "Memory",
           concat("GPU ", gpu_bytes >> 20, " MiB, host ", host_bytes >> 20, " MiB")};

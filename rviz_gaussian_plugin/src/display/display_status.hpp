@@ -34,6 +34,9 @@ StatusLine mapStatus(const MapState& map, const Backlog& backlog);
 // Who sorted a frame, and what it took; `view` is empty for rviz's own.
 StatusLine orderStatus(const FrameReport& frame, const std::string& view);
 StatusLine frameStatus(const FrameReport& frame, const std::string& view);
+// What was drawn of the map, to which error, and what its levels of detail take.
+StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::size_t levels_bytes,
+                        const std::string& view);
 StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes);
 
 }  // namespace rosplat

@@ -310,12 +310,19 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
     lines.push_back({StatusProperty::Warn, kGraphics, warning});
   }
   if (!draws || received.batches == 0) return lines;
+  if (const std::string error = settings_->detailError(); !error.empty()) {
+    lines.push_back({StatusProperty::Error, "Detail", error + "; all is drawn"});
+  }
+  const Detail wanted = cloud_->settings().detail;
   std::vector<SplatCamera> cameras;
   for (const auto& [view, frame, camera] : views) {
     cameras.push_back(camera);
     if (frame.order_source.empty()) continue;  // nothing is sorted yet
     lines.push_back(orderStatus(frame, view));
     lines.push_back(frameStatus(frame, view));
+    if (!(wanted == Detail{})) {
+      lines.push_back(detailStatus(wanted, frame, scene.levelsBytes(), view));
+    }
   }
   const auto regimes = scene.hardRegimes(cloud_->settings(), cameras);
   if (!regimes.empty()) lines.push_back(accuracyStatus(regimes));

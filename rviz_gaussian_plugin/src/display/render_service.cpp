@@ -54,7 +54,7 @@ void RenderService::serve() {
       if (view_.age() > kAskAgain) view_.ask(view_.camera());
       return;
     }
-    if (!scene.ready(view_.id(), inFull(cloud_.settings()), !answered)) return;
+    if (!scene.ready(view_.id(), settings(), !answered)) return;
     auto response = draw(!answered);
     request_->answer(response);
   } catch (const std::exception& error) {
@@ -66,6 +66,8 @@ void RenderService::serve() {
 bool RenderService::take() {
   request_ = client_.takeRenderRequest();
   if (!request_) return false;
+  const std::string& detail = request_->request->detail;
+  detail_ = detail.empty() ? Detail{} : parseDetail(detail);
   SplatCamera camera = inMapFrame(request_->request->camera);
   camera.extent_scale = extentScale(cloud_.settings());
   view_.ask(camera);
@@ -73,6 +75,12 @@ bool RenderService::take() {
   const std::chrono::duration<double> wait(asked > 0 ? std::min(asked, kLongestWait) : 0.0);
   deadline_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(wait);
   return true;
+}
+
+RenderSettings RenderService::settings() const {
+  RenderSettings settings = inFull(cloud_.settings());
+  settings.detail = detail_;
+  return settings;
 }
 
 SplatCamera RenderService::inMapFrame(rosplat_msgs::msg::ViewCamera camera) const {
@@ -94,12 +102,13 @@ SplatCamera RenderService::inMapFrame(rosplat_msgs::msg::ViewCamera camera) cons
 GaussianClient::RenderView::Response RenderService::draw(bool sort_now) {
   GaussianClient::RenderView::Response response;
   SplatScene& scene = cloud_.scene();
-  const FrameReport report =
-      scene.draw(view_.id(), inFull(cloud_.settings()), Canvas::kNone, sort_now);
+  const FrameReport report = scene.draw(view_.id(), settings(), Canvas::kNone, sort_now);
   const auto& camera = request_->request->camera;
   response.color = toImage(scene.readColor(), "32FC4", camera);
   response.depth = toImage(scene.readDepth(), "32FC1", camera);
   response.splats = report.splats;
+  response.error = report.error;
+  response.detail_error = report.detail_error;
   response.order_source = report.order_source;
   response.sort_time = report.sort_time;
   response.draw_time = report.draw_time;

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "gaussian_client.hpp"
+#include "map/detail.hpp"
 #include "splat_cloud.hpp"
 #include "view.hpp"
 
@@ -34,6 +35,7 @@ class RenderService {
 
  private:
   bool take();
+  RenderSettings settings() const;
   SplatCamera inMapFrame(rosplat_msgs::msg::ViewCamera camera) const;
   GaussianClient::RenderView::Response draw(bool sort_now);
 
@@ -42,6 +44,7 @@ class RenderService {
   rviz_common::FrameManagerIface& frames_;
   View view_;
   std::optional<GaussianClient::RenderRequest> request_;
+  Detail detail_;                                   // that it asks for
   std::chrono::steady_clock::time_point deadline_;  // of its order
   bool served_ = true;                              // since the last update
   std::chrono::steady_clock::time_point unserved_;  // since when they were not

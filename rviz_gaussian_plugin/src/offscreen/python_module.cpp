@@ -53,6 +53,7 @@ struct CpuRenderer {
   GaussianMap map;
   HostSlots slots;
   Levels levels;
+  DetailControl detail;
   CpuRasterizer rasterizer;
   SplatPicture picture;
   RenderSettings settings;
@@ -180,13 +181,15 @@ py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort
     report = renderer.draw(view_id, sort_now);
   }
   return py::dict(
-      "splats"_a = report.splats, "order_source"_a = report.order_source,
-      "order_fresh"_a = report.order_fresh, "order_age"_a = report.order_age,
-      "sort_time"_a = report.sort_time, "draw_time"_a = report.draw_time,
-      "paint_time"_a = report.paint_time, "picture_age"_a = report.picture_age,
-      "rasterizer"_a = report.rasterizer, "profile"_a = report.profile, "map_id"_a = report.map.id,
-      "revision"_a = report.map.revision, "map_complete"_a = report.map.complete(),
-      "gpu_bytes"_a = renderer.scene().gpuBytes(), "map_bytes"_a = renderer.scene().mapBytes());
+      "splats"_a = report.splats, "error"_a = report.error, "detail_error"_a = report.detail_error,
+      "order_source"_a = report.order_source, "order_fresh"_a = report.order_fresh,
+      "order_age"_a = report.order_age, "sort_time"_a = report.sort_time,
+      "draw_time"_a = report.draw_time, "paint_time"_a = report.paint_time,
+      "picture_age"_a = report.picture_age, "rasterizer"_a = report.rasterizer,
+      "profile"_a = report.profile, "map_id"_a = report.map.id, "revision"_a = report.map.revision,
+      "map_complete"_a = report.map.complete(), "gpu_bytes"_a = renderer.scene().gpuBytes(),
+      "map_bytes"_a = renderer.scene().mapBytes(),
+      "levels_bytes"_a = renderer.scene().levelsBytes());
 }
 
 py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>& slots) {
@@ -225,21 +228,25 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
 py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
                    const std::optional<Array<float>>& scene_depth,
                    const std::optional<Array<float>>& translucent_depth,
-                   const std::optional<Array<std::uint32_t>>& order, double error) {
+                   const std::optional<Array<std::uint32_t>>& order) {
   PictureRequest request = requestOf(renderer, camera, scene_depth, translucent_depth, order);
   request.mean_depth = mean_depth;
-  if (error > 0) {
-    request.levels = &renderer.levels;
-    request.error = error;
-  }
   SplatPicture& picture = renderer.picture;
   {
     const py::gil_scoped_release release;
-    if (request.levels) merge(renderer);
+    const Detail& detail = renderer.settings.detail;
+    if (!(detail == Detail{}) && !order) {
+      merge(renderer);
+      request.levels = &renderer.levels;
+      request.error =
+          renderer.detail.choose(detail, true, renderer.levels, camera, renderer.map.state().origin,
+                                 request.settings.clip_box);
+      if (detail.kind == Detail::Kind::kSplats) request.most_splats = std::size_t(detail.amount);
+    }
     renderer.rasterizer.draw(renderer.slots, renderer.map.state(), request, picture);
   }
-  py::dict drawn("splats"_a = picture.drawn, "profile"_a = picture.profile,
-                 "bytes"_a = renderer.rasterizer.bytes());
+  py::dict drawn("splats"_a = picture.drawn, "error"_a = picture.error,
+                 "profile"_a = picture.profile, "bytes"_a = renderer.rasterizer.bytes());
   const auto add = [&](const char* name, const std::vector<float>& values, int channels) {
     if (!values.empty()) drawn[name] = toArray(values, {picture.height, picture.width, channels});
   };
@@ -356,6 +363,9 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("order", &RenderSettings::order)
       .def_readwrite("rasterizer", &RenderSettings::rasterizer)
       .def_readwrite("profile", &RenderSettings::profile)
+      .def_property(
+          "detail", [](const RenderSettings& s) { return toText(s.detail); },
+          [](RenderSettings& s, const std::string& text) { s.detail = parseDetail(text); })
       .def_readwrite("clip_box", &RenderSettings::clip_box)
       .def_readwrite("near_fade", &RenderSettings::near_fade)
       .def_readwrite("depth_range", &RenderSettings::depth_range)
@@ -446,7 +456,7 @@ PYBIND11_MODULE(_offscreen, module) {
            "instructions"_a = CpuRasterizer::Instructions::kBest)
       .def_readwrite("settings", &CpuRenderer::settings)
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "scene_depth"_a = py::none(),
-           "translucent_depth"_a = py::none(), "order"_a = py::none(), "error"_a = 0.0)
+           "translucent_depth"_a = py::none(), "order"_a = py::none())
       .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
       .def("nodes", &nodesOf, "level"_a)
       .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })

@@ -45,7 +45,8 @@ bool SoftwareRenderer::ready(const std::string& view_id, const SplatCamera& came
                              const MapState& map) {
   auto request = std::make_shared<PaintRequest>();
   request->camera = camera;
-  request->settings = inFull(settings);
+  request->settings = settings;
+  request->settings.asynchronous = false;
   request->order = order;
   request->unsorted = settings.order == OrderSource::kOff;
   const View& view = views_[view_id];
@@ -88,7 +89,7 @@ PaintingPtr SoftwareRenderer::draw(const std::string& view_id, const SplatCamera
     exact_ = true;
   } else if (!exact_ && asked(view, *request, map)) {
     painter_.hurry(view_id);  // the camera rests
-  } else if (!exact_) {
+  } else if (!exact_ || (settings.asynchronous && !painting->settled)) {
     ask(view_id, request, map);
   }
   const bool fits =

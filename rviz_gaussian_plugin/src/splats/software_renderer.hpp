@@ -62,6 +62,7 @@ class SoftwareRenderer {
   void forget(const std::string& view_id);
   std::size_t hostBytes() const { return painter_.bytes(); }
   std::size_t mapBytes() const { return painter_.mapBytes(); }
+  std::size_t levelsBytes() const { return painter_.levelsBytes(); }
   std::size_t gpuBytes() const;
 
  private:

@@ -288,6 +288,7 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
                   around.translucent);
 
   FrameReport report;
+  if (!(settings.detail == Detail{})) report.detail_error = "a graphics card draws all";
   report.rasterizer = renderer_->rasterizer();
   report.profile = renderer_->profile();
   if (on_gpu) {
@@ -344,6 +345,8 @@ FrameReport SplatScene::drawSoftware(const std::string& view_id, const RenderSet
   report.map = painting->map;
   takeMap();
   report.splats = choice.order ? choice.order->slots.size() : painting->drawn;
+  report.error = painting->error_px;
+  report.detail_error = painting->detail_error;
   report.paint_time = painting->took;
   if (settings.profile) report.profile = painting->profile;
   if (!software_->exact()) report.picture_age = now() - painting->asked;
@@ -390,6 +393,8 @@ std::size_t SplatScene::gpuBytes() const {
 std::size_t SplatScene::mapBytes() const {
   return software_ ? software_->mapBytes() : renderer_ ? renderer_->mapBytes() : 0;
 }
+
+std::size_t SplatScene::levelsBytes() const { return software_ ? software_->levelsBytes() : 0; }
 
 std::size_t SplatScene::hostBytes() const {
   return sorter_.bytes() + (software_ ? software_->hostBytes() : 0);

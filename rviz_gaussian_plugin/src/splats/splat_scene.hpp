@@ -25,7 +25,9 @@ namespace rosplat {
 
 // What a frame drew.
 struct FrameReport {
-  std::size_t splats = 0;                 // drawn
+  std::size_t splats = 0;                 // drawn, and nodes that stand for some
+  double error = 0;                       // to which they do, 0 where all is drawn in full [px]
+  std::string detail_error;               // why that isn't the detail that was asked for
   std::string order_source;               // who sorted, empty where nothing is sorted yet
   bool order_fresh = false;               // for this very camera and map
   double order_age = 0;                   // [s]
@@ -121,7 +123,8 @@ class SplatScene {
   }
 
   std::size_t gpuBytes() const;
-  std::size_t mapBytes() const;  // of what draws the map
+  std::size_t mapBytes() const;
+  std::size_t levelsBytes() const;  // of what draws the map
   std::size_t hostBytes() const;
 
  private:

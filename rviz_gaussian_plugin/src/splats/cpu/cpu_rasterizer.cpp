@@ -27,6 +27,7 @@ constexpr std::size_t kMostPairs = std::size_t{1} << 24;  // of splat and tile, 
 constexpr int kLongestSide = 16384;                       // [px], as makeCamera() has it
 constexpr std::size_t kSliceSize = std::size_t{1} << 18;  // splats that are worth a slice
 constexpr std::size_t kMostSlices = 32;
+constexpr double kMostError = 1e15;      // where nothing is left to be merged [px]
 constexpr float kLeastPicked = 0.05f;    // contribution to a pixel; less nobody sees
 constexpr float kOpen = 2, kEnded = -1;  // window depths up to which tiles may show something
 constexpr float kTransparent =
@@ -236,7 +237,8 @@ struct CpuRasterizer::Work {
   bool run(const HostSlots& slots, const MapState& map, const PictureRequest& request,
            const Wanted& wanted);
   void setViews(const HostSlots& slots, const MapState& map, const PictureRequest& request);
-  void choosePages(const HostSlots& slots, const MapState& map, const PictureRequest& request);
+  void choosePages(const HostSlots& slots, const MapState& map, const PictureRequest& request,
+                   double error);
   void choose(const SlotPage& page, const HostSlots::Page& memory);
   void cull();
   void deal();
@@ -412,18 +414,18 @@ void CpuRasterizer::Work::setViews(const HostSlots& slots, const MapState& map,
 
 // Those that may have something in the picture.
 void CpuRasterizer::Work::choosePages(const HostSlots& slots, const MapState& map,
-                                      const PictureRequest& request) {
+                                      const PictureRequest& request, double error) {
   pages.clear();
   bounds.clear();
   const PageView view(sorterView(request.camera, map.origin, 1.0), request.settings.clip_box,
                       map.origin);
-  if (!request.levels) {
+  if (error == 0) {
     for (const SlotPage& page : slots.pages()) {
       if (view.mayShow(page)) choose(page, slots.at(page));
     }
     return;
   }
-  const Cut cut(request.camera, map.origin, request.error, drawsBalls(request.settings.mode));
+  const Cut cut(request.camera, map.origin, error, drawsBalls(request.settings.mode));
   CutView& c = cull_view.cut;
   for (int i = 0; i < 3; ++i) c.eye[i] = static_cast<float>(cut.eye[i]);
   c.focal = static_cast<float>(cut.focal);
@@ -490,12 +492,12 @@ void CpuRasterizer::Work::cull() {
     part.begin *= kSlots;
     part.end = part.begin + std::size_t(out - begin);
   });
+  candidates = 0;
+  for (const Part& part : parts) candidates += part.end - part.begin;
 }
 
 // Deals what was found out to slices of depth, nearest first, in each in the order of slots.
 void CpuRasterizer::Work::deal() {
-  candidates = 0;
-  for (const Part& part : parts) candidates += part.end - part.begin;
   const std::size_t slices = std::clamp<std::size_t>(candidates / kSliceSize, 1, kMostSlices);
 
   // So that about as many are in each, by samples.
@@ -936,8 +938,13 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     picking.resize(2 * pixels);
   }
   setViews(slots, map, request);
-  choosePages(slots, map, request);
-  cull();
+  double error = request.levels ? request.error : 0;
+  while (true) {
+    choosePages(slots, map, request, error);
+    cull();
+    if (error == 0 || candidates <= request.most_splats || error > kMostError || cancelled()) break;
+    error *= std::clamp(std::sqrt(double(candidates) / double(request.most_splats)), 1.01, 2.0);
+  }
   if (cancelled()) return false;
   deal();
   lap("cull");
@@ -994,6 +1001,7 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
       }
     });
     picture->drawn = drawn;
+    picture->error = error;
     picture->profile = profile;
   }
   return true;

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <map>
 #include <memory>
 #include <optional>
@@ -39,6 +40,9 @@ struct PictureRequest {
   // full, as it is where the order is given, and for picks.
   const Levels* levels = nullptr;
   double error = 0;  // [px]
+  // No more splats and nodes than that, but for those without a parent: for it, the error is
+  // raised.
+  std::size_t most_splats = std::numeric_limits<std::size_t>::max();
   // Set by another thread to have the picture given up.
   const std::atomic<bool>* cancelled = nullptr;
 };
@@ -51,6 +55,7 @@ struct SplatPicture {
   std::vector<float> nearness;  // of these: (1 - window depth) * alpha, alpha; as splat_hide.frag
   std::vector<float> depth;     // weighted mean [m], NaN where nothing is
   std::size_t drawn = 0;        // splats in the picture, as far as it was looked
+  double error = 0;             // that it was drawn to, 0 in full [px]
   std::map<std::string, double> profile;  // by stage [s]
 };
 

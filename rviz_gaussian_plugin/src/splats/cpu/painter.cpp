@@ -16,6 +16,8 @@ namespace {
 
 // So much of a map that streams in is taken before what there is of it is shown.
 constexpr std::size_t kEditBytesPerPicture = std::size_t{256} << 20;
+// So long pictures wait for levels of detail that aren't whole; then they do without. [s]
+constexpr double kLevelsPerPicture = 0.03;
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 double now() {
@@ -78,6 +80,7 @@ Painter::Painter(NextEdit next_edit)
     : next_edit_(std::move(next_edit)),
       start_(now()),
       looker_(std::make_shared<rosplat_sorter::ThreadTeam>(0)),
+      levels_(rosplat_sorter::ThreadTeam::ofViewers()),
       thread_([this] { run(); }) {}
 
 Painter::~Painter() { stop(); }
@@ -174,6 +177,12 @@ void Painter::run() {
     if (queue_.empty()) {
       lock.unlock();
       takeEdits(kEverything);
+      if (wants_levels_) {
+        advanceLevels([this] {
+          const std::lock_guard own(mutex_);
+          return stop_ || edits_ || !queue_.empty();
+        });
+      }
       lock.lock();
       continue;
     }
@@ -185,10 +194,11 @@ void Painter::run() {
     cancelled_ = false;
     lock.unlock();
     takeEdits(job.request->settings.asynchronous ? kEditBytesPerPicture : kEverything);
-    const std::shared_ptr<Painting> painting = paint(std::move(job));
+    const std::shared_ptr<Painting> painting = paint(std::move(job), controls_[view_id]);
     lock.lock();
     painting_.clear();
     const auto found = views_.find(view_id);
+    if (found == views_.end()) controls_.erase(view_id);
     if (!painting || found == views_.end()) continue;
     found->second.newest = painting;
     found->second.painted = number;
@@ -204,8 +214,10 @@ void Painter::takeEdits(std::size_t most_bytes) {
   while (taken < most_bytes && !cancelled_ && next_edit_(edit, state)) {
     const std::unique_lock lock(slots_mutex_);
     std::string error = edit->clear ? "" : mapError();
+    if (edit->clear) levels_.clear();
     try {
       slots_.apply(*edit, clock());
+      levels_.mark(slots_, edit->runs);
     } catch (const std::bad_alloc&) {  // the rest of the map is still worth seeing
       error = "there is no memory for all of the map";
     }
@@ -218,7 +230,34 @@ void Painter::takeEdits(std::size_t most_bytes) {
   edits_ = true;  // the rest
 }
 
-std::shared_ptr<Painting> Painter::paint(Waiting&& job) {
+bool Painter::advanceLevels(const std::function<bool()>& stop) {
+  // Nobody else writes slots, nor looks at what this writes.
+  const bool whole = levels_.advance(slots_, stop);
+  levels_bytes_ = levels_.bytes();
+  return whole;
+}
+
+void Painter::chooseDetail(PictureRequest& request, DetailControl& control, Painting& painting) {
+  const RenderSettings& settings = request.settings;
+  if (settings.detail == Detail{} || request.order || painting.request->unsorted) return;
+  wants_levels_ = true;
+  const double until = now() + kLevelsPerPicture;
+  try {
+    const bool whole =
+        advanceLevels([&] { return cancelled_ || (settings.asynchronous && now() > until); });
+    request.levels = &levels_;
+    request.error = control.choose(settings.detail, !settings.asynchronous, levels_, request.camera,
+                                   map().origin, settings.clip_box);
+    if (settings.detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
+      request.most_splats = static_cast<std::size_t>(settings.detail.amount);
+    }
+    painting.settled = whole && control.settled();
+  } catch (const std::bad_alloc&) {
+    painting.detail_error = "there is no memory for levels of detail";
+  }
+}
+
+std::shared_ptr<Painting> Painter::paint(Waiting&& job, DetailControl& control) {
   const double start = now();
   auto painting = std::make_shared<Painting>();
   painting->asked = job.asked;
@@ -234,6 +273,7 @@ std::shared_ptr<Painting> Painter::paint(Waiting&& job) {
     if (asked.order) request.order = viewOf(asked.order->slots);
     request.mean_depth = true;
     request.cancelled = &cancelled_;
+    chooseDetail(request, control, *painting);
     {
       const std::shared_lock lock(slots_mutex_);
       painting->map = map();
@@ -245,6 +285,8 @@ std::shared_ptr<Painting> Painter::paint(Waiting&& job) {
       if (!rasterizer_.draw(slots_, painting->map, request, picture_)) return nullptr;
     }
     painting->drawn = picture_.drawn;
+    painting->error_px = picture_.error;
+    control.drew(picture_.error, now() - start);
     painting->profile = picture_.profile;
     if (asked.window) {
       const int width = picture_.width, height = picture_.height;
@@ -299,6 +341,6 @@ std::size_t Painter::mapBytes() const {
   return map_bytes_;
 }
 
-std::size_t Painter::bytes() const { return mapBytes() + workspace_; }
+std::size_t Painter::bytes() const { return mapBytes() + levels_bytes_ + workspace_; }
 
 }  // namespace rosplat

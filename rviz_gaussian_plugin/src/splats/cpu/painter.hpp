@@ -17,8 +17,10 @@
 
 #include "cpu/cpu_rasterizer.hpp"
 #include "cpu/picture_mesh.hpp"
+#include "map/detail.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/host_slots.hpp"
+#include "map/levels.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
 #include "order/order.hpp"
@@ -52,7 +54,10 @@ struct Painting {
   MapState map;                // that it shows
   double asked = 0, took = 0;  // when, of a monotonic clock, and how long [s]
   std::string error;           // why it failed; empty if it is good
-  std::size_t drawn = 0;       // splats
+  std::size_t drawn = 0;       // splats and nodes
+  double error_px = 0;         // as SplatPicture::error
+  bool settled = true;         // another picture would be the same
+  std::string detail_error;    // why it is not in the detail that was asked for
   std::map<std::string, double> profile;
 
   SplatPicture picture;  // unless it is asynchronous: then only a window sees it
@@ -103,8 +108,9 @@ class Painter {
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   MapState map() const;          // that is painted
   std::string mapError() const;  // why a part of it is missing, empty where none is
-  std::size_t bytes() const;     // that map and workspace take
+  std::size_t bytes() const;     // that map, levels and workspace take
   std::size_t mapBytes() const;
+  std::size_t levelsBytes() const { return levels_bytes_; }
   const char* instructions() const { return rasterizer_.instructions(); }
 
   // Of `change` in packed_slot.hpp.
@@ -126,7 +132,10 @@ class Painter {
   void run();
   void takeEdits(std::size_t most_bytes);
   void setMap(const MapState& map, const std::string& error);
-  std::shared_ptr<Painting> paint(Waiting&& job);
+  // Until `stop`; whether the levels hold all of the map.
+  bool advanceLevels(const std::function<bool()>& stop);
+  void chooseDetail(PictureRequest& request, DetailControl& control, Painting& painting);
+  std::shared_ptr<Painting> paint(Waiting&& job, DetailControl& control);
   std::uint64_t enqueue(const std::string& view_id, PaintRequestPtr&& request);
 
   NextEdit next_edit_;
@@ -156,6 +165,10 @@ class Painter {
 
   // The painter's own.
   CpuRasterizer rasterizer_;
+  Levels levels_;
+  bool wants_levels_ = false;                      // some view does
+  std::map<std::string, DetailControl> controls_;  // by view
+  std::atomic<std::size_t> levels_bytes_{0};
   SplatPicture picture_;
   std::atomic<std::size_t> workspace_{0};
   std::thread thread_;

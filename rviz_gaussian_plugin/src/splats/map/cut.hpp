@@ -22,6 +22,8 @@ struct Cut {
   // sharp: of solids, s is a step.
   Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool sharp);
 
+  // Of the cell of a size around a position. [px]
+  double errorOf(const std::array<float, 3>& position, double size) const;
   // Whether anything of a page may have a share. own: of its nodes' cells, 0 of splats; parent: of
   // the widest of their parents. [m]
   bool mayShow(const SlotPage& page, double own, double parent) const;

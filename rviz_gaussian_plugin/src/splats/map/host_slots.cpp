@@ -16,7 +16,7 @@ void HostSlots::apply(const GaussianEdit& edit, double now) {
     memory_.clear();
     pages_ = {};
     sh_degree_ = 0;
-    extra_bytes_ = 0;
+    band_bytes_ = 0;
   }
   sh_degree_ = std::max(sh_degree_, edit.sh_degree);
   pages_.apply(edit);
@@ -75,7 +75,7 @@ void HostSlots::write(const GaussianEdit& edit, std::size_t source, std::uint32_
       if (band > edit.sh_degree) continue;
       page.bands[band].reset(new std::uint32_t[bandWords(band)]{});
       memory = page.bands[band].get();
-      extra_bytes_ += bandWords(band) * sizeof(std::uint32_t);
+      band_bytes_ += bandWords(band) * sizeof(std::uint32_t);
     }
     for (std::size_t i = 0; i < count; ++i) {
       for (std::size_t k = 0; k < coefficients; ++k) {
@@ -95,7 +95,6 @@ void HostSlots::setParents(const std::vector<std::pair<std::uint32_t, float>>& s
       for (std::size_t i = 0; i < kSlots; ++i) {
         (*page.parents)[i] = page.extent[i] >= 0 ? kBoundless : 0;
       }
-      extra_bytes_ += sizeof(*page.parents);
     }
     for (; next != sizes.end() && next->first - of.first_slot < kSlots; ++next) {
       (*page.parents)[next->first - of.first_slot] = next->second;
@@ -105,7 +104,7 @@ void HostSlots::setParents(const std::vector<std::pair<std::uint32_t, float>>& s
 }
 
 std::size_t HostSlots::bytes() const {
-  return memory_.size() * sizeof(Page) + extra_bytes_ + pages_.bytes() +
+  return memory_.size() * sizeof(Page) + band_bytes_ + pages_.bytes() +
          memory_.capacity() * sizeof(memory_[0]);
 }
 

@@ -56,7 +56,8 @@ class HostSlots {
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   // What writes a page elsewhere.
   GaussianEdit edit(const SlotPage& page) const;
-  // Says how wide the cells are whose nodes stand for what slots hold now. Slots ascend.
+  // Says how wide the cells are whose nodes stand for what slots hold now. Slots ascend. Of
+  // interest to who draws nodes alone, as is the memory.
   void setParents(const std::vector<std::pair<std::uint32_t, float>>& sizes);
 
  private:
@@ -66,7 +67,7 @@ class HostSlots {
   SlotPages pages_;
   std::vector<std::unique_ptr<Page>> memory_;  // by place
   int sh_degree_ = 0;
-  std::size_t extra_bytes_ = 0;
+  std::size_t band_bytes_ = 0;
 };
 
 }  // namespace rosplat

@@ -337,7 +337,7 @@ std::size_t Levels::nodes() const {
 }
 
 std::size_t Levels::bytes() const {
-  std::size_t bytes = known_.size() * sizeof(Known);
+  std::size_t bytes = known_.size() * (sizeof(Known) + sizeof(*HostSlots::Page::parents));
   for (const Pages& level : pages_) {
     for (const auto& page : level) bytes += page->bytes();
   }

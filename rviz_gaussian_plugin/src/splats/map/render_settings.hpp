@@ -44,6 +44,20 @@ struct ClipBox {
   }
 };
 
+// How much of a map is drawn: see levels.hpp.
+struct Detail {
+  enum class Kind {
+    kFull,    // all of it
+    kError,   // what is no wider than so much may be one Gaussian [px]
+    kSplats,  // so many Gaussians at most
+    kTime,    // what takes about so long [s]
+  };
+  Kind kind = Kind::kFull;
+  double amount = 0;
+
+  bool operator==(const Detail& o) const { return kind == o.kind && amount == o.amount; }
+};
+
 // How a map is drawn.
 struct RenderSettings {
   DrawMode mode = DrawMode::kColor;
@@ -60,6 +74,7 @@ struct RenderSettings {
   OrderSource order = OrderSource::kAuto;
   Rasterizer rasterizer = Rasterizer::kAuto;
   bool profile = false;  // measure the stages of a frame; waits for the graphics card
+  Detail detail;         // the processor alone draws any but all
   ClipBox clip_box;
   float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
   std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest drawn
@@ -69,7 +84,8 @@ struct RenderSettings {
   bool projectsAs(const RenderSettings& o) const {
     return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
            scale == o.scale && opacity == o.opacity && antialiasing == o.antialiasing &&
-           clip_box == o.clip_box && near_fade == o.near_fade && age_range == o.age_range;
+           clip_box == o.clip_box && near_fade == o.near_fade && age_range == o.age_range &&
+           detail == o.detail;
   }
 };
 
@@ -80,6 +96,7 @@ inline double extentScale(const RenderSettings& settings) { return std::max(1.0f
 // kept.
 inline RenderSettings inFull(RenderSettings settings) {
   settings.asynchronous = false;
+  settings.detail = {};
   return settings;
 }
 

@@ -1,0 +1,42 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <string>
+
+#include "map/levels.hpp"
+#include "map/render_settings.hpp"
+#include "map/splat_camera.hpp"
+
+namespace rosplat {
+
+// Reads "full", an error in pixels ("1.5px"), a most of splats ("800000", "800k", "2M") or a frame
+// time ("40ms"). Throws std::invalid_argument, naming what it can't read.
+Detail parseDetail(const std::string& text);
+
+std::string toText(const Detail& detail);
+
+// The least error [px] at which a view draws no more splats and nodes than that, by samples: 0
+// where it is all of them.
+double errorForSplats(const Levels& levels, const SplatCamera& camera,
+                      const std::array<double, 3>& origin, const ClipBox& box, double splats);
+
+// Chooses the error of a view's pictures, one after the other.
+class DetailControl {
+ public:
+  // For the next picture [px]; 0 has all drawn in full. at_once: whatever the last one had;
+  // otherwise it moves towards what is asked for, so that nobody sees it move.
+  double choose(const Detail& detail, bool at_once, const Levels& levels, const SplatCamera& camera,
+                const std::array<double, 3>& origin, const ClipBox& box);
+  // What became of it.
+  void drew(double error, double seconds);
+  // Whether it is where it is going.
+  bool settled() const { return settled_; }
+
+ private:
+  double error_ = 0;    // of the last picture [px]
+  double seconds_ = 0;  // that it took
+  bool settled_ = true;
+};
+
+}  // namespace rosplat

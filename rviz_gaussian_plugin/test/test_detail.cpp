@@ -1,0 +1,160 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+#include <random>
+#include <stdexcept>
+#include <string>
+
+#include "cpu/cpu_rasterizer.hpp"
+#include "map/detail.hpp"
+
+namespace rosplat {
+namespace {
+
+using Kind = Detail::Kind;
+using rosplat_sorter::ThreadTeam;
+
+// A plain of splats before a camera that looks along it.
+struct Plain {
+  explicit Plain(std::uint32_t count) : levels(std::make_shared<ThreadTeam>(2)) {
+    std::mt19937 random(5);
+    std::uniform_real_distribution<float> unit(-1, 1);
+    std::vector<float> positions, orientations, scales, opacities(count, 0.9f), sh(3 * count);
+    for (std::uint32_t i = 0; i < count; ++i) {
+      positions.insert(positions.end(), {30 * unit(random), 2, 31 + 30 * unit(random)});
+      orientations.insert(orientations.end(), {0, 0, 0, 1});
+      scales.insert(scales.end(), {0.03f, 0.001f, 0.03f});
+    }
+    GaussianBatch batch;
+    batch.map_id = "map";
+    batch.revision = 1;
+    batch.count = count;
+    batch.positions = {positions.data(), positions.size()};
+    batch.orientations = {orientations.data(), orientations.size()};
+    batch.scales = {scales.data(), scales.size()};
+    batch.opacities = {opacities.data(), opacities.size()};
+    batch.sh = {sh.data(), sh.size()};
+    BatchReport report;
+    slots.apply(*map.apply(batch, report), 0);
+    levels.advance(slots, [] { return false; });
+    request.camera.fx = request.camera.fy = 300;
+    request.camera.cx = 160;
+    request.camera.cy = 120;
+    request.camera.width = 320;
+    request.camera.height = 240;
+    request.levels = &levels;
+  }
+
+  SplatPicture draw(double error, std::size_t most_splats) {
+    request.error = error;
+    request.most_splats = most_splats;
+    CpuRasterizer rasterizer(std::make_shared<ThreadTeam>(2));
+    SplatPicture picture;
+    EXPECT_TRUE(rasterizer.draw(slots, map.state(), request, picture));
+    return picture;
+  }
+  double errorFor(double splats) const {
+    return errorForSplats(levels, request.camera, {}, {}, splats);
+  }
+  double choose(DetailControl& control, const Detail& detail, bool at_once = false) const {
+    return control.choose(detail, at_once, levels, request.camera, {}, {});
+  }
+
+  GaussianMap map;
+  HostSlots slots;
+  Levels levels;
+  PictureRequest request;
+};
+
+TEST(Detail, IsReadAndWritten) {
+  EXPECT_EQ(parseDetail("Full"), Detail{});
+  EXPECT_EQ(parseDetail("1.5 px"), (Detail{Kind::kError, 1.5}));
+  EXPECT_EQ(parseDetail("800,000"), (Detail{Kind::kSplats, 800000}));
+  EXPECT_EQ(parseDetail("800k"), (Detail{Kind::kSplats, 800000}));
+  EXPECT_EQ(parseDetail("2M"), (Detail{Kind::kSplats, 2000000}));
+  EXPECT_EQ(parseDetail("40ms"), (Detail{Kind::kTime, 0.04}));
+  for (const char* text : {"full", "1.5px", "800000", "40ms"}) {
+    EXPECT_EQ(toText(parseDetail(text)), text);
+  }
+}
+
+TEST(Detail, OfNothingOrOfNonsenseIsRefused) {
+  for (const char* text : {"", "0", "0px", "-1px", "0.5", "px", "nan", "inf", "1e9", "1 furlong",
+                           "99999999999999999999px", "1..2px", "full!"}) {
+    try {
+      parseDetail(text);
+      ADD_FAILURE() << text;
+    } catch (const std::invalid_argument& error) {
+      EXPECT_NE(std::string(error.what()).find(text), std::string::npos) << error.what();
+    }
+  }
+}
+
+TEST(Budget, IsKept) {
+  Plain plain(60000);
+  const std::size_t all = plain.draw(0, 0).drawn;
+  for (const std::size_t most : {std::size_t{1000}, std::size_t{5000}, all / 2}) {
+    const double error = plain.errorFor(double(most));
+    EXPECT_GT(error, 0);
+    const SplatPicture picture = plain.draw(error, most);
+    EXPECT_LE(picture.drawn, most);
+    EXPECT_GT(picture.drawn, most / 4);
+    EXPECT_GE(picture.error, error);
+  }
+}
+
+TEST(Budget, OfMoreThanThereIsDrawsAll) {
+  const Plain plain(3000);
+  EXPECT_EQ(plain.errorFor(1e6), 0);
+}
+
+TEST(Budget, OfOneSplatEnds) {
+  Plain plain(3000);
+  const SplatPicture picture = plain.draw(plain.errorFor(1), 1);
+  EXPECT_LE(picture.drawn, 8u);  // the coarsest nodes are the least that can be drawn
+}
+
+TEST(DetailControl, DrawsAnErrorThatIsAskedForAtOnce) {
+  const Plain plain(3000);
+  DetailControl control;
+  EXPECT_EQ(plain.choose(control, {}), 0);
+  EXPECT_EQ(plain.choose(control, {Kind::kError, 2.5}), 2.5);
+  control.drew(2.5, 0.1);
+  EXPECT_EQ(plain.choose(control, {Kind::kError, 9}), 9);
+  EXPECT_TRUE(control.settled());
+}
+
+TEST(DetailControl, MovesABudgetSlowlyUnlessAtOnce) {
+  const Plain plain(60000);
+  DetailControl control;
+  const double coarse = plain.choose(control, {Kind::kSplats, 1000});
+  EXPECT_EQ(coarse, plain.errorFor(1000));  // the first picture's, for nobody saw another
+  control.drew(coarse, 0.1);
+  const double next = plain.choose(control, {Kind::kSplats, 20000});
+  EXPECT_LT(next, coarse);
+  EXPECT_GT(next, 0.8 * coarse);
+  EXPECT_FALSE(control.settled());
+  EXPECT_EQ(plain.choose(control, {Kind::kSplats, 20000}, true), plain.errorFor(20000));
+  for (int i = 0; i < 100; ++i) control.drew(plain.choose(control, {Kind::kSplats, 20000}), 0.1);
+  EXPECT_TRUE(control.settled());
+  EXPECT_EQ(plain.choose(control, {Kind::kSplats, 1e6}, true), 0);
+}
+
+TEST(DetailControl, FindsTheErrorThatTakesATime) {
+  const Plain plain(3000);
+  DetailControl control;
+  const auto took = [](double error) { return 1.6 / (error * error + 0.01); };
+  double error = 0;
+  for (int i = 0; i < 200; ++i) {
+    error = plain.choose(control, {Kind::kTime, 0.1});
+    control.drew(error, took(error));
+  }
+  EXPECT_NEAR(error, 4, 0.2);
+  EXPECT_TRUE(control.settled());
+  for (int i = 0; i < 200; ++i) control.drew(plain.choose(control, {Kind::kTime, 1e4}), 0.01);
+  EXPECT_EQ(plain.choose(control, {Kind::kTime, 1e4}), 0);
+}
+
+}  // namespace
+}  // namespace rosplat

@@ -1,0 +1,127 @@
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <random>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "cpu/painter.hpp"
+
+namespace rosplat {
+namespace {
+
+// A painter, and the map that it is given.
+struct Studio {
+  Studio()
+      : painter([this](std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
+          const std::lock_guard lock(mutex);
+          if (edits.empty()) return false;
+          std::tie(edit, state) = std::move(edits.front());
+          edits.pop_front();
+          return true;
+        }) {}
+
+  // Splats on a wall 6 m away, in slots from the first on.
+  void write(std::uint32_t count, std::uint8_t operation, std::uint32_t first_slot = 0) {
+    std::mt19937 random(first_slot);
+    std::uniform_real_distribution<float> unit(-1, 1);
+    std::vector<float> positions, orientations, scales(3 * count, 0.03f), opacities(count, 0.9f),
+        sh(3 * count);
+    for (std::uint32_t i = 0; i < count; ++i) {
+      positions.insert(positions.end(), {3 * unit(random), 3 * unit(random), 6});
+      orientations.insert(orientations.end(), {0, 0, 0, 1});
+    }
+    GaussianBatch batch;
+    batch.map_id = "map";
+    batch.revision = map.state().revision + 1;
+    batch.operation = operation;
+    batch.first_slot = first_slot;
+    batch.count = count;
+    batch.positions = {positions.data(), positions.size()};
+    batch.orientations = {orientations.data(), orientations.size()};
+    batch.scales = {scales.data(), scales.size()};
+    batch.opacities = {opacities.data(), opacities.size()};
+    batch.sh = {sh.data(), sh.size()};
+    BatchReport report;
+    const auto edit = map.apply(batch, report);
+    const std::lock_guard lock(mutex);
+    edits.emplace_back(edit, map.state());
+  }
+  PaintRequestPtr request(const char* detail, bool asynchronous = false) const {
+    auto request = std::make_shared<PaintRequest>();
+    request->camera.fx = request->camera.fy = 100;
+    request->camera.cx = 60;
+    request->camera.cy = 40;
+    request->camera.width = 120;
+    request->camera.height = 80;
+    request->settings.detail = parseDetail(detail);
+    request->settings.asynchronous = asynchronous;
+    return request;
+  }
+
+  GaussianMap map;
+  std::mutex mutex;
+  std::deque<std::pair<std::shared_ptr<const GaussianEdit>, MapState>> edits;
+  Painter painter;
+};
+
+TEST(Painter, PaintsADetailThatIsWaitedForAtOnceAndOfTheWholeMap) {
+  Studio studio;
+  studio.write(20000, GaussianBatch::REPLACE);
+  const PaintingPtr full = studio.painter.paintNow("view", studio.request("full"));
+  EXPECT_EQ(full->error_px, 0);
+  EXPECT_EQ(studio.painter.levelsBytes(), 0u);  // nobody asked for any
+  const PaintingPtr few = studio.painter.paintNow("view", studio.request("2000"));
+  EXPECT_LE(few->drawn, 2000u);
+  EXPECT_LT(few->drawn, full->drawn / 4);
+  EXPECT_GT(few->error_px, 0);
+  EXPECT_TRUE(few->settled);
+  EXPECT_GT(studio.painter.levelsBytes(), 0u);
+
+  studio.write(20000, GaussianBatch::UPSERT, 20000);
+  const PaintingPtr more = studio.painter.paintNow("view", studio.request("2000"));
+  EXPECT_EQ(more->map.splats, 40000u);
+  EXPECT_LE(more->drawn, 2000u);
+  studio.write(10, GaussianBatch::REPLACE);
+  const PaintingPtr other = studio.painter.paintNow("view", studio.request("2000"));
+  EXPECT_EQ(other->map.splats, 10u);
+  EXPECT_EQ(other->error_px, 0);  // of so few, all are drawn
+}
+
+TEST(Painter, PaintsAGivenOrderInFull) {
+  Studio studio;
+  studio.write(20000, GaussianBatch::REPLACE);
+  auto request = std::make_shared<PaintRequest>(*studio.request("8px"));
+  request->unsorted = true;
+  EXPECT_EQ(studio.painter.paintNow("view", request)->error_px, 0);
+}
+
+TEST(Painter, LeadsAViewThatMovesToItsDetailWhileTheMapChanges) {
+  Studio studio;
+  studio.write(100000, GaussianBatch::REPLACE);
+  const PaintRequestPtr request = studio.request("3000", true);
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+  PaintingPtr painting;
+  for (std::uint32_t frame = 0; std::chrono::steady_clock::now() < deadline; ++frame) {
+    if (frame < 40) {
+      studio.write(500, GaussianBatch::UPSERT, frame * 700);
+      studio.painter.wake();
+    }
+    studio.painter.ask("view", request);
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    painting = studio.painter.newest("view");
+    if (frame >= 40 && painting && painting->settled && painting->drawn < 6000) break;
+  }
+  ASSERT_TRUE(painting);
+  EXPECT_TRUE(painting->settled);
+  EXPECT_EQ(painting->map.revision, studio.map.state().revision);
+  EXPECT_LT(painting->drawn, 6000u);
+  EXPECT_GT(painting->drawn, 1000u);
+}
+
+}  // namespace
+}  // namespace rosplat
