@@ -91,6 +91,22 @@ def test_other_renderers_are_measured_beside_the_display_s(tmp_path: Path) -> No
     assert all((r.name, r.splats) == ("frame", 2000) and r.gpu for r in records)
 
 
+def test_levels_of_detail_trade_error_for_splats(tmp_path: Path) -> None:
+    records = bench(tmp_path, "levels", "--sizes", "2000")
+    assert {"build", "repair", "memory", "frame", "popping, worst pixel"} <= {
+        record.name for record in records
+    }
+    curve = [
+        (r.parameters["px"], r.parameters["drawn"], r.value)
+        for r in records
+        if r.name == "PSNR" and r.parameters["view"] == "overview" and r.parameters["px"]
+    ]
+    (fine, many, better), (coarse, few, worse) = min(curve), max(curve)
+    assert fine < coarse
+    assert many > few
+    assert better > worse
+
+
 def test_a_picture_is_worth_more_carried_over(tmp_path: Path) -> None:
     records = bench(tmp_path, "moving", "--sizes", "2000")
     found = {

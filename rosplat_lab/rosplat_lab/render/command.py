@@ -69,7 +69,8 @@ def render(
     via is "host", the embedded renderer, or "rviz", the Display in rviz2. on_picture gets the
     camera, (height, width, 4) premultiplied RGBA and the rest of the answer. sidecar: the sorter's
     backend, for a renderer that sorts nothing itself while the sorter does. float_blending: in
-    32-bit instead of 16-bit floats. detail: how much of the map to draw, as RenderView has it. Raises RenderError, ProcessError.
+    32-bit instead of 16-bit floats. detail: how much of the map to draw, as RenderView has it.
+    Raises RenderError, ProcessError.
     """
     # Nobody else's publishers, sorters or viewers.
     namespace = f"/render_{uuid.uuid4().hex[:8]}"

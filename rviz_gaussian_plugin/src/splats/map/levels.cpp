@@ -20,19 +20,25 @@ class NodeCursor {
     page_ = std::upper_bound(pages.begin(), pages.end(), from, [](Cell cell, const auto& page) {
       return cell < page->cells.front();
     });
-    if (page_ == pages.begin()) return;
-    --page_;
-    const std::vector<Cell>& cells = (*page_)->cells;
-    i_ = std::size_t(std::lower_bound(cells.begin(), cells.end(), from) - cells.begin());
-    settle();
+    if (page_ != pages.begin()) --page_;
+    skipTo(from);
   }
 
+  // To the first node from a cell on that isn't before this one.
+  void skipTo(Cell from) {
+    for (; page_ != end_ && (*page_)->cells.back() < from; ++page_) i_ = 0;
+    if (page_ == end_) return;
+    const std::vector<Cell>& cells = (*page_)->cells;
+    i_ = std::size_t(std::lower_bound(cells.begin() + std::ptrdiff_t(i_), cells.end(), from) -
+                     cells.begin());
+  }
   bool before(Cell cell) const { return page_ != end_ && (*page_)->cells[i_] < cell; }
   Node node(int sh_degree) const { return (*page_)->node(i_, sh_degree); }
   PackedSlot packed(int sh_degree) const { return (*page_)->slots.packed(i_, sh_degree); }
   void next() {
-    ++i_;
-    settle();
+    if (++i_ < (*page_)->cells.size()) return;
+    ++page_;
+    i_ = 0;
   }
   // The page that begins here, if it ends before a cell, too.
   std::shared_ptr<const NodePage> wholePage(Cell end) const {
@@ -40,12 +46,6 @@ class NodeCursor {
   }
 
  private:
-  void settle() {
-    if (i_ < (*page_)->cells.size()) return;
-    ++page_;
-    i_ = 0;
-  }
-
   Levels::Pages::const_iterator page_, end_;
   std::size_t i_ = 0;
 };
@@ -272,6 +272,10 @@ void Levels::make(const HostSlots& slots, Piece& piece) const {
   const auto keepUntil = [&](Cell cell) {
     for (; old.before(cell); old.next()) nodes.push_back(old.node(degree));
   };
+  static const Pages kNone;
+  const Cell first = piece.touched.empty() ? 0 : piece.touched.front();
+  NodeCursor child(level > 0 ? job_->pages[level - 1] : kNone, level > 0 ? childrenOf(first) : 0);
+  auto change = changesFrom(job_->changes, first);
   SlotFinder found(slots);
   for (const Cell cell : piece.touched) {
     keepUntil(cell);
@@ -283,7 +287,6 @@ void Levels::make(const HostSlots& slots, Piece& piece) const {
       old.next();
     }
     auto member = before.begin();
-    auto change = changesFrom(job_->changes, cell);
     for (; change != job_->changes.end() && change->cell == cell; ++change) {
       while (member != before.end() && *member < change->slot) node.members.push_back(*member++);
       if (member != before.end() && *member == change->slot) ++member;
@@ -294,8 +297,7 @@ void Levels::make(const HostSlots& slots, Piece& piece) const {
     Mixture mixture(cell, degree);
     if (level > 0) {
       const Cell children = childrenOf(cell);
-      NodeCursor child(job_->pages[level - 1], children);
-      for (; child.before(children + 8); child.next()) {
+      for (child.skipTo(children); child.before(children + 8); child.next()) {
         mixture.add(child.packed(degree), kMostNodeOpacity);
       }
     }

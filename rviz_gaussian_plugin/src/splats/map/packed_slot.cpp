@@ -138,7 +138,7 @@ void unpackHarmonics(const std::uint32_t* slot, int sh_degree,
                      const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands, float* sh) {
   const float unit = fromHalf(slot[6] >> 16);
   const auto fraction = [unit](std::uint32_t word, int shift, int bits, float steps) {
-    return unit * float(std::int32_t(word << (32 - shift - bits)) >> (32 - bits)) / steps;
+    return float(std::int32_t(word << (32 - shift - bits)) >> (32 - bits)) * (unit / steps);
   };
   for (int band = 1; band <= sh_degree; ++band) {
     for (int i = 0; i < kBandWords[band]; ++i, sh += 3) {
