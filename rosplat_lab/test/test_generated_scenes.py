@@ -36,7 +36,7 @@ def test_sheen_depends_on_the_view() -> None:
 
 
 def test_walls_hide_the_other_rooms() -> None:
-    splats = generate(200_000, scene="rooms", sh_degree=0)
+    splats = generate(80_000, scene="rooms", sh_degree=0)
     camera = scenes.room(splats, 640, 360, 1)[0]
     x, y, _ = np.abs(splats.positions).T
     room = splats[np.maximum(x, y) < 2.15]  # the middle one, of nine

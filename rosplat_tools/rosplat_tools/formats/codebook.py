@@ -12,6 +12,9 @@ VECTORS = 64  # that a palette is made from, for each of its own
 LEAF = 512  # vectors of a palette that k-means finds at a time, or
 GROUPS = 64  # groups that it makes of vectors where there are to be more
 ROUNDS = 8
+# Multiplications of a matrix product that OpenBLAS leaves to one thread: waking others takes longer
+# than the many small products here.
+SMALL_PRODUCT = 1 << 18
 
 _Labels = NDArray[np.intp]
 
@@ -98,7 +101,14 @@ def _k_means(
 
 def _nearest_vector(vectors: NDArray[np.float32], centres: NDArray[np.float32]) -> _Labels:
     labels = np.empty(len(vectors), np.intp)
-    squares = (centres**2).sum(axis=1)
+    squares, doubled = (centres**2).sum(axis=1), 2 * centres.T
+    rows = max(1, SMALL_PRODUCT // centres.size)
     for part in blocks(len(vectors)):
-        labels[part] = (squares - 2 * vectors[part] @ centres.T).argmin(axis=1)
+        block = vectors[part]
+        whole = len(block) // rows * rows
+        products = np.empty((len(block), len(centres)), np.float32)
+        stacked = block[:whole].reshape(whole // rows, rows, block.shape[1])
+        products[:whole] = (stacked @ doubled).reshape(whole, len(centres))
+        products[whole:] = block[whole:] @ doubled
+        labels[part] = (squares - products).argmin(axis=1)
     return labels
