@@ -168,7 +168,6 @@ def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
             "rosplat_tools", "ply_publisher", "--ros-args",
             "-p", f"path:={quoted(scene)}", "-p", "frame_id:=scene",
         )  # fmt: skip
-        processes.node("rosplat_sorter", "sorter")
         processes.start("rviz2", ["rviz2", "-d", str(config)])
         time.sleep(seconds)
         processes.check()
