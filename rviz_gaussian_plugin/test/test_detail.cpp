@@ -93,7 +93,7 @@ TEST(Detail, OfNothingOrOfNonsenseIsRefused) {
 
 TEST(Budget, IsKept) {
   Plain plain(60000);
-  const std::size_t all = plain.draw(0, 0).drawn;
+  const std::size_t all = plain.draw(0, 1000000).drawn;
   for (const std::size_t most : {std::size_t{1000}, std::size_t{5000}, all / 2}) {
     const double error = plain.errorFor(double(most));
     EXPECT_GT(error, 0);
@@ -104,9 +104,13 @@ TEST(Budget, IsKept) {
   }
 }
 
-TEST(Budget, OfMoreThanThereIsDrawsAll) {
-  const Plain plain(3000);
+TEST(Budget, OfWhatThereIsDrawsAll) {
+  Plain plain(60000);
+  const std::size_t all = plain.draw(0, 1000000).drawn;
   EXPECT_EQ(plain.errorFor(1e6), 0);
+  EXPECT_EQ(plain.errorFor(1.1 * double(all)), 0);
+  // Whatever the samples say.
+  EXPECT_LE(plain.draw(0, all / 2).drawn, all / 2);
 }
 
 TEST(Budget, OfOneSplatEnds) {

@@ -16,8 +16,9 @@ using Clock = std::chrono::steady_clock;
 
 namespace {
 
-constexpr int kLongestSide = 16384;  // [px], as makeCamera() has it
-constexpr double kMostError = 1e15;  // where nothing is left to be merged [px]
+constexpr int kLongestSide = 16384;   // [px], as makeCamera() has it
+constexpr double kLeastError = 0.25;  // that is worth a try [px]
+constexpr double kMostError = 1e15;   // where nothing is left to be merged [px]
 
 const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -93,7 +94,9 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
   while (true) {
     choosePages(slots, map, request, error);
     cull();
-    if (error == 0 || candidates <= request.most_splats || error > kMostError || cancelled()) break;
+    const bool fits = !request.levels || candidates <= request.most_splats;
+    if (fits || error > kMostError || cancelled()) break;
+    error = std::max(error, kLeastError);
     error *= std::clamp(std::sqrt(double(candidates) / double(request.most_splats)), 1.01, 2.0);
   }
   if (cancelled()) return false;

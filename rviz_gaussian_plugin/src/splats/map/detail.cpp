@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <locale>
+#include <numeric>
 #include <sstream>
 #include <stdexcept>
 #include <vector>
@@ -109,10 +110,12 @@ double errorForSplats(const Levels& levels, const SplatCamera& camera,
       }
     }
   }
+  // Where levels blend, more may be drawn than there are splats.
+  if (std::accumulate(more.begin(), more.end(), 0.0) <= splats) return 0;
   double drawn = 0;
   std::size_t bin = more.size();
   while (bin > 0 && drawn + more[bin - 1] <= splats) drawn += more[--bin];
-  return bin == 0 ? 0 : std::exp2(kLeastOctave + double(bin) / kBins);
+  return std::exp2(kLeastOctave + double(bin) / kBins);
 }
 
 double DetailControl::choose(const Detail& detail, bool at_once, const Levels& levels,
