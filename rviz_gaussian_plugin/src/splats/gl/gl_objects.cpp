@@ -24,6 +24,8 @@ Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
     object_.release();
     throw Error("the graphics driver has no " + std::to_string(bytes >> 20) + " MiB left");
   }
+  // NVIDIA's driver (580) clears it, on its own and sometimes only after what follows has written.
+  glFinish();
 }
 
 void Buffer::write(std::size_t offset, const void* data, std::size_t bytes) {

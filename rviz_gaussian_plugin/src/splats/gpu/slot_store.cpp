@@ -12,8 +12,7 @@ constexpr std::uint32_t kMostArenaPages = 2048;  // 72 MiB of slots
 
 std::size_t bandBytes(int band) { return kBandWords[band] * kWord; }
 
-// Opacity 0: empty slots. Not cleared: NVIDIA's driver (580) clears a new buffer after the write
-// that follows.
+// Opacity 0: empty slots.
 void writeZeros(gl::Buffer& buffer, std::size_t offset, std::size_t bytes) {
   const std::vector<std::uint32_t> zeros(bytes / kWord);
   buffer.write(offset, zeros.data(), bytes);
