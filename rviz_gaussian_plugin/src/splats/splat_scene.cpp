@@ -1,5 +1,7 @@
 #include "splat_scene.hpp"
 
+#include <malloc.h>
+
 #include <algorithm>
 #include <array>
 #include <chrono>
@@ -38,6 +40,12 @@ OrderSource sourceOf(const RenderSettings& settings, bool sort_now) {
 }
 
 }  // namespace
+
+SplatScene::Trim::~Trim() {
+#ifdef __GLIBC__
+  malloc_trim(0);
+#endif
+}
 
 BatchReport SplatScene::apply(const GaussianBatch& batch) {
   BatchReport report;

@@ -152,6 +152,11 @@ class SplatScene {
   void feedSorter();
   OrderPtr unsorted();
 
+  // Gives memory back to the system: what the painter's threads have freed, glibc keeps for them.
+  struct Trim {
+    ~Trim();
+  } trim_;  // first, so that all else is gone by then
+
   mutable std::mutex map_mutex_;    // map_
   mutable std::mutex queue_mutex_;  // arrivals_, queued_, orders_
   OrderPool pool_;
