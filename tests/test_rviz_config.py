@@ -31,6 +31,7 @@ MAP: dict[str, Any] = {
     "SH Degree/SH Band": "1",
     "Order Source": "Built-in",
     "Antialiasing": "On",
+    "Detail": "2 px",
     "Float Blending": True,
     "Near Fade": 0.25,
     "Clip Box": True,

@@ -213,6 +213,21 @@ def test_where_pictures_fail_is_told_while_it_lasts(rviz: Rviz, world: World) ->
     rviz.until_status("Map", "Accuracy", "Warn", "Fixed Frame")
 
 
+def test_detail_draws_less_and_says_so(rviz: Rviz, world: World) -> None:
+    from rosplat_tools.generate import generate
+
+    world.place()
+    rviz.load(configuration(map_display(**{"Order Source": "Auto"}), view=TOP.replace("100", "20")))
+    world.map.replace(generate(20000))
+    rviz.set("Map", "Detail", value="8 px")
+    text = rviz.until_status("Map", "Detail", "Ok", "of 20000 splats drawn", "to 8.0 px")
+    assert 0 < int(text.split()[0]) < 10000
+    rviz.set("Map", "Detail", value="5000")
+    rviz.until_status("Map", "Detail", "Ok", "of 20000 splats drawn", "px")
+    rviz.set("Map", "Detail", value="some")
+    rviz.until_status("Map", "Detail", "Error", "'some'", "expected full")
+
+
 def test_old_opengl_serves_the_processor_alone(tmp_path: Path, world: World) -> None:
     old = World(frame=world.frame, namespace="old")  # the other rviz2 answers for /gaussians
     rviz = Rviz(

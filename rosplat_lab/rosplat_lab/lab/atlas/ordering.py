@@ -32,7 +32,7 @@ from rosplat_sorter.view import OVERSCAN
 from rosplat_tools.cameras import Camera
 from rosplat_tools.generate import generate
 from rosplat_tools.splats import concatenate
-from rviz_gaussian_plugin.offscreen import OrderSource
+from rviz_gaussian_plugin.offscreen import OrderSource, Rasterizer
 
 CASES = Cases()
 UPSERT = 1
@@ -217,7 +217,8 @@ def edits(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
         expected = truth(moved, camera)
         bench.show(replace(splats))  # a map of its own each time
         order = bench.order(camera)
-        bench.draw(camera, order)
+        # On the processor an order of a map before gives way to its own.
+        bench.draw(camera, order, rasterizer=Rasterizer.TILES)
         if count:
             bench.edit(UPSERT, 0, moved[:count])
         bench.renderer.settings.float_blending = True
