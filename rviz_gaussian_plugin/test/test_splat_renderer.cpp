@@ -437,46 +437,6 @@ TEST_F(SplatRendererTest, UnsortedSlotsFarApartCostTheirPages) {
   EXPECT_EQ(scene.report("view").splats, 2u);
 }
 
-// A graphics card gets many arenas full: its driver may clear a new buffer after it was written.
-TEST_F(SplatRendererTest, LosesNothingOfAMapThatGrows) {
-  constexpr std::uint32_t kBatch = 30000;
-  const std::uint32_t batches = gl::accelerated() ? 200 : 5;
-  SplatScene scene(shaders());
-  std::vector<float> positions(3 * kBatch), sh(48 * kBatch, 0.1f);
-  const std::vector<float> orientations(4 * kBatch, 0.5f), scales(3 * kBatch, 0.01f),
-      opacities(kBatch, 0.5f);
-  for (std::uint32_t i = 0; i < batches; ++i) {
-    for (std::uint32_t k = 0; k < kBatch; ++k) {
-      positions[3 * k] = static_cast<float>(i);
-      positions[3 * k + 2] = static_cast<float>(k + 1);
-    }
-    GaussianBatch batch;
-    batch.map_id = "map";
-    batch.revision = i + 1;
-    batch.operation = i == 0 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
-    batch.first_slot = i * kBatch;
-    batch.count = kBatch;
-    batch.sh_degree = 3;
-    batch.positions = {positions.data(), positions.size()};
-    batch.orientations = {orientations.data(), orientations.size()};
-    batch.scales = {scales.data(), scales.size()};
-    batch.opacities = {opacities.data(), opacities.size()};
-    batch.sh = {sh.data(), sh.size()};
-    scene.apply(batch);
-    if (i % 33 == 32 || i + 1 == batches) picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
-  }
-  std::vector<std::uint32_t> slots(batches * kBatch / 10);
-  for (std::size_t i = 0; i < slots.size(); ++i) slots[i] = static_cast<std::uint32_t>(10 * i);
-  std::size_t lost = 0;
-  for (const SplatValues& splat : scene.readSlots(slots)) {
-    const bool kept = splat.position[0] == splat.slot / kBatch &&
-                      splat.position[2] == splat.slot % kBatch + 1 && splat.opacity > 0.49f &&
-                      std::fabs(splat.sh[47] - 0.1f) < 1e-3f;
-    if (!kept) ++lost;
-  }
-  EXPECT_EQ(lost, 0u);
-}
-
 // Where lanes don't vote as the driver says. Without subgroups, nothing of this runs.
 TEST_F(SplatRendererTest, SortsWithoutSubgroupsThatVoteWrongly) {
   SplatScene scene(shaders({"subgroupBallot(vote).x", "subgroupBallot(vote).x & 0xffffu"}));
