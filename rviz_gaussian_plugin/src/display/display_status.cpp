@@ -127,8 +127,9 @@ StatusLine orderStatus(const FrameReport& frame, const std::string& view) {
 StatusLine frameStatus(const FrameReport& frame, const std::string& view) {
   std::string text;
   if (frame.paint_time > 0) {
-    text = concat(frame.paint_time * 1e3, " ms to paint by the ", frame.rasterizer, ", at most ",
-                  frame.picture_age * 1e3, " ms old, ", frame.draw_time * 1e3, " ms to show");
+    text = concat(frame.paint_time * 1e3, " ms to paint by the ", frame.rasterizer, ", ");
+    if (frame.picture_age > 0) text += concat("at most ", frame.picture_age * 1e3, " ms old, ");
+    text += concat(frame.draw_time * 1e3, " ms to show");
   } else {
     text = concat(frame.draw_time * 1e3, " ms to draw in ", frame.rasterizer);
   }
