@@ -42,15 +42,9 @@ void CpuRasterizer::Work::setViews(const HostSlots& slots, const MapState& map,
   ProjectView& p = project_view;
   std::copy_n(view.rotation, 9, p.rotation);
   std::copy_n(view.translation, 3, p.translation);
-  const auto& r = camera.rotation;
+  const auto eye = eyeOf(camera, map.origin);
   for (int i = 0; i < 3; ++i) {
-    double position = 0;
-    for (int k = 0; k < 3; ++k) {
-      double t = camera.translation[k];
-      for (int j = 0; j < 3; ++j) t += r[3 * k + j] * map.origin[j];
-      position -= r[3 * k + i] * t;
-    }
-    p.eye[i] = static_cast<float>(camera.orthographic ? r[6 + i] : position);
+    p.eye[i] = static_cast<float>(camera.orthographic ? camera.rotation[6 + i] : eye[i]);
   }
   p.fx = view.fx;
   p.fy = view.fy;

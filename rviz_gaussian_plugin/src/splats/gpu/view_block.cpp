@@ -32,17 +32,9 @@ ViewBlock::ViewBlock(const Frame& frame) {
   offset = {view.offset_x, view.offset_y};
   half_size = {view.half_width, view.half_height};
   slope = {view.slope_x, view.slope_y};
-  // Rebased in double precision: neither the map's origin nor the camera's position reaches
-  // float32.
-  const auto& r = camera.rotation;
+  const auto position = eyeOf(camera, map.origin);
   for (int i = 0; i < 3; ++i) {
-    double position = 0;
-    for (int k = 0; k < 3; ++k) {
-      double t = camera.translation[k];
-      for (int j = 0; j < 3; ++j) t += r[3 * k + j] * map.origin[j];
-      position -= r[3 * k + i] * t;
-    }
-    eye[i] = static_cast<float>(camera.orthographic ? r[6 + i] : position);
+    eye[i] = static_cast<float>(camera.orthographic ? camera.rotation[6 + i] : position[i]);
     box_centre[i] = static_cast<float>(settings.clip_box.centre[i] - map.origin[i]);
   }
   clip_to_box = settings.clip_box.enabled;

@@ -6,17 +6,11 @@
 namespace rosplat {
 
 Cut::Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool sharp)
-    : focal(std::max(camera.fx, camera.fy)),
+    : eye(eyeOf(camera, origin)),
+      focal(std::max(camera.fx, camera.fy)),
       orthographic(camera.orthographic),
       from(error * (sharp ? 1 - 1e-5 : std::sqrt(0.5))),
-      to(error) {
-  for (std::size_t i = 0; i < 3; ++i) {
-    eye[i] = -origin[i];
-    for (std::size_t k = 0; k < 3; ++k) {
-      eye[i] -= camera.rotation[3 * k + i] * camera.translation[k];
-    }
-  }
-}
+      to(error) {}
 
 double Cut::errorOf(const std::array<float, 3>& position, double size) const {
   if (orthographic) return focal * size;

@@ -39,6 +39,15 @@ SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera) {
   return moved;
 }
 
+std::array<double, 3> eyeOf(const SplatCamera& camera, const std::array<double, 3>& origin) {
+  const std::array<double, 3> t = Placement{camera.rotation, camera.translation}(origin);
+  std::array<double, 3> eye{};
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) eye[i] -= camera.rotation[3 * k + i] * t[k];
+  }
+  return eye;
+}
+
 std::pair<double, double> depthBuffer(bool orthographic, double near_clip, double far_clip) {
   const double range = far_clip - near_clip, sum = far_clip + near_clip;
   return orthographic ? std::pair(2 / range, -sum / range)

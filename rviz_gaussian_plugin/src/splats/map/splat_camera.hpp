@@ -54,6 +54,10 @@ Placement makePlacement(const std::array<double, 3>& position,
 // A camera of a scene, as one in the frame of a map that is placed there.
 SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera);
 
+// Where a camera is, relative to a map's origin: in double precision, so that neither's distance
+// from zero reaches 32-bit floats. [m]
+std::array<double, 3> eyeOf(const SplatCamera& camera, const std::array<double, 3>& origin);
+
 // How a depth buffer between two distances [m] sees a camera: ndc_scale and ndc_offset.
 std::pair<double, double> depthBuffer(bool orthographic, double near_clip, double far_clip);
 // The farther one of the depth buffer that hides splats behind opaque objects. [m]
