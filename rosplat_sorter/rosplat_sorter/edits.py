@@ -60,6 +60,8 @@ def check(message: GaussianArray) -> None:
         raise EditError(f"operation is {message.operation}, known are 0 to 2")
     if message.encoding != ENCODING_FLOAT32:
         raise EditError(f"encoding is {message.encoding}, known is 0")
+    if message.group:
+        raise EditError(f"group is {message.group}, only group 0 is known yet")
     if message.sh_degree > MAX_SH_DEGREE:
         raise EditError(f"sh_degree is {message.sh_degree}, at most {MAX_SH_DEGREE} is known")
     origin = message.origin
