@@ -50,7 +50,11 @@ def test_bad_input_is_explained(rviz: Rviz, world: World, tmp_path: Path) -> Non
 
 
 def request_picture(
-    world: World, frame: str = "", topic: str = "/gaussians", order_timeout: float = 0.0
+    world: World,
+    frame: str = "",
+    topic: str = "/gaussians",
+    order_timeout: float = 0.0,
+    client: Any = None,
 ) -> Any:
     """The future of what the display answers to a camera that looks up from a metre below."""
     from rosplat_msgs.srv import RenderView
@@ -63,7 +67,7 @@ def request_picture(
         Camera(id=0, width=16, height=16, fx=16, fy=16, cx=8, cy=8, world_to_camera=below)
     )
     camera.header.frame_id = frame
-    client = world.node.create_client(RenderView, f"{topic}/render")
+    client = client or world.node.create_client(RenderView, f"{topic}/render")
     world.spin_until(client.service_is_ready)
     return client.call_async(RenderView.Request(camera=camera, order_timeout=order_timeout))
 
@@ -147,6 +151,18 @@ def test_pictures_are_drawn_by_a_display_that_is_told_to(rviz: Rviz, world: Worl
     world.spin_until(lambda: not service.service_is_ready())
     rviz.set("Map", "Render Service", value=True)
     assert ask_for_picture(world).success
+
+
+def test_clients_that_ask_for_pictures_take_turns(rviz: Rviz, world: World) -> None:
+    """One that asks for many, and lets each wait for a sorter that isn't there, holds up nobody."""
+    from rosplat_msgs.srv import RenderView
+
+    world.map.replace(disc((1, 0, 0)))
+    rviz.until_status("Map", "Map", "Ok", "1 splats")
+    client = world.node.create_client(RenderView, "/gaussians/render")
+    many = [request_picture(world, client=client, order_timeout=60.0) for _ in range(3)]
+    assert ask_for_picture(world, order_timeout=60.0).success
+    assert not many[-1].done()
 
 
 def test_what_waits_for_a_picture_is_told_when_the_display_is_removed(

@@ -1,6 +1,7 @@
 #include "gaussian_client.hpp"
 
 #include <chrono>
+#include <iterator>
 #include <new>
 #include <utility>
 
@@ -14,13 +15,16 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr std::size_t kMostRequests = 64;  // for pictures, that wait
-
 // The newest camera and order of each view matter: as deep as a sorter serves views.
 rclcpp::QoS viewQos() { return rclcpp::QoS(rclcpp::KeepLast(32)).reliable().durability_volatile(); }
 // All of what one box of the mouse picks.
 rclcpp::QoS pickedQos() {
   return rclcpp::QoS(rclcpp::KeepLast(100)).reliable().durability_volatile();
+}
+
+// Who sent a request.
+std::string clientOf(const rmw_request_id_t& id) {
+  return {std::begin(id.writer_guid), std::end(id.writer_guid)};
 }
 
 }  // namespace
@@ -219,12 +223,11 @@ void GaussianClient::setServing(bool serving) {
       remapped_ + "/render",
       [this](std::shared_ptr<rclcpp::Service<RenderView>> service,
              std::shared_ptr<rmw_request_id_t> id, std::shared_ptr<RenderView::Request> request) {
+        const std::string client = clientOf(*id);
         RenderRequest asked{std::move(service), std::move(id), std::move(request)};
         const std::lock_guard lock(mutex_);
-        if (requests_.size() < kMostRequests) {
-          requests_.push_back(std::move(asked));
-        } else {
-          asked.refuse("too many pictures are asked for at once");
+        if (const auto refused = requests_.push(client, std::move(asked))) {
+          refused->refuse("too many pictures are asked for at once");
         }
       },
       serviceQos(), group_);
@@ -232,10 +235,12 @@ void GaussianClient::setServing(bool serving) {
 
 std::optional<GaussianClient::RenderRequest> GaussianClient::takeRenderRequest() {
   const std::lock_guard lock(mutex_);
-  if (requests_.empty()) return std::nullopt;
-  RenderRequest request = std::move(requests_.front());
-  requests_.pop_front();
-  return request;
+  return requests_.pop();
+}
+
+bool GaussianClient::renderRequestsWait() const {
+  const std::lock_guard lock(mutex_);
+  return !requests_.empty();
 }
 
 GaussianClient::Status GaussianClient::status() const {

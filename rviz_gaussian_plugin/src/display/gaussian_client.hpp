@@ -2,7 +2,6 @@
 
 #include <array>
 #include <atomic>
-#include <deque>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -19,6 +18,7 @@
 #include <vector>
 
 #include "camera_trail.hpp"
+#include "fair_queue.hpp"
 #include "rosplat_sorter/order_slots.hpp"
 #include "sidecar_switch.hpp"
 #include "splat_scene.hpp"
@@ -82,7 +82,9 @@ class GaussianClient {
   void switchBackend(const std::string& backend) { sidecar_->ask(backend); }
   // Whether others may ask for pictures, from now on.
   void setServing(bool serving);
+  // The next that waits; clients take turns.
   std::optional<RenderRequest> takeRenderRequest();
+  bool renderRequestsWait() const;
   Status status() const;
   std::string frameId() const;           // of the map
   std_msgs::msg::Header header() const;  // of what is said of the map now
@@ -90,6 +92,7 @@ class GaussianClient {
  private:
   using GaussianArray = rosplat_msgs::msg::GaussianArray;
   using SplatOrder = rosplat_msgs::msg::SplatOrder;
+  static constexpr std::size_t kMostRequests = 64;  // for pictures, that wait
 
   rclcpp::Subscription<GaussianArray>::SharedPtr subscribe(const rclcpp::QoS& qos);
   void receive(const GaussianArray& message);
@@ -120,7 +123,7 @@ class GaussianClient {
   mutable std::mutex mutex_;  // status_, requests_, views_
   Status status_;
   std::array<std::string, 2> maps_;  // the newest, and the one before
-  std::deque<RenderRequest> requests_;
+  FairQueue<std::string, RenderRequest> requests_{kMostRequests};
   std::set<std::string> views_;  // that asked for orders
 
   rclcpp::executors::SingleThreadedExecutor executor_;

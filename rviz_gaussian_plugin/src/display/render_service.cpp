@@ -21,6 +21,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr auto kAskAgain = 250ms;      // how long a picture waits for an order before it asks again
 constexpr double kLongestWait = 60.0;  // for the order of a picture [s]
+constexpr auto kSharedWait = 1s;       // the same while other requests wait
 constexpr auto kUnserved = 1s;         // after which nobody will draw any
 
 sensor_msgs::msg::Image toImage(const std::vector<float>& pixels, const char* encoding,
@@ -50,7 +51,7 @@ void RenderService::serve() {
     const bool wanted = scene.wantsOrders(cloud_.settings());
     view_.setOrdersWanted(wanted);
     const bool answered = wanted && scene.answered(view_.id(), cloud_.settings());
-    if (wanted && !answered && Clock::now() < deadline_) {
+    if (wanted && !answered && Clock::now() < deadline()) {
       if (view_.age() > kAskAgain) view_.ask(view_.camera());
       return;
     }
@@ -71,10 +72,15 @@ bool RenderService::take() {
   SplatCamera camera = inMapFrame(request_->request->camera);
   camera.extent_scale = extentScale(cloud_.settings());
   view_.ask(camera);
+  taken_ = Clock::now();
   const double asked = request_->request->order_timeout;
   const std::chrono::duration<double> wait(asked > 0 ? std::min(asked, kLongestWait) : 0.0);
-  deadline_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(wait);
+  deadline_ = taken_ + std::chrono::duration_cast<Clock::duration>(wait);
   return true;
+}
+
+Clock::time_point RenderService::deadline() const {
+  return client_.renderRequestsWait() ? std::min(deadline_, taken_ + kSharedWait) : deadline_;
 }
 
 RenderSettings RenderService::settings() const {

@@ -15,8 +15,8 @@ class FrameManagerIface;
 
 namespace rosplat {
 
-// Draws the pictures that others ask for at <topic>/render, one after the other, each as soon as
-// its order is there, if it takes another's. Render thread only.
+// Draws the pictures that others ask for at <topic>/render, one after the other, its clients in
+// turn, each as soon as its order is there, if it takes another's. Render thread only.
 class RenderService {
  public:
   // All of them must outlive it; view_id names its view among all viewers'.
@@ -34,7 +34,10 @@ class RenderService {
   bool refuse(const std::string& why);
 
  private:
+  using Clock = std::chrono::steady_clock;
+
   bool take();
+  Clock::time_point deadline() const;
   RenderSettings settings() const;
   SplatCamera inMapFrame(rosplat_msgs::msg::ViewCamera camera) const;
   GaussianClient::RenderView::Response draw(bool sort_now);
@@ -44,10 +47,11 @@ class RenderService {
   rviz_common::FrameManagerIface& frames_;
   View view_;
   std::optional<GaussianClient::RenderRequest> request_;
-  Detail detail_;                                   // that it asks for
-  std::chrono::steady_clock::time_point deadline_;  // of its order
-  bool served_ = true;                              // since the last update
-  std::chrono::steady_clock::time_point unserved_;  // since when they were not
+  Detail detail_;               // that it asks for
+  Clock::time_point taken_;     // when its turn came
+  Clock::time_point deadline_;  // of its order, unless others wait
+  bool served_ = true;          // since the last update
+  Clock::time_point unserved_;  // since when they were not
 };
 
 }  // namespace rosplat
