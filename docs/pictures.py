@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
-from rosplat_tools.processes import Processes, quoted
+from rosplat_tools.program.processes import Processes, quoted
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 DOCS = Path(__file__).parent

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from rosplat_lab.driven_rviz import DrivenRviz, is_here
-from rosplat_tools.processes import Processes
+from rosplat_tools.program.processes import Processes
 
 SCREEN = (1000, 800)
 

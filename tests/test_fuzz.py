@@ -23,7 +23,7 @@ from rosplat_sorter.backends import open_backend
 from rosplat_sorter.qos import MAP, VIEW
 from rosplat_sorter.view import View
 from rosplat_tools import formats
-from rosplat_tools.processes import Processes
+from rosplat_tools.program.processes import Processes
 from rosplat_tools.splats import SceneError, Splats
 
 FLOOR = 64 << 20  # what a process may take beyond one and a half maps [bytes]

@@ -48,7 +48,7 @@ def qos() -> list[str]:
 def record(robot: World, bag: Path) -> int:
     """A red disc that moves, a blue one later, then only that; returns when it began [ns]."""
     from rosplat_msgs.msg import ViewCamera
-    from rosplat_tools.processes import Processes
+    from rosplat_tools.program.processes import Processes
 
     robot.node.create_publisher(ViewCamera, "/gaussians/view", 1)
     with Processes(bag.parent) as processes:

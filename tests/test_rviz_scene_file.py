@@ -11,7 +11,7 @@ import pytest
 
 from rosplat_tools import formats
 from rosplat_tools.generate import generate
-from rosplat_tools.processes import Processes
+from rosplat_tools.program.processes import Processes
 from rviz_harness import (
     Rviz,
     World,

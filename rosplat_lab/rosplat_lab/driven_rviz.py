@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rosplat_tools.processes import ProcessError, Processes, node_command
+from rosplat_tools.program.processes import ProcessError, Processes, node_command
 
 NAME = "rviz2"  # of its log
 PATIENCE = 60.0  # with its first answer, and with each later one [s]

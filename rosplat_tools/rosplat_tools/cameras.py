@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rosplat_tools.files import write_text
+from rosplat_tools.program.files import write_text
 from rosplat_tools.splats import SceneError
 
 UP = (0.0, 0.0, 1.0)  # REP-103

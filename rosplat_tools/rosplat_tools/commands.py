@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from functools import partial
 
-from rosplat_tools.processes import run_module
+from rosplat_tools.program.processes import run_module
 
 convert = partial(run_module, "convert", "rosplat_tools.convert")
-demo_sensors = partial(run_module, "demo_sensors", "rosplat_tools.demo_sensors")
-follow = partial(run_module, "follow", "rosplat_tools.follow")
+demo_sensors = partial(run_module, "demo_sensors", "rosplat_tools.emulation.demo_sensors")
+follow = partial(run_module, "follow", "rosplat_tools.following.follow")
 generate = partial(run_module, "generate", "rosplat_tools.generate")
 inspect = partial(run_module, "inspect", "rosplat_tools.inspect")
 ply_publisher = partial(run_module, "ply_publisher", "rosplat_tools.ply_publisher")
-slam_emulator = partial(run_module, "slam_emulator", "rosplat_tools.slam_emulator")
-stream_publisher = partial(run_module, "stream_publisher", "rosplat_tools.stream_publisher")
+slam_emulator = partial(run_module, "slam_emulator", "rosplat_tools.emulation.slam_emulator")
+stream_publisher = partial(
+    run_module, "stream_publisher", "rosplat_tools.streaming.stream_publisher"
+)

@@ -8,8 +8,8 @@ import sys
 from tqdm import tqdm
 
 from rosplat_tools.formats import SUFFIXES, SceneError, axes, check_output, load, save
-from rosplat_tools.output import say
-from rosplat_tools.progress import watched
+from rosplat_tools.program.output import say
+from rosplat_tools.program.progress import watched
 from rosplat_tools.round_trip import report
 from rosplat_tools.scenes import NAMES, load_scene, vertical
 

@@ -11,8 +11,8 @@ from rosplat_tools.formats import Progress, SceneError, check_output, save
 from rosplat_tools.generated.garden import Garden
 from rosplat_tools.generated.rooms import Rooms
 from rosplat_tools.generated.surfaces import quaternions
-from rosplat_tools.output import say
-from rosplat_tools.progress import watched
+from rosplat_tools.program.output import say
+from rosplat_tools.program.progress import watched
 from rosplat_tools.splats import MAX_SH_DEGREE, Splats
 
 SCENES: dict[str, type[Garden] | type[Rooms]] = {"garden": Garden, "rooms": Rooms}

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from rosplat_tools.formats import SceneError, axes, format_of
-from rosplat_tools.output import say
-from rosplat_tools.progress import watched
+from rosplat_tools.program.output import say
+from rosplat_tools.program.progress import watched
 from rosplat_tools.scenes import NAMES, PROCEDURAL, read_scene
 
 QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)

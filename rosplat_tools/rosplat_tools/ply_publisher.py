@@ -16,9 +16,9 @@ from rosplat_sorter.log_text import shown
 from rosplat_sorter.qos import HISTORY_DEPTH
 from rosplat_tools import formats
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
-from rosplat_tools.parameters import declare
-from rosplat_tools.progress import bar
-from rosplat_tools.running import Cancelled, run, spinning, wait_for_end
+from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.progress import bar
+from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
 from rosplat_tools.scenes import NAMES, is_generated, load_scene
 from rosplat_tools.space_order import put_in_space_order
 from rosplat_tools.splats import SceneError

@@ -60,16 +60,16 @@ def node() -> Iterator[Node]:
 
 @pytest.fixture
 def start(node: Node) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts a module of rosplat_tools, or package.module, in the namespace of `node`."""
+    """Starts a program of rosplat_tools, or package.module, in the namespace of `node`."""
     started: list[subprocess.Popen[str]] = []
 
     def start(program: str, **parameters: object) -> subprocess.Popen[str]:
         arguments = ["--ros-args", "-r", f"__ns:={node.get_namespace()}"]
         for name, value in parameters.items():
             arguments += ["-p", f"{name}:={value}"]
-        module = program if "." in program else f"rosplat_tools.{program}"
+        module, main = (program, "main") if "." in program else ("rosplat_tools.commands", program)
         process = subprocess.Popen(
-            [sys.executable, "-c", f"from {module} import main; main()", *arguments],
+            [sys.executable, "-c", f"from {module} import {main}; exit({main}())", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

@@ -20,8 +20,8 @@ from sensor_msgs.msg import CameraInfo, Image, Imu
 
 from rosplat_msgs.srv import RenderView
 from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.demo_sensors import Beat
-from rosplat_tools.flight import CAMERA_OFFSET, GRAVITY, Flight, draw_grid
+from rosplat_tools.emulation.demo_sensors import Beat
+from rosplat_tools.emulation.flight import CAMERA_OFFSET, GRAVITY, Flight, draw_grid
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.splats import Splats
 
@@ -35,7 +35,7 @@ def sensors(
 ) -> Iterator[subprocess.Popen[str]]:
     """The program in the test's namespace; must end quietly by SIGINT."""
     settings = [word for parameter in parameters for word in ("-p", parameter)]
-    command = [sys.executable, "-m", "rosplat_tools.demo_sensors", "--ros-args"]
+    command = [sys.executable, "-m", "rosplat_tools.emulation.demo_sensors", "--ros-args"]
     process = subprocess.Popen(
         [*command, "-r", f"__ns:={node.get_namespace()}", *settings, *arguments],
         stdout=subprocess.PIPE,
@@ -308,7 +308,7 @@ def test_all_is_stamped_by_a_simulated_clock(node: Node, spin_some: Callable[[],
     "wrong", ["period:=-1.0", "center:=[1.0, 2.0]", "center:=[.nan, 0.0, 0.0]"]
 )
 def test_a_parameter_that_makes_no_sense_is_one_line(wrong: str) -> None:
-    command = [sys.executable, "-m", "rosplat_tools.demo_sensors", "--ros-args"]
+    command = [sys.executable, "-m", "rosplat_tools.emulation.demo_sensors", "--ros-args"]
     done = subprocess.run([*command, "-p", wrong], capture_output=True, text=True, timeout=30)
     assert done.returncode == 1
     assert done.stderr.startswith("demo_sensors: ")

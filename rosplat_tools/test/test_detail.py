@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rosplat_sorter.camera import Camera
-from rosplat_tools.detail import (
+from rosplat_tools.streaming.detail import (
     BEHIND,
     LOYALTY,
     NOTHING,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rosplat_tools.files import replacing, write_below, write_text
+from rosplat_tools.program.files import replacing, write_below, write_text
 
 
 def test_what_is_written_takes_the_file_s_place(tmp_path: Path) -> None:

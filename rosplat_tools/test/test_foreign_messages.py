@@ -9,7 +9,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 from point_cloud import cloud
 
-from rosplat_tools.foreign_messages import from_point_cloud, from_splat_array
+from rosplat_tools.following.foreign_messages import from_point_cloud, from_splat_array
 from rosplat_tools.splats import SceneError, Splats
 from rosplat_tools.testing import random_splats
 

@@ -15,7 +15,7 @@ from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_tools.map_publisher import HISTORY_MAPS, MapPublisher
-from rosplat_tools.running import Cancelled
+from rosplat_tools.program.running import Cancelled
 from rosplat_tools.splats import Splats
 
 Maker = Callable[..., Splats]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rosplat_tools.mapping import around, edits
+from rosplat_tools.emulation.mapping import around, edits
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
 

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_tools import formats
 from rosplat_tools.ply_publisher import PlyPublisher
-from rosplat_tools.processes import quoted
+from rosplat_tools.program.processes import quoted
 from rosplat_tools.space_order import put_in_space_order
 from rosplat_tools.splats import Splats
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rosplat_tools.processes import ProcessError, Processes, fast_dds_profile, run_module
+from rosplat_tools.program.processes import ProcessError, Processes, fast_dds_profile, run_module
 
 SLEEP = [sys.executable, "-c", "import time; print('awake', flush=True); time.sleep(600)"]
 # Ignores the signal of Ctrl-C, and has a child.
@@ -62,7 +62,7 @@ def test_leaving_the_block_ends_all_even_by_an_error(tmp_path: Path) -> None:
 def test_what_ignores_the_signal_is_ended_by_force_with_its_children(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rosplat_tools.processes.GRACE", 0.3)
+    monkeypatch.setattr("rosplat_tools.program.processes.GRACE", 0.3)
     with Processes(tmp_path) as processes:
         process = processes.start("stubborn", STUBBORN)
         child = int(said(processes, "stubborn"))
@@ -103,7 +103,7 @@ def test_what_is_not_there_can_t_be_started(tmp_path: Path) -> None:
 def test_a_signal_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) -> None:
     program = (
         "import sys, time; from pathlib import Path\n"
-        "from rosplat_tools.processes import Processes, interrupt_by_signals\n"
+        "from rosplat_tools.program.processes import Processes, interrupt_by_signals\n"
         "interrupt_by_signals()\n"
         "with Processes(Path(sys.argv[1])) as processes:\n"
         "    print(processes.start('sleep', sys.argv[2:]).pid, flush=True); time.sleep(600)\n"
@@ -124,7 +124,8 @@ def test_a_signal_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) 
 
 def test_a_killed_program_leaves_none_of_those_it_started(tmp_path: Path) -> None:
     program = (
-        "import sys; from pathlib import Path; from rosplat_tools.processes import Processes\n"
+        "import sys; from pathlib import Path\n"
+        "from rosplat_tools.program.processes import Processes\n"
         "with Processes(Path(sys.argv[1])) as processes:\n"
         "    child = processes.start('sleep', sys.argv[2:])\n"
         "    print(child.pid, flush=True); child.wait()\n"
@@ -150,7 +151,7 @@ INTERRUPTED = "import os, signal; os.kill(os.getpid(), signal.SIGINT); x = [1] *
 def test_an_interrupt_while_a_command_loads_is_quiet(tmp_path: Path, module: str) -> None:
     (tmp_path / "loading.py").write_text(module + "\ndef main(): print('ran')")
     program = (
-        "import sys; from rosplat_tools.processes import run_module; "
+        "import sys; from rosplat_tools.program.processes import run_module; "
         "sys.exit(run_module('program', 'loading'))"
     )
     run = subprocess.run(
@@ -169,6 +170,6 @@ def test_programs_begin_with_nothing_that_takes_long_to_load() -> None:
 def test_a_library_that_a_command_lacks_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("rosplat_tools.processes.interrupt_by_signals", lambda: None)
+    monkeypatch.setattr("rosplat_tools.program.processes.interrupt_by_signals", lambda: None)
     assert run_module("lab", "rosplat_tools.no_such.command", None) == 1
     assert capsys.readouterr().err == "lab: No module named 'rosplat_tools.no_such'\n"

@@ -7,7 +7,7 @@ INTERRUPTED_AS_IT_BEGINS = """
 import time
 from concurrent.futures import ThreadPoolExecutor
 import rclpy
-from rosplat_tools.running import spinning
+from rosplat_tools.program.running import spinning
 submit = ThreadPoolExecutor.submit
 def interrupted(pool, work):
     submit(pool, work)
@@ -33,7 +33,7 @@ LOSES_AN_INTERRUPT = """
 import os
 import signal
 import rclpy
-from rosplat_tools.running import run, spinning, wait_for_end
+from rosplat_tools.program.running import run, spinning, wait_for_end
 class Dropped:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGINT)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rosplat_tools.slot_allocator import SlotAllocator
+from rosplat_tools.streaming.slot_allocator import SlotAllocator
 
 
 def test_holes_are_used_before_the_map_grows() -> None:

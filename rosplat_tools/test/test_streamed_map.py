@@ -12,7 +12,7 @@ from rosplat_sorter.camera import Camera
 from rosplat_tools.formats.streamed_sog import open_streamed
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import SceneError, Splats
-from rosplat_tools.streamed_map import StreamedMap
+from rosplat_tools.streaming.streamed_map import StreamedMap
 
 EVERYTHING = 1 << 25
 SLOTS = (3 * 1024, 1024, 1024)  # of LEVELS

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from rosplat_tools.watched_file import WatchedFile
+from rosplat_tools.following.watched_file import WatchedFile
 
 
 def test_a_version_is_told_once_it_rests(tmp_path: Path) -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 
+from rosplat_tools.following.whole_maps import WholeMaps
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.splats import Splats, concatenate
 from rosplat_tools.testing import random_splats
-from rosplat_tools.whole_maps import WholeMaps
 
 
 @pytest.fixture

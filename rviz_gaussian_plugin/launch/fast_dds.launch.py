@@ -3,7 +3,7 @@
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction, SetEnvironmentVariable
 
-from rosplat_tools.processes import fast_dds_profile
+from rosplat_tools.program.processes import fast_dds_profile
 
 
 def _set_profile(context: LaunchContext) -> list[SetEnvironmentVariable]:

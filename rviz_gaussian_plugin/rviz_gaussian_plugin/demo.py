@@ -10,8 +10,8 @@ import time
 import uuid
 from pathlib import Path
 
-from rosplat_tools.output import say
-from rosplat_tools.processes import ProcessError, Processes, interrupt_by_signals, quoted
+from rosplat_tools.program.output import say
+from rosplat_tools.program.processes import ProcessError, Processes, interrupt_by_signals, quoted
 from rosplat_tools.scenes import NAMES, vertical
 from rosplat_tools.splats import SceneError
 

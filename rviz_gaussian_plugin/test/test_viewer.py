@@ -19,7 +19,7 @@ from rosplat_msgs.srv import RenderView
 from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
 from rosplat_tools.cameras import Camera
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.running import spinning
+from rosplat_tools.program.running import spinning
 from rosplat_tools.splats import Splats
 from rosplat_tools.view_messages import view_camera
 

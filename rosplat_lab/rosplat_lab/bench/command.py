@@ -34,8 +34,8 @@ from rosplat_lab.bench.records import (
 )  # fmt: skip
 from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_sorter.backends import BACKENDS
-from rosplat_tools.output import say, unheard
-from rosplat_tools.processes import ProcessError
+from rosplat_tools.program.output import say, unheard
+from rosplat_tools.program.processes import ProcessError
 from rosplat_tools.scenes import NAMES, check_scene
 from rosplat_tools.splats import SceneError
 

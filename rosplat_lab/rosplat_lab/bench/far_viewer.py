@@ -16,8 +16,8 @@ from rosplat_lab.bench.scenes import GARDEN, STEP
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.qos import ORDER, VIEW
-from rosplat_tools.parameters import declare
-from rosplat_tools.running import run, spinning
+from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.running import run, spinning
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
 

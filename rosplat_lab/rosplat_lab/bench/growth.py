@@ -21,8 +21,8 @@ from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.edits import UPSERT, Edit
 from rosplat_sorter.map import SplatMap
 from rosplat_tools.cameras import Camera
-from rosplat_tools.mapping import around
-from rosplat_tools.processes import ProcessError
+from rosplat_tools.emulation.mapping import around
+from rosplat_tools.program.processes import ProcessError
 from rosplat_tools.scenes import PROCEDURAL
 from rosplat_tools.splats import Splats
 

@@ -15,7 +15,7 @@ from typing import Any
 from rosplat_lab import machine
 from rosplat_lab.bench import records
 from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
-from rosplat_tools.processes import Processes, quoted
+from rosplat_tools.program.processes import Processes, quoted
 from rosplat_tools.splats import SceneError
 
 GPU = "gpu"  # the viewer's GPU sorts, no sorter runs

@@ -16,8 +16,8 @@ import numpy as np
 from rosplat_lab.bench.embedded import gl_finish
 from rosplat_lab.bench.scenes import STEP
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-from rosplat_tools.parameters import declare
-from rosplat_tools.running import run, spinning
+from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.running import run, spinning
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.offscreen import ensure_display
 from rviz_gaussian_plugin.viewer.node import Viewer

@@ -17,7 +17,7 @@ from rosplat_lab.bench import live
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
-from rosplat_tools.processes import ProcessError, Processes, node_command
+from rosplat_tools.program.processes import ProcessError, Processes, node_command
 from rosplat_tools.scenes import PROCEDURAL
 
 SIZES, QUICK_SIZES = (250_000, 500_000, 1_000_000, 2_000_000), (100_000,)

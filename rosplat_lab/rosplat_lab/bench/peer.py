@@ -25,7 +25,7 @@ from rosplat_sorter.qos import ORDER
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_tools.generate import generate
 from rosplat_tools.messages import decode, encode
-from rosplat_tools.running import run, spinning, wait_for_end
+from rosplat_tools.program.running import run, spinning, wait_for_end
 from rosplat_tools.splats import Splats
 
 try:

@@ -25,7 +25,7 @@ from rosplat_lab.driven_rviz import DrivenRviz, Refused
 from rosplat_lab.reference.renderer import render
 from rosplat_tools import formats
 from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.processes import ProcessError, Processes, quoted
+from rosplat_tools.program.processes import ProcessError, Processes, quoted
 from rosplat_tools.splats import SceneError, Splats
 
 SIZES = (500_000, 2_000_000)

@@ -26,7 +26,7 @@ from rosplat_sorter.map import SplatMap
 from rosplat_sorter.qos import ORDER
 from rosplat_tools.map_publisher import CHUNK_BYTES
 from rosplat_tools.messages import chunks, encode
-from rosplat_tools.processes import ProcessError, Processes
+from rosplat_tools.program.processes import ProcessError, Processes
 
 ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 QUICK_ORDER_SIZES = (100_000, 500_000)

@@ -28,7 +28,7 @@ from rosplat_lab.lab.workers import Comparison, Image, Reference, Workers
 from rosplat_lab.machine import commit, machine
 from rosplat_lab.metrics import MOST_PSNR
 from rosplat_tools.cameras import Camera
-from rosplat_tools.output import say
+from rosplat_tools.program.output import say
 from rosplat_tools.scenes import NAMES, PROCEDURAL, check_scene, is_generated, load_scene
 from rosplat_tools.splats import SceneError, Splats
 from rviz_gaussian_plugin.offscreen import ensure_display

@@ -16,7 +16,7 @@ from rosplat_lab import reference
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.lab import bench, fragments, motion, orders, viewers
 from rosplat_tools.cameras import Camera
-from rosplat_tools.files import write_text
+from rosplat_tools.program.files import write_text
 from rosplat_tools.splats import SceneError, Splats
 
 

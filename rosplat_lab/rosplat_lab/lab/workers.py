@@ -25,8 +25,8 @@ from rosplat_lab.lab import report
 from rosplat_lab.lab.methods import METHODS
 from rosplat_lab.metrics import compare
 from rosplat_tools.cameras import Camera
-from rosplat_tools.files import replacing
-from rosplat_tools.processes import ENDINGS
+from rosplat_tools.program.files import replacing
+from rosplat_tools.program.processes import ENDINGS
 from rosplat_tools.scenes import load_scene
 from rosplat_tools.splats import Splats
 

@@ -32,9 +32,9 @@ from rosplat_lab.metrics import MOST_PSNR, compare
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.backends import BACKENDS
 from rosplat_tools.cameras import Camera, load_cameras
-from rosplat_tools.files import write_text
-from rosplat_tools.output import say
-from rosplat_tools.processes import Processes, quoted
+from rosplat_tools.program.files import write_text
+from rosplat_tools.program.output import say
+from rosplat_tools.program.processes import Processes, quoted
 from rosplat_tools.scenes import NAMES, check_scene
 from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera

@@ -23,10 +23,10 @@ from rosplat_lab.machine import commit, machine
 from rosplat_lab.metrics import MOST_PSNR
 from rosplat_lab.simplify.search import CHECKED, LEARNT, Progress, Quality, Simplification
 from rosplat_lab.simplify.views import HEIGHT, WIDTH
-from rosplat_tools.files import write_text
 from rosplat_tools.formats import SUFFIXES, check_output, load, save
-from rosplat_tools.output import say
-from rosplat_tools.progress import bar, watched
+from rosplat_tools.program.files import write_text
+from rosplat_tools.program.output import say
+from rosplat_tools.program.progress import bar, watched
 from rosplat_tools.scenes import NAMES, load_scene
 from rosplat_tools.splats import SceneError, Splats
 

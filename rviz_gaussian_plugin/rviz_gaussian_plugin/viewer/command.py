@@ -17,8 +17,8 @@ from PIL import Image as Picture
 from rclpy.executors import ExternalShutdownException
 
 from rosplat_msgs.msg import ViewCamera
-from rosplat_tools.output import say
-from rosplat_tools.running import run, spinning
+from rosplat_tools.program.output import say
+from rosplat_tools.program.running import run, spinning
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.offscreen import ensure_display
 from rviz_gaussian_plugin.viewer.node import QUIET, Viewer

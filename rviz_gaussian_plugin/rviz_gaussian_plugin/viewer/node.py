@@ -22,7 +22,7 @@ from rosplat_msgs.srv import RenderView
 from rosplat_sorter.log_text import shown
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
-from rosplat_tools.parameters import declare
+from rosplat_tools.program.parameters import declare
 from rosplat_tools.splats import SceneError
 from rviz_gaussian_plugin.offscreen import OrderSource, Renderer
 from rviz_gaussian_plugin.viewer.orbit import Sample

@@ -15,7 +15,7 @@ from rosplat_lab.lab.atlas import blending, coordinates, ordering, projection
 from rosplat_lab.lab.atlas.case import Case, Curves
 from rosplat_lab.lab.bench import Bench
 from rosplat_lab.lab.progress import progress
-from rosplat_tools.files import write_text
+from rosplat_tools.program.files import write_text
 
 CASES: dict[str, Case] = projection.CASES | coordinates.CASES | ordering.CASES | blending.CASES
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from rosplat_sorter.camera import Camera
 from rosplat_sorter.slot_pages import MAX_SLOTS
-from rosplat_tools.detail import NOTHING, Levels, choose, errors, magnification, slots_for
 from rosplat_tools.formats.decoded import Progress, Warn
 from rosplat_tools.formats.streamed_sog import Part, Pieces, Streamed
-from rosplat_tools.slot_allocator import SlotAllocator
 from rosplat_tools.splats import SceneError, Splats
+from rosplat_tools.streaming.detail import NOTHING, Levels, choose, errors, magnification, slots_for
+from rosplat_tools.streaming.slot_allocator import SlotAllocator
 
 Slots = NDArray[np.uint32]
 

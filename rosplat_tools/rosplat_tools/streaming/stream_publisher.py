@@ -17,10 +17,10 @@ from rosplat_sorter.log_text import shown
 from rosplat_sorter.qos import HISTORY_DEPTH, VIEW
 from rosplat_tools.formats.streamed_sog import open_streamed
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
-from rosplat_tools.parameters import declare
-from rosplat_tools.running import Cancelled, run, spinning
+from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.running import Cancelled, run, spinning
 from rosplat_tools.splats import SceneError
-from rosplat_tools.streamed_map import StreamedMap
+from rosplat_tools.streaming.streamed_map import StreamedMap
 
 FORGET_AFTER = 10.0  # viewers send each view once a second; who doesn't is gone [s]
 MAX_VIEWS = 32

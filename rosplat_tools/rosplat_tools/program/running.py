@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from rosplat_sorter.arguments import take_ros_arguments_only
-from rosplat_tools.processes import interrupt_by_signals, since_interrupt
+from rosplat_tools.program.processes import interrupt_by_signals, since_interrupt
 from rosplat_tools.splats import SceneError
 
 GRACE = 0.5  # what callbacks get to end before ROS does [s]

@@ -8,10 +8,10 @@ from rclpy.node import Node
 from tqdm import tqdm
 
 from rosplat_sorter.qos import HISTORY_DEPTH
+from rosplat_tools.emulation.mapping import around, edits
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.mapping import around, edits
-from rosplat_tools.parameters import declare
-from rosplat_tools.running import run, spinning, wait_for_end
+from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.running import run, spinning, wait_for_end
 from rosplat_tools.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_tools.splats import SceneError
 

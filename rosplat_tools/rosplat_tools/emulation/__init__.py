@@ -1,0 +1,1 @@
+"""A SLAM back end and a robot, emulated from a scene."""

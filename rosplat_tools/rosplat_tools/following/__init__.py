@@ -1,0 +1,1 @@
+"""Maps as others make them: files that trainers write, other packages' messages."""

@@ -1,0 +1,1 @@
+"""How nodes and programs begin, speak, write and end."""

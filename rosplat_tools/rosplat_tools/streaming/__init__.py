@@ -1,0 +1,1 @@
+"""Scenes larger than memory: what their viewers look at is published."""
