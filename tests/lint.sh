@@ -12,5 +12,5 @@ git ls-files '*.cpp' '*.hpp' '*.cu' | xargs clang-format --dry-run -Werror
   rosplat_tools/{formats,program/{files,output,processes,progress}.py,emulation/{flight,mapping}.py,cameras.py,convert.py,generate.py,harmonics.py,inspect.py,round_trip.py,scenes.py,slot_map.py,space_order.py,splats.py})
 (cd rosplat_lab && MYPYPATH=../rosplat_tools mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_lab/{lab,reference,simplify,arguments.py,driven_rviz.py,machine.py,metrics.py} \
-  rosplat_lab/bench/{baselines.py,charts.py,command.py,isolation.py,plan.py,records.py,renderers.py,rviz.py,scenes.py,sort.py})
+  rosplat_lab/bench/{baselines.py,charts.py,command.py,isolation.py,mouse.py,plan.py,records.py,renderers.py,rviz.py,scenes.py,sort.py})
 echo 'lint: clean'

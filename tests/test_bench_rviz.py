@@ -1,7 +1,10 @@
 """What `bench rviz` measures in a real rviz2: frames that were drawn, of the right picture."""
 
 import math
+import shutil
 import time
+from collections import Counter
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -44,6 +47,19 @@ def test_displays_are_measured_beside_each_other(
     accuracy = {r.parameters["display"]: r.value for r in records if r.name == "PSNR"}
     assert accuracy.keys() == {"ROSplat", "exact"} and min(accuracy.values()) > 55
     assert (tmp_path / "rviz-frame.png").stat().st_size > 10_000
+
+    # With the mouse, where no graphics card draws.
+    if "llvmpipe" not in records[0].gpu or not shutil.which("xdotool"):
+        return
+    dragged = [r for r in records if r.name == "frame by mouse"]
+    cases = Counter((r.parameters["map"], r.parameters["grid"]) for r in dragged)
+    assert cases == dict.fromkeys(product((False, True), repeat=2), 2)  # of both displays
+    ages = [r for r in records if r.name == "age by mouse"]
+    assert ages and all(r.parameters["map"] for r in ages)  # so the view did turn
+    spent = {(r.parameters["threads"], r.parameters["map"]): r.value for r in records
+             if r.name == "processor time by mouse"}  # fmt: skip
+    assert spent["painter", True] > 1 > spent.get(("painter", False), 0)
+    assert spent["render thread", False] > 0 and spent["llvmpipe", True] > 0
 
 
 def test_a_watch_counts_frames_and_turns_the_camera(running_rviz: Rviz) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
+import shutil
 import time
 import uuid
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rosplat_lab import driven_rviz, machine, metrics
-from rosplat_lab.bench import scenes
+from rosplat_lab.bench import mouse, scenes
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
 from rosplat_lab.driven_rviz import DrivenRviz, Refused
@@ -29,9 +30,8 @@ from rosplat_tools.program.processes import ProcessError, Processes, quoted
 from rosplat_tools.splats import SceneError, Splats
 
 SIZES = (500_000, 2_000_000)
-SOFTWARE_SIZES = (100_000,)  # where no GPU draws
 QUICK_SIZES = (20_000,)
-PICTURE, QUICK_PICTURE = (1920, 1080), (640, 360)
+PICTURE, SOFTWARE_PICTURE, QUICK_PICTURE = (1920, 1080), (960, 720), (640, 360)
 FRAME = (200, 200)  # what rviz2's window has around its view, at most [px]
 FOV = math.pi / 4  # height of an Orbit view, which nothing changes [rad]
 DISTANCES = {"overview": 2.5, "near": 1.0}  # of the camera, by the name of the view [radii]
@@ -59,11 +59,8 @@ def measure(plan: Plan) -> Iterator[Event]:
         return
     from rviz_gaussian_plugin.offscreen import ensure_display
 
-    sizes = plan.sizes or (
-        QUICK_SIZES if plan.quick else SIZES if machine.nvidia_gpu()[0] else SOFTWARE_SIZES
-    )
-    names = scenes.names(sizes, plan.scenes)
-    width, height = QUICK_PICTURE if plan.quick else PICTURE
+    names = scenes.names(plan.sizes or (QUICK_SIZES if plan.quick else SIZES), plan.scenes)
+    width, height = _picture(plan)
     with contextlib.ExitStack() as stack:
         try:
             stack.enter_context(ensure_display(width + FRAME[0], height + FRAME[1]))
@@ -72,6 +69,12 @@ def measure(plan: Plan) -> Iterator[Event]:
             return
         for number, name in enumerate(names):
             yield from _scene(plan, name, displays, number, len(names))
+
+
+def _picture(plan: Plan) -> tuple[int, int]:
+    if plan.quick:
+        return QUICK_PICTURE
+    return PICTURE if machine.nvidia_gpu()[0] else SOFTWARE_PICTURE
 
 
 def read_displays(path: Path) -> list[Display]:
@@ -100,6 +103,14 @@ class Orbit:
     near: float
     pitch: float = 0.35
     yaw: float = 0.6
+
+    @classmethod
+    def of(cls, camera: Camera, distance: float) -> Orbit:
+        """Around what lies so far ahead of a camera that stands upright."""
+        ahead = camera.world_to_camera[2, :3]
+        eye = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
+        pitch, yaw = math.asin(-ahead[2]), math.atan2(-ahead[1], -ahead[0])
+        return cls(eye + distance * ahead, distance, camera.near, pitch, yaw)
 
     def view(self) -> dict[str, Any]:
         """As the view in an .rviz file."""
@@ -134,6 +145,9 @@ def _scene(
         for view, distance in DISTANCES.items()
         if view == "overview" or not plan.quick
     }
+    by_mouse = {"overview": orbits["overview"]}
+    if not plan.quick:
+        by_mouse["inside"] = _inside(name, splats, place)
     namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
     values = {
         "ply": str((plan.out / "log" / "rviz.ply").resolve()), "topic": f"{namespace}/gaussians",
@@ -146,7 +160,7 @@ def _scene(
         )  # fmt: skip
         if "{ply}" in str(displays):
             formats.save(values["ply"], splats)
-        bench = Bench(plan, name, splats, orbits, processes)
+        bench = Bench(plan, name, splats, orbits, by_mouse, processes)
         if len(splats) <= ACCURATE:
             yield Doing(f"{name}: reference pictures", number / total)
             bench.draw_references()
@@ -157,6 +171,13 @@ def _scene(
                 yield from bench.display(filled(display, values))
             except (Refused, TimeoutError, ProcessError) as error:
                 yield Skipped(f"{name}, {display['Name']}: {error}")
+
+
+def _inside(name: str, splats: Splats, place: scenes.Place) -> Orbit:
+    """A view from within a scene; in rooms, where it stands in one."""
+    rooms = "room" in scenes.views(name)
+    (camera,) = scenes.VIEWS["room" if rooms else "inside"](splats, *PICTURE, 1)
+    return Orbit.of(camera, 0.5 if rooms else 0.6 * place.radius)
 
 
 def filled(entry: Any, values: dict[str, str]) -> Any:
@@ -173,12 +194,15 @@ class Bench:
     """Displays of a scene, each in an rviz2 of its own."""
 
     def __init__(
-        self, plan: Plan, name: str, splats: Splats, orbits: dict[str, Orbit], processes: Processes
-    ) -> None:
+        self, plan: Plan, name: str, splats: Splats, orbits: dict[str, Orbit],
+        by_mouse: dict[str, Orbit], processes: Processes,
+    ) -> None:  # fmt: skip
         self._budget: Budget = plan.budget
-        self._picture = QUICK_PICTURE if plan.quick else PICTURE
+        self._mouse_budget = mouse.QUICK_BUDGET if plan.quick else mouse.BUDGET
+        self._picture = _picture(plan)
         self._settling = Budget(1, 1, QUICK_SETTLING if plan.quick else SETTLING)
         self._name, self._splats, self._orbits = name, splats, orbits
+        self._by_mouse = by_mouse
         self._processes = processes
         self._references: dict[str, NDArray[np.float64]] = {}
 
@@ -188,7 +212,7 @@ class Bench:
             picture = render(self._splats, orbit.camera(*self._picture))
             self._references[view] = np.clip(picture.rgba[..., :3], 0, 1)
 
-    def display(self, display: Display) -> Iterator[Measurement]:
+    def display(self, display: Display) -> Iterator[Event]:
         """All of one. Raises Refused, TimeoutError, ProcessError."""
         with Processes(self._processes.folder) as own:
             rviz = DrivenRviz(own, configuration(display, self._orbits), **UNSYNCHRONISED)
@@ -200,6 +224,8 @@ class Bench:
             self._watch(rviz, 0.0, self._settling)  # what was received is uploaded
             for view in self._orbits:
                 yield from self._view(rviz, display["Name"], view)
+            if "llvmpipe" in self._watch(rviz, 0.0, self._settling)["renderer"]:
+                yield from self._drag(rviz, display["Name"])
 
     def _resize(self, rviz: DrivenRviz) -> None:
         width, height = self._picture
@@ -223,12 +249,24 @@ class Bench:
                 raise TimeoutError(f"its Status never counted the splats: {status}")
             time.sleep(0.1)
 
-    def _view(self, rviz: DrivenRviz, name: str, view: str) -> Iterator[Measurement]:
+    def _labels(self, view: str, display: str) -> dict[str, Any]:
         width, height = self._picture
-        labels: dict[str, Any] = {
+        return {
             "scene": self._name, "splats": len(self._splats), "picture": f"{width}x{height}",
-            "view": view, "display": name,
+            "view": view, "display": display,
         }  # fmt: skip
+
+    def _drag(self, rviz: DrivenRviz, name: str) -> Iterator[Event]:
+        if not shutil.which("xdotool"):
+            yield Skipped(f"{self._name}, {name}: no xdotool to move the mouse with")
+            return
+        rviz.set("Global Options", "Frame Rate", value=mouse.FRAME_RATE)
+        for view, orbit in self._by_mouse.items():
+            put(rviz, orbit.view(), root="view")
+            yield from mouse.measure(rviz, self._mouse_budget, self._labels(view, name))
+
+    def _view(self, rviz: DrivenRviz, name: str, view: str) -> Iterator[Measurement]:
+        labels = self._labels(view, name)
         for camera, turn in TURNS.items():
             put(rviz, self._orbits[view].view(), root="view")
             self._watch(rviz, turn, self._settling)
@@ -263,14 +301,14 @@ class Bench:
 
 
 def configuration(display: Display, orbits: dict[str, Orbit]) -> str:
-    """The text of an .rviz file with one display, that draws as often as it can."""
+    """The text of an .rviz file with a display and a hidden Grid; it draws as often as it can."""
     (first, *_) = orbits.values()
     manager = {
-        "Displays": [{"Enabled": True, "Value": True} | display],
+        "Displays": [{"Enabled": True, "Value": True} | display, mouse.GRID],
         "Global Options": {
             "Fixed Frame": "map", "Background Color": "0; 0; 0", "Frame Rate": 1000
         },
-        "Tools": [],
+        "Tools": [{"Class": "rviz_default_plugins/MoveCamera"}],
         "Views": {"Current": first.view()},
     }  # fmt: skip
     text: str = yaml.safe_dump({"Panels": [], "Visualization Manager": manager})

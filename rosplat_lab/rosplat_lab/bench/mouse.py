@@ -1,0 +1,105 @@
+"""rviz2 at its own frame rate while a mouse drags its view: how it feels where no GPU draws."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import subprocess
+import time
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from rosplat_lab.bench.records import Budget, Measurement
+from rosplat_lab.driven_rviz import DrivenRviz
+
+BUDGET, QUICK_BUDGET = Budget(200, 200, 8.0), Budget(3, 3, 1.0)
+FRAME_RATE = 30  # rviz2's own default [Hz]
+PERIOD = 0.016  # between moves of the mouse [s]
+SPEED = 105  # at which an Orbit view turns by 30 degrees a second [px/s]
+SWEEP = 200  # there, and back again [px]
+ROUNDS = 30  # of these, two minutes
+OF_LATE = 2.0  # what the Status of the display looks back on [s]
+GRID = {"Class": "rviz_default_plugins/Grid", "Name": "Grid", "Enabled": False, "Value": False}
+
+
+def measure(rviz: DrivenRviz, budget: Budget, labels: dict[str, Any]) -> Iterator[Measurement]:
+    """Of a view: frames, the age of the map's picture, processor time.
+
+    With and without the display that the labels name, with and without the GRID beside it.
+    """
+    display = labels["display"]
+    for grid, shown in product((False, True), repeat=2):
+        _switch(rviz, "Grid", grid)
+        _switch(rviz, display, shown)
+        with drag(rviz):
+            time.sleep(OF_LATE)
+            before, ages = processor_times(rviz.process.pid), []
+            rviz.ask("start watch", turn=0.0)
+            began = time.monotonic()
+            while time.monotonic() < began + budget.seconds or rviz.ask("frames") <= budget.least:
+                time.sleep(0.5)
+                ages += _ages(rviz, display) if shown else []
+            seen = rviz.ask("stop watch")
+            after = processor_times(rviz.process.pid)
+        case = labels | {"map": shown, "grid": grid}
+        yield Measurement.of("frame by mouse", "ms", seen["frame"], **case)
+        if ages:
+            yield Measurement.of("age by mouse", "ms", ages, **case)
+        for threads in sorted(after):
+            spent = after[threads] - before.get(threads, 0)
+            per_frame = 1e3 * spent / (len(seen["frame"]) + 1)
+            yield Measurement.of(
+                "processor time by mouse", "ms", per_frame, **case, threads=threads
+            )
+    _switch(rviz, "Grid", False)
+
+
+@contextlib.contextmanager
+def drag(rviz: DrivenRviz) -> Iterator[None]:
+    """The left button is held and the mouse moves to and fro, at a steady speed."""
+    x, y, width, height = rviz.ask("places")["view"]
+    there = [round(step * SPEED * PERIOD) for step in range(round(SWEEP / SPEED / PERIOD))]
+    moves = [
+        word for at in there + there[::-1]
+        for word in ("mousemove", str(x + (width - SWEEP) // 2 + at), str(y + height // 2),
+                     "sleep", str(PERIOD))
+    ]  # fmt: skip
+    hand = subprocess.Popen(["xdotool", *moves[:3], "mousedown", "1", *(ROUNDS * moves)])
+    try:
+        yield
+    finally:
+        hand.terminate()
+        hand.wait()
+        subprocess.run(["xdotool", "mouseup", "1"], check=True)
+
+
+def processor_times(pid: int) -> dict[str, float]:
+    """Of the threads of an rviz2 that draw, so far, by what they are for. [s]"""
+    found: dict[str, float] = {}
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended
+            name, _, values = (task / "stat").read_text().partition("(")[2].rpartition(")")
+            nice = int(values.split()[16])
+            kind = (
+                "render thread" if task.name == str(pid)
+                else "llvmpipe" if name.startswith("llvmpipe")
+                else "painter" if nice > 0  # it gives way to the others
+                else ""
+            )  # fmt: skip
+            if kind:
+                nanoseconds = int((task / "schedstat").read_text().split()[0])
+                found[kind] = found.get(kind, 0) + 1e-9 * nanoseconds
+    return found
+
+
+def _ages(rviz: DrivenRviz, display: str) -> list[float]:
+    """How old the map's picture was of late at most; empty for displays that don't say so. [ms]"""
+    text = rviz.status(display).get("Frame", ("", ""))[1]
+    return [float(age) for age in re.findall(r"at most ([\d.]+) ms old", text)]
+
+
+def _switch(rviz: DrivenRviz, display: str, on: bool) -> None:
+    if rviz.properties()[display] != on:
+        rviz.set(display, value=on)
