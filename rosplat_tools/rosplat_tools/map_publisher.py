@@ -127,8 +127,8 @@ class MapPublisher:
         most = GaussianArray.MAX_SLOTS
         if len(splats) > most:
             raise ValueError(f"{len(splats)} splats: a map has {most} slots")
-        if expected_slots is not None and not 0 <= expected_slots <= most:
-            raise ValueError(f"expected_slots: from 0 to {most}, got {expected_slots}")
+        if expected_slots is not None:
+            _check_expected(expected_slots)
         splats = splats.without_empty_bands()
         with self._lock:
             before = self._map, self._expected_slots
@@ -143,6 +143,15 @@ class MapPublisher:
                 if isinstance(error, Exception):  # and nobody is in a hurry to end
                     self._send_back(stamp)
                 raise
+
+    def expect(self, slots: int) -> None:
+        """Has the next batches say that the finished map will need so many slots, 0: who knows.
+
+        Raises ValueError for more than a map has.
+        """
+        _check_expected(slots)
+        with self._lock:
+            self._expected_slots = slots
 
     def upsert(
         self, slots: range | ArrayLike, splats: Splats, *, stamp: Time | None = None
@@ -327,7 +336,8 @@ def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:
             return np.zeros(0, np.uint32)  # NumPy takes an empty list for floats
         if slots.ndim != 1 or not np.issubdtype(slots.dtype, np.integer):
             raise ValueError(f"slots: expected (n,) integers, got {slots.shape} {slots.dtype}")
-        if len(np.unique(slots)) < len(slots):
+        ascending = bool((slots[1:] > slots[:-1]).all())
+        if not ascending and len(np.unique(slots)) < len(slots):
             raise ValueError("slots: each slot may be named once")
     if len(slots):
         low, high = (
@@ -336,6 +346,11 @@ def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:
         if low < 0 or high >= GaussianArray.MAX_SLOTS:
             raise ValueError(f"slots: a slot is a number from 0 to {GaussianArray.MAX_SLOTS - 1}")
     return slots if isinstance(slots, range) else slots.astype(np.uint32)
+
+
+def _check_expected(slots: int) -> None:
+    if not 0 <= slots <= GaussianArray.MAX_SLOTS:
+        raise ValueError(f"expected_slots: from 0 to {GaussianArray.MAX_SLOTS}, got {slots}")
 
 
 def _check_type(splats: Splats) -> None:

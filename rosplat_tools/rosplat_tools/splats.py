@@ -161,6 +161,12 @@ def sh_coefficients(degree: int) -> int:
     return (degree + 1) ** 2
 
 
+def splat_bytes(sh_degree: int) -> int:
+    """Memory that a splat takes, and a message with it. [bytes]"""
+    floats = 3 + 4 + 3 + 1 + 3 * sh_coefficients(sh_degree)
+    return 4 * floats
+
+
 def rebase(positions: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Splits (n, 3) positions into float32 offsets and a float64 origin (3,). [m]
 

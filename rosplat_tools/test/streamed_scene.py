@@ -14,10 +14,14 @@ from rosplat_tools.splats import Splats, concatenate
 
 LEVELS = (3000, 700, 100)  # splats of a chunk, the finest first
 APART = 10.0  # chunks, along x [m]
+ENVIRONMENT, ABOVE = 500, 100.0  # splats, and where they are [m]
 
 
-def write_scene(folder: Path, chunks: int = 4) -> Path:
-    """A row of gardens, each a chunk, with a file for each level; returns its lod-meta.json."""
+def write_scene(folder: Path, chunks: int = 4, environment: bool = False) -> Path:
+    """A row of gardens, each a chunk, with a file for each level; returns its lod-meta.json.
+
+    environment: another garden, high above them.
+    """
     children: list[dict[str, Any]] = [{"lods": {}} for _ in range(chunks)]
     for level, count in enumerate(LEVELS):
         parts = [garden(chunk, count) for chunk in range(chunks)]
@@ -28,12 +32,17 @@ def write_scene(folder: Path, chunks: int = 4) -> Path:
                 "file": level, "offset": count * chunk, "count": count,
             }  # fmt: skip
         unpack(concatenate(parts), folder / f"{level}_0")
-    meta = {
+    meta: dict[str, Any] = {
         "version": 1,
         "lodLevels": len(LEVELS),
         "filenames": [f"{level}_0/meta.json" for level in range(len(LEVELS))],
         "tree": {"bound": children[0]["bound"], "children": children},
     }
+    if environment:
+        above = garden(0, ENVIRONMENT)
+        above.positions[:, 2] += np.float32(ABOVE)
+        unpack(above, folder / "env")
+        meta["environment"] = "env/meta.json"
     path = folder / "lod-meta.json"
     path.write_text(json.dumps(meta))
     return path

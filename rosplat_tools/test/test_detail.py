@@ -1,7 +1,6 @@
 """Levels of detail for views: against a plain twin, within the budget, and without thrashing."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,8 +13,8 @@ from rosplat_tools.streaming.detail import (
     choose,
     errors,
     magnification,
-    slots_for,
 )  # fmt: skip
+from rosplat_tools.streaming.slot_allocator import slots_for
 
 
 def camera(position: tuple[float, float, float] = (0, 0, 0), **given: object) -> Camera:
@@ -83,7 +82,7 @@ def test_what_is_near_is_finer_and_all_is_held_before_anything_is_fine() -> None
     chunks = row(20)
     scale = magnification(chunks, [camera()])
     assert (np.diff(scale) < 0).all()
-    levels = choose(chunks, scale, [NOTHING] * 20, 20 * 2048 + 200_000, 0.01)
+    levels = choose(chunks, scale, [NOTHING] * 20, 20 * slots_for(2000) + 200_000, 0.01)
     assert min(levels) == 0
     assert levels == sorted(levels, reverse=True)
     assert levels[0] > 0
@@ -95,7 +94,7 @@ def test_a_budget_of_nothing_and_of_everything() -> None:
     assert choose(chunks, scale, [NOTHING] * 5, 0, 1e-3) == [NOTHING] * 5
     assert choose(chunks, scale, [NOTHING] * 5, 1 << 25, 1e-3) == [2] * 5
     # For two chunks, it is those nearest.
-    assert choose(chunks, scale, [NOTHING] * 5, 2 * 2048, 1e-3) == [0, 0, -1, -1, -1]
+    assert choose(chunks, scale, [NOTHING] * 5, 2 * slots_for(2000), 1e-3) == [0, 0, -1, -1, -1]
 
 
 def test_what_is_out_of_sight_counts_less_but_counts() -> None:
@@ -146,9 +145,4 @@ def test_what_is_fine_stays_where_there_is_room() -> None:
     assert max(fine) == 2
     assert choose(chunks, far, fine, 1 << 25, 1.0) == fine
     assert choose(chunks, far, [NOTHING] * 3, 1 << 25, 1.0) == [0, 0, 0]
-    assert choose(chunks, far, fine, 3 * 2048, 1.0) == [0, 0, 0]
-
-
-@pytest.mark.parametrize(("count", "slots"), [(1, 1024), (1024, 1024), (1025, 2048)])
-def test_slots_are_given_by_pages(count: int, slots: int) -> None:
-    assert slots_for(count) == slots
+    assert choose(chunks, far, fine, 3 * slots_for(2000), 1.0) == [0, 0, 0]

@@ -2,15 +2,17 @@
 
 import json
 import shutil
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from streamed_scene import APART, LEVELS, edited, garden, write_scene
+from streamed_scene import ABOVE, APART, ENVIRONMENT, LEVELS, edited, garden, write_scene
 
 from rosplat_tools import formats
-from rosplat_tools.formats.streamed_sog import Pieces, open_streamed
+from rosplat_tools.formats import sog
+from rosplat_tools.formats.streamed_sog import Part, Pieces, open_streamed
 from rosplat_tools.splats import SceneError
 
 
@@ -49,11 +51,63 @@ def test_the_finest_levels_are_read_whole(made: Path) -> None:
 
 
 def test_few_decoded_files_are_kept(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pieces = Pieces(open_streamed(made), pytest.fail)
-    chunk = pieces._scene.chunks[0]
-    for part in chunk.levels:
-        pieces.read(part)
-    assert len(pieces._kept) == Pieces.KEPT < len(chunk.levels)
+    decoded = []
+    unpack = sog.unpack
+    monkeypatch.setattr(sog, "unpack", lambda *given: decoded.append(given[0]) or unpack(*given))
+    streamed = open_streamed(made)
+    coarse, _, fine = (part.file for part in streamed.chunks[0].levels)
+    for kept, reads in ((1 << 28, 2), (1, 4)):
+        decoded.clear()
+        monkeypatch.setattr(Pieces, "KEPT_BYTES", kept)
+        pieces = Pieces(streamed, pytest.fail)
+        for file in (coarse, coarse, fine, coarse, fine):
+            pieces.read(Part(file, 0, 10))
+        assert len(decoded) == reads
+
+
+def test_threads_decode_a_file_once(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    decoded = []
+    unpack = sog.unpack
+    monkeypatch.setattr(sog, "unpack", lambda *given: decoded.append(given[0]) or unpack(*given))
+    streamed = open_streamed(made)
+    pieces = Pieces(streamed, pytest.fail)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda chunk: pieces.read(chunk.levels[-1]), streamed.chunks))
+    assert len(decoded) == 1
+    for chunk, splats in zip(streamed.chunks, found, strict=True):
+        expected = garden(round(chunk.low[0] / APART), len(splats))
+        np.testing.assert_allclose(splats.positions, expected.positions, atol=0.01)
+    pieces.close()
+    with pytest.raises(CancelledError):
+        pieces.read(streamed.chunks[0].levels[0])
+
+
+def test_the_environment_is_a_chunk_as_large_as_the_scene(tmp_path: Path) -> None:
+    streamed = open_streamed(write_scene(tmp_path, environment=True))
+    *chunks, around = streamed.chunks
+    np.testing.assert_array_equal(around.low, np.min([chunk.low for chunk in chunks], axis=0))
+    np.testing.assert_array_equal(around.high, np.max([chunk.high for chunk in chunks], axis=0))
+    splats = Pieces(streamed, pytest.fail).read(around.levels[0])
+    assert len(splats) == ENVIRONMENT
+    assert splats.positions[:, 2].min() > ABOVE / 2
+    assert streamed.splats == 4 * LEVELS[0] + ENVIRONMENT
+    shutil.rmtree(tmp_path / "env")
+    with pytest.raises(SceneError, match=r"env/meta\.json: can't read"):
+        open_streamed(tmp_path)
+
+
+def test_splats_that_cannot_be_drawn_are_left_out_alone(scene: Path) -> None:
+    meta = scene.parent / "0_0" / "meta.json"
+    fields = json.loads(meta.read_text())
+    fields["scales"]["codebook"][120:140] = 20 * [1e9]  # e to that is no number
+    meta.write_text(json.dumps(fields))
+    told: list[str] = []
+    streamed = open_streamed(scene)
+    part = streamed.chunks[0].levels[-1]
+    splats = Pieces(streamed, told.append).read(part)
+    assert 0 < len(splats) < part.count
+    assert np.isfinite(splats.scales).all()
+    assert "0_0/meta.json: dropped" in told[0]
 
 
 TREE: dict[str, Any] = {
@@ -71,8 +125,8 @@ def changed(**changes: Any) -> dict[str, Any]:
     [
         ({"version": 2}, "version 2 can't be read"),
         ({"filenames": "0_0"}, "filenames: expected a list"),
-        ({"filenames": ["/etc/passwd"]} | changed(), "'/etc/passwd' is not below"),
-        ({"filenames": ["../x/meta.json"]} | changed(), "is not below"),
+        ({"filenames": ["/etc/passwd"]} | changed(), "'/etc/passwd' is not a file below"),
+        ({"filenames": ["../x/meta.json"]} | changed(), "is not a file below"),
         ({"tree": None}, "broken lod-meta.json"),
         ({"tree": {}}, "holds no splats"),
         (changed(lods={"0": {"file": 3, "offset": 0, "count": 5}}), "file of level 0 is 3"),
@@ -83,6 +137,9 @@ def changed(**changes: Any) -> dict[str, Any]:
         (changed(bound={"min": [2, 0, 0], "max": [1, 1, 1]}), "bound: expected"),
         (changed(bound={"min": [0, 0, 0], "max": [1, 1, 1e999]}), "bound: a number"),
         (changed(lods={"0": {"file": 0, "offset": 11_999, "count": 9}}), "0_0/meta.json: holds 12"),
+        ({"environment": "../env/meta.json"}, "'../env/meta.json' is not a file below"),
+        ({"environment": "env/meta.json"}, "env/meta.json: can't read"),
+        ({"environment": 5}, "broken lod-meta.json"),
     ],
 )
 def test_a_meta_that_lies(scene: Path, changes: dict[str, Any], reason: str) -> None:
@@ -97,6 +154,13 @@ def test_a_tree_without_end(scene: Path) -> None:
         tree = {"children": [tree]}
     edited(scene, tree=tree)
     with pytest.raises(SceneError, match="tree: deeper than 64"):
+        open_streamed(scene)
+
+
+def test_files_that_are_filtered_differently(scene: Path) -> None:
+    meta = scene.parent / "0_0" / "meta.json"
+    meta.write_text(json.dumps(json.loads(meta.read_text()) | {"antialias": True}))
+    with pytest.raises(SceneError, match="some of its files are antialiased"):
         open_streamed(scene)
 
 

@@ -253,6 +253,8 @@ def test_arguments_are_checked_before_anything_is_sent(node: Node, random_splats
             publisher.replace(wrong)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="expected_slots"):
         publisher.replace(random_splats(3), expected_slots=-1)
+    with pytest.raises(ValueError, match="expected_slots"):
+        publisher.expect(GaussianArray.MAX_SLOTS + 1)
     now = node.get_clock().now()
     for send in (
         lambda: publisher.replace(random_splats(3), stamp=now),

@@ -23,8 +23,9 @@ import io
 import json
 import zipfile
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,12 +84,81 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         raise SceneError(f"{path}: broken zip: {error}") from error
 
 
-def count_of(path: Path) -> int:
-    """How many splats a meta.json says that there are beside it. Raises SceneError."""
+class Claims(NamedTuple):
+    """What a meta.json says of the scene beside it."""
+
+    splats: int
+    sh_degree: int
+    antialiased: bool
+
+
+def claims(path: Path) -> Claims:
+    """What a scene's meta.json says of it; its pictures are not decoded. Raises SceneError."""
     try:
-        return _Reader(path, _Folder(path.parent)).count()
+        return _Reader(path, _Folder(path.parent)).claims()
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
+
+
+def unpack(path: Path, progress: Progress) -> Packed:
+    """Decodes the pictures beside a meta.json. Raises SceneError, and MemoryError."""
+    try:
+        return _Reader(path, _Folder(path.parent)).unpack(progress)
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """A scene of n splats as its pictures have it: a third of the memory that splats take."""
+
+    path: Path
+    antialiased: bool
+    lowest: Floats
+    """(3,) logarithms of the lowest coordinates; highest: of the highest."""
+    highest: Floats
+    steps: NDArray[np.uint16]
+    """(n, 3) positions, from lowest to highest."""
+    quaternions: NDArray[np.uint8]
+    """(n, 4) the smallest three components, and which is the other."""
+    scales: NDArray[np.uint8]
+    """(n, 3) rows of scale_table, (256, 3) [m]."""
+    scale_table: NDArray[np.float32]
+    colours: NDArray[np.uint8]
+    """(n, 4) rows of colour_table, (256, 3), and of opacity_table, (256,)."""
+    colour_table: NDArray[np.float32]
+    opacity_table: Floats
+    labels: NDArray[np.uint16] | None
+    """(n,) rows of bands, (m, k - 1, 3), for what has bands above 0."""
+    bands: Floats | None
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the arrays take. [bytes]"""
+        arrays = (self.steps, self.quaternions, self.scales, self.colours, self.labels, self.bands)
+        return sum(array.nbytes for array in arrays if array is not None)
+
+    def splats(self, which: slice, warn: Warn) -> Splats:
+        """Some of the splats; those that can't be drawn are left out, and warn is told."""
+        first, last, _ = which.indices(len(self))
+        n = last - first
+        k = 1 if self.bands is None else 1 + self.bands.shape[1]
+        columns = Columns.empty(n, k)
+        for part in blocks(n):
+            rows = slice(first + part.start, first + part.stop)
+            logarithms = self.lowest + (self.highest - self.lowest) * (self.steps[rows] / 65535)
+            columns.positions[part] = np.sign(logarithms) * np.expm1(np.abs(logarithms))
+            columns.orientations[part] = _quaternions(self.quaternions[rows])
+            columns.scales[part] = self.scale_table[self.scales[rows], np.arange(3)]
+            colours = self.colours[rows]
+            columns.opacities[part] = self.opacity_table[colours[:, 3]]
+            columns.sh[part, 0] = self.colour_table[colours[:, :3], np.arange(3)]
+            if self.bands is not None and self.labels is not None:
+                columns.sh[part, 1:] = self.bands[self.labels[rows]]
+        return decoded(self.path, warn, columns, self.antialiased)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
@@ -212,7 +282,11 @@ class _Reader:
             )
 
     def read(self, progress: Progress, warn: Warn) -> Splats:
-        n = self.count()
+        packed = self.unpack(progress)
+        return packed.splats(slice(0, len(packed)), warn)
+
+    def unpack(self, progress: Progress) -> Packed:
+        n = self.claims().splats
         names = [
             self._name(field, i)
             for field, count in (("means", 2), ("quats", 1), ("scales", 1), ("sh0", 1))
@@ -223,37 +297,39 @@ class _Reader:
 
         lowest, highest = self._numbers("means", "mins", 3), self._numbers("means", "maxs", 3)
         low, high = self._pixels("means", 0, n), self._pixels("means", 1, n)
-        positions = np.empty((n, 3))
+        steps = np.empty((n, 3), np.uint16)
         for part in blocks(n):
-            steps = high[part, :3].astype(np.uint16) << 8 | low[part, :3]
-            logarithms = lowest + (highest - lowest) * (steps / 65535)
-            positions[part] = np.sign(logarithms) * np.expm1(np.abs(logarithms))
+            steps[part] = high[part, :3].astype(np.uint16) << 8 | low[part, :3]
         del low, high
         progress(0.3)
-        quats = self._pixels("quats", 0, n)
-        orientations = np.empty((n, 4), np.float32)
-        for part in blocks(n):
-            orientations[part] = _quaternions(quats[part])
-        del quats
+        quaternions = self._pixels("quats", 0, n)
         progress(0.5)
-        scales = np.exp(self._table("scales", 3))[self._pixels("scales", 0, n)[:, :3], np.arange(3)]
+        scales = self._pixels("scales", 0, n)[:, :3].copy()
         progress(0.7)
-        base = self._pixels("sh0", 0, n)
+        colours = self._pixels("sh0", 0, n)
         table = self._table("sh0", 4 if self._version == 1 else 3)
-        bands = self._palette() if self._meta.get("shN") is not None else None
-        sh = np.empty((n, 1 if bands is None else 1 + bands.shape[1], 3), np.float32)
-        if bands is not None:
-            self._fill_bands(sh, bands)
-        for part in blocks(n):
-            sh[part, 0] = table[base[part, :3], np.arange(3)]
         opacity = sigmoid(table[:, 3]) if self._version == 1 else np.arange(256) / np.float32(255)
-        columns = Columns(positions, orientations, scales, opacity[base[:, 3]], sh)
-        antialiased = self._meta.get("antialias") is True
-        antialiased |= self._meta.get("model") == "antialiased"
-        return decoded(self._path, warn, columns, antialiased)
+        bands = self._palette() if self._has_bands() else None
+        with np.errstate(over="ignore"):  # whoever has such a scale is left out
+            scale_table = np.exp(self._table("scales", 3))
+        return Packed(
+            path=self._path,
+            antialiased=self._antialiased(),
+            lowest=lowest,
+            highest=highest,
+            steps=steps,
+            quaternions=quaternions,
+            scales=scales,
+            scale_table=scale_table,
+            colours=colours,
+            colour_table=table[:, :3],
+            opacity_table=opacity,
+            labels=None if bands is None else self._labels(n, len(bands)),
+            bands=bands,
+        )
 
-    def count(self) -> int:
-        """How many splats its meta.json claims."""
+    def claims(self) -> Claims:
+        """What its meta.json says; of version 1, a picture's size tells the degree."""
         if self._version == 1:
             shape = self._field("means", "shape")
             n, name = shape[0] if isinstance(shape, list) and shape else shape, "means.shape[0]"
@@ -263,7 +339,27 @@ class _Reader:
             raise SceneError(
                 f"{self._path}: {name} is {shown(repr(n))}, expected a number of splats"
             )
-        return n
+        return Claims(n, self._sh_degree() if self._has_bands() else 0, self._antialiased())
+
+    def _antialiased(self) -> bool:
+        return self._meta.get("antialias") is True or self._meta.get("model") == "antialiased"
+
+    def _has_bands(self) -> bool:
+        return self._meta.get("shN") is not None
+
+    def _sh_degree(self) -> int:
+        """Of a scene with bands above 0."""
+        if self._version == 2:
+            degree = self._field("shN", "bands")
+            if type(degree) is not int or not 1 <= degree <= MAX_SH_DEGREE:
+                raise SceneError(f"{self._path}: shN.bands is {shown(repr(degree))}, not 1, 2 or 3")
+            return degree
+        width = self._picture("shN", 0).width
+        for degree in range(1, MAX_SH_DEGREE + 1):
+            if width == _palette_width(degree):
+                return degree
+        wanted = ", ".join(str(_palette_width(d)) for d in range(1, MAX_SH_DEGREE + 1))
+        raise SceneError(f"{self._path}: {self._name('shN', 0)} is {width} px wide, not {wanted}")
 
     def _table(self, field: str, channels: int) -> NDArray[np.float32]:
         """(256, channels) what the bytes of a field's channels stand for."""
@@ -278,17 +374,10 @@ class _Reader:
     def _palette(self) -> Floats:
         """(colors, k - 1, 3) vectors of coefficients, which splats share."""
         image = self._picture("shN", 0)
-        ks = {PALETTE_PER_ROW * (sh_coefficients(d) - 1): d for d in range(1, MAX_SH_DEGREE + 1)}
-        if self._version == 1:
-            degree = ks.get(image.width)
-        else:
-            degree = self._field("shN", "bands")
-            if type(degree) is not int or not 1 <= degree <= MAX_SH_DEGREE:
-                raise SceneError(f"{self._path}: shN.bands is {shown(repr(degree))}, not 1, 2 or 3")
-        if degree is None or ks.get(image.width) != degree:
-            wanted = ", ".join(str(w) for w, d in ks.items() if degree in (None, d))
+        degree = self._sh_degree()
+        if image.width != (width := _palette_width(degree)):
             name = self._name("shN", 0)
-            raise SceneError(f"{self._path}: {name} is {image.width} px wide, not {wanted}")
+            raise SceneError(f"{self._path}: {name} is {image.width} px wide, not {width}")
         if image.height > LARGEST_PALETTE // PALETTE_PER_ROW:
             raise SceneError(f"{self._path}: {self._name('shN', 0)} is {image.height:,} px high")
         codes = self._decode(image, "shN", 0)[:, :3]
@@ -296,15 +385,15 @@ class _Reader:
             -1, sh_coefficients(degree) - 1, 3
         )
 
-    def _fill_bands(self, sh: NDArray[np.float32], bands: Floats) -> None:
-        labels = self._pixels("shN", 1, len(sh))
-        for part in blocks(len(sh)):
-            label = labels[part, 1].astype(np.uint16) << 8 | labels[part, 0]
-            if label.max(initial=0) >= len(bands):
-                raise SceneError(
-                    f"{self._path}: shN.files: label {label.max()}, but {len(bands)} centroids"
-                )
-            sh[part, 1:] = bands[label]
+    def _labels(self, count: int, colours: int) -> NDArray[np.uint16]:
+        """(count,) which of a palette's colours each splat has."""
+        pixels = self._pixels("shN", 1, count)
+        labels = pixels[:, :2].copy().view("<u2")[:, 0]
+        if labels.max(initial=0) >= colours:
+            raise SceneError(
+                f"{self._path}: shN.files: label {labels.max()}, but {colours} centroids"
+            )
+        return labels
 
     def _pixels(self, field: str, index: int, count: int) -> NDArray[np.uint8]:
         """(count, 4) RGBA of one of a field's pictures."""
@@ -381,6 +470,11 @@ class _Reader:
         if values.shape != (count,) or not np.isfinite(values).all():
             raise SceneError(f"{self._path}: {field}.{name}: expected {count} finite numbers")
         return values
+
+
+def _palette_width(degree: int) -> int:
+    """Of a palette's picture. [px]"""
+    return PALETTE_PER_ROW * (sh_coefficients(degree) - 1)
 
 
 def _reason(error: Exception) -> str:

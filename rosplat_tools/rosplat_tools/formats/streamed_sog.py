@@ -4,7 +4,7 @@
     filenames   SOG scenes, relative to lod-meta.json, that the levels are parts of
     tree        nodes with `children`, or chunks: `bound` {min, max} of its splats [m], and `lods`
                 {level: {file, offset, count}}: which splats of which file
-    environment a SOG scene around it all, which is not read
+    environment a SOG scene around it all: a chunk of one level, where there is one
 
 As splat-transform writes it (read-lod.ts, write-lod.ts).
 """
@@ -12,7 +12,9 @@ As splat-transform writes it (read-lod.ts, write-lod.ts).
 from __future__ import annotations
 
 import json
+import threading
 from collections import OrderedDict
+from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,6 +62,8 @@ class Streamed:
     path: Path
     files: tuple[Path, ...]
     chunks: tuple[Chunk, ...]
+    sh_degree: int
+    """The highest of its files."""
 
     @property
     def splats(self) -> int:
@@ -105,8 +109,7 @@ def open_streamed(path: Path) -> Streamed:
     try:
         if size_of(path) > LARGEST_META:
             raise SceneError(f"{path}: more than {LARGEST_META:,} bytes")
-        meta = json.loads(path.read_bytes())
-        scene = _scene(path, meta)
+        return _scene(path, json.loads(path.read_bytes()))
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
     except (
@@ -121,18 +124,6 @@ def open_streamed(path: Path) -> Streamed:
             raise
         reason = shown(f"{type(error).__name__}: {error}")
         raise SceneError(f"{path}: broken {META}: {reason}") from error
-    if not scene.chunks:
-        raise SceneError(f"{path}: holds no splats")
-    ends = dict.fromkeys(range(len(scene.files)), 0)
-    for chunk in scene.chunks:
-        for part in chunk.levels:
-            ends[part.file] = max(ends[part.file], part.offset + part.count)
-    for file, end in ends.items():
-        if end and (held := sog.count_of(scene.files[file])) < end:
-            raise SceneError(
-                f"{scene.files[file]}: holds {held:,} splats, {META} wants {end:,} of it"
-            )
-    return scene
 
 
 def _scene(path: Path, meta: Any) -> Streamed:
@@ -141,6 +132,7 @@ def _scene(path: Path, meta: Any) -> Streamed:
     names = meta["filenames"]
     if not isinstance(names, list) or len(names) > MOST_FILES:
         raise SceneError(f"{path}: filenames: expected a list of {MOST_FILES:,} names at most")
+    files = [_inside(path, name) for name in names]
     chunks: list[Chunk] = []
     nodes = [(meta["tree"], 0)]
     while nodes:
@@ -157,7 +149,39 @@ def _scene(path: Path, meta: Any) -> Streamed:
             if not np.isfinite([low, high]).all():
                 raise SceneError(f"{path}: bound: a number is not finite")
             chunks.append(Chunk(low, high, tuple(levels)))
-    return Streamed(path, tuple(_inside(path, name) for name in names), tuple(chunks))
+    if not chunks:
+        raise SceneError(f"{path}: holds no splats")
+    claims = _claims(files, chunks)
+    if meta.get("environment") is not None:
+        files.append(_inside(path, meta["environment"]))
+        claims.append(sog.claims(files[-1]))
+        low = np.min([chunk.low for chunk in chunks], axis=0)
+        high = np.max([chunk.high for chunk in chunks], axis=0)
+        if claims[-1].splats:
+            chunks.append(Chunk(low, high, (Part(len(files) - 1, 0, claims[-1].splats),)))
+    if len({claim.antialiased for claim in claims}) > 1:
+        raise SceneError(f"{path}: some of its files are antialiased, and some are not")
+    degree = max(claim.sh_degree for claim in claims)
+    return Streamed(path, tuple(files), tuple(chunks), degree)
+
+
+def _claims(files: list[Path], chunks: list[Chunk]) -> list[sog.Claims]:
+    """Of the files that chunks take something from, each of which has as much."""
+    ends = dict.fromkeys(range(len(files)), 0)
+    for chunk in chunks:
+        for part in chunk.levels:
+            ends[part.file] = max(ends[part.file], part.offset + part.count)
+    found = []
+    for file, end in ends.items():
+        if not end:
+            continue
+        claims = sog.claims(files[file])
+        if claims.splats < end:
+            raise SceneError(
+                f"{files[file]}: holds {claims.splats:,} splats, {META} wants {end:,} of it"
+            )
+        found.append(claims)
+    return found
 
 
 def _levels(node: Any) -> list[str]:
@@ -181,34 +205,60 @@ def _inside(path: Path, name: Any) -> Path:
     """A file below lod-meta.json's folder."""
     relative = Path(name)
     if relative.is_absolute() or ".." in relative.parts or "\0" in name:
-        raise SceneError(f"{path}: filenames: {shown(repr(name))} is not below {META}")
+        raise SceneError(f"{path}: {shown(repr(name))} is not a file below {META}")
     return path.parent / relative
 
 
 class Pieces:
-    """Decoded files of a streamed scene, of which the last few are kept."""
+    """Levels of chunks as splats. Files that were decoded lately are kept as they are packed.
 
-    KEPT = 2
+    For any thread; several decode several files at a time.
+    """
+
+    KEPT_BYTES = 1 << 28
 
     def __init__(self, scene: Streamed, warn: Warn) -> None:
         self._scene = scene
         self._warn = warn
-        self._kept: OrderedDict[int, Splats] = OrderedDict()
+        self._kept: OrderedDict[int, sog.Packed] = OrderedDict()
+        self._lock = threading.Lock()
+        self._decoding = [threading.Lock() for _ in scene.files]
+        self._closed = False
 
-    def read(self, part: Part, progress: Progress = lambda fraction: None) -> Splats:
-        """A level of a chunk. Raises SceneError that names the file that can't be read."""
-        if part.file not in self._kept:
-            while len(self._kept) >= self.KEPT:
-                self._kept.popitem(last=False)
-            path = self._scene.files[part.file]
-            try:
-                splats = sog.read(path, progress, self._warn)
-                if len(splats) < sog.count_of(path):  # then offsets mean others
-                    raise SceneError(f"{path}: holds splats that can't be drawn")
-                self._kept[part.file] = splats
-            except OSError as error:
-                raise SceneError(f"{path}: {error.strerror or error}") from error
-            except MemoryError as error:
-                raise SceneError(f"{path}: too large for this machine's memory") from error
-        self._kept.move_to_end(part.file)
-        return self._kept[part.file][part.offset : part.offset + part.count]
+    def read(self, part: Part) -> Splats:
+        """A level of a chunk, without what can't be drawn of it.
+
+        Raises SceneError that names the file that can't be read, and CancelledError after close().
+        """
+        path = self._scene.files[part.file]
+        try:
+            with self._decoding[part.file]:
+                packed = self._find(part.file) or self._keep(part.file, self._unpack(path))
+            return packed.splats(slice(part.offset, part.offset + part.count), self._warn)
+        except MemoryError as error:
+            raise SceneError(f"{path}: too large for this machine's memory") from error
+
+    def close(self) -> None:
+        """Ends what is being decoded."""
+        self._closed = True
+
+    def _unpack(self, path: Path) -> sog.Packed:
+        return sog.unpack(path, lambda fraction: self._go_on())
+
+    def _go_on(self) -> None:
+        if self._closed:
+            raise CancelledError
+
+    def _find(self, file: int) -> sog.Packed | None:
+        with self._lock:
+            if file in self._kept:
+                self._kept.move_to_end(file)
+            return self._kept.get(file)
+
+    def _keep(self, file: int, packed: sog.Packed) -> sog.Packed:
+        with self._lock:
+            self._kept[file] = packed
+            room = self.KEPT_BYTES - sum(kept.nbytes for kept in self._kept.values())
+            while room < 0 and len(self._kept) > 1:
+                room += self._kept.popitem(last=False)[1].nbytes
+            return packed

@@ -7,16 +7,16 @@ budget is spent.
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rosplat_sorter.camera import Camera
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
 from rosplat_sorter.view import OVERSCAN, rotation_matrix
+from rosplat_tools.streaming.slot_allocator import slots_for
 
 Array = NDArray[np.float64]
 
@@ -37,11 +37,19 @@ class Levels:
     high: Array
     counts: Sequence[tuple[int, ...]]
 
-    @property
+    @cached_property
     def sizes(self) -> Array:
         """(n,) diagonals. [m]"""
         sizes: Array = np.linalg.norm(self.high - self.low, axis=1)
         return sizes
+
+    @cached_property
+    def table(self) -> NDArray[np.int64]:
+        """(n, most levels) counts, 0 where a chunk has no such level."""
+        table = np.zeros((len(self.counts), max(map(len, self.counts), default=0)), np.int64)
+        for row, counts in zip(table, self.counts, strict=True):
+            row[: len(counts)] = counts
+        return table
 
 
 def magnification(chunks: Levels, views: Sequence[Camera]) -> Array:
@@ -67,7 +75,7 @@ def _in_sight(chunks: Levels, view: Camera) -> NDArray[np.bool_]:
     corners = np.stack([ends[which[axis], :, axis] for axis in range(3)], axis=2)  # (8, n, 3)
     x, y, z = np.moveaxis((corners - view.position) @ rotation_matrix(*view.orientation), 2, 0)
     depth = np.ones_like(z) if view.orthographic else z
-    seen = (z > view.near_clip).any(axis=0) & (z < view.far_clip).any(axis=0)
+    seen: NDArray[np.bool_] = (z > view.near_clip).any(axis=0) & (z < view.far_clip).any(axis=0)
     for along, focal, centre, size in (
         (x, view.fx, view.cx, view.width),
         (y, view.fy, view.cy, view.height),
@@ -77,54 +85,47 @@ def _in_sight(chunks: Levels, view: Camera) -> NDArray[np.bool_]:
     return seen
 
 
-def errors(chunks: Levels, scale: Array) -> list[tuple[float, ...]]:
-    """For each chunk, its error when it isn't held, then at each level [px]; scale: (n,) [px/m].
+def errors(chunks: Levels, scale: Array) -> Array:
+    """(n, 1 + most levels) of each chunk: its error when it isn't held, then at each level [px].
 
-    Splats lie on surfaces: the distance between them goes with the root of their number.
+    0 for levels that it lacks. scale: (n,) [px/m]. Splats lie on surfaces: the distance between
+    them goes with the root of their number.
     """
-    return [
-        (float(wide), *(float(wide) / count**0.5 for count in counts))
-        for wide, counts in zip(chunks.sizes * scale, chunks.counts, strict=True)
-    ]
+    wide = chunks.sizes * scale
+    apart = np.where(chunks.table > 0, wide[:, None] / np.sqrt(np.maximum(chunks.table, 1)), 0)
+    return np.column_stack([wide, apart])
 
 
-def slots_for(count: int) -> int:
-    """How many slots a level of so many splats takes: whole pages."""
-    return -(-count // SLOTS_PER_PAGE) * SLOTS_PER_PAGE
-
-
-def choose(
-    chunks: Levels, scale: Array, held: Sequence[int], budget: int, target: float
-) -> list[int]:
+def choose(chunks: Levels, scale: Array, held: ArrayLike, budget: int, target: float) -> list[int]:
     """The level of each chunk, or NOTHING.
 
     scale: (n,) pixels that a metre takes. held: the levels that there are now. budget: the most
     slots in all. target: errors that are small enough [px]; but all chunks have their coarsest
     level while the budget allows it, however small they are.
     """
-    found = errors(chunks, scale)
-    levels = [NOTHING] * len(chunks.counts)
+    table = chunks.table
+    urgency = errors(chunks, scale)[:, :-1]  # of the step to each level
+    step = np.arange(table.shape[1])
+    stays = step <= np.asarray(held)[:, None]  # as long as nothing else needs its place
+    urgency = np.where(stays, LOYALTY * urgency, urgency)
+    urgency[(table == 0) | (~stays & (step > 0) & (urgency <= target))] = 0
+    # A step comes after the one before it, and so is worth no more.
+    urgency = np.minimum.accumulate(urgency, axis=1)
+    more = np.diff(slots_for(table), axis=1, prepend=0)
 
-    def urgency(chunk: int) -> float:
-        """Of the chunk's next step; 0 where none is worth it."""
-        level = levels[chunk]
-        if level + 1 == len(chunks.counts[chunk]):
-            return 0.0
-        error = found[chunk][level + 1]
-        if level < held[chunk]:
-            return LOYALTY * error  # it may stay as long as nothing else needs its place
-        return error if level == NOTHING or error > target else 0.0
-
-    steps = [(-urgency(chunk), chunk) for chunk in range(len(levels))]
-    heapq.heapify(steps)
-    while steps:
-        worth, chunk = heapq.heappop(steps)
-        if not worth:
-            break
-        counts, level = chunks.counts[chunk], levels[chunk]
-        more = slots_for(counts[level + 1]) - (slots_for(counts[level]) if level >= 0 else 0)
-        if more <= budget:
-            budget -= more
-            levels[chunk] += 1
-            heapq.heappush(steps, (-urgency(chunk), chunk))
+    order = np.argsort(-urgency, axis=None, kind="stable")
+    order = order[: np.count_nonzero(urgency)]
+    levels = [NOTHING] * len(table)
+    full = set[int]()  # chunks whose next step the budget has no room for
+    for chunk, level, cost in zip(
+        (order // len(step)).tolist(),
+        (order % len(step)).tolist(),
+        more.ravel()[order].tolist(),
+        strict=True,
+    ):
+        if cost > budget:
+            full.add(chunk)
+        elif chunk not in full:
+            budget -= cost
+            levels[chunk] = level
     return levels

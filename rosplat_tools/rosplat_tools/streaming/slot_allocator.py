@@ -1,41 +1,76 @@
-"""Slots of a map, given out by whole pages and taken back. Knows no ROS."""
+"""Slots of a map, given out by blocks and taken back. Knows no ROS."""
 
 from __future__ import annotations
 
 import heapq
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_sorter.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE
 
+SLOTS_PER_BLOCK = 128  # what is left of a block is lost until it is given back
+BLOCKS_PER_PAGE = SLOTS_PER_PAGE // SLOTS_PER_BLOCK
+
+Number = TypeVar("Number", int, NDArray[np.int64])
+
+
+def slots_for(count: Number) -> Number:
+    """How many slots so many splats take: whole blocks."""
+    return -(-count // SLOTS_PER_BLOCK) * SLOTS_PER_BLOCK
+
 
 class SlotAllocator:
-    """Gives out the lowest pages that are free, so that holes are used before the map grows."""
+    """Gives out whole pages, and blocks of pages that are shared for what is less than a page.
+
+    So pages hold neighbours, and few slots are lost to small sets of splats. The lowest that are
+    free come first: holes are used before the map grows.
+    """
 
     def __init__(self, pages: int = MAX_SLOTS // SLOTS_PER_PAGE) -> None:
         self._pages = pages
-        self._used = 0  # pages below this have been given out once
-        self._freed: list[int] = []  # a heap
+        self._touched = 0  # pages below this have been given out once
+        self._free_pages: list[int] = []  # a heap, as is the next
+        self._free_blocks: list[int] = []  # of shared pages
+        self._slots = 0
 
     @property
     def slots(self) -> int:
-        """How many slots are given out, with what is left of their pages."""
-        return (self._used - len(self._freed)) * SLOTS_PER_PAGE
+        """How many slots are given out, with what is left of their blocks."""
+        return self._slots
 
     def take(self, count: int) -> NDArray[np.uint32]:
-        """(count,) slots, ascending, in pages of their own. Raises MemoryError; takes none then."""
-        wanted = -(-count // SLOTS_PER_PAGE)
-        if wanted > self._pages - self._used + len(self._freed):
+        """(count,) slots in blocks of their own. Raises MemoryError; takes none then."""
+        pages, rest = divmod(slots_for(count) // SLOTS_PER_BLOCK, BLOCKS_PER_PAGE)
+        shared = rest > len(self._free_blocks)  # one page more is, from now on
+        if pages + shared > self._pages - self._touched + len(self._free_pages):
             raise MemoryError(f"{count:,} slots: the map has no room for them")
-        pages = [heapq.heappop(self._freed) for _ in range(min(wanted, len(self._freed)))]
-        pages += range(self._used, self._used + wanted - len(pages))
-        self._used = max(self._used, pages[-1] + 1 if pages else 0)
-        first = np.array(pages, np.uint32)[:, None] * SLOTS_PER_PAGE
-        slots: NDArray[np.uint32] = (first + np.arange(SLOTS_PER_PAGE, dtype=np.uint32)).ravel()
-        return slots[:count]
+        firsts = [BLOCKS_PER_PAGE * self._page() for _ in range(pages)]
+        blocks = [first + block for first in firsts for block in range(BLOCKS_PER_PAGE)]
+        if shared:
+            first = BLOCKS_PER_PAGE * self._page()
+            self._free_blocks += range(first, first + BLOCKS_PER_PAGE)
+            heapq.heapify(self._free_blocks)
+        blocks += [heapq.heappop(self._free_blocks) for _ in range(rest)]
+        self._slots += SLOTS_PER_BLOCK * len(blocks)
+        starts = np.array(blocks, np.uint32)[:, None] * SLOTS_PER_BLOCK
+        slots = starts + np.arange(SLOTS_PER_BLOCK, dtype=np.uint32)
+        return slots.astype(np.uint32).ravel()[:count]
 
     def give_back(self, slots: NDArray[np.uint32]) -> None:
-        """Frees the pages of slots that were taken together."""
-        for page in np.unique(slots // SLOTS_PER_PAGE).tolist():
-            heapq.heappush(self._freed, page)
+        """Frees the blocks of slots, all of those that were taken together."""
+        blocks = np.unique(slots // SLOTS_PER_BLOCK)
+        self._slots -= SLOTS_PER_BLOCK * len(blocks)
+        pages, counts = np.unique(blocks // BLOCKS_PER_PAGE, return_counts=True)
+        whole = pages[counts == BLOCKS_PER_PAGE]
+        for page in whole.tolist():
+            heapq.heappush(self._free_pages, page)
+        for block in blocks[~np.isin(blocks // BLOCKS_PER_PAGE, whole)].tolist():
+            heapq.heappush(self._free_blocks, block)
+
+    def _page(self) -> int:
+        if self._free_pages:
+            return heapq.heappop(self._free_pages)
+        self._touched += 1
+        return self._touched - 1

@@ -5,6 +5,7 @@ Chunks of a streamed SOG come and go at the levels of detail that views ask for,
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from pathlib import Path
@@ -18,8 +19,8 @@ from rosplat_sorter.qos import HISTORY_DEPTH, VIEW
 from rosplat_tools.formats.streamed_sog import open_streamed
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import Cancelled, run, spinning
-from rosplat_tools.splats import SceneError
+from rosplat_tools.program.running import run, spinning
+from rosplat_tools.splats import SceneError, splat_bytes
 from rosplat_tools.streaming.streamed_map import StreamedMap
 
 FORGET_AFTER = 10.0  # viewers send each view once a second; who doesn't is gone [s]
@@ -34,15 +35,20 @@ class StreamPublisher(Node):
         super().__init__("stream_publisher")
         path = declare(self, "path", "", "Streamed SOG to publish: a lod-meta.json.")
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
-        budget = declare(
+        most = declare(
             self, "max_splats", 2_000_000, "The most that the map holds, in pages of 1024 slots.",
             1, GaussianArray.MAX_SLOTS,
+        )  # fmt: skip
+        most_bytes = declare(
+            self, "max_bytes", 1_000_000_000, "The most that those take as they are sent. [bytes]",
+            1, 1 << 40,
         )  # fmt: skip
         target = declare(
             self, "error", 1.0, "Chunks are made finer while splats are farther apart [px].",
             1e-3, 1e3,
         )  # fmt: skip
         scene = open_streamed(Path(path))
+        budget = min(most, most_bytes // splat_bytes(scene.sh_degree))
         self._views: dict[str, tuple[Camera, float]] = {}
         self._looked = threading.Event()
         publisher = MapPublisher(
@@ -52,10 +58,11 @@ class StreamPublisher(Node):
             scene, publisher, budget=budget, target=target, warn=self.get_logger().warning
         )
         if budget < self._map.least:
+            limit = f"max_splats {most:,}" if budget == most else f"max_bytes {most_bytes:,}"
             self.get_logger().warning(
-                f"max_splats {budget:,} is too few for all of {shown(path)}: its "
-                f"{len(scene.chunks):,} chunks take {self._map.least:,} at their coarsest, so some "
-                "are missing"
+                f"{limit} is too few for all of {shown(path)}: its {len(scene.chunks):,} chunks "
+                f"take {self._map.least:,} splats, {splat_bytes(scene.sh_degree)} bytes each, at "
+                "their coarsest, so some are missing"
             )
         topic = self.resolve_topic_name("gaussians")  # remapping it takes the views along
         self.create_subscription(ViewCamera, f"{topic}/view", self._on_view, VIEW)
@@ -66,7 +73,7 @@ class StreamPublisher(Node):
         while self.context.ok():
             self._looked.clear()
             try:
-                changed = self._map.step(self._seen(), lambda part: self._go_on())
+                changed = self._map.step(self._seen())
             except SceneError as error:
                 self.get_logger().error(f"done without: {error}")
                 continue
@@ -101,9 +108,9 @@ class StreamPublisher(Node):
             self._views.pop(next(iter(self._views)), None)
         self._looked.set()
 
-    def _go_on(self) -> None:
-        if not self.context.ok():
-            raise Cancelled
+    def close(self) -> None:
+        """Ends what is being read."""
+        self._map.close()
 
 
 def main() -> None:
@@ -113,7 +120,7 @@ def main() -> None:
 
 def _publish() -> None:
     node = StreamPublisher()
-    with spinning(node):
+    with contextlib.closing(node), spinning(node):
         node.stream()
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,17 +14,24 @@ from numpy.typing import NDArray
 
 from rosplat_sorter.camera import Camera
 from rosplat_sorter.slot_pages import MAX_SLOTS
-from rosplat_tools.formats.decoded import Progress, Warn
+from rosplat_tools.formats.decoded import Warn
 from rosplat_tools.formats.streamed_sog import Part, Pieces, Streamed
-from rosplat_tools.splats import SceneError, Splats
-from rosplat_tools.streaming.detail import NOTHING, Levels, choose, errors, magnification, slots_for
-from rosplat_tools.streaming.slot_allocator import SlotAllocator
+from rosplat_tools.splats import SceneError, Splats, concatenate
+from rosplat_tools.streaming.detail import NOTHING, Levels, choose, errors, magnification
+from rosplat_tools.streaming.slot_allocator import SlotAllocator, slots_for
 
 Slots = NDArray[np.uint32]
+
+THREADS = min(4, os.cpu_count() or 1)
+AHEAD = 3 * THREADS  # levels of chunks that are read at a time
+TOGETHER = 1 << 17  # splats that go into the map at once
 
 
 class Sink(Protocol):
     """A living map: MapPublisher, say."""
+
+    def expect(self, slots: int) -> None:
+        """Is told how many slots the map will have in use once all has come that is to come."""
 
     def upsert(self, slots: Slots, splats: Splats) -> None:
         """Writes the i-th splat to the i-th slot."""
@@ -34,13 +44,15 @@ class Sink(Protocol):
 class _Held:
     part: Part
     slots: Slots
+    splats: int
+    """In use, of slots."""
 
 
 class StreamedMap:
-    """Moves towards the levels that `detail.choose` finds, a file of the scene at a time.
+    """Moves towards the levels that `detail.choose` finds; threads read what is missing.
 
     A chunk's new level is in the map before its old one leaves it: there is never a hole. Beyond
-    the budget the map has one level of one chunk at most, while it changes places.
+    the budget the map has the old levels of what goes into it at once.
     """
 
     def __init__(
@@ -48,15 +60,17 @@ class StreamedMap:
     ) -> None:
         """budget: the most slots, in whole pages; target: small enough errors [px]."""
         largest = max(slots_for(part.count) for chunk in scene.chunks for part in chunk.levels)
-        self._budget = min(budget, MAX_SLOTS - largest)
+        self._budget = min(budget, MAX_SLOTS - largest - TOGETHER)
         self._target = target
         self._scene = scene
         self._sink = sink
         self._pieces = Pieces(scene, warn)
+        self._readers = ThreadPoolExecutor(THREADS, "reader")
+        self._asked: dict[Part, Future[Splats]] = {}
         self._parts = [chunk.levels for chunk in scene.chunks]
         self._held: list[_Held | None] = [None] * len(scene.chunks)
         self._slots = SlotAllocator()
-        self._to_come = 0
+        self._to_come: dict[int, Part] = {}
         self._error = 0.0
         self._list()
 
@@ -68,7 +82,7 @@ class StreamedMap:
     @property
     def splats(self) -> int:
         """In the map now."""
-        return sum(held.part.count for held in self._held if held)
+        return sum(held.splats for held in self._held if held)
 
     def __str__(self) -> str:
         chunks = sum(held is not None for held in self._held)
@@ -77,84 +91,130 @@ class StreamedMap:
             f"{len(self._held):,} chunks, splats at most {self._error:.3g} px apart where finer "
             "ones are to be had"
         )
-        return f"{text}; {self._to_come:,} chunks to come" if self._to_come else text
+        if not self._to_come:
+            return text
+        splats = sum(part.count for part in self._to_come.values())
+        return f"{text}; on their way: {splats:,} splats of {len(self._to_come):,} chunks"
 
-    def step(self, views: Sequence[Camera], progress: Progress = lambda fraction: None) -> bool:
-        """Takes what one file has to give to views; returns whether there was anything to do.
+    def step(self, views: Sequence[Camera], patience: float = 0.25) -> bool:
+        """Has what views need read, and puts it in, for some time [s]; returns whether more comes.
 
-        progress is told how far the file is read; what it raises ends the work, the map stays
-        sound. Raises SceneError for a file that can't be read, which is not read again.
+        Raises SceneError for a file that can't be read, which is not read again.
         """
+        deadline = time.monotonic() + patience
+        growing, shrinking = self._plan(views)
+        self._to_come = growing | shrinking
+        while self._to_come and (left := deadline - time.monotonic()) > 0:
+            fitting = self._fitting(growing)
+            self._ask([*fitting.values(), *shrinking.values(), *growing.values()])
+            for chunk in self._take(fitting | shrinking, left):
+                growing.pop(chunk, None)
+                shrinking.pop(chunk, None)
+                del self._to_come[chunk]
+        return bool(self._to_come)
+
+    def _plan(self, views: Sequence[Camera]) -> tuple[dict[int, Part], dict[int, Part]]:
+        """The levels to come of chunks that get finer, the most urgent first, and of others.
+
+        Drops chunks that there is no more room for.
+        """
+        held = self._level
         scale = magnification(self._levels, views)
-        held = [
-            parts.index(held.part) if held and held.part in parts else NOTHING
-            for parts, held in zip(self._parts, self._held, strict=True)
-        ]
-        wanted = choose(self._levels, scale, held, self._budget, self._target)
-        found = errors(self._levels, scale)
-        self._error = max(
-            (
-                found[chunk][level + 1]
-                for chunk, level in enumerate(held)
-                if level + 1 < len(self._parts[chunk])
-            ),
-            default=0.0,
+        wanted = np.array(choose(self._levels, scale, held, self._budget, self._target))
+        finest = np.array([len(parts) - 1 for parts in self._parts])
+        # Of each chunk as it is, where it could be finer.
+        error = errors(self._levels, scale)[np.arange(len(held)), 1 + held]
+        error[held >= finest] = 0
+        self._error = float(error.max(initial=0.0))
+
+        dropped = np.flatnonzero((wanted == NOTHING) & (held != NOTHING)).tolist()
+        urgent = np.argsort(-error, kind="stable")
+        finer = urgent[(wanted > held)[urgent]].tolist()
+        coarser = np.flatnonzero((wanted < held) & (wanted != NOTHING)).tolist()
+        growing, shrinking = (
+            {chunk: self._parts[chunk][wanted[chunk]] for chunk in chunks}
+            for chunks in (finer, coarser)
         )
-        changes = [chunk for chunk in range(len(held)) if wanted[chunk] != held[chunk]]
-        for chunk in changes:
-            if wanted[chunk] == NOTHING:
-                self._drop(chunk)
-        changes = [chunk for chunk in changes if wanted[chunk] != NOTHING]
-        self._to_come = len(changes)
-        if not changes:
-            return False
-        # What is worst first; but where it doesn't fit yet, what makes room.
-        changes.sort(key=lambda chunk: found[chunk][held[chunk] + 1], reverse=True)
-        shrinking = [chunk for chunk in changes if wanted[chunk] < held[chunk]]
-        growing = [chunk for chunk in changes if wanted[chunk] > held[chunk]]
-        fits = growing and self._fits(growing[0], self._parts[growing[0]][wanted[growing[0]]])
-        first = (growing if fits or not shrinking else shrinking)[0]
-        file = self._parts[first][wanted[first]].file
-        for chunk in [first, *shrinking, *growing]:
-            part = self._parts[chunk][wanted[chunk]]
-            if part.file != file or self._has(chunk, part):
+        change = sum(part.count for part in (*growing.values(), *shrinking.values()))
+        leaving = (self._held[chunk] for chunk in (*finer, *coarser, *dropped))
+        self._sink.expect(self.splats + change - sum(held.splats for held in leaving if held))
+        self._put({}, dict.fromkeys(dropped))
+        return growing, shrinking
+
+    def close(self) -> None:
+        """Ends the threads that read."""
+        self._pieces.close()
+        self._readers.shutdown(cancel_futures=True)
+
+    def _fitting(self, growing: dict[int, Part]) -> dict[int, Part]:
+        """The first that the budget has room for now."""
+        room = self._budget - self._slots.slots
+        fitting = {}
+        for chunk, part in growing.items():
+            held = self._held[chunk]
+            room -= slots_for(part.count) - (slots_for(held.part.count) if held else 0)
+            if room < 0:
+                break
+            fitting[chunk] = part
+        return fitting
+
+    def _ask(self, parts: list[Part]) -> None:
+        """Has the first of parts read, and nothing else."""
+        first = dict.fromkeys(parts[:AHEAD])
+        for part in self._asked.keys() - first.keys():
+            self._asked.pop(part).cancel()
+        for part in first:
+            if part not in self._asked:
+                self._asked[part] = self._readers.submit(self._pieces.read, part)
+
+    def _take(self, parts: dict[int, Part], patience: float) -> list[int]:
+        """Puts in levels of chunks that have been read, once there are any; returns the chunks."""
+        asked = {chunk: part for chunk, part in parts.items() if part in self._asked}
+        wait({self._asked[part] for part in asked.values()}, patience, FIRST_COMPLETED)
+        ready: dict[int, Splats] = {}
+        failed: SceneError | None = None
+        for chunk, part in asked.items():
+            reading = self._asked.get(part)  # none of a file that was given up
+            if not reading or not reading.done() or sum(map(len, ready.values())) >= TOGETHER:
                 continue
-            if chunk == first or wanted[chunk] < held[chunk] or self._fits(chunk, part):
-                try:
-                    splats = self._pieces.read(part, progress)
-                except SceneError:
-                    self._give_up(file)
-                    raise
-                self._put(chunk, part, splats)
-        return True
+            try:
+                ready[chunk] = reading.result()
+            except SceneError as error:
+                self._give_up(part.file)
+                failed = error
+        self._put(ready, {chunk: parts[chunk] for chunk in ready})
+        for chunk in ready:
+            self._asked.pop(parts[chunk], None)
+        if failed:
+            raise failed
+        return list(ready)
 
-    def _fits(self, chunk: int, part: Part) -> bool:
+    def _put(self, ready: dict[int, Splats], parts: Mapping[int, Part | None]) -> None:
+        """Puts in levels of chunks, or takes chunks out whose part is None."""
+        before = [held.slots for chunk in parts if (held := self._held[chunk])]
+        for chunk, part in parts.items():
+            self._held[chunk] = None
+            if part:
+                slots = self._slots.take(part.count)
+                self._held[chunk] = _Held(part, slots, len(ready[chunk]))
+        if ready:
+            now = [held.slots[: held.splats] for chunk in ready if (held := self._held[chunk])]
+            self._sink.upsert(np.concatenate(now), concatenate(list(ready.values())))
+        if before:
+            slots = np.concatenate(before)
+            self._sink.delete(slots)
+            self._slots.give_back(slots)
+        for chunk in parts:
+            self._level[chunk] = self._level_of(chunk)
+
+    def _level_of(self, chunk: int) -> int:
         held = self._held[chunk]
-        more = slots_for(part.count) - (slots_for(held.part.count) if held else 0)
-        return self._slots.slots + more <= self._budget
-
-    def _has(self, chunk: int, part: Part) -> bool:
-        held = self._held[chunk]
-        return held is not None and held.part == part
-
-    def _put(self, chunk: int, part: Part, splats: Splats) -> None:
-        slots = self._slots.take(part.count)
-        before = self._held[chunk]
-        self._sink.upsert(slots, splats)
-        self._held[chunk] = _Held(part, slots)
-        self._empty(before)
-
-    def _drop(self, chunk: int) -> None:
-        before, self._held[chunk] = self._held[chunk], None
-        self._empty(before)
-
-    def _empty(self, held: _Held | None) -> None:
-        if held:
-            self._sink.delete(held.slots)
-            self._slots.give_back(held.slots)
+        parts = self._parts[chunk]
+        return parts.index(held.part) if held and held.part in parts else NOTHING
 
     def _give_up(self, file: int) -> None:
         """Does without the levels that a file has; what is held of it stays as long as it may."""
+        self._asked = {part: asked for part, asked in self._asked.items() if part.file != file}
         self._parts = [
             tuple(
                 part
@@ -171,3 +231,4 @@ class StreamedMap:
             np.array([chunk.high for chunk in self._scene.chunks]),
             [tuple(part.count for part in parts) for parts in self._parts],
         )
+        self._level = np.array([self._level_of(chunk) for chunk in range(len(self._held))])
