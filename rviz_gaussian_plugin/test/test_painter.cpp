@@ -51,8 +51,11 @@ struct Studio {
     const std::lock_guard lock(mutex);
     edits.emplace_back(edit, map.state());
   }
-  PaintRequestPtr request(const char* detail, bool asynchronous = false) const {
+  // From a place beside the origin [m].
+  std::shared_ptr<PaintRequest> request(const char* detail, bool asynchronous = false,
+                                        double x = 0) const {
     auto request = std::make_shared<PaintRequest>();
+    request->camera.translation[0] = -x;
     request->camera.fx = request->camera.fy = 100;
     request->camera.cx = 60;
     request->camera.cy = 40;
@@ -61,6 +64,18 @@ struct Studio {
     request->settings.detail = parseDetail(detail);
     request->settings.asynchronous = asynchronous;
     return request;
+  }
+
+  // What a request that isn't waited for comes to; null where it never does.
+  PaintingPtr painted(const PaintRequestPtr& request) {
+    painter.ask("view", request);
+    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+    while (std::chrono::steady_clock::now() < deadline) {
+      const PaintingPtr newest = painter.newest("view");
+      if (newest && newest->request == request) return newest;
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    return nullptr;
   }
 
   GaussianMap map;
@@ -121,6 +136,34 @@ TEST(Painter, LeadsAViewThatMovesToItsDetailWhileTheMapChanges) {
   EXPECT_EQ(painting->map.revision, studio.map.state().revision);
   EXPECT_LT(painting->drawn, 6000u);
   EXPECT_GT(painting->drawn, 1000u);
+}
+
+TEST(Painter, KeepsAFrameTimeWhereTheCameraMovesAndPaintsAllWhereItRests) {
+  Studio studio;
+  studio.write(100000, GaussianBatch::REPLACE);
+  constexpr const char* kEver = "3600000ms";
+  const PaintingPtr in_time = studio.painted(studio.request(kEver, true));
+  ASSERT_TRUE(in_time);
+  EXPECT_EQ(in_time->error_px, 0);
+  EXPECT_EQ(studio.painter.levelsBytes(), 0u);  // none are needed
+
+  constexpr const char* kNever = "0.001ms";
+  PaintingPtr moving = in_time;
+  double x = 0;
+  for (int frame = 0; frame < 1000 && moving->drawn > in_time->drawn / 2; ++frame) {
+    moving = studio.painted(studio.request(kNever, true, x += 0.001));
+    ASSERT_TRUE(moving);
+  }
+  EXPECT_LT(moving->drawn, in_time->drawn / 2);
+  EXPECT_GT(moving->error_px, 0);
+  EXPECT_FALSE(moving->settled);
+  const auto again = studio.request(kNever, true, x);
+  again->rests = true;
+  const PaintingPtr resting = studio.painted(again);
+  ASSERT_TRUE(resting);
+  EXPECT_EQ(resting->error_px, 0);
+  EXPECT_NEAR(double(resting->drawn), double(in_time->drawn), 0.01 * double(in_time->drawn));
+  EXPECT_TRUE(resting->settled);
 }
 
 }  // namespace

@@ -53,13 +53,14 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
   farthest_ = number("Farthest", 10.0f, "Depth that is drawn blue. [m]", mode_, 0.0f);
   age_range_ =
       number("Age Range", 10.0f, "Time after which a slot is drawn as old. [s]", mode_, 0.001f);
-  detail_ = new EditableEnumProperty("Detail", "Full",
-                                     "How much of the map is drawn. Full: all. Pixels (2 px): what "
-                                     "is no wider than that may be one "
-                                     "Gaussian. Splats (1M): so many Gaussians at most. A time (50 "
-                                     "ms): what is painted within it.",
-                                     display);
-  for (const char* example : {"Full", "1 px", "2 px", "4 px", "1M", "50 ms"}) {
+  detail_ =
+      new EditableEnumProperty("Detail", "Full",
+                               "How much of the map is drawn. Full: all. Pixels (2 px): what "
+                               "is no wider than that may be one "
+                               "Gaussian. Splats (1M): so many Gaussians at most. A time (100 "
+                               "ms): while camera or map move, what is painted within it.",
+                               display);
+  for (const char* example : {"Full", "1 px", "2 px", "4 px", "1M", "100 ms"}) {
     detail_->addOptionStd(example);
   }
   alpha_ = number("Alpha", 1.0f, "Multiplies the opacity of every splat.", display, 0.0f);

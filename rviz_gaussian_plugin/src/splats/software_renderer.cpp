@@ -89,7 +89,10 @@ PaintingPtr SoftwareRenderer::draw(const std::string& view_id, const SplatCamera
     exact_ = true;
   } else if (!exact_ && asked(view, *request, map)) {
     painter_.hurry(view_id);  // the camera rests
-  } else if (!exact_ || (settings.asynchronous && !painting->settled)) {
+  } else if (!exact_) {
+    ask(view_id, request, map);
+  } else if (settings.asynchronous && !painting->settled && painting->request == view.asked) {
+    request->rests = true;
     ask(view_id, request, map);
   }
   const bool fits =

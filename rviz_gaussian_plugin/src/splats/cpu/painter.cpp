@@ -18,6 +18,7 @@ namespace {
 constexpr std::size_t kEditBytesPerPicture = std::size_t{256} << 20;
 // So long pictures wait for levels of detail that aren't whole; then they do without. [s]
 constexpr double kLevelsPerPicture = 0.03;
+constexpr double kLevelsShare = 0.5;  // or for that part of the time that they take without
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 double now() {
@@ -129,6 +130,7 @@ void Painter::forEachPage(const std::function<void(const GaussianEdit&)>& take) 
 std::uint64_t Painter::enqueue(const std::string& view_id, PaintRequestPtr&& request) {
   View& view = views_[view_id];
   if (!view.waiting) queue_.push_back(view_id);
+  if (painting_ == view_id && refining_ && !request->rests) cancelled_ = true;
   view.waiting = Waiting{++asked_, std::move(request), now()};
   wake_.notify_one();
   return asked_;
@@ -190,8 +192,9 @@ void Painter::run() {
     const std::string view_id = std::move(queue_.front());
     queue_.pop_front();
     Waiting job = *std::exchange(views_[view_id].waiting, std::nullopt);
-    const std::uint64_t number = painting_number_ = job.number;
+    const std::uint64_t number = job.number;
     painting_ = view_id;
+    refining_ = job.request->rests;
     cancelled_ = false;
     lock.unlock();
     takeEdits(job.request->settings.asynchronous ? kEditBytesPerPicture : kEverything);
@@ -240,9 +243,12 @@ bool Painter::advanceLevels(const std::function<bool()>& stop) {
 
 void Painter::chooseDetail(PictureRequest& request, DetailControl& control, Painting& painting) {
   const RenderSettings& settings = request.settings;
-  if (settings.detail == Detail{} || request.order || painting.request->unsorted) return;
+  if (request.order || painting.request->unsorted) return;
+  const bool in_time = settings.detail.kind == Detail::Kind::kTime;
+  const bool moves = settings.asynchronous && !painting.request->rests;
+  if (!control.needsLevels(settings.detail) || (in_time && !moves)) return;
   wants_levels_ = true;
-  const double until = now() + kLevelsPerPicture;
+  const double until = now() + std::max(kLevelsPerPicture, kLevelsShare * control.secondsInFull());
   try {
     const bool whole =
         advanceLevels([&] { return cancelled_ || (settings.asynchronous && now() > until); });
@@ -252,7 +258,7 @@ void Painter::chooseDetail(PictureRequest& request, DetailControl& control, Pain
     if (settings.detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
       request.most_splats = static_cast<std::size_t>(settings.detail.amount);
     }
-    painting.settled = whole && control.settled();
+    painting.settled = in_time ? request.error == 0 : whole && control.settled();
   } catch (const std::bad_alloc&) {
     painting.detail_error = "there is no memory for levels of detail";
   }
@@ -287,7 +293,12 @@ std::shared_ptr<Painting> Painter::paint(Waiting&& job, DetailControl& control) 
     }
     painting->drawn = picture_.drawn;
     painting->error_px = picture_.error;
-    control.drew(picture_.error, now() - start);
+    if (request.levels) {
+      control.drew(picture_.error, now() - start);
+    } else {
+      control.drewAll(now() - start);
+      wants_levels_ = wants_levels_ || control.needsLevels(asked.settings.detail);
+    }
     painting->profile = picture_.profile;
     if (asked.window) {
       const int width = picture_.width, height = picture_.height;

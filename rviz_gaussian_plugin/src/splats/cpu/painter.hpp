@@ -36,6 +36,7 @@ struct PaintRequest {
   bool unsorted = false;                              // or by nobody: as the slots are numbered
   std::uint64_t age_tick = 0;                         // of what is coloured by age: the time
   bool window = false;                                // it goes on a window
+  bool rests = false;  // what is shown is of this camera and map already, in less detail
 
   bool operator==(const PaintRequest& o) const;
 };
@@ -148,7 +149,7 @@ class Painter {
   std::deque<std::string> queue_;  // views, those first that have waited longest
   std::uint64_t asked_ = 0;        // that ever were
   std::string painting_;           // the view
-  std::uint64_t painting_number_ = 0;
+  bool refining_ = false;          // it, for a camera that rests
   std::atomic<bool> cancelled_{false};
 
   // With another lock than the slots, for which nobody who shows pictures shall wait.

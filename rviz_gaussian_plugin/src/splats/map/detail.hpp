@@ -30,12 +30,21 @@ class DetailControl {
                 const std::array<double, 3>& origin, const ClipBox& box);
   // What became of it.
   void drew(double error, double seconds);
+  // Of a picture of all splats. [s]
+  void drewAll(double seconds) { seconds_in_full_ = seconds; }
+  double secondsInFull() const { return seconds_in_full_; }  // 0 before any
+  // Whether levels are needed for it: a frame time may have room for all.
+  bool needsLevels(const Detail& detail) const {
+    if (detail.kind != Detail::Kind::kTime) return detail.kind != Detail::Kind::kFull;
+    return seconds_ > 0 || seconds_in_full_ > detail.amount;
+  }
   // Whether it is where it is going.
   bool settled() const { return settled_; }
 
  private:
   double error_ = 0;    // of the last picture [px]
   double seconds_ = 0;  // that it took
+  double seconds_in_full_ = 0;
   bool settled_ = true;
 };
 

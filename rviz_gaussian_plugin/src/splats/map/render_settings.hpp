@@ -50,7 +50,7 @@ struct Detail {
     kFull,    // all of it
     kError,   // what is no wider than so much may be one Gaussian [px]
     kSplats,  // so many Gaussians at most
-    kTime,    // what takes about so long [s]
+    kTime,    // while the camera or the map moves, what takes about so long [s]
   };
   Kind kind = Kind::kFull;
   double amount = 0;
