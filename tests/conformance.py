@@ -254,7 +254,7 @@ CASES = (
     _kept("huge harmonics", {("sh", 4): -LARGEST}),
     # Batches that contradict themselves are refused as a whole.
     _refused("revision", "no revision", fields={"revision": 0}),
-    _refused("operation", "an unknown operation", operation=3),
+    _refused("operation", "an unknown operation", operation=4),
     _refused("encoding", "an unknown encoding", fields={"encoding": 1}),
     _refused("sh_degree", "too many harmonics", fields={"sh_degree": 4}),
     _refused("origin", "an origin that is no number", fields={"origin": (0.0, NAN, 0.0)}),

@@ -75,7 +75,7 @@ class Sorter:
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        x, y, z = self.map.origin.tolist()
+        x, y, z = self.map.origins.get(0, np.zeros(3)).tolist()
         return x, y, z
 
     @property

@@ -84,10 +84,10 @@ def receive(cases: str) -> None:
                 sorter.origin, sorter.revision, sorter.missed,
             )  # fmt: skip
         with contextlib.suppress(camera.CameraError):
-            view = View.of(camera.decode(fuzz.view_camera(rng)), sorter.origin)
+            view = View.of(camera.decode(fuzz.view_camera(rng)), sorter.frames)
             held = sorter.map
             native.update(held, slice(0, held.pages.rows))
-            expected = depth.order(view, held.positions, held.extents, held.slots)
+            expected = depth.order(view, held.positions, held.extents, held.slots, held.groups)
             np.testing.assert_array_equal(native.order(view), expected)
         largest = max(largest, publisher.map._arrays.nbytes + 16 * sorter.map.pages.rows)
 

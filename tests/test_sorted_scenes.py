@@ -35,7 +35,7 @@ def test_order_equals_the_stable_argsort(
     changed = scene_map.apply(edits.decode(message))
     backend.update(scene_map, changed)
     for which in load_cameras(reference_folder / scene / "cameras.json"):
-        seen = view.View.of(camera.decode(view_camera(which)), scene_map.origin)
+        seen = view.View.of(camera.decode(view_camera(which)), scene_map.frames)
         depths = depth.transform(seen, scene_map.positions, 2)
         visible = np.flatnonzero(depth.visible(seen, scene_map.positions, scene_map.extents))
         expected = visible[np.argsort(depths[visible], kind="stable")][::-1]

@@ -58,7 +58,7 @@ def test_baselines_sort_as_we_do_where_all_is_visible(name: str) -> None:
     sorted_map = sort.map_of(splats)
     exact = order(view, sorted_map.positions, sorted_map.extents)
     theirs = baselines.IN_HOST_MEMORY[name](splats.positions)(view).ravel()
-    depths = splats.positions.astype(np.float64) @ view.rotation[2].astype(np.float64)
+    depths = splats.positions.astype(np.float64) @ view.rotations[0, 2].astype(np.float64)
     np.testing.assert_allclose(depths[theirs], depths[exact], atol=1e-5)
 
 

@@ -53,7 +53,7 @@ def view_and_map(splats: Splats, camera: Camera) -> tuple[View, SplatMap]:
             splats.positions, splat_extents(splats.scales, splats.opacities), 0,
         )
     )  # fmt: skip
-    return View.of(seen, splats.origin), known
+    return View.of(seen, known.frames), known
 
 
 # --- Blending -------------------------------------------------------------------------------------

@@ -5,6 +5,8 @@ product with a sum. Written out for a splat at p:
 
     x y z  = ((r0 * px + r1 * py) + r2 * pz) + t     for each row r of the rotation; z is the depth
 
+with the rotation and translation of the splat's group: depths of all groups compare.
+
 Why the culling is safe. The renderer draws a Gaussian of covariance V up to k standard deviations
 of its projection, k = min(3.33, sqrt(2 ln(255 opacity))), beyond which its alpha is below 1/255.
 The projection (EWA; Zwicker et al. 2001, Kerbl et al. 2023) has, along u, the variance
@@ -22,6 +24,8 @@ and alike along v. Orthographic, J is constant: z becomes 1 and the tangent 0.
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +35,8 @@ from rosplat_sorter.view import View
 CUTOFF_SIGMAS = np.float32(3.33)
 LEAST_ALPHA = np.float32(1 / 255)
 INVISIBLE = np.float32(-1)
+
+Groups: TypeAlias = "int | NDArray[np.integer]"
 
 
 def splat_extents(
@@ -47,20 +53,26 @@ def splat_extents(
     return np.where(drawn, scales.max(axis=1, initial=0) * sigmas, INVISIBLE)
 
 
-def transform(view: View, positions: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Coordinate along an axis of the camera optical frame, float32 (n,) [m]."""
-    r0, r1, r2 = view.rotation[axis]
+def transform(
+    view: View, positions: NDArray[np.float32], axis: int, groups: Groups = 0
+) -> NDArray[np.float32]:
+    """Coordinate along an axis of the camera optical frame, float32 (n,) [m].
+
+    positions: float32 (n, 3), relative to their group's origin. groups: the place in view of each
+    one's group, or of all.
+    """
+    r0, r1, r2 = view.rotations[groups, axis].T
     px, py, pz = positions.T
-    result: NDArray[np.float32] = ((r0 * px + r1 * py) + r2 * pz) + view.translation[axis]
+    result: NDArray[np.float32] = ((r0 * px + r1 * py) + r2 * pz) + view.translations[groups, axis]
     return result
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what overflows is not visible
 def visible(
-    view: View, positions: NDArray[np.float32], extents: NDArray[np.float32]
+    view: View, positions: NDArray[np.float32], extents: NDArray[np.float32], groups: Groups = 0
 ) -> NDArray[np.bool_]:
     """Whether any of a splat's footprint can touch the picture, bool (n,)."""
-    x, y, z = (transform(view, positions, axis) for axis in range(3))
+    x, y, z = (transform(view, positions, axis, groups) for axis in range(3))
     w = np.ones_like(z) if view.orthographic else z
     in_depth = (extents >= 0) & (z > view.near_clip) & (z < view.far_clip)
     in_width = (
@@ -79,18 +91,20 @@ def sort_keys(depths: NDArray[np.float32]) -> NDArray[np.uint32]:
     return bits ^ (negative | np.uint32(1 << 31))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def order(
     view: View,
     positions: NDArray[np.float32],
     extents: NDArray[np.float32],
     slots: NDArray[np.uint32] | None = None,
+    groups: Groups = 0,
 ) -> NDArray[np.uint32]:
     """The visible slots back to front, uint32 (m,); of equal depths the higher slot first.
 
-    positions: float32 (n, 3) [m], relative to the map's origin. extents: float32 (n,) [m]. slots:
-    whose they are, uint32 (n,), by default those from 0 on.
+    positions: float32 (n, 3) [m], relative to their group's origin. extents: float32 (n,) [m].
+    slots: whose they are, uint32 (n,), by default those from 0 on. groups: as for transform.
     """
-    rows = np.flatnonzero(visible(view, positions, extents))
+    rows = np.flatnonzero(visible(view, positions, extents, groups))
     slots = rows.astype(np.uint32) if slots is None else slots[rows]
-    ascending = np.lexsort((slots, transform(view, positions[rows], 2)))
+    ascending = np.lexsort((slots, transform(view, positions, 2, groups)[rows]))
     return slots[ascending[::-1]]

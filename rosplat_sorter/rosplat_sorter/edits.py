@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.depth import INVISIBLE, splat_extents
+from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.slot_pages import MAX_SLOTS, Slots
+from rosplat_sorter.view import frame_at
 
 if TYPE_CHECKING:
+    from geometry_msgs.msg import Pose
+
     from rosplat_msgs.msg import GaussianArray
 
-REPLACE, UPSERT, DELETE = range(3)
+REPLACE, UPSERT, DELETE, MOVE = range(4)
 ENCODING_FLOAT32 = 0
+MAX_GROUPS = 1 << 15  # as GaussianArray.MAX_GROUPS
 MAX_SH_DEGREE = 3
+
+EMPTY = np.float32(-2)
+"""The extent of an empty slot; that of a splat too faint to be drawn is depth.INVISIBLE."""
 
 
 class EditError(ValueError):
@@ -28,9 +35,10 @@ class Edit:
     """One batch of edits.
 
     origin: float64 (3,) [m]. slots: the n slots touched, all below `end`. positions: float32 (n, 3)
-    [m], relative to the origin. extents: float32 (n,) [m], see depth.splat_extents; negative where
-    the slot becomes empty. A DELETE has neither. rejected: how many splats were not usable and
-    become empty slots. snapshot: repeats what the edits up to this revision have left.
+    [m], relative to the origin. extents: float32 (n,) [m], see depth.splat_extents; EMPTY where the
+    slot becomes empty. Only a REPLACE or UPSERT has these, and a group. rejected: how many splats
+    were not usable and become empty slots. snapshot: repeats what the edits up to this revision
+    have left. poses: of a MOVE, by group: its frame in the map's, float64 (4, 4).
     """
 
     map_id: str
@@ -44,24 +52,32 @@ class Edit:
     extents: NDArray[np.float32]
     rejected: int
     snapshot: bool = False
+    group: int = 0
+    poses: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+
+    @property
+    def writes(self) -> bool:
+        """Whether it brings splats, were it none."""
+        return self.operation in (REPLACE, UPSERT)
 
     @property
     def nbytes(self) -> int:
         """Memory that it takes until it is applied. [bytes]"""
         listed = 0 if isinstance(self.slots, slice) else self.slots.nbytes
-        return self.positions.nbytes + self.extents.nbytes + listed
+        poses = sum(pose.nbytes for pose in self.poses.values())
+        return self.positions.nbytes + self.extents.nbytes + listed + poses
 
 
 def check(message: GaussianArray) -> None:
     """Raises EditError where a message is wrong in structure."""
     if message.revision == 0:
         raise EditError("revision is 0, they count from 1")
-    if message.operation not in (REPLACE, UPSERT, DELETE):
-        raise EditError(f"operation is {message.operation}, known are 0 to 2")
+    if message.operation not in (REPLACE, UPSERT, DELETE, MOVE):
+        raise EditError(f"operation is {message.operation}, known are 0 to 3")
     if message.encoding != ENCODING_FLOAT32:
         raise EditError(f"encoding is {message.encoding}, known is 0")
-    if message.group:
-        raise EditError(f"group is {message.group}, only group 0 is known yet")
+    if message.group >= MAX_GROUPS:
+        raise EditError(f"group is {message.group}, a map has at most {MAX_GROUPS} groups")
     if message.sh_degree > MAX_SH_DEGREE:
         raise EditError(f"sh_degree is {message.sh_degree}, at most {MAX_SH_DEGREE} is known")
     origin = message.origin
@@ -75,11 +91,32 @@ def check(message: GaussianArray) -> None:
     end = message.first_slot + message.count
     if not listed.size and end > MAX_SLOTS:
         raise EditError(f"first_slot + count is {end}, a map has at most {MAX_SLOTS} slots")
-    splats = 0 if message.operation == DELETE else message.count
+    if message.operation == MOVE and message.count:
+        raise EditError(f"count is {message.count}, a MOVE touches no slots")
+    splats = message.count if message.operation in (REPLACE, UPSERT) else 0
     for name, each in _columns(message).items():
         values = len(getattr(message, name))
         if values != splats * each:
             raise EditError(f"{name} has {values} values, {splats * each} expected")
+    _check_poses(message)
+
+
+def _check_poses(message: GaussianArray) -> None:
+    groups = np.asarray(message.groups, np.uint32)
+    if groups.size and message.operation != MOVE:
+        raise EditError(f"groups has {groups.size} values, only a MOVE has any")
+    if len(message.poses) != groups.size:
+        raise EditError(f"poses has {len(message.poses)} values, groups has {groups.size}")
+    if groups.size and int(groups.max()) >= MAX_GROUPS:
+        raise EditError(f"groups holds {groups.max()}, a map has at most {MAX_GROUPS} groups")
+    if len(np.unique(groups)) < groups.size:
+        raise EditError("groups names one twice")
+    for group, pose in zip(groups.tolist(), message.poses, strict=True):
+        position, orientation = pose_values(pose)
+        if not np.isfinite([*position, *orientation]).all():
+            raise EditError(f"poses: that of group {group} is not finite")
+        if not any(orientation):
+            raise EditError(f"poses: that of group {group} has an orientation of length zero")
 
 
 def decode(message: GaussianArray) -> Edit:
@@ -94,7 +131,7 @@ def decode(message: GaussianArray) -> Edit:
     )
     usable = is_usable(positions, orientations, scales, opacities[:, 0], sh)
     with np.errstate(invalid="ignore", over="ignore"):  # of splats that are not usable
-        extents = np.where(usable, splat_extents(scales, opacities[:, 0]), INVISIBLE)
+        extents = np.where(usable, splat_extents(scales, opacities[:, 0]), EMPTY)
     origin = message.origin
     return Edit(
         map_id=message.map_id,
@@ -108,7 +145,18 @@ def decode(message: GaussianArray) -> Edit:
         extents=extents,
         rejected=len(usable) - int(np.count_nonzero(usable)),
         snapshot=message.snapshot,
+        group=message.group,
+        poses={
+            group: frame_at(*pose_values(pose))
+            for group, pose in zip(message.groups, message.poses, strict=True)
+        },
     )
+
+
+def pose_values(pose: Pose) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Position x y z [m] and quaternion x y z w of a geometry_msgs Pose."""
+    p, q = pose.position, pose.orientation
+    return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
 
 
 def _columns(message: GaussianArray) -> dict[str, int]:

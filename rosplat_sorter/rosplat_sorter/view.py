@@ -1,8 +1,9 @@
-"""A camera as sorters need it: in float32, relative to the map's origin."""
+"""A camera as sorters need it: in float32, relative to where each group of splats is."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,19 +17,22 @@ MARGIN_PIXELS = 2.0
 # and lacks what came in. 1.25 saves 18 dB after a turn of 3 degrees (docs/stability.md).
 OVERSCAN = 1.25
 
+IDENTITY: NDArray[np.float64] = np.eye(4)[None]
+
 
 @dataclass(frozen=True)
 class View:
-    """What positions are multiplied with. The twin of rosplat_sorter::View in C++.
+    """What positions are multiplied with. The twin of rosplat_sorter::View in C++, for all groups.
 
-    rotation: map to camera optical frame, float32 (3, 3). translation: of the map's origin in the
-    camera frame, float32 (3,) [m]. The rest are float32 as well: focal lengths [px] (orthographic
-    [px/m]), the principal point from the picture's centre, half the picture's size with a margin
-    [px], the growth of a footprint with a splat's extent [px] (orthographic [px/m]), depths [m].
+    rotations: each group's frame to camera optical frame, float32 (g, 3, 3). translations: of each
+    group's origin in the camera frame, float32 (g, 3) [m]. The rest are float32 as well: focal
+    lengths [px] (orthographic [px/m]), the principal point from the picture's centre, half the
+    picture's size with a margin [px], the growth of a footprint with a splat's extent [px]
+    (orthographic [px/m]), depths [m].
     """
 
-    rotation: NDArray[np.float32]
-    translation: NDArray[np.float32]
+    rotations: NDArray[np.float32]
+    translations: NDArray[np.float32]
     fx: np.float32
     fy: np.float32
     offset_x: np.float32
@@ -42,14 +46,18 @@ class View:
     orthographic: bool
 
     @classmethod
-    def of(cls, camera: Camera, origin: ArrayLike = (0.0, 0.0, 0.0)) -> View:
-        """The view of a camera on a map with the given origin, 3 float64 [m].
+    def of(cls, camera: Camera, frames: ArrayLike = IDENTITY) -> View:
+        """The view of a camera on groups in the given frames, float64 (g, 4, 4).
 
-        Everything is float64 until the end, so that nothing is lost far from the frame's origin.
+        frames: rigid transforms from what each group's positions are relative to into the map's
+        frame. Everything is float64 until the end, so that nothing is lost far from its origin.
         Raises CameraError for what float32 can't hold.
         """
+        frames = np.asarray(frames, np.float64)
         rotation = rotation_matrix(*camera.orientation).T
-        translation = -rotation @ (np.asarray(camera.position) - np.asarray(origin, np.float64))
+        # Sums of three written out: NumPy's depend on how many groups there are.
+        x, y, z = (np.asarray(camera.position) - frames[:, :3, 3]).T[:, :, None]
+        translations = -rotation[:, 0] * x - rotation[:, 1] * y - rotation[:, 2] * z
 
         def slope(focal: float, centre: float, size: int) -> float:
             # A perspective footprint grows with the slope of its ray, which the renderer clamps so.
@@ -60,8 +68,8 @@ class View:
 
         with np.errstate(over="ignore"):  # checked below
             view = cls(
-                rotation=rotation.astype(np.float32),
-                translation=translation.astype(np.float32),
+                rotations=(rotation @ frames[:, :3, :3]).astype(np.float32),
+                translations=translations.astype(np.float32),
                 fx=np.float32(camera.fx),
                 fy=np.float32(camera.fy),
                 offset_x=np.float32(camera.cx - camera.width / 2.0),
@@ -78,6 +86,24 @@ class View:
             if not np.isfinite(value).all():
                 raise CameraError(f"{name} of the view is beyond float32")
         return view
+
+
+def frame_at(
+    position: ArrayLike, orientation: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
+) -> NDArray[np.float64]:
+    """Rigid transform, float64 (4, 4), out of a frame at a position, 3 [m], turned by a quaternion.
+
+    orientation: x y z w, of any length but zero.
+    """
+    frame = np.eye(4)
+    frame[:3, :3] = rotation_matrix(*orientation)
+    frame[:3, 3] = position
+    return frame
+
+
+def unmoved(origin: ArrayLike) -> NDArray[np.float64]:
+    """The frames, float64 (1, 4, 4), of a map whose one group is at the identity. origin: 3 [m]."""
+    return frame_at(origin)[None]
 
 
 def rotation_matrix(x: float, y: float, z: float, w: float) -> NDArray[np.float64]:

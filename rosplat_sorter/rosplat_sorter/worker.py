@@ -18,6 +18,7 @@ from rosplat_sorter.edits import Edit
 from rosplat_sorter.log_text import shown
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
+from rosplat_sorter.slot_pages import MixedGroupsError
 from rosplat_sorter.view import View
 
 if TYPE_CHECKING:
@@ -232,7 +233,7 @@ class Worker:
         )
         try:
             changed = self._map.apply(edit)
-        except MemoryError as error:
+        except (MemoryError, MixedGroupsError) as error:
             self._drop_batch(edit.map_id, edit.revision, error)
             return
         if changed is None:
@@ -319,7 +320,7 @@ class Worker:
             or (last.map_id, last.revision) != (splats.map_id, splats.revision)
         ):
             try:
-                view = View.of(viewer.camera, splats.origin)
+                view = View.of(viewer.camera, splats.frames)
             except CameraError as error:
                 self._drop_view(viewer.message, error)
                 return

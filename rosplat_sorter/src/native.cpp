@@ -40,17 +40,16 @@ Floats floats(const py::handle& object, py::ssize_t size, const char* name) {
   return array;
 }
 
-// The view of a rosplat_sorter.view.View.
-View toView(const py::handle& object) {
+// The views of a rosplat_sorter.view.View, one for each group.
+std::vector<View> toViews(const py::handle& object) {
   View view;
   const auto number = [&](const char* name) { return object.attr(name).cast<float>(); };
-  const Floats rotation(py::reinterpret_borrow<py::object>(object.attr("rotation")));
-  const Floats translation(py::reinterpret_borrow<py::object>(object.attr("translation")));
-  if (rotation.size() != 9 || translation.size() != 3) {
-    throw py::value_error("view.rotation must be 3 x 3 and view.translation 3");
+  const Floats rotations(py::reinterpret_borrow<py::object>(object.attr("rotations")));
+  const Floats translations(py::reinterpret_borrow<py::object>(object.attr("translations")));
+  const py::ssize_t count = translations.size() / 3;
+  if (rotations.size() != 9 * count || translations.size() != 3 * count) {
+    throw py::value_error("view.rotations must be n x 3 x 3 and view.translations n x 3");
   }
-  std::copy_n(rotation.data(), 9, view.rotation);
-  std::copy_n(translation.data(), 3, view.translation);
   view.fx = number("fx");
   view.fy = number("fy");
   view.offset_x = number("offset_x");
@@ -62,23 +61,30 @@ View toView(const py::handle& object) {
   view.near_clip = number("near_clip");
   view.far_clip = number("far_clip");
   view.orthographic = object.attr("orthographic").cast<bool>();
-  return view;
+  std::vector<View> views(static_cast<std::size_t>(count), view);
+  for (py::ssize_t i = 0; i < count; ++i) {
+    std::copy_n(rotations.data() + 9 * i, 9, views[i].rotation);
+    std::copy_n(translations.data() + 3 * i, 3, views[i].translation);
+  }
+  return views;
 }
 
-// Rows of first slot and place, one for each page of a map of so many rows.
-std::vector<Page> toPages(const py::handle& object, py::ssize_t rows) {
+// Rows of first slot, place and group, one for each page of a map of so many rows and groups.
+std::vector<Page> toPages(const py::handle& object, py::ssize_t rows, std::size_t groups) {
   if (!py::isinstance<Slots>(object)) {
     throw py::type_error("pages must be a contiguous uint32 array");
   }
   const auto table = py::reinterpret_borrow<Slots>(object);
-  const py::ssize_t count = table.size() / 2;
-  if (table.size() != 2 * count || count * py::ssize_t{Page::kSlots} != rows) {
+  const py::ssize_t count = table.size() / 3;
+  if (table.size() != 3 * count || count * py::ssize_t{Page::kSlots} != rows) {
     throw py::value_error("pages has the wrong size");
   }
   std::vector<Page> pages;
   for (py::ssize_t i = 0; i < count; ++i) {
-    pages.push_back({table.data()[2 * i], table.data()[2 * i + 1]});
-    if (pages.back().place >= count) throw py::value_error("pages names a place beyond the last");
+    const std::uint32_t* const row = table.data() + 3 * i;
+    pages.push_back({row[0], row[1], row[2]});
+    if (row[1] >= count) throw py::value_error("pages names a place beyond the last");
+    if (row[2] >= groups) throw py::value_error("pages names a group that view has none for");
   }
   return pages;
 }
@@ -86,17 +92,17 @@ std::vector<Page> toPages(const py::handle& object, py::ssize_t rows) {
 Slots sort(DepthOrder& sorter, const py::object& view_object, const py::object& positions_object,
            const py::object& extents_object, const py::object& pages_object,
            const py::object& allocate) {
-  const View view = toView(view_object);
+  const std::vector<View> views = toViews(view_object);
   const auto rows = static_cast<py::ssize_t>(py::len(extents_object));
   const Floats extents = floats(extents_object, rows, "extents");
   const Floats positions = floats(positions_object, 3 * rows, "positions");
-  const std::vector<Page> pages = toPages(pages_object, rows);
+  const std::vector<Page> pages = toPages(pages_object, rows, views.size());
   const float* const p = positions.data();
   const float* const e = extents.data();
   Slots order;
   {
     const py::gil_scoped_release release;
-    sorter.sort(view, p, e, pages.data(), pages.size(), [&](std::size_t total) {
+    sorter.sort(views.data(), p, e, pages.data(), pages.size(), [&](std::size_t total) {
       const py::gil_scoped_acquire acquire;
       const py::object target = allocate(total);
       if (!py::isinstance<Slots>(target) || static_cast<std::size_t>(py::len(target)) != total) {
@@ -182,7 +188,7 @@ PYBIND11_MODULE(_native, module) {
           "The visible slots back to front, uint32 (m,), in the array that allocate(m) returns.\n\n"
           "view: a rosplat_sorter.view.View. positions: float32 (rows, 3) [m]. extents: float32\n"
           "(rows,) [m], negative for what is never visible. pages: SlotPages.table, uint32 (p, "
-          "2).\n"
+          "3).\n"
           "All contiguous; other types raise TypeError, other sizes ValueError. One thread at a\n"
           "time.");
 

@@ -63,7 +63,7 @@ def make_batch():
     def make(count=3, map_id="map", revision=1, operation=GaussianArray.UPSERT, **given):
         message = GaussianArray(map_id=map_id, revision=revision, operation=operation, count=count)
         message.header.frame_id = given.pop("frame_id", "map")
-        if operation != GaussianArray.DELETE:
+        if operation in (GaussianArray.REPLACE, GaussianArray.UPSERT):
             rows = np.zeros((count, 3), np.float32)
             rows[:, 2] = 1 + np.arange(count)
             message.positions = rows.ravel().tolist()

@@ -1,6 +1,8 @@
 """Every backend present equals the plain reference, to the bit."""
 
+import contextlib
 import importlib.util
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,11 +19,11 @@ from rosplat_sorter.backends import (
     new_array,
     open_backend,
 )
-from rosplat_sorter.edits import DELETE, REPLACE, UPSERT
+from rosplat_sorter.edits import DELETE, MOVE, REPLACE, UPSERT
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import Memory, OrderBuffer, SharedOrders, memory_of
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
-from rosplat_sorter.view import View
+from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, MixedGroupsError
+from rosplat_sorter.view import View, frame_at
 
 CANDIDATES = [
     pytest.param(("native", 1, False), id="native-1-thread"),
@@ -58,12 +60,12 @@ def cameras(make_camera, random):
 
 
 def assert_equal_to_reference(backend, splats, camera):
-    view = View.of(camera, splats.origin)
+    view = View.of(camera, splats.frames)
     memory = np.zeros(splats.pages.rows + 1, np.uint32)
     order = backend.order(view, lambda count: memory[1 : count + 1])
     assert order.base is memory
     assert order.dtype == np.uint32
-    expected = depth.order(view, splats.positions, splats.extents, splats.slots)
+    expected = depth.order(view, splats.positions, splats.extents, splats.slots, splats.groups)
     np.testing.assert_array_equal(order, expected)
     return len(order)
 
@@ -136,6 +138,35 @@ def test_slots_far_apart_in_pages_that_come_in_any_order(backend, make_camera, m
     assert assert_equal_to_reference(backend, splats, make_camera()) == 1
 
 
+def pose(random):
+    return frame_at(random.normal(size=3) * 5, random.normal(size=4))
+
+
+@pytest.mark.parametrize("groups", [2, 40])
+def test_groups_of_splats_are_in_one_order(backend, make_camera, make_edit, groups):
+    """Half of them tie, across groups as well: these lie whole steps apart."""
+    random = np.random.default_rng(12)
+    splats = SplatMap()
+    for revision, page in enumerate(random.permutation(120), 1):
+        count = int(random.integers(1, SLOTS_PER_PAGE))
+        edit = make_edit(
+            np.round(random.normal(size=(count, 3)) * 4),
+            slots=page * SLOTS_PER_PAGE + np.arange(count),
+            revision=revision,
+            group=int(page % groups) * 100,
+        )
+        backend.update(splats, splats.apply(edit))
+    for revision in (121, 122):
+        shifts = random.integers(-9, 9, (groups, 3)).astype(float)
+        poses = {100 * group: frame_at(shift) for group, shift in enumerate(shifts)}
+        if revision == 122:
+            poses = {group: pose(random) for group in poses}
+        moved = make_edit([], revision=revision, operation=MOVE, poses=poses)
+        backend.update(splats, splats.apply(moved))
+        for camera in cameras(make_camera, random):
+            assert_equal_to_reference(backend, splats, camera)
+
+
 def test_orders_in_shared_memory(backend, make_camera, make_edit):
     random = np.random.default_rng(10)
     count = 10_000
@@ -143,7 +174,7 @@ def test_orders_in_shared_memory(backend, make_camera, make_edit):
     splats.apply(make_edit(random.normal(size=(count, 3)) * 8))
     backend.update(splats, slice(0, count))
     for camera in cameras(make_camera, random):
-        view = View.of(camera, splats.origin)
+        view = View.of(camera, splats.frames)
         expected = depth.order(view, splats.positions, splats.extents)
         for order in orders_in_shared_memory(backend, view, count):
             np.testing.assert_array_equal(order, expected)
@@ -234,10 +265,16 @@ def test_any_history_of_edits(backend, make_camera, make_edit, data):
             slots=slots,
             map_id=data.draw(st.sampled_from(["a", "a", "a", "b"]), "map"),
             revision=revision,
-            operation=data.draw(st.sampled_from([REPLACE, UPSERT, UPSERT, DELETE]), "operation"),
+            operation=data.draw(
+                st.sampled_from([REPLACE, UPSERT, UPSERT, UPSERT, DELETE, MOVE]), "operation"
+            ),
             origin=random.normal(size=3) * 10,
+            group=data.draw(st.sampled_from([0, 0, 1, 700]), "group"),
         )
-        backend.update(splats, splats.apply(edit))
+        if edit.operation == MOVE:
+            edit = replace(edit, poses={edit.group: pose(random)})
+        with contextlib.suppress(MixedGroupsError):
+            backend.update(splats, splats.apply(edit))
         for camera in cameras(make_camera, random):
             assert_equal_to_reference(backend, splats, camera)
 
@@ -279,7 +316,7 @@ def test_native_refuses_arrays_of_another_kind(make_camera):
 
     view, sorter = View.of(make_camera()), DepthOrder(1)
     n = SLOTS_PER_PAGE
-    extents, pages = np.zeros(n, np.float32), np.zeros((1, 2), np.uint32)
+    extents, pages = np.zeros(n, np.float32), np.zeros((1, 3), np.uint32)
     for positions in (np.zeros((n, 3)), np.zeros((2 * n, 3), np.float32)[::2]):
         with pytest.raises(TypeError, match="positions"):
             sorter.sort(view, positions, extents, pages, new_array)
@@ -288,7 +325,12 @@ def test_native_refuses_arrays_of_another_kind(make_camera):
         sorter.sort(view, positions[1:], extents, pages, new_array)
     with pytest.raises(TypeError, match="pages"):
         sorter.sort(view, positions, extents, pages.astype(np.int64), new_array)
-    for wrong in (pages[:0], np.zeros((2, 2), np.uint32), np.array([[0, 1]], np.uint32)):
+    for wrong in (
+        pages[:0],
+        np.zeros((2, 3), np.uint32),
+        pages + np.uint32([0, 1, 0]),
+        pages + np.uint32([0, 0, 1]),
+    ):
         with pytest.raises(ValueError, match="pages"):
             sorter.sort(view, positions, extents, wrong, new_array)
     for wrong in (lambda n: np.zeros(n + 1, np.uint32), lambda n: np.zeros(n), lambda n: None):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosplat_sorter import depth
-from rosplat_sorter.view import OVERSCAN, View, rotation_matrix
+from rosplat_sorter.view import OVERSCAN, View, frame_at, rotation_matrix, unmoved
 
 
 def on_axis(depths):
@@ -38,10 +38,28 @@ def test_empty_slots_and_what_lies_beyond_the_clips_are_left_out(make_camera):
 
 def test_millimetres_are_told_apart_far_from_the_frame_origin(make_camera):
     origin = np.array([1e5, -1e5, 1e5])
-    view = View.of(make_camera(position=tuple(origin - [0, 0, 5])), origin)
+    view = View.of(make_camera(position=tuple(origin - [0, 0, 5])), unmoved(origin))
     heights = np.random.default_rng(0).permutation(1000) * 1e-3
     order = depth.order(view, on_axis(heights), np.full(1000, 0.1, np.float32))
     assert order.tolist() == np.argsort(-heights).tolist()
+
+
+def test_groups_are_ordered_where_their_poses_put_them(make_camera):
+    """As if each splat had been moved, far from the origin of the map's frame as well."""
+    random = np.random.default_rng(1)
+    far = np.array([4e6, -3e6, 1e5])
+    positions = random.uniform(-2, 2, (900, 3)).astype(np.float32)
+    groups = random.integers(0, 3, 900)
+    frames = np.array([frame_at(far + random.normal(size=3), random.normal(size=4)) for _ in "123"])
+    world = (frames[groups, :3, :3] @ positions[:, :, None])[:, :, 0] + frames[groups, :3, 3]
+    camera = make_camera(position=tuple(far - [0, 0, 12]))
+    moved = np.concatenate([world - far], dtype=np.float32)
+    extents = np.full(900, 0.1, np.float32)
+    order = depth.order(View.of(camera, frames), positions, extents, groups=groups)
+    expected = depth.order(View.of(camera, unmoved(far)), moved, extents)
+    heights = world[:, 2]
+    np.testing.assert_allclose(heights[order], heights[expected], atol=1e-5)
+    assert len(order) > 500
 
 
 @given(st.lists(st.floats(width=32, allow_nan=False), min_size=2, max_size=50))

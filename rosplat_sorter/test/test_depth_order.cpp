@@ -143,38 +143,54 @@ TEST(DepthOrder, OfSomeSlotsIsThatOfAllWithoutTheOthers) {
     positions.insert(positions.end(), &row.positions[3 * slot], &row.positions[3 * slot] + 3);
     extents.push_back(row.extents[slot]);
   }
-  EXPECT_EQ(DepthOrder(2).sort(view, positions.data(), extents.data(), some.data(), some.size()),
+  const Slots first_view(some.size(), 0);
+  EXPECT_EQ(DepthOrder(2).sort(&view, positions.data(), extents.data(), some.data(),
+                               first_view.data(), some.size()),
             expected);
 }
 
-TEST(DepthOrder, OfPagesIsThatOfTheirSlots) {
+TEST(DepthOrder, OfPagesIsThatOfTheirSlotsEachSeenByItsView) {
   constexpr std::uint32_t kSlots = Page::kSlots, kPages = 150;
   Row row = cloud(kPages * kSlots, 0.5f);
   for (std::size_t i = 0; i < 5000; ++i) row.positions[3 * (20 * i) + 2] = 5;  // ties
+  std::vector<View> views(3, lookAhead());
+  views[1].translation[2] = 1;  // whole steps of the cloud: ties among groups
+  views[2].rotation[0] = views[2].rotation[8] = -1;
   std::vector<Page> pages;
-  Slots listed;
+  Slots listed, view_of;
   std::vector<float> positions, extents;  // of these
+  Row seen(std::vector<float>{});         // where the views see them, for a camera at the origin
   for (std::uint32_t page = 0; page < kPages; ++page) {
     // With gaps between the slots; their rows lie in another order.
-    pages.push_back({(page < 70 ? page : 2 * page + 1000) * kSlots, page * 7 % kPages});
+    pages.push_back(
+        {(page < 70 ? page : 2 * page + 1000) * kSlots, page * 7 % kPages, page * 5 % 3});
+    const View& view = views[pages.back().view];
     for (std::uint32_t i = 0; i < kSlots; ++i) {
-      const std::size_t at = std::size_t{pages.back().place} * kSlots + i;
+      const float* at = &row.positions[3 * (std::size_t{pages.back().place} * kSlots + i)];
       listed.push_back(pages.back().first_slot + i);
-      positions.insert(positions.end(), &row.positions[3 * at], &row.positions[3 * at] + 3);
-      extents.push_back(row.extents[at]);
+      view_of.push_back(pages.back().view);
+      positions.insert(positions.end(), at, at + 3);
+      extents.push_back(row.extents[std::size_t{pages.back().place} * kSlots + i]);
+      for (int k = 0; k < 3; ++k) {
+        seen.positions.push_back(view.rotation[4 * k] * at[k] + view.translation[k]);
+      }
     }
   }
-  const Slots expected = DepthOrder(1).sort(lookAhead(), positions.data(), extents.data(),
-                                            listed.data(), listed.size());
+  seen.extents = extents;
+  Slots expected = seen.sort(lookAhead());
+  for (std::uint32_t& slot : expected) slot = listed[slot];
   EXPECT_GT(expected.size(), 10000u);
   for (const unsigned threads : {1u, 2u, 3u}) {
     Slots order;
-    DepthOrder(threads).sort(lookAhead(), row.positions.data(), row.extents.data(), pages.data(),
+    DepthOrder(threads).sort(views.data(), row.positions.data(), row.extents.data(), pages.data(),
                              pages.size(), [&](std::size_t total) {
                                order.resize(total);
                                return order.data();
                              });
     EXPECT_EQ(order, expected);
+    EXPECT_EQ(DepthOrder(threads).sort(views.data(), positions.data(), extents.data(),
+                                       listed.data(), view_of.data(), listed.size()),
+              expected);
   }
 }
 

@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point, Pose, Quaternion
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.edits import EditError, decode
+from rosplat_sorter.edits import MAX_GROUPS, MOVE, EditError, decode
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE
+from rosplat_sorter.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE, MixedGroupsError
 
 INF, NAN = math.inf, math.nan
 
@@ -29,7 +30,7 @@ def test_slots_may_be_listed(make_batch):
     ("wrong", "reason"),
     [
         ({"revision": 0}, "revision is 0"),
-        ({"operation": 3}, "operation is 3"),
+        ({"operation": 4}, "operation is 4"),
         ({"encoding": 1}, "encoding is 1"),
         ({"sh_degree": 7}, "sh_degree is 7"),
         ({"count": 2}, "positions has 9 values, 6 expected"),
@@ -199,7 +200,7 @@ def test_another_origin_is_rebased_in_float64(make_batch):
     second = make_batch(1, revision=2, first_slot=1, positions=[-0.25, 0.0, 1.0])
     second.origin.x = 1e5 + 0.001
     apply(splats, second)
-    assert splats.origin.tolist() == [1e5, 0, 0]
+    assert splats.origins[0].tolist() == [1e5, 0, 0]
     np.testing.assert_allclose(splats.positions[1], [-0.249, 0, 1], rtol=1e-6)
 
 
@@ -210,7 +211,7 @@ def test_a_replace_brings_its_origin(make_batch):
     far = make_batch(3, revision=2, operation=0)
     far.origin.x = 4.5e6
     apply(splats, far)
-    assert splats.origin.tolist() == [4.5e6, 0, 0]
+    assert splats.origins[0].tolist() == [4.5e6, 0, 0]
     assert splats.positions[:3, 2].tolist() == [1, 2, 3]
 
 
@@ -221,7 +222,75 @@ def test_what_carries_no_splat_decides_no_origin(make_batch, first):
     far = make_batch(1, revision=2)
     far.origin.x = 4.5e6
     apply(splats, far)
-    assert splats.origin.tolist() == [4.5e6, 0, 0]
+    assert splats.origins[0].tolist() == [4.5e6, 0, 0]
+
+
+def moved(make_batch, revision, **poses):
+    """A MOVE that shifts each group, named as g3, along x. [m]"""
+    message = make_batch(0, revision=revision, operation=MOVE)
+    message.groups = [int(name[1:]) for name in poses]
+    message.poses = [Pose(position=Point(x=x)) for x in poses.values()]
+    return message
+
+
+def test_groups_have_poses_and_origins_of_their_own(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(2))
+    for revision, far in ((2, 4.5e6), (3, 4.5e6 + 1)):
+        message = make_batch(2, revision=revision, group=3, first_slot=1024 * revision)
+        message.origin.x = far
+        apply(splats, message)
+    assert apply(splats, moved(make_batch, 4, g3=10.0, g9=7.0)) == slice(0, 0)
+    assert splats.frames[:, 0, 3].tolist() == [0, 4.5e6 + 10]
+    assert splats.pages.groups.tolist() == [0, 3]
+    assert splats.pages.table.tolist() == [[0, 0, 0], [2048, 1, 1], [3072, 2, 1]]
+    assert splats.positions[2048:2050].tolist() == [[1, 0, 1], [1, 0, 2]]
+    apply(splats, make_batch(1, revision=5, group=9, first_slot=1024 * 9))
+    assert splats.frames[:, 0, 3].tolist() == [0, 4.5e6 + 10, 7]
+    apply(splats, make_batch(1, revision=6, operation=0, group=3))
+    assert splats.frames[:, 0, 3].tolist() == [0]
+
+
+def test_a_page_is_of_one_group_until_it_is_empty(make_batch):
+    splats = SplatMap()
+    apply(splats, make_batch(3, first_slot=2048, group=1, opacities=[0.001] * 3))
+    mixed = make_batch(2, revision=2, slots=[5, 3071], group=2)
+    with pytest.raises(
+        MixedGroupsError, match="slots 2048 to 3071 hold splats of group 1, this batch is of group"
+    ):
+        apply(splats, mixed)
+    assert (splats.revision, splats.pages.rows, splats.pages.groups.tolist()) == (1, 1024, [1])
+    apply(splats, make_batch(3, revision=3, operation=2, first_slot=2048))
+    assert splats.missed == 1
+    mixed.revision = 4
+    apply(splats, mixed)
+    assert in_use(splats) == [5, 3071]
+    assert splats.pages.groups.tolist() == [2]
+    apply(splats, make_batch(1, revision=5, operation=0, first_slot=2048))  # forgets what was there
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"count": 1}, "count is 1"),
+        ({"slots": [1]}, "slots has 1 values"),
+        ({"groups": [1, 2]}, "poses has 1 values, groups has 2"),
+        ({"groups": [MAX_GROUPS]}, f"groups holds {MAX_GROUPS}"),
+        ({"groups": [4, 4], "poses": [Pose()] * 2}, "groups names one twice"),
+        ({"operation": 2}, "groups has 1 values, only a MOVE has any"),
+        ({"poses": [Pose(position=Point(y=NAN))]}, "poses: that of group 1 is not finite"),
+        ({"poses": [Pose(orientation=Quaternion(x=INF))]}, "poses: that of group 1 is not finite"),
+        ({"poses": [Pose(orientation=Quaternion(w=0.0))]}, "group 1 has an orientation of length"),
+        ({"positions": [0.0] * 3}, "positions has 3 values, 0 expected"),
+        ({"group": MAX_GROUPS}, f"group is {MAX_GROUPS}"),
+    ],
+)
+def test_a_move_wrong_in_structure_is_refused_by_its_field(make_batch, wrong, reason):
+    message = moved(make_batch, 1, g1=2.0)
+    for field, value in wrong.items():
+        setattr(message, field, value)
+    with pytest.raises(EditError, match=reason):
+        decode(message)
 
 
 def test_slots_cost_memory_by_pages_wherever_they_lie(make_batch):
@@ -247,5 +316,7 @@ def test_a_replace_gives_memory_back(make_batch):
     assert len(splats._extents) == SLOTS_PER_PAGE
 
 
-def test_the_largest_map_is_the_message_s():
+def test_limits_are_the_message_s():
     assert MAX_SLOTS == GaussianArray.MAX_SLOTS
+    assert MAX_GROUPS == GaussianArray.MAX_GROUPS
+    assert SLOTS_PER_PAGE == GaussianArray.SLOTS_PER_BLOCK

@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from rosplat_sorter.camera import CameraError, decode
-from rosplat_sorter.view import View, rotation_matrix
+from rosplat_sorter.view import View, frame_at, rotation_matrix, unmoved
 
 
 def test_a_point_before_a_turned_camera_lies_on_its_axis(make_camera):
     # The optical frame's z along the map's x, its x along -y: how a robot's camera looks ahead.
     camera = make_camera(position=(1.0, 2.0, 3.0), orientation=(-0.5, 0.5, -0.5, 0.5))
     view = View.of(camera)
-    np.testing.assert_allclose(view.rotation @ [6, 2, 3] + view.translation, [0, 0, 5], atol=1e-6)
-    np.testing.assert_allclose(view.rotation @ [6, 1, 3] + view.translation, [1, 0, 5], atol=1e-6)
+    np.testing.assert_allclose(
+        view.rotations[0] @ [6, 2, 3] + view.translations[0], [0, 0, 5], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        view.rotations[0] @ [6, 1, 3] + view.translations[0], [1, 0, 5], atol=1e-6
+    )
 
 
 def test_a_quaternion_of_any_length_is_a_rotation():
@@ -25,8 +29,28 @@ def test_a_quaternion_of_any_length_is_a_rotation():
 
 def test_the_map_origin_is_subtracted_before_float32(make_camera):
     camera = make_camera(position=(4.5e6 + 0.001, 0.0, -1e5))
-    view = View.of(camera, origin=(4.5e6, 0.0, -1e5))
-    np.testing.assert_allclose(view.translation, [-0.001, 0, 0], rtol=1e-6)
+    view = View.of(camera, unmoved((4.5e6, 0.0, -1e5)))
+    np.testing.assert_allclose(view.translations[0], [-0.001, 0, 0], rtol=1e-6)
+
+
+def test_groups_are_placed_before_float32(make_camera):
+    """A pose, then the origin of the group's positions, in its own frame."""
+    half = math.sqrt(0.5)
+    frame = frame_at((4.5e6, 0.001, 0.0), (0.0, 0.0, half, half)) @ frame_at((0.0, -4.5e6, 2.0))
+    view = View.of(make_camera(position=(9e6, 0.0, 0.0)), [np.eye(4), frame])
+    np.testing.assert_allclose(view.translations, [[-9e6, 0, 0], [0, 0.001, 2]], atol=1e-6)
+    np.testing.assert_allclose(view.rotations[1] @ [1, 0, 0], [0, 1, 0], atol=1e-7)
+
+
+def test_a_view_of_many_groups_is_that_of_each(make_camera):
+    random = np.random.default_rng(0)
+    frames = [frame_at(random.normal(size=3) * 1e4, random.normal(size=4)) for _ in range(9)]
+    camera = make_camera(position=(1.0, -2.0, 3.0), orientation=(0.1, 0.2, -0.4, 0.9))
+    together = View.of(camera, frames)
+    for i, frame in enumerate(frames):
+        alone = View.of(camera, [frame])
+        np.testing.assert_array_equal(together.rotations[i], alone.rotations[0])
+        np.testing.assert_array_equal(together.translations[i], alone.translations[0])
 
 
 def test_intrinsics_are_those_of_the_twin_in_cpp(make_camera):

@@ -22,7 +22,7 @@ Sort = Callable[[View], Any]
 def _opengl(view: View) -> tuple[Positions, Positions]:
     """Rotation and translation into a camera that looks along -z: what is farthest has least z."""
     flip = np.array([1, -1, -1], np.float32)
-    return flip[:, None] * view.rotation, flip * view.translation
+    return flip[:, None] * view.rotations[0], flip * view.translations[0]
 
 
 def _torch() -> Any:
@@ -90,8 +90,8 @@ def torch_on_device(positions: Positions) -> Sort:
     on_device = torch.tensor(positions, device="cuda")
 
     def sort(view: View) -> Any:
-        r = [float(value) for value in view.rotation[2]]
-        depths = on_device @ torch.tensor(r, device="cuda") + float(view.translation[2])
+        r = [float(value) for value in view.rotations[0, 2]]
+        depths = on_device @ torch.tensor(r, device="cuda") + float(view.translations[0, 2])
         order = torch.argsort(depths, descending=True)
         torch.cuda.synchronize()
         return order
@@ -119,7 +119,7 @@ def cub_pairs(positions: Positions) -> Sort:
     )
 
     def sort(view: View) -> Any:
-        key(on_device.ravel(), *view.rotation[2], view.translation[2], keys)
+        key(on_device.ravel(), *view.rotations[0, 2], view.translations[0, 2], keys)
         compute.radix_sort(
             d_in_keys=keys, d_out_keys=keys_out, d_in_values=slots, d_out_values=slots_out,
             order=compute.SortOrder.DESCENDING, num_items=len(positions),

@@ -25,7 +25,7 @@ from rosplat_sorter.backends import (
 )
 from rosplat_sorter.edits import REPLACE, Edit
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.view import View
+from rosplat_sorter.view import View, unmoved
 from rosplat_tools.cameras import Camera
 from rosplat_tools.splats import SceneError, Splats
 
@@ -219,5 +219,5 @@ def view_of(which: Camera, splats: Splats) -> View:
             width=which.width, height=which.height,
             near_clip=which.near, far_clip=which.far,
         ),
-        splats.origin,
+        unmoved(splats.origin),
     )  # fmt: skip

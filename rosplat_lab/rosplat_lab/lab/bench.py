@@ -128,7 +128,7 @@ class Bench:
                 camera.cx, camera.cy, camera.width, camera.height, camera.near, camera.far,
                 camera.orthographic,
             ),
-            self.splats.origin,
+            self.map.frames,
         )  # fmt: skip
 
     def order(self, camera: Camera, backend: str = "") -> Order:

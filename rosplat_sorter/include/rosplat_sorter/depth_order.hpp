@@ -40,7 +40,7 @@ namespace rosplat_sorter {
 
 // A camera as the sorter needs it, in float32: what positions are multiplied with.
 struct View {
-  float rotation[9];              // map to camera optical frame, row-major
+  float rotation[9];              // the positions' frame to camera optical frame, row-major
   float translation[3];           // [m]
   float fx, fy;                   // [px], orthographic [px/m]
   float offset_x, offset_y;       // principal point from the picture's centre [px]
@@ -58,7 +58,8 @@ constexpr double kMarginPixels = 2.0;
 constexpr double kOverscan = 1.25;
 
 // The View of a camera at rotation (map to camera optical frame, row-major) and translation (of the
-// map's origin in the camera frame, [m]) with the intrinsics and the extent_scale of ViewCamera.
+// positions' origin in the camera frame, [m]) with the intrinsics and the extent_scale of
+// ViewCamera.
 inline View makeView(const double rotation[9], const double translation[3], double fx, double fy,
                      double cx, double cy, double width, double height, double near_clip,
                      double far_clip, bool orthographic, double extent_scale = 1.0,
@@ -93,6 +94,9 @@ struct Page {
 
   std::uint32_t first_slot;
   std::uint32_t place;
+  // Which view positions here are seen by: one camera has a view for each group of a map. These
+  // differ in rotation and translation alone, so depths of all groups compare.
+  std::uint32_t view = 0;
 };
 
 // Orders splats by depth. Keeps its workspace and its threads between calls; one caller at a time.
@@ -119,22 +123,24 @@ class DepthOrder {
   template <typename Allocate>
   void sort(const View& view, const float* positions, const float* extents, std::size_t count,
             const Allocate& allocate) {
-    sort(view, Splats{positions, extents, nullptr, nullptr, count}, allocate);
+    sort(Splats{&view, positions, extents, nullptr, nullptr, nullptr, count}, allocate);
   }
 
   // The same for a map by pages, which ascend: positions and extents have a row for each of their
-  // slots.
+  // slots, views has those that the pages name.
   template <typename Allocate>
-  void sort(const View& view, const float* positions, const float* extents, const Page* pages,
+  void sort(const View* views, const float* positions, const float* extents, const Page* pages,
             std::size_t page_count, const Allocate& allocate) {
-    sort(view, Splats{positions, extents, nullptr, pages, page_count * Page::kSlots}, allocate);
+    sort(Splats{views, positions, extents, nullptr, nullptr, pages, page_count * Page::kSlots},
+         allocate);
   }
 
-  // The same of the count given slots, which ascend: positions and extents have a row for each.
-  const std::vector<std::uint32_t>& sort(const View& view, const float* positions,
+  // The same of the count given slots, which ascend: positions and extents have a row for each, and
+  // view_of which of the views it is seen by.
+  const std::vector<std::uint32_t>& sort(const View* views, const float* positions,
                                          const float* extents, const std::uint32_t* slots,
-                                         std::size_t count) {
-    sort(view, Splats{positions, extents, slots, nullptr, count}, Keep{order_});
+                                         const std::uint32_t* view_of, std::size_t count) {
+    sort(Splats{views, positions, extents, slots, view_of, nullptr, count}, Keep{order_});
     return order_;
   }
 
@@ -156,6 +162,17 @@ class DepthOrder {
 
   // What is sorted: count slots, those of a list or of pages, else from 0 on.
   struct Splats {
+    const View& view(std::size_t i) const {
+      if (slots) return views[view_of[i]];
+      return pages ? views[pages[i / Page::kSlots].view] : *views;
+    }
+    // How many from i on, of a most, lie side by side and are seen by the same view.
+    std::size_t alike(std::size_t i, std::size_t most) const {
+      if (!slots) return std::min(most, kBlock);  // blocks begin at multiples of their size
+      std::size_t size = 1;
+      while (size < std::min(most, kBlock) && view_of[i + size] == view_of[i]) ++size;
+      return size;
+    }
     std::uint32_t slot(std::size_t i) const {
       if (slots) return slots[i];
       const std::size_t first = pages ? pages[i / Page::kSlots].first_slot : i - i % Page::kSlots;
@@ -166,9 +183,11 @@ class DepthOrder {
       return std::size_t{pages[i / Page::kSlots].place} * Page::kSlots + i % Page::kSlots;
     }
 
+    const View* views;
     const float* positions;
     const float* extents;
     const std::uint32_t* slots;
+    const std::uint32_t* view_of;
     const Page* pages;
     std::size_t count;
   };
@@ -262,8 +281,8 @@ class DepthOrder {
   // Deals what is visible out to buckets of depths, chosen by samples (Frazer and McKellar 1970,
   // "Samplesort"), then sorts each in the cache. So it goes through memory twice, not once a digit.
   template <typename Allocate>
-  void sort(const View& view, const Splats& splats, const Allocate& allocate) {
-    chooseBuckets(view, splats);
+  void sort(const Splats& splats, const Allocate& allocate) {
+    chooseBuckets(splats);
     const unsigned members = team_->size();
     // Twice as many as members, so that one who comes late leaves some to the others.
     parts_.resize(
@@ -275,7 +294,7 @@ class DepthOrder {
       const std::size_t blocks = (splats.count + kBlock - 1) / kBlock;
       part.begin = blocks * number / parts * kBlock;
       part.end = std::min(blocks * (number + 1) / parts * kBlock, splats.count);
-      cull(view, splats, found, part);
+      cull(splats, found, part);
     });
 
     const std::size_t total = shareOut();
@@ -297,7 +316,7 @@ class DepthOrder {
   }
 
   // So that about as many splats are in each; equal depths are in the same.
-  void chooseBuckets(const View& view, const Splats& splats) {
+  void chooseBuckets(const Splats& splats) {
     const auto worth = [](std::size_t entries) {
       return static_cast<unsigned>(std::clamp<std::size_t>(entries / kBucketSize, 1, kMostBuckets));
     };
@@ -308,10 +327,11 @@ class DepthOrder {
     const std::size_t tries = kSamples * buckets_;
     samples_.clear();
     for (std::size_t i = 0; i < tries; ++i) {
-      const std::size_t row = splats.row(splats.count * i / tries);
+      const std::size_t sample = splats.count * i / tries;
+      const std::size_t row = splats.row(sample);
       std::uint32_t key;
       std::uint32_t seen;
-      look(view, splats.positions + 3 * row, splats.extents + row, 1, &key, &seen);
+      look(splats.view(sample), splats.positions + 3 * row, splats.extents + row, 1, &key, &seen);
       if (seen) samples_.push_back(key);
     }
     buckets_ = worth(splats.count / tries * samples_.size());
@@ -353,16 +373,17 @@ class DepthOrder {
 
   // Writes an entry for each visible splat of [part.begin, part.end), shortens the part to them,
   // and counts them by bucket.
-  void cull(const View& view, const Splats& splats, Entry* entries, Part& part) const {
+  void cull(const Splats& splats, Entry* entries, Part& part) const {
     std::array<std::uint32_t, kBlock> keys;
     std::array<std::uint32_t, kBlock> seen;
     Entry* out = entries + part.begin;
     const Entry* counted = out;
     part.buckets.fill(0);
-    for (std::size_t first = part.begin; first < part.end; first += kBlock) {
-      const std::size_t size = std::min(kBlock, part.end - first);
+    for (std::size_t first = part.begin, size; first < part.end; first += size) {
+      size = splats.alike(first, part.end - first);
       const std::size_t row = splats.row(first);
-      look(view, splats.positions + 3 * row, splats.extents + row, size, keys.data(), seen.data());
+      look(splats.view(first), splats.positions + 3 * row, splats.extents + row, size, keys.data(),
+           seen.data());
       const std::uint32_t slot = splats.slot(first);
       for (std::size_t i = 0; i < size; ++i) {
         *out = {keys[i], splats.slots ? splats.slots[first + i] : slot + std::uint32_t(i)};

@@ -59,20 +59,24 @@ __device__ bool operator<=(Real a, Real b) {
 
 __device__ Real abs(Real a) { return {__uint_as_float(__float_as_uint(a.value) & 0x7fffffffu)}; }
 
-// A page of neighbouring slots, and where its rows are.
+// A page of neighbouring slots, where its rows are, and which group its splats are of.
 struct Page {
-  unsigned first_slot, place;
+  unsigned first_slot, place, group;
+};
+
+// From what positions of a group are relative to into the camera's optical frame.
+struct Frame {
+  Real rotation[9], translation[3];
 };
 
 struct View {
-  Real rotation[9], translation[3];
   Real fx, fy, offset_x, offset_y, half_width, half_height, slope_x, slope_y;
   Real near_clip, far_clip;
 };
 
-__device__ Real transform(const View& view, int axis, const Real (&p)[3]) {
-  const Real* r = view.rotation + 3 * axis;
-  return ((r[0] * p[0] + r[1] * p[1]) + r[2] * p[2]) + view.translation[axis];
+__device__ Real transform(const Frame& frame, int axis, const Real (&p)[3]) {
+  const Real* r = frame.rotation + 3 * axis;
+  return ((r[0] * p[0] + r[1] * p[1]) + r[2] * p[2]) + frame.translation[axis];
 }
 
 // Compares as depths do.
@@ -82,9 +86,9 @@ __device__ unsigned depth_key(Real z) {
 }
 
 // How far a splat's key is above that of the near plane; 0 where it is not visible.
-__device__ unsigned visible_key(const View& view, bool orthographic, const Real (&p)[3],
-                                Real extent) {
-  const Real x = transform(view, 0, p), y = transform(view, 1, p), z = transform(view, 2, p);
+__device__ unsigned visible_key(const View& view, bool orthographic, const Frame& frame,
+                                const Real (&p)[3], Real extent) {
+  const Real x = transform(frame, 0, p), y = transform(frame, 1, p), z = transform(frame, 2, p);
   const Real w = orthographic ? Real{1.0f} : z;
   const bool visible =
       Real{0.0f} <= extent && view.near_clip < z && z < view.far_clip &&
@@ -170,9 +174,10 @@ __device__ unsigned bin_look_back(volatile const unsigned* sums, unsigned tile) 
 // Writes keys that ascend back to front, and their slots, of all rows of pages that are in order of
 // slots. sums: one for each tile, from 0.
 extern "C" __global__ void __launch_bounds__(kThreads)
-    cull(const View view, const bool orthographic, const Real* positions, const Real* extents,
-         const Page* pages, const unsigned count, Header* header, unsigned* histograms,
-         volatile unsigned* sums, unsigned* keys, unsigned* slots) {
+    cull(const View view, const bool orthographic, const Frame* frames, const Real* positions,
+         const Real* extents, const Page* pages, const unsigned count, Header* header,
+         unsigned* histograms, volatile unsigned* sums, unsigned* keys, unsigned* slots) {
+  static_assert(kPageSlots % (kCullItems * kLanes) == 0, "a warp's rows lie in one page");
   __shared__ unsigned histogram[kDigits * kBins], warp_totals[kWarps], tile_first, block_largest;
   for (unsigned i = threadIdx.x; i < kDigits * kBins; i += kThreads) histogram[i] = 0;
   if (threadIdx.x == 0) block_largest = 0;
@@ -181,11 +186,13 @@ extern "C" __global__ void __launch_bounds__(kThreads)
   const unsigned tiles = (count + kCullTile - 1) / kCullTile;
   for (unsigned tile; (tile = take_tile(&header->tickets)) < tiles;) {
     const unsigned first = tile * kCullTile + warp_id() * kCullItems * kLanes + lane_id();
+    const Page page = pages[(count - 1 - min(first, count - 1)) / kPageSlots];
+    const Frame frame = frames[page.group];
     Real position[kCullItems][3], extent[kCullItems];
 #pragma unroll
     for (unsigned i = 0; i < kCullItems; ++i) {
       const unsigned rank = count - 1 - min(first + i * kLanes, count - 1);
-      const unsigned row = pages[rank / kPageSlots].place * kPageSlots + rank % kPageSlots;
+      const unsigned row = page.place * kPageSlots + rank % kPageSlots;
 #pragma unroll
       for (unsigned axis = 0; axis < 3; ++axis) position[i][axis] = positions[3ull * row + axis];
       extent[i] = extents[row];
@@ -193,7 +200,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     unsigned own[kCullItems], warp_total = 0;
 #pragma unroll
     for (unsigned i = 0; i < kCullItems; ++i) {
-      own[i] = visible_key(view, orthographic, position[i], extent[i]);
+      own[i] = visible_key(view, orthographic, frame, position[i], extent[i]);
       if (first + i * kLanes >= count) own[i] = 0;
       largest = max(largest, own[i]);
       warp_total += __popc(__ballot_sync(kAll, own[i] != 0));
@@ -232,8 +239,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
       if (own[i] != 0) {
         const unsigned rank = count - 1 - (first + i * kLanes);
         keys[to + __popc(visible & lanes_below())] = ~own[i];
-        slots[to + __popc(visible & lanes_below())] =
-            pages[rank / kPageSlots].first_slot + rank % kPageSlots;
+        slots[to + __popc(visible & lanes_below())] = page.first_slot + rank % kPageSlots;
       }
       to += __popc(visible);
     }

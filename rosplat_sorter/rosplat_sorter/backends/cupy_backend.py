@@ -40,13 +40,7 @@ _NUMBERS = (
     "near_clip",
     "far_clip",
 )
-_VIEW = np.dtype(
-    [
-        ("rotation", np.float32, (9,)),
-        ("translation", np.float32, (3,)),
-        *((name, np.float32) for name in _NUMBERS),
-    ]
-)
+_VIEW = np.dtype([(name, np.float32) for name in _NUMBERS])
 
 
 class CupyBackend:
@@ -77,7 +71,7 @@ class CupyBackend:
         self._visible = cupyx.empty_pinned(2, np.uint32)  # how many, and the largest key
         self._visible_known = cupy.cuda.Event(disable_timing=True)
         self._pinned: weakref.WeakSet[Memory] = weakref.WeakSet()
-        self._pages = cupy.empty((0, 2), cupy.uint32)
+        self._pages = cupy.empty((0, 3), cupy.uint32)
         self._reserve(0)
 
     def _reserve(self, capacity: int) -> None:
@@ -126,15 +120,17 @@ class CupyBackend:
 
         The next order is written to the same memory.
         """
-        numbers = [getattr(view, name) for name in _NUMBERS]
-        parameters = np.concatenate([view.rotation.ravel(), view.translation, numbers])
+        numbers = np.array([getattr(view, name) for name in _NUMBERS], np.float32)
+        groups = len(view.translations)
+        frames = np.hstack([view.rotations.reshape(groups, 9), view.translations])
         self._state.data.memset_async(0, self._state.nbytes)
         self._cull(
             (min(self._blocks, _blocks_for(self._count, _CULL_ITEMS)),),
             (_THREADS,),
             (
-                parameters.view(_VIEW).reshape(()),
+                numbers.view(_VIEW).reshape(()),
                 np.bool_(view.orthographic),
+                cupy.asarray(frames),
                 self._positions,
                 self._extents,
                 self._pages,

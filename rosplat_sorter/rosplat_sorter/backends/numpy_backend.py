@@ -28,7 +28,7 @@ class NumpyReferenceBackend:
 
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         splats = self._splats
-        order = depth.order(view, splats.positions, splats.extents, splats.slots)
+        order = depth.order(view, splats.positions, splats.extents, splats.slots, splats.groups)
         result = allocate(len(order))
         result[:] = order
         return result
@@ -45,8 +45,14 @@ class NumpyBackend(NumpyReferenceBackend):
         packed = [np.zeros(0, np.uint64)]
         for first in range(0, len(extents), _BLOCK):
             block = slice(first, first + _BLOCK)
-            rows = np.flatnonzero(depth.visible(view, positions[block], extents[block])) + first
-            keys = depth.sort_keys(depth.transform(view, positions[rows], 2))
+            groups: depth.Groups = 0
+            if len(pages.groups) > 1:
+                groups = pages.groups_of(np.arange(first, min(first + _BLOCK, len(extents))))
+            seen = depth.visible(view, positions[block], extents[block], groups)
+            rows = np.flatnonzero(seen) + first
+            if len(pages.groups) > 1:
+                groups = pages.groups_of(rows)
+            keys = depth.sort_keys(depth.transform(view, positions[rows], 2, groups))
             packed.append(keys.astype(np.uint64) << np.uint64(32) | pages.slots(rows))
         entries = np.concatenate(packed)
         entries.sort()

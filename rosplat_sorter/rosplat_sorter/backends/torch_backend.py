@@ -33,6 +33,7 @@ class TorchBackend:
         self.device = torch.cuda.get_device_name() if gpu else "CPU"
         self._reserve(0)
         self._first_slots = torch.empty(0, dtype=torch.int32, device=self._device)
+        self._groups = torch.empty(0, dtype=torch.int64, device=self._device)
         self._ascending = True
 
     def _reserve(self, capacity: int) -> None:
@@ -48,6 +49,7 @@ class TorchBackend:
         if room != len(self._extents):
             self._reserve(room)
         self._first_slots = self._upload(pages.first_slots.view(np.int32))
+        self._groups = self._upload(pages.group_of)
         self._ascending = pages.ascending
         for rows in (changed, slice(self._count, count)):  # what changed, what is new
             index = rows if isinstance(rows, slice) else self._upload(rows)
@@ -66,7 +68,14 @@ class TorchBackend:
     def order_on_device(self, view: View) -> Tensor:
         """The order as a tensor on the device, int32 (m,), which may still be in the making."""
         positions, extents = self._positions[: self._count], self._extents[: self._count]
-        x, y, z = (_transform(view, positions, axis) for axis in range(3))
+        rotations, translations = self._upload(view.rotations), self._upload(view.translations)
+        if len(rotations) > 1:
+            rotations, translations = rotations[self._groups], translations[self._groups]
+        pages = positions.reshape(-1, SLOTS_PER_PAGE, 3)
+        x, y, z = (
+            _transform(pages, rotations[:, axis, :, None], translations[:, axis, None]).ravel()
+            for axis in range(3)
+        )
         rows = _visible(view, x, y, z, extents).nonzero()[:, 0]
         slots = self._first_slots[rows // SLOTS_PER_PAGE] + (rows % SLOTS_PER_PAGE).to(torch.int32)
         if not self._ascending:
@@ -81,10 +90,14 @@ class TorchBackend:
         return torch.from_numpy(array).to(self._device)
 
 
-def _transform(view: View, positions: Tensor, axis: int) -> Tensor:
-    r0, r1, r2 = view.rotation[axis].tolist()
-    px, py, pz = positions.unbind(1)
-    result: Tensor = ((px * r0 + py * r1) + pz * r2) + float(view.translation[axis])
+def _transform(pages: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
+    """A coordinate of the positions (p, n, 3) of pages, with a row of each one's frame, or of all.
+
+    rotation: (p or 1, 3, 1). translation: (p or 1, 1).
+    """
+    r0, r1, r2 = rotation.unbind(1)
+    px, py, pz = pages.unbind(2)
+    result: Tensor = ((px * r0 + py * r1) + pz * r2) + translation
     return result
 
 

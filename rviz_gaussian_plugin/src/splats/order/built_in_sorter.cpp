@@ -219,7 +219,7 @@ void BuiltInSorter::sortAll(const rosplat_sorter::View& view, std::vector<std::u
   std::vector<rosplat_sorter::Page> pages;
   pages.reserve(pages_.pages().size());
   for (const SlotPage& page : pages_.pages()) pages.push_back({page.first_slot, page.place});
-  depth_order_.sort(view, positions_.data(), extents_.data(), pages.data(), pages.size(),
+  depth_order_.sort(&view, positions_.data(), extents_.data(), pages.data(), pages.size(),
                     [&slots](std::size_t total) {
                       slots.resize(total);
                       return slots.data();
@@ -243,8 +243,10 @@ void BuiltInSorter::merge(const Request& request, std::vector<std::uint32_t>& me
       extents.push_back(extents_[row]);
     }
   }
-  const std::vector<std::uint32_t>& fresh = depth_order_.sort(
-      request.view, positions.data(), extents.data(), changed.data(), changed.size());
+  const std::vector<std::uint32_t> view_of(changed.size(), 0);
+  const std::vector<std::uint32_t>& fresh =
+      depth_order_.sort(&request.view, positions.data(), extents.data(), changed.data(),
+                        view_of.data(), changed.size());
 
   merged.clear();
   merged.reserve(request.base->slots.size() + fresh.size());
