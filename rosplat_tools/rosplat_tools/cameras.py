@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_tools.program.files import write_text
+from rosplat_tools.quaternions import from_matrices
 from rosplat_tools.splats import SceneError
 
 UP = (0.0, 0.0, 1.0)  # REP-103
@@ -97,21 +98,8 @@ class Camera:
 
     @property
     def orientation(self) -> NDArray[np.float64]:
-        """(4,) unit quaternion x, y, z, w of the optical frame in the world.
-
-        The eigenvector of the largest eigenvalue (Bar-Itzhack 2000).
-        """
-        (a, b, c), (d, e, f), (g, h, i) = self.camera_to_world[:3, :3]
-        symmetric = np.array(
-            [
-                [a - e - i, b + d, c + g, h - f],
-                [b + d, e - a - i, f + h, c - g],
-                [c + g, f + h, i - a - e, d - b],
-                [h - f, c - g, d - b, a + e + i],
-            ]
-        )
-        quaternion: NDArray[np.float64] = np.linalg.eigh(symmetric)[1][:, -1]
-        return quaternion
+        """(4,) unit quaternion x, y, z, w of the optical frame in the world."""
+        return from_matrices(self.camera_to_world[:3, :3])
 
 
 def _is_finite(value: float) -> bool:

@@ -40,6 +40,25 @@ def basis(directions: Array, degree: int) -> Array:
     return np.stack(values, axis=1)
 
 
+def turned(sh: NDArray[np.float32], rotation: Array) -> NDArray[np.float32]:
+    """Coefficients (n, k, 3) of the same colours on directions that a rotation (3, 3) has turned.
+
+    Band by band: a rotation mixes no two of them (Ivanic and Ruedenberg 1996 give the matrices in
+    closed form; here they are solved for, from twice as many directions as there are unknowns).
+    """
+    degree = round(sh.shape[1] ** 0.5) - 1
+    directions = np.random.default_rng(0).normal(size=(32, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    before, after = basis(directions @ rotation, degree), basis(directions, degree)
+    result = sh.copy()
+    for band in range(1, degree + 1):
+        own = slice(band**2, (band + 1) ** 2)
+        matrix = np.linalg.lstsq(after[:, own], before[:, own], rcond=None)[0]
+        bands = np.tensordot(sh[:, own], matrix.astype(np.float32), axes=(1, 1))
+        result[:, own] = bands.transpose(0, 2, 1)
+    return result
+
+
 def colors(sh: Array, directions: Array) -> Array:
     """(n, 3) colours of coefficients (n, k, 3) seen along unit directions (n, 3).
 

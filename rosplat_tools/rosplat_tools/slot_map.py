@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_sorter.edits import is_usable
 from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, SlotPages
-from rosplat_tools.splats import Splats, sh_coefficients
+from rosplat_tools.splats import Splats, concatenate, sh_coefficients
 
 _ARRAYS = ("positions", "orientations", "scales", "opacities", "sh")
 
 
-class SlotMap:
-    """Numbered slots that edits fill and empty, kept by pages of neighbours.
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The splats of one group of a map, in its frame, and their slots."""
 
-    Its origin and filter are those of the first splats. What no receiver would take is left out: a
-    splat with a value that is not finite, a negative scale, or no orientation.
+    group: int
+    slots: range | NDArray[np.uint32]
+    splats: Splats
+
+
+class SlotMap:
+    """Numbered slots that edits fill and empty, kept by pages of neighbours, in groups with poses.
+
+    A group's origin is that of its first splats, the map's filter that of its. What no receiver
+    would take is left out: a splat with a value that is not finite, a negative scale, or no
+    orientation. poses: where groups were placed, float64 (4, 4).
     """
 
     def __init__(self, splats: Splats | None = None) -> None:
@@ -26,8 +36,10 @@ class SlotMap:
         self._pages = SlotPages()
         self._arrays = _no_splats()
         self._used = np.zeros(0, bool)
+        self._origins: dict[int, NDArray[np.float64]] = {}
+        self.poses: dict[int, NDArray[np.float64]] = {}
         if splats is not None:
-            self._reserve(np.zeros(0, np.int64), splats.sh_degree)
+            self._reserve(0, splats.sh_degree)
             self.write(range(len(splats)), splats)
 
     def __len__(self) -> int:
@@ -44,10 +56,11 @@ class SlotMap:
         """Memory that a snapshot's splats take. [bytes]"""
         return self._arrays.nbytes // max(1, len(self._used)) * len(self)
 
-    def write(self, slots: range | NDArray[np.integer], splats: Splats) -> int:
+    def write(self, slots: range | NDArray[np.integer], splats: Splats, group: int = 0) -> int:
         """Puts the i-th splat into the i-th slot, in use or not; returns how many are left out.
 
-        Raises ValueError where the splats are antialiased and the map is not, or the reverse.
+        Raises ValueError where the splats are antialiased and the map is not, or the reverse, and
+        MixedGroupsError where a page holds splats of another group.
         """
         if not len(slots):
             return 0
@@ -55,13 +68,16 @@ class SlotMap:
         if not begins and splats.antialiased != self._arrays.antialiased:
             raise ValueError("can't mix antialiased splats with others: they are drawn differently")
         into = _index(slots)
-        self._reserve(self._pages.lacking(into), splats.sh_degree)
-        mine = self._arrays
+        pages = self._pages.touched(into)
+        self._pages.check(pages, group, lambda rows: self._used[rows].any())
+        self._reserve(len(self._pages.lacking(pages)), splats.sh_degree)
+        self._pages.add(pages, group)
         if begins:
-            mine = replace(mine, origin=splats.origin, antialiased=splats.antialiased)
-            self._arrays = mine
+            self._arrays = replace(self._arrays, antialiased=splats.antialiased)
+        mine = self._arrays
         rows = self._pages.find(into)
-        positions, shift = splats.positions, splats.origin - mine.origin
+        origin = self._origins.setdefault(group, splats.origin)
+        positions, shift = splats.positions, splats.origin - origin
         if shift.any():
             with np.errstate(over="ignore", invalid="ignore"):
                 positions = (positions + shift).astype(np.float32)
@@ -86,30 +102,53 @@ class SlotMap:
         """Empties slots; those beyond the map are empty already."""
         self._used[self._pages.find(_index(slots))] = False
 
-    def snapshot(self) -> tuple[range | NDArray[np.uint32], Splats]:
-        """A copy of the slots in use, ascending, and of what is in them."""
+    def groups(self) -> list[Group]:
+        """A copy of the slots in use, ascending in each group, and of what is in them.
+
+        In the groups' own frames. There is always a first group, empty where there are no splats.
+        """
         rows = np.flatnonzero(self._used)
         slots = self._pages.slots(rows)
-        if not self._pages.ascending:
-            places = np.argsort(slots)
-            rows, slots = rows[places], slots[places]
-        splats = self._arrays[rows]
-        return (range(len(slots)) if np.all(slots == np.arange(len(slots))) else slots), splats
+        of = self._pages.groups_of(rows)
+        if not self._pages.ascending or len(self._pages.groups) > 1:
+            places = np.lexsort((slots, of))
+            rows, slots, of = rows[places], slots[places], of[places]
+        groups = []
+        for which in np.unique(of).tolist():
+            group = int(self._pages.groups[which])
+            own = slice(*np.searchsorted(of, (which, which + 1)))
+            splats = replace(self._arrays[rows[own]], origin=self._origins[group])
+            groups.append(Group(group, _in_short(slots[own]), splats))
+        return groups or [Group(0, range(0), self._arrays[rows])]
 
-    def _reserve(self, pages: NDArray[np.int64], sh_degree: int) -> None:
+    def snapshot(self) -> tuple[range | NDArray[np.uint32], Splats]:
+        """A copy of the slots in use, ascending, and of what is in them, in the map's frame."""
+        parts = [
+            replace(part, splats=part.splats.moved(self.poses[part.group]))
+            if part.group in self.poses
+            else part
+            for part in self.groups()
+        ]
+        if len(parts) == 1:
+            return parts[0].slots, parts[0].splats
+        slots = np.concatenate([np.asarray(part.slots, np.uint32) for part in parts])
+        places = np.argsort(slots)
+        splats = concatenate([part.splats for part in parts])
+        return _in_short(slots[places]), splats[places]
+
+    def _reserve(self, pages: int, sh_degree: int) -> None:
         """Makes room for more pages and bands. Raises MemoryError; the map is as it was."""
         arrays = self._arrays
         if sh_degree > arrays.sh_degree:
             sh = np.zeros((len(arrays), sh_coefficients(sh_degree), 3), np.float32)
             sh[:, : arrays.sh.shape[1]] = arrays.sh
             self._arrays = arrays = replace(arrays, sh=sh)
-        rows = self._pages.rows + len(pages) * SLOTS_PER_PAGE
+        rows = self._pages.rows + pages * SLOTS_PER_PAGE
         if rows > len(self._used):
             rows = max(rows, len(self._used) * 9 // 8)
             # Where they are: large ones are remapped, so that there are never two of them.
             for array in (*(getattr(arrays, name) for name in _ARRAYS), self._used):
                 array.resize((rows, *array.shape[1:]), refcheck=False)
-        self._pages.add(pages)
 
 
 def _no_splats() -> Splats:
@@ -120,6 +159,11 @@ def _no_splats() -> Splats:
         opacities=np.zeros(0, np.float32),
         sh=np.zeros((0, 1, 3), np.float32),
     )
+
+
+def _in_short(slots: NDArray[np.uint32]) -> range | NDArray[np.uint32]:
+    """Slots from 0 on as a range."""
+    return range(len(slots)) if np.all(slots == np.arange(len(slots))) else slots
 
 
 def _index(slots: range | NDArray[np.integer]) -> slice | NDArray[np.integer]:

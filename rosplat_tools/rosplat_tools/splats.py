@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_sorter.log_text import shown
+from rosplat_tools import harmonics
+from rosplat_tools.quaternions import from_matrices, product
 
 MAX_SH_DEGREE = 3
 
@@ -147,6 +149,22 @@ class Splats:
         while degree > 0 and not self.sh[:, sh_coefficients(degree - 1) :].any():
             degree -= 1
         return self if degree == self.sh_degree else self.with_sh_degree(degree)
+
+    def moved(self, pose: ArrayLike) -> Splats:
+        """The same splats as seen from another frame, in which theirs has a pose.
+
+        pose: rigid transform, (4, 4). What they look like turns with them. The origin becomes where
+        the old one is.
+        """
+        pose = np.asarray(pose, np.float64)
+        rotation = pose[:3, :3]
+        return replace(
+            self,
+            positions=self.positions @ rotation.T,
+            orientations=product(from_matrices(rotation), self.orientations).astype(np.float32),
+            sh=harmonics.turned(self.sh, rotation),
+            origin=rotation @ self.origin + pose[:3, 3],
+        )
 
 
 def _host(array: ArrayLike) -> NDArray[np.floating[Any]]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rosplat_sorter.view import rotation_matrix
 from rosplat_tools import harmonics
 
 
@@ -27,3 +28,19 @@ def test_colors_turn_with_the_view() -> None:
     sh[:, 1:] = np.eye(3)  # red by y, green by z, blue by x
     colors = harmonics.colors(sh, np.array([[0, -1, 0], [0, 0, 1], [-1, 0, 0]], np.float64))
     np.testing.assert_allclose(colors, 0.5 + harmonics.C1 * np.eye(3))
+
+
+def test_turned_coefficients_have_the_colours_of_directions_turned_back() -> None:
+    random = np.random.default_rng(0)
+    directions = random.normal(size=(50, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    rotation = rotation_matrix(*random.normal(size=4))
+    for degree in range(4):
+        sh = random.normal(size=(50, (degree + 1) ** 2, 3)).astype(np.float32)
+        turned = harmonics.turned(sh, rotation)
+        assert turned.dtype == np.float32
+        np.testing.assert_allclose(
+            harmonics.colors(turned, directions),
+            harmonics.colors(sh, directions @ rotation),
+            atol=2e-6,
+        )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
+from rosplat_sorter.view import frame_at
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
 
@@ -93,3 +94,36 @@ def test_the_first_splats_decide_origin_and_filter(random_splats: Maker) -> None
     assert splats.antialiased
     np.testing.assert_array_equal(splats.origin, origin)
     np.testing.assert_array_equal(splats.positions, far.positions)
+
+
+def test_groups_have_origins_and_poses_and_are_baked_into_a_snapshot(random_splats: Maker) -> None:
+    first, second, third = (random_splats(3, 2, seed=seed) for seed in range(3))
+    far = Splats(**(vars(second) | {"origin": np.array([1e6, 0, 0])}))
+    farther = Splats(**(vars(third) | {"origin": np.array([1e6 + 1, 0, 0])}))
+    slot_map = SlotMap(first)
+    slot_map.write(range(5000, 5003), far, group=7)
+    slot_map.write(range(2000, 2003), farther, group=7)
+    parts = slot_map.groups()
+    assert [(part.group, list(part.slots)) for part in parts] == [
+        (0, [0, 1, 2]),
+        (7, [2000, 2001, 2002, 5000, 5001, 5002]),
+    ]
+    assert [part.splats.origin[0] for part in parts] == [0, 1e6]
+    np.testing.assert_array_equal(parts[1].splats.positions[3:], far.positions)
+    slot_map.poses[7] = frame_at((-1e6, 2.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    slots, splats = slot_map.snapshot()
+    assert list(slots) == [0, 1, 2, 2000, 2001, 2002, 5000, 5001, 5002]
+    np.testing.assert_array_equal(splats.sh[:3], first.sh)
+    np.testing.assert_allclose(
+        splats.positions[6:] + splats.origin, second.positions * [1, -1, -1] + [0, 2, 0], atol=1e-5
+    )
+
+
+def test_a_page_is_of_one_group_until_it_is_empty(random_splats: Maker) -> None:
+    slot_map = SlotMap(random_splats(3))
+    with pytest.raises(ValueError, match="slots 0 to 1023 hold splats of group 0"):
+        slot_map.write(range(1020, 1030), random_splats(10), group=1)
+    assert len(slot_map) == 3
+    slot_map.clear(range(3))
+    slot_map.write(range(1020, 1030), random_splats(10), group=1)
+    assert [part.group for part in slot_map.groups()] == [1]

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rosplat_sorter.view import frame_at, rotation_matrix
 from rosplat_tools.splats import Splats, concatenate, rebase
 
 
@@ -137,3 +138,25 @@ def test_another_shape_of_a_trainer_s_array_is_refused_by_name() -> None:
         Splats.from_trained(
             np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2), np.zeros((2, 1, 3))
         )
+
+
+def test_splats_move_with_all_that_is_seen_of_them() -> None:
+    random = np.random.default_rng(3)
+    some = Splats(**(vars(splats(20, 3)) | {"origin": np.array([1e6, 2.0, 3.0])}))
+    pose = frame_at(random.normal(size=3) * 10, random.normal(size=4))
+    moved = some.moved(pose)
+    rotation = pose[:3, :3]
+    np.testing.assert_allclose(
+        moved.positions + moved.origin,
+        (some.positions + some.origin) @ rotation.T + pose[:3, 3],
+        rtol=0,
+        atol=1e-6,
+    )
+    for old, new in zip(some.orientations, moved.orientations, strict=True):
+        np.testing.assert_allclose(
+            rotation_matrix(*new), rotation @ rotation_matrix(*old), atol=1e-6
+        )
+    np.testing.assert_array_equal(moved.scales, some.scales)
+    back = moved.moved(np.linalg.inv(pose))
+    for name in ("positions", "sh", "origin"):
+        np.testing.assert_allclose(getattr(back, name), getattr(some, name), atol=1e-5)

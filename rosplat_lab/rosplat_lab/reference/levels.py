@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rosplat_lab.reference.projection import MIN_ALPHA, Array, rotation_matrices
 from rosplat_tools.cameras import Camera
+from rosplat_tools.quaternions import from_matrices
 from rosplat_tools.splats import Splats, concatenate
 
 LEVELS = 28
@@ -49,7 +50,7 @@ class Nodes:
         return replace(
             like,
             positions=self.means.astype(np.float32),
-            orientations=_quaternions(axes).astype(np.float32),
+            orientations=from_matrices(axes).astype(np.float32),
             scales=np.sqrt(np.maximum(variances, 0)).astype(np.float32),
             opacities=self.opacities.astype(np.float32),
             sh=self.sh.astype(np.float32),
@@ -165,18 +166,3 @@ def cut(splats: Splats, levels: list[Nodes], camera: Camera, error: float) -> tu
         shares.append(share - rise(errors(nodes.means, nodes.size, camera, splats.origin)))
     joined, all_shares = concatenate(drawn), np.concatenate(shares)
     return joined[all_shares > 0], all_shares[all_shares > 0]
-
-
-def _quaternions(rotations: Array) -> Array:
-    """(n, 4) quaternions x, y, z, w of (n, 3, 3) rotations: each the eigenvector of Bar-Itzhack."""
-    m = np.moveaxis(rotations, 0, -1)
-    symmetric = np.empty((len(rotations), 4, 4))
-    for i in range(3):
-        for j in range(3):
-            symmetric[:, i, j] = m[i, j] + m[j, i]
-        symmetric[:, i, i] -= m[0, 0] + m[1, 1] + m[2, 2]
-        j, k = (i + 1) % 3, (i + 2) % 3
-        symmetric[:, 3, i] = symmetric[:, i, 3] = m[k, j] - m[j, k]
-    symmetric[:, 3, 3] = m[0, 0] + m[1, 1] + m[2, 2]
-    quaternions: Array = np.linalg.eigh(symmetric)[1][:, :, -1]
-    return quaternions

@@ -11,6 +11,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from rosplat_tools.formats import ply
 from rosplat_tools.formats.decoded import Columns, Warn, decoded
+from rosplat_tools.quaternions import from_matrices
 from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 _TYPES = {
@@ -90,24 +91,5 @@ def from_splat_array(message: Any, name: str, warn: Warn) -> Splats:
     vectors[np.linalg.det(vectors) < 0, :, 0] *= -1  # a rotation, not a reflection
     scales = np.sqrt(np.maximum(variances, 0)).astype(np.float32)
     scales[~finite] = np.nan
-    columns = Columns(positions, _quaternions(vectors), scales, opacities, sh)
+    columns = Columns(positions, from_matrices(vectors), scales, opacities, sh)
     return decoded(Path(name), warn, columns)
-
-
-def _quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 4) quaternions x, y, z, w of (n, 3, 3) rotations.
-
-    A quaternion is the eigenvector of its rotation's K matrix with the largest eigenvalue
-    (Bar-Itzhack 2000), however large the angle.
-    """
-    r = rotations
-    k = np.empty((len(r), 4, 4))
-    for i in range(3):
-        for j in range(3):
-            k[:, i, j] = r[:, i, j] + r[:, j, i]
-        k[:, i, i] = 2 * r[:, i, i] - np.trace(r, axis1=1, axis2=2)
-        a, b = (i + 1) % 3, (i + 2) % 3
-        k[:, i, 3] = k[:, 3, i] = r[:, b, a] - r[:, a, b]
-    k[:, 3, 3] = np.trace(r, axis1=1, axis2=2)
-    quaternions: NDArray[np.float64] = np.linalg.eigh(k)[1][:, :, 3]
-    return quaternions
