@@ -96,13 +96,7 @@ class Publisher:
         self.map = SlotMap()
 
     def take(self, message: GaussianArray) -> int | None:
-        slots, splats = messages.decode(message)
-        if message.operation == GaussianArray.REPLACE:
-            self.map = SlotMap()
-        if message.operation == GaussianArray.DELETE:
-            self.map.clear(slots)
-            return 0
-        return self.map.write(slots, splats)
+        return messages.apply(message, self.map)
 
     def in_use(self, slot: int) -> bool:
         return slot in self.map.snapshot()[0]

@@ -146,11 +146,16 @@ def decode(message: GaussianArray) -> Edit:
         rejected=len(usable) - int(np.count_nonzero(usable)),
         snapshot=message.snapshot,
         group=message.group,
-        poses={
-            group: frame_at(*pose_values(pose))
-            for group, pose in zip(message.groups, message.poses, strict=True)
-        },
+        poses=poses_of(message),
     )
+
+
+def poses_of(message: GaussianArray) -> dict[int, NDArray[np.float64]]:
+    """Where a checked MOVE places groups: their frames in the map's, float64 (4, 4)."""
+    return {
+        group: frame_at(*pose_values(pose))
+        for group, pose in zip(message.groups, message.poses, strict=True)
+    }
 
 
 def pose_values(pose: Pose) -> tuple[tuple[float, ...], tuple[float, ...]]:

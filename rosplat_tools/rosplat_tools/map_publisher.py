@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from threading import RLock
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose
 from numpy.typing import ArrayLike, NDArray
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -17,8 +18,16 @@ from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.qos import HISTORY_DEPTH, map_qos
-from rosplat_tools.messages import Slots, array_bytes, chunks, encode, encode_deletion
-from rosplat_tools.slot_map import SlotMap
+from rosplat_tools.messages import (
+    Slots,
+    array_bytes,
+    chunks,
+    encode,
+    encode_deletion,
+    encode_move,
+)
+from rosplat_tools.poses import to_matrix, to_pose
+from rosplat_tools.slot_map import Group, SlotMap
 from rosplat_tools.splats import Splats
 
 CHUNK_BYTES = 8_000_000
@@ -47,6 +56,9 @@ class MapPublisher:
     sends the whole map first, as a REPLACE and UPSERTs of large chunks. These fill at most half
     the history, so the next such snapshot is history_depth / 2 edits away or farther. They repeat
     the last revisions, marked as a snapshot: subscribers that have those drop them.
+
+    Splats may be written in groups, submaps say, and groups placed by `move`: what a loop closure
+    takes is a pose for each, no splats. A group that was never placed is where the map's frame is.
 
     The same is done for memory's sake where the history takes more than twice what the map takes.
     While a subscriber lags behind, that waits until it takes four times as much.
@@ -87,6 +99,8 @@ class MapPublisher:
         self._publisher = node.create_publisher(GaussianArray, topic, self._qos)
         self._in_history = 0
         self._history_bytes = 0
+        # Each takes a batch of a snapshot, which may fill half the history; poses take two.
+        self._most_groups = history_depth // 2 - 2
 
     @property
     def map_id(self) -> str:
@@ -104,7 +118,10 @@ class MapPublisher:
             return len(self._map)
 
     def snapshot(self) -> tuple[Slots, Splats]:
-        """A copy of the map as it is: the slots in use, ascending, and their splats."""
+        """A copy of the map as it is: the slots in use, ascending, and their splats.
+
+        In the map's frame, each group where it was placed.
+        """
         with self._lock:
             return self._map.snapshot()
 
@@ -116,7 +133,7 @@ class MapPublisher:
         stamp: Time | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """Makes splats the map, in slots 0 to n - 1.
+        """Makes splats the map, in slots 0 to n - 1 and group 0; forgets where groups were placed.
 
         expected_slots is how many slots the finished map will need, by default n; stamp is the time
         of the map, by default now. Raises ValueError for more splats, or expected slots, than a map
@@ -137,7 +154,7 @@ class MapPublisher:
             self._expected_slots = len(splats) if expected_slots is None else expected_slots
             try:
                 with self._sending():
-                    self._send_map(range(len(splats)), splats, stamp, progress)
+                    self._send_map([Group(0, range(len(splats)), splats)], stamp, progress)
             except BaseException as error:
                 self._map, self._expected_slots = before
                 if isinstance(error, Exception):  # and nobody is in a hurry to end
@@ -154,28 +171,39 @@ class MapPublisher:
             self._expected_slots = slots
 
     def upsert(
-        self, slots: range | ArrayLike, splats: Splats, *, stamp: Time | None = None
+        self,
+        slots: range | ArrayLike,
+        splats: Splats,
+        *,
+        group: int = 0,
+        stamp: Time | None = None,
     ) -> None:
-        """Writes the i-th splat to the i-th slot, in use or not.
+        """Writes the i-th splat to the i-th slot, in use or not; all are in one group.
 
-        Raises ValueError, and sends nothing, where a slot is named twice or can't be one, where
-        slots and splats differ in number, or where some of the map is antialiased and some is not.
+        Slots come in blocks of GaussianArray.SLOTS_PER_BLOCK, whose splats are of one group. Raises
+        ValueError, and sends nothing, where a slot is named twice or can't be one, where slots and
+        splats differ in number, where a block holds splats of another group, or where some of the
+        map is antialiased and some is not.
         """
         _check_type(splats)
         _check_stamp(stamp)
         slots = _checked(slots)
+        self._check_group(group)
         if len(slots) != len(splats):
             raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
         with self._lock:
+            self._check_room({*self._map.group_numbers, group})
             splats = splats.without_empty_bands()
-            self._tell_of(self._map.write(slots, splats))
+            self._tell_of(self._map.write(slots, splats, group))
             with self._sending():
                 splats = splats.with_sh_degree(self._map.sh_degree)
                 parts = list(chunks(splats, self._chunk_bytes))
                 if not self._make_room(len(parts), stamp):
                     return
                 for part in parts:
-                    self._send_splats(GaussianArray.UPSERT, slots[part], splats[part], stamp)
+                    self._send_splats(
+                        GaussianArray.UPSERT, Group(group, slots[part], splats[part]), stamp
+                    )
 
     def delete(self, slots: range | ArrayLike, *, stamp: Time | None = None) -> None:
         """Empties slots. Raises ValueError where one is named twice, or can't be one."""
@@ -197,6 +225,35 @@ class MapPublisher:
                     )
                 )
 
+    def move(self, poses: Mapping[int, Pose | ArrayLike], *, stamp: Time | None = None) -> None:
+        """Places groups in the map's frame: {group: a Pose or a rigid transform (4, 4)}.
+
+        Raises ValueError, and sends nothing, for a pose that is none.
+        """
+        _check_stamp(stamp)
+        for group in poses:
+            self._check_group(group)
+        checked = {group: to_pose(pose, f"poses[{group}]") for group, pose in poses.items()}
+        if not checked:
+            return
+        with self._lock:
+            self._map.poses |= {group: to_matrix(pose) for group, pose in checked.items()}
+            with self._sending():
+                if not self._make_room(1, stamp):
+                    return
+                self._send_poses(checked, stamp)
+
+    def _check_group(self, group: int) -> None:
+        most = GaussianArray.MAX_GROUPS
+        if not isinstance(group, int | np.integer) or not 0 <= group < most:
+            raise ValueError(f"group: a number from 0 to {most - 1}, got {group}")
+
+    def _check_room(self, groups: set[int]) -> None:
+        if len(groups) > max(1, self._most_groups):
+            raise ValueError(
+                f"group: a history_depth of {self._depth} has room for {self._most_groups} groups"
+            )
+
     def _tell_of(self, left_out: int) -> None:
         if left_out:
             self._node.get_logger().warning(
@@ -208,7 +265,7 @@ class MapPublisher:
     def _send_back(self, stamp: Time | None) -> None:
         """Sends the map to whom a part of another has come; if that fails, the next edit does."""
         with contextlib.suppress(Exception), self._sending():
-            self._send_map(*self._map.snapshot(), stamp)
+            self._send_map(self._map.groups(), stamp)
 
     @contextlib.contextmanager
     def _sending(self) -> Iterator[None]:
@@ -229,8 +286,8 @@ class MapPublisher:
                 return True
             if self._history_bytes <= 2 * room and not self._all_have_all(0.0):
                 return True
-        slots, splats = self._map.snapshot()
-        needed = len(list(self._large_chunks(splats)))
+        groups = self._map.groups()
+        needed = len(self._large_chunks(groups)) + (2 if self._map.poses else 0)
         repeatable = (
             self._all_sent
             and needed <= self._revision
@@ -239,7 +296,7 @@ class MapPublisher:
         )
         if repeatable:
             self._revision -= needed
-        self._send_map(slots, splats, stamp, snapshot=repeatable)
+        self._send_map(groups, stamp, snapshot=repeatable)
         return repeatable
 
     def _all_have_all(self, timeout: float) -> bool:
@@ -255,44 +312,67 @@ class MapPublisher:
             time.sleep(0.005)
         return acknowledged
 
-    def _large_chunks(self, splats: Splats) -> Iterator[slice]:
-        half_history = splats.nbytes // (self._depth // 2) + 1
-        return chunks(splats, max(self._chunk_bytes, half_history))
+    def _large_chunks(self, groups: list[Group]) -> list[tuple[Group, slice]]:
+        """Parts of groups that fill half the history at most."""
+        parts = max(1, self._depth // 2 - len(groups) + 1)
+        size = sum(group.splats.nbytes for group in groups) // parts + 1
+        return [
+            (group, part)
+            for group in groups
+            for part in chunks(group.splats, max(self._chunk_bytes, size))
+        ]
 
     def _send_map(
         self,
-        slots: Slots,
-        splats: Splats,
+        groups: list[Group],
         stamp: Time | None,
         progress: Progress | None = None,
         snapshot: bool = False,
     ) -> None:
         self._start_history()
         operation = GaussianArray.REPLACE
-        for part in self._large_chunks(splats):
-            self._send_splats(operation, slots[part], splats[part], stamp, snapshot)
+        if self._map.poses:  # before any splat, so that none is seen elsewhere
+            nothing = Group(0, range(0), groups[0].splats[:0])
+            self._send_splats(operation, nothing, stamp, snapshot)
+            poses = {group: to_pose(pose) for group, pose in self._map.poses.items()}
+            self._send_poses(poses, stamp, snapshot)
+            operation = GaussianArray.UPSERT
+        for group, part in self._large_chunks(groups):
+            some = Group(group.group, group.slots[part], group.splats[part])
+            self._send_splats(operation, some, stamp, snapshot)
             operation = GaussianArray.UPSERT
             if progress:
-                progress(len(slots[part]))
+                progress(len(some.slots))
         self._all_sent = True
 
     def _send_splats(
-        self,
-        operation: int,
-        slots: Slots,
-        splats: Splats,
-        stamp: Time | None,
-        snapshot: bool = False,
+        self, operation: int, some: Group, stamp: Time | None, snapshot: bool = False
     ) -> None:
         self._revision += 1
         self._send(
             encode(
-                splats,
-                slots,
+                some.splats,
+                some.slots,
                 header=self._header(stamp),
                 map_id=self._map_id,
                 revision=self._revision,
                 operation=operation,
+                group=some.group,
+                expected_slots=self._expected_slots,
+                snapshot=snapshot,
+            )
+        )
+
+    def _send_poses(
+        self, poses: Mapping[int, Pose], stamp: Time | None, snapshot: bool = False
+    ) -> None:
+        self._revision += 1
+        self._send(
+            encode_move(
+                poses,
+                header=self._header(stamp),
+                map_id=self._map_id,
+                revision=self._revision,
                 expected_slots=self._expected_slots,
                 snapshot=snapshot,
             )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
+from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.edits import check
+from rosplat_sorter.edits import check, poses_of
+from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats, sh_coefficients
 
 Slots = range | NDArray[np.integer]
@@ -25,10 +27,11 @@ def encode(
     map_id: str,
     revision: int,
     operation: int,
+    group: int = 0,
     expected_slots: int = 0,
     snapshot: bool = False,
 ) -> GaussianArray:
-    """A REPLACE or UPSERT that writes the i-th splat to the i-th slot.
+    """A REPLACE or UPSERT that writes the i-th splat to the i-th slot, all in one group.
 
     The message holds the bands of spherical harmonics that splats holds. Raises ValueError where
     slots and splats differ in number.
@@ -37,6 +40,7 @@ def encode(
         raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
     message = _batch(slots, header, map_id, revision, operation, expected_slots)
     message.snapshot = snapshot
+    message.group = group
     message.sh_degree = splats.sh_degree
     message.encoding = GaussianArray.ENCODING_FLOAT32
     message.antialiased = splats.antialiased
@@ -56,8 +60,42 @@ def encode_deletion(
     return _batch(slots, header, map_id, revision, GaussianArray.DELETE, expected_slots)
 
 
+def encode_move(
+    poses: Mapping[int, Pose],
+    *,
+    header: Header,
+    map_id: str,
+    revision: int,
+    expected_slots: int = 0,
+    snapshot: bool = False,
+) -> GaussianArray:
+    """A MOVE that places groups."""
+    message = _batch(range(0), header, map_id, revision, GaussianArray.MOVE, expected_slots)
+    message.snapshot = snapshot
+    message.groups = list(poses)
+    message.poses = list(poses.values())
+    return message
+
+
+def apply(message: GaussianArray, slot_map: SlotMap) -> int:
+    """Does to a map what a batch says; returns how many splats are left out.
+
+    Raises ValueError, and leaves the map as it is, where a receiver would refuse the batch.
+    """
+    slots, splats = decode(message)
+    if message.operation == GaussianArray.MOVE:
+        slot_map.poses |= poses_of(message)
+        return 0
+    if message.operation == GaussianArray.DELETE:
+        slot_map.clear(slots)
+        return 0
+    if message.operation == GaussianArray.REPLACE:
+        slot_map.reset()
+    return slot_map.write(slots, splats, message.group)
+
+
 def decode(message: GaussianArray) -> tuple[Slots, Splats]:
-    """The slots that a batch touches and, but for a DELETE, what it writes there.
+    """The slots that a batch touches and, of a REPLACE or UPSERT, what it writes there.
 
     The arrays are views of the message's. Raises ValueError where it is wrong in structure.
     """
@@ -66,7 +104,7 @@ def decode(message: GaussianArray) -> tuple[Slots, Splats]:
     slots = (
         np.frombuffer(message.slots, np.uint32) if message.slots else range(first, first + count)
     )
-    n = 0 if message.operation == GaussianArray.DELETE else count
+    n = count if message.operation in (GaussianArray.REPLACE, GaussianArray.UPSERT) else 0
 
     def field(name: str, *shape: int) -> NDArray[np.float32]:
         return np.frombuffer(getattr(message, name), np.float32).reshape(n, *shape)

@@ -33,6 +33,10 @@ class SlotMap:
 
     def __init__(self, splats: Splats | None = None) -> None:
         """A map with a copy of splats in slots 0 to n - 1."""
+        self.reset(splats)
+
+    def reset(self, splats: Splats | None = None) -> None:
+        """Forgets all, then writes splats to slots 0 to n - 1."""
         self._pages = SlotPages()
         self._arrays = _no_splats()
         self._used = np.zeros(0, bool)
@@ -45,6 +49,12 @@ class SlotMap:
     def __len__(self) -> int:
         """Number of slots in use."""
         return int(np.count_nonzero(self._used))
+
+    @property
+    def group_numbers(self) -> list[int]:
+        """The groups that blocks of slots were written for, ascending."""
+        numbers: list[int] = self._pages.groups.tolist()
+        return numbers
 
     @property
     def sh_degree(self) -> int:

@@ -21,7 +21,7 @@ from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.qos import MAP
-from rosplat_tools.messages import decode
+from rosplat_tools.messages import apply
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
 
@@ -102,14 +102,10 @@ class Listener:
 
     def _receive(self, batch: GaussianArray) -> None:
         self.batches.append(batch)
-        slots, splats = decode(batch)
-        if batch.operation == batch.REPLACE:
-            self.map = SlotMap(splats[:0])
-        assert self.map is not None
-        if batch.operation == batch.DELETE:
-            self.map.clear(slots)
-        else:
-            self.map.write(slots, splats)
+        if self.map is None:
+            assert batch.operation == batch.REPLACE
+            self.map = SlotMap()
+        apply(batch, self.map)
 
     def wait(self, until: Callable[[], object], timeout: float = 60.0) -> None:
         """Receives until something holds; fails the test where it doesn't come to."""

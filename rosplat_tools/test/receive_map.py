@@ -12,28 +12,21 @@ import rclpy
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.qos import MAP, MAP_VOLATILE
-from rosplat_tools.messages import decode
+from rosplat_tools.messages import apply
 from rosplat_tools.slot_map import SlotMap
 
 TIMEOUT = 60.0
 
 topic, last_revision, out = sys.argv[1], int(sys.argv[2]), sys.argv[3]
 batches: list[tuple[int, int]] = []
-built: list[SlotMap] = []
+built = SlotMap()
 
 
 def receive(message: GaussianArray) -> None:
     if message.snapshot and batches and message.revision <= batches[-1][0]:
         return  # is here already
     batches.append((message.revision, message.operation))
-    slots, splats = decode(message)
-    if message.operation == GaussianArray.DELETE:
-        built[-1].clear(slots)
-    elif message.operation == GaussianArray.UPSERT:
-        built[-1].write(slots, splats)
-    else:
-        built.append(SlotMap(splats[:0]))
-        built[-1].write(slots, splats)
+    apply(message, built)
 
 
 rclpy.init()
@@ -47,7 +40,7 @@ print("listening", flush=True)
 deadline = time.monotonic() + TIMEOUT
 while (not batches or batches[-1][0] < last_revision) and time.monotonic() < deadline:
     rclpy.spin_once(node, timeout_sec=0.1)
-slots, splats = built[-1].snapshot()
+slots, splats = built.snapshot()
 np.savez(
     out,
     slots=np.asarray(slots),

@@ -7,9 +7,11 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Pose, Quaternion
 from rclpy.duration import Duration
 from rclpy.node import Node
 
@@ -17,6 +19,7 @@ from rosplat_msgs.msg import GaussianArray
 from rosplat_tools.map_publisher import HISTORY_MAPS, MapPublisher
 from rosplat_tools.program.running import Cancelled
 from rosplat_tools.splats import Splats
+from rosplat_tools.testing import Listener
 
 Maker = Callable[..., Splats]
 Received = dict[str, np.ndarray]
@@ -87,6 +90,59 @@ def test_subscribers_of_any_time_rebuild_the_map(
     for received in (early, late):
         assert received["revisions"].tolist() == list(range(1, last + 1))
         assert_same_map(received, publisher)
+
+
+def test_groups_are_placed_and_moved_without_their_splats(
+    node: Node, random_splats: Maker, listener: Listener
+) -> None:
+    publisher = MapPublisher(node)
+    publisher.upsert(range(5), random_splats(5))
+    publisher.upsert(range(1024, 1030), random_splats(6, 3), group=3)
+    far = np.eye(4)
+    far[0, 3] = 1e6
+    publisher.move({3: Pose(orientation=Quaternion(x=2.0, w=0.0)), 9: far})
+    listener.wait(lambda: len(listener.batches) == 3)
+    moved = listener.batches[-1]
+    assert (moved.operation, moved.count, len(moved.positions)) == (GaussianArray.MOVE, 0, 0)
+    assert (list(moved.groups), moved.poses[0].orientation.x) == ([3, 9], 1)
+    _, splats = publisher.snapshot()
+    np.testing.assert_allclose(
+        splats.positions[5:], random_splats(6, 3).positions * [1, -1, -1], atol=1e-6
+    )
+    assert listener.map
+    np.testing.assert_array_equal(listener.map.snapshot()[1].positions, splats.positions)
+    publisher.replace(random_splats(3))
+    listener.wait_for(3)
+    assert not listener.map.poses
+
+
+@pytest.mark.parametrize(
+    ("poses", "named"),
+    [
+        ({0: np.eye(3)}, r"poses\[0\]: expected a Pose or a matrix"),
+        ({5: 2 * np.eye(4)}, r"poses\[5\]: expected a rotation"),
+        ({1: np.diag([1, 1, -1, 1])}, r"poses\[1\]: expected a rotation"),
+        ({1: Pose(orientation=Quaternion(w=0.0))}, r"poses\[1\]: not finite, or a quaternion"),
+        ({32768: np.eye(4)}, "group: a number from 0 to 32767, got 32768"),
+        ({-1: np.eye(4)}, "group"),
+    ],
+)
+def test_a_pose_that_is_none_is_refused(node: Node, poses: Any, named: str) -> None:
+    publisher = MapPublisher(node)
+    with pytest.raises(ValueError, match=named):
+        publisher.move(poses)
+    assert publisher.revision == 0
+
+
+def test_what_groups_don_t_allow_is_refused_and_not_sent(node: Node, random_splats: Maker) -> None:
+    publisher = MapPublisher(node, history_depth=8)
+    publisher.upsert(range(3), random_splats(3))
+    with pytest.raises(ValueError, match="slots 0 to 1023 hold splats of group 0, this batch is"):
+        publisher.upsert(range(5, 6), random_splats(1), group=2)
+    publisher.upsert(range(1024, 1025), random_splats(1), group=2)
+    with pytest.raises(ValueError, match="history_depth of 8 has room for 2 groups"):
+        publisher.upsert(range(2048, 2049), random_splats(1), group=3)
+    assert (publisher.revision, len(publisher)) == (2, 4)
 
 
 def test_the_history_never_loses_its_beginning(

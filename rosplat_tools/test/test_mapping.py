@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rosplat_tools.emulation.mapping import around, edits
+from rosplat_tools.emulation.mapping import Edit, Move, around, edits
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
 
@@ -26,6 +26,7 @@ def test_the_end_is_exactly_the_scene(
     for edit in edits(
         scene, batch_size=100, refine_fraction=fractions[0], prune_fraction=fractions[1], seed=1
     ):
+        assert isinstance(edit, Edit)
         assert 0 < len(edit.slots) <= 100
         if edit.splats is None:
             slot_map.clear(edit.slots)
@@ -42,6 +43,7 @@ def test_on_the_way_gaussians_move_a_little_go_and_come_back(random_splats: Make
     slot_map = SlotMap(scene[:0])
     moved, returned, deleted = 0, 0, set[int]()
     for edit in edits(scene, **ALL_KINDS):
+        assert isinstance(edit, Edit)
         before = set(np.asarray(slot_map.snapshot()[0]).tolist())
         slots = {int(slot) for slot in edit.slots}
         if edit.splats is None:
@@ -65,9 +67,35 @@ def test_the_map_grows_in_the_order_of_the_scene(random_splats: Maker) -> None:
     new = [
         edit.slots
         for edit in edits(random_splats(950), **ALL_KINDS)
-        if isinstance(edit.slots, range)
+        if isinstance(edit, Edit) and isinstance(edit.slots, range)
     ]
     assert [slot for slots in new for slot in slots] == list(range(950))
+
+
+def test_submaps_drift_until_a_loop_closure_puts_them_right(random_splats: Maker) -> None:
+    scene = random_splats(2500, 2)
+    slot_map = SlotMap()
+    *growth, last = edits(scene, **ALL_KINDS, submaps=4)
+    away: list[float] = []
+    for edit in growth:
+        if isinstance(edit, Move):
+            slot_map.poses |= edit.poses
+            away += [float(np.abs(pose - np.eye(4)).max()) for pose in edit.poses.values()]
+        elif edit.splats is None:
+            slot_map.clear(edit.slots)
+        else:
+            slot_map.write(edit.slots, edit.splats, edit.group)
+    assert slot_map.group_numbers == [0, 1, 2, 3]
+    assert len(away) == 3
+    assert min(away) > 0.001
+    off = np.abs(slot_map.snapshot()[1].positions - scene.positions).max(axis=1)
+    assert (off[:625] == 0).all()
+    assert off[-600:].min() > 0.001
+    assert isinstance(last, Move)
+    slot_map.poses |= last.poses
+    for name in ("positions", "scales", "opacities", "sh"):
+        values = getattr(slot_map.snapshot()[1], name)
+        np.testing.assert_allclose(values, getattr(scene, name), atol=1e-5)
 
 
 def test_a_circling_camera_sees_the_scene_by_angle() -> None:
@@ -88,7 +116,12 @@ def test_a_circling_camera_sees_the_scene_by_angle() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"batch_size": 0}, {"refine_fraction": -0.1}, {"refine_fraction": 0.6, "prune_fraction": 0.6}],
+    [
+        {"batch_size": 0},
+        {"submaps": 0},
+        {"refine_fraction": -0.1},
+        {"refine_fraction": 0.6, "prune_fraction": 0.6},
+    ],
 )
 def test_a_plan_that_makes_no_sense_is_refused(
     random_splats: Maker, wrong: dict[str, float]

@@ -77,3 +77,15 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
     assert named in output
+
+
+def test_submaps_drift_until_a_loop_closure_moves_them(start: Start, listener: Any) -> None:
+    start("slam_emulator", path="procedural:3000", batch_size=500, rate=200.0, submaps=3)
+    listener.wait(lambda: listener.batches and list(listener.batches[-1].groups) == [1, 2])
+    closure = listener.batches[-1]
+    assert closure.operation == GaussianArray.MOVE
+    assert [pose.position.x for pose in closure.poses] == [0, 0]
+    assert listener.map.group_numbers == [0, 1, 2]
+    assert len(listener.map) == 3000
+    moves = [batch for batch in listener.batches if batch.operation == GaussianArray.MOVE]
+    assert [list(batch.groups) for batch in moves] == [[1], [2], [1, 2]]

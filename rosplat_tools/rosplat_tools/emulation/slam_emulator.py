@@ -1,4 +1,7 @@
-"""Sends a scene as a SLAM back end would: grown by batches, refined, pruned and regrown."""
+"""Sends a scene as a SLAM back end would: grown by batches, refined, pruned and regrown.
+
+In submaps that drift, if asked to, until a loop closure puts them right.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from rclpy.node import Node
 from tqdm import tqdm
 
 from rosplat_sorter.qos import HISTORY_DEPTH
-from rosplat_tools.emulation.mapping import around, edits
+from rosplat_tools.emulation.mapping import Move, around, edits
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning, wait_for_end
@@ -39,6 +42,9 @@ class SlamEmulator(Node):
             "prune_fraction": declare(
                 self, "prune_fraction", 0.02, "Gaussians that are deleted for a while.", 0.0, 1.0
             ),
+            "submaps": declare(
+                self, "submaps", 1, "Parts that drift until a loop closure moves them.", 1, 400
+            ),
             "seed": declare(self, "seed", 0, "Which are refined and pruned.", 0, 2**31),
         }
         try:
@@ -66,10 +72,12 @@ class SlamEmulator(Node):
         if edit is None:
             self._finish()
             return
-        if edit.splats is None:
+        if isinstance(edit, Move):
+            self._map.move(edit.poses)
+        elif edit.splats is None:
             self._map.delete(edit.slots)
         else:
-            self._map.upsert(edit.slots, edit.splats)
+            self._map.upsert(edit.slots, edit.splats, group=edit.group)
         self._bar.update(len(self._map) - self._bar.n)
 
     def _finish(self) -> None:
