@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -23,14 +24,29 @@ PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
 AGES = (1, 2, 3, 4, 6, 8, 12)  # of the picture, in degrees that the camera has turned since
 VIEWS = ("overview", "inside")
 
+DETAILS = ("full", "50ms", "100ms", "200ms")
+SPEED = 20  # of a camera in motion [degrees/s]
+INTERVAL = 1 / 30  # of frames [s]
+SECONDS, QUICK_SECONDS = 4.0, 0.5
+LEAST_FRAMES = 4
+SAMPLES = 12  # frames that are looked at
+AT_REST = 0.5  # levels of detail that haven't grown for so long stand [s]
+
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """PSNR of what is shown against the exact picture, by the turn of the camera since."""
+    """PSNR of what is shown against the exact picture.
+
+    By the turn of the camera since it was painted; and as the camera turns, by detail.
+    """
     sizes = plan.sizes or (QUICK_SIZES if plan.quick else SIZES)
     names = scenes.names(sizes, plan.scenes)
     for number, name in enumerate(names):
         yield Doing(name, number / len(names))
-        yield from isolated(_scene, name, QUICK_PICTURE if plan.quick else PICTURE)
+        yield from isolated(_carried, name, QUICK_PICTURE if plan.quick else PICTURE)
+        for motion in VIEWS:
+            for detail in DETAILS:
+                yield Doing(f"{name}, {motion}, {detail}", number / len(names))
+                yield from isolated(_in_motion, name, plan.quick, motion, detail)
 
 
 def _shown(
@@ -43,7 +59,7 @@ def _shown(
     return picture
 
 
-def _scene(name: str, picture: tuple[int, int]) -> Iterator[Event]:
+def _carried(name: str, picture: tuple[int, int]) -> Iterator[Event]:
     from rviz_gaussian_plugin.offscreen import Rasterizer, ensure_display
 
     splats = scenes.load(name)
@@ -69,3 +85,53 @@ def _scene(name: str, picture: tuple[int, int]) -> Iterator[Event]:
                         renderer.renderer_info, view=motion, turned=age, shown=what,
                     )  # fmt: skip
         del renderer, view  # while its display is there
+
+
+def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Event]:
+    from rviz_gaussian_plugin.offscreen import Rasterizer, ensure_display
+
+    splats = scenes.load(name)
+    size, seconds = (QUICK_PICTURE, QUICK_SECONDS) if quick else (PICTURE, SECONDS)
+    cameras = scenes.VIEWS[motion](splats, *size, 360)  # a degree from one to the next
+    with ensure_display():
+        renderer = embedded.open_renderer()
+        renderer.settings.rasterizer = Rasterizer.PROCESSOR
+        renderer.settings.detail = detail
+        renderer.settings.asynchronous = True
+        embedded.insert_all(renderer, splats)
+        view = embedded.View(renderer)
+        _rest(view, cameras[0])
+
+        frames = []
+        began = time.monotonic()
+        while (now := time.monotonic() - began) < seconds or len(frames) < LEAST_FRAMES:
+            camera = cameras[int(SPEED * now) % len(cameras)]
+            view.look(camera)
+            report = view.draw()
+            frames.append((camera, renderer.read_color8() / 255, report))
+            time.sleep(max(0.0, INTERVAL - (time.monotonic() - began - now)))
+
+        renderer.settings.detail = "full"
+        picked = np.unique(np.linspace(0, len(frames) - 1, SAMPLES).astype(int))
+        errors = [
+            np.mean(np.square(shown - _shown(renderer, view, camera)))
+            for camera, shown, _ in (frames[i] for i in picked)
+        ]
+        labels = {"view": motion, "detail": detail, "speed": SPEED}
+        of = (name, len(splats), renderer.renderer_info)
+        psnr = -10 * np.log10(max(np.mean(errors), 1e-12))
+        yield Measurement.of("PSNR in motion", "dB", psnr, *of, **labels)
+        drawn = [report["splats"] for *_, report in frames]
+        yield Measurement.of("drawn in motion", "", drawn, *of, **labels)
+        del renderer, view  # while its display is there
+
+
+def _rest(view: embedded.View, camera: Camera) -> None:
+    """Draws until nothing changes any more: the exact picture, and levels if there are any."""
+    view.look(camera)
+    since, levels = time.monotonic(), -1
+    while time.monotonic() - since < AT_REST:
+        report = view.draw()
+        if not report["order_fresh"] or report["levels_bytes"] != levels:
+            since, levels = time.monotonic(), report["levels_bytes"]
+        time.sleep(INTERVAL)
