@@ -1,6 +1,5 @@
 """Batches on the wire: laid out as the message says, whole, and quick."""
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -98,11 +97,3 @@ def test_chunks_are_small_enough_and_miss_nothing(random_splats: Maker, chunk_by
 
 def test_an_empty_map_is_one_chunk(random_splats: Maker) -> None:
     assert list(chunks(random_splats(0), 1000)) == [slice(0, 0)]
-
-
-def test_encoding_copies_blocks_not_elements(random_splats: Maker) -> None:
-    splats = random_splats(200_000)
-    start = time.monotonic()
-    batch(splats, range(len(splats)))
-    # 50 ms here; 12 million elements one by one take seconds.
-    assert time.monotonic() - start < 1

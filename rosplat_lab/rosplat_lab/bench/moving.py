@@ -24,7 +24,7 @@ PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
 AGES = (1, 2, 3, 4, 6, 8, 12)  # of the picture, in degrees that the camera has turned since
 VIEWS = ("overview", "inside")
 
-DETAILS = ("full", "50ms", "100ms", "200ms")
+DETAILS, QUICK_DETAILS = ("full", "50ms", "100ms", "200ms"), ("100ms",)
 SPEED = 20  # of a camera in motion [degrees/s]
 INTERVAL = 1 / 30  # of frames [s]
 SECONDS, QUICK_SECONDS = 4.0, 0.5
@@ -44,7 +44,7 @@ def measure(plan: Plan) -> Iterator[Event]:
         yield Doing(name, number / len(names))
         yield from isolated(_carried, name, QUICK_PICTURE if plan.quick else PICTURE)
         for motion in VIEWS:
-            for detail in DETAILS:
+            for detail in QUICK_DETAILS if plan.quick else DETAILS:
                 yield Doing(f"{name}, {motion}, {detail}", number / len(names))
                 yield from isolated(_in_motion, name, plan.quick, motion, detail)
 
