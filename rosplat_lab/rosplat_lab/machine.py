@@ -38,11 +38,30 @@ def commit() -> str:
 
 def resident_bytes(pid: int | None = None) -> int:
     """Memory that a process has in RAM, by default this one; 0 when it has ended."""
+    return _memory("VmRSS", pid or os.getpid())
+
+
+def peak_bytes(pid: int) -> int:
+    """The most memory that a process has had in RAM; 0 when it has ended."""
+    return _memory("VmHWM", pid)
+
+
+def processor_seconds(pid: int) -> float:
+    """What all threads of a process have taken; 0 when it has ended. [s]"""
     try:
-        status = Path(f"/proc/{pid or os.getpid()}/status").read_text()
+        text = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return 0.0
+    user, system = text.rpartition(")")[2].split()[11:13]  # of proc(5): after the name
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+
+def _memory(name: str, pid: int) -> int:
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
     except OSError:
         return 0
-    lines = [line for line in status.splitlines() if line.startswith("VmRSS:")]
+    lines = [line for line in status.splitlines() if line.startswith(f"{name}:")]
     return 1024 * int(lines[0].split()[1]) if lines else 0
 
 

@@ -107,6 +107,19 @@ def test_levels_of_detail_trade_error_for_splats(tmp_path: Path) -> None:
     assert better > worse
 
 
+def test_a_streamed_scene_comes_as_the_camera_goes(tmp_path: Path) -> None:
+    records = bench(tmp_path, "stream", "--sizes", "40000")
+    assert {record.parameters["budget"] for record in records} == {10_000}
+    found = {(r.name, *r.parameters.values()): r for r in records}
+    pictures = {name[2]: r for name, r in found.items() if name[0] == "PSNR"}
+    assert pictures["at rest"].least > 15
+    assert pictures["in flight"].n > 0
+    waits = [r for r in records if r.name == "until at rest"]
+    assert [r.parameters["after"] for r in waits] == ["start", "flight", "jump"]
+    assert waits[0].value > 0
+    assert {r.parameters["process"] for r in records if r.name == "RAM"} == {"viewer", "publisher"}
+
+
 def test_a_picture_is_worth_more_carried_over(tmp_path: Path) -> None:
     records = bench(tmp_path, "moving", "--sizes", "2000")
     found = {

@@ -59,6 +59,7 @@ SUBJECTS = {
     "moving": Subject("what a picture is worth to a camera that has turned since"),
     "simplify": Subject("what is left of pictures with fewer splats, by several ways"),
     "rviz": Subject("rviz2's own frames and pictures, by our Display and others", needs_ros=True),
+    "stream": Subject("a scene larger than memory, as a camera flies through", needs_ros=True),
     "transport": Subject("orders and maps between processes", needs_ros=True),
     "network": Subject("orders from a sorter on another machine", needs_ros=True),
     "chain": Subject("from a camera's pose to the picture that knows it", needs_ros=True),

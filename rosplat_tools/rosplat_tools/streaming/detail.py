@@ -64,11 +64,11 @@ def magnification(chunks: Levels, views: Sequence[Camera]) -> Array:
         distance = np.maximum(np.linalg.norm(nearest - eye, axis=1), max(view.near_clip, 1e-3))
         focal = max(view.fx, view.fy) * view.extent_scale
         scale = np.full(len(most), focal) if view.orthographic else focal / distance
-        most = np.maximum(most, np.where(_in_sight(chunks, view), scale, BEHIND * scale))
+        most = np.maximum(most, np.where(in_sight(chunks, view), scale, BEHIND * scale))
     return most
 
 
-def _in_sight(chunks: Levels, view: Camera) -> NDArray[np.bool_]:
+def in_sight(chunks: Levels, view: Camera) -> NDArray[np.bool_]:
     """(n,) whether a view, as wide as orders are for cameras that move, may show chunks."""
     ends = np.stack([chunks.low, chunks.high])
     which = np.indices((2, 2, 2)).reshape(3, 8)

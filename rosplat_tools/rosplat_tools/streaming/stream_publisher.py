@@ -21,6 +21,7 @@ from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning
 from rosplat_tools.splats import SceneError, splat_bytes
+from rosplat_tools.streaming.followed_view import FollowedView
 from rosplat_tools.streaming.streamed_map import StreamedMap
 
 FORGET_AFTER = 10.0  # viewers send each view once a second; who doesn't is gone [s]
@@ -49,7 +50,7 @@ class StreamPublisher(Node):
         )  # fmt: skip
         scene = open_streamed(Path(path))
         budget = min(most, most_bytes // splat_bytes(scene.sh_degree))
-        self._views: dict[str, tuple[Camera, float]] = {}
+        self._views: dict[str, FollowedView] = {}
         self._looked = threading.Event()
         publisher = MapPublisher(
             self, frame_id=frame_id, chunk_bytes=CHUNK_BYTES, history_depth=HISTORY_DEPTH
@@ -88,11 +89,11 @@ class StreamPublisher(Node):
     def _seen(self) -> list[Camera]:
         """The cameras of views that are still there; where none is, the last ones."""
         views = dict(self._views)
-        lately = time.monotonic() - FORGET_AFTER
-        there = {name: view for name, view in views.items() if view[1] > lately}
+        now = time.monotonic()
+        there = {name: view for name, view in views.items() if view.heard > now - FORGET_AFTER}
         for name in (views.keys() - there.keys()) if there else ():
             self._views.pop(name, None)
-        return [camera for camera, _ in (there or views).values()]
+        return [camera for view in (there or views).values() for camera in view.cameras(now)]
 
     def _on_view(self, message: ViewCamera) -> None:
         try:
@@ -102,8 +103,10 @@ class StreamPublisher(Node):
                 f"view {shown(message.view_id)} is left out: {error}", throttle_duration_sec=5.0
             )
             return
-        self._views.pop(message.view_id, None)
-        self._views[message.view_id] = (camera, time.monotonic())
+        now = time.monotonic()
+        view = self._views.pop(message.view_id, None) or FollowedView(camera, now)
+        view.look(camera, now)
+        self._views[message.view_id] = view
         while len(self._views) > MAX_VIEWS:
             self._views.pop(next(iter(self._views)), None)
         self._looked.set()

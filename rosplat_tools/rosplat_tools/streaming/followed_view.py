@@ -1,0 +1,42 @@
+"""A view whose cameras come one by one: where it is, and where it is about to be. Knows no ROS."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rosplat_sorter.camera import Camera, CameraError
+
+AHEAD = 2.0  # how far to look ahead [s]
+RECENT = 1.0  # cameras that come less often than this say nothing of how a view moves [s]
+
+
+class FollowedView:
+    """Expects a view to go on as it went between its last two cameras, for as long again."""
+
+    def __init__(self, camera: Camera, now: float) -> None:
+        """now: of a clock [s]."""
+        self._camera = camera
+        self.heard = now
+        self._speed = np.zeros(3)
+        self._moves_until = now
+
+    def look(self, camera: Camera, now: float) -> None:
+        """Takes the next camera."""
+        since = now - self.heard
+        if 0 < since < RECENT:
+            with np.errstate(over="ignore"):
+                self._speed = np.subtract(camera.position, self._camera.position) / since
+            self._moves_until = now + 2 * since
+        self._camera, self.heard = camera, now
+
+    def cameras(self, now: float) -> list[Camera]:
+        """Its camera; and while it moves, the one that it will have by and by."""
+        if now > self._moves_until or not self._speed.any():
+            return [self._camera]
+        x, y, z = (self._camera.position + AHEAD * self._speed).tolist()
+        try:
+            return [self._camera, replace(self._camera, position=(x, y, z))]
+        except CameraError:  # so fast that it is nowhere
+            return [self._camera]
