@@ -247,6 +247,15 @@ CASES = (
         (_replace(1), Batch(UPSERT, 2, {"origin": (1e300, 0.0, 0.0)}, dropped=2)),
         in_use=(),
     ),
+    Case(
+        "left out once, for two reasons",
+        (
+            _replace(1, origin=(1e300, 0.0, 0.0)),
+            Batch(UPSERT, 2, {"first_slot": 1}, {("sh", 0): INF}, dropped=2),
+        ),
+        in_use=(0,),
+        origin=(1e300, 0.0, 0.0),
+    ),
     _kept("a tiny quaternion", _quaternion(0, 0, LEAST, LEAST)),
     _kept("a huge quaternion", _quaternion(LARGEST, 0, -LARGEST, LARGEST)),
     _kept("a scale of zero", {("scales", 3): 0.0}),

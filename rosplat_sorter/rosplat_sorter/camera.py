@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 PERSPECTIVE = 0
 ORTHOGRAPHIC = 1
+LARGEST = 3.4028234663852886e38  # of float32, which pictures are drawn with
 
 
 class CameraError(ValueError):
@@ -44,8 +45,10 @@ class Camera:
         finite = ("position", "orientation", "fx", "fy", "cx", "cy", "near_clip", "far_clip")
         for name in (*finite, "extent_scale"):
             value = getattr(self, name)
-            if not all(map(math.isfinite, value if isinstance(value, tuple) else (value,))):
-                raise CameraError(f"{name} is not finite: {value}")
+            if not all(
+                abs(v) <= LARGEST for v in (value if isinstance(value, tuple) else (value,))
+            ):
+                raise CameraError(f"{name} is not finite, or beyond float32: {value}")
         if math.hypot(*self.orientation) == 0:
             raise CameraError("orientation is a quaternion of length zero")
         for name in ("fx", "fy", "width", "height", "extent_scale"):

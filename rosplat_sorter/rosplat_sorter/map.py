@@ -126,7 +126,7 @@ class SplatMap:
         if (edit.origin != origin).any():  # in float64, before float32 loses the difference
             with np.errstate(over="ignore", invalid="ignore"):
                 positions = (positions + (edit.origin - origin)).astype(np.float32)
-            beyond = np.isfinite(edit.positions).all(axis=1) & ~np.isfinite(positions).all(axis=1)
+            beyond = (extents != EMPTY) & ~np.isfinite(positions).all(axis=1)
             extents = np.where(beyond, EMPTY, extents)
             self.rejected += int(np.count_nonzero(beyond))
         rows = self.pages.find(edit.slots)

@@ -100,8 +100,10 @@ def test_a_degenerate_camera_is_refused_by_its_field(make_camera, wrong):
 
 
 def test_a_camera_beyond_float32_is_refused(make_camera):
+    with pytest.raises(CameraError, match="position"):
+        make_camera(position=(1e300, 0.0, 0.0))
     with pytest.raises(CameraError, match="translation"):
-        View.of(make_camera(position=(1e300, 0.0, 0.0)))
+        View.of(make_camera(position=(3e38, 0.0, 0.0)), origin=(-3e38, 0.0, 0.0))
 
 
 def test_an_unknown_projection_is_refused(make_look):

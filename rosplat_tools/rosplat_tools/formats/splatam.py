@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rosplat_sorter.log_text import shown
 from rosplat_tools.formats.bounds import claim
 from rosplat_tools.formats.decoded import SH_C0, Axes, Columns, Floats, Progress, Warn, decoded
 from rosplat_tools.formats.quantised import sigmoid
@@ -71,15 +72,11 @@ def _array(path: Path, archive: zipfile.ZipFile, name: str) -> Floats:
         raise SceneError(f"{path}: not SplaTAM's: no array {name}") from None
     with archive.open(entry) as file:
         try:
-            version = np.lib.format.read_magic(file)
-            header = (
-                np.lib.format.read_array_header_1_0
-                if version == (1, 0)
-                else np.lib.format.read_array_header_2_0
-            )
-            shape, _, dtype = header(file)
-        except ValueError as error:
-            raise SceneError(f"{path}: {name}: no array of NumPy's: {error}") from error
+            if np.lib.format.read_magic(file) != (1, 0):
+                raise ValueError("a header larger than 64 KiB")
+            shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+        except Exception as error:  # NumPy's parser fails in many ways
+            raise SceneError(f"{path}: {name}: no array of NumPy's: {shown(error)}") from error
         if len(shape) != 2 or shape[1] not in SHAPES[name] or dtype.kind != "f":
             raise SceneError(
                 f"{path}: {name}: {dtype} {shape}, expected floats (n, {SHAPES[name]})"

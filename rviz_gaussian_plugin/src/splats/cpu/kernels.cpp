@@ -75,7 +75,7 @@ Floats transform(const float* row, float translation, const Vec3& p) {
 // How wide a cell around a position is in the picture, at its nearest point [px].
 Floats errorOf(const CutView& cut, const Vec3& p, Floats cell) {
   const auto outside = [&](Floats x, float eye) {
-    const Floats least = toFloats(floorToInts(x / cell)) * cell;
+    const Floats least = floor(x / cell) * cell;
     return max(max(least - eye, eye - (least + cell)), Floats{});
   };
   if (cut.orthographic) return cut.focal * cell;

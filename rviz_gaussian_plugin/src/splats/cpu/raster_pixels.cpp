@@ -51,7 +51,7 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
     });
   }
 
-  tile.listed = &listed[begins[number]];
+  tile.listed = listed.get() + begins[number];
   tile.records = records.get();
   tile.left = rect.left;
   tile.top = rect.top;
@@ -93,7 +93,7 @@ void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::u
   PickTile tile;
   tile.count = inTile(number, member);
   if (tile.count == 0 && !first) return;
-  tile.listed = &listed[begins[number]];
+  tile.listed = listed.get() + begins[number];
   tile.records = records.get();
   tile.left = rect.left;
   tile.top = rect.top;
@@ -122,14 +122,14 @@ void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatP
   ContributeTile tile;
   tile.count = inTile(number, member);
   if (tile.count == 0 && !first) return;
-  tile.listed = &listed[begins[number]];
+  tile.listed = listed.get() + begins[number];
   tile.records = records.get();
   tile.left = rect.left;
   tile.top = rect.top;
   tile.ends_at = kTransparent;
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
   tile.pixels = &member.pixels;
-  tile.splats = &of_listed[begins[number]];
+  tile.splats = of_listed.get() + begins[number];
   std::memset(&member.pixels, 0, sizeof(member.pixels));
   rect.forEach([&](std::size_t i, std::size_t pixel) {
     member.pixels.transmittance[i] = first ? 1 : remaining[4 * pixel + 3];

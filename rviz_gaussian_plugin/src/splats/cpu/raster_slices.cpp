@@ -17,7 +17,7 @@ constexpr std::size_t kMostSlices = 32;
 void CpuRasterizer::Work::cull() {
   found.reserve(pages.size() * kSlots + 1);
   inParts(pages.size(), 16, [&](Part& part, Member&) {
-    Candidate* const begin = &found[part.begin * kSlots];
+    Candidate* const begin = found.get() + part.begin * kSlots;
     Candidate* out = begin;
     for (std::size_t i = part.begin; i < part.end; ++i) {
       if (cancelled()) break;
@@ -94,7 +94,7 @@ void CpuRasterizer::Work::deal() {
 
 // Makes two of a slice, each in the order of slots.
 void CpuRasterizer::Work::halve(const Slice& slice) {
-  Candidate* const begin = &dealt[slice.begin];
+  Candidate* const begin = dealt.get() + slice.begin;
   Candidate* const end = begin + (slice.end - slice.begin);
   const auto bySlot = [](const Candidate& a, const Candidate& b) { return a.index < b.index; };
   Candidate* const middle = begin + (end - begin) / 2;

@@ -192,7 +192,7 @@ void CpuRasterizer::Work::list() {
 // Sorts a tile's splats, nearest first; returns how many there are.
 std::size_t CpuRasterizer::Work::inTile(std::size_t tile, Member& member) {
   const std::size_t count = begins[tile + 1] - begins[tile];
-  sortByKey(&listed[begins[tile]], count, member.spare.reserve(count));
+  sortByKey(listed.get() + begins[tile], count, member.spare.reserve(count));
   return count;
 }
 

@@ -120,9 +120,10 @@ inline bool any(Ints where) {
 inline Floats toFloats(Ints v) { return __builtin_convertvector(v, Floats); }
 // Towards zero; only for what fits.
 inline Ints toInts(Floats v) { return __builtin_convertvector(v, Ints); }
-inline Ints floorToInts(Floats v) {
-  const Ints whole = toInts(v);
-  return whole + (toFloats(whole) > v);  // true is -1
+inline Floats floor(Floats v) {
+  const Ints fits = abs(v) < 8388608.0f;  // from 2^23 on, all are whole
+  const Floats whole = toFloats(toInts(fits ? v : Floats{}));
+  return fits ? whole + toFloats(whole > v) : v;  // true is -1
 }
 
 inline Floats gather(const float* from, Ints index) {
