@@ -43,6 +43,10 @@ lab: ## Chart error against time for all methods: [SCENE=path] [OUT=folder] [QUI
 	@./setup.sh lab
 	@$(ENTER); python -m rosplat_lab.lab $(if $(SCENE),"$(SCENE)") --out "$(if $(filter out/render,$(OUT)),out/lab,$(OUT))" $(if $(QUICK),--quick) $(if $(DOCS),--docs "$(DOCS)")
 
+fuzz: ## Messages, requests and files as no honest peer sends them, the C++ with sanitizers: CASES=100000 [SEED=0] [CASE=number]
+	@./setup.sh dev
+	@$(ENTER); tests/fuzz.sh $(CASES) $(SEED) $(CASE)
+
 lint: ## Format, lint and types
 	@./setup.sh dev
 	@$(ENTER); tests/lint.sh

@@ -1,31 +1,55 @@
-"""Messages, cameras and files as no honest peer sends them: structure-aware, and by number.
+"""Messages and files as no honest peer sends them: valid ones, damaged by what their fields are.
 
-`make fuzz CASES=n` runs more of them; a case's number gives the same again.
+Seed and number of a case give the same again. A field that a message gets is damaged by its type
+without a word here; what makes it valid is a line in `_batch`, `order` or `view_camera`.
 """
 
 from __future__ import annotations
 
+import gzip
+import io
+import json
 import os
+import struct
+import zipfile
 from array import array
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ksplat_file import ksplat
 from numpy.random import Generator
+from streamed_scene import write_scene
 
-from rosplat_msgs.msg import GaussianArray, ViewCamera
+from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, pack
+from rosplat_sorter.shared_orders import OrderBuffer
+from rosplat_tools import formats
+from rosplat_tools.testing import random_splats
 
 CASES = int(os.environ.get("ROSPLAT_FUZZ_CASES") or 2000)
 SEED = int(os.environ.get("ROSPLAT_FUZZ_SEED") or 0)
+CASE = os.environ.get("ROSPLAT_FUZZ_CASE")
 
 MOST = GaussianArray.MAX_SLOTS
-WHOLE = (0, 1, 2, 3, 255, 1023, 1024, 1025, 1 << 16, MOST - 1, MOST, 1 << 31, (1 << 32) - 1)
+WHOLE = (
+    0, 1, 2, 3, 255, 1023, 1024, 1025, 1 << 16, MOST - 1, MOST, 1 << 31, (1 << 32) - 1, 1 << 63,
+)  # fmt: skip
 DOUBLES = (
     np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, 1e-100, 1e-45, 1e-7, 1.0, -1.0, 1.0 + 1e-15,
     1e9, 1e30, 3.5e38, 1e100, -1e100, 1e308,
 )  # fmt: skip
 FLOATS = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 1e-20, -1.0, 1e20, -3.4e38, 3.4e38)
-SOLID = (np.nan, np.inf, -np.inf, 7.0, 3.4e38)  # opacities; below 1/255 sorters see an empty slot
-VALUES = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1}
+TEXTS = ("", "other", "a\n\x1b[31m" * 20, "x" * 5000, "../../etc/passwd", "\N{SNOWMAN}")
+NOT_YET = ("group", "groups", "poses")  # that not all receivers have yet
+# Sorters see an empty slot where an opacity is below 1/255.
+SOLID = {"opacities": (np.nan, np.inf, -np.inf, 7.0, 3.4e38)}
+
+
+def cases(count: int) -> Iterator[int]:
+    """Numbers of cases to run: all, or the one that is asked for."""
+    yield from [int(CASE)] if CASE else range(count)
 
 
 def random(case: int) -> Generator:
@@ -33,8 +57,11 @@ def random(case: int) -> Generator:
     return np.random.default_rng([SEED, case])
 
 
-def one_of(rng: Generator, values: tuple[Any, ...] | list[Any]) -> Any:
+def one_of(rng: Generator, values: Sequence[Any]) -> Any:
     return values[int(rng.integers(len(values)))]
+
+
+# --- Messages -------------------------------------------------------------------------------------
 
 
 def batches(rng: Generator) -> list[GaussianArray]:
@@ -45,7 +72,9 @@ def batches(rng: Generator) -> list[GaussianArray]:
         message = _batch(rng, revision)
         message.antialiased = antialiased
         for _ in range(one_of(rng, [0, 0, 1, 2])):
-            _spoil(rng, message)
+            damage(rng, message)
+        if message.operation == GaussianArray.MOVE:  # see NOT_YET
+            message.operation = 77
         made.append(message)
     return made
 
@@ -55,7 +84,9 @@ def _batch(rng: Generator, revision: int) -> GaussianArray:
     message.header.frame_id = "map"
     message.operation = one_of(rng, [0, 1, 1, 2]) if revision > 1 else one_of(rng, [0, 0, 1, 2])
     message.count = n = one_of(rng, [0, 1, 2, 7, 100])
-    if rng.integers(2):
+    if rng.integers(50) == 0:  # a page for each
+        message.slots = array("I", rng.integers(MOST, size=n).astype(np.uint32).tobytes())
+    elif rng.integers(2):
         slots = [one_of(rng, WHOLE[:10]) + int(rng.integers(3)) for _ in range(n)]
         message.slots = array("I", [min(slot, MOST - 1) for slot in slots])
     else:
@@ -72,73 +103,213 @@ def _batch(rng: Generator, revision: int) -> GaussianArray:
     return message
 
 
-def _spoil(rng: Generator, message: GaussianArray) -> None:
-    what = one_of(rng, ["value", "value", "value", "length", "field", "origin"])
-    if what == "origin":
-        for axis in "xyz":
-            if rng.integers(2):
-                setattr(message.origin, axis, float(one_of(rng, DOUBLES)))
-    elif what == "field":
-        field, values = one_of(rng, [
-            ("revision", [0, 1, 2, 3, 1 << 20, (1 << 64) - 1]), ("operation", [0, 1, 2, 3, 255]),
-            ("encoding", [1, 255]), ("sh_degree", [0, 1, 3, 4, 255]), ("count", WHOLE),
-            ("first_slot", WHOLE), ("expected_slots", WHOLE), ("snapshot", [True]),
-            ("map_id", ["", "other", "a\n\x1b[31m" * 20]),
-        ])  # fmt: skip
-        setattr(message, field, one_of(rng, values))
-    else:
-        field = one_of(rng, [*VALUES, "sh", "slots"])
-        values = getattr(message, field)
-        if what == "length":
-            zeros = array(values.typecode, [0] * (len(values) + 2))
-            cut = int(rng.integers(0, len(values) + 3))
-            setattr(message, field, (values + zeros)[:cut])
-        elif len(values):
-            wrong = WHOLE if field == "slots" else SOLID if field == "opacities" else FLOATS
-            values[int(rng.integers(len(values)))] = one_of(rng, wrong)
-
-
 def view_camera(rng: Generator) -> ViewCamera:
     """A camera near the map, mostly with some numbers that make no picture."""
     message = ViewCamera(
-        view_id="view", sequence=1, projection=one_of(rng, [0, 0, 1, 9]), width=64, height=48,
+        view_id="view", sequence=1, projection=int(rng.integers(2)), width=64, height=48,
         fx=60.0, fy=60.0, cx=32.0, cy=24.0, near_clip=0.1, far_clip=100.0,
     )  # fmt: skip
     message.pose.position.z = -20.0
     for _ in range(int(rng.integers(4))):
-        field = one_of(rng, ["fx", "fy", "cx", "cy", "near_clip", "far_clip", "pose", "size"])
-        if field == "pose":
-            part = one_of(rng, [message.pose.position, message.pose.orientation])
-            setattr(part, one_of(rng, "xyz"), float(one_of(rng, DOUBLES)))
-        elif field == "size":
-            setattr(message, one_of(rng, ["width", "height"]), one_of(rng, [0, 1, 63, *WHOLE[-2:]]))
-        else:
-            setattr(message, field, float(one_of(rng, DOUBLES)))
+        damage(rng, message)
     return message
 
 
-def damaged(rng: Generator, whole: bytes) -> bytes:
-    """A file that lost something, or says something else in some places."""
-    data = bytearray(whole)
-    for _ in range(int(rng.integers(1, 4))):
-        at = (
-            int(rng.integers(len(data)))
-            if rng.integers(2)
-            else int(rng.integers(min(len(data), 300)))
-        )
-        what = one_of(rng, ["bit", "number", "cut", "text", "twice"])
-        if what == "bit":
-            data[at] ^= 1 << int(rng.integers(8))
-        elif what == "number":
-            data[at : at + 4] = int(one_of(rng, WHOLE)).to_bytes(4, "little")
-        elif what == "cut":
-            del data[at : at + one_of(rng, [1, 4, 100, len(data)])]
-        elif what == "text":
-            data[at:at] = one_of(
-                rng, [b"\n", b"9" * 30, b"-1", b"\x00", b"element vertex 9999999999\n"]
-            )
+def order(rng: Generator, most: int, shared: OrderBuffer) -> SplatOrder:
+    """An order of some slots below `most`, whichever way it travels, half of them damaged."""
+    slots = rng.permutation(min(most, 1000))[: int(rng.integers(1001))].astype(np.uint32)
+    message = SplatOrder(
+        view_id="view", sequence=1, map_id="map", revision=1, backend="native", count=len(slots),
+        encoding=one_of(rng, [SLOTS, PACKED, SHARED]),
+    )  # fmt: skip
+    if message.encoding == SLOTS:
+        message.slots = array("I", slots.tobytes())
+    elif message.encoding == PACKED:
+        message.slot_bits = int(rng.integers(10, 33))
+        message.packed = pack(slots, message.slot_bits)
+    else:
+        shared.begin(len(slots))[:] = slots
+        message.segment, message.generation = shared.finish()
+    for _ in range(one_of(rng, [0, 0, 1, 2])):
+        damage(rng, message)
+    return message
+
+
+def damage(rng: Generator, message: Any) -> None:
+    """Says something else in one of a message's fields, or in one of a field's own."""
+    types = message.get_fields_and_field_types()
+    field = one_of(rng, [name for name in types if name not in NOT_YET])
+    value = getattr(message, field)
+    if hasattr(value, "get_fields_and_field_types"):
+        damage(rng, value)
+    elif isinstance(value, list):  # of messages
+        if value and rng.integers(4):
+            damage(rng, one_of(rng, value))
         else:
-            data[at:at] = data[at : at + 100]
-        if not data:
-            break
-    return bytes(data)
+            del value[int(rng.integers(len(value) + 1)) :]
+    elif isinstance(value, array):
+        setattr(message, field, _damaged_array(rng, field, value))
+    else:
+        setattr(message, field, one_of(rng, _values(types[field])))
+
+
+def _values(kind: str) -> Sequence[Any]:
+    """What a field of a type in ROS's interface language may be made to say."""
+    others = {"boolean": (False, True), "string": TEXTS, "float": FLOATS, "double": DOUBLES}
+    if kind in others:
+        return others[kind]
+    return [value for value in WHOLE if value <= np.iinfo(kind).max]
+
+
+def _damaged_array(rng: Generator, field: str, values: array[Any]) -> array[Any]:
+    if rng.integers(4) == 0 or not len(values):
+        zeros = array(values.typecode, [0] * (len(values) + 2))
+        return (values + zeros)[: int(rng.integers(0, len(values) + 3))]
+    kind = {"f": "float", "d": "double", "I": "uint32", "B": "uint8"}[values.typecode]
+    values[int(rng.integers(len(values)))] = one_of(rng, SOLID.get(field) or _values(kind))
+    return values
+
+
+# --- Files ----------------------------------------------------------------------------------------
+
+Scene = dict[str, bytes]
+"""A scene's files by name; the first is the one that is opened."""
+
+NUMBERS = [
+    struct.pack(form, value)
+    for form, values in (
+        ("<B", (0, 1, 127, 128, 255)),
+        ("<H", (0, 65535)),
+        ("<I", (0, 1, 2**24, 2**31 - 1, 2**31, 2**32 - 1)),
+        ("<Q", (0, 2**63, 2**64 - 1)),
+        ("<f", (float("nan"), float("inf"), -1e38, 1e-45)),
+    )
+    for value in values
+]
+JSON_VALUES: list[Any] = [
+    None, True, -1, 0, 1, 2**25, 2**31, 2**63, 10**30, 1.5, float("nan"), float("inf"), 1e308, "",
+    "x", "meta.json", "../a", "\0", "a" * 5000, [], [0], [[]], [1e308] * 256, {}, {"files": []},
+]  # fmt: skip
+WORDS = [b"0", b"-1", b"1e9", b"99999999999999999999", b"4294967295", b"x\ny", b"list uchar"]
+
+
+def scenes(folder: Path) -> list[Scene]:
+    """A small scene in each format that is read, and in each of its variants."""
+    folder.mkdir()
+    made: list[Scene] = []
+    splats = random_splats(40, 1)
+    for module in formats.FORMATS:
+        if hasattr(module, "write"):
+            path = folder / f"scene{module.SUFFIX}"
+            formats.save(path, splats)
+            made.append({path.name: path.read_bytes()})
+    made.append({"text.ply": _as_text(folder / "scene.ply")})
+    near = splats[:]
+    near.positions[:] = np.clip(near.positions, -2.4, 2.4)
+    made += [{"s.ksplat": ksplat([near[:25], near[25:]], level)} for level in range(3)]
+    for version, width in ((1, 19), (2, 22), (3, 23)):
+        header = struct.pack("<4sIIBBBB", b"NGSP", version, 40, 1, 12, 0, 0)
+        body = np.random.default_rng(version).bytes(40 * (width + 9))
+        made.append({"s.spz": gzip.compress(header + body)})
+    params = io.BytesIO()
+    np.savez(
+        params, means3D=splats.positions, rgb_colors=splats.sh[:, 0],
+        unnorm_rotations=splats.orientations, logit_opacities=splats.opacities[:, None],
+        log_scales=np.log(splats.scales),
+    )  # fmt: skip
+    made.append({"params.npz": params.getvalue()})
+    streamed = write_scene(folder / "streamed", chunks=2, environment=True, levels=(40, 10))
+    made.append(
+        {streamed.name: streamed.read_bytes()}
+        | {
+            str(path.relative_to(streamed.parent)): path.read_bytes()
+            for path in sorted(streamed.parent.glob("*/*"))
+        }
+    )
+    return made
+
+
+def _as_text(path: Path) -> bytes:
+    from plyfile import PlyData
+
+    ply = PlyData.read(path)
+    ply.text = True
+    out = io.BytesIO()
+    ply.write(out)
+    return out.getvalue()
+
+
+def damaged(rng: Generator, data: bytes) -> bytes:
+    """Data that lost something or says something else, down to what it is packed of."""
+    inside: Callable[[Generator, bytes], bytes] | None = None
+    if data[:2] == b"\x1f\x8b":
+        inside = _damaged_gzip
+    elif data[:4] == b"PK\x03\x04":
+        inside = _damaged_zip
+    elif data[:1] == b"{":
+        inside = _damaged_text_of_json
+    elif data[:4] == b"ply\n":
+        inside = _damaged_header
+    if inside and rng.integers(4):
+        return inside(rng, data)
+    return _damaged_bytes(rng, data)
+
+
+def _damaged_bytes(rng: Generator, data: bytes) -> bytes:
+    """One change or a few, half of them near the beginning."""
+    out = bytearray(data)
+    for _ in range(one_of(rng, (1, 1, 1, 3, 20))):
+        place = int(rng.integers(min(len(out), one_of(rng, (64, 1 << 30))) or 1))
+        kind = rng.integers(5)
+        if kind == 0 and out:
+            out[place] ^= 1 << int(rng.integers(8))
+        elif kind == 1:
+            number = one_of(rng, NUMBERS)
+            out[place : place + len(number)] = number
+        elif kind == 2:
+            del out[place : place + one_of(rng, (1, 4, 100, len(out)))]
+        elif kind == 3:
+            out[place:place] = rng.bytes(one_of(rng, (1, 4, 100)))
+        else:
+            out[place : place + one_of(rng, (4, 100))] = out[:4]
+    return bytes(out)
+
+
+def _damaged_gzip(rng: Generator, data: bytes) -> bytes:
+    return gzip.compress(damaged(rng, gzip.decompress(data)), 1)
+
+
+def _damaged_zip(rng: Generator, data: bytes) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as whole, zipfile.ZipFile(out, "w") as bundle:
+        names = whole.namelist()
+        told = [name for name in names if name.endswith(".json")]
+        victim = one_of(rng, told if told and rng.integers(2) else names)
+        for name in names:
+            content = whole.read(name)
+            bundle.writestr(name, damaged(rng, content) if name == victim else content)
+    return out.getvalue()
+
+
+def _damaged_header(rng: Generator, data: bytes) -> bytes:
+    """A PLY of which a word of the header is another one of it, or a number."""
+    header, end, rows = data.partition(b"end_header\n")
+    words = header.split(b" ")
+    words[int(rng.integers(len(words)))] = one_of(rng, [*words, *WORDS])
+    return b" ".join(words) + end + rows
+
+
+def _damaged_text_of_json(rng: Generator, data: bytes) -> bytes:
+    return json.dumps(_damaged_json(rng, json.loads(data))).encode()
+
+
+def _damaged_json(rng: Generator, value: Any) -> Any:
+    """The value with one of its parts replaced or missing."""
+    if not value or not isinstance(value, dict | list) or rng.random() < 0.1:
+        return one_of(rng, JSON_VALUES)
+    key = one_of(rng, list(value) if isinstance(value, dict) else range(len(value)))
+    if rng.random() < 0.15:
+        del value[key]
+    else:
+        value[key] = _damaged_json(rng, value[key])
+    return value

@@ -11,7 +11,8 @@ from rosplat_sorter.edits import decode
 from rosplat_sorter.map import SplatMap
 from rosplat_tools import messages
 from rosplat_tools.slot_map import SlotMap
-from rviz_gaussian_plugin.offscreen import BatchError, GaussianMap
+from rviz_gaussian_plugin.from_messages import apply
+from rviz_gaussian_plugin.offscreen import GaussianMap
 
 
 class Display:
@@ -21,22 +22,8 @@ class Display:
         self.map = GaussianMap()
 
     def take(self, message: GaussianArray) -> int | None:
-        floats = (
-            np.frombuffer(getattr(message, name), np.float32)
-            for name in ("positions", "orientations", "scales", "opacities", "sh")
-        )
-        origin = message.origin
-        try:
-            report = self.map.apply(
-                message.operation, message.first_slot, message.count,
-                np.frombuffer(message.slots, np.uint32), message.sh_degree, message.antialiased,
-                (origin.x, origin.y, origin.z), *floats, message.map_id, message.revision,
-                message.expected_slots, message.encoding, message.snapshot,
-            )  # fmt: skip
-        except BatchError as error:
-            raise ValueError(str(error)) from error
-        dropped: int = report["dropped"]
-        return None if report["duplicate"] else dropped
+        report = apply(self.map, message)
+        return None if report["duplicate"] else int(report["dropped"])
 
     def in_use(self, slot: int) -> bool:
         return bool(self.map.in_use(slot))

@@ -3,6 +3,7 @@
 import io
 import json
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,18 @@ APART = 10.0  # chunks, along x [m]
 ENVIRONMENT, ABOVE = 500, 100.0  # splats, and where they are [m]
 
 
-def write_scene(folder: Path, chunks: int = 4, environment: bool = False) -> Path:
+def write_scene(
+    folder: Path,
+    chunks: int = 4,
+    environment: bool = False,
+    levels: Sequence[int] = LEVELS,
+) -> Path:
     """A row of gardens, each a chunk, with a file for each level; returns its lod-meta.json.
 
     environment: another garden, high above them.
     """
     children: list[dict[str, Any]] = [{"lods": {}} for _ in range(chunks)]
-    for level, count in enumerate(LEVELS):
+    for level, count in enumerate(levels):
         parts = [garden(chunk, count) for chunk in range(chunks)]
         for chunk, part in enumerate(parts):
             low, high = part.positions.min(axis=0), part.positions.max(axis=0)
@@ -34,8 +40,8 @@ def write_scene(folder: Path, chunks: int = 4, environment: bool = False) -> Pat
         unpack(concatenate(parts), folder / f"{level}_0")
     meta: dict[str, Any] = {
         "version": 1,
-        "lodLevels": len(LEVELS),
-        "filenames": [f"{level}_0/meta.json" for level in range(len(LEVELS))],
+        "lodLevels": len(levels),
+        "filenames": [f"{level}_0/meta.json" for level in range(len(levels))],
         "tree": {"bound": children[0]["bound"], "children": children},
     }
     if environment:

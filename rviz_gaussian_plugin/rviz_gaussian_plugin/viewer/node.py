@@ -24,6 +24,7 @@ from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.splats import SceneError
+from rviz_gaussian_plugin.from_messages import apply, array, numbers
 from rviz_gaussian_plugin.offscreen import OrderSource, Renderer
 from rviz_gaussian_plugin.viewer.orbit import Sample
 
@@ -157,15 +158,7 @@ class Viewer(Node):
             )
 
     def _take(self, message: GaussianArray) -> None:
-        report = self.renderer.apply(
-            message.operation, message.first_slot, message.count,
-            _array(message.slots, np.uint32), message.sh_degree, message.antialiased,
-            (message.origin.x, message.origin.y, message.origin.z),
-            _array(message.positions), _array(message.orientations), _array(message.scales),
-            _array(message.opacities), _array(message.sh),
-            message.map_id, message.revision, message.expected_slots, message.encoding,
-            message.snapshot,
-        )  # fmt: skip
+        report = apply(self.renderer, message)
         if report["duplicate"]:
             return
         if report["missed"] or report["dropped"]:
@@ -177,7 +170,7 @@ class Viewer(Node):
         if message.operation == GaussianArray.REPLACE:
             self._sample = Sample()
         origin = np.array([message.origin.x, message.origin.y, message.origin.z])
-        self._sample.add(_array(message.positions).reshape(-1, 3), origin)
+        self._sample.add(array(message.positions).reshape(-1, 3), origin)
         self.frame_id = message.header.frame_id
         self.last_batch = time.monotonic()
 
@@ -191,7 +184,7 @@ class Viewer(Node):
         )  # fmt: skip
         try:
             if message.encoding == SplatOrder.SLOTS:
-                self.renderer.set_order(*order, _array(message.slots, np.uint32))
+                self.renderer.set_order(*order, array(message.slots, np.uint32))
             else:
                 self.renderer.read_order(
                     *order, message.encoding, message.packed, message.count, message.slot_bits,
@@ -237,13 +230,7 @@ class Viewer(Node):
         view_id = f"{self._instance}/{name}"
         self._sequence += 1
         camera.view_id, camera.sequence = view_id, self._sequence
-        position, orientation = camera.pose.position, camera.pose.orientation
-        self.renderer.set_camera(
-            view_id, self._sequence, (position.x, position.y, position.z),
-            (orientation.x, orientation.y, orientation.z, orientation.w), camera.projection,
-            camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height,
-            camera.near_clip, camera.far_clip,
-        )  # fmt: skip
+        self.renderer.set_camera(view_id, self._sequence, *numbers(camera))
         self._ask(camera)
         return view_id
 
@@ -370,11 +357,6 @@ class _Request:
 
     def __post_init__(self) -> None:
         self.done = threading.Event()
-
-
-def _array(values: object, dtype: type = np.float32) -> NDArray[np.generic]:
-    """A message's array without a copy."""
-    return np.frombuffer(values, dtype=dtype)  # type: ignore[call-overload, no-any-return]
 
 
 def _image(pixels: NDArray[np.float32], encoding: str) -> Image:
