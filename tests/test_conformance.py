@@ -30,7 +30,7 @@ class Display:
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        x, y, z = self.map.origin
+        x, y, z = self.map.origin() or (0.0, 0.0, 0.0)
         return x, y, z
 
     @property

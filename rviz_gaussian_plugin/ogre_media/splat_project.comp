@@ -37,7 +37,7 @@ vec3 coefficient(uint word) {
               bitfieldExtract(int(word), 22, 10)) / vec3(1023.0, 1023.0, 511.0);
 }
 
-// Spherical harmonics in the map's frame (Kerbl et al. 2023).
+// Spherical harmonics in the group's frame (Kerbl et al. 2023).
 vec3 trainedColour(uint slot, vec3 direction) {
   float x = direction.x, y = direction.y, z = direction.z;
   float xx = x * x, yy = y * y, zz = z * z;
@@ -72,19 +72,20 @@ vec3 trainedColour(uint slot, vec3 direction) {
   return radiance(c + 0.5);
 }
 
-vec3 colour(uint slot, vec3 direction, vec3 scale, mat3 orientation, float opacity) {
+vec3 colour(uint slot, uint group, vec3 direction, vec3 scale, mat3 orientation, float opacity) {
   if (view.mode == kOpacity) return turbo(opacity);
   if (view.mode == kAge) return turbo(1.0 - slotAge(slot, view.now) / view.age_range);
   if (view.mode == kNormals) {
     int shortest = scale.x <= scale.y && scale.x <= scale.z ? 0 : scale.y <= scale.z ? 1 : 2;
     vec3 normal = orientation[shortest];
-    return 0.5 + 0.5 * (dot(normal, direction) > 0.0 ? -normal : normal);
+    mat3 in_map = rotationOf(groups[group].to_box);
+    return 0.5 + 0.5 * (in_map * (dot(normal, direction) > 0.0 ? -normal : normal));
   }
   return trainedColour(slot, direction);
 }
 
 // The ellipse of a slot, of opacity 0 where nothing of it is in the picture.
-Ellipse project(uint slot, vec3 mean, vec3 p) {
+Ellipse project(uint slot, uint group, vec3 mean, vec3 p) {
   Ellipse e = Ellipse(vec2(0.0), p.z, vec2(0.0), 0.0, vec3(0.0), 0.0);
   float trained_opacity = slotOpacity(slot);
   float opacity = view.opacity_modifier * trained_opacity;
@@ -108,7 +109,7 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   vec3 scale = view.scale_modifier * slotScale(slot);
   if (view.mode == kBillboard) scale = vec3((scale.x + scale.y + scale.z) / 3.0);
   mat3 orientation = rotationMatrix(slotRotation(slot));
-  mat3 axes = view.rotation * orientation;
+  mat3 axes = rotationOf(groups[group].to_camera) * orientation;
   vec3 mx = (jx * axes) * scale;
   vec3 my = (jy * axes) * scale;
   vec3 area = cross(mx, my);
@@ -136,17 +137,18 @@ Ellipse project(uint slot, vec3 mean, vec3 p) {
   }
   e.major = sqrt(major) * axis;
   e.minor = sqrt(minor);
-  vec3 direction = view.orthographic ? view.eye : normalize(mean - view.eye);
-  e.colour = colour(slot, direction, scale, orientation, trained_opacity);
+  vec3 eye = groups[group].eye.xyz;
+  vec3 direction = view.orthographic ? eye : normalize(mean - eye);
+  e.colour = colour(slot, group, direction, scale, orientation, trained_opacity);
   e.opacity = opacity;
   return e;
 }
 
 // The key of a slot's depth, if it is drawn. number: among those of all pages that are kept.
-uint projected(uint slot, uint number) {
+uint projected(uint slot, uint group, uint number) {
   vec3 mean = slotPosition(slot);
-  vec3 p = toCamera(mean);
-  Ellipse e = project(slot, mean, p);
+  vec3 p = transformed(groups[group].to_camera, mean);
+  Ellipse e = project(slot, group, mean, p);
   uint index = visibleIndex(number);
   if (index >= room) return kNone;
   keep(index, packEllipse(e));
@@ -165,7 +167,7 @@ void main() {
     group_farthest = 0u;
   }
   barrier();
-  if (isVisible(number)) key = projected(slot, number);
+  if (isVisible(number)) key = projected(slot, page.group, number);
   if (key != kNone) {
     atomicMin(group_nearest, key);
     atomicMax(group_farthest, key);

@@ -1,14 +1,10 @@
 // What the shaders of a frame share; view_block.hpp has the same.
 layout(std140) uniform View {
-  mat3 rotation;  // map -> camera: x right, y down, z forward
-  vec3 translation;
-  bool orthographic;
-  vec3 eye;  // the camera in the map's frame; orthographic: its forward direction
-  int mode;  // as in DrawMode
-  vec3 box_centre;  // of what is kept of the map [m]
+  vec3 box_size;  // of what is kept of the map [m]
   bool clip_to_box;
-  vec3 box_size;        // [m]
-  float near_fade;      // [m]
+  bool orthographic;
+  int mode;         // as in DrawMode
+  float near_fade;  // [m]
   vec2 clip;            // near, far [m]
   vec2 focal;           // [px], orthographic [px/m]
   vec2 offset, half_size, slope;  // as in the sorters' test
@@ -26,10 +22,3 @@ layout(std140) uniform View {
   float now;         // as slotAge() reads it
   float age_range;   // what is old [s]
 } view;
-
-// With the sorters' arithmetic, operation by operation.
-vec3 toCamera(vec3 mean) {
-  precise vec3 p = ((view.rotation[0] * mean.x + view.rotation[1] * mean.y) + view.rotation[2] * mean.z) +
-                   view.translation;
-  return p;
-}

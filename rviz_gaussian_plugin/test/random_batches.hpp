@@ -11,12 +11,12 @@ namespace rosplat {
 
 // A batch with arrays of its own; its views look into them once look() is called.
 struct OwnedBatch : GaussianBatch {
-  std::vector<std::uint32_t> slot_list;
+  std::vector<std::uint32_t> slot_list, group_list;
   std::vector<float> position, orientation, scale, opacity, harmonics;
 
-  // Good splats of random positions for all of `count`; nothing for a DELETE.
+  // Good splats of random positions for all of `count`; nothing for a DELETE or a MOVE.
   void fill(std::mt19937& random) {
-    const std::size_t n = operation == DELETE ? 0 : count;
+    const std::size_t n = operation >= DELETE ? 0 : count;
     std::uniform_real_distribution<float> place(-10, 10), part(0.01f, 1);
     position.resize(3 * n);
     for (float& x : position) x = place(random);
@@ -31,6 +31,7 @@ struct OwnedBatch : GaussianBatch {
 
   void look() {
     slots = {slot_list.data(), slot_list.size()};
+    groups = {group_list.data(), group_list.size()};
     positions = {position.data(), position.size()};
     orientations = {orientation.data(), orientation.size()};
     scales = {scale.data(), scale.size()};
@@ -38,6 +39,20 @@ struct OwnedBatch : GaussianBatch {
     sh = {harmonics.data(), harmonics.size()};
   }
 };
+
+// Makes a batch a MOVE of some of the groups below a number, each once.
+inline void chooseMoves(OwnedBatch& batch, std::uint32_t below, std::mt19937& random) {
+  std::uniform_real_distribution<double> unit(-1, 1);
+  batch.operation = GaussianBatch::MOVE;
+  batch.first_slot = batch.count = 0;
+  batch.slot_list.clear();
+  for (std::uint32_t group = 0; group < below; ++group) {
+    if (unit(random) < 0) continue;
+    batch.group_list.push_back(group);
+    batch.poses.push_back({{10 * unit(random), 10 * unit(random), 10 * unit(random)},
+                           {unit(random), unit(random), unit(random), 1.1 + unit(random)}});
+  }
+}
 
 // Which slots a batch touches: a range or a list, which may name a slot twice.
 inline void chooseSlots(OwnedBatch& batch, std::uint32_t below, std::uint32_t most,

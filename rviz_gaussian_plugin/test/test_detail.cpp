@@ -55,10 +55,10 @@ struct Plain {
     return picture;
   }
   double errorFor(double splats) const {
-    return errorForSplats(levels, request.camera, {}, {}, splats);
+    return errorForSplats(levels, request.camera, slots.index().groups(), {}, splats);
   }
   double choose(DetailControl& control, const Detail& detail, bool at_once = false) const {
-    return control.choose(detail, at_once, levels, request.camera, {}, {});
+    return control.choose(detail, at_once, levels, request.camera, slots.index().groups(), {});
   }
 
   GaussianMap map;

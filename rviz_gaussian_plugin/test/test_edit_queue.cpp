@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "map/edit_queue.hpp"
+#include "map/slot_pages.hpp"
 #include "random_batches.hpp"
 
 using namespace rosplat;
@@ -21,13 +22,22 @@ constexpr std::uint32_t kSlots = 3000;
 class Model {
  public:
   void apply(const GaussianEdit& edit) {
-    if (edit.clear) slots_.clear();
+    if (edit.clear) slots_.clear(), poses_.clear();
+    for (const GroupMove& move : edit.moves) poses_[move.group] = move.pose.position;
     std::size_t i = 0;
     forEachSlot(edit.runs, [&](std::uint32_t slot) {
       if (edit.sh_degree < 0) {
         slots_.erase(slot);
       } else {
+        std::uint32_t& group = blocks_[slot / SlotPage::kSlots];
+        if (group != edit.group) {
+          const std::uint32_t first = slot - slot % SlotPage::kSlots;
+          slots_.erase(slots_.lower_bound(first), slots_.lower_bound(first + SlotPage::kSlots));
+          group = edit.group;
+        }
         Slot& held = slots_[slot] = {};
+        held.group = edit.group;
+        held.origin = edit.origin;
         const auto keep = [&](const std::vector<std::uint32_t>& words, std::size_t width) {
           for (std::size_t k = 0; k < width; ++k) {
             held.words.push_back(words.empty() ? 0 : words[width * i + k]);
@@ -41,18 +51,26 @@ class Model {
       ++i;
     });
   }
-  bool operator==(const Model& o) const { return slots_ == o.slots_; }
+  bool operator==(const Model& o) const { return slots_ == o.slots_ && poses_ == o.poses_; }
+
+  using Poses = std::map<std::uint32_t, std::array<double, 3>>;  // positions, by group
+  const Poses& poses() const { return poses_; }
 
  private:
   struct Slot {
     std::vector<std::uint32_t> words;
     std::array<float, 3> position{};
     float extent = -1;
+    std::uint32_t group = 0;
+    std::array<double, 3> origin{};
     bool operator==(const Slot& o) const {
-      return words == o.words && position == o.position && extent == o.extent;
+      return words == o.words && position == o.position && extent == o.extent && group == o.group &&
+             origin == o.origin;
     }
   };
   std::map<std::uint32_t, Slot> slots_;
+  std::map<std::uint32_t, std::uint32_t> blocks_;  // groups
+  Poses poses_;
 };
 
 // What 300 edits, coalesced or not, may be made of.
@@ -66,6 +84,14 @@ OwnedBatch randomBatch(std::uint64_t revision, std::mt19937& random) {
                                 : GaussianBatch::UPSERT;
   batch.sh_degree = static_cast<std::uint8_t>(std::uniform_int_distribution<>(0, 3)(random));
   chooseSlots(batch, kSlots, chance(10) ? kSlots : 40, random);
+  batch.group = std::uniform_int_distribution<std::uint32_t>(0, 2)(random);
+  batch.origin[0] = std::uniform_int_distribution<>(0, 9)(random);
+  if (batch.operation == GaussianBatch::DELETE && chance(3)) {  // a block, for another group
+    batch.slot_list.clear();
+    batch.first_slot = batch.group * SlotPage::kSlots;
+    batch.count = SlotPage::kSlots;
+  }
+  if (batch.operation == GaussianBatch::UPSERT && chance(3)) chooseMoves(batch, 3, random);
   batch.fill(random);
   if (chance(3) && !batch.opacity.empty()) batch.opacity.front() = NAN;  // its slot becomes empty
   return batch;
@@ -85,17 +111,40 @@ TEST(EditQueue, WhatIsCoalescedLeavesWhatOneByOneDoes) {
     EditQueue queue(20000);  // bytes, so that most edits are coalesced
     Model one_by_one, drawn;
     MapState state;
+    std::vector<Model::Poses> poses{{}};  // by revision
     const auto take = [&] {
       const EditQueue::Waiting waiting = queue.pop();
       EXPECT_GE(waiting.state.revision, state.revision);
       EXPECT_EQ(waiting.edit->revision, waiting.state.revision);
       drawn.apply(*waiting.edit);
       state = waiting.state;
+      // Groups have never been where they were not, all at a time; and what is written is where it
+      // was when it was written.
+      EXPECT_NE(std::find(poses.begin(), poses.end(), drawn.poses()), poses.end());
+      const GaussianEdit& edit = *waiting.edit;
+      if (edit.sh_degree >= 0 && !edit.runs.empty()) {
+        const auto placeIn = [&edit](const Model::Poses& all) {
+          const auto found = all.find(edit.group);
+          return found == all.end() ? std::array<double, 3>{} : found->second;
+        };
+        EXPECT_EQ(placeIn(drawn.poses()), placeIn(poses[edit.revision]));
+      }
     };
     std::size_t most = 0;
     for (std::uint64_t revision = 1; revision <= 300; ++revision) {
-      const auto edit = apply(map, randomBatch(revision, random));
+      OwnedBatch batch = randomBatch(revision, random);
+      std::shared_ptr<const GaussianEdit> edit;
+      try {
+        edit = apply(map, batch);
+      } catch (const BatchError&) {  // another group's block
+        OwnedBatch nothing;
+        nothing.map_id = "map";
+        nothing.operation = GaussianBatch::DELETE;
+        nothing.revision = revision;
+        edit = apply(map, nothing);
+      }
       one_by_one.apply(*edit);
+      poses.push_back(one_by_one.poses());
       queue.push(EditQueue::node(edit, map.state()));
       most = std::max(most, queue.size());
       for (int i = std::uniform_int_distribution<>(-20, 2)(random); i > 0 && !queue.empty(); --i) {

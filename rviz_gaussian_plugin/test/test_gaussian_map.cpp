@@ -35,7 +35,7 @@ namespace {
 
 // A batch with arrays of its own; splat i sits at (i, 0, 0).
 struct Batch : GaussianBatch {
-  std::vector<std::uint32_t> slot_list;
+  std::vector<std::uint32_t> slot_list, group_list;
   std::vector<float> position, orientation, scale, opacity, harmonics;
 
   Batch(std::uint64_t revision, Operation what, std::uint32_t first, std::uint32_t n,
@@ -46,7 +46,7 @@ struct Batch : GaussianBatch {
     first_slot = first;
     count = n;
     sh_degree = degree;
-    if (what != DELETE) {
+    if (what == REPLACE || what == UPSERT) {
       position.resize(3 * n, 0.0f);
       orientation.resize(4 * n, 0.5f);
       scale.resize(3 * n, 0.1f);
@@ -59,6 +59,7 @@ struct Batch : GaussianBatch {
 
   void look() {
     slots = {slot_list.data(), slot_list.size()};
+    groups = {group_list.data(), group_list.size()};
     positions = {position.data(), position.size()};
     orientations = {orientation.data(), orientation.size()};
     scales = {scale.data(), scale.size()};
@@ -66,6 +67,19 @@ struct Batch : GaussianBatch {
     sh = {harmonics.data(), harmonics.size()};
   }
 };
+
+Batch inGroup(std::uint32_t group, Batch batch) {
+  batch.group = group;
+  return batch;
+}
+
+Batch moveOf(std::uint64_t revision, std::vector<std::uint32_t> groups) {
+  Batch batch(revision, GaussianBatch::MOVE, 0, 0);
+  batch.group_list = std::move(groups);
+  batch.poses.assign(batch.group_list.size(), {{1, 2, 3}, {0, 0, 2e-200, 2e-200}});
+  batch.look();
+  return batch;
+}
 
 class GaussianMapTest : public testing::Test {
  protected:
@@ -236,16 +250,85 @@ TEST_F(GaussianMapTest, RefusesBatchesThatContradictThemselves) {
   bad.look(), bad.opacities.size = 3, refuses(bad, "opacities");
   bad.look(), bad.sh_degree = 1, refuses(bad, "sh");
   bad = good, bad.look(), bad.sh_degree = 7, refuses(bad, "sh_degree");
-  bad = good, bad.look(), bad.operation = 3, refuses(bad, "operation");
+  bad = good, bad.look(), bad.operation = 4, refuses(bad, "operation");
   bad = good, bad.look(), bad.revision = 0, refuses(bad, "revision");
   bad = good, bad.look(), bad.encoding = 9, refuses(bad, "encoding");
   bad = good, bad.look(), bad.first_slot = kMaxSlots, refuses(bad, "first_slot");
   bad = good, bad.slot_list = {1, kMaxSlots}, bad.look(), refuses(bad, "slots");
   bad = good, bad.slot_list = {1}, bad.look(), refuses(bad, "slots");
   bad = good, bad.look(), bad.origin[1] = NAN, refuses(bad, "origin");
+  bad = good, bad.look(), bad.group = kMostGroups, refuses(bad, "group");
+  bad = good, bad.group_list = {1}, bad.look(), refuses(bad, "groups");
+  bad = good, bad.look(), bad.poses.resize(1), refuses(bad, "poses");
+  const Batch move = moveOf(7, {3, 9});
+  bad = move, bad.group_list = {3, 3}, bad.look(), refuses(bad, "groups");
+  bad = move, bad.group_list = {3, kMostGroups}, bad.look(), refuses(bad, "groups");
+  bad = move, bad.look(), bad.poses.pop_back(), refuses(bad, "poses");
+  bad = move, bad.look(), bad.poses[1].position[2] = NAN, refuses(bad, "poses");
+  bad = move, bad.look(), bad.poses[1].orientation[0] = INFINITY, refuses(bad, "poses");
+  bad = move, bad.look(), bad.poses[0].orientation = {}, refuses(bad, "poses");
+  bad = move, bad.look(), bad.count = 1, refuses(bad, "count");
+  bad = move, bad.slot_list = {1}, bad.look(), refuses(bad, "slots");
+  bad = move, bad.opacity = {1}, bad.look(), refuses(bad, "opacities");
   bad = Batch(7, GaussianBatch::DELETE, 0, 2);
   bad.position.resize(6), bad.look(), refuses(bad, "positions");
   EXPECT_EQ(map.state().revision, 0u);  // none of them left a trace
+}
+
+TEST_F(GaussianMapTest, ABlockIsOfOneGroupUntilItIsEmpty) {
+  apply(inGroup(1, Batch(1, GaussianBatch::REPLACE, 2040, 20)));  // of two blocks
+  apply(inGroup(2, Batch(2, GaussianBatch::UPSERT, 3072, 5)));
+  EXPECT_EQ(map.state().groups, 2u);
+  Batch both = inGroup(2, Batch(3, GaussianBatch::UPSERT, 0, 2));
+  both.slot_list = {3080, 2060};  // the latter isn't in use, but its block is
+  both.look();
+  try {
+    apply(both);
+    ADD_FAILURE();
+  } catch (const BatchError& error) {
+    EXPECT_STREQ(error.what(),
+                 "group is 2, but slots 2048 to 3071 hold splats of group 1: delete them first");
+  }
+  EXPECT_EQ(map.state().splats, 25u);
+  EXPECT_FALSE(map.inUse(3080));
+  apply(Batch(3, GaussianBatch::DELETE, 2048, 1000));
+  EXPECT_EQ(apply(both)->group, 2u);
+  EXPECT_THROW(apply(inGroup(2, Batch(4, GaussianBatch::UPSERT, 0, 2000))), BatchError);
+  apply(inGroup(2, Batch(4, GaussianBatch::REPLACE, 0, 2048)));  // which forgets all
+  EXPECT_EQ(map.state().groups, 1u);
+}
+
+TEST_F(GaussianMapTest, AGroupHasItsOwnOrigin) {
+  Batch first = inGroup(5, Batch(1, GaussianBatch::REPLACE, 0, 1));
+  first.origin = {4.5e6, 0, 0};
+  apply(first);
+  Batch other = inGroup(6, Batch(2, GaussianBatch::UPSERT, 1024, 1));
+  other.origin = {-7e6, 0, 0};
+  EXPECT_EQ(apply(other)->origin, other.origin);
+  Batch again = inGroup(5, Batch(3, GaussianBatch::UPSERT, 1, 1));
+  again.origin = {4.5e6 + 0.125, 0, 0};
+  const auto edit = apply(again);
+  EXPECT_EQ(edit->origin, first.origin);
+  EXPECT_EQ(edit->positions[0], 0.125f);
+}
+
+TEST_F(GaussianMapTest, PosesStayUntilTheMapBeginsAnew) {
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 5));
+  const auto edit = apply(moveOf(2, {32767, 0}));
+  ASSERT_EQ(edit->moves.size(), 2u);
+  EXPECT_TRUE(edit->runs.empty());
+  EXPECT_EQ(edit->revision, 2u);
+  EXPECT_EQ(edit->moves[0].group, 32767u);
+  EXPECT_DOUBLE_EQ(edit->moves[0].pose.orientation[3], std::sqrt(0.5));
+  apply(Batch(3, GaussianBatch::DELETE, 0, 5));
+  // A quarter turn about z.
+  ASSERT_TRUE(map.groups().find(0));
+  const auto there = map.groups().find(0)->inMap(std::array<double, 3>{10, 20, 30});
+  EXPECT_NEAR(there[0], 1 - 20, 1e-12);
+  EXPECT_NEAR(there[1], 2 + 10, 1e-12);
+  EXPECT_NEAR(there[2], 3 + 30, 1e-12);
+  apply(Batch(4, GaussianBatch::REPLACE, 0, 0));
+  EXPECT_FALSE(map.groups().find(0));
 }
 
 // Wherever memory runs out, a batch leaves no trace, and the next one says that it is missing.
@@ -256,6 +339,8 @@ TEST_F(GaussianMapTest, IsUnchangedByABatchThatMemoryIsLackingFor) {
   batches.push_back(batches.back());
   batches.back().slot_list.resize(300);
   for (std::uint32_t i = 0; i < 300; ++i) batches.back().slot_list[i] = 2 * i;
+  batches.push_back(inGroup(9, Batch(2, GaussianBatch::UPSERT, 5000, 300)));
+  batches.push_back(moveOf(2, {1, 2, 3}));
   const Batch later(3, GaussianBatch::UPSERT, 0, 1);
   for (Batch& batch : batches) {
     batch.look();
@@ -273,6 +358,7 @@ TEST_F(GaussianMapTest, IsUnchangedByABatchThatMemoryIsLackingFor) {
         EXPECT_EQ(trial.state().splats, 10u);
         EXPECT_EQ(trial.state().capacity, 10u);
         EXPECT_EQ(trial.state().sh_degree, 0);
+        EXPECT_EQ(trial.groups().all().size(), 1u);
         EXPECT_FALSE(trial.apply(later, missed)->clear);
         EXPECT_EQ(missed.missed, 1u);
         EXPECT_EQ(trial.state().splats, 10u);

@@ -29,10 +29,20 @@ SplatCamera camera() {
   return camera;
 }
 
+// A map's only group.
+Groups groupAt(const std::array<double, 3>& origin) {
+  Groups groups;
+  groups.write(7, origin);
+  return groups;
+}
+
 std::string said(const MapSample& sample, const SplatCamera& from = camera(),
-                 const RenderSettings& settings = {}, const MapState& map = {}) {
+                 const RenderSettings& settings = {}, const MapState& map = {},
+                 const Groups& groups = groupAt({})) {
   std::string text;
-  for (const std::string& sentence : hardRegimes(map, sample, settings, {from})) text += sentence;
+  for (const std::string& sentence : hardRegimes(map, sample, groups, settings, {from})) {
+    text += sentence;
+  }
   return text;
 }
 
@@ -50,11 +60,12 @@ TEST(HardRegimes, areNotFoundInAnOrdinaryView) {
 TEST(HardRegimes, holdPositionsWhoseFloatsAreCoarserThanTheirSplats) {
   EXPECT_FALSE(tells(said(sampleOf(decimetre(1e4f))), "origin"));
   EXPECT_TRUE(tells(said(sampleOf(decimetre(1e6f))), "relative to an origin"));
-  MapState rebased;
-  rebased.origin = {1e6, 0, 0};  // what floats keep is small
   SplatCamera there = camera();
   there.translation[0] = -1e6;
-  EXPECT_EQ(said(sampleOf(decimetre()), there, {}, rebased), "");
+  EXPECT_EQ(said(sampleOf(decimetre()), there, {}, {}, groupAt({1e6, 0, 0})), "");  // floats small
+  Groups placed = groupAt({});
+  placed.move({7, {{1e6, 0, 0}, {0, 0, 0, 1}}});
+  EXPECT_EQ(said(sampleOf(decimetre()), there, {}, {}, placed), "");
 }
 
 TEST(HardRegimes, holdPerspectivesOfMoreThan100Degrees) {

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <map>
@@ -7,6 +8,7 @@
 #include <random>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "cpu/cpu_rasterizer.hpp"
@@ -41,6 +43,7 @@ struct Scene {
     batch.count = static_cast<std::uint32_t>(numbers.size());
     batch.slots = {numbers.data(), numbers.size()};
     batch.sh_degree = 1;
+    batch.group = group;
     batch.positions = {positions.data(), positions.size()};
     batch.orientations = {orientations.data(), orientations.size()};
     batch.scales = {scales.data(), scales.size()};
@@ -59,6 +62,7 @@ struct Scene {
     send(GaussianBatch::DELETE);
   }
 
+  std::uint32_t group = 0;  // that is written to
   GaussianMap map;
   HostSlots slots;
   Levels levels;
@@ -77,12 +81,15 @@ struct Content {
   }
 };
 
-std::map<Cell, Content> nodesOf(const Levels& levels) {
+// Of a group, by index.
+std::map<Cell, Content> nodesOf(const Levels& levels, std::size_t group = 0) {
   std::map<Cell, Content> nodes;
+  if (group >= levels.groups().size()) return nodes;
   for (int level = 0; level < kLevels; ++level) {
     Cell before = 0;
-    for (const auto& page : levels.pages()[std::size_t(level)]) {
+    for (const auto& page : levels.groups()[group][std::size_t(level)]) {
       EXPECT_LE(page->cells.size(), SlotPage::kSlots);
+      EXPECT_EQ(page->bounds.group, group);
       for (std::size_t i = 0; i < page->cells.size(); ++i) {
         const Node node = page->node(i, 1);
         EXPECT_EQ(levelOf(node.cell), level);
@@ -115,7 +122,14 @@ void expectAsBuiltAtOnce(const Scene& scene) {
   for (const SlotPage& page : scene.slots.pages()) copy.apply(scene.slots.edit(page), 0);
   Levels levels(std::make_shared<ThreadTeam>(1));
   ASSERT_TRUE(levels.advance(copy, never));
-  EXPECT_TRUE(nodesOf(scene.levels) == nodesOf(levels));
+  const std::vector<Group>& groups = scene.slots.index().groups();
+  for (const Group& group : copy.index().groups()) {
+    const auto same = std::find_if(groups.begin(), groups.end(),
+                                   [&](const Group& o) { return o.number == group.number; });
+    EXPECT_TRUE(nodesOf(scene.levels, std::size_t(same - groups.begin())) ==
+                nodesOf(levels, std::size_t(&group - copy.index().groups().data())));
+  }
+  EXPECT_EQ(scene.levels.nodes(), levels.nodes());
   EXPECT_EQ(parentsOf(scene.slots), parentsOf(copy));
 }
 
@@ -211,19 +225,33 @@ TEST(Levels, AfterAnyEditsAreThoseOfAMapBuiltAtOnce) {
     const std::uint32_t most_slots = seed % 2 == 0 ? 6000 : kMaxSlots - 1;  // sparse pages
     Scene scene(1 + seed % 3);
     std::set<std::uint32_t> used;
+    std::map<std::uint32_t, std::uint32_t> group_of;  // by page: another as soon as it is empty
     for (int edit = 0; edit < 12; ++edit) {
       if (unit(random) < 0.3f && !used.empty()) {
         std::vector<std::uint32_t> gone;
         for (const std::uint32_t slot : used) {
-          if (unit(random) < 0.4f) gone.push_back(slot);
+          const bool page_goes = slot / SlotPage::kSlots % 4 == std::uint32_t(edit) % 4;
+          if (page_goes || unit(random) < 0.4f) gone.push_back(slot);
         }
         for (const std::uint32_t slot : gone) used.erase(slot);
+        for (auto& [page, group] : group_of) {
+          const auto first = used.lower_bound(page * SlotPage::kSlots);
+          const bool empty = first == used.end() || *first / SlotPage::kSlots != page;
+          if (empty) group = std::uint32_t(3 * unit(random));
+        }
         scene.remove(gone);
       } else {
         const int count = int(3000 * std::pow(unit(random), 3.0f)) + 1;
+        std::map<std::uint32_t, std::vector<std::uint32_t>> slots;  // by group
         for (int i = 0; i < count; ++i) {
           auto slot = std::uint32_t(unit(random) * float(most_slots));
           if (seed % 2 == 1) slot = slot % 50 * 600000 + slot % 40;  // of a few pages
+          const std::uint32_t page = slot / SlotPage::kSlots;
+          slots[group_of.emplace(page, page % 3).first->second].push_back(slot);
+        }
+        bool anew = edit == 6 && seed % 4 == 1;
+        if (anew) used.clear();
+        const auto write = [&](std::uint32_t slot) {
           used.insert(slot);
           const float size = 0.01f * spread * std::exp(4 * unit(random) - 2);
           scene.write(slot,
@@ -232,10 +260,12 @@ TEST(Levels, AfterAnyEditsAreThoseOfAMapBuiltAtOnce) {
                       {size, size * unit(random), size * unit(random)},
                       unit(random) < 0.1f ? 0.001f : unit(random),
                       {unit(random), unit(random), unit(random), unit(random) + 0.1f});
+        };
+        for (const auto& [group, of_group] : slots) {
+          scene.group = group;
+          for (const std::uint32_t slot : of_group) write(slot);
+          scene.send(std::exchange(anew, false) ? GaussianBatch::REPLACE : GaussianBatch::UPSERT);
         }
-        const bool anew = edit == 6 && seed % 4 == 1;
-        if (anew) used = {scene.numbers.begin(), scene.numbers.end()};
-        scene.send(anew ? GaussianBatch::REPLACE : GaussianBatch::UPSERT);
       }
       // It is interrupted at will, and edits go on meanwhile.
       int patience = int(6 * unit(random));

@@ -3,8 +3,8 @@
 #include <random>
 #include <vector>
 
-#include "map/page_view.hpp"
-#include "order/built_in_sorter.hpp"
+#include "map/seen_group.hpp"
+#include "rosplat_sorter/depth_order.hpp"
 
 namespace rosplat {
 namespace {
@@ -39,8 +39,7 @@ SplatCamera camera(bool orthographic) {
 
 TEST(PageView, LosesNoPageOfWhichASplatIsSeenAndMostOfTheOthers) {
   for (const bool orthographic : {false, true}) {
-    const rosplat_sorter::View view = sorterView(camera(orthographic), {0, 0, 0}, 1.0);
-    const PageView pages(view, {}, {0, 0, 0});
+    const SeenGroup group(camera(orthographic), {}, {});
     rosplat_sorter::DepthOrder sorter(1);
     std::mt19937 random(5);
     std::uniform_real_distribution<float> where(-40, 40), log_size(-6, 0);
@@ -49,8 +48,8 @@ TEST(PageView, LosesNoPageOfWhichASplatIsSeenAndMostOfTheOthers) {
       const Page page(random, {where(random), where(random), where(random)},
                       std::exp(log_size(random)), std::exp(log_size(random)));
       const bool shown =
-          !sorter.sort(view, page.positions.data(), page.extents.data(), kSplats).empty();
-      const bool may_show = pages.mayShow(page.bounds());
+          !sorter.sort(group.view, page.positions.data(), page.extents.data(), kSplats).empty();
+      const bool may_show = group.pages.mayShow(page.bounds());
       EXPECT_TRUE(may_show || !shown) << i;
       seen += shown;
       kept += may_show;
@@ -62,7 +61,6 @@ TEST(PageView, LosesNoPageOfWhichASplatIsSeenAndMostOfTheOthers) {
 
 TEST(PageView, LeavesOutWhatIsOutsideOfTheBox) {
   std::mt19937 random(5);
-  const rosplat_sorter::View view = sorterView(camera(true), {0, 0, 0}, 1.0);
   const SplatCamera all = camera(true);
   // In the middle of the picture, ten metres away.
   std::array<float, 3> centre{};
@@ -71,23 +69,41 @@ TEST(PageView, LeavesOutWhatIsOutsideOfTheBox) {
       centre[k] += float(all.rotation[3 * i + k] * ((i == 2 ? 10 : 0) - all.translation[i]));
     }
   }
+  // In a group that is 100 metres away, turned by 45 degrees about z; the camera is there, too.
+  const double half_turn = M_PI / 8;
+  Group group;
+  group.pose = {{100, 0, 0}, {0, 0, std::sin(half_turn), std::cos(half_turn)}};
+  group.place = makePlacement(group.pose.position, group.pose.orientation);
+  const std::array<double, 3> there{-group.place.rotation[0] * 100, -group.place.rotation[1] * 100,
+                                    -group.place.rotation[2] * 100};
+  const Placement back{
+      {group.place.rotation[0], group.place.rotation[3], group.place.rotation[6],
+       group.place.rotation[1], group.place.rotation[4], group.place.rotation[7], 0, 0, 1},
+      there};
+  const SplatCamera from = inFrameOf(back, all);
   const Page page(random, centre, 0.5f, 0.1f);
+  const auto mayShow = [&](const ClipBox& box) {
+    return SeenGroup(from, group, box).pages.mayShow(page.bounds());
+  };
+  const std::array<double, 3> middle = group.place({centre[0], centre[1], centre[2]});
   ClipBox box;
-  box.centre = centre;
-  const std::array<double, 3> origin{100, 0, 0};
-  box.centre[0] += 100;
-  EXPECT_TRUE(PageView(view, box, origin).mayShow(page.bounds()));
+  for (int i = 0; i < 3; ++i) box.centre[i] = float(middle[i]);
+  EXPECT_TRUE(mayShow(box));
   box.enabled = true;
-  EXPECT_TRUE(PageView(view, box, origin).mayShow(page.bounds()));
-  box.centre[1] += 1.1f;  // 0.5 each
-  EXPECT_FALSE(PageView(view, box, origin).mayShow(page.bounds()));
+  EXPECT_TRUE(mayShow(box));
+  box.centre[1] += 1.1f;  // 0.5 of the box, 0.7 of what is turned
+  EXPECT_TRUE(mayShow(box));
+  box.centre[1] += 0.2f;
+  EXPECT_FALSE(mayShow(box));
+  box.enabled = false;
+  EXPECT_TRUE(mayShow(box));
 }
 
 TEST(PageView, ShowsNoPageThatNothingCanBeSeenOf) {
   SlotPage page;
   page.least.fill(-1000);
   page.most.fill(1000);
-  const PageView view(sorterView(camera(false), {0, 0, 0}, 1.0), {}, {0, 0, 0});
+  const PageView view = SeenGroup(camera(false), {}, {}).pages;
   EXPECT_FALSE(view.mayShow(page));
   page.extent = 0;
   EXPECT_TRUE(view.mayShow(page));

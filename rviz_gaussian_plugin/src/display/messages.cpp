@@ -9,6 +9,8 @@
 namespace rosplat {
 
 static_assert(kMaxSlots == rosplat_msgs::msg::GaussianArray::MAX_SLOTS);
+static_assert(kMostGroups == rosplat_msgs::msg::GaussianArray::MAX_GROUPS);
+static_assert(SlotPage::kSlots == rosplat_msgs::msg::GaussianArray::SLOTS_PER_BLOCK);
 static_assert(rosplat_sorter::kMostSlots == kMaxSlots);
 static_assert(rosplat_sorter::OrderReader::kPacked == rosplat_msgs::msg::SplatOrder::PACKED);
 static_assert(rosplat_sorter::OrderReader::kShared == rosplat_msgs::msg::SplatOrder::SHARED);
@@ -32,6 +34,13 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   batch.first_slot = message.first_slot;
   batch.count = message.count;
   batch.slots = view(message.slots);
+  batch.group = message.group;
+  batch.groups = view(message.groups);
+  for (const geometry_msgs::msg::Pose& pose : message.poses) {
+    const auto& p = pose.position;
+    const auto& q = pose.orientation;
+    batch.poses.push_back({{p.x, p.y, p.z}, {q.x, q.y, q.z, q.w}});
+  }
   batch.sh_degree = message.sh_degree;
   batch.encoding = message.encoding;
   batch.antialiased = message.antialiased;

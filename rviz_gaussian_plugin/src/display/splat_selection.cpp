@@ -139,7 +139,7 @@ void SplatSelection::read() {
   std::vector<std::uint32_t> slots(slots_.begin(), slots_.end());
   slots.resize(std::min(slots.size(), kOutlined));
   splats_ = cloud_.scene().readSlots(slots);
-  origin_ = map.origin;
+  if (!splats_.empty()) origin_ = splats_.front().position;
   follow();
 }
 

@@ -71,7 +71,7 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
   std::uint64_t read_revision_ = 0;
   std::chrono::steady_clock::time_point read_at_;
   bool shown_ = true;               // outlines and panel show what was read
-  std::array<double, 3> origin_{};  // the map's; outlines are relative to it, for Ogre's floats
+  std::array<double, 3> origin_{};  // among them; outlines are relative to it, for Ogre's floats
   Ogre::SceneNode* outline_node_;   // stands there
   std::unique_ptr<Ogre::ManualObject> outlines_;
   Ogre::MaterialPtr material_;

@@ -36,6 +36,12 @@ BatchReport take(OffscreenRenderer& renderer, const GaussianBatch& batch) {
   return renderer.scene().apply(batch);
 }
 
+// At the identity where it was never named.
+Group groupOf(const GaussianMap& map, std::uint32_t number) {
+  const Group* const group = map.groups().find(number);
+  return group ? *group : Group{};
+}
+
 BatchReport take(GaussianMap& map, const GaussianBatch& batch) {
   BatchReport report;
   map.apply(batch, report);
@@ -69,6 +75,18 @@ BatchReport take(CpuRenderer& renderer, const GaussianBatch& batch) {
   return report;
 }
 
+// 7 a group: position [m], quaternion x y z w.
+std::vector<Pose> posesOf(const Array<double>& values) {
+  const ArrayView<double> numbers = view(values);
+  if (numbers.size % 7 != 0) throw BatchError("poses are of 7 numbers each");
+  std::vector<Pose> poses(numbers.size / 7);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const double* const pose = &numbers[7 * i];
+    poses[i] = {{pose[0], pose[1], pose[2]}, {pose[3], pose[4], pose[5], pose[6]}};
+  }
+  return poses;
+}
+
 // To whatever takes batches.
 template <typename Target>
 py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
@@ -77,7 +95,8 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
                const Array<float>& orientations, const Array<float>& scales,
                const Array<float>& opacities, const Array<float>& sh, const std::string& map_id,
                std::uint64_t revision, std::uint32_t expected_slots, std::uint8_t encoding,
-               bool snapshot) {
+               bool snapshot, std::uint32_t group, const Array<std::uint32_t>& groups,
+               const Array<double>& poses) {
   GaussianBatch batch;
   batch.operation = operation;
   batch.first_slot = first_slot;
@@ -96,6 +115,9 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
   batch.expected_slots = expected_slots;
   batch.encoding = encoding;
   batch.snapshot = snapshot;
+  batch.group = group;
+  batch.groups = view(groups);
+  batch.poses = posesOf(poses);
   BatchReport report;
   {
     const py::gil_scoped_release release;
@@ -110,7 +132,8 @@ void defineApply(py::class_<Target>& type) {
   type.def("apply", &apply<Target>, "operation"_a, "first_slot"_a, "count"_a, "slots"_a,
            "sh_degree"_a, "antialiased"_a, "origin"_a, "positions"_a, "orientations"_a, "scales"_a,
            "opacities"_a, "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0,
-           "encoding"_a = 0, "snapshot"_a = false);
+           "encoding"_a = 0, "snapshot"_a = false, "group"_a = 0,
+           "groups"_a = Array<std::uint32_t>(0), "poses"_a = Array<double>(0));
 }
 
 SplatCamera cameraOf(const std::array<double, 3>& position,
@@ -196,9 +219,9 @@ py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>
   py::list splats;
   for (SplatValues& splat : renderer.scene().readSlots(slots)) {
     const auto floats = static_cast<py::ssize_t>(splat.sh.size());
-    splats.append(py::dict("slot"_a = splat.slot, "position"_a = splat.position,
-                           "orientation"_a = splat.orientation, "scale"_a = splat.scale,
-                           "opacity"_a = splat.opacity,
+    splats.append(py::dict("slot"_a = splat.slot, "group"_a = splat.group,
+                           "position"_a = splat.position, "orientation"_a = splat.orientation,
+                           "scale"_a = splat.scale, "opacity"_a = splat.opacity,
                            "sh"_a = toArray(std::move(splat.sh), {floats / 3, 3})));
   }
   return splats;
@@ -239,8 +262,8 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
       merge(renderer);
       request.levels = &renderer.levels;
       request.error =
-          renderer.detail.choose(detail, true, renderer.levels, camera, renderer.map.state().origin,
-                                 request.settings.clip_box);
+          renderer.detail.choose(detail, true, renderer.levels, camera,
+                                 renderer.slots.index().groups(), request.settings.clip_box);
       if (detail.kind == Detail::Kind::kSplats) request.most_splats = std::size_t(detail.amount);
     }
     renderer.rasterizer.draw(renderer.slots, renderer.map.state(), request, picture);
@@ -283,16 +306,23 @@ Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
   return toArray(std::move(picked), {camera.height, camera.width});
 }
 
-// The nodes of a level, by ascending cells: the width of these, their corners [m], and values as of
-// splats.
-py::dict nodesOf(const CpuRenderer& renderer, int level) {
+// The nodes of a level of a group, by ascending cells: the width of these, their corners [m], and
+// values as of splats.
+py::dict nodesOf(const CpuRenderer& renderer, int level, std::uint32_t group) {
   const int degree = renderer.slots.shDegree();
   std::vector<double> corners;
   std::vector<float> positions, orientations, scales, opacities, sh;
   const auto add = [](auto& all, const auto& values) {
     all.insert(all.end(), values.begin(), values.end());
   };
-  for (const auto& page : renderer.levels.pages().at(static_cast<std::size_t>(level))) {
+  const std::vector<Group>& groups = renderer.slots.index().groups();
+  const auto of = std::find_if(groups.begin(), groups.end(),
+                               [group](const Group& other) { return other.number == group; });
+  const auto index = static_cast<std::size_t>(of - groups.begin());
+  static const Levels::Nodes kNone;
+  const Levels::Nodes& nodes =
+      index < renderer.levels.groups().size() ? renderer.levels.groups()[index] : kNone;
+  for (const auto& page : nodes.at(static_cast<std::size_t>(level))) {
     for (std::size_t i = 0; i < page->cells.size(); ++i) {
       const Node node = page->node(i, degree);
       const Splat splat = unpackSlot(node.packed.words.data());
@@ -376,7 +406,18 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_property_readonly("revision", [](const GaussianMap& m) { return m.state().revision; })
       .def_property_readonly("splats", [](const GaussianMap& m) { return m.state().splats; })
       .def_property_readonly("missed", [](const GaussianMap& m) { return m.state().missed; })
-      .def_property_readonly("origin", [](const GaussianMap& m) { return m.state().origin; })
+      .def(
+          "origin",
+          [](const GaussianMap& m, std::uint32_t group) { return groupOf(m, group).origin; },
+          "group"_a = 0, "Of a group's positions, None where it never had splats. [m]")
+      .def(
+          "pose",
+          [](const GaussianMap& m, std::uint32_t group) {
+            const Pose pose = groupOf(m, group).pose;
+            return std::pair(pose.position, pose.orientation);
+          },
+          "group"_a, "Where a group is: position [m], quaternion x y z w.")
+      .def_property_readonly("groups", [](const GaussianMap& m) { return m.state().groups; })
       .def_property_readonly("antialiased",
                              [](const GaussianMap& m) { return m.state().antialiased; });
   defineApply(map);
@@ -435,6 +476,8 @@ PYBIND11_MODULE(_offscreen, module) {
                              [](OffscreenRenderer& r) { return r.scene().state().dropped; })
       .def_property_readonly("missed",
                              [](OffscreenRenderer& r) { return r.scene().state().missed; })
+      .def_property_readonly("groups",
+                             [](OffscreenRenderer& r) { return r.scene().state().groups; })
       .def_property_readonly("warning", [](OffscreenRenderer& r) { return r.scene().warning(); })
       .def("failed", &OffscreenRenderer::failed)
       .def_property_readonly("renderer_info", &OffscreenRenderer::graphics);
@@ -458,7 +501,7 @@ PYBIND11_MODULE(_offscreen, module) {
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "scene_depth"_a = py::none(),
            "translucent_depth"_a = py::none(), "order"_a = py::none())
       .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
-      .def("nodes", &nodesOf, "level"_a)
+      .def("nodes", &nodesOf, "level"_a, "group"_a = 0)
       .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })
       .def("pick", &pickOnCpu, "camera"_a, "scene_depth"_a = py::none())
       .def("contribute", &contributeOnCpu, "camera"_a, "scene_depth"_a = py::none())

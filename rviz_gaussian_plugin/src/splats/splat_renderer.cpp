@@ -38,6 +38,7 @@ void SplatRenderer::apply(const GaussianEdit& edit) {
 }
 
 void SplatRenderer::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
+  take(pages().moves());
   for (const SlotPage& page : pages().pages()) {
     if (store_.holds(page)) take(store_.edit(page));
   }

@@ -39,7 +39,7 @@ class SplatRenderer {
   void apply(const GaussianEdit& edit);
 
   const SlotPages& pages() const { return store_.pages(); }
-  // What writes the map elsewhere, a page of it at a time.
+  // What writes the map elsewhere: where its groups are, then a page of it at a time.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
 
   // Blends the splats, in an order or, without one, by the sorters' depth and with their ties,
@@ -72,7 +72,7 @@ class SplatRenderer {
   // What drawPick() found: width * height slots, top row first; kNoSlot where there is none.
   std::vector<std::uint32_t> readPick() const { return picker_.read(); }
 
-  // The values of slots as they are drawn, positions relative to the map's origin.
+  // The values of slots as they are drawn.
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
 
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.

@@ -93,7 +93,7 @@ Backlog SplatScene::backlog() const {
 std::vector<std::string> SplatScene::hardRegimes(const RenderSettings& settings,
                                                  const std::vector<SplatCamera>& cameras) const {
   const std::lock_guard lock(map_mutex_);
-  return rosplat::hardRegimes(map_.state(), map_.sample(), settings, cameras);
+  return rosplat::hardRegimes(map_.state(), map_.sample(), map_.groups(), settings, cameras);
 }
 
 // The processor rasterises where no graphics card does, or none that can.
@@ -428,13 +428,8 @@ void SplatScene::drawPick(const SplatCamera& camera, const RenderSettings& setti
 }
 
 std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {
-  std::vector<SplatValues> splats;
-  if (software_) splats = software_->readSlots(slots);
-  if (renderer_) splats = renderer_->readSlots(slots);
-  for (SplatValues& splat : splats) {
-    for (int i = 0; i < 3; ++i) splat.position[i] += drawn_map_.origin[i];
-  }
-  return splats;
+  if (software_) return software_->readSlots(slots);
+  return renderer_ ? renderer_->readSlots(slots) : std::vector<SplatValues>{};
 }
 
 void SplatScene::forget(const std::string& view_id) {

@@ -92,7 +92,7 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
   setViews(slots, map, request);
   double error = request.levels ? request.error : 0;
   while (true) {
-    choosePages(slots, map, request, error);
+    choosePages(slots, request, error);
     cull();
     const bool fits = !request.levels || candidates <= request.most_splats;
     if (fits || error > kMostError || cancelled()) break;

@@ -68,53 +68,52 @@ Vec3 select(Ints where, const Vec3& a, const Vec3& b) {
 }
 
 // Operation by operation as the sorters: see depth_order.hpp.
-Floats transform(const float* row, float translation, const Vec3& p) {
-  return ((row[0] * p.x + row[1] * p.y) + row[2] * p.z) + translation;
+Floats transform(const float* row, const Vec3& p) {
+  return ((row[0] * p.x + row[1] * p.y) + row[2] * p.z) + row[3];
 }
 
 // How wide a cell around a position is in the picture, at its nearest point [px].
-Floats errorOf(const CutView& cut, const Vec3& p, Floats cell) {
+Floats errorOf(const CutView& cut, const float* eye_at, const Vec3& p, Floats cell) {
   const auto outside = [&](Floats x, float eye) {
     const Floats least = floor(x / cell) * cell;
     return max(max(least - eye, eye - (least + cell)), Floats{});
   };
   if (cut.orthographic) return cut.focal * cell;
-  const Vec3 away = {outside(p.x, cut.eye[0]), outside(p.y, cut.eye[1]), outside(p.z, cut.eye[2])};
+  const Vec3 away = {outside(p.x, eye_at[0]), outside(p.y, eye_at[1]), outside(p.z, eye_at[2])};
   return cut.focal * cell / max(sqrt(dot(away, away)), all(1e-6f));
 }
 
 // The share of slots that a cut draws: see cut.hpp.
-Floats shareOf(const CutView& cut, const Vec3& p, Floats parent, float own) {
+Floats shareOf(const CutView& cut, const float* eye, const Vec3& p, Floats parent, float own) {
   const auto rise = [&](Floats error) {
     const Floats t = clamp((error - cut.from) * cut.over_span, Floats{}, all(1.0f));
     return t * t * (3.0f - 2.0f * t);
   };
-  const Floats coarser = rise(errorOf(cut, p, parent));
-  return own > 0.0f ? coarser - rise(errorOf(cut, p, all(own))) : coarser;
+  const Floats coarser = rise(errorOf(cut, eye, p, parent));
+  return own > 0.0f ? coarser - rise(errorOf(cut, eye, p, all(own))) : coarser;
 }
 
 std::size_t cull(const CullView& given, const PageSlots& page, std::uint32_t index,
                  Candidate* candidates) {
-  const CullView view = given;  // a copy that no store below can alias
+  const CullView view = given;  // copies that no store below can alias
+  const GroupView group = *page.group;
   Candidate* out = candidates;
   for (int i = 0; i < kSlots; i += kLanes) {
     const Vec3 p = {load(page.position[0] + i), load(page.position[1] + i),
                     load(page.position[2] + i)};
     const Floats extent = load(page.extent + i);
-    const Floats x = transform(view.rotation, view.translation[0], p);
-    const Floats y = transform(view.rotation + 3, view.translation[1], p);
-    const Floats z = transform(view.rotation + 6, view.translation[2], p);
+    const Floats x = transform(group.to_camera[0], p);
+    const Floats y = transform(group.to_camera[1], p);
+    const Floats z = transform(group.to_camera[2], p);
     const Floats w = view.orthographic ? all(1.0f) : z;
     Ints seen = (extent >= 0.0f) & (z > view.near_clip) & (z < view.far_clip);
     seen &= abs(view.fx * x + view.offset_x * w) <= view.half_width * w + view.slope_x * extent;
     seen &= abs(view.fy * y + view.offset_y * w) <= view.half_height * w + view.slope_y * extent;
     if (view.clip_to_box) {
-      seen &= abs(p.x - view.box_centre[0]) <= view.half_box[0];
-      seen &= abs(p.y - view.box_centre[1]) <= view.half_box[1];
-      seen &= abs(p.z - view.box_centre[2]) <= view.half_box[2];
+      for (int i = 0; i < 3; ++i) seen &= abs(transform(group.to_box[i], p)) <= view.half_box[i];
     }
     if (page.parents && any(seen)) {
-      seen &= shareOf(view.cut, p, load(page.parents + i), page.own_cell) > 0.0f;
+      seen &= shareOf(view.cut, group.eye, p, load(page.parents + i), page.own_cell) > 0.0f;
     }
     const Ints bits = (Ints)(z + 0.0f);  // the sum makes one depth of -0 and 0
     const Ints keys = bits ^ ((bits >> 31) | INT32_MIN);
@@ -192,7 +191,7 @@ struct Slot {
   Words word[6];  // 3 to 8
 };
 
-// Spherical harmonics in the map's frame (Kerbl et al. 2023).
+// Spherical harmonics in the group's frame (Kerbl et al. 2023).
 Vec3 trainedColour(const ProjectView& view, const PageSlots& page, const Slot& slot,
                    const Places& places, const Vec3& direction) {
   const auto wanted = [&](int band) {
@@ -228,9 +227,9 @@ Vec3 trainedColour(const ProjectView& view, const PageSlots& page, const Slot& s
   return {radiance(c.x + 0.5f), radiance(c.y + 0.5f), radiance(c.z + 0.5f)};
 }
 
-Vec3 colourOf(const ProjectView& view, const PageSlots& page, const Slot& slot,
-              const Places& places, const Vec3& mean, Floats depth, const Vec3& scale,
-              const Vec3* orientation, Floats opacity) {
+Vec3 colourOf(const ProjectView& view, const GroupView& group, const PageSlots& page,
+              const Slot& slot, const Places& places, const Vec3& mean, Floats depth,
+              const Vec3& scale, const Vec3* orientation, Floats opacity) {
   if (view.mode == kOpacity) return turbo(opacity);
   if (view.mode == kDepth) {
     const float range = view.depth_range[1] - view.depth_range[0];
@@ -241,7 +240,7 @@ Vec3 colourOf(const ProjectView& view, const PageSlots& page, const Slot& slot,
     ticks = ticks < 0.0f ? ticks + 65536.0f : ticks;
     return turbo(1.0f - 0.25f * ticks / view.age_range);
   }
-  Vec3 direction = {all(view.eye[0]), all(view.eye[1]), all(view.eye[2])};
+  Vec3 direction = {all(group.eye[0]), all(group.eye[1]), all(group.eye[2])};
   if (!view.orthographic) {
     direction = mean + all(-1.0f) * direction;
     direction = (1.0f / sqrt(dot(direction, direction))) * direction;
@@ -251,7 +250,9 @@ Vec3 colourOf(const ProjectView& view, const PageSlots& page, const Slot& slot,
                                select(scale.y <= scale.z, orientation[1], orientation[2]));
     const Floats half = dot(normal, direction) > 0.0f ? all(-0.5f) : all(0.5f);
     const Vec3 c = half * normal;
-    return {0.5f + c.x, 0.5f + c.y, 0.5f + c.z};
+    const auto inMap = [&](const float* row) { return row[0] * c.x + row[1] * c.y + row[2] * c.z; };
+    return {0.5f + inMap(group.to_box[0]), 0.5f + inMap(group.to_box[1]),
+            0.5f + inMap(group.to_box[2])};
   }
   return trainedColour(view, page, slot, places, direction);
 }
@@ -288,18 +289,18 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
                  std::size_t count) {
   constexpr float kMargin =
       2.1f;  // of the low-pass filter, as kMarginPixels, and for rounding [px]
+  const GroupView group = *page.group;  // a copy that no store below can alias
   std::size_t n = 0;
-  for (std::size_t group = 0; group < count; group += kLanes) {
-    const int lanes = int(least(std::size_t(kLanes), count - group));
-    const Places places(places_of + group, lanes);
+  for (std::size_t first = 0; first < count; first += kLanes) {
+    const int lanes = int(least(std::size_t(kLanes), count - first));
+    const Places places(places_of + first, lanes);
     const Vec3 mean = {places.of(page.position[0]), places.of(page.position[1]),
                        places.of(page.position[2])};
     const Floats extent = places.of(page.extent);
-    const Floats z = transform(view.rotation + 6, view.translation[2], mean);
+    const Floats z = transform(group.to_camera[2], mean);
     const Floats over_w = view.orthographic ? all(1.0f) : 1.0f / z;
     const auto tilesAlong = [&](int axis, float focal, float centre, float slope, int tiles) {
-      const float* const row = view.rotation + 3 * axis;
-      const Floats at = focal * transform(row, view.translation[axis], mean) * over_w + centre;
+      const Floats at = focal * transform(group.to_camera[axis], mean) * over_w + centre;
       const Floats reach = slope * extent * over_w + kMargin;
       const Floats last = all(float(tiles - 1));
       return Span{toInts(clamp((at - reach) * (1.0f / kTile), Floats{}, last)),
@@ -321,8 +322,8 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
             max(gather(pyramid.open, bottom + left), gather(pyramid.open, bottom + right)));
     const Ints seen = windowDepthOf(project_view, z) <= open;
     for (int i = 0; i < lanes; ++i) {
-      const std::uint16_t place = places_of[group + std::size_t(i)];
-      numbers[n] = std::uint16_t(group + std::size_t(i));
+      const std::uint16_t place = places_of[first + std::size_t(i)];
+      numbers[n] = std::uint16_t(first + std::size_t(i));
       places_of[n] = place;
       n -= std::size_t(std::ptrdiff_t(seen[i]));
     }
@@ -333,23 +334,24 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
 std::size_t project(const ProjectView& given, const PageSlots& page, const std::uint16_t* places_of,
                     std::size_t count, Record* records, Footprint* footprints,
                     std::uint16_t* kept) {
-  const ProjectView view = given;  // a copy that no store below can alias
+  const ProjectView view = given;  // copies that no store below can alias
+  const GroupView group = *page.group;
   const bool balls = view.mode == kFlatBall || view.mode == kGaussianBall;
   std::size_t n = 0;
-  for (std::size_t group = 0; group < count; group += kLanes) {
-    const int lanes = int(least(std::size_t(kLanes), count - group));
-    const Places places(places_of + group, lanes);
+  for (std::size_t first_of = 0; first_of < count; first_of += kLanes) {
+    const int lanes = int(least(std::size_t(kLanes), count - first_of));
+    const Places places(places_of + first_of, lanes);
     const Vec3 mean = {places.of(page.position[0]), places.of(page.position[1]),
                        places.of(page.position[2])};
     Slot slot;
     for (int k = 0; k < 6; ++k) slot.word[k] = places.of(page.words + k * kSlots);
 
-    const Vec3 p = {transform(view.rotation, view.translation[0], mean),
-                    transform(view.rotation + 3, view.translation[1], mean),
-                    transform(view.rotation + 6, view.translation[2], mean)};
+    const Vec3 p = {transform(group.to_camera[0], mean), transform(group.to_camera[1], mean),
+                    transform(group.to_camera[2], mean)};
     const Floats trained_opacity = toFloats((Ints)(slot.word[0] & 0xffffu)) * page.opacity_unit;
     const Floats share =
-        page.parents ? shareOf(view.cut, mean, places.of(page.parents), page.own_cell) : all(1.0f);
+        page.parents ? shareOf(view.cut, group.eye, mean, places.of(page.parents), page.own_cell)
+                     : all(1.0f);
     Floats opacity = view.opacity_modifier * trained_opacity;
     if (view.near_fade > 0.0f) opacity *= min((p.z - view.near_clip) / view.near_fade, all(1.0f));
 
@@ -377,9 +379,11 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     }
     Vec3 orientation[3];
     orientationOf(slot.word[2], slot.word[3], orientation);
-    const float* const r = view.rotation;
-    const Vec3 rows[2] = {{jx * r[0] + jxz * r[6], jx * r[1] + jxz * r[7], jx * r[2] + jxz * r[8]},
-                          {jy * r[3] + jyz * r[6], jy * r[4] + jyz * r[7], jy * r[5] + jyz * r[8]}};
+    const auto& [right, down_of, ahead] = group.to_camera;
+    const Vec3 rows[2] = {{jx * right[0] + jxz * ahead[0], jx * right[1] + jxz * ahead[1],
+                           jx * right[2] + jxz * ahead[2]},
+                          {jy * down_of[0] + jyz * ahead[0], jy * down_of[1] + jyz * ahead[1],
+                           jy * down_of[2] + jyz * ahead[2]}};
     Vec3 m[2];
     for (int i = 0; i < 2; ++i) {
       m[i] = scale * Vec3{dot(rows[i], orientation[0]), dot(rows[i], orientation[1]),
@@ -421,7 +425,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     if (!any(seen)) continue;
 
     const Vec3 colour =
-        colourOf(view, page, slot, places, mean, p.z, scale, orientation, trained_opacity);
+        colourOf(view, group, page, slot, places, mean, p.z, scale, orientation, trained_opacity);
     const Floats per_sigma = all(kHalfLog2 / 4.0f);  // 4^2 is kSquared
     const Floats u = per_sigma / sqrt(major), v = per_sigma / sqrt(minor);
     static_assert(kSquared == 16);
@@ -485,7 +489,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
         footprint.lean = lean[i];
         footprint.rightmost = rightmost[i];
       }
-      kept[n] = std::uint16_t(group + std::size_t(i));
+      kept[n] = std::uint16_t(first_of + std::size_t(i));
       ++n;
     }
   }

@@ -6,6 +6,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "map/group_view.hpp"
+
 namespace rosplat::cpu {
 
 constexpr int kTile = 16;       // [px], in width and height
@@ -14,18 +16,17 @@ constexpr int kTilePixels = kTile * kTile;
 
 // A Cut.
 struct CutView {
-  float eye[3], focal, from, over_span;  // over_span: 1 / (to - from)
+  float focal, from, over_span;  // over_span: 1 / (to - from)
   bool orthographic;
 };
 
 // What a slot is tested with before anything else: rosplat_sorter::View, and a box.
 struct CullView {
-  float rotation[9], translation[3];
   float fx, fy, offset_x, offset_y, half_width, half_height, slope_x, slope_y;
   float near_clip, far_clip;
   bool orthographic;
   bool clip_to_box;
-  float box_centre[3], half_box[3];  // [m]
+  float half_box[3];  // [m]
   CutView cut;
 };
 
@@ -39,6 +40,7 @@ struct Candidate {
 struct PageSlots {
   const float* position[3];
   const float* extent;
+  const GroupView* group;
   const std::uint32_t* words;     // 3 to 8, all slots of each
   const std::uint32_t* bands[4];  // by coefficient, all slots of each
   const float* parents;           // widths of cells, or null where all is drawn in full [m]
@@ -49,7 +51,6 @@ struct PageSlots {
 
 // The uniforms of splat_project.comp.
 struct ProjectView {
-  float rotation[9], translation[3], eye[3];
   float fx, fy, cx, cy, width, height;  // [px]
   float least_tangent[2], most_tangent[2];
   float near_clip, near_fade;

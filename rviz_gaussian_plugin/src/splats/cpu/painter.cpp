@@ -124,6 +124,7 @@ void Painter::setMap(const MapState& map, const std::string& error) {
 
 void Painter::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
   const std::shared_lock lock(slots_mutex_);
+  take(slots_.index().moves());
   for (const SlotPage& page : slots_.pages()) take(slots_.edit(page));
 }
 
@@ -254,7 +255,7 @@ void Painter::chooseDetail(PictureRequest& request, DetailControl& control, Pain
         advanceLevels([&] { return cancelled_ || (settings.asynchronous && now() > until); });
     request.levels = &levels_;
     request.error = control.choose(settings.detail, !settings.asynchronous, levels_, request.camera,
-                                   map().origin, settings.clip_box);
+                                   slots_.index().groups(), settings.clip_box);
     if (settings.detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
       request.most_splats = static_cast<std::size_t>(settings.detail.amount);
     }

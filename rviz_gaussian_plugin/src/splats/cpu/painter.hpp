@@ -88,7 +88,7 @@ class Painter {
   void hold(const MapState& map);
   // Takes no more edits and paints no more.
   void stop();
-  // What writes the map elsewhere, a page of it at a time.
+  // What writes the map elsewhere: where its groups are, then a page of it at a time.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
   // Has a view painted; in the place of what waits for it.
   void ask(const std::string& view_id, PaintRequestPtr request);
@@ -105,7 +105,6 @@ class Painter {
   // asks for. Throw PictureError.
   SplatPicture look(const PictureRequest& request);
   std::vector<std::uint32_t> pick(const PictureRequest& request);
-  // Values of slots, positions relative to the map's origin.
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   MapState map() const;          // that is painted
   std::string mapError() const;  // why a part of it is missing, empty where none is

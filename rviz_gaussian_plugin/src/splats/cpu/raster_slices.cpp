@@ -162,8 +162,8 @@ bool CpuRasterizer::Work::hidden(const SlotPage& page) const {
   const ProjectView& v = project_view;
   float centre[3], half[3];  // of a box around it, as the camera sees it [m]
   for (int axis = 0; axis < 3; ++axis) {
-    const float* const row = v.rotation + 3 * axis;
-    centre[axis] = v.translation[axis];
+    const float* const row = groups[page.group].floats.to_camera[axis];
+    centre[axis] = row[3];
     half[axis] = 0;
     for (int i = 0; i < 3; ++i) {
       centre[axis] += row[i] * 0.5f * (page.least[i] + page.most[i]);

@@ -6,7 +6,6 @@
 
 #include "cpu/raster_work.hpp"
 #include "map/cut.hpp"
-#include "map/page_view.hpp"
 #include "map/sorter_view.hpp"
 
 namespace rosplat {
@@ -15,12 +14,11 @@ void CpuRasterizer::Work::setViews(const HostSlots& slots, const MapState& map,
                                    const PictureRequest& request) {
   const SplatCamera& camera = request.camera;
   const RenderSettings& settings = request.settings;
-  // Rebased in double precision: neither the map's origin nor the camera's position reaches
-  // float32.
-  const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
+  const ClipBox& box = settings.clip_box;
+  groups = seenGroups(camera, slots.index().groups(), box);
+  // But for where groups are, they all are seen alike.
+  const rosplat_sorter::View view = sorterView(camera, {}, 1.0);
   CullView& c = cull_view;
-  std::copy_n(view.rotation, 9, c.rotation);
-  std::copy_n(view.translation, 3, c.translation);
   c.fx = view.fx;
   c.fy = view.fy;
   c.offset_x = view.offset_x;
@@ -32,20 +30,10 @@ void CpuRasterizer::Work::setViews(const HostSlots& slots, const MapState& map,
   c.near_clip = view.near_clip;
   c.far_clip = view.far_clip;
   c.orthographic = view.orthographic;
-  const ClipBox& box = settings.clip_box;
   c.clip_to_box = box.enabled;
-  for (int i = 0; i < 3; ++i) {
-    c.box_centre[i] = static_cast<float>(box.centre[i] - map.origin[i]);
-    c.half_box[i] = 0.5f * box.size[i];
-  }
+  for (int i = 0; i < 3; ++i) c.half_box[i] = 0.5f * box.size[i];
 
   ProjectView& p = project_view;
-  std::copy_n(view.rotation, 9, p.rotation);
-  std::copy_n(view.translation, 3, p.translation);
-  const auto eye = eyeOf(camera, map.origin);
-  for (int i = 0; i < 3; ++i) {
-    p.eye[i] = static_cast<float>(camera.orthographic ? camera.rotation[6 + i] : eye[i]);
-  }
   p.fx = view.fx;
   p.fy = view.fy;
   p.cx = static_cast<float>(camera.cx);
@@ -98,21 +86,26 @@ void CpuRasterizer::Work::setViews(const HostSlots& slots, const MapState& map,
 }
 
 // Those that may have something in the picture.
-void CpuRasterizer::Work::choosePages(const HostSlots& slots, const MapState& map,
-                                      const PictureRequest& request, double error) {
+void CpuRasterizer::Work::choosePages(const HostSlots& slots, const PictureRequest& request,
+                                      double error) {
   pages.clear();
   bounds.clear();
-  const PageView view(sorterView(request.camera, map.origin, 1.0), request.settings.clip_box,
-                      map.origin);
   if (error == 0) {
     for (const SlotPage& page : slots.pages()) {
-      if (view.mayShow(page)) choose(page, slots.at(page));
+      if (groups[page.group].pages.mayShow(page)) choose(page, slots.at(page));
     }
     return;
   }
-  const Cut cut(request.camera, map.origin, error, drawsBalls(request.settings.mode));
+  std::vector<Cut> cuts;
+  for (std::size_t group = 0; group < groups.size(); ++group) {
+    cuts.emplace_back(groups[group].camera, slots.index().groups()[group].originOrZero(), error,
+                      drawsBalls(request.settings.mode));
+  }
+  const auto mayShow = [&](const SlotPage& page, double own, double parent) {
+    return groups[page.group].pages.mayShow(page) && cuts[page.group].mayShow(page, own, parent);
+  };
+  const Cut cut(request.camera, {}, error, drawsBalls(request.settings.mode));
   CutView& c = cull_view.cut;
-  for (int i = 0; i < 3; ++i) c.eye[i] = static_cast<float>(cut.eye[i]);
   c.focal = static_cast<float>(cut.focal);
   c.from = static_cast<float>(cut.from);
   c.over_span = static_cast<float>(1 / (cut.to - cut.from));
@@ -120,7 +113,7 @@ void CpuRasterizer::Work::choosePages(const HostSlots& slots, const MapState& ma
   project_view.cut = c;
   for (const SlotPage& page : slots.pages()) {
     const HostSlots::Page& memory = slots.at(page);
-    if (!view.mayShow(page) || !cut.mayShow(page, 0, memory.widest_parent)) continue;
+    if (!mayShow(page, 0, memory.widest_parent)) continue;
     choose(page, memory);
     if (memory.parents) pages.back().parents = memory.parents->data();
   }
@@ -128,12 +121,14 @@ void CpuRasterizer::Work::choosePages(const HostSlots& slots, const MapState& ma
     const float own = cellSize(level), parent = level + 1 < kLevels ? 2 * own : kBoundless;
     HostSlots::PerSlot<float>& parents = node_parents[std::size_t(level)];
     parents.fill(parent);
-    for (const auto& page : request.levels->pages()[std::size_t(level)]) {
-      if (!view.mayShow(page->bounds) || !cut.mayShow(page->bounds, own, parent)) continue;
-      choose(page->bounds, page->slots);
-      pages.back().parents = parents.data();
-      pages.back().own_cell = own;
-      pages.back().opacity_unit *= kMostNodeOpacity;
+    for (const Levels::Nodes& nodes : request.levels->groups()) {
+      for (const auto& page : nodes[std::size_t(level)]) {
+        if (!mayShow(page->bounds, own, parent)) continue;
+        choose(page->bounds, page->slots);
+        pages.back().parents = parents.data();
+        pages.back().own_cell = own;
+        pages.back().opacity_unit *= kMostNodeOpacity;
+      }
     }
   }
 }
@@ -143,6 +138,7 @@ void CpuRasterizer::Work::choose(const SlotPage& page, const HostSlots::Page& me
   PageSlots& chosen = pages.emplace_back();
   for (int i = 0; i < 3; ++i) chosen.position[i] = memory.position[i].data();
   chosen.extent = memory.extent.data();
+  chosen.group = &groups[page.group].floats;
   chosen.words = memory.words[0].data();
   for (int band = 1; band <= kMaxShDegree; ++band) {
     chosen.bands[band] = memory.bands[band] ? memory.bands[band].get() : kZeros.data();

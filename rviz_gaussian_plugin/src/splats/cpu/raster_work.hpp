@@ -17,6 +17,7 @@
 
 #include "cpu/cpu_rasterizer.hpp"
 #include "cpu/kernels.hpp"
+#include "map/seen_group.hpp"
 
 namespace rosplat {
 
@@ -143,8 +144,7 @@ struct CpuRasterizer::Work {
   bool run(const HostSlots& slots, const MapState& map, const PictureRequest& request,
            const Wanted& wanted);
   void setViews(const HostSlots& slots, const MapState& map, const PictureRequest& request);
-  void choosePages(const HostSlots& slots, const MapState& map, const PictureRequest& request,
-                   double error);
+  void choosePages(const HostSlots& slots, const PictureRequest& request, double error);
   void choose(const SlotPage& page, const HostSlots::Page& memory);
   void cull();
   void deal();
@@ -180,6 +180,7 @@ struct CpuRasterizer::Work {
   std::vector<Member> members;
   std::vector<Part> parts;
 
+  std::vector<SeenGroup> groups;
   CullView cull_view;
   ProjectView project_view;
   std::vector<PageSlots> pages;  // that the picture may show

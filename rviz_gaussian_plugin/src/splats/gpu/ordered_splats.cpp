@@ -20,14 +20,13 @@ OrderedSplats::OrderedSplats(Shaders& shaders, RadixSort& sort, const Tallies& t
 
 bool OrderedSplats::answers(const Frame& frame) const {
   return kept_ && prepared_.camera == frame.camera &&
-         prepared_.settings.projectsAs(frame.settings) && prepared_.origin == frame.map.origin &&
+         prepared_.settings.projectsAs(frame.settings) &&
          prepared_.antialiased == frame.map.antialiased && prepared_.edits == frame.store.edits() &&
          order_ == frame.order && frame.settings.mode != DrawMode::kAge;  // which changes with time
 }
 
 void OrderedSplats::prepare(const Frame& frame) {
-  prepared_ = {frame.camera, frame.settings, frame.map.origin, frame.map.antialiased,
-               frame.store.edits()};
+  prepared_ = {frame.camera, frame.settings, frame.map.antialiased, frame.store.edits()};
   kept_ = false;
   if (order_ != frame.order) takeOrder(frame.order);
   projection_.reserve(std::min(frame.store.slots(), kLeastRoom));

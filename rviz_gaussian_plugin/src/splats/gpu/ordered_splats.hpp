@@ -42,7 +42,6 @@ class OrderedSplats {
   struct Prepared {
     SplatCamera camera;
     RenderSettings settings;
-    std::array<double, 3> origin{};
     bool antialiased = false;
     std::uint64_t edits = 0;  // of the store
   };

@@ -4,14 +4,16 @@
 
 namespace rosplat {
 
-void PageTable::keep(const SlotStore& store, const PageView& view) {
+void PageTable::keep(const SlotStore& store, const std::vector<SeenGroup>& groups) {
   first_slots_.clear();
   places_.clear();
+  groups_.clear();
   std::vector<std::size_t> next(store.arenas().size());  // by arena: how many, then where it goes
   for (const SlotPage& page : store.pages().pages()) {
-    if (!store.holds(page) || !view.mayShow(page)) continue;
+    if (!store.holds(page) || !groups[page.group].pages.mayShow(page)) continue;
     first_slots_.push_back(page.first_slot);
     places_.push_back(store.placeOf(page));
+    groups_.push_back(page.group);
     ++next[places_.back().arena];
   }
   ranges_.clear();
@@ -24,7 +26,8 @@ void PageTable::keep(const SlotStore& store, const PageView& view) {
   entries_.resize(places_.size());
   for (std::size_t number = 0; number < places_.size(); ++number) {
     const SlotStore::Place& place = places_[number];
-    entries_[next[place.arena]++] = {static_cast<std::uint32_t>(number), place.page};
+    entries_[next[place.arena]++] = {static_cast<std::uint32_t>(number), place.page,
+                                     groups_[number]};
   }
   if (entries_ == uploaded_ || entries_.empty()) return;
   table_.upload(entries_);

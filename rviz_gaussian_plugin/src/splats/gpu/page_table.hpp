@@ -6,7 +6,7 @@
 
 #include "gl/gl_objects.hpp"
 #include "gpu/slot_store.hpp"
-#include "map/page_view.hpp"
+#include "map/seen_group.hpp"
 
 namespace rosplat {
 
@@ -22,7 +22,8 @@ class PageTable {
   };
 
   // Keeps what a view may show. The store must stay as it is while ranges() are used.
-  void keep(const SlotStore& store, const PageView& view);
+  // groups: of the store, as the view sees them, by index.
+  void keep(const SlotStore& store, const std::vector<SeenGroup>& groups);
 
   std::size_t count() const { return first_slots_.size(); }
   const std::vector<Range>& ranges() const { return ranges_; }
@@ -38,12 +39,15 @@ class PageTable {
 
  private:
   struct Entry {  // as in splat_pages.glsl
-    std::uint32_t number, page;
-    bool operator==(const Entry& o) const { return number == o.number && page == o.page; }
+    std::uint32_t number, page, group;
+    bool operator==(const Entry& o) const {
+      return number == o.number && page == o.page && group == o.group;
+    }
   };
 
   std::vector<std::uint32_t> first_slots_;
   std::vector<SlotStore::Place> places_;  // by number
+  std::vector<std::uint32_t> groups_;     // the same
   std::vector<Range> ranges_;
   std::vector<Entry> entries_, uploaded_;
   gl::Buffer table_;

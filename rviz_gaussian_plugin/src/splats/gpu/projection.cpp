@@ -2,8 +2,7 @@
 
 #include <algorithm>
 
-#include "map/page_view.hpp"
-#include "map/sorter_view.hpp"
+#include "map/seen_group.hpp"
 
 namespace rosplat {
 
@@ -17,10 +16,11 @@ constexpr std::array<const char*, Shaders::kEllipseParts> kEllipses{"Ellipses[0]
 }  // namespace
 
 Projection::Projection(Shaders& shaders, const Tallies& tallies)
-    : cull_(shaders.compute(
-          {"splat_slot.glsl", "splat_pages.glsl", "splat_visible.glsl", "splat_cull.comp"})),
-      project_(shaders.compute({"splat_slot.glsl", "splat_pages.glsl", "splat_visible.glsl",
-                                "splat_ellipses.glsl", "splat_tiles.glsl", "splat_project.comp"})),
+    : cull_(shaders.compute({"splat_slot.glsl", "splat_groups.glsl", "splat_pages.glsl",
+                             "splat_visible.glsl", "splat_cull.comp"})),
+      project_(shaders.compute({"splat_slot.glsl", "splat_groups.glsl", "splat_pages.glsl",
+                                "splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
+                                "splat_project.comp"})),
       prefix_sum_(shaders),
       part_size_(shaders.partSize()),
       words_(tallies.of(Tallies::kSlotWords)),
@@ -46,13 +46,16 @@ void Projection::reserve(std::size_t count) {
 void Projection::run(const Frame& frame, const gl::Buffer& keys) {
   const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> no_range{~0u};
   depth_range_.write(no_range.data());
-  const MapState& map = frame.map;
-  pages_.keep(frame.store, PageView(sorterView(frame.camera, map.origin, 1.0),
-                                    frame.settings.clip_box, map.origin));
+  const std::vector<SeenGroup> groups =
+      seenGroups(frame.camera, frame.store.pages().groups(), frame.settings.clip_box);
+  pages_.keep(frame.store, groups);
   if (pages_.count() == 0) {
     visible_count_.set(0);
     return;
   }
+  std::vector<GroupView> views;
+  for (const SeenGroup& group : groups) views.push_back(group.floats);
+  groups_.upload(views);
   cull();
   project(frame, keys);
 }
@@ -65,6 +68,7 @@ void Projection::cull() {
   words_.set(words);
   cull_.use();
   bindVisible(cull_);
+  cull_.bind("Groups", groups_);
   cull_.bind("Pages", pages_.table());
   for (const PageTable::Range& range : pages_.ranges()) {
     cull_.bind("Slots", range.arena->slots);
@@ -84,6 +88,7 @@ void Projection::project(const Frame& frame, const gl::Buffer& keys) {
   project_.bind("Keys", keys);
   project_.bind("DepthRange", depth_range_);
   project_.bind("Boxes", boxes_);
+  project_.bind("Groups", groups_);
   project_.bind("Pages", pages_.table());
   for (const PageTable::Range& range : pages_.ranges()) {
     project_.bind("Slots", range.arena->slots);
@@ -110,8 +115,8 @@ void Projection::bindVisible(const gl::Program& program) const {
 }
 
 std::size_t Projection::bytes() const {
-  std::size_t bytes =
-      pages_.bytes() + visible_.bytes() + before_.bytes() + boxes_.bytes() + prefix_sum_.bytes();
+  std::size_t bytes = pages_.bytes() + groups_.bytes() + visible_.bytes() + before_.bytes() +
+                      boxes_.bytes() + prefix_sum_.bytes();
   for (const gl::Buffer& part : ellipses_) bytes += part.bytes();
   return bytes;
 }

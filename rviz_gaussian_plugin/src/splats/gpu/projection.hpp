@@ -46,6 +46,7 @@ class Projection {
   const gl::Program &cull_, &project_;
   PrefixSum prefix_sum_;
   std::size_t part_size_;
+  gl::Buffer groups_;  // as splat_groups.glsl has them
   gl::Buffer visible_, before_;
   Tally words_, visible_count_;
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;

@@ -10,20 +10,11 @@ namespace {
 
 constexpr std::size_t kWord = sizeof(std::uint32_t);
 
-SplatValues unpack(std::uint32_t slot, const std::uint32_t* words, int sh_degree) {
+SplatValues unpack(std::uint32_t slot, const Group& group, const std::uint32_t* words,
+                   int sh_degree) {
   std::array<const std::uint32_t*, kMaxShDegree + 1> bands{nullptr, words + kSlotWords};
   for (int band = 1; band < sh_degree; ++band) bands[band + 1] = bands[band] + kBandWords[band];
-  const Splat splat = unpackSlot(words);
-  SplatValues values;
-  values.slot = slot;
-  std::copy(splat.position.begin(), splat.position.end(), values.position.begin());
-  values.orientation = splat.orientation;
-  values.scale = splat.scale;
-  values.opacity = splat.opacity;
-  values.sh.assign(splat.color.begin(), splat.color.end());
-  const std::vector<float> sh = unpackHarmonics(words, sh_degree, bands);
-  values.sh.insert(values.sh.end(), sh.begin(), sh.end());
-  return values;
+  return valuesOf(slot, group, words, sh_degree, bands);
 }
 
 }  // namespace
@@ -33,6 +24,7 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
   struct Held {
     std::size_t index;  // in slots
     std::uint32_t arena, place;
+    const Group* group;
   };
   std::vector<SplatValues> values(slots.size());
   std::vector<Held> held;  // arena by arena; other slots are empty
@@ -41,7 +33,8 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
     const SlotPage* const page = store.pages().find(slots[i]);
     if (!page || !store.holds(*page)) continue;
     const SlotStore::Place place = store.placeOf(*page);
-    held.push_back({i, place.arena, place.page * SlotPage::kSlots + slots[i] % SlotPage::kSlots});
+    held.push_back({i, place.arena, place.page * SlotPage::kSlots + slots[i] % SlotPage::kSlots,
+                    &store.pages().groupOf(*page)});
   }
   if (held.empty()) return values;
   std::sort(held.begin(), held.end(), [](auto& a, auto& b) { return a.arena < b.arena; });
@@ -78,7 +71,7 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
   gathered.read(0, words.data(), gathered.bytes());
   for (std::size_t k = 0; k < held.size(); ++k) {
     const std::size_t i = held[k].index;
-    values[i] = unpack(slots[i], &words[k * stride], store.shDegree());
+    values[i] = unpack(slots[i], *held[k].group, &words[k * stride], store.shDegree());
   }
   return values;
 }

@@ -72,9 +72,16 @@ void SlotStore::apply(const GaussianEdit& edit, double now) {
   pages_.apply(edit);
   addBands(edit.sh_degree);
   makeRoom(static_cast<std::uint32_t>(pages_.pages().size()));
+  for (const std::uint32_t first_slot : pages_.emptied()) empty(*pages_.find(first_slot));
   for (const Piece& piece : pieces(edit)) {
     write(edit, piece, static_cast<std::uint32_t>(now) << 16);
   }
+}
+
+void SlotStore::empty(const SlotPage& page) {
+  constexpr std::size_t kPageBytes = SlotPage::kSlots * kSlotBytes;
+  const Place place = placeOf(page);
+  writeZeros(arenas_[place.arena].slots, place.page * kPageBytes, kPageBytes);
 }
 
 std::vector<SlotStore::Piece> SlotStore::pieces(const GaussianEdit& edit) {
@@ -91,9 +98,7 @@ std::vector<SlotStore::Piece> SlotStore::pieces(const GaussianEdit& edit) {
         const Place place = placeOf(*page);
         Arena& arena = arenas_[place.arena];
         if (!holds(*page)) {
-          constexpr std::size_t kPageBytes = SlotPage::kSlots * kSlotBytes;
-          if (count < SlotPage::kSlots)
-            writeZeros(arena.slots, place.page * kPageBytes, kPageBytes);
+          if (count < SlotPage::kSlots) empty(*page);
           held_[page->place] = true;
         }
         const std::size_t first = std::size_t{place.page} * SlotPage::kSlots + in_page;
@@ -145,7 +150,8 @@ GaussianEdit SlotStore::edit(const SlotPage& page) const {
   for (int band = 1; band <= sh_degree_; ++band) {
     bands[band] = read(arena.bands[band], static_cast<std::size_t>(kBandWords[band]));
   }
-  return editOf(page.first_slot, read(arena.slots, kSlotWords), std::move(bands), sh_degree_);
+  return editOf(pages_.groupOf(page), page.first_slot, read(arena.slots, kSlotWords),
+                std::move(bands), sh_degree_);
 }
 
 std::size_t SlotStore::bytes() const {

@@ -61,6 +61,7 @@ class SlotStore {
 
   void addBands(int degree);
   void makeRoom(std::uint32_t pages);
+  void empty(const SlotPage& page);
   std::vector<Piece> pieces(const GaussianEdit& edit);
   void write(const GaussianEdit& edit, const Piece& piece, std::uint32_t change);
 

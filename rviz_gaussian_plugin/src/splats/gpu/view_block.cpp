@@ -19,24 +19,13 @@ ViewBlock::ViewBlock(const Frame& frame) {
   const SplatCamera& camera = frame.camera;
   const RenderSettings& settings = frame.settings;
   const MapState& map = frame.map;
-  const rosplat_sorter::View view = sorterView(camera, map.origin, 1.0);
-  for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column) {
-      rotation[column][row] = view.rotation[3 * row + column];
-    }
-    translation[row] = view.translation[row];
-  }
+  const rosplat_sorter::View view = sorterView(camera, {}, 1.0);  // where groups are is their own
   orthographic = view.orthographic;
   clip = {view.near_clip, view.far_clip};
   focal = {view.fx, view.fy};
   offset = {view.offset_x, view.offset_y};
   half_size = {view.half_width, view.half_height};
   slope = {view.slope_x, view.slope_y};
-  const auto position = eyeOf(camera, map.origin);
-  for (int i = 0; i < 3; ++i) {
-    eye[i] = static_cast<float>(camera.orthographic ? camera.rotation[6 + i] : position[i]);
-    box_centre[i] = static_cast<float>(settings.clip_box.centre[i] - map.origin[i]);
-  }
   clip_to_box = settings.clip_box.enabled;
   box_size = settings.clip_box.size;
   principal_point = floats(camera.cx, camera.cy);

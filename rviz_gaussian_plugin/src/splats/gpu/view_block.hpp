@@ -13,15 +13,12 @@ struct ViewBlock {
 
   using Flag = std::uint32_t;
 
-  std::array<std::array<float, 4>, 3> rotation{};  // by columns
-  std::array<float, 3> translation{};
-  Flag orthographic;
-  std::array<float, 3> eye{};
-  std::int32_t mode;
-  std::array<float, 3> box_centre{};
-  Flag clip_to_box;
   std::array<float, 3> box_size;
+  Flag clip_to_box;
+  Flag orthographic;
+  std::int32_t mode;
   float near_fade;
+  float unused = 0;
   std::array<float, 2> clip, focal, offset, half_size, slope, principal_point;
   std::array<float, 2> whole_principal_point, whole_picture;
   std::array<std::int32_t, 2> picture, tiles;

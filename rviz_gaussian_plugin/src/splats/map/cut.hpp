@@ -7,19 +7,19 @@
 
 namespace rosplat {
 
-// How far down a view goes from a map's coarsest nodes to its splats. The error of a cell is how
+// How far down a view goes from a group's coarsest nodes to its splats. The error of a cell is how
 // wide it is in the picture, at its nearest point: e [px]. A node's share of what is drawn is
 // s(e of its parent's cell) - s(e of its own), where s rises from 0 to 1 over half an octave that
 // ends at the error that is allowed; the share of a splat is s(e of its parent's cell). So what is
 // drawn depends on positions alone, and shares sum to 1 from each splat up to the coarsest node.
 struct Cut {
-  std::array<double, 3> eye{};  // relative to the map's origin [m]
+  std::array<double, 3> eye{};  // relative to the group's origin [m]
   double focal = 1;             // [px], orthographic [px/m]
   bool orthographic = false;
   double from = 0, to = 0;  // where s rises [px]
 
   Cut() = default;
-  // sharp: of solids, s is a step.
+  // camera: in the group's frame; sharp: of solids, s is a step.
   Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool sharp);
 
   // Of the cell of a size around a position. [px]

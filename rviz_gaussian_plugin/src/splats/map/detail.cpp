@@ -11,8 +11,7 @@
 #include <vector>
 
 #include "map/cut.hpp"
-#include "map/page_view.hpp"
-#include "map/sorter_view.hpp"
+#include "map/seen_group.hpp"
 
 namespace rosplat {
 
@@ -78,36 +77,39 @@ std::string toText(const Detail& detail) {
 }
 
 double errorForSplats(const Levels& levels, const SplatCamera& camera,
-                      const std::array<double, 3>& origin, const ClipBox& box, double splats) {
+                      const std::vector<Group>& groups, const ClipBox& box, double splats) {
   constexpr std::size_t kStride = 61;  // of nodes
-  const PageView view(sorterView(camera, origin, 1.0), box, origin);
-  const Cut cut(camera, origin, 1, true);
   // How many more are drawn where the error that is allowed falls below a bin's.
   std::vector<double> more(binOf(std::numeric_limits<double>::max()) + 1);
-  for (int level = 0; level < kLevels; ++level) {
-    const double size = cellSize(level);
-    const bool top = level + 1 == kLevels;
-    for (const auto& page : levels.pages()[std::size_t(level)]) {
-      if (!view.mayShow(page->bounds)) continue;
-      const std::size_t nodes = page->cells.size(), samples = (nodes + kStride - 1) / kStride;
-      const double of_nodes = double(nodes) / double(samples);
-      const double of_members = double(page->members()) / double(samples);
-      for (std::size_t i = 0; i < samples; ++i) {
-        const std::size_t at = i * nodes / samples;
-        SlotPage point = page->bounds;
-        for (std::size_t axis = 0; axis < 3; ++axis) {
-          point.least[axis] = point.most[axis] = page->slots.position[axis][at];
-        }
-        point.extent = page->slots.extent[at];
-        if (!view.mayShow(point)) continue;
-        // Splats are drawn below the end of the rise of their parent's share, nodes also above the
-        // beginning of their own.
-        const double own = cut.errorOf(point.least, size);
-        more[binOf(std::sqrt(2) * own)] += of_members;
-        more[top ? more.size() - 1 : binOf(std::sqrt(2) * cut.errorOf(point.least, 2 * size))] +=
-            of_nodes;
-        more[binOf(own)] -= of_nodes;
+  const auto sample = [&](const NodePage& page, const PageView& view, const Cut& cut) {
+    if (!view.mayShow(page.bounds)) return;
+    const double size = cellSize(page.level());
+    const bool top = page.level() + 1 == kLevels;
+    const std::size_t nodes = page.cells.size(), samples = (nodes + kStride - 1) / kStride;
+    const double of_nodes = double(nodes) / double(samples);
+    const double of_members = double(page.members()) / double(samples);
+    for (std::size_t i = 0; i < samples; ++i) {
+      const std::size_t at = i * nodes / samples;
+      SlotPage point = page.bounds;
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        point.least[axis] = point.most[axis] = page.slots.position[axis][at];
       }
+      point.extent = page.slots.extent[at];
+      if (!view.mayShow(point)) continue;
+      // Splats are drawn below the end of the rise of their parent's share, nodes also above the
+      // beginning of their own.
+      const double own = cut.errorOf(point.least, size);
+      more[binOf(std::sqrt(2) * own)] += of_members;
+      more[top ? more.size() - 1 : binOf(std::sqrt(2) * cut.errorOf(point.least, 2 * size))] +=
+          of_nodes;
+      more[binOf(own)] -= of_nodes;
+    }
+  };
+  for (std::size_t group = 0; group < levels.groups().size(); ++group) {
+    const SeenGroup seen(camera, groups[group], box);
+    const Cut cut(seen.camera, groups[group].originOrZero(), 1, true);
+    for (const Levels::Pages& level : levels.groups()[group]) {
+      for (const auto& page : level) sample(*page, seen.pages, cut);
     }
   }
   // Where levels blend, more may be drawn than there are splats.
@@ -119,10 +121,10 @@ double errorForSplats(const Levels& levels, const SplatCamera& camera,
 }
 
 double DetailControl::choose(const Detail& detail, bool at_once, const Levels& levels,
-                             const SplatCamera& camera, const std::array<double, 3>& origin,
+                             const SplatCamera& camera, const std::vector<Group>& groups,
                              const ClipBox& box) {
   const auto forSplats = [&](double splats) {
-    return errorForSplats(levels, camera, origin, box, splats);
+    return errorForSplats(levels, camera, groups, box, splats);
   };
   double wanted = 0;
   switch (detail.kind) {

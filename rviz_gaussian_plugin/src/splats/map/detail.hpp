@@ -1,8 +1,8 @@
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <string>
+#include <vector>
 
 #include "map/levels.hpp"
 #include "map/render_settings.hpp"
@@ -17,9 +17,9 @@ Detail parseDetail(const std::string& text);
 std::string toText(const Detail& detail);
 
 // The least error [px] at which a view draws no more splats and nodes than that, by samples: 0
-// where it is all of them.
+// where it is all of them. groups: where those of the levels are, by index.
 double errorForSplats(const Levels& levels, const SplatCamera& camera,
-                      const std::array<double, 3>& origin, const ClipBox& box, double splats);
+                      const std::vector<Group>& groups, const ClipBox& box, double splats);
 
 // Chooses the error of a view's pictures, one after the other.
 class DetailControl {
@@ -27,7 +27,7 @@ class DetailControl {
   // For the next picture [px]; 0 has all drawn in full. at_once: whatever the last one had;
   // otherwise it moves towards what is asked for, so that nobody sees it move.
   double choose(const Detail& detail, bool at_once, const Levels& levels, const SplatCamera& camera,
-                const std::array<double, 3>& origin, const ClipBox& box);
+                const std::vector<Group>& groups, const ClipBox& box);
   // What became of it.
   void drew(double error, double seconds);
   // Of a picture of all splats. [s]

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <iterator>
 #include <new>
+#include <unordered_set>
 #include <utility>
 #include <vector>
 
@@ -20,7 +21,7 @@ std::size_t bytesOf(const EditQueue::Waiting& waiting) {
   std::size_t bytes = sizeof(waiting) + sizeof(edit) + waiting.state.id.capacity();
   for (const auto& band : edit.bands) bytes += bytesOf(band);
   return bytes + bytesOf(edit.runs) + bytesOf(edit.slots) + bytesOf(edit.positions) +
-         bytesOf(edit.extents);
+         bytesOf(edit.extents) + bytesOf(edit.moves);
 }
 
 // Of `width` values each, those that are kept.
@@ -48,6 +49,9 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, const std::ve
   taken->revision = edit.revision;
   taken->capacity = edit.capacity;
   taken->sh_degree = edit.sh_degree;
+  taken->group = edit.group;
+  taken->origin = edit.origin;
+  taken->moves = edit.moves;
   std::size_t i = 0;
   for (const auto& [first, length] : edit.runs) {
     bool goes_on = false;
@@ -67,6 +71,17 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, const std::ve
   for (std::size_t band = 1; band < edit.bands.size(); ++band) {
     taken->bands[band] = part(edit.bands[band], kBandWords[band], kept, count);
   }
+  return taken;
+}
+
+// An edit that also moves the groups that it leaves where they are.
+std::shared_ptr<const GaussianEdit> withMoves(const GaussianEdit& edit,
+                                              const std::vector<GroupMove>& moves) {
+  auto taken = std::make_shared<GaussianEdit>(edit);
+  std::unordered_set<std::uint32_t> moved;
+  for (const GroupMove& move : edit.moves) moved.insert(move.group);
+  std::copy_if(moves.begin(), moves.end(), std::back_inserter(taken->moves),
+               [&](const GroupMove& move) { return moved.count(move.group) == 0; });
   return taken;
 }
 
@@ -99,6 +114,9 @@ void EditQueue::clear() {
 
 void EditQueue::coalesce() {
   SlotSet later;
+  // Where groups are moved next, and which are written to before that.
+  auto next_move = waiting_.end();
+  std::unordered_set<std::uint32_t> written;
   for (auto next = waiting_.end(); next != waiting_.begin();) {
     const auto waiting = std::prev(next);
     const GaussianEdit& edit = *waiting->edit;
@@ -112,8 +130,18 @@ void EditQueue::coalesce() {
         count += kept[i];
       }
     }
+    bool moves = !edit.moves.empty();
+    if (moves && next_move != waiting_.end() &&
+        std::none_of(edit.moves.begin(), edit.moves.end(),
+                     [&](const GroupMove& move) { return written.count(move.group) > 0; })) {
+      auto both = withMoves(*next_move->edit, edit.moves);
+      bytes_ -= bytesOf(*next_move);
+      next_move->edit = std::move(both);
+      bytes_ += bytesOf(*next_move);
+      moves = false;
+    }
     const bool last = next == waiting_.end();
-    if (count == 0 && !edit.clear && !last) {
+    if (count == 0 && !moves && !edit.clear && !last) {
       bytes_ -= bytesOf(*waiting);
       waiting_.erase(waiting);
       continue;
@@ -123,6 +151,12 @@ void EditQueue::coalesce() {
       bytes_ -= bytesOf(*waiting);
       waiting->edit = std::move(rest);
       bytes_ += bytesOf(*waiting);
+    }
+    if (moves) {
+      next_move = waiting;
+      written.clear();
+    } else if (edit.sh_degree >= 0 && count > 0) {
+      written.insert(edit.group);
     }
     next = waiting;
   }

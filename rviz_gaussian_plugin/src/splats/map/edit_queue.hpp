@@ -10,7 +10,8 @@ namespace rosplat {
 
 // Edits that wait to be taken over, oldest first, each with the map's state after it. What later
 // ones overwrite is left out as soon as that is worth it: what waits takes little more memory than
-// the slots that it writes, however many edits there were. For one thread at a time.
+// the slots that it writes, however many edits there were. Groups that are moved again are moved
+// once, unless they are written to in between. For one thread at a time.
 class EditQueue {
  public:
   struct Waiting {

@@ -4,6 +4,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
+#include <vector>
+
+#include "map/groups.hpp"
 
 namespace rosplat {
 
@@ -19,7 +22,7 @@ struct ArrayView {
 
 // One batch of edits as it arrives, not yet checked: the fields of rosplat_msgs/GaussianArray.
 struct GaussianBatch {
-  enum Operation : std::uint8_t { REPLACE = 0, UPSERT = 1, DELETE = 2 };
+  enum Operation : std::uint8_t { REPLACE = 0, UPSERT = 1, DELETE = 2, MOVE = 3 };
 
   std::string map_id;
   std::uint64_t revision = 0;
@@ -29,6 +32,9 @@ struct GaussianBatch {
   std::uint32_t first_slot = 0;
   std::uint32_t count = 0;
   ArrayView<std::uint32_t> slots;
+  std::uint32_t group = 0;
+  ArrayView<std::uint32_t> groups;
+  std::vector<Pose> poses;  // of these; quaternions of any length but zero
   std::uint8_t sh_degree = 0;
   std::uint8_t encoding = 0;
   bool antialiased = false;

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
+#include <optional>
 #include <string>
 
 namespace rosplat {
@@ -15,9 +17,52 @@ void checkLength(const char* field, std::size_t size, std::size_t expected) {
   }
 }
 
+bool writes(const GaussianBatch& batch) {
+  return batch.operation == GaussianBatch::REPLACE || batch.operation == GaussianBatch::UPSERT;
+}
+
+void checkGroup(const char* field, std::uint32_t group) {
+  if (group >= kMostGroups) {
+    throw BatchError(std::string(field) + " names group " + std::to_string(group) +
+                     ", beyond the " + std::to_string(kMostGroups) + " that a map may have");
+  }
+}
+
+// The moves of a MOVE, with quaternions of unit length.
+std::vector<GroupMove> movesOf(const GaussianBatch& batch) {
+  if (batch.count != 0) throw BatchError("count is " + std::to_string(batch.count) + " in a MOVE");
+  if (batch.poses.size() != batch.groups.size) {
+    throw BatchError("poses holds " + std::to_string(batch.poses.size()) + " values for " +
+                     std::to_string(batch.groups.size) + " groups");
+  }
+  std::vector<GroupMove> moves(batch.groups.size);
+  std::vector<bool> named(kMostGroups, false);
+  for (std::size_t i = 0; i < moves.size(); ++i) {
+    auto& [group, pose] = moves[i];
+    group = batch.groups[i];
+    pose = batch.poses[i];
+    checkGroup("groups", group);
+    if (named[group]) throw BatchError("groups names group " + std::to_string(group) + " twice");
+    named[group] = true;
+    const auto of = [group] { return "poses holds one of group " + std::to_string(group); };
+    for (const double x : pose.position) {
+      if (!std::isfinite(x)) throw BatchError(of() + " that is not finite");
+    }
+    double largest = 0, norm = 0;
+    for (const double x : pose.orientation) {
+      if (!std::isfinite(x)) throw BatchError(of() + " that is not finite");
+      largest = std::max(largest, std::fabs(x));
+    }
+    if (largest == 0) throw BatchError(of() + " whose quaternion is zero");
+    for (double& x : pose.orientation) x /= largest, norm += x * x;
+    for (double& x : pose.orientation) x /= std::sqrt(norm);
+  }
+  return moves;
+}
+
 void check(const GaussianBatch& batch) {
   if (batch.revision == 0) throw BatchError("revision is 0, they count from 1");
-  if (batch.operation > GaussianBatch::DELETE) {
+  if (batch.operation > GaussianBatch::MOVE) {
     throw BatchError("operation " + std::to_string(batch.operation) + " is unknown");
   }
   if (batch.encoding != 0) {
@@ -42,7 +87,11 @@ void check(const GaussianBatch& batch) {
     throw BatchError("first_slot + count is beyond the " + std::to_string(kMaxSlots) +
                      " slots that a map may have");
   }
-  const bool values = batch.operation != GaussianBatch::DELETE;
+  checkGroup("group", batch.group);
+  if (batch.operation != GaussianBatch::MOVE && !(batch.groups.empty() && batch.poses.empty())) {
+    throw BatchError("groups and poses are a MOVE's alone");
+  }
+  const bool values = writes(batch);
   const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
   checkLength("positions", batch.positions.size, values ? 3 * n : 0);
   checkLength("orientations", batch.orientations.size, values ? 4 * n : 0);
@@ -127,6 +176,8 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
 std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
                                                        BatchReport& report, const Keep& keep) {
   check(batch);
+  std::vector<GroupMove> moves;
+  if (batch.operation == GaussianBatch::MOVE) moves = movesOf(batch);
   const bool new_map = batch.map_id != state_.id;
   const bool back = !new_map && batch.revision <= state_.revision;
   if (back && batch.snapshot && state_.missed == 0) {
@@ -134,7 +185,7 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     return nullptr;
   }
   const bool replace = batch.operation == GaussianBatch::REPLACE;
-  const bool values = batch.operation != GaussianBatch::DELETE;
+  const bool values = writes(batch);
 
   auto edit = std::make_shared<GaussianEdit>();
   edit->clear = new_map || replace;
@@ -151,21 +202,41 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   next.round = state_.round + (new_map || back ? 1 : 0);
   next.revision = batch.revision;
   next.expected = batch.expected_slots;
-  if (values && batch.count > 0 && next.capacity == 0) {
-    next.origin = batch.origin;
-    next.antialiased = batch.antialiased;
+  if (values && batch.count > 0 && next.capacity == 0) next.antialiased = batch.antialiased;
+
+  std::optional<Groups> regrouped;
+  const auto groups = [&]() -> Groups& {
+    return regrouped ? *regrouped : regrouped.emplace(groups_);
+  };
+  if (edit->clear) regrouped.emplace();
+  for (const GroupMove& move : moves) groups().move(move);
+  std::uint32_t group_index = 0;
+  if (values && batch.count > 0) {
+    const Group* const known = (regrouped ? *regrouped : groups_).find(batch.group);
+    if (!known || !known->origin) {
+      groups().write(batch.group, batch.origin);
+      ++next.groups;
+    }
+    const Groups& all = regrouped ? *regrouped : groups_;
+    edit->group = batch.group;
+    edit->origin = *all.find(batch.group)->origin;
+    group_index = static_cast<std::uint32_t>(all.find(batch.group) - all.all().data());
   }
+  edit->moves = std::move(moves);
 
   edit->runs = runsOf(batch);
   std::vector<bool> kept;
   if (values) {
-    kept = layOut(batch, next.origin, *edit);
+    checkBlocks(used, edit->runs, batch.group);
+    kept = layOut(batch, edit->origin, *edit);
     report.dropped = static_cast<std::uint64_t>(std::count(kept.begin(), kept.end(), false));
     next.sh_degree = std::max<int>(next.sh_degree, batch.sh_degree);
     used.makeRoom(edit->runs);
     for (const auto& [first, count] : edit->runs) {
       next.capacity = std::max(next.capacity, first + count);
     }
+    const std::size_t blocks = (next.capacity + SlotSet::kPage - 1) / SlotSet::kPage;
+    if (block_groups_.size() < blocks) block_groups_.resize(blocks);
   } else {
     edit->runs = used.within(edit->runs);
     kept.resize(countSlots(edit->runs), false);
@@ -196,6 +267,15 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     used_ = std::move(fresh);
     sample_.clear();
   }
+  if (regrouped) groups_ = std::move(*regrouped);
+  if (values) {
+    for (const auto& [first, count] : edit->runs) {
+      for (std::uint32_t slot = first - first % SlotSet::kPage; slot < first + count;
+           slot += SlotSet::kPage) {
+        block_groups_[slot / SlotSet::kPage] = static_cast<std::uint16_t>(batch.group);
+      }
+    }
+  }
   i = 0;
   forEachSlot(edit->runs, [&](std::uint32_t slot) {
     if (kept[i]) {
@@ -203,7 +283,8 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
       const float* scale = &batch.scales.data[3 * i];
       sample_.keep(slot, {{position[0], position[1], position[2]},
                           std::max({scale[0], scale[1], scale[2]}),
-                          batch.opacities[i]});
+                          batch.opacities[i],
+                          group_index});
     } else {
       sample_.drop(slot);
     }
@@ -212,10 +293,29 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   return edit;
 }
 
-GaussianEdit editOf(std::uint32_t first_slot, std::vector<std::uint32_t> slots,
+void GaussianMap::checkBlocks(const SlotSet& used, const SlotRuns& runs,
+                              std::uint32_t group) const {
+  for (const auto& [first, count] : runs) {
+    for (std::uint32_t block = first / SlotSet::kPage; block * SlotSet::kPage < first + count;
+         ++block) {
+      if (block >= block_groups_.size() || block_groups_[block] == group || !used.any(block)) {
+        continue;
+      }
+      const std::uint32_t begin = block * SlotSet::kPage;
+      throw BatchError("group is " + std::to_string(group) + ", but slots " +
+                       std::to_string(begin) + " to " + std::to_string(begin + SlotSet::kPage - 1) +
+                       " hold splats of group " + std::to_string(block_groups_[block]) +
+                       ": delete them first");
+    }
+  }
+}
+
+GaussianEdit editOf(const Group& group, std::uint32_t first_slot, std::vector<std::uint32_t> slots,
                     std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands, int sh_degree) {
   GaussianEdit edit;
   const std::size_t count = slots.size() / kSlotWords;
+  edit.group = group.number;
+  edit.origin = group.originOrZero();
   edit.runs = {{first_slot, static_cast<std::uint32_t>(count)}};
   edit.sh_degree = sh_degree;
   edit.slots = std::move(slots);
@@ -228,6 +328,31 @@ GaussianEdit editOf(std::uint32_t first_slot, std::vector<std::uint32_t> slots,
     edit.extents.push_back(extentOf(splat));
   }
   return edit;
+}
+
+GaussianEdit editOf(const Groups& groups) {
+  GaussianEdit edit;
+  std::transform(groups.all().begin(), groups.all().end(), std::back_inserter(edit.moves),
+                 [](const Group& group) { return GroupMove{group.number, group.pose}; });
+  return edit;
+}
+
+SplatValues valuesOf(std::uint32_t slot, const Group& group, const std::uint32_t* words,
+                     int sh_degree,
+                     const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands) {
+  const Splat splat = unpackSlot(words);
+  const auto& [x, y, z] = splat.position;
+  SplatValues values;
+  values.slot = slot;
+  values.group = group.number;
+  values.position = group.inMap(std::array<double, 3>{x, y, z});
+  values.orientation = group.inMap(splat.orientation);
+  values.scale = splat.scale;
+  values.opacity = splat.opacity;
+  values.sh.assign(splat.color.begin(), splat.color.end());
+  const std::vector<float> rest = unpackHarmonics(words, sh_degree, bands);
+  values.sh.insert(values.sh.end(), rest.begin(), rest.end());
+  return values;
 }
 
 }  // namespace rosplat

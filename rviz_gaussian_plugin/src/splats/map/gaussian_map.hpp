@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "map/gaussian_batch.hpp"
+#include "map/groups.hpp"
 #include "map/map_sample.hpp"
 #include "map/packed_slot.hpp"
 #include "map/slot_set.hpp"
@@ -29,15 +30,21 @@ struct GaussianEdit {
   // The arrays hold the runs one after the other; where only slots are emptied, they are empty, and
   // the runs go no farther than the map does.
   SlotRuns runs;
-  std::vector<std::uint32_t> slots;                                // kSlotWords a slot
+  std::uint32_t group = 0;           // of the slots that are written
+  std::array<double, 3> origin{};    // of that group, in its frame [m]
+  std::vector<std::uint32_t> slots;  // kSlotWords a slot
   std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // kBandWords[band] a slot
-  std::vector<float> positions;  // 3 a slot [m], relative to the map's origin
+  std::vector<float> positions;  // 3 a slot [m], relative to the origin
   std::vector<float> extents;    // radius of the 1/255 ellipsoid along its longest axis [m], or -1
+  std::vector<GroupMove> moves;  // each group once
 };
 
-// An edit that writes neighbouring slots as they were packed once, to a map that lacks them.
-GaussianEdit editOf(std::uint32_t first_slot, std::vector<std::uint32_t> slots,
+// An edit that writes neighbouring slots of a group as they were packed once, to a map that lacks
+// them.
+GaussianEdit editOf(const Group& group, std::uint32_t first_slot, std::vector<std::uint32_t> slots,
                     std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands, int sh_degree);
+// An edit that places groups where they are.
+GaussianEdit editOf(const Groups& groups);
 
 // What became of a batch.
 struct BatchReport {
@@ -60,10 +67,9 @@ struct MapState {
   std::uint32_t splats = 0;
   std::uint32_t expected = 0;  // what the publisher announced, 0 where it didn't
   std::uint32_t capacity = 0;  // one past the highest slot in use
+  std::size_t groups = 0;      // that have had splats since the last clear
   int sh_degree = 0;
-  bool antialiased = false;
-  // As the first splats since the last clear had them; origin is added to every position. [m]
-  std::array<double, 3> origin{};
+  bool antialiased = false;   // as the first splats since the last clear
   std::uint64_t missed = 0;   // batches, since the last clear
   std::uint64_t dropped = 0;  // splats, since the last clear
 
@@ -76,15 +82,22 @@ constexpr std::uint32_t kNoSlot = 0xffffffffu;
 // One slot of a map, empty where its opacity is 0.
 struct SplatValues {
   std::uint32_t slot = kNoSlot;
-  std::array<double, 3> position{};    // [m]
-  std::array<float, 4> orientation{};  // x y z w, of any length
+  std::uint32_t group = 0;
+  std::array<double, 3> position{};    // in the map's frame [m]
+  std::array<float, 4> orientation{};  // the same, x y z w, of any length
   std::array<float, 3> scale{};        // standard deviations along the principal axes [m]
   float opacity = 0;
-  std::vector<float> sh;  // 3 (degree + 1)^2, coefficient-major, RGB interleaved
+  // 3 (degree + 1)^2, coefficient-major, RGB interleaved, in the group's frame.
+  std::vector<float> sh;
 };
 
-// Keeps the books of a map: which slots are in use, which revision this is, what is still missing.
-// Knows no GPU; holds no splats but a sample.
+// Of a slot as packed_slot.hpp has it.
+SplatValues valuesOf(std::uint32_t slot, const Group& group, const std::uint32_t* words,
+                     int sh_degree,
+                     const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands);
+
+// Keeps the books of a map: which slots are in use, and of which groups, where these are, which
+// revision this is, what is still missing. Knows no GPU; holds no splats but a sample.
 class GaussianMap {
  public:
   // Gets an edit, and the state after it, before the map knows of it.
@@ -98,12 +111,17 @@ class GaussianMap {
 
   const MapState& state() const { return state_; }
   const MapSample& sample() const { return sample_; }
+  const Groups& groups() const { return groups_; }
   bool inUse(std::uint32_t slot) const { return used_.has(slot); }
 
  private:
+  void checkBlocks(const SlotSet& used, const SlotRuns& runs, std::uint32_t group) const;
+
   MapState state_;
   MapSample sample_;
   SlotSet used_;
+  std::vector<std::uint16_t> block_groups_;  // numbers, by SlotSet's block
+  Groups groups_;
 };
 
 }  // namespace rosplat

@@ -46,16 +46,13 @@ struct Seen {
   double scale = 0;   // of the picture where they are [px/m]
 };
 
-Seen middleOf(const SplatCamera& camera, const MapState& map,
+Seen middleOf(const SplatCamera& camera, const Groups& groups,
               const std::vector<SampledSplat>& splats) {
+  const Placement toCamera{camera.rotation, camera.translation};
   std::vector<Seen> seen;
   for (const SampledSplat& splat : splats) {
-    std::array<double, 3> p = camera.translation;
-    for (int i = 0; i < 3; ++i) {
-      for (int k = 0; k < 3; ++k) {
-        p[i] += camera.rotation[3 * i + k] * (splat.position[k] + map.origin[k]);
-      }
-    }
+    const auto& [x, y, z] = splat.position;
+    const auto p = toCamera(groups.all()[splat.group].inMap(std::array<double, 3>{x, y, z}));
     if (!(p[2] > camera.near_clip && p[2] < camera.far_clip)) continue;
     const double w = camera.orthographic ? 1 : p[2];
     const double u = camera.fx * p[0] / w + camera.cx, v = camera.fy * p[1] / w + camera.cy;
@@ -77,7 +74,7 @@ Seen middleOf(const SplatCamera& camera, const MapState& map,
 }  // namespace
 
 std::vector<std::string> hardRegimes(const MapState& map, const MapSample& sample,
-                                     const RenderSettings& settings,
+                                     const Groups& groups, const RenderSettings& settings,
                                      const std::vector<SplatCamera>& cameras) {
   const std::vector<SampledSplat> splats = sample.splats();
   std::vector<std::string> found;
@@ -94,7 +91,7 @@ std::vector<std::string> hardRegimes(const MapState& map, const MapSample& sampl
                                : settings.antialiasing == Antialiasing::kOn;
   bool wide = false, small = false, shaken = false;
   for (const SplatCamera& camera : cameras) {
-    const Seen seen = middleOf(camera, map, splats);
+    const Seen seen = middleOf(camera, groups, splats);
     wide = wide || isWide(camera);
     small = small || (!compensated && seen.pixels > 0 && settings.scale * seen.pixels < kSmall);
     shaken = shaken || seen.scale * camera.rounding > kShaken;

@@ -25,6 +25,7 @@ void HostSlots::apply(const GaussianEdit& edit, double now) {
     memory_.push_back(std::make_unique<Page>());
     memory_.back()->extent.fill(-1);
   }
+  for (const std::uint32_t first_slot : pages_.emptied()) at(*pages_.find(first_slot)).empty();
   const auto change = static_cast<std::uint32_t>(now) << 16;
   std::size_t source = 0;
   for (const auto& [first, count] : edit.runs) {
@@ -108,6 +109,12 @@ std::size_t HostSlots::bytes() const {
          memory_.capacity() * sizeof(memory_[0]);
 }
 
+void HostSlots::Page::empty() {
+  for (auto& of_all : words) of_all.fill(0);
+  extent.fill(-1);
+  if (parents) parents->fill(0);
+}
+
 PackedSlot HostSlots::Page::packed(std::size_t i, int sh_degree) const {
   PackedSlot slot;
   for (std::size_t axis = 0; axis < 3; ++axis) {
@@ -143,15 +150,8 @@ std::vector<SplatValues> HostSlots::read(const std::vector<std::uint32_t>& slots
     const SlotPage* const found = pages_.find(slot);
     if (!found) continue;
     const PackedSlot packed = at(*found).packed(slot % kSlots, sh_degree_);
-    const Splat splat = unpackSlot(packed.words.data());
-    std::copy(splat.position.begin(), splat.position.end(), values.position.begin());
-    values.orientation = splat.orientation;
-    values.scale = splat.scale;
-    values.opacity = splat.opacity;
-    values.sh.assign(splat.color.begin(), splat.color.end());
-    const std::vector<float> rest =
-        unpackHarmonics(packed.words.data(), sh_degree_, packed.bandWords());
-    values.sh.insert(values.sh.end(), rest.begin(), rest.end());
+    values =
+        valuesOf(slot, pages_.groupOf(*found), packed.words.data(), sh_degree_, packed.bandWords());
   }
   return splats;
 }
@@ -170,7 +170,7 @@ GaussianEdit HostSlots::edit(const SlotPage& of) const {
                   &bands[band][std::size_t(kBandWords[band]) * i]);
     }
   }
-  return editOf(of.first_slot, std::move(slots), std::move(bands), sh_degree_);
+  return editOf(pages_.groupOf(of), of.first_slot, std::move(slots), std::move(bands), sh_degree_);
 }
 
 }  // namespace rosplat

@@ -36,6 +36,7 @@ class HostSlots {
     std::unique_ptr<PerSlot<float>> parents;
     float widest_parent = kBoundless;  // of any slot [m]
 
+    void empty();
     PackedSlot packed(std::size_t i, int sh_degree) const;
     // Of all but the extent.
     void put(std::size_t i, const PackedSlot& slot, int sh_degree);
@@ -52,7 +53,7 @@ class HostSlots {
   int shDegree() const { return sh_degree_; }
   std::size_t bytes() const;
 
-  // The values of slots as they are drawn, positions relative to the map's origin.
+  // The values of slots as they are drawn.
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   // What writes a page elsewhere.
   GaussianEdit edit(const SlotPage& page) const;

@@ -7,8 +7,8 @@
 
 namespace rosplat {
 
-// A cube of one of a few lattices in the map's frame, each twice as wide as the one before, with a
-// corner at the map's origin: so each cell lies in one of the next level. As a number by which
+// A cube of one of a few lattices in a group's frame, each twice as wide as the one before, with a
+// corner at the group's origin: so each cell lies in one of the next level. As a number by which
 // cells sort by level, then in Morton's order; parents sort as their children do.
 using Cell = std::uint64_t;
 constexpr Cell kNoCell = ~Cell{0};
@@ -26,7 +26,7 @@ inline int levelOf(Cell cell) { return static_cast<int>(cell >> 57); }
 // Where a splat enters: in the first cells that are wider than it is, and near enough to the origin
 // to be counted (2^18 of them to either side). kNoCell for one that is too large or too far.
 Cell entryOf(const Splat& splat);
-// The cell around a position, relative to the map's origin [m], which must be near enough.
+// The cell around a position, relative to the group's origin [m], which must be near enough.
 Cell cellAt(const std::array<float, 3>& position, int level);
 // The corner of the least coordinates. [m]
 std::array<double, 3> cornerOf(Cell cell);

@@ -73,9 +73,10 @@ auto changesFrom(const Changes& changes, Cell from) {
 
 }  // namespace
 
-NodePage::NodePage(const Node* nodes, std::size_t count, int sh_degree) {
+NodePage::NodePage(const Node* nodes, std::size_t count, int sh_degree, std::uint32_t group) {
   constexpr float infinity = std::numeric_limits<float>::infinity();
   bounds.first_slot = kNoSlot;
+  bounds.group = group;
   bounds.least.fill(infinity);
   bounds.most.fill(-infinity);
   slots.extent.fill(-1);
@@ -133,9 +134,11 @@ void Levels::mark(const HostSlots& slots, const SlotRuns& runs) {
       std::unique_ptr<Known>& known = known_[page->place];
       if (!known) {
         known = std::make_unique<Known>();
+        known->group = page->group;
         known->cells.fill(kNoCell);
       }
-      if (known->marked.none()) marked_.push_back(page->first_slot);
+      if (known->marked.none()) marked_[known->group].push_back(page->first_slot);
+      if (known->group != page->group) known->marked.set();
       for (; slot < next; ++slot) known->marked.set(slot % kSlots);
     }
   }
@@ -146,7 +149,7 @@ void Levels::clear() {
   known_.clear();
   marked_.clear();
   job_.reset();
-  pages_ = {};
+  nodes_.clear();
 }
 
 bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop) {
@@ -173,15 +176,19 @@ bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop) {
 
 // Finds what has changed since nodes were made last.
 void Levels::begin(const HostSlots& slots) {
+  const std::uint32_t group = marked_.begin()->first;
+  const std::vector<std::uint32_t>& marked = marked_.begin()->second;
+  if (nodes_.size() <= group) nodes_.resize(group + 1);
   auto job = std::make_unique<Job>();
+  job->group = group;
   const auto byCell = [](const Change& a, const Change& b) {
     return a.cell != b.cell ? a.cell < b.cell : a.slot < b.slot;
   };
   std::vector<Changes> parts(team_->size());
   inParts(parts.size(), [&](std::size_t number) {
-    const std::size_t end = marked_.size() * (number + 1) / parts.size();
-    for (std::size_t i = marked_.size() * number / parts.size(); i < end; ++i) {
-      findChanges(slots, *slots.index().find(marked_[i]), parts[number]);
+    const std::size_t end = marked.size() * (number + 1) / parts.size();
+    for (std::size_t i = marked.size() * number / parts.size(); i < end; ++i) {
+      findChanges(slots, *slots.index().find(marked[i]), parts[number]);
     }
     std::sort(parts[number].begin(), parts[number].end(), byCell);
   });
@@ -191,6 +198,17 @@ void Levels::begin(const HostSlots& slots) {
     changes.insert(changes.end(), part.begin(), part.end());
     std::inplace_merge(changes.begin(), changes.begin() + sorted, changes.end(), byCell);
     part = {};
+  }
+
+  // What has gone to other groups stays marked for these.
+  auto still_marked = marked_;
+  still_marked.erase(group);
+  std::vector<std::pair<Known*, std::uint32_t>> regrouped;  // and to which
+  for (const std::uint32_t first_slot : marked) {
+    const SlotPage& page = *slots.index().find(first_slot);
+    if (page.group == group) continue;
+    still_marked[page.group].push_back(first_slot);
+    regrouped.emplace_back(known_[page.place].get(), page.group);
   }
 
   // Nothing from here on needs memory: the job has what was marked.
@@ -203,8 +221,12 @@ void Levels::begin(const HostSlots& slots) {
       knownOf(change.slot).cells[change.slot % kSlots] = enters ? change.cell : kNoCell;
     }
   }
-  for (const std::uint32_t first_slot : marked_) knownOf(first_slot).marked.reset();
-  marked_.clear();
+  for (const std::uint32_t first_slot : marked) knownOf(first_slot).marked.reset();
+  for (const auto& [known, to] : regrouped) {
+    known->group = to;
+    known->marked.set();
+  }
+  marked_ = std::move(still_marked);
   job_ = std::move(job);
 }
 
@@ -213,7 +235,7 @@ void Levels::findChanges(const HostSlots& slots, const SlotPage& of, Changes& ch
   const HostSlots::Page& page = slots.at(of);
   for (std::uint32_t i = 0; i < kSlots; ++i) {
     if (!known.marked[i]) continue;
-    const bool shows = page.extent[i] >= 0;
+    const bool shows = of.group == known.group && page.extent[i] >= 0;
     const Cell cell = shows ? entryOf(unpackSlot(page.packed(i, 0).words.data())) : kNoCell;
     const Cell before = known.cells[i];
     if (before != cell && before != kNoCell) changes.push_back({before, of.first_slot + i, false});
@@ -247,7 +269,8 @@ void Levels::nextLevel() {
   touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
 
   std::vector<Cell> begins{level_begin};
-  for (const auto& page : pages_[std::size_t(job.level)]) begins.push_back(page->cells.front());
+  for (const auto& page : nodes_[job.group][std::size_t(job.level)])
+    begins.push_back(page->cells.front());
   for (std::size_t i = kSlots; i < touched.size(); i += kSlots) begins.push_back(touched[i]);
   std::sort(begins.begin(), begins.end());
   begins.erase(std::unique(begins.begin(), begins.end()), begins.end());
@@ -263,7 +286,7 @@ void Levels::nextLevel() {
 void Levels::make(const HostSlots& slots, Piece& piece) const {
   const auto level = std::size_t(job_->level);
   const int degree = slots.shDegree();
-  NodeCursor old(pages_[level], piece.begin);
+  NodeCursor old(nodes_[job_->group][level], piece.begin);
   piece.pages.clear();
   if (piece.touched.empty()) {
     if (auto page = old.wholePage(piece.end)) return piece.pages.push_back(std::move(page));
@@ -313,7 +336,8 @@ void Levels::make(const HostSlots& slots, Piece& piece) const {
   const std::size_t pages = (nodes.size() + kSlots - 1) / kSlots;
   for (std::size_t i = 0; i < pages; ++i) {
     const std::size_t begin = nodes.size() * i / pages, end = nodes.size() * (i + 1) / pages;
-    piece.pages.push_back(std::make_shared<NodePage>(&nodes[begin], end - begin, degree));
+    piece.pages.push_back(
+        std::make_shared<NodePage>(&nodes[begin], end - begin, degree, job_->group));
   }
 }
 
@@ -326,22 +350,26 @@ void Levels::publish(HostSlots& slots) {
   }
   std::sort(parents.begin(), parents.end());
   slots.setParents(parents);
-  pages_ = std::move(job_->pages);
+  nodes_[job_->group] = std::move(job_->pages);
   job_.reset();
 }
 
 std::size_t Levels::nodes() const {
   std::size_t nodes = 0;
-  for (const Pages& level : pages_) {
-    for (const auto& page : level) nodes += page->cells.size();
+  for (const Nodes& of_group : nodes_) {
+    for (const Pages& level : of_group) {
+      for (const auto& page : level) nodes += page->cells.size();
+    }
   }
   return nodes;
 }
 
 std::size_t Levels::bytes() const {
   std::size_t bytes = known_.size() * (sizeof(Known) + sizeof(*HostSlots::Page::parents));
-  for (const Pages& level : pages_) {
-    for (const auto& page : level) bytes += page->bytes();
+  for (const Nodes& of_group : nodes_) {
+    for (const Pages& level : of_group) {
+      for (const auto& page : level) bytes += page->bytes();
+    }
   }
   return bytes;
 }

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <vector>
 
@@ -26,7 +27,7 @@ struct Node {
 // Nodes of one level, neighbours in space. Never changed, once it is made.
 class NodePage {
  public:
-  NodePage(const Node* nodes, std::size_t count, int sh_degree);
+  NodePage(const Node* nodes, std::size_t count, int sh_degree, std::uint32_t group);
 
   SlotPage bounds;        // as if the nodes were slots
   HostSlots::Page slots;  // the nodes, in the order of their cells
@@ -41,14 +42,16 @@ class NodePage {
   std::vector<std::uint32_t> members_, ends_;  // those of one node after the other
 };
 
-// Levels of detail, merged from a map: a node for each cell of the lattice that holds anything, of
-// the nodes in that cell and the slots that enter there. An edit has the cells that it touches, and
-// those around them, made anew from all that is in them, in a fixed order: so the nodes are to the
-// bit those of a map that was there at once. What they don't hold yet has no parent, and is drawn
-// in full. For one thread at a time, with the help of a team.
+// Levels of detail, merged from a map group by group, in the group's frame, so that they move with
+// it: a node for each cell of the lattice that holds anything, of the nodes in that cell and the
+// slots that enter there. An edit has the cells that it touches, and those around them, made anew
+// from all that is in them, in a fixed order: so the nodes are to the bit those of a map that was
+// there at once. What they don't hold yet has no parent, and is drawn in full. For one thread at a
+// time, with the help of a team.
 class Levels {
  public:
   using Pages = std::vector<std::shared_ptr<const NodePage>>;  // by their cells
+  using Nodes = std::array<Pages, kLevels>;
 
   explicit Levels(std::shared_ptr<rosplat_sorter::ThreadTeam> team) : team_(std::move(team)) {}
 
@@ -62,7 +65,7 @@ class Levels {
   // stand. Throws std::bad_alloc, and goes on from there the next time.
   bool advance(HostSlots& slots, const std::function<bool()>& stop);
 
-  const std::array<Pages, kLevels>& pages() const { return pages_; }
+  const std::vector<Nodes>& groups() const { return nodes_; }  // by index, as far as there are any
   std::size_t nodes() const;
   std::size_t bytes() const;
 
@@ -76,7 +79,8 @@ class Levels {
   using Changes = std::vector<Change>;  // by cell, then slot
   // What is known of a page of slots.
   struct Known {
-    std::array<Cell, SlotPage::kSlots> cells;  // in which the nodes hold them, or soon will
+    std::uint32_t group;                       // whose nodes hold it, or soon will
+    std::array<Cell, SlotPage::kSlots> cells;  // in which they do
     std::bitset<SlotPage::kSlots> marked;
   };
   // A range of a level's cells.
@@ -85,10 +89,11 @@ class Levels {
     std::vector<Cell> touched;
     Pages pages;  // what it becomes
   };
-  // The way from what was marked to nodes that hold it, level by level.
+  // The way from what was marked of a group to nodes that hold it, level by level.
   struct Job {
+    std::uint32_t group;
     Changes changes;
-    std::array<Pages, kLevels> pages;
+    Nodes pages;
     int level = -1;  // that is being made
     std::vector<Piece> pieces;
     std::size_t done = 0;  // of them
@@ -104,10 +109,10 @@ class Levels {
 
   std::shared_ptr<rosplat_sorter::ThreadTeam> team_;
   bool begun_ = false;
-  std::vector<std::unique_ptr<Known>> known_;  // by place
-  std::vector<std::uint32_t> marked_;          // first slots of pages
+  std::vector<std::unique_ptr<Known>> known_;                   // by place
+  std::map<std::uint32_t, std::vector<std::uint32_t>> marked_;  // first slots of pages, by group
   std::unique_ptr<Job> job_;
-  std::array<Pages, kLevels> pages_;
+  std::vector<Nodes> nodes_;  // by group
 };
 
 }  // namespace rosplat

@@ -9,9 +9,10 @@ namespace rosplat {
 
 // What decides how well a splat can be drawn.
 struct SampledSplat {
-  std::array<float, 3> position{};  // relative to the map's origin [m]
+  std::array<float, 3> position{};  // relative to its group's origin [m]
   float size = -1;                  // largest standard deviation [m], -1 of an empty slot
   float opacity = 0;
+  std::uint32_t group = 0;  // by index
 };
 
 // Every 2^k-th slot of a map, k such that a few thousand stay: for figures about the whole.

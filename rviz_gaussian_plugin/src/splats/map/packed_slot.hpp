@@ -22,7 +22,7 @@ constexpr double kTicksPerSecond = 4;                                // of `chan
 
 // What a slot holds, unpacked.
 struct Splat {
-  std::array<float, 3> position{};     // [m], relative to the map's origin
+  std::array<float, 3> position{};     // [m], relative to the group's origin
   std::array<float, 4> orientation{};  // quaternion x y z w of any length but zero
   std::array<float, 3> scale{};        // standard deviations [m]
   float opacity = 0;                   // 0 to 1

@@ -13,12 +13,11 @@ constexpr double kPacked = 1.02;
 
 }  // namespace
 
-PageView::PageView(const rosplat_sorter::View& view, const ClipBox& box,
-                   const std::array<double, 3>& origin)
+PageView::PageView(const rosplat_sorter::View& view, const GroupView& group, const ClipBox& box)
     : clips_(box.enabled) {
   const float* r = view.rotation;
   const float* t = view.translation;
-  // A factor of the mean's x or y and one of w, which is z or 1: as planes in the map's frame.
+  // A factor of the mean's x or y and one of w, which is z or 1: as planes in the group's frame.
   const auto side = [&](int axis, double factor, double of_w, double slope) {
     std::array<double, 4> sum{}, terms{};
     for (int i = 0; i < 4; ++i) {
@@ -40,10 +39,9 @@ PageView::PageView(const rosplat_sorter::View& view, const ClipBox& box,
   depth(-1, view.near_clip);
   depth(1, -double(view.far_clip));
   for (int i = 0; i < 3; ++i) {
-    const double centre = box.centre[i] - origin[i], half = 0.5 * box.size[i];
-    const double slack = kRounding * (std::fabs(centre) + half);
-    box_least_[i] = centre - half - slack;
-    box_most_[i] = centre + half + slack;
+    const float* const row = group.to_box[i];
+    const double half = 0.5 * box.size[i];
+    slabs_[i] = {{row[0], row[1], row[2]}, row[3], half + kRounding * (std::fabs(row[3]) + half)};
   }
 }
 
@@ -61,7 +59,15 @@ bool PageView::mayShow(const SlotPage& page) const {
   for (int i = 0; i < 3; ++i) {
     centre[i] = 0.5 * (double(page.least[i]) + page.most[i]);
     half[i] = 0.5 * (double(page.most[i]) - page.least[i]);
-    if (clips_ && (page.most[i] < box_least_[i] || page.least[i] > box_most_[i])) return false;
+  }
+  for (const Slab& slab : slabs_) {
+    if (!clips_) break;
+    double middle = slab.offset, reach = slab.half;
+    for (int i = 0; i < 3; ++i) {
+      middle += slab.axis[i] * centre[i];
+      reach += std::fabs(slab.axis[i]) * (half[i] + kRounding * (std::fabs(centre[i]) + half[i]));
+    }
+    if (std::fabs(middle) > reach) return false;
   }
   for (const Plane& plane : planes_) {
     double least = plane.offset;

@@ -2,19 +2,19 @@
 
 #include <array>
 
+#include "map/group_view.hpp"
 #include "map/render_settings.hpp"
 #include "map/slot_pages.hpp"
 #include "rosplat_sorter/depth_order.hpp"
 
 namespace rosplat {
 
-// Which pages of a map a view may show: those of which a splat could pass the sorters' test of
+// Which pages of a group a view may show: those of which a splat could pass the sorters' test of
 // single splats (depth_order.hpp's visible(), splat_cull.comp), by their bounds alone.
 class PageView {
  public:
-  // origin: the map's; box: what is kept of the map.
-  PageView(const rosplat_sorter::View& view, const ClipBox& box,
-           const std::array<double, 3>& origin);
+  // The group's; box: what is kept of the map.
+  PageView(const rosplat_sorter::View& view, const GroupView& group, const ClipBox& box);
 
   bool mayShow(const SlotPage& page) const;
 
@@ -29,8 +29,13 @@ class PageView {
 
   std::array<Plane, 6> planes_;
   std::size_t count_ = 0;
+  // A mean is kept where its coordinates in the box are no larger than half of that.
+  struct Slab {
+    std::array<double, 3> axis;
+    double offset, half;
+  };
   bool clips_;
-  std::array<double, 3> box_least_{}, box_most_{};
+  std::array<Slab, 3> slabs_{};
 };
 
 }  // namespace rosplat

@@ -18,14 +18,21 @@ std::uint32_t firstSlotOfPage(std::uint32_t slot) { return slot - slot % SlotPag
 }  // namespace
 
 void SlotPages::apply(const GaussianEdit& edit) {
-  if (edit.clear) pages_.clear();
+  emptied_.clear();
+  if (edit.clear) {
+    pages_.clear();
+    groups_ = {};
+  }
+  for (const GroupMove& move : edit.moves) groups_.move(move);
+  const bool writes = edit.sh_degree >= 0 && !edit.runs.empty();
+  const std::uint32_t group = writes ? groups_.write(edit.group, edit.origin) : 0;
   std::size_t i = 0;
   for (const auto& [first, count] : edit.runs) {
     std::uint32_t slot = first, left = count;
     while (left > 0) {
       const std::uint32_t in_page = std::min(left, SlotPage::kSlots - slot % SlotPage::kSlots);
-      if (edit.sh_degree >= 0) {
-        SlotPage& of = page(firstSlotOfPage(slot));
+      if (writes) {
+        SlotPage& of = page(firstSlotOfPage(slot), group);
         for (std::size_t k = i; k < i + in_page; ++k) {
           if (edit.extents[k] < 0) continue;
           of.extent = std::max(of.extent, edit.extents[k]);
@@ -58,16 +65,20 @@ std::vector<std::uint32_t> SlotPages::slots(std::uint32_t capacity) const {
   return slots;
 }
 
-SlotPage& SlotPages::page(std::uint32_t first_slot) {
+SlotPage& SlotPages::page(std::uint32_t first_slot, std::uint32_t group) {
   const auto at = firstFrom(pages_, first_slot);
-  if (at != pages_.end() && at->first_slot == first_slot) return *at;
+  const bool known = at != pages_.end() && at->first_slot == first_slot;
+  if (known && at->group == group) return *at;
   constexpr float infinity = std::numeric_limits<float>::infinity();
   SlotPage fresh;
   fresh.first_slot = first_slot;
-  fresh.place = static_cast<std::uint32_t>(pages_.size());
+  fresh.place = known ? at->place : static_cast<std::uint32_t>(pages_.size());
+  fresh.group = group;
   fresh.least.fill(infinity);
   fresh.most.fill(-infinity);
-  return *pages_.insert(at, fresh);
+  if (!known) return *pages_.insert(at, fresh);
+  emptied_.push_back(first_slot);
+  return *at = fresh;
 }
 
 }  // namespace rosplat

@@ -42,6 +42,10 @@ bool SlotSet::has(std::uint32_t slot) const {
   return page < places_.size() && places_[page] != kNone && pages_[places_[page]][slot % kPage];
 }
 
+bool SlotSet::any(std::uint32_t page) const {
+  return page < places_.size() && places_[page] != kNone && pages_[places_[page]].any();
+}
+
 bool SlotSet::set(std::uint32_t slot, bool in) noexcept {
   auto bit = pages_[places_[slot / kPage]][slot % kPage];
   const bool was_in = bit;

@@ -27,17 +27,21 @@ inline std::size_t countSlots(const SlotRuns& runs) {
 // A set of slots, with memory for the pages that they lie in.
 class SlotSet {
  public:
+  static constexpr std::uint32_t kPage = 1024;
+
   // Before any of them is put in. May run out of memory; the set is the same then.
   void makeRoom(const SlotRuns& runs);
   // The parts of runs that there is room for: no other slot is in the set.
   SlotRuns within(const SlotRuns& runs) const;
 
   bool has(std::uint32_t slot) const;
+  // Whether any is of the kPage slots from page * kPage on.
+  bool any(std::uint32_t page) const;
   // Puts a slot in or takes it out; whether it was in.
   bool set(std::uint32_t slot, bool in) noexcept;
 
  private:
-  static constexpr std::uint32_t kPage = 1024, kNone = 0xffffffffu;
+  static constexpr std::uint32_t kNone = 0xffffffffu;
 
   std::vector<std::uint32_t> places_;  // by number of the page, kNone where there is none
   std::vector<std::bitset<kPage>> pages_;

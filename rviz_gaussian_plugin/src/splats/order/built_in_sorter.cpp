@@ -53,11 +53,11 @@ void BuiltInSorter::apply(EditQueue::Node edit) noexcept {
 }
 
 void BuiltInSorter::request(const std::string& view_id, std::uint64_t sequence,
-                            const rosplat_sorter::View& view, OrderPtr base) {
+                            const SplatCamera& camera, OrderPtr base) {
   begin();
   {
     const std::lock_guard lock(mutex_);
-    requests_[view_id] = {sequence, view, std::move(base)};
+    requests_[view_id] = {sequence, camera, std::move(base)};
   }
   wake_.notify_one();
 }
@@ -72,11 +72,11 @@ OrderPtr BuiltInSorter::take(const std::string& view_id) {
 }
 
 OrderPtr BuiltInSorter::sortNow(const std::string& view_id, std::uint64_t sequence,
-                                const rosplat_sorter::View& view) {
+                                const SplatCamera& camera) {
   begin();
   std::unique_lock lock(mutex_);
   orders_.erase(view_id);
-  requests_[view_id] = {sequence, view, nullptr};
+  requests_[view_id] = {sequence, camera, nullptr};
   wake_.notify_one();
   finished_.wait(lock, [&] {
     const auto found = orders_.find(view_id);
@@ -141,6 +141,7 @@ void BuiltInSorter::apply(const EditQueue::Waiting& item) {
     std::fill(page_changed_.begin(), page_changed_.end(), 0);
     begun_at_ = edit.revision;
   }
+  if (!edit.moves.empty()) begun_at_ = edit.revision;
   map_id_ = item.state.id;
   round_ = edit.round;
   revision_ = edit.revision;
@@ -161,6 +162,15 @@ void BuiltInSorter::hold(const GaussianEdit& edit) {
   grow(extents_, rows, -1.0f);
   grow(changed_at_, rows, std::uint64_t{0});
   grow(page_changed_, pages_.pages().size(), std::uint64_t{0});
+  const auto changed = [&](const SlotPage& page, std::size_t in_page, std::size_t count) {
+    std::fill_n(&changed_at_[rowOf(page) + in_page], count, edit.revision);
+    page_changed_[page.place] = edit.revision;
+  };
+  for (const std::uint32_t first_slot : pages_.emptied()) {
+    const SlotPage& page = *pages_.find(first_slot);
+    std::fill_n(&extents_[rowOf(page)], SlotPage::kSlots, -1.0f);
+    changed(page, 0, SlotPage::kSlots);
+  }
   std::size_t source = 0;
   for (const auto& [first, run_count] : edit.runs) {
     std::uint32_t slot = first, left = run_count;
@@ -174,8 +184,7 @@ void BuiltInSorter::hold(const GaussianEdit& edit) {
         } else {
           std::fill_n(&extents_[row], count, -1.0f);
         }
-        std::fill_n(&changed_at_[row], count, edit.revision);
-        page_changed_[page->place] = edit.revision;
+        changed(*page, slot % SlotPage::kSlots, count);
       }
       slot += count;
       left -= count;
@@ -200,7 +209,7 @@ OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request)
     if (mergeable) {
       merge(request, order->slots);
     } else {
-      sortAll(request.view, order->slots);
+      sortAll(request, order->slots);
     }
   } catch (const std::bad_alloc&) {
     lacking = true;
@@ -215,11 +224,22 @@ OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request)
   return order;
 }
 
-void BuiltInSorter::sortAll(const rosplat_sorter::View& view, std::vector<std::uint32_t>& slots) {
+std::vector<rosplat_sorter::View> BuiltInSorter::viewsOf(const SplatCamera& camera) const {
+  std::vector<rosplat_sorter::View> views;
+  for (const Group& group : pages_.groups()) {
+    views.push_back(sorterView(inFrameOf(group.place, camera), group.originOrZero()));
+  }
+  return views;
+}
+
+void BuiltInSorter::sortAll(const Request& request, std::vector<std::uint32_t>& slots) {
+  const std::vector<rosplat_sorter::View> views = viewsOf(request.camera);
   std::vector<rosplat_sorter::Page> pages;
   pages.reserve(pages_.pages().size());
-  for (const SlotPage& page : pages_.pages()) pages.push_back({page.first_slot, page.place});
-  depth_order_.sort(&view, positions_.data(), extents_.data(), pages.data(), pages.size(),
+  for (const SlotPage& page : pages_.pages()) {
+    pages.push_back({page.first_slot, page.place, page.group});
+  }
+  depth_order_.sort(views.data(), positions_.data(), extents_.data(), pages.data(), pages.size(),
                     [&slots](std::size_t total) {
                       slots.resize(total);
                       return slots.data();
@@ -228,40 +248,41 @@ void BuiltInSorter::sortAll(const rosplat_sorter::View& view, std::vector<std::u
 
 void BuiltInSorter::merge(const Request& request, std::vector<std::uint32_t>& merged) {
   const std::uint64_t known = request.base->revision;
-  constexpr std::size_t kNowhere = ~std::size_t{0};
-  std::vector<std::size_t> row_of(capacity_ / SlotPage::kSlots + 1, kNowhere);  // a page's first
-  std::vector<std::uint32_t> changed;
+  const std::vector<rosplat_sorter::View> views = viewsOf(request.camera);
+  std::vector<const SlotPage*> page_of(capacity_ / SlotPage::kSlots + 1, nullptr);
+  std::vector<std::uint32_t> changed, view_of;
   std::vector<float> positions, extents;  // of these
   for (const SlotPage& page : pages_.pages()) {
     const std::size_t first = rowOf(page);
-    row_of[page.first_slot / SlotPage::kSlots] = first;
+    page_of[page.first_slot / SlotPage::kSlots] = &page;
     if (page_changed_[page.place] <= known) continue;
     for (std::size_t row = first; row < first + SlotPage::kSlots; ++row) {
       if (changed_at_[row] <= known) continue;
       changed.push_back(page.first_slot + static_cast<std::uint32_t>(row - first));
+      view_of.push_back(page.group);
       positions.insert(positions.end(), &positions_[3 * row], &positions_[3 * row] + 3);
       extents.push_back(extents_[row]);
     }
   }
-  const std::vector<std::uint32_t> view_of(changed.size(), 0);
   const std::vector<std::uint32_t>& fresh =
-      depth_order_.sort(&request.view, positions.data(), extents.data(), changed.data(),
+      depth_order_.sort(views.data(), positions.data(), extents.data(), changed.data(),
                         view_of.data(), changed.size());
 
   merged.clear();
   merged.reserve(request.base->slots.size() + fresh.size());
   auto next = fresh.begin();
-  const auto row = [&](std::uint32_t slot) {
+  const auto pageOf = [&](std::uint32_t slot) {
     const std::size_t page = slot / SlotPage::kSlots;
-    const std::size_t first = page < row_of.size() ? row_of[page] : kNowhere;
-    return first == kNowhere ? kNowhere : first + slot % SlotPage::kSlots;
+    return page < page_of.size() ? page_of[page] : nullptr;
   };
   const auto depth = [&](std::uint32_t slot) {
-    return rosplat_sorter::DepthOrder::depth(request.view, &positions_[3 * row(slot)]);
+    const SlotPage& page = *pageOf(slot);
+    return rosplat_sorter::DepthOrder::depth(
+        views[page.group], &positions_[3 * (rowOf(page) + slot % SlotPage::kSlots)]);
   };
   for (const std::uint32_t slot : request.base->slots) {
-    const std::size_t at = row(slot);
-    if (at == kNowhere || changed_at_[at] > known) continue;
+    const SlotPage* const page = pageOf(slot);
+    if (!page || changed_at_[rowOf(*page) + slot % SlotPage::kSlots] > known) continue;
     const float here = depth(slot);
     while (next != fresh.end()) {
       const float there = depth(*next);

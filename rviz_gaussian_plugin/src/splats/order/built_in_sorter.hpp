@@ -41,15 +41,14 @@ class BuiltInSorter {
   // Sorts for a camera; a newer request for the same view replaces one that waits. With `base`, a
   // sidecar's order of an older revision, only the slots changed since are sorted and merged into
   // it.
-  void request(const std::string& view_id, std::uint64_t sequence, const rosplat_sorter::View& view,
+  void request(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera,
                OrderPtr base = nullptr);
 
   // The newest finished order of a view, once.
   OrderPtr take(const std::string& view_id);
 
   // Sorts and waits for it.
-  OrderPtr sortNow(const std::string& view_id, std::uint64_t sequence,
-                   const rosplat_sorter::View& view);
+  OrderPtr sortNow(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
 
   void forget(const std::string& view_id);
   // What it holds. Of a map that it has no memory for nothing, and its orders are empty and say so.
@@ -58,7 +57,7 @@ class BuiltInSorter {
  private:
   struct Request {
     std::uint64_t sequence = 0;
-    rosplat_sorter::View view{};
+    SplatCamera camera;
     OrderPtr base;
   };
   void begin();
@@ -66,7 +65,9 @@ class BuiltInSorter {
   void apply(const EditQueue::Waiting& item);
   void hold(const GaussianEdit& edit);
   OrderPtr sort(const std::string& view_id, const Request& request);
-  void sortAll(const rosplat_sorter::View& view, std::vector<std::uint32_t>& slots);
+  // Of each group.
+  std::vector<rosplat_sorter::View> viewsOf(const SplatCamera& camera) const;
+  void sortAll(const Request& request, std::vector<std::uint32_t>& slots);
   void merge(const Request& request, std::vector<std::uint32_t>& merged);
 
   OrderPool& pool_;
@@ -83,7 +84,7 @@ class BuiltInSorter {
   // The worker's own.
   std::string map_id_;
   std::uint64_t round_ = 0, revision_ = 0;
-  std::uint64_t begun_at_ = 0;  // revision since which it only grew
+  std::uint64_t begun_at_ = 0;  // revision since which slots alone have changed
   bool out_of_memory_ = false;  // until the next clear
   std::uint32_t capacity_ = 0;  // as GaussianEdit::capacity
   SlotPages pages_;

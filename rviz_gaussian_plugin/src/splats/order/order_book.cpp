@@ -77,8 +77,7 @@ void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& 
       if (past.sequence <= base->sequence) camera = &past;
     }
   }
-  built_in_.request(view_id, base ? base->sequence : camera->sequence,
-                    sorterView(camera->camera, map_.origin), base);
+  built_in_.request(view_id, base ? base->sequence : camera->sequence, camera->camera, base);
 }
 
 OrderBook::Choice OrderBook::choose(const std::string& view_id, double now, OrderSource source) {
@@ -132,8 +131,7 @@ OrderBook::Choice OrderBook::sortNow(const std::string& view_id) {
   View& view = views_[view_id];
   if (view.cameras.empty()) return {};
   const Camera& camera = view.cameras.back();
-  view.drawn = view.built_in =
-      built_in_.sortNow(view_id, camera.sequence, sorterView(camera.camera, map_.origin));
+  view.drawn = view.built_in = built_in_.sortNow(view_id, camera.sequence, camera.camera);
   return {view.drawn, true, 0};
 }
 

@@ -1,0 +1,140 @@
+"""A loop closure: every submap of a map moves, from the message to the picture that shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_lab.bench import embedded, live, scenes
+from rosplat_lab.bench.isolation import isolated
+from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_tools.splats import Splats
+from rviz_gaussian_plugin.offscreen import Renderer
+
+SIZES, QUICK_SIZES = (5_000_000,), (20_000,)
+PICTURE, QUICK_PICTURE = (1920, 1080), (320, 180)
+SUBMAPS = 50
+DRIFT, TURN = 0.02, 0.01  # that a closure takes back, of each submap's pose [m], [rad]
+BLOCK = 1024  # slots that are of one group
+MOVE = 3
+
+
+def measure(plan: Plan) -> Iterator[Event]:
+    """Bytes of a closure's message; ms to take it, and until all is drawn where it belongs."""
+    sizes = plan.sizes or ((QUICK_SIZES if plan.quick else SIZES) if not plan.scenes else ())
+    names = scenes.names(sizes, plan.scenes)
+    for number, name in enumerate(names):
+        yield Doing(name, number / len(names))
+        yield from isolated(_scene, name, QUICK_PICTURE if plan.quick else PICTURE, plan.budget)
+
+
+def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Event]:
+    from rviz_gaussian_plugin.offscreen import ensure_display
+
+    splats = scenes.load(name)
+    with ensure_display():
+        renderer = embedded.open_renderer()
+        revision = _insert(renderer, splats)
+        finish = embedded.gl_finish()
+        view = embedded.View(renderer)
+        cameras = scenes.overview(splats, *picture, 2)
+        random = np.random.default_rng(0)
+
+        def draw() -> None:
+            view.draw(sort_now=True)
+            finish()
+
+        def frame(number: int) -> float:
+            view.look(cameras[number % 2])
+            return milliseconds(draw)
+
+        def take() -> None:
+            nonlocal revision
+            revision += 1
+            _move(renderer, _poses(random), revision)
+
+        took: list[float] = []
+
+        def closure(number: int) -> float:
+            took.append(milliseconds(take))
+            return took[-1] + milliseconds(draw)
+
+        frames = budget.spend(frame)
+        closures = budget.spend(closure)
+        common = {"scene": name, "splats": len(splats), "gpu": renderer.renderer_info}
+        parameters = {"submaps": SUBMAPS, "width": picture[0], "height": picture[1]}
+        if live.has_ros():
+            size = _message_bytes(_poses(random))
+            yield Measurement.of("message of a closure", "bytes", size, **common, **parameters)
+        else:
+            yield Skipped("the message's bytes: no ROS 2, or no rosplat_msgs, is sourced")
+        yield Measurement.of("to take it", "ms", took, **common, **parameters)
+        yield Measurement.of("to the picture", "ms", closures, **common, **parameters)
+        yield Measurement.of("a frame after a turn", "ms", frames, **common, **parameters)
+        renderer = view = None  # before the display
+
+
+def _insert(renderer: Renderer, splats: Splats) -> int:
+    """A map of submaps, each of neighbours in space; returns its revision."""
+    revision, first = 1, 0
+    renderer.apply(
+        embedded.REPLACE, 0, 0, _NO_SLOTS, 0, splats.antialiased, (0.0, 0.0, 0.0),
+        *[_NO_FLOATS] * 5, embedded.MAP, revision, len(splats),
+    )  # fmt: skip
+    for group in range(SUBMAPS):
+        part = slice(len(splats) * group // SUBMAPS, len(splats) * (group + 1) // SUBMAPS)
+        revision += 1
+        renderer.apply(
+            embedded.UPSERT, first, part.stop - part.start, _NO_SLOTS, splats.sh_degree,
+            splats.antialiased, tuple(splats.origin.tolist()), splats.positions[part].ravel(),
+            splats.orientations[part].ravel(), splats.scales[part].ravel(),
+            splats.opacities[part], splats.sh[part].ravel(), embedded.MAP, revision, len(splats),
+            group=group,
+        )  # fmt: skip
+        first += -(-(part.stop - part.start) // BLOCK) * BLOCK
+    return revision
+
+
+def _poses(random: np.random.Generator) -> NDArray[np.float64]:
+    """(SUBMAPS, 7): x y z [m] and quaternion x y z w of each, off by some drift."""
+    poses = np.zeros((SUBMAPS, 7))
+    poses[:, :3] = random.normal(scale=DRIFT, size=(SUBMAPS, 3))
+    poses[:, 3:6] = random.normal(scale=TURN / 2, size=(SUBMAPS, 3))
+    poses[:, 6] = 1
+    return poses
+
+
+def _move(renderer: Renderer, poses: NDArray[np.float64], revision: int) -> None:
+    renderer.apply(
+        MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), *[_NO_FLOATS] * 5, embedded.MAP, revision,
+        groups=np.arange(SUBMAPS, dtype=np.uint32), poses=poses,
+    )  # fmt: skip
+
+
+def _message_bytes(poses: NDArray[np.float64]) -> int:
+    """Of the message as DDS sends it."""
+    from geometry_msgs.msg import Point, Pose, Quaternion
+    from rclpy.serialization import serialize_message
+
+    from rosplat_msgs.msg import GaussianArray
+
+    message = GaussianArray(
+        map_id=embedded.MAP,
+        operation=GaussianArray.MOVE,
+        groups=list(range(SUBMAPS)),
+        poses=[
+            Pose(
+                position=Point(x=x, y=y, z=z),
+                orientation=Quaternion(x=qx, y=qy, z=qz, w=qw),
+            )
+            for x, y, z, qx, qy, qz, qw in poses.tolist()
+        ],
+    )
+    return len(serialize_message(message))
+
+
+_NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)
+_NO_FLOATS: NDArray[np.float32] = np.zeros(0, np.float32)
