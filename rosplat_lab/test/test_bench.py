@@ -120,6 +120,13 @@ def test_a_streamed_scene_comes_as_the_camera_goes(tmp_path: Path) -> None:
     assert {r.parameters["process"] for r in records if r.name == "RAM"} == {"viewer", "publisher"}
 
 
+def test_a_loop_closure_is_a_small_message(tmp_path: Path) -> None:
+    records = {r.name: r for r in bench(tmp_path, "closure", "--sizes", "2000")}
+    assert {"to take it", "to the picture", "a frame after a turn"} <= records.keys()
+    if "message of a closure" in records:
+        assert 50 * 60 < records["message of a closure"].value < 50 * 60 + 500
+
+
 def test_a_picture_is_worth_more_carried_over(tmp_path: Path) -> None:
     records = bench(tmp_path, "moving", "--sizes", "2000")
     found = {

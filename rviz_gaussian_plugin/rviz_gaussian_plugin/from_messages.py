@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_msgs.msg import GaussianArray, ViewCamera
+from rosplat_sorter.edits import pose_values
 
 
 def apply(target: Any, batch: GaussianArray) -> dict[str, Any]:
@@ -21,6 +22,8 @@ def apply(target: Any, batch: GaussianArray) -> dict[str, Any]:
         batch.sh_degree, batch.antialiased, (origin.x, origin.y, origin.z), array(batch.positions),
         array(batch.orientations), array(batch.scales), array(batch.opacities), array(batch.sh),
         batch.map_id, batch.revision, batch.expected_slots, batch.encoding, batch.snapshot,
+        batch.group, array(batch.groups, np.uint32),
+        np.array([[*sum(pose_values(pose), ())] for pose in batch.poses]),
     )  # fmt: skip
     return report
 

@@ -268,6 +268,12 @@ def test_a_map_that_grows_for_hours_is_framed_by_a_bounded_sample() -> None:
     centre, radius = sample.bounds()
     np.testing.assert_allclose(centre, origin, atol=0.02)
     assert radius == pytest.approx(0.98 * 3**0.5, rel=0.02)
+    # Groups that move take their positions with them.
+    turn = np.eye(4)
+    turn[:2, :2] = [[0, -1], [1, 0]]
+    turn[:3, 3] = [0, 0, 7]
+    sample.place(0, turn)
+    np.testing.assert_allclose(sample.bounds()[0], [0, 4.5e6, 7], atol=0.02)
 
 
 @pytest.fixture

@@ -56,6 +56,7 @@ SUBJECTS = {
     "sort": Subject("depth orders by every backend, beside other ways to sort"),
     "frame": Subject("pictures by the embedded renderer"),
     "levels": Subject("levels of detail: error, frames, building, popping"),
+    "closure": Subject("a loop closure: from the message to the picture with all submaps moved"),
     "moving": Subject("what a picture is worth to a camera that has turned since"),
     "simplify": Subject("what is left of pictures with fewer splats, by several ways"),
     "rviz": Subject("rviz2's own frames and pictures, by our Display and others", needs_ros=True),

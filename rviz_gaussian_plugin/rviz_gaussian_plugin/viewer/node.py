@@ -19,9 +19,11 @@ from sensor_msgs.msg import Image
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.edits import pose_values
 from rosplat_sorter.log_text import shown
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
+from rosplat_sorter.view import frame_at
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.splats import SceneError
 from rviz_gaussian_plugin.from_messages import apply, array, numbers
@@ -170,7 +172,9 @@ class Viewer(Node):
         if message.operation == GaussianArray.REPLACE:
             self._sample = Sample()
         origin = np.array([message.origin.x, message.origin.y, message.origin.z])
-        self._sample.add(array(message.positions).reshape(-1, 3), origin)
+        self._sample.add(array(message.positions).reshape(-1, 3), origin, message.group)
+        for group, pose in zip(message.groups, message.poses, strict=True):
+            self._sample.place(group, frame_at(*pose_values(pose)))
         self.frame_id = message.header.frame_id
         self.last_batch = time.monotonic()
 

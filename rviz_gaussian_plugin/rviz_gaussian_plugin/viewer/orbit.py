@@ -18,23 +18,36 @@ class Sample:
     BATCHES = 100
 
     def __init__(self) -> None:
-        self._parts: list[NDArray[np.float64]] = []
+        # By group, in its frame.
+        self._parts: dict[int, list[NDArray[np.float64]]] = {}
+        self._frames: dict[int, NDArray[np.float64]] = {}
 
     def __len__(self) -> int:
-        return sum(map(len, self._parts))
+        return sum(len(part) for parts in self._parts.values() for part in parts)
 
-    def add(self, positions: NDArray[np.float32], origin: NDArray[np.float64]) -> None:
-        """Takes some of (n, 3) positions, relative to the origin (3,). [m]"""
+    def add(
+        self, positions: NDArray[np.float32], origin: NDArray[np.float64], group: int = 0
+    ) -> None:
+        """Takes some of (n, 3) positions of a group, relative to the origin (3,). [m]"""
         some = positions[:: len(positions) // self.OF_BATCH + 1]
-        self._parts.append(some[np.isfinite(some).all(axis=1)] + origin)
-        if len(self._parts) > self.BATCHES:
-            self._parts = [np.concatenate(self._parts)[::2]]
+        parts = self._parts.setdefault(group, [])
+        parts.append(some[np.isfinite(some).all(axis=1)] + origin)
+        if len(parts) > 1 + self.BATCHES // len(self._parts):
+            parts[:] = [np.concatenate(parts)[::2]]
+
+    def place(self, group: int, frame: NDArray[np.float64]) -> None:
+        """Says where a group is: its frame in the map's, (4, 4)."""
+        self._frames[group] = frame
 
     def bounds(self) -> tuple[NDArray[np.float64], float]:
         """Centre and radius of the middle, which a few far splats don't change. [m]"""
-        positions = np.concatenate(self._parts) if self._parts else np.zeros((0, 3))
-        if not len(positions):
+        if not len(self):
             return np.zeros(3), 1.0
+        in_map = []
+        for group, parts in self._parts.items():
+            frame = self._frames.get(group, np.eye(4))
+            in_map += [part @ frame[:3, :3].T + frame[:3, 3] for part in parts]
+        positions = np.concatenate(in_map)
         low, high = np.quantile(positions, [0.01, 0.99], axis=0)
         return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 

@@ -105,6 +105,7 @@ StatusLine accuracyStatus(const std::vector<std::string>& regimes) {
 StatusLine mapStatus(const MapState& map, const Backlog& backlog) {
   std::string text = concat(map.splats, " splats");
   if (map.expected > map.splats) text += concat(" of ", map.expected);
+  if (map.groups > 1) text += concat(" in ", map.groups, " groups");
   text += concat(", SH degree ", map.sh_degree, map.antialiased ? ", antialiased" : "");
   if (map.missed > 0) text += concat("; ", map.missed, " batches are missing");
   if (map.dropped > 0) text += concat("; ", map.dropped, " splats with invalid values left out");

@@ -121,6 +121,7 @@ rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::
   message.map_id = map_id;
   message.revision = revision;
   message.slot = splat.slot;
+  message.group = splat.group;
   message.pose.position.x = splat.position[0];
   message.pose.position.y = splat.position[1];
   message.pose.position.z = splat.position[2];
