@@ -18,7 +18,14 @@ from rosplat_tools import harmonics
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin import offscreen
-from rviz_gaussian_plugin.offscreen import CpuRenderer, OrderSource, Rasterizer, Renderer
+from rviz_gaussian_plugin.offscreen import (
+    ClipBox,
+    CpuRenderer,
+    DrawMode,
+    OrderSource,
+    Rasterizer,
+    Renderer,
+)
 
 Array = NDArray[Any]
 
@@ -188,31 +195,96 @@ def joined(parts: list[Splats]) -> Splats:
     )
 
 
+@dataclass
+class Submaps:
+    """Some clouds in groups of their own around a place, and the same as one map."""
+
+    about: Array
+    splats: dict[int, Splats] = field(default_factory=dict)
+    poses: dict[int, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        random = np.random.default_rng(7)
+        self.splats = {3: cloud(300, 1), 0: cloud(200, 2), 32767: cloud(300, 3)}
+        # Where a pose brings them to, whatever their own origins are.
+        self.splats[3] = replace(self.splats[3], origin=np.array([-2e6, 5.0, 1e6]))
+        for group, splats in self.splats.items():
+            turn = random_pose(random)
+            rotated = placed(splats, np.concatenate([np.zeros(3), turn[3:]]))
+            turn[:3] += self.about - (rotated.origin + rotated.positions.mean(axis=0))
+            self.poses[group] = turn
+
+    def slots(self, group: int) -> Array:
+        return list(self.splats).index(group) * BLOCK + np.arange(len(self.splats[group]))
+
+    def show(self, target: Target) -> None:
+        target.begin()
+        for group, splats in self.splats.items():
+            target.apply(UPSERT, self.slots(group), splats, group)
+        target.apply(MOVE, poses=self.poses)
+
+    def baked(self) -> Splats:
+        return joined([placed(splats, self.poses[group]) for group, splats in self.splats.items()])
+
+
 @pytest.mark.parametrize("about", [np.zeros(3), FAR], ids=["near", "4,500 km away"])
 def test_groups_with_poses_are_the_same_map_baked(target: Target, about: Array) -> None:
-    if not isinstance(target.renderer, CpuRenderer) and target.renderer.settings.order != (
-        OrderSource.AUTO
-    ):
-        pytest.skip("the others show the poses, this one their order")
-    random = np.random.default_rng(7)
-    submaps = {3: cloud(300, 1), 0: cloud(200, 2), 32767: cloud(300, 3)}
-    # Where a pose brings them to, whatever their own origins are.
-    submaps[3] = replace(submaps[3], origin=np.array([-2e6, 5.0, 1e6]))
-    poses = {group: random_pose(random) for group in submaps}
-    for group, splats in submaps.items():
-        rotated = placed(splats, np.concatenate([np.zeros(3), poses[group][3:]]))
-        centre = rotated.origin + rotated.positions.mean(axis=0)
-        poses[group][:3] += about - centre
-    target.begin()
-    for number, (group, splats) in enumerate(submaps.items()):
-        target.apply(UPSERT, number * BLOCK + np.arange(len(splats)), splats, group)
-    target.apply(MOVE, poses=poses)
-    baked = joined([placed(splats, poses[group]) for group, splats in submaps.items()])
+    submaps = Submaps(about)
+    submaps.show(target)
     camera = camera_at((1.5, 1.0, 0.8), about)
-    target.renderer.settings.detail = "full"
-    expected = reference.render(baked, camera).rgba
+    if isinstance(target.renderer, CpuRenderer):
+        target.renderer.settings.detail = "full"
+    expected = reference.render(submaps.baked(), camera).rgba
     assert decibels(target.draw(camera), expected) >= 70
     assert expected[..., 3].mean() > 0.2  # there was something to see
+
+
+@pytest.mark.parametrize("mode", [DrawMode.COLOR, DrawMode.NORMALS, DrawMode.DEPTH])
+def test_clip_box_and_normals_are_in_the_map_s_frame(target: Target, mode: DrawMode) -> None:
+    submaps = Submaps(np.array([100.0, -20.0, 3.0]))
+    camera = camera_at((1.5, 1.0, 0.8), submaps.about)
+    settings = target.renderer.settings
+    box = ClipBox()
+    box.enabled = True
+    box.centre, box.size = tuple(np.add(submaps.about, (0.1, 0, 0.05))), (0.5, 0.7, 0.9)
+    settings.clip_box, settings.mode, settings.depth_range = box, mode, (1.0, 3.0)
+    try:
+        submaps.show(target)
+        picture = target.draw(camera)
+        baked = submaps.baked()
+        target.begin()
+        target.apply(UPSERT, np.arange(len(baked)), baked)
+        assert decibels(picture, target.draw(camera)) >= 60
+        assert 0.05 < (picture[..., 3] > 0).mean() < 0.5
+    finally:
+        settings.clip_box, settings.mode = ClipBox(), DrawMode.COLOR
+
+
+def test_picks_and_values_of_slots_are_in_the_map_s_frame(target: Target) -> None:
+    submaps = Submaps(FAR)
+    submaps.show(target)
+    baked = submaps.baked()
+    slots = np.concatenate([submaps.slots(group) for group in submaps.splats])
+    camera = camera_at((1.5, 1.0, 0.8), FAR)
+    expected, most = reference.pick(baked, camera)
+    if isinstance(target.renderer, CpuRenderer):
+        target.renderer.settings.detail = "full"
+        picked = target.renderer.pick(offscreen.Camera(*pose(camera)))
+    else:
+        target.draw(camera)
+        picked = target.renderer.pick(View.NAME, 0, 0, camera.width, camera.height)
+        for number in range(0, len(slots), 97):
+            (values,) = target.renderer.read_slots([int(slots[number])])
+            position = baked.positions[number] + baked.origin
+            np.testing.assert_allclose(values["position"], position, rtol=0, atol=1e-5)
+            turned = baked.orientations[number].astype(np.float64)
+            cosine = np.dot(turned, values["orientation"]) / np.linalg.norm(turned)
+            assert abs(cosine) == pytest.approx(1, abs=1e-6)
+            assert values["group"] == list(submaps.splats)[slots[number] // BLOCK]
+    clear = most > 0.06
+    wrong = picked.astype(np.int64)[clear] != slots[expected[clear]]
+    assert clear.mean() > 0.2
+    assert wrong.mean() < 2e-3  # of next to equal contributions
 
 
 @dataclass
