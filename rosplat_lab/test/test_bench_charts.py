@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from rosplat_lab.bench.records import Circumstances, Measurement, Record, save
 HERE = Circumstances("a box", "a card", "1.2", "abc", "bench", "2026-01-01T00:00:00Z", 0.5)
 
 
-def record(name: str, splats: int, value: float, **parameters: str) -> Record:
+def record(name: str, splats: int, value: float, **parameters: Any) -> Record:
     measured = Measurement.of(
         name, "ms", [value, value, 2 * value], f"procedural:{splats}", splats, **parameters
     )
@@ -47,6 +48,18 @@ def test_every_series_is_a_line_in_the_panel_of_its_view(orders: list[Record]) -
     assert [text.get_text() for text in legend.get_texts()] == ["native", "numpy"]
     caption = figure.get_supxlabel()
     assert "a box · a card · 1.2 · abc" in caption
+
+
+def test_levels_of_detail_are_drawn_over_the_share_of_splats() -> None:
+    chart = next(chart for chart in charts.CHARTS if chart.file == "levels-psnr")
+    curve = [
+        record("PSNR", 1000, value, subject="levels", view="inside", share=share, detail=detail)
+        for share, value, detail in ((0.9, 60.0, "2px"), (0.25, 40.0, "8px"), (0.5, 50.0, "4px"))
+    ]
+    (line,) = charts.figure(chart, charts.of_chart(chart, curve)).axes[0].get_lines()
+    np.testing.assert_allclose(line.get_xdata(), [0.25, 0.5, 0.9])
+    np.testing.assert_allclose(line.get_ydata(), [40, 50, 60])
+    assert not list(charts.tables(curve))  # which are by number of splats
 
 
 def test_the_band_reaches_to_the_95th_percentile(orders: list[Record]) -> None:

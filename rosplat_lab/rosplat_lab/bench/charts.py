@@ -31,12 +31,22 @@ def at_rate(record: Record) -> str:
     return f"{record.parameters['rate']:g} Hz, {parameter('backend', 'transport')(record)}"
 
 
+def share(record: Record) -> float:
+    """Of the splats that full detail draws."""
+    return float(record.parameters["share"])
+
+
+def splats(record: Record) -> float:
+    """How many it was measured on."""
+    return record.splats
+
+
 @dataclass(frozen=True)
 class Chart:
-    """Records of one name as lines over the number of splats.
+    """Records of one name as lines over the number of splats, or what else `over` says.
 
-    series: what makes a line; panel: what makes a chart beside it, all in one by default. band:
-    shade from there to the 95th percentile.
+    only: of those, which. series: what makes a line; panel: what makes a chart beside it, all in
+    one by default. band: shade from there to the 95th percentile.
     """
 
     file: str
@@ -47,6 +57,8 @@ class Chart:
     series: Key
     panel: Key = lambda _: ""
     x: str = "splats"
+    over: Callable[[Record], float] = splats
+    only: Callable[[Record], bool] = lambda _: True
     log: bool = True
     band: bool = True
 
@@ -81,6 +93,21 @@ CHARTS = (
         "simplify", "simplify", "PSNR", "With fewer splats, in views that nothing was fitted to",
         "PSNR against the whole map [dB]", parameter("method"), lambda r: Path(r.scene).stem,
         log=False, band=False,
+    ),
+    Chart(
+        "levels-psnr", "levels", "PSNR", "Levels of detail", "PSNR against all splats [dB]",
+        lambda r: Path(r.scene).stem, parameter("view"), x="share of the splats drawn",
+        over=share, log=False, band=False,
+    ),
+    Chart(
+        "levels-truth", "levels", "PSNR against the truth", "Levels of detail",
+        "PSNR against the mean of 4x4 pixels [dB]",
+        lambda r: Path(r.scene).stem, parameter("view"), x="share of the splats drawn",
+        over=share, only=lambda r: "share" in r.parameters, log=False, band=False,
+    ),
+    Chart(
+        "levels-budget", "levels", "frame", "Frame of a million splats and nodes", "time [ms]",
+        parameter("view"), only=lambda r: r.parameters["detail"] == "1000000",
     ),
     Chart(
         "rviz-frame", "rviz", "frame", "Frame of rviz2", "time [ms]",
@@ -131,7 +158,8 @@ COLUMNS = 8  # of a table then
 
 def of_chart(chart: Chart, records: Sequence[Record]) -> list[Record]:
     """Those that the chart shows."""
-    return [r for r in records if (r.subject, r.name) == (chart.subject, chart.name)]
+    mine = [r for r in records if (r.subject, r.name) == (chart.subject, chart.name)]
+    return [record for record in mine if chart.only(record)]
 
 
 def tables(records: Sequence[Record], statistic: str = "p50") -> Iterator[str]:
@@ -141,7 +169,7 @@ def tables(records: Sequence[Record], statistic: str = "p50") -> Iterator[str]:
     """
     for chart in CHARTS:
         mine = of_chart(chart, records)
-        if mine:
+        if mine and chart.over is splats:
             yield f"{chart.title}, {chart.y}, {statistic}\n\n{table(chart, mine, statistic)}"
 
 
@@ -209,7 +237,7 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
         for label in labels:
             points = sorted(
                 (r for r in records if (chart.panel(r), chart.series(r)) == (panel, label)),
-                key=lambda r: r.splats,
+                key=chart.over,
             )
             for family in dict.fromkeys(map(_family, points)):
                 line = [point for point in points if _family(point) == family]
@@ -242,7 +270,7 @@ def _line(
     ax: Axes, chart: Chart, points: Sequence[Record], statistic: str, label: str,
     color: tuple[float, ...],
 ) -> None:  # fmt: skip
-    x, y = [point.splats for point in points], [getattr(point, statistic) for point in points]
+    x, y = [chart.over(point) for point in points], [getattr(point, statistic) for point in points]
     marker = "o" if len(points) < 30 else None
     ax.plot(x, y, label=label, color=color, marker=marker, markersize=3.5, linewidth=1.4)
     if chart.band:
