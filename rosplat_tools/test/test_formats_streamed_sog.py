@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from streamed_scene import ABOVE, APART, ENVIRONMENT, LEVELS, edited, garden, write_scene
 
 from rosplat_tools import formats
@@ -133,9 +135,11 @@ def changed(**changes: Any) -> dict[str, Any]:
         (changed(lods={"0": {"file": 0, "offset": -1, "count": 5}}), "offset of level 0 is -1"),
         (changed(lods={"0": {"file": 0, "offset": 0, "count": True}}), "count of level 0 is True"),
         (changed(lods={"fine": {}}), "broken lod-meta.json"),
+        (changed(lods=[0]), "broken lod-meta.json"),
         (changed(bound={"min": [0, 0], "max": [1, 1]}), "bound: expected"),
         (changed(bound={"min": [2, 0, 0], "max": [1, 1, 1]}), "bound: expected"),
         (changed(bound={"min": [0, 0, 0], "max": [1, 1, 1e999]}), "bound: a number"),
+        (changed(bound={"min": [-1e308, 0, 0], "max": [1, 1, 1]}), "bound: a number"),
         (changed(lods={"0": {"file": 0, "offset": 11_999, "count": 9}}), "0_0/meta.json: holds 12"),
         ({"environment": "../env/meta.json"}, "'../env/meta.json' is not a file below"),
         ({"environment": "env/meta.json"}, "env/meta.json: can't read"),
@@ -146,6 +150,41 @@ def test_a_meta_that_lies(scene: Path, changes: dict[str, Any], reason: str) -> 
     edited(scene, **changes)
     with pytest.raises(SceneError, match=reason):
         open_streamed(scene)
+
+
+WRONG = [
+    None, True, -1, 0, 1, 2999, 3000, 2**63, 10**400, 1.5, float("nan"), float("inf"), -1e308, "",
+    "x", "../x", "0_0/meta.json", [], {}, [0], [[]],
+]  # fmt: skip
+
+
+def places(values: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """The keys that lead to each value in another."""
+    keys = values if isinstance(values, dict) else range(len(values))
+    found = [(*path, key) for key in keys]
+    for key in keys:
+        if isinstance(values[key], (dict, list)):
+            found += places(values[key], (*path, key))
+    return found
+
+
+@settings(deadline=None)
+@given(data=st.data())
+def test_any_field_may_be_anything(made: Path, data: st.DataObject) -> None:
+    meta = json.loads(made.read_text())
+    *way, last = data.draw(st.sampled_from(places(meta)))
+    there = meta
+    for key in way:
+        there = there[key]
+    there[last] = data.draw(st.sampled_from(WRONG))
+    path = made.with_name("wrong.json")
+    path.write_text(json.dumps(meta))
+    try:
+        scene = open_streamed(path)
+    except SceneError as error:
+        assert made.parent.name in str(error)
+    else:
+        assert scene.splats > 0
 
 
 def test_a_tree_without_end(scene: Path) -> None:

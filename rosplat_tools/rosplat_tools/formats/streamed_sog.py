@@ -35,6 +35,7 @@ META = "lod-meta.json"
 LARGEST_META = 1 << 25  # [bytes]
 MOST_FILES = 100_000
 DEEPEST = 64  # of a tree; it halves space
+FARTHEST = 1e15  # that a bound may be [m]
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def open_streamed(path: Path) -> Streamed:
         raise SceneError(f"{path}: {error.strerror or error}") from error
     except (
         ValueError,
-        KeyError,
+        LookupError,
         TypeError,
         AttributeError,
         RecursionError,
@@ -146,8 +147,8 @@ def _scene(path: Path, meta: Any) -> Streamed:
             low, high = (np.array(node["bound"][end], np.float64) for end in ("min", "max"))
             if low.shape != (3,) or high.shape != (3,) or not (low <= high).all():
                 raise SceneError(f"{path}: bound: expected min and max of three numbers")
-            if not np.isfinite([low, high]).all():
-                raise SceneError(f"{path}: bound: a number is not finite")
+            if not (np.abs([low, high]) < FARTHEST).all():
+                raise SceneError(f"{path}: bound: a number is not finite, or beyond {FARTHEST:g} m")
             chunks.append(Chunk(low, high, tuple(levels)))
     if not chunks:
         raise SceneError(f"{path}: holds no splats")
