@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rosplat_tools.streaming.slot_allocator import SlotAllocator, slots_for
@@ -32,6 +32,7 @@ def test_small_sets_share_pages_and_large_ones_have_theirs() -> None:
     assert set(allocator.take(800) // 1024) == {0}
 
 
+@settings(deadline=None)
 @given(data=st.data())
 def test_no_slot_is_given_twice(data: st.DataObject) -> None:
     pages = 12
