@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
+
+from geometry_msgs.msg import Point, Pose, Quaternion
 
 from rosplat_msgs.msg import GaussianArray
 
 REPLACE, UPSERT, DELETE = GaussianArray.REPLACE, GaussianArray.UPSERT, GaussianArray.DELETE
+MOVE = GaussianArray.MOVE
 MOST = GaussianArray.MAX_SLOTS
 NAN, INF = float("nan"), float("inf")
 LARGEST, LEAST = 3.4e38, 1e-45  # of float32
@@ -38,6 +41,9 @@ class Receiver(Protocol):
 
     def in_use(self, slot: int) -> bool: ...
 
+    def place(self, group: int) -> tuple[float, float, float]:
+        """Where a group's frame is in the map's."""
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -65,8 +71,9 @@ class Batch:
             if name == "origin":
                 message.origin.x, message.origin.y, message.origin.z = value
             else:
-                setattr(message, name, array("I", value) if name == "slots" else value)
-        splats = 0 if self.operation == DELETE else self.count
+                listed = name in ("slots", "groups")
+                setattr(message, name, array("I", value) if listed else value)
+        splats = self.count if self.operation in (REPLACE, UPSERT) else 0
         arrays = {name: array("f", list(one) * splats) for name, one in _SPLAT.items()}
         arrays["sh"] = array("f", [0.25] * (3 * (message.sh_degree + 1) ** 2 * splats))
         for i in range(splats):
@@ -93,6 +100,7 @@ class Case:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     antialiased: bool = False
     missed: int = 0
+    places: dict[int, tuple[float, float, float]] = field(default_factory=dict)  # by group
     looked_at: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 9, 10, 1023, 1024, 70000, MOST - 1)
 
 
@@ -106,6 +114,15 @@ def _upsert(count: int = 0, **fields: Any) -> Batch:
 
 def _delete(count: int = 0, **fields: Any) -> Batch:
     return Batch(DELETE, count, fields)
+
+
+def _move(groups: tuple[int, ...], *poses: Pose, **fields: Any) -> Batch:
+    return Batch(MOVE, 0, {"groups": groups, "poses": list(poses)} | fields)
+
+
+def _at(x: float, *orientation: float) -> Pose:
+    qx, qy, qz, qw = orientation or (0.0, 0.0, 0.0, 1.0)
+    return Pose(position=Point(x=x, y=2.0, z=-3.0), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
 def _refused(field: str, name: str, **batch: Any) -> Case:
@@ -282,4 +299,74 @@ CASES = (
     _refused("positions", "a count beyond the arrays", fields={"count": MOST}, count=2),
     _refused("positions", "a delete with positions", operation=DELETE, lengths={"positions": 6}),
     _refused("sh", "a delete with harmonics", operation=DELETE, lengths={"sh": 6}),
+    # Groups: blocks of slots that are of one, and where they are.
+    Case(
+        "groups have blocks of their own",
+        (_replace(2), _upsert(2, first_slot=1023, slots=[1024, 2048], group=7)),
+        in_use=(0, 1, 1024),
+    ),
+    Case(
+        "a block of another group is refused",
+        (_replace(2), Batch(UPSERT, 2, {"slots": [1024, 9], "group": 7}, refused="group")),
+        in_use=(0, 1),
+        missed=0,
+    ),
+    Case(
+        "a block that was emptied is whose it is next",
+        (_replace(2), _delete(2), _upsert(1, first_slot=9, group=7), _upsert(1, group=7)),
+        in_use=(0, 9),
+    ),
+    Case(
+        "splats that mean nothing keep no block",
+        (
+            Batch(REPLACE, 1, values={("opacities", 0): NAN}, dropped=1),
+            _upsert(1, first_slot=9, group=7),
+        ),
+        in_use=(9,),
+    ),
+    Case(
+        "a replace has other groups",
+        (_replace(2, group=7), _replace(2), _upsert(1, first_slot=9)),
+        in_use=(0, 1, 9),
+    ),
+    Case(
+        "each group has the origin of its first splats",
+        (_replace(2), _upsert(1, first_slot=1024, group=7, origin=FAR)),
+        in_use=(0, 1, 1024),
+    ),
+    Case(
+        "groups are where they were placed last",
+        (_replace(2), _move((7, 0), _at(1), _at(4)), _move((7,), _at(5e6, 0, 0, 1e-200, 0))),
+        in_use=(0, 1),
+        places={0: (4, 2, -3), 7: (5e6, 2, -3), 8: (0, 0, 0)},
+    ),
+    Case(
+        "a pose stays when the splats go",
+        (_replace(2), _move((0,), _at(1)), _delete(2), _upsert(1, first_slot=9)),
+        in_use=(9,),
+        places={0: (1, 2, -3)},
+    ),
+    Case(
+        "a pose goes with a replace",
+        (_replace(2), _move((0,), _at(1)), _replace(1)),
+        in_use=(0,),
+        places={0: (0, 0, 0)},
+    ),
+    Case("a move of nothing", (_replace(2), _move(())), in_use=(0, 1)),
+    _refused("group", "a group too high", fields={"group": 32768}),
+    _refused("groups", "groups that an upsert moves", fields={"groups": [1]}),
+    *(
+        Case(f"refused: {name}", (_replace(2), replace(bad, refused=field)), in_use=(0, 1))
+        for field, name, bad in (
+            ("groups", "a moved group too high", _move((32768,), _at(1))),
+            ("groups", "a group that is moved twice", _move((1, 1), _at(1), _at(1))),
+            ("poses", "fewer poses than groups", _move((1, 2), _at(1))),
+            ("poses", "a pose that is no number", _move((1,), _at(NAN))),
+            ("poses", "a pose without orientation", _move((1,), _at(1, 0, 0, 0, 0))),
+            ("poses", "an infinite orientation", _move((1,), _at(1, 0, 0, 0, INF))),
+            ("count", "a move with splats", replace(_move((1,), _at(1)), count=2)),
+            ("slots", "a move with slots", _move((1,), _at(1), slots=[5])),
+            ("sh", "a move with harmonics", replace(_move((1,), _at(1)), lengths={"sh": 3})),
+        )
+    ),
 )

@@ -28,6 +28,10 @@ class Display:
     def in_use(self, slot: int) -> bool:
         return bool(self.map.in_use(slot))
 
+    def place(self, group: int) -> tuple[float, float, float]:
+        x, y, z = self.map.pose(group)[0]
+        return x, y, z
+
     @property
     def origin(self) -> tuple[float, float, float]:
         x, y, z = self.map.origin() or (0.0, 0.0, 0.0)
@@ -60,6 +64,10 @@ class Sorter:
     def in_use(self, slot: int) -> bool:
         return bool((self.map.extents[self.map.slots == slot] >= 0).any())
 
+    def place(self, group: int) -> tuple[float, float, float]:
+        x, y, z = self.map.poses.get(group, np.eye(4))[:3, 3].tolist()
+        return x, y, z
+
     @property
     def origin(self) -> tuple[float, float, float]:
         x, y, z = self.map.origins.get(0, np.zeros(3)).tolist()
@@ -86,11 +94,16 @@ class Publisher:
         return messages.apply(message, self.map)
 
     def in_use(self, slot: int) -> bool:
-        return slot in self.map.snapshot()[0]
+        return any(slot in group.slots for group in self.map.groups())
+
+    def place(self, group: int) -> tuple[float, float, float]:
+        x, y, z = self.map.poses.get(group, np.eye(4))[:3, 3].tolist()
+        return x, y, z
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        x, y, z = self.map.snapshot()[1].origin.tolist()
+        origins = {part.group: part.splats.origin for part in self.map.groups()}
+        x, y, z = origins.get(0, np.zeros(3)).tolist()
         return x, y, z
 
     @property
@@ -138,3 +151,5 @@ def test_receivers_agree(receiver: type[Receiver], case: Case) -> None:
         (target.revision, revision),
     ):
         assert known is None or known == expected
+    for group, place in case.places.items():
+        assert target.place(group) == place

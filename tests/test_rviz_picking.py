@@ -195,3 +195,29 @@ def test_hundreds_are_counted_not_listed(rviz: Rviz, world: World, picked: list[
     listed = set(selection(rviz))
     assert len(listed) == 101
     assert "... and 300 more" in listed
+
+
+def test_a_group_that_moves_takes_its_splats_and_their_outline_along(
+    rviz: Rviz, world: World, picked: list[Any]
+) -> None:
+    def at(x: float, y: float) -> np.ndarray:
+        frame = np.eye(4)
+        frame[:2, 3] = x, y
+        return frame
+
+    world.map.replace(disc((1, 0, 0), x=-1, sigma=0.2))
+    world.map.upsert([1024], disc((0, 0, 1), sigma=0.3), group=3)
+    world.map.move({3: at(1, 0)})
+    rviz.until_status("Map", "Map", "Ok", "2 splats in 2 groups")
+    still, row_and_column = spot(rviz, red), spot(rviz, blue)
+    rviz.click(*row_and_column)
+    world.spin_until(lambda: picked)
+    (message,) = picked
+    assert (message.slot, message.group) == (1024, 3)
+    assert (message.pose.position.x, message.pose.position.y) == (1.0, 0.0)
+    world.map.move({3: at(0.2, 0.7)})
+    expected = np.add(row_and_column, (-70, -80))  # [px]
+    rviz.until(lambda s: blue(s).any() and np.abs(centre(blue(s)) - expected).max() < 2)
+    rviz.until(lambda s: cyan(s).any() and np.abs(centre(cyan(s)) - expected).max() < 3)
+    assert spot(rviz, red) == still
+    rviz.keep("groups.png")
