@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -40,15 +41,15 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
         revision = _insert(renderer, splats)
         finish = embedded.gl_finish()
         view = embedded.View(renderer)
-        cameras = scenes.overview(splats, *picture, 2)
+        cameras = itertools.cycle(scenes.overview(splats, *picture, 2))
         random = np.random.default_rng(0)
 
         def draw() -> None:
             view.draw(sort_now=True)
             finish()
 
-        def frame(number: int) -> float:
-            view.look(cameras[number % 2])
+        def frame(_: int) -> float:
+            view.look(next(cameras))
             return milliseconds(draw)
 
         def take() -> None:
@@ -58,7 +59,7 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
 
         took: list[float] = []
 
-        def closure(number: int) -> float:
+        def closure(_: int) -> float:
             took.append(milliseconds(take))
             return took[-1] + milliseconds(draw)
 

@@ -10,7 +10,7 @@
 namespace rosplat::gl {
 
 namespace {
-constexpr GLint kStorageBindings = 14, kImageUnits = 3;  // that shaders use
+constexpr GLint kStorageBindings = 15, kImageUnits = 3;  // that shaders use
 }
 
 Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
