@@ -54,11 +54,13 @@ def test_levels_of_detail_are_drawn_over_the_share_of_splats() -> None:
     chart = next(chart for chart in charts.CHARTS if chart.file == "levels-psnr")
     curve = [
         record("PSNR", 1000, value, subject="levels", view="inside", share=share, detail=detail)
-        for share, value, detail in ((0.9, 60.0, "2px"), (0.25, 40.0, "8px"), (0.5, 50.0, "4px"))
-    ]
+        for share, value, detail in (
+            (1.0, 150.0, "1000000"), (0.9, 60.0, "2px"), (1.1, 50.0, "4px"), (0.3, 40.0, "8px"),
+        )
+    ]  # fmt: skip
     (line,) = charts.figure(chart, charts.of_chart(chart, curve)).axes[0].get_lines()
-    np.testing.assert_allclose(line.get_xdata(), [0.25, 0.5, 0.9])
-    np.testing.assert_allclose(line.get_ydata(), [40, 50, 60])
+    np.testing.assert_allclose(line.get_xdata(), [0.9, 1.1, 0.3])
+    np.testing.assert_allclose(line.get_ydata(), [60, 50, 40])
     assert not list(charts.tables(curve))  # which are by number of splats
 
 

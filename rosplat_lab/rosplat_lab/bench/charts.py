@@ -36,6 +36,11 @@ def share(record: Record) -> float:
     return float(record.parameters["share"])
 
 
+def by_error(record: Record) -> bool:
+    """Whether its levels of detail were asked for by an error in pixels."""
+    return str(record.parameters.get("detail", "")).endswith("px")
+
+
 def splats(record: Record) -> float:
     """How many it was measured on."""
     return record.splats
@@ -97,13 +102,13 @@ CHARTS = (
     Chart(
         "levels-psnr", "levels", "PSNR", "Levels of detail", "PSNR against all splats [dB]",
         lambda r: Path(r.scene).stem, parameter("view"), x="share of the splats drawn",
-        over=share, log=False, band=False,
+        over=share, only=by_error, log=False, band=False,
     ),
     Chart(
         "levels-truth", "levels", "PSNR against the truth", "Levels of detail",
         "PSNR against the mean of 4x4 pixels [dB]",
         lambda r: Path(r.scene).stem, parameter("view"), x="share of the splats drawn",
-        over=share, only=lambda r: "share" in r.parameters, log=False, band=False,
+        over=share, only=by_error, log=False, band=False,
     ),
     Chart(
         "levels-budget", "levels", "frame", "Frame of a million splats and nodes", "time [ms]",
@@ -235,10 +240,9 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
     axes = np.atleast_1d(drawn.subplots(1, len(panels), sharey=True))
     for panel, ax in zip(panels, axes, strict=True):
         for label in labels:
-            points = sorted(
-                (r for r in records if (chart.panel(r), chart.series(r)) == (panel, label)),
-                key=chart.over,
-            )
+            points = [r for r in records if (chart.panel(r), chart.series(r)) == (panel, label)]
+            if chart.over is splats:  # else as they were measured: what levels cost may fall again
+                points.sort(key=splats)
             for family in dict.fromkeys(map(_family, points)):
                 line = [point for point in points if _family(point) == family]
                 _line(ax, chart, line, statistic, label, color_of[label])
@@ -248,8 +252,9 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
         if chart.log:
             ax.set_xscale("log")
             ax.set_yscale("log")
-        ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
-        ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
+        if chart.over is splats:
+            ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
+            ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
     if not chart.log:
         axes[0].set_ylim(bottom=0)  # once all is drawn: the panels share it
     axes[0].set_ylabel(chart.y)
