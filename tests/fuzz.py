@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import Point, Pose, Quaternion
 from ksplat_file import ksplat
 from numpy.random import Generator
 from streamed_scene import write_scene
@@ -42,7 +43,6 @@ DOUBLES = (
 )  # fmt: skip
 FLOATS = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 1e-20, -1.0, 1e20, -3.4e38, 3.4e38)
 TEXTS = ("", "other", "a\n\x1b[31m" * 20, "x" * 5000, "../../etc/passwd", "\N{SNOWMAN}")
-NOT_YET = ("group", "groups", "poses")  # that not all receivers have yet
 # Sorters see an empty slot where an opacity is below 1/255.
 SOLID = {"opacities": (np.nan, np.inf, -np.inf, 7.0, 3.4e38)}
 
@@ -73,8 +73,6 @@ def batches(rng: Generator) -> list[GaussianArray]:
         message.antialiased = antialiased
         for _ in range(one_of(rng, [0, 0, 1, 2])):
             damage(rng, message)
-        if message.operation == GaussianArray.MOVE:  # see NOT_YET
-            message.operation = 77
         made.append(message)
     return made
 
@@ -82,7 +80,14 @@ def batches(rng: Generator) -> list[GaussianArray]:
 def _batch(rng: Generator, revision: int) -> GaussianArray:
     message = GaussianArray(map_id="map", revision=revision, sh_degree=int(rng.integers(4)))
     message.header.frame_id = "map"
-    message.operation = one_of(rng, [0, 1, 1, 2]) if revision > 1 else one_of(rng, [0, 0, 1, 2])
+    message.operation = one_of(rng, [0, 1, 1, 2, 3] if revision > 1 else [0, 0, 1, 2])
+    if message.operation == GaussianArray.MOVE:
+        message.groups = array(
+            "I", rng.permutation(8)[: rng.integers(8)].astype(np.uint32).tobytes()
+        )
+        message.poses = [_pose(rng) for _ in message.groups]
+        return message
+    message.group = one_of(rng, [0, 0, 0, 1, 7])
     message.count = n = one_of(rng, [0, 1, 2, 7, 100])
     if rng.integers(50) == 0:  # a page for each
         message.slots = array("I", rng.integers(MOST, size=n).astype(np.uint32).tobytes())
@@ -101,6 +106,11 @@ def _batch(rng: Generator, revision: int) -> GaussianArray:
     message.opacities = array("f", rng.uniform(0.1, 1, n))
     message.sh = array("f", rng.normal(size=3 * (message.sh_degree + 1) ** 2 * n))
     return message
+
+
+def _pose(rng: Generator) -> Pose:
+    (x, y, z), (qx, qy, qz, qw) = rng.normal(size=3).tolist(), rng.normal(size=4).tolist()
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
 def view_camera(rng: Generator) -> ViewCamera:
@@ -138,7 +148,7 @@ def order(rng: Generator, most: int, shared: OrderBuffer) -> SplatOrder:
 def damage(rng: Generator, message: Any) -> None:
     """Says something else in one of a message's fields, or in one of a field's own."""
     types = message.get_fields_and_field_types()
-    field = one_of(rng, [name for name in types if name not in NOT_YET])
+    field = one_of(rng, list(types))
     value = getattr(message, field)
     if hasattr(value, "get_fields_and_field_types"):
         damage(rng, value)
