@@ -59,7 +59,7 @@ class Line:
             _run(*inside, "link", "set", "lo", "up")
             _run(*inside, "address", "add", f"10.213.74.{number + 1}/24", "dev", name)
             _run(*inside, "link", "set", name, "up")
-            _run(*inside, "route", "add", "224.0.0.0/4", "dev", name)  # where DDS looks for others
+            self._route(name)
             _run("tc", "-netns", name, "qdisc", "add", "dev", name, "root", "tbf",
                  "rate", self._rate, "burst", BURST, "latency", LATENCY)  # fmt: skip
 
@@ -81,6 +81,25 @@ class Line:
         name = self._names[end]
         own_memory = f'mount --bind {_memory(name)} /dev/shm && exec "$@"'
         return ["ip", "netns", "exec", name, "sh", "-c", own_memory, "sh", *command]
+
+    def connect(self, connected: bool) -> None:
+        """Pulls the cable out, or puts it in again."""
+        name = self._names["here"]
+        _run("ip", "-netns", name, "link", "set", name, "up" if connected else "down")
+        if connected:
+            self._route(name)
+
+    def _route(self, name: str) -> None:
+        """Where DDS looks for others."""
+        _run("ip", "-netns", name, "route", "add", "224.0.0.0/4", "dev", name)
+
+    def namespace(self, end: str) -> str:
+        """Name of the network namespace of one of ENDS."""
+        return self._names[end]
+
+    def memory(self, end: str) -> Path:
+        """What is /dev/shm at one of ENDS."""
+        return _memory(self._names[end])
 
     def received(self, end: str) -> int:
         """What has come over the line to one of ENDS. [bytes]"""
