@@ -151,6 +151,9 @@ def receive() -> Claims:
             for slot in looked_at(rng, message):
                 assert display.in_use(slot) == sorter.in_use(slot), (slot, brief(message))
                 assert not numbered or publisher.in_use(slot) == sorter.in_use(slot)
+            for group in range(8):
+                assert display.place(group) == sorter.place(group), brief(message)
+                assert not numbered or publisher.place(group) == sorter.place(group)
             assert (display.origin, display.revision, display.missed) == (
                 sorter.origin, sorter.revision, sorter.missed,
             )  # fmt: skip
@@ -204,6 +207,8 @@ def size_of(message: Any) -> int:
             size += size_of(value)
         elif isinstance(value, str):
             size += len(value)
+        elif isinstance(value, list):
+            size += sum(map(size_of, value))
         else:
             size += len(value) * value.itemsize if hasattr(value, "itemsize") else 8
     return size
