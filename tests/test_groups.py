@@ -287,6 +287,33 @@ def test_picks_and_values_of_slots_are_in_the_map_s_frame(target: Target) -> Non
     assert wrong.mean() < 2e-3  # of next to equal contributions
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [(Rasterizer.PROCESSOR, Rasterizer.TILES), (Rasterizer.TILES, Rasterizer.PROCESSOR)],
+    ids=["to the graphics card", "to the processor"],
+)
+def test_poses_go_along_when_another_rasteriser_takes_over(
+    opengl: Target, before: Rasterizer, after: Rasterizer
+) -> None:
+    submaps = Submaps(np.zeros(3))
+    camera = camera_at((1.5, 1.0, 0.8))
+    settings = opengl.renderer.settings
+    settings.rasterizer = before
+    opengl.begin()
+    opengl.apply(MOVE, poses=submaps.poses)
+    *first, last = submaps.splats.items()
+    for group, splats in first:
+        opengl.apply(UPSERT, submaps.slots(group), splats, group)
+    assert opengl.draw(camera).any()
+    settings.rasterizer = after
+    opengl.draw(camera)
+    group, splats = last  # that was placed, but had no splats
+    opengl.apply(UPSERT, submaps.slots(group), splats, group)
+    picture = opengl.draw(camera)
+    submaps.show(opengl)
+    np.testing.assert_array_equal(picture, opengl.draw(camera))
+
+
 @dataclass
 class Model:
     """A map of groups in plain Python: what batches have left, and how to load it at once."""

@@ -54,6 +54,24 @@ TEST(SlotPages, BoundsHoldAllThatCanBeSeen) {
   EXPECT_EQ(page.extent, 0.5f);
 }
 
+TEST(SlotPages, APageThatGoesToAnotherGroupIsEmpty) {
+  SlotPages pages;
+  pages.apply(edit({{0, 2048}}, 2, 0.5f));
+  GaussianEdit other = edit({{1030, 5}}, -3, 0.25f);
+  other.group = 7;
+  other.origin = {1, 2, 3};
+  pages.apply(other);
+  EXPECT_EQ(pages.emptied(), std::vector<std::uint32_t>{1024});
+  const SlotPage& page = *pages.find(1030);
+  EXPECT_EQ(page.place, 1u);
+  EXPECT_EQ(page.most, (std::array<float, 3>{-3, -3, -3}));
+  EXPECT_EQ(pages.groupOf(page).number, 7u);
+  EXPECT_EQ(pages.groupOf(page).origin, other.origin);
+  EXPECT_EQ(pages.groupOf(*pages.find(0)).number, 0u);
+  pages.apply(other);
+  EXPECT_TRUE(pages.emptied().empty());
+}
+
 TEST(SlotPages, AClearForgetsThem) {
   SlotPages pages;
   pages.apply(edit({{0, 3000}}, 0, 1));
