@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import struct
 from array import array
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from geometry_msgs.msg import Point, Pose, Quaternion
 
 from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.payload import FORMAT
+from rosplat_tools.messages import decode, encode
 
 REPLACE, UPSERT, DELETE = GaussianArray.REPLACE, GaussianArray.UPSERT, GaussianArray.DELETE
 MOVE = GaussianArray.MOVE
 MOST = GaussianArray.MAX_SLOTS
 NAN, INF = float("nan"), float("inf")
 LARGEST, LEAST = 3.4e38, 1e-45  # of float32
+NANS, INFS, UPSIDE = struct.pack("<f", NAN), struct.pack("<f", INF), struct.pack("<2f", 1, 0)
 
 # Values of a splat by field; the i-th of a batch sits at x = i. [m]
 _SPLAT = {
@@ -49,6 +54,7 @@ class Receiver(Protocol):
 class Batch:
     """A batch and what is to become of it.
 
+    payload: makes another one of the splats' payload, which is sent in place of the arrays then.
     fields: of the message. values: what others are at (field, index), in place of a good splat's.
     lengths: of arrays that are cut, or filled up with zeros. refused: the field that the error
     names. dropped: splats left out, their slots empty.
@@ -62,6 +68,7 @@ class Batch:
     refused: str = ""
     dropped: int = 0
     duplicate: bool = False
+    payload: Callable[[bytes], bytes] | None = None
 
     def message(self, revision: int) -> GaussianArray:
         message = GaussianArray(map_id="map", revision=revision, operation=self.operation)
@@ -84,6 +91,14 @@ class Batch:
             arrays[name] = (arrays[name] + array("f", [0.0] * length))[:length]
         for name, values in arrays.items():
             setattr(message, name, values)
+        if self.payload:
+            _, whole = decode(message)
+            message = encode(
+                whole, range(message.first_slot, message.first_slot + message.count),
+                header=message.header, map_id=message.map_id, revision=message.revision,
+                operation=message.operation, compression=FORMAT,
+            )  # fmt: skip
+            message.payload = self.payload(bytes(message.payload))
         return message
 
 
@@ -273,6 +288,15 @@ CASES = (
         in_use=(0,),
         origin=(1e300, 0.0, 0.0),
     ),
+    Case(
+        "a payload's splats are those of the arrays",
+        (
+            _replace(2, origin=FAR),
+            Batch(UPSERT, 3, {"first_slot": 3}, {("scales", 3): NAN}, dropped=1, payload=bytes),
+        ),
+        in_use=(0, 1, 3, 5),
+        origin=FAR,
+    ),
     _kept("a tiny quaternion", _quaternion(0, 0, LEAST, LEAST)),
     _kept("a huge quaternion", _quaternion(LARGEST, 0, -LARGEST, LARGEST)),
     _kept("a scale of zero", {("scales", 3): 0.0}),
@@ -281,7 +305,14 @@ CASES = (
     # Batches that contradict themselves are refused as a whole.
     _refused("revision", "no revision", fields={"revision": 0}),
     _refused("operation", "an unknown operation", operation=4),
-    _refused("encoding", "an unknown encoding", fields={"encoding": 1}),
+    _refused("format", "an unknown format", fields={"format": "draco"}),
+    _refused("format", "a delete with a format", operation=DELETE, fields={"format": "quantised"}),
+    _refused("payload", "a payload cut short", payload=lambda bytes_: bytes_[:-1]),
+    _refused("payload", "no payload", payload=lambda bytes_: bytes_[:0]),
+    _refused("payload", "a payload and arrays", fields={"payload": b"\0" * 88}),
+    _refused("payload", "bounds that are no numbers", payload=lambda bytes_: NANS + bytes_[4:]),
+    _refused("payload", "infinite bounds", payload=lambda bytes_: bytes_[:36] + INFS + bytes_[40:]),
+    _refused("payload", "bounds the wrong way round", payload=lambda bytes_: UPSIDE + bytes_[8:]),
     _refused("sh_degree", "too many harmonics", fields={"sh_degree": 4}),
     _refused("origin", "an origin that is no number", fields={"origin": (0.0, NAN, 0.0)}),
     _refused("origin", "an infinite origin", fields={"origin": (INF, 0.0, 0.0)}),

@@ -24,6 +24,7 @@ from numpy.random import Generator
 from streamed_scene import write_scene
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_sorter import edits, payload
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, pack
 from rosplat_sorter.shared_orders import OrderBuffer
 from rosplat_tools import formats
@@ -105,12 +106,22 @@ def _batch(rng: Generator, revision: int) -> GaussianArray:
     message.scales = array("f", np.exp(rng.uniform(-7, 1, 3 * n)))
     message.opacities = array("f", rng.uniform(0.1, 1, n))
     message.sh = array("f", rng.normal(size=3 * (message.sh_degree + 1) ** 2 * n))
+    if not rng.integers(4):
+        _compress(message)
     return message
 
 
 def _pose(rng: Generator) -> Pose:
     (x, y, z), (qx, qy, qz, qw) = rng.normal(size=3).tolist(), rng.normal(size=4).tolist()
     return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+
+
+def _compress(message: GaussianArray) -> None:
+    arrays = edits.arrays_of(message)
+    message.payload = array("B", payload.encode(arrays, edits.is_usable(arrays)).tobytes())
+    message.format = payload.FORMAT
+    for name in ("positions", "orientations", "scales", "opacities", "sh"):
+        setattr(message, name, array("f"))
 
 
 def view_camera(rng: Generator) -> ViewCamera:

@@ -7,7 +7,7 @@ import pytest
 from conformance import CASES, Case, Receiver
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.edits import decode
+from rosplat_sorter.edits import EMPTY, decode
 from rosplat_sorter.map import SplatMap
 from rosplat_tools import messages
 from rosplat_tools.slot_map import SlotMap
@@ -62,7 +62,7 @@ class Sorter:
         return None if self.map.apply(decode(message)) is None else self.map.rejected
 
     def in_use(self, slot: int) -> bool:
-        return bool((self.map.extents[self.map.slots == slot] >= 0).any())
+        return bool((self.map.extents[self.map.slots == slot] != EMPTY).any())
 
     def place(self, group: int) -> tuple[float, float, float]:
         x, y, z = self.map.poses.get(group, np.eye(4))[:3, 3].tolist()

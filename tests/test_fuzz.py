@@ -217,7 +217,8 @@ def size_of(message: Any) -> int:
 def _allowed(message: GaussianArray) -> int:
     """Ten times a batch's size, and pages of slots in all that hold a map. [bytes]"""
     slots = np.frombuffer(message.slots, np.uint32)
-    ends = [message.first_slot, message.first_slot + min(message.count, len(message.opacities))]
+    splats = min(message.count, max(len(message.opacities), len(message.payload) // 24))
+    ends = [message.first_slot, message.first_slot + splats]
     pages = len(np.unique(slots // SLOTS_PER_PAGE)) + ends[1] // SLOTS_PER_PAGE + 1
     pages -= ends[0] // SLOTS_PER_PAGE
     return 10 * size_of(message) + pages * PAGE + (4 << 20)

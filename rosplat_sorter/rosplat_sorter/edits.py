@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_sorter import payload
 from rosplat_sorter.depth import splat_extents
+from rosplat_sorter.log_text import shown
+from rosplat_sorter.payload import Arrays, PayloadError
 from rosplat_sorter.slot_pages import MAX_SLOTS, Slots
 from rosplat_sorter.view import frame_at
 
@@ -18,7 +21,6 @@ if TYPE_CHECKING:
     from rosplat_msgs.msg import GaussianArray
 
 REPLACE, UPSERT, DELETE, MOVE = range(4)
-ENCODING_FLOAT32 = 0
 MAX_GROUPS = 1 << 15  # as GaussianArray.MAX_GROUPS
 MAX_SH_DEGREE = 3
 
@@ -74,8 +76,8 @@ def check(message: GaussianArray) -> None:
         raise EditError("revision is 0, they count from 1")
     if message.operation not in (REPLACE, UPSERT, DELETE, MOVE):
         raise EditError(f"operation is {message.operation}, known are 0 to 3")
-    if message.encoding != ENCODING_FLOAT32:
-        raise EditError(f"encoding is {message.encoding}, known is 0")
+    if message.format not in ("", payload.FORMAT):
+        raise EditError(f"format is '{shown(message.format, 40)}', known is '{payload.FORMAT}'")
     if message.group >= MAX_GROUPS:
         raise EditError(f"group is {message.group}, a map has at most {MAX_GROUPS} groups")
     if message.sh_degree > MAX_SH_DEGREE:
@@ -93,7 +95,12 @@ def check(message: GaussianArray) -> None:
         raise EditError(f"first_slot + count is {end}, a map has at most {MAX_SLOTS} slots")
     if message.operation == MOVE and message.count:
         raise EditError(f"count is {message.count}, a MOVE touches no slots")
-    splats = message.count if message.operation in (REPLACE, UPSERT) else 0
+    writes = message.operation in (REPLACE, UPSERT)
+    if message.format and not writes:
+        raise EditError(f"format is '{message.format}', only a REPLACE or UPSERT has one")
+    if len(message.payload) and not message.format:
+        raise EditError(f"payload has {len(message.payload)} bytes, but format is empty")
+    splats = message.count if writes and not message.format else 0
     for name, each in _columns(message).items():
         values = len(getattr(message, name))
         if values != splats * each:
@@ -119,19 +126,37 @@ def _check_poses(message: GaussianArray) -> None:
             raise EditError(f"poses: that of group {group} has an orientation of length zero")
 
 
+def arrays_of(message: GaussianArray) -> Arrays:
+    """What a checked batch writes: views of its arrays, or its payload decoded.
+
+    Raises EditError for a payload that is none.
+    """
+    if message.format:
+        try:
+            return payload.decode(
+                np.frombuffer(message.payload, np.uint8), message.count, message.sh_degree
+            )
+        except PayloadError as error:
+            raise EditError(str(error)) from None
+    positions, orientations, scales, opacities, sh = (
+        np.asarray(getattr(message, name), np.float32).reshape(-1, each)
+        for name, each in _columns(message).items()
+    )
+    return Arrays(
+        positions, orientations, scales, opacities[:, 0], sh.reshape(len(sh), sh.shape[1] // 3, 3)
+    )
+
+
 def decode(message: GaussianArray) -> Edit:
     """The edit of a message. Raises EditError where the message is wrong in structure."""
     check(message)
     listed = np.asarray(message.slots, np.uint32)
     end = int(listed.max()) + 1 if listed.size else message.first_slot + message.count
     slots: Slots = listed if listed.size else slice(message.first_slot, end)
-    positions, orientations, scales, opacities, sh = (
-        np.asarray(getattr(message, name), np.float32).reshape(-1, each)
-        for name, each in _columns(message).items()
-    )
-    usable = is_usable(positions, orientations, scales, opacities[:, 0], sh)
+    arrays = arrays_of(message)
+    usable = is_usable(arrays)
     with np.errstate(invalid="ignore", over="ignore"):  # of splats that are not usable
-        extents = np.where(usable, splat_extents(scales, opacities[:, 0]), EMPTY)
+        extents = np.where(usable, splat_extents(arrays.scales, arrays.opacities), EMPTY)
     origin = message.origin
     return Edit(
         map_id=message.map_id,
@@ -141,7 +166,7 @@ def decode(message: GaussianArray) -> Edit:
         origin=np.array([origin.x, origin.y, origin.z]),
         slots=slots,
         end=end,
-        positions=positions,
+        positions=arrays.positions,
         extents=extents,
         rejected=len(usable) - int(np.count_nonzero(usable)),
         snapshot=message.snapshot,
@@ -170,21 +195,15 @@ def _columns(message: GaussianArray) -> dict[str, int]:
     return {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, "sh": sh}
 
 
-def is_usable(
-    positions: NDArray[np.float32],
-    orientations: NDArray[np.float32],
-    scales: NDArray[np.float32],
-    opacities: NDArray[np.float32],
-    sh: NDArray[np.float32],
-) -> NDArray[np.bool_]:
-    """Which splats mean something, bool (n,); whoever holds a map leaves the others out.
-
-    positions (n, 3), orientations (n, 4), scales (n, 3), opacities (n,), sh (n, any): float32.
-    """
+def is_usable(arrays: Arrays) -> NDArray[np.bool_]:
+    """Which splats mean something, bool (n,); whoever holds a map leaves the others out."""
     usable: NDArray[np.bool_] = (
-        (orientations != 0).any(axis=1) & (scales >= 0).all(axis=1) & np.isfinite(opacities)
+        (arrays.orientations != 0).any(axis=1)
+        & (arrays.scales >= 0).all(axis=1)
+        & np.isfinite(arrays.opacities)
     )
-    for values in (positions, orientations, scales, sh):
+    sh = arrays.sh.reshape(len(arrays.sh), 3 * arrays.sh.shape[1])
+    for values in (arrays.positions, arrays.orientations, arrays.scales, sh):
         usable &= _finite_rows(values)
     return usable
 

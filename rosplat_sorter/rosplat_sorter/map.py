@@ -67,9 +67,10 @@ class SplatMap:
         if self._frames is None:
             identity, nowhere = np.eye(4), np.zeros(3)
             frames = np.zeros((len(self.pages.groups), 4, 4))
-            for frame, group in zip(frames, self.pages.groups.tolist(), strict=True):
-                frame[:] = self.poses.get(group, identity)
-                frame[:3, 3] += frame[:3, :3] @ self.origins.get(group, nowhere)
+            with np.errstate(over="ignore", invalid="ignore"):  # a view tells of it
+                for frame, group in zip(frames, self.pages.groups.tolist(), strict=True):
+                    frame[:] = self.poses.get(group, identity)
+                    frame[:3, 3] += frame[:3, :3] @ self.origins.get(group, nowhere)
             self._frames = frames
         return self._frames
 

@@ -56,8 +56,9 @@ class View:
         frames = np.asarray(frames, np.float64)
         rotation = rotation_matrix(*camera.orientation).T
         # Sums of three written out: NumPy's depend on how many groups there are.
-        x, y, z = (np.asarray(camera.position) - frames[:, :3, 3]).T[:, :, None]
-        translations = -rotation[:, 0] * x - rotation[:, 1] * y - rotation[:, 2] * z
+        with np.errstate(over="ignore", invalid="ignore"):  # checked below
+            x, y, z = (np.asarray(camera.position) - frames[:, :3, 3]).T[:, :, None]
+            translations = -rotation[:, 0] * x - rotation[:, 1] * y - rotation[:, 2] * z
 
         def slope(focal: float, centre: float, size: int) -> float:
             # A perspective footprint grows with the slope of its ray, which the renderer clamps so.
@@ -96,7 +97,8 @@ def frame_at(
     orientation: x y z w, of any length but zero.
     """
     frame = np.eye(4)
-    frame[:3, :3] = rotation_matrix(*orientation)
+    largest = max(map(abs, orientation))  # whose square may be beyond any number
+    frame[:3, :3] = rotation_matrix(*(value / largest for value in orientation))
     frame[:3, 3] = position
     return frame
 

@@ -31,7 +31,9 @@ def test_slots_may_be_listed(make_batch):
     [
         ({"revision": 0}, "revision is 0"),
         ({"operation": 4}, "operation is 4"),
-        ({"encoding": 1}, "encoding is 1"),
+        ({"format": "draco"}, "format is 'draco', known is 'quantised'"),
+        ({"payload": [0]}, "payload has 1 bytes, but format is empty"),
+        ({"format": "quantised"}, "positions has 9 values, 0 expected"),
         ({"sh_degree": 7}, "sh_degree is 7"),
         ({"count": 2}, "positions has 9 values, 6 expected"),
         ({"positions": [0.0] * 8}, "positions has 8 values, 9 expected"),

@@ -103,7 +103,7 @@ def test_a_camera_beyond_float32_is_refused(make_camera):
     with pytest.raises(CameraError, match="position"):
         make_camera(position=(1e300, 0.0, 0.0))
     with pytest.raises(CameraError, match="translation"):
-        View.of(make_camera(position=(3e38, 0.0, 0.0)), origin=(-3e38, 0.0, 0.0))
+        View.of(make_camera(position=(3e38, 0.0, 0.0)), unmoved((-3e38, 0.0, 0.0)))
 
 
 def test_an_unknown_projection_is_refused(make_look):

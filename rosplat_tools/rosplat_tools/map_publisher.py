@@ -19,6 +19,8 @@ from std_msgs.msg import Header
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.qos import HISTORY_DEPTH, map_qos
 from rosplat_tools.messages import (
+    COMPRESSIONS,
+    NONE,
     Slots,
     array_bytes,
     chunks,
@@ -75,16 +77,22 @@ class MapPublisher:
         topic: str = "gaussians",
         history_depth: int = HISTORY_DEPTH,
         chunk_bytes: int = CHUNK_BYTES,
+        compression: str = NONE,
     ) -> None:
         """Advertises the topic; the map is empty, and nothing is sent yet.
 
-        Raises ValueError for a history_depth under 2 or a chunk_bytes under 1.
+        compression: NONE, or one of messages.COMPRESSIONS: for subscribers beyond a network. Raises
+        ValueError for another, a history_depth under 2 or a chunk_bytes under 1.
         """
         if history_depth < 2:
             raise ValueError(f"history_depth: at least 2 batches, got {history_depth}")
         if chunk_bytes < 1:
             raise ValueError(f"chunk_bytes: at least 1, got {chunk_bytes}")
+        if compression not in COMPRESSIONS:
+            known = ", ".join(COMPRESSIONS)
+            raise ValueError(f"compression: expected one of {known}, got '{compression}'")
         self.frame_id = frame_id
+        self._compression = compression
         self._node = node
         self._topic = topic
         self._depth = history_depth
@@ -360,6 +368,7 @@ class MapPublisher:
                 group=some.group,
                 expected_slots=self._expected_slots,
                 snapshot=snapshot,
+                compression=self._compression,
             )
         )
 

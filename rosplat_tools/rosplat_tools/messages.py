@@ -11,9 +11,14 @@ from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.edits import check, poses_of
+from rosplat_sorter import payload
+from rosplat_sorter.edits import arrays_of, check, is_usable, poses_of
+from rosplat_sorter.payload import Arrays
 from rosplat_tools.slot_map import SlotMap
-from rosplat_tools.splats import Splats, sh_coefficients
+from rosplat_tools.splats import Splats
+
+NONE = "none"
+COMPRESSIONS = (NONE, payload.FORMAT)
 
 Slots = range | NDArray[np.integer]
 """Which slots of a map: a contiguous range, or a list in any order, each once."""
@@ -30,10 +35,12 @@ def encode(
     group: int = 0,
     expected_slots: int = 0,
     snapshot: bool = False,
+    compression: str = NONE,
 ) -> GaussianArray:
     """A REPLACE or UPSERT that writes the i-th splat to the i-th slot, all in one group.
 
-    The message holds the bands of spherical harmonics that splats holds. Raises ValueError where
+    The message holds the bands of spherical harmonics that splats holds. compression: NONE, or the
+    format to send them in. Raises ValueError where
     slots and splats differ in number.
     """
     if len(slots) != len(splats):
@@ -42,9 +49,15 @@ def encode(
     message.snapshot = snapshot
     message.group = group
     message.sh_degree = splats.sh_degree
-    message.encoding = GaussianArray.ENCODING_FLOAT32
     message.antialiased = splats.antialiased
     message.origin.x, message.origin.y, message.origin.z = splats.origin.tolist()
+    if compression != NONE:
+        arrays = Arrays(
+            splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh
+        )
+        message.format = compression
+        message.payload = _as_array("B", payload.encode(arrays, is_usable(arrays)))
+        return message
     message.positions = _as_array("f", splats.positions)
     message.orientations = _as_array("f", splats.orientations)
     message.scales = _as_array("f", splats.scales)
@@ -97,25 +110,18 @@ def apply(message: GaussianArray, slot_map: SlotMap) -> int:
 def decode(message: GaussianArray) -> tuple[Slots, Splats]:
     """The slots that a batch touches and, of a REPLACE or UPSERT, what it writes there.
 
-    The arrays are views of the message's. Raises ValueError where it is wrong in structure.
+    The arrays are views of the message's, but for those of a payload. Raises ValueError where it is
+    wrong in structure.
     """
     check(message)
     first, count = message.first_slot, message.count
     slots = (
         np.frombuffer(message.slots, np.uint32) if message.slots else range(first, first + count)
     )
-    n = count if message.operation in (GaussianArray.REPLACE, GaussianArray.UPSERT) else 0
-
-    def field(name: str, *shape: int) -> NDArray[np.float32]:
-        return np.frombuffer(getattr(message, name), np.float32).reshape(n, *shape)
-
+    arrays = arrays_of(message)
     origin = message.origin
     return slots, Splats(
-        positions=field("positions", 3),
-        orientations=field("orientations", 4),
-        scales=field("scales", 3),
-        opacities=field("opacities"),
-        sh=field("sh", sh_coefficients(message.sh_degree), 3),
+        **vars(arrays),
         origin=np.array([origin.x, origin.y, origin.z]),
         antialiased=message.antialiased,
     )
@@ -140,6 +146,7 @@ def array_bytes(message: GaussianArray) -> int:
         message.scales,
         message.opacities,
         message.sh,
+        message.payload,
     )
     return sum(len(values) * values.itemsize for values in arrays)
 

@@ -16,7 +16,7 @@ from rosplat_sorter.log_text import shown
 from rosplat_sorter.qos import HISTORY_DEPTH
 from rosplat_tools import formats
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
-from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.progress import bar
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
 from rosplat_tools.scenes import NAMES, is_generated, load_scene
@@ -46,7 +46,11 @@ class PlyPublisher(Node):
             self, "save_root", "", "Folder below which ~/save may write; empty: nowhere."
         )
         self._map = MapPublisher(
-            self, frame_id=frame_id, chunk_bytes=chunk_bytes, history_depth=history_depth
+            self,
+            frame_id=frame_id,
+            chunk_bytes=chunk_bytes,
+            history_depth=history_depth,
+            compression=declare_compression(self),
         )
         self._busy = threading.Lock()
         self._requests = itertools.count(1)

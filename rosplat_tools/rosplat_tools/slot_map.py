@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_sorter.edits import is_usable
+from rosplat_sorter.payload import Arrays
 from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, SlotPages
 from rosplat_tools.splats import Splats, concatenate, sh_coefficients
 
@@ -99,11 +100,7 @@ class SlotMap:
         mine.sh[rows, :k] = splats.sh
         mine.sh[rows, k:] = 0
         usable = is_usable(
-            positions,
-            splats.orientations,
-            splats.scales,
-            splats.opacities,
-            splats.sh.reshape(len(splats), -1),
+            Arrays(positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
         )
         self._used[rows] = usable
         return len(usable) - int(np.count_nonzero(usable))

@@ -21,8 +21,9 @@ def apply(target: Any, batch: GaussianArray) -> dict[str, Any]:
         batch.operation, batch.first_slot, batch.count, array(batch.slots, np.uint32),
         batch.sh_degree, batch.antialiased, (origin.x, origin.y, origin.z), array(batch.positions),
         array(batch.orientations), array(batch.scales), array(batch.opacities), array(batch.sh),
-        batch.map_id, batch.revision, batch.expected_slots, batch.encoding, batch.snapshot,
-        batch.group, array(batch.groups, np.uint32),
+        batch.map_id, batch.revision, batch.expected_slots, batch.format,
+        array(batch.payload, np.uint8), batch.snapshot, batch.group,
+        array(batch.groups, np.uint32),
         np.array([[*sum(pose_values(pose), ())] for pose in batch.poses]),
     )  # fmt: skip
     return report

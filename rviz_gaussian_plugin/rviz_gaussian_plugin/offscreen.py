@@ -25,6 +25,7 @@ OrderError = _offscreen.OrderError
 OrderSource = _offscreen.OrderSource
 Rasterizer = _offscreen.Rasterizer
 RenderSettings = _offscreen.RenderSettings
+decode_payload = _offscreen.decode_payload
 
 
 class Renderer(_offscreen.Renderer):  # type: ignore[misc]

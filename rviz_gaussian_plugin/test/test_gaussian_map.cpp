@@ -252,7 +252,7 @@ TEST_F(GaussianMapTest, RefusesBatchesThatContradictThemselves) {
   bad = good, bad.look(), bad.sh_degree = 7, refuses(bad, "sh_degree");
   bad = good, bad.look(), bad.operation = 4, refuses(bad, "operation");
   bad = good, bad.look(), bad.revision = 0, refuses(bad, "revision");
-  bad = good, bad.look(), bad.encoding = 9, refuses(bad, "encoding");
+  bad = good, bad.look(), bad.format = "x", refuses(bad, "format");
   bad = good, bad.look(), bad.first_slot = kMaxSlots, refuses(bad, "first_slot");
   bad = good, bad.slot_list = {1, kMaxSlots}, bad.look(), refuses(bad, "slots");
   bad = good, bad.slot_list = {1}, bad.look(), refuses(bad, "slots");

@@ -21,6 +21,7 @@ from std_msgs.msg import ColorRGBA, Header
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, OrderReader, pack
+from rosplat_sorter.payload import FORMAT
 from rosplat_sorter.qos import ORDER
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_tools.generate import generate
@@ -78,6 +79,14 @@ def make_batch(splats: Splats, header: Header) -> GaussianArray:
     return encode(
         splats, range(len(splats)), header=header, map_id="bench", revision=1,
         operation=GaussianArray.UPSERT,
+    )  # fmt: skip
+
+
+def make_payload(splats: Splats, header: Header) -> GaussianArray:
+    """The same as a payload, which is decoded when it is read."""
+    return encode(
+        splats, range(len(splats)), header=header, map_id="bench", revision=1,
+        operation=GaussianArray.UPSERT, compression=FORMAT,
     )  # fmt: skip
 
 
@@ -143,6 +152,7 @@ ORDERS = {"inline": Orders(SLOTS), "packed": Orders(PACKED), "shared memory": Or
 KINDS: dict[str, tuple[Any, Callable[..., Any], Callable[..., Any]]] = {
     **{kind: (SplatOrder, orders.make, orders.read) for kind, orders in ORDERS.items()},
     "gaussians": (GaussianArray, make_batch, decode),
+    "payload": (GaussianArray, make_payload, decode),
     "poses": (PoseArray, make_poses, read_poses),
 }
 if MarkerArray is not None:

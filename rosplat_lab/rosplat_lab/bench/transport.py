@@ -21,8 +21,9 @@ from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_msgs.srv import LoadScene
-from rosplat_sorter import edits
+from rosplat_sorter import edits, payload
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.payload import Arrays
 from rosplat_sorter.qos import ORDER
 from rosplat_tools.map_publisher import CHUNK_BYTES
 from rosplat_tools.messages import chunks, encode
@@ -40,6 +41,7 @@ ACQUAINTANCE = 4.0  # until publisher, sorter and viewer know each other: DDS as
 # Ways to send splats, in words.
 WAYS = {
     "gaussians": "GaussianArray: arrays of 59 numbers a splat",
+    "payload": "GaussianArray: 70 bytes a splat, quantised",
     "poses": "PoseArray: a message a splat, of 7 numbers",
     "markers": "MarkerArray: a message a splat, of 14 numbers",
 }
@@ -77,6 +79,7 @@ def _maps(plan: Plan) -> Iterator[Event]:
     for index, name in enumerate(names):
         yield Doing(f"{name}: taken by the sorter", 0.6 + 0.4 * index / len(names))
         yield _ingest(plan, name)
+        yield from _compress(plan, name)
         yield Doing(f"{name}: published until visible", 0.6 + 0.4 * (index + 0.5) / len(names))
         try:
             repeats = QUICK_MAP_REPEATS if plan.quick else MAP_REPEATS
@@ -157,6 +160,26 @@ def _ingest(plan: Plan, name: str) -> Measurement:
     times = plan.budget.spend(lambda _: milliseconds(take))
     rates = [len(splats) / 1e3 / time_ms for time_ms in times]
     return Measurement.of("taken by the sorter", "M splats/s", rates, name, len(splats))
+
+
+def _compress(plan: Plan, name: str) -> Iterator[Measurement]:
+    """What a payload costs and saves: from which network on it is faster than the arrays."""
+    splats = scenes.load(name).without_empty_bands()
+    arrays = Arrays(
+        splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh
+    )
+    usable = edits.is_usable(arrays)
+    packed = payload.encode(arrays, usable)
+    degree = splats.sh_degree
+    for doing, run in (
+        ("encoded", lambda: payload.encode(arrays, usable)),
+        ("decoded", lambda: payload.decode(packed, len(splats), degree)),
+    ):
+        times = plan.budget.spend(lambda _, run=run: milliseconds(run))
+        yield Measurement.of(doing, "ms", times, name, len(splats), sh_degree=degree)
+    for way, nbytes in (("arrays", splats.nbytes), (payload.FORMAT, packed.nbytes)):
+        size = nbytes / max(1, len(splats))
+        yield Measurement.of("a splat", "bytes", [size], name, len(splats), way=way)
 
 
 def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:

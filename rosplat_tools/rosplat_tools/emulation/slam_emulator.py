@@ -13,7 +13,7 @@ from tqdm import tqdm
 from rosplat_sorter.qos import HISTORY_DEPTH
 from rosplat_tools.emulation.mapping import Move, around, edits
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import run, spinning, wait_for_end
 from rosplat_tools.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_tools.splats import SceneError
@@ -52,7 +52,12 @@ class SlamEmulator(Node):
             self._edits = edits(self._scene, **self._plan)
         except ValueError as error:
             raise SceneError(str(error)) from error
-        self._map = MapPublisher(self, frame_id=frame_id, history_depth=history_depth)
+        self._map = MapPublisher(
+            self,
+            frame_id=frame_id,
+            history_depth=history_depth,
+            compression=declare_compression(self),
+        )
         self._bar = tqdm(
             total=len(self._scene), desc="mapping", unit="splats", unit_scale=True, disable=None
         )

@@ -19,7 +19,7 @@ from rosplat_tools.following.foreign_messages import from_point_cloud, from_spla
 from rosplat_tools.following.watched_file import WatchedFile
 from rosplat_tools.following.whole_maps import WholeMaps
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
 from rosplat_tools.scenes import load_scene
 from rosplat_tools.splats import SceneError, Splats
@@ -36,7 +36,9 @@ class Follow(Node):
         period = declare(self, "period", 0.5, "Between two looks at the file. [s]", 0.05, 60.0)
         frame_id = declare(self, "frame_id", "", "Frame of the map; empty: the message's, or map.")
         self._frame_id = frame_id
-        self._publisher = MapPublisher(self, frame_id=frame_id or "map")
+        self._publisher = MapPublisher(
+            self, frame_id=frame_id or "map", compression=declare_compression(self)
+        )
         self._maps = WholeMaps(self._publisher)
         if path:
             self._file = WatchedFile(path)

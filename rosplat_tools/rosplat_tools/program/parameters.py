@@ -8,6 +8,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
+from rosplat_sorter.log_text import shown
+from rosplat_tools.messages import COMPRESSIONS, NONE
 from rosplat_tools.splats import SceneError
 
 
@@ -33,3 +35,13 @@ def declare(
         return node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise SceneError(str(error)) from error
+
+
+def declare_compression(node: Node) -> str:
+    """Declares `compression`, for MapPublisher. Raises SceneError for one that is not known."""
+    known = ", ".join(COMPRESSIONS)
+    description = f"How splats travel: {known}; for subscribers beyond a network."
+    compression: str = declare(node, "compression", NONE, description)
+    if compression not in COMPRESSIONS:
+        raise SceneError(f"compression: expected one of {known}, got '{shown(compression)}'")
+    return compression

@@ -18,7 +18,7 @@ from rosplat_sorter.log_text import shown
 from rosplat_sorter.qos import HISTORY_DEPTH, VIEW
 from rosplat_tools.formats.streamed_sog import open_streamed
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
-from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import run, spinning
 from rosplat_tools.splats import SceneError, splat_bytes
 from rosplat_tools.streaming.followed_view import FollowedView
@@ -53,7 +53,11 @@ class StreamPublisher(Node):
         self._views: dict[str, FollowedView] = {}
         self._looked = threading.Event()
         publisher = MapPublisher(
-            self, frame_id=frame_id, chunk_bytes=CHUNK_BYTES, history_depth=HISTORY_DEPTH
+            self,
+            frame_id=frame_id,
+            chunk_bytes=CHUNK_BYTES,
+            history_depth=HISTORY_DEPTH,
+            compression=declare_compression(self),
         )
         self._map = StreamedMap(
             scene, publisher, budget=budget, target=target, warn=self.get_logger().warning

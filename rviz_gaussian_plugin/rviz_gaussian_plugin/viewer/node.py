@@ -19,7 +19,7 @@ from sensor_msgs.msg import Image
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
-from rosplat_sorter.edits import pose_values
+from rosplat_sorter.edits import arrays_of, pose_values
 from rosplat_sorter.log_text import shown
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
@@ -172,7 +172,7 @@ class Viewer(Node):
         if message.operation == GaussianArray.REPLACE:
             self._sample = Sample()
         origin = np.array([message.origin.x, message.origin.y, message.origin.z])
-        self._sample.add(array(message.positions).reshape(-1, 3), origin, message.group)
+        self._sample.add(arrays_of(message).positions, origin, message.group)
         for group, pose in zip(message.groups, message.poses, strict=True):
             self._sample.place(group, frame_at(*pose_values(pose)))
         self.frame_id = message.header.frame_id

@@ -42,7 +42,8 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
     batch.poses.push_back({{p.x, p.y, p.z}, {q.x, q.y, q.z, q.w}});
   }
   batch.sh_degree = message.sh_degree;
-  batch.encoding = message.encoding;
+  batch.format = message.format;
+  batch.payload = view(message.payload);
   batch.antialiased = message.antialiased;
   batch.origin = {message.origin.x, message.origin.y, message.origin.z};
   batch.positions = view(message.positions);

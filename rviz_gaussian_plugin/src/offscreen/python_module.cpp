@@ -9,6 +9,7 @@
 #include <optional>
 
 #include "cpu/cpu_rasterizer.hpp"
+#include "map/payload.hpp"
 #include "offscreen_renderer.hpp"
 
 namespace py = pybind11;
@@ -46,6 +47,28 @@ BatchReport take(GaussianMap& map, const GaussianBatch& batch) {
   BatchReport report;
   map.apply(batch, report);
   return report;
+}
+
+// The splats of a payload: the message's arrays.
+py::dict decodePayload(const Array<std::uint8_t>& payload, std::uint32_t count,
+                       std::uint8_t sh_degree) {
+  GaussianBatch batch;
+  batch.revision = 1;
+  batch.count = count;
+  batch.sh_degree = sh_degree;
+  batch.format = kPayloadFormat;
+  batch.payload = view(payload);
+  if (batch.payload.size != payloadBytes(count, sh_degree)) {
+    throw BatchError("payload has the wrong size");
+  }
+  DecodedPayload decoded;
+  const GaussianBatch splats = decoded.decode(batch);
+  const auto copy = [](const ArrayView<float>& values) {
+    return Array<float>(static_cast<py::ssize_t>(values.size), values.data);
+  };
+  return py::dict("positions"_a = copy(splats.positions),
+                  "orientations"_a = copy(splats.orientations), "scales"_a = copy(splats.scales),
+                  "opacities"_a = copy(splats.opacities), "sh"_a = copy(splats.sh));
 }
 
 // A map that the processor alone draws, without OpenGL.
@@ -94,9 +117,9 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
                bool antialiased, const std::array<double, 3>& origin, const Array<float>& positions,
                const Array<float>& orientations, const Array<float>& scales,
                const Array<float>& opacities, const Array<float>& sh, const std::string& map_id,
-               std::uint64_t revision, std::uint32_t expected_slots, std::uint8_t encoding,
-               bool snapshot, std::uint32_t group, const Array<std::uint32_t>& groups,
-               const Array<double>& poses) {
+               std::uint64_t revision, std::uint32_t expected_slots, const std::string& format,
+               const Array<std::uint8_t>& payload, bool snapshot, std::uint32_t group,
+               const Array<std::uint32_t>& groups, const Array<double>& poses) {
   GaussianBatch batch;
   batch.operation = operation;
   batch.first_slot = first_slot;
@@ -113,7 +136,8 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
   batch.map_id = map_id;
   batch.revision = revision;
   batch.expected_slots = expected_slots;
-  batch.encoding = encoding;
+  batch.format = format;
+  batch.payload = view(payload);
   batch.snapshot = snapshot;
   batch.group = group;
   batch.groups = view(groups);
@@ -131,8 +155,8 @@ template <typename Target>
 void defineApply(py::class_<Target>& type) {
   type.def("apply", &apply<Target>, "operation"_a, "first_slot"_a, "count"_a, "slots"_a,
            "sh_degree"_a, "antialiased"_a, "origin"_a, "positions"_a, "orientations"_a, "scales"_a,
-           "opacities"_a, "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0,
-           "encoding"_a = 0, "snapshot"_a = false, "group"_a = 0,
+           "opacities"_a, "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0, "format"_a = "",
+           "payload"_a = Array<std::uint8_t>(0), "snapshot"_a = false, "group"_a = 0,
            "groups"_a = Array<std::uint32_t>(0), "poses"_a = Array<double>(0));
 }
 
@@ -400,6 +424,8 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("near_fade", &RenderSettings::near_fade)
       .def_readwrite("depth_range", &RenderSettings::depth_range)
       .def_readwrite("age_range", &RenderSettings::age_range);
+  module.def("decode_payload", &decodePayload, "payload"_a, "count"_a, "sh_degree"_a,
+             "The arrays of GaussianArray, flat, that a payload stands for. Raises BatchError.");
   py::class_<GaussianMap> map(module, "GaussianMap", "A map's books, without what draws it.");
   map.def(py::init<>())
       .def("in_use", &GaussianMap::inUse, "slot"_a)

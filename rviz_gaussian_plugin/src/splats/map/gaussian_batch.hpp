@@ -36,7 +36,8 @@ struct GaussianBatch {
   ArrayView<std::uint32_t> groups;
   std::vector<Pose> poses;  // of these; quaternions of any length but zero
   std::uint8_t sh_degree = 0;
-  std::uint8_t encoding = 0;
+  std::string format;               // of the payload; empty: the arrays below hold the splats
+  ArrayView<std::uint8_t> payload;  // in their place
   bool antialiased = false;
   std::array<double, 3> origin{};
   ArrayView<float> positions;     // 3 a splat [m]

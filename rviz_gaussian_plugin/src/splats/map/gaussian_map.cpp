@@ -6,6 +6,8 @@
 #include <optional>
 #include <string>
 
+#include "map/payload.hpp"
+
 namespace rosplat {
 
 namespace {
@@ -65,8 +67,8 @@ void check(const GaussianBatch& batch) {
   if (batch.operation > GaussianBatch::MOVE) {
     throw BatchError("operation " + std::to_string(batch.operation) + " is unknown");
   }
-  if (batch.encoding != 0) {
-    throw BatchError("encoding " + std::to_string(batch.encoding) + " is unknown");
+  if (!batch.format.empty() && batch.format != kPayloadFormat) {
+    throw BatchError("format '" + batch.format.substr(0, 40) + "' is unknown");
   }
   if (batch.sh_degree > kMaxShDegree) {
     throw BatchError("sh_degree " + std::to_string(batch.sh_degree) + " is beyond 3");
@@ -93,11 +95,15 @@ void check(const GaussianBatch& batch) {
   }
   const bool values = writes(batch);
   const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
-  checkLength("positions", batch.positions.size, values ? 3 * n : 0);
-  checkLength("orientations", batch.orientations.size, values ? 4 * n : 0);
-  checkLength("scales", batch.scales.size, values ? 3 * n : 0);
-  checkLength("opacities", batch.opacities.size, values ? n : 0);
-  checkLength("sh", batch.sh.size, values ? coefficients * n : 0);
+  if (!values && !batch.format.empty()) throw BatchError("format is for batches with splats");
+  const bool payload = !batch.format.empty();
+  checkLength("payload", batch.payload.size, payload ? payloadBytes(n, batch.sh_degree) : 0);
+  const std::size_t splats = values && !payload ? n : 0;  // in arrays
+  checkLength("positions", batch.positions.size, 3 * splats);
+  checkLength("orientations", batch.orientations.size, 4 * splats);
+  checkLength("scales", batch.scales.size, 3 * splats);
+  checkLength("opacities", batch.opacities.size, splats);
+  checkLength("sh", batch.sh.size, coefficients * splats);
 }
 
 bool allFinite(const float* values, std::size_t count) {
@@ -225,10 +231,13 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   edit->moves = std::move(moves);
 
   edit->runs = runsOf(batch);
+  DecodedPayload decoded;
+  GaussianBatch splats;
   std::vector<bool> kept;
   if (values) {
     checkBlocks(used, edit->runs, batch.group);
-    kept = layOut(batch, edit->origin, *edit);
+    splats = decoded.decode(batch);
+    kept = layOut(splats, edit->origin, *edit);
     report.dropped = static_cast<std::uint64_t>(std::count(kept.begin(), kept.end(), false));
     next.sh_degree = std::max<int>(next.sh_degree, batch.sh_degree);
     used.makeRoom(edit->runs);
@@ -280,10 +289,10 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   forEachSlot(edit->runs, [&](std::uint32_t slot) {
     if (kept[i]) {
       const float* position = &edit->positions[3 * i];
-      const float* scale = &batch.scales.data[3 * i];
+      const float* scale = &splats.scales.data[3 * i];
       sample_.keep(slot, {{position[0], position[1], position[2]},
                           std::max({scale[0], scale[1], scale[2]}),
-                          batch.opacities[i],
+                          splats.opacities[i],
                           group_index});
     } else {
       sample_.drop(slot);
