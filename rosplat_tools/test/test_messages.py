@@ -7,7 +7,7 @@ import pytest
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools.messages import Slots, chunks, decode, encode, encode_deletion
+from rosplat_tools.messages import Slots, array_bytes, chunks, decode, encode, encode_deletion
 from rosplat_tools.splats import Splats
 
 Maker = Callable[..., Splats]
@@ -97,3 +97,25 @@ def test_chunks_are_small_enough_and_miss_nothing(random_splats: Maker, chunk_by
 
 def test_an_empty_map_is_one_chunk(random_splats: Maker) -> None:
     assert list(chunks(random_splats(0), 1000)) == [slice(0, 0)]
+
+
+def test_a_payload_holds_the_splats_in_less(random_splats: Maker) -> None:
+    splats = random_splats(200, 3)
+    message = encode(
+        splats,
+        range(200),
+        header=Header(),
+        map_id="a",
+        revision=1,
+        operation=GaussianArray.UPSERT,
+        compression="quantised",
+    )
+    assert message.format == "quantised"
+    assert not message.positions
+    assert array_bytes(message) < splats.nbytes / 3
+    _, decoded = decode(message)
+    np.testing.assert_allclose(decoded.positions, splats.positions, atol=1e-5)
+    np.testing.assert_allclose(decoded.sh[:, 0], splats.sh[:, 0], atol=0.01)
+    message.payload = message.payload[:-1]
+    with pytest.raises(ValueError, match="payload has"):
+        decode(message)

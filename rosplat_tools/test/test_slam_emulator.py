@@ -67,6 +67,7 @@ def test_a_loop_starts_over(start: Start, listener: Any) -> None:
         ({"refine_fraction": 0.8, "prune_fraction": 0.8}, "refine_fraction, prune_fraction"),
         ({"rate": 0.0}, "rate"),
         ({"batch_size": "many"}, "batch_size"),
+        ({"compression": "zip"}, "compression: expected one of none, quantised, got 'zip'"),
     ],
 )
 def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
@@ -89,3 +90,10 @@ def test_submaps_drift_until_a_loop_closure_moves_them(start: Start, listener: A
     assert len(listener.map) == 3000
     moves = [batch for batch in listener.batches if batch.operation == GaussianArray.MOVE]
     assert [list(batch.groups) for batch in moves] == [[1], [2], [1, 2]]
+
+
+def test_it_sends_payloads_if_it_is_to(start: Start, listener: Any) -> None:
+    start("slam_emulator", path="procedural:1000", rate=200.0, compression="quantised")
+    listener.wait_for(1000)
+    assert {batch.format for batch in listener.batches if batch.count} <= {"quantised", ""}
+    assert any(batch.format for batch in listener.batches)
