@@ -107,7 +107,8 @@ def in_a_process(name: str, folder: Path) -> None:
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
     )  # fmt: skip
     if ended.returncode:
-        case = (folder / f"case of {name}").read_text().strip()
+        running = folder / f"case of {name}"
+        case = running.read_text().strip() if running.exists() else "none yet"
         again = f"make fuzz SEED={fuzz.SEED} CASE={case}"
         said = (
             ended.stdout
