@@ -253,12 +253,13 @@ TEST(Levels, AfterAnyEditsAreThoseOfAMapBuiltAtOnce) {
         if (anew) used.clear();
         const auto write = [&](std::uint32_t slot) {
           used.insert(slot);
+          // No opacity at the limit of 1/255, on whose other side the copy may be, once packed.
           const float size = 0.01f * spread * std::exp(4 * unit(random) - 2);
           scene.write(slot,
                       {away + spread * (unit(random) - 0.5f), spread * (unit(random) - 0.5f),
                        spread * (unit(random) - 0.5f)},
                       {size, size * unit(random), size * unit(random)},
-                      unit(random) < 0.1f ? 0.001f : unit(random),
+                      unit(random) < 0.1f ? 0.001f : 0.01f + 0.99f * unit(random),
                       {unit(random), unit(random), unit(random), unit(random) + 0.1f});
         };
         for (const auto& [group, of_group] : slots) {

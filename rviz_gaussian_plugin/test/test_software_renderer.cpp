@@ -57,11 +57,11 @@ class Window {
   Window(const Window&) = delete;
   Window& operator=(const Window&) = delete;
 
-  void clear() const {
+  void clear(double depth = 1) const {
     glBindFramebuffer(GL_FRAMEBUFFER, id_);
     glViewport(0, 0, width_, height_);
     glClearColor(0, 0, 0, 0);
-    glClearDepth(1);
+    glClearDepth(depth);
     glDepthMask(GL_TRUE);
     glClear(GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT);
   }
@@ -233,6 +233,64 @@ TEST_F(SoftwareRendererTest, TheNewestPictureIsShownMeanwhileNearToWhereItIs) {
   source_.letGo();
   rest(window, camera(0.3));
   EXPECT_EQ(window.pixels(), farther);
+}
+
+TEST_F(SoftwareRendererTest, TheSurfaceIsThatOfTheNewestPictureWhileThePainterPaints) {
+  constexpr double kFar = 100;
+  const Window window(64, 48), pixel(1, 1);
+  // Depths [m] by pixel, top row first; 0 where there is none.
+  const auto exact = [&](const SplatCamera& camera) {
+    expected(window, camera);
+    std::vector<float> depths = renderer_->readDepth();
+    const std::vector<float>& colour = renderer_->readColor();
+    for (std::size_t i = 0; i < depths.size(); ++i) {
+      if (!(colour[4 * i + 3] >= 0.5f)) depths[i] = 0;
+    }
+    return depths;
+  };
+  const auto surface = [&](const Window& of, const SplatCamera& camera, double scene_depth = 1) {
+    of.clear(scene_depth);
+    renderer_->drawSurface("view", camera, Canvas::kWindow, kFar);
+    const auto bytes = of.pixels();
+    std::vector<float> depths;
+    for (int row = camera.height - 1; row >= 0; --row) {  // a window's first row is its last
+      for (int column = 0; column < camera.width; ++column) {
+        const std::uint8_t* rgb = &bytes[4 * std::size_t(row * camera.width + column)];
+        depths.push_back(float(kFar * (rgb[0] << 16 | rgb[1] << 8 | rgb[2]) / 0xffffff));
+      }
+    }
+    return depths;
+  };
+  const auto error = [](const std::vector<float>& a, const std::vector<float>& b) {
+    double sum = 0;
+    for (std::size_t i = 0; i < a.size(); ++i) sum += std::fabs(a[i] - b[i]);
+    return sum;
+  };
+  EXPECT_EQ(error(surface(window, camera()), std::vector<float>(64 * 48)), 0);  // nothing yet
+  const auto here = exact(camera()), there = exact(camera(0.3));
+  rest(window, camera());
+  source_.hold();
+  renderer_->wake();
+  source_.waitUntilReached();
+  const auto found = surface(window, camera());
+  for (std::size_t i = 0; i < here.size(); ++i) ASSERT_NEAR(found[i], here[i], 2e-5) << i;
+  const std::size_t middle = 24 * 64 + 32;
+  ASSERT_GT(here[middle], 0);
+  const auto part = surface(pixel, crop(camera(), 32, 24, 1, 1));
+  EXPECT_NEAR(part[0], here[middle], 2e-5);
+  // What is opaque hides what is behind it: here half of all.
+  auto sorted = here;
+  std::nth_element(sorted.begin(), sorted.begin() + 24 * 64, sorted.end());
+  const float between = sorted[24 * 64];
+  ASSERT_GT(between, 5);
+  const double window_depth = 0.5 + 0.5 * (camera().ndc_scale + camera().ndc_offset / between);
+  const auto nearest = surface(window, camera(), window_depth);
+  for (std::size_t i = 0; i < here.size(); ++i) {
+    if (std::fabs(here[i] - between) < 1e-3f) continue;
+    ASSERT_NEAR(nearest[i], here[i] < between ? here[i] : 0, 2e-5);
+  }
+  // The camera has moved on.
+  EXPECT_LT(error(surface(window, camera(0.3)), there), 0.6 * error(here, there));
 }
 
 TEST_F(SoftwareRendererTest, EditsThatComeWhileItPaintsAreShown) {

@@ -724,7 +724,7 @@ TEST_F(SplatRendererTest, DrawsQuadsWhereTheListOfTilesFindsNoMemory) {
     const Framebuffer window(GL_DEPTH24_STENCIL8, 0, 1);
     RenderSettings settings;
     settings.rasterizer = Rasterizer::kTiles;
-    scene.drawSurface(camera(), settings, Canvas::kWindow, 100);  // as picks project
+    scene.drawSurface("view", camera(), settings, Canvas::kWindow, 100);  // as picks project
   }
   // From now on, only the list asks for that much.
   epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
@@ -816,7 +816,7 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     scene.hideFarther();
     scene.drawBefore();
     EXPECT_EQ(changed(before), State());
-    scene.drawSurface(camera(), settings, Canvas::kWindow, 100);
+    scene.drawSurface("view", camera(), settings, Canvas::kWindow, 100);
     EXPECT_EQ(changed(before), State());
     scene.drawPick(camera(), settings, Canvas::kWindow, 0);
     scene.readPick();

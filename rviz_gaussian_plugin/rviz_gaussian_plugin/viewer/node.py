@@ -56,7 +56,8 @@ class Figures:
     map_complete: bool
 
     def __str__(self) -> str:
-        order = f"sorted by {self.order_source} in {self.sort_time * 1e3:.1f} ms"
+        took = f" in {self.sort_time * 1e3:.1f} ms" if self.sort_time else ""  # else not measured
+        order = f"sorted by {self.order_source}{took}"
         if not self.order_source:
             order = "not sorted yet"
         detail = f" to {self.error:.2g} px" if self.error else ""

@@ -154,21 +154,25 @@ PictureRequest SoftwareRenderer::lookAt(const PaintRequest& asked) const {
   return request;
 }
 
-void SoftwareRenderer::drawSurface(const SplatCamera& camera, const RenderSettings& settings,
+void SoftwareRenderer::drawSurface(const std::string& view_id, const SplatCamera& camera,
                                    Canvas canvas, double far_clip) {
+  const auto view = views_.find(view_id);
+  if (view == views_.end() || !view->second.shown) return;
+  const PaintedSurface& surface = view->second.shown->surface;
   const CanvasScope window(canvas);
-  PaintRequest asked;
-  asked.camera = camera;
-  asked.settings = settings;
-  asked.scene_depth = window.readDepth(camera.width, camera.height);
-  PictureRequest request = lookAt(asked);
-  request.mean_depth = true;
-  const SplatPicture picture = painter_.look(request);
-  std::vector<std::uint8_t> rgba(4 * picture.depth.size(), 0);
-  for (std::size_t i = 0; i < picture.depth.size(); ++i) {
-    if (!(picture.colour[4 * i + 3] >= 0.5f)) continue;  // more void than surface
-    const double part = std::min(std::max(picture.depth[i] / far_clip, 0.0), 1.0);
-    putNumber(&rgba[4 * i], static_cast<std::uint32_t>(16777215.0 * part));
+  const std::vector<float> scene_depth = window.readDepth(camera.width, camera.height);
+  std::vector<std::uint8_t> rgba(4 * std::size_t(camera.width) * std::size_t(camera.height), 0);
+  std::size_t pixel = 0;
+  for (int row = 0; row < camera.height; ++row) {
+    for (int column = 0; column < camera.width; ++column, ++pixel) {
+      const double depth = surface.depthAt(camera, column, row);
+      if (std::isnan(depth)) continue;
+      const double ndc =
+          (camera.ndc_scale * depth + camera.ndc_offset) / (camera.orthographic ? 1 : depth);
+      if (!scene_depth.empty() && 0.5 * ndc + 0.5 > scene_depth[pixel]) continue;
+      const double part = std::min(std::max(depth / far_clip, 0.0), 1.0);
+      putNumber(&rgba[4 * pixel], static_cast<std::uint32_t>(16777215.0 * part));
+    }
   }
   drawBytes(window, camera, rgba);
 }

@@ -43,9 +43,10 @@ class SoftwareRenderer {
   void hideFarther() const;
   void drawBefore() const;
 
-  // See SplatRenderer. Of few pixels, for they are waited for. Throw PictureError.
-  void drawSurface(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
+  // See SplatRenderer. Where the surface is in what a view shows.
+  void drawSurface(const std::string& view_id, const SplatCamera& camera, Canvas canvas,
                    double far_clip);
+  // See SplatRenderer. Of few pixels, for they are waited for. Throws PictureError.
   void drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
                 std::uint32_t handle);
   const std::vector<std::uint32_t>& readPick() const { return picked_; }

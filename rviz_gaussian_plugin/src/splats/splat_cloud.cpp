@@ -228,11 +228,11 @@ void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
       return;
     }
     if (turn != Turn::kBefore || seen_.empty()) return;  // what isn't seen can't be touched
-    for (const auto& [of, whole] : seen_) {
-      if (makePart(camera, whole)) break;
-    }
+    auto view = seen_.begin();
+    while (view != seen_.end() && !makePart(camera, view->second)) ++view;
+    if (view == seen_.end()) view = seen_.begin();  // it has moved since
     if (touched) {
-      scene_->drawSurface(camera, settings_, canvas, camera_->getFarClipDistance());
+      scene_->drawSurface(view->first, camera, settings_, canvas, camera_->getFarClipDistance());
     } else {  // first the map that a pixel shows, then the slot
       scene_->drawPick(camera, settings_, canvas, scheme == "Pick" ? pick_handle_ : 0);
     }

@@ -413,10 +413,10 @@ FrameReport SplatScene::report(const std::string& view_id) const {
   return found == reports_.end() ? FrameReport{} : found->second;
 }
 
-void SplatScene::drawSurface(const SplatCamera& camera, const RenderSettings& settings,
-                             Canvas canvas, double far_clip) {
+void SplatScene::drawSurface(const std::string& view_id, const SplatCamera& camera,
+                             const RenderSettings& settings, Canvas canvas, double far_clip) {
   prepare(settings);
-  if (software_) return software_->drawSurface(camera, inFull(settings), canvas, far_clip);
+  if (software_) return software_->drawSurface(view_id, camera, canvas, far_clip);
   renderer_->drawSurface(camera, drawn_map_, inFull(settings), sortNow(camera), canvas, far_clip);
 }
 

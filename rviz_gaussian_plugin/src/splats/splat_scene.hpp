@@ -90,9 +90,10 @@ class SplatScene {
   void drawBefore() const { software_ ? software_->drawBefore() : renderer_->drawBefore(); }
   // Render thread: what draw() drew last of a view; of no order source before.
   FrameReport report(const std::string& view_id) const;
-  // Render thread: writes where the surface is; see SplatRenderer. Sorts, and waits for it.
-  void drawSurface(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
-                   double far_clip);
+  // Render thread: writes where the surface is that a view shows; see SplatRenderer. A graphics
+  // card draws it anew, in the order that it waits for.
+  void drawSurface(const std::string& view_id, const SplatCamera& camera,
+                   const RenderSettings& settings, Canvas canvas, double far_clip);
   // Render thread: writes which splats are seen; see SplatRenderer. Sorts, and waits for it.
   void drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
                 std::uint32_t handle);

@@ -81,7 +81,7 @@ bool PaintRequest::operator==(const PaintRequest& o) const {
 Painter::Painter(NextEdit next_edit)
     : next_edit_(std::move(next_edit)),
       start_(now()),
-      looker_(std::make_shared<rosplat_sorter::ThreadTeam>(0)),
+      picker_(std::make_shared<rosplat_sorter::ThreadTeam>(0)),
       levels_(rosplat_sorter::ThreadTeam::ofViewers()),
       thread_([this] { run(); }) {}
 
@@ -304,6 +304,7 @@ std::shared_ptr<Painting> Painter::paint(Waiting&& job, DetailControl& control) 
     if (asked.window) {
       const int width = picture_.width, height = picture_.height;
       painting->mesh = PictureMesh(asked.camera, picture_);
+      painting->surface = PaintedSurface(asked.camera, picture_);
       painting->colour = colourLayer(picture_.colour, width, height);
       painting->behind = colourLayer(picture_.behind, width, height);
       painting->hiding = hidingLayer(picture_.nearness, width, height);
@@ -320,18 +321,10 @@ std::shared_ptr<Painting> Painter::paint(Waiting&& job, DetailControl& control) 
   return painting;
 }
 
-SplatPicture Painter::look(const PictureRequest& request) {
-  const std::lock_guard turn(look_mutex_);
-  const std::shared_lock lock(slots_mutex_);
-  SplatPicture picture;
-  looker_.draw(slots_, map(), request, picture);
-  return picture;
-}
-
 std::vector<std::uint32_t> Painter::pick(const PictureRequest& request) {
-  const std::lock_guard turn(look_mutex_);
+  const std::lock_guard turn(pick_mutex_);
   const std::shared_lock lock(slots_mutex_);
-  return looker_.pick(slots_, map(), request);
+  return picker_.pick(slots_, map(), request);
 }
 
 std::vector<SplatValues> Painter::read(const std::vector<std::uint32_t>& slots) const {

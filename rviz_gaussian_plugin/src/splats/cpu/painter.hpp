@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "cpu/cpu_rasterizer.hpp"
+#include "cpu/painted_surface.hpp"
 #include "cpu/picture_mesh.hpp"
 #include "map/detail.hpp"
 #include "map/gaussian_map.hpp"
@@ -66,6 +67,7 @@ struct Painting {
   PaintedLayer<std::uint8_t> colour, behind;
   PaintedLayer<float> hiding;  // window depth of what is behind translucent objects and hides them
   PictureMesh mesh;
+  PaintedSurface surface;
 };
 using PaintingPtr = std::shared_ptr<const Painting>;
 
@@ -101,9 +103,8 @@ class Painter {
   PaintingPtr paintNow(const std::string& view_id, PaintRequestPtr request);
   void forget(const std::string& view_id);
 
-  // A picture, and which splats it shows, while the caller waits: for the few pixels that a mouse
-  // asks for. Throw PictureError.
-  SplatPicture look(const PictureRequest& request);
+  // Which splats a picture shows, while the caller waits: for the few pixels that a mouse asks for.
+  // Throws PictureError.
   std::vector<std::uint32_t> pick(const PictureRequest& request);
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   MapState map() const;          // that is painted
@@ -160,8 +161,8 @@ class Painter {
   mutable std::shared_mutex slots_mutex_;  // what follows; the painter paints with a shared lock
   HostSlots slots_;
 
-  std::mutex look_mutex_;
-  CpuRasterizer looker_;  // with threads of its own, which take no turns with the painter's
+  std::mutex pick_mutex_;
+  CpuRasterizer picker_;  // with threads of its own, which take no turns with the painter's
 
   // The painter's own.
   CpuRasterizer rasterizer_;

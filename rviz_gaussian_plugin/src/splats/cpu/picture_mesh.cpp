@@ -84,17 +84,7 @@ PictureMesh::PictureMesh(const SplatCamera& camera, const SplatPicture& picture)
 }
 
 PictureMesh::View PictureMesh::seenBy(const SplatCamera& camera) const {
-  // From this camera's frame to the other's: p' = turn p + shift.
-  std::array<double, 9> turn{};
-  std::array<double, 3> shift = camera.translation;
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) {
-      for (int j = 0; j < 3; ++j) {
-        turn[3 * i + k] += camera.rotation[3 * i + j] * camera_.rotation[3 * k + j];
-      }
-    }
-    for (int k = 0; k < 3; ++k) shift[i] -= turn[3 * i + k] * camera_.translation[k];
-  }
+  const auto [turn, shift] = frameIn(camera_, camera);
   // Corner number i of so many; the first and the last lie beyond the picture.
   const auto place = [](int i, int count, int size) -> double {
     if (i < 0) return -0.5 * size;

@@ -25,6 +25,21 @@ std::array<double, 3> Placement::operator()(const std::array<double, 3>& point) 
   return there;
 }
 
+Placement frameIn(const SplatCamera& camera, const SplatCamera& other) {
+  Placement there;
+  there.rotation = {};
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) {
+      for (int j = 0; j < 3; ++j) {
+        there.rotation[3 * i + k] += other.rotation[3 * i + j] * camera.rotation[3 * k + j];
+      }
+    }
+  }
+  const std::array<double, 3> moved = there(camera.translation);
+  for (int i = 0; i < 3; ++i) there.translation[i] = other.translation[i] - moved[i];
+  return there;
+}
+
 SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera) {
   SplatCamera moved = camera;
   moved.translation = Placement{camera.rotation, camera.translation}(map.translation);

@@ -51,6 +51,9 @@ struct Placement {
 Placement makePlacement(const std::array<double, 3>& position,
                         const std::array<double, 4>& orientation);
 
+// Where a camera's frame is in that of another of the same map.
+Placement frameIn(const SplatCamera& camera, const SplatCamera& other);
+
 // A camera of a scene, as one in the frame of a map that is placed there.
 SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera);
 
