@@ -7,7 +7,7 @@ const int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNormals
 const float kTwoPi = 6.2831853;
 const float kLowPass = 0.3;  // [px^2], part of the trained model
 const float kCutoffAlpha = 1.0 / 255.0;
-const float kMaxSigmas = 3.33;  // where the most opaque splat falls below the cutoff
+const float kMaxSigmas = 4.08;  // where the most opaque node falls below the cutoff
 const float kMaxAlpha = 0.99;   // as in Kerbl et al. 2023; nothing is ever fully opaque
 const float kBallEdge = 0.22;   // of the peak: a ball ends at 1.74 sigma
 const uint kNone = 0xffffffffu;
@@ -46,12 +46,17 @@ struct Ellipse {
   vec2 major;     // half axis of one sigma [px]
   float minor;    // length of the other one, a quarter turn on [px]
   vec3 colour;
-  float opacity;  // 0: not to be drawn
+  float opacity;  // 0: not to be drawn; above 1 that of a node, up to 16
 };
 
 struct PackedEllipse { uvec4 a, b; };
 
+// The sign of the minor axis says whether the opacity counts in sixteenths.
 PackedEllipse packEllipse(Ellipse e) {
+  if (e.opacity > 1.0) {
+    e.opacity /= 16.0;
+    e.minor = -e.minor;
+  }
   return PackedEllipse(
       uvec4(floatBitsToUint(vec3(e.centre, e.depth)), packHalf2x16(e.colour.rg)),
       uvec4(floatBitsToUint(vec3(e.major, e.minor)),
@@ -63,9 +68,9 @@ Ellipse unpackEllipse(PackedEllipse p) {
   e.centre = uintBitsToFloat(p.a.xy);
   e.depth = uintBitsToFloat(p.a.z);
   e.major = uintBitsToFloat(p.b.xy);
-  e.minor = uintBitsToFloat(p.b.z);
+  e.minor = abs(uintBitsToFloat(p.b.z));
   e.colour = vec3(unpackHalf2x16(p.a.w), unpackHalf2x16(p.b.w).x);
-  e.opacity = unpackUnorm2x16(p.b.w).y;
+  e.opacity = unpackUnorm2x16(p.b.w).y * (uintBitsToFloat(p.b.z) < 0.0 ? 16.0 : 1.0);
   return e;
 }
 
@@ -95,6 +100,11 @@ bool isBall(int mode) { return mode == kFlatBall || mode == kGaussianBall; }
 float alphaAt(float opacity, float falloff, int mode) {
   if (isBall(mode)) return falloff < kBallEdge ? 0.0 : 1.0;
   return min(kMaxAlpha, opacity * falloff);
+}
+
+// What is left of that where a share of a splat is drawn: see cut.hpp.
+float sharedAlpha(float alpha, float share, int mode) {
+  return share >= 1.0 || isBall(mode) ? alpha : 1.0 - exp2(share * log2(1.0 - alpha));
 }
 
 // What depths are sorted by: grows with them, over negative ones too.

@@ -5,21 +5,22 @@ layout(local_size_x = 256) in;
 
 shared uint words[8];
 
-bool mayBeSeen(uint slot, uint group) {
-  float opacity = slotOpacity(slot);
+bool mayBeSeen(Page page, uint slot) {
+  float opacity = opacityUnit(page) * slotOpacity(slot);
   if (!(opacity >= kCutoffAlpha) || !(view.opacity_modifier * opacity >= kCutoffAlpha)) return false;
   vec3 mean = slotPosition(slot);
   if (view.clip_to_box) {
-    vec3 in_box = transformed(groups[group].to_box, mean);
+    vec3 in_box = transformed(groups[page.group].to_box, mean);
     if (any(greaterThan(abs(in_box), 0.5 * view.box_size))) return false;
   }
   vec3 scale = slotScale(slot);
   float extent = cutoffSigmas(opacity) * max(max(scale.x, scale.y), scale.z);
-  vec3 p = transformed(groups[group].to_camera, mean);
+  vec3 p = transformed(groups[page.group].to_camera, mean);
   float w = view.orthographic ? 1.0 : p.z;
   precise vec2 reach = view.half_size * w + view.slope * extent;
   precise vec2 along = abs(view.focal * p.xy + view.offset * w);
-  return p.z > view.clip.x && p.z < view.clip.y && all(lessThanEqual(along, reach));
+  return p.z > view.clip.x && p.z < view.clip.y && all(lessThanEqual(along, reach)) &&
+         shareOf(page, slot, mean) > 0.0;
 }
 
 void main() {
@@ -27,7 +28,7 @@ void main() {
   uint local = gl_LocalInvocationIndex, slot = kPageSlots * page.page + slotInPage();
   if (local < 8u) words[local] = 0u;
   barrier();
-  if (mayBeSeen(slot, page.group)) atomicOr(words[local >> 5], 1u << (local & 31u));
+  if (mayBeSeen(page, slot)) atomicOr(words[local >> 5], 1u << (local & 31u));
   barrier();
   if (local < 8u) {
     uint word = (kPageSlots * page.number + slotInPage() - local) / 32u + local;

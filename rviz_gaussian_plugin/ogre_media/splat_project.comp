@@ -9,10 +9,12 @@ layout(std430) readonly buffer Band2 { uint band2[]; };
 layout(std430) readonly buffer Band3 { uint band3[]; };
 // What the visible splats are sorted by: grows with their depth.
 layout(std430) writeonly buffer Keys { uint keys[]; };
-layout(std430) writeonly buffer Boxes { uint boxes[]; };  // boxOf() the splats
+// boxOf() the splats; and where nodes stand for some, from first_share on what share of each is drawn.
+layout(std430) writeonly buffer Boxes { uint boxes[]; };
 layout(std430) buffer DepthRange { uint nearest, farthest; };  // keys drawn
 
 uniform uint room;  // for visible splats
+uniform uint first_share;
 
 shared uint group_nearest, group_farthest;
 
@@ -85,9 +87,9 @@ vec3 colour(uint slot, uint group, vec3 direction, vec3 scale, mat3 orientation,
 }
 
 // The ellipse of a slot, of opacity 0 where nothing of it is in the picture.
-Ellipse project(uint slot, uint group, vec3 mean, vec3 p) {
+Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   Ellipse e = Ellipse(vec2(0.0), p.z, vec2(0.0), 0.0, vec3(0.0), 0.0);
-  float trained_opacity = slotOpacity(slot);
+  float trained_opacity = opacityUnit(page) * slotOpacity(slot);
   float opacity = view.opacity_modifier * trained_opacity;
   if (view.near_fade > 0.0) opacity *= min((p.z - view.clip.x) / view.near_fade, 1.0);
 
@@ -109,7 +111,7 @@ Ellipse project(uint slot, uint group, vec3 mean, vec3 p) {
   vec3 scale = view.scale_modifier * slotScale(slot);
   if (view.mode == kBillboard) scale = vec3((scale.x + scale.y + scale.z) / 3.0);
   mat3 orientation = rotationMatrix(slotRotation(slot));
-  mat3 axes = rotationOf(groups[group].to_camera) * orientation;
+  mat3 axes = rotationOf(groups[page.group].to_camera) * orientation;
   vec3 mx = (jx * axes) * scale;
   vec3 my = (jy * axes) * scale;
   vec3 area = cross(mx, my);
@@ -137,21 +139,22 @@ Ellipse project(uint slot, uint group, vec3 mean, vec3 p) {
   }
   e.major = sqrt(major) * axis;
   e.minor = sqrt(minor);
-  vec3 eye = groups[group].eye.xyz;
+  vec3 eye = groups[page.group].eye.xyz;
   vec3 direction = view.orthographic ? eye : normalize(mean - eye);
-  e.colour = colour(slot, group, direction, scale, orientation, trained_opacity);
+  e.colour = colour(slot, page.group, direction, scale, orientation, trained_opacity);
   e.opacity = opacity;
   return e;
 }
 
 // The key of a slot's depth, if it is drawn. number: among those of all pages that are kept.
-uint projected(uint slot, uint group, uint number) {
+uint projected(Page page, uint slot, uint number) {
   vec3 mean = slotPosition(slot);
-  vec3 p = transformed(groups[group].to_camera, mean);
-  Ellipse e = project(slot, group, mean, p);
+  vec3 p = transformed(groups[page.group].to_camera, mean);
+  Ellipse e = project(page, slot, mean, p);
   uint index = visibleIndex(number);
   if (index >= room) return kNone;
   keep(index, packEllipse(e));
+  if (view.cut) boxes[first_share + index] = floatBitsToUint(shareOf(page, slot, mean));
   boxes[index] = e.opacity > 0.0 ? boxOf(outlineOf(e)) : 0u;
   uint key = e.opacity > 0.0 ? depthKey(p.z) : kNone;
   keys[index] = key;
@@ -167,7 +170,7 @@ void main() {
     group_farthest = 0u;
   }
   barrier();
-  if (isVisible(number)) key = projected(slot, page.group, number);
+  if (isVisible(number)) key = projected(page, slot, number);
   if (key != kNone) {
     atomicMin(group_nearest, key);
     atomicMax(group_farthest, key);

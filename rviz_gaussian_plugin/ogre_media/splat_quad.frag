@@ -3,6 +3,7 @@
 flat in vec4 colour;  // rgb, opacity
 flat in vec2 centre;
 flat in vec4 axes;
+flat in float share;
 layout(location = 0) out vec4 blended;
 #ifdef BEHIND
 layout(location = 1) out vec4 nearness;  // as in splat_hide.frag
@@ -16,6 +17,7 @@ void main() {
   float falloff = falloffAt(axes, gl_FragCoord.xy - centre);
   float alpha = alphaAt(colour.a, falloff, view.mode);
   if (alpha < kCutoffAlpha) discard;
+  alpha = sharedAlpha(alpha, share, view.mode);
   vec3 rgb = colour.rgb * (view.mode == kGaussianBall ? falloff : 1.0);
   blended = vec4(rgb * alpha, alpha);
 #ifdef BEHIND

@@ -3,6 +3,7 @@
 layout(std430) readonly buffer Drawn { uint drawn[]; };  // nearest first
 layout(std430) readonly buffer DepthRange { uint nearest, farthest; };
 layout(std430) readonly buffer Length { Tally drawn_tally; };
+layout(std430) readonly buffer Shares { float shares[]; };  // of what is drawn, if not all
 
 uniform bool raw_depth;  // blend depths [m] instead of colours
 
@@ -11,6 +12,7 @@ uniform bool raw_depth;  // blend depths [m] instead of colours
 flat out vec4 colour;  // rgb, opacity
 flat out vec2 centre;  // in the target [px]
 flat out vec4 axes;    // falloffAxes(), there
+flat out float share;
 
 const float kGrid = 1.0 / 16.0;  // at most [px]
 
@@ -23,9 +25,11 @@ void main() {
     gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
     colour = axes = vec4(0.0);
     centre = vec2(0.0);
+    share = 0.0;
     return;
   }
   colour = vec4(e.colour, e.opacity);
+  share = view.cut ? shares[index] : 1.0;
   if (raw_depth) {
     colour.rgb = vec3(e.depth);
   } else if (view.mode == kDepth) {

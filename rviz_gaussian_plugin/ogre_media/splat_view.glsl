@@ -14,6 +14,7 @@ layout(std140) uniform View {
   ivec2 tiles;                                // in the picture, across and down
   vec2 ndc_depth;                             // ndc.z = (x depth + y) / w
   vec2 depth_range;  // of mode kDepth [m]; empty: that of what is drawn
+  vec2 rise;         // of a share: from where [px], and 1 over how far [1/px]
   float scale_modifier, opacity_modifier;
   int sh_degree;
   int only_band;     // -1: all
@@ -21,4 +22,6 @@ layout(std140) uniform View {
   bool top_first;    // the target's first row is the picture's top
   float now;         // as slotAge() reads it
   float age_range;   // what is old [s]
+  float cut_focal;   // [px], orthographic [px/m]
+  bool cut;          // nodes stand for some splats
 } view;

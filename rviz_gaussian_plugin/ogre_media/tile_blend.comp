@@ -4,6 +4,7 @@ layout(local_size_x = 256) in;
 layout(std430) readonly buffer Splats { uint splat_of[]; };
 layout(std430) readonly buffer Begins { uint begins[]; };
 layout(std430) readonly buffer DepthRange { uint nearest, farthest; };
+layout(std430) readonly buffer Shares { float shares[]; };  // of what is drawn, if not all
 layout(binding = 0) uniform sampler2D scene_depth;
 layout(binding = 0) writeonly uniform image2D blended;
 #ifdef BEHIND
@@ -22,7 +23,7 @@ const float kTransparent = 1e-5;
 
 shared vec4 places[kBatch];  // centre [px], window depth, opacity
 shared vec4 axes[kBatch];    // falloffAxes()
-shared vec3 colours[kBatch];
+shared vec4 colours[kBatch];  // and shares
 shared uint reaching[kParts][kWords];  // a bit for each splat of the batch
 shared uint finished;
 
@@ -74,10 +75,12 @@ void main() {
     if (local < kParts * kWords) reaching[local / kWords][local % kWords] = 0u;
     barrier();
     if (first + local < end) {
-      Ellipse e = ellipse(splat_of[first + local]);
+      uint splat = splat_of[first + local];
+      Ellipse e = ellipse(splat);
       places[local] = vec4(e.centre, windowDepth(e.depth), e.opacity);
       axes[local] = falloffAxes(e);
-      colours[local] = view.mode == kDepth ? depthColour(e.depth, range) : e.colour;
+      colours[local] = vec4(view.mode == kDepth ? depthColour(e.depth, range) : e.colour,
+                            view.cut ? shares[splat] : 1.0);
       mark(local, e, tile);
     }
     barrier();
@@ -86,11 +89,13 @@ void main() {
         uint k = 32u * word + uint(findLSB(bits));
         vec4 place = places[k];
         float falloff = falloffAt(axes[k], vec2(pixel) + 0.5 - place.xy);
-        vec3 splat = colours[k];
+        vec3 splat = colours[k].rgb;
         float alpha = alphaAt(place.w, falloff, view.mode);
+        if (alpha < kCutoffAlpha) continue;
+        alpha = sharedAlpha(alpha, colours[k].a, view.mode);
         if (view.mode == kGaussianBall) splat *= falloff;
 #ifdef BEHIND
-        if (alpha >= kCutoffAlpha && place.z > hidden_from && place.z <= behind_until) {
+        if (place.z > hidden_from && place.z <= behind_until) {
           colour_behind += transmittance_behind * alpha * splat;
           nearness += transmittance_behind * alpha * (1.0 - place.z);
           transmittance_behind *= 1.0 - alpha;
@@ -99,7 +104,7 @@ void main() {
           continue;
         }
 #endif
-        if (alpha < kCutoffAlpha || place.z > hidden_from || place.z < 0.0) continue;
+        if (place.z > hidden_from || place.z < 0.0) continue;
         colour += transmittance * alpha * splat;
         transmittance *= 1.0 - alpha;
         done = transmittance < kTransparent;

@@ -105,6 +105,13 @@ TEST(Painter, PaintsADetailThatIsWaitedForAtOnceAndOfTheWholeMap) {
   const PaintingPtr other = studio.painter.paintNow("view", studio.request("2000"));
   EXPECT_EQ(other->map.splats, 10u);
   EXPECT_EQ(other->error_px, 0);  // of so few, all are drawn
+
+  studio.painter.paintNow("other view", studio.request("full"));
+  EXPECT_GT(studio.painter.levelsBytes(), 0u);
+  studio.painter.paintNow("view", studio.request("full"));
+  EXPECT_EQ(studio.painter.levelsBytes(), 0u);  // nobody wants any, any more
+  studio.write(20000, GaussianBatch::REPLACE);
+  EXPECT_LE(studio.painter.paintNow("view", studio.request("2000"))->drawn, 2000u);
 }
 
 TEST(Painter, PaintsAGivenOrderInFull) {

@@ -13,6 +13,7 @@
 #include <fstream>
 #include <map>
 #include <memory>
+#include <numeric>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -856,6 +857,185 @@ TEST_F(SplatRendererTest, IsDestroyedInAnotherContextWithoutHarmToEither) {
   EXPECT_EQ(buffers(), drawn);
   gl::deleteAbandoned();
   EXPECT_EQ(buffers(), before);
+}
+
+// Levels of detail on the card, beside those of the processor.
+RenderSettings detailed(const char* detail, Rasterizer rasterizer) {
+  RenderSettings settings;
+  settings.float_blending = true;
+  settings.rasterizer = rasterizer;
+  settings.order = OrderSource::kGpu;
+  settings.detail = parseDetail(detail);
+  return settings;
+}
+
+std::vector<float> cutPicture(SplatScene& scene, const RenderSettings& settings,
+                              const char* view_id = "view") {
+  scene.setCamera(view_id, 1, camera());
+  scene.draw(view_id, settings, Canvas::kNone, !settings.asynchronous);
+  return scene.readColor();
+}
+
+// Small ones near each other, of which nodes are made: a wall 8 m away.
+void addWall(Splats& splats, std::uint32_t count, std::uint32_t seed) {
+  const auto part = [seed](double step, std::uint32_t i) {
+    return static_cast<float>(std::fmod(step * (i + 1000.0 * seed), 1.0));
+  };
+  for (std::uint32_t i = 0; i < count; ++i) {
+    splats.add(
+        {12 * part(0.7548776662, i) - 6, 12 * part(0.5698402909, i) - 6, 8 + part(0.6180339887, i)},
+        {4 * part(0.8191725134, i) - 2, 4 * part(0.6710436067, i) - 2, 1});
+    std::fill(splats.scales.end() - 3, splats.scales.end(), 0.1f);
+  }
+}
+
+TEST_F(SplatRendererTest, DrawsTheCutOfTheProcessor) {
+  SplatScene scene(shaders()), other(shaders());
+  Splats splats = manySplats();
+  addWall(splats, 30000, 0);
+  for (SplatScene* each : {&scene, &other}) each->apply(splats.batch(1, {}));
+  const auto full = cutPicture(scene, detailed("full", Rasterizer::kTiles));
+  const std::size_t all = scene.report("view").splats;
+  for (const char* detail : {"0.5px", "1px", "2px", "3px", "5px", "9px", "30px", "200px"}) {
+    const auto tiles = cutPicture(scene, detailed(detail, Rasterizer::kTiles));
+    const FrameReport report = scene.report("view");
+    EXPECT_EQ(report.detail_error, "");
+    const auto quads = cutPicture(scene, detailed(detail, Rasterizer::kQuads));
+    const auto processor = cutPicture(other, detailed(detail, Rasterizer::kProcessor));
+    EXPECT_EQ(report.error, other.report("view").error) << detail;
+    EXPECT_LT(greatestDifference(tiles, processor), 3e-3f) << detail;
+    EXPECT_LT(greatestDifference(quads, processor), 6e-3f) << detail;
+  }
+  EXPECT_LT(scene.report("view").splats, all / 100);
+  for (const DrawMode mode : {DrawMode::kFlatBall, DrawMode::kNormals, DrawMode::kOpacity}) {
+    RenderSettings settings = detailed("3px", Rasterizer::kTiles);
+    settings.mode = mode;
+    const auto tiles = cutPicture(scene, settings);
+    settings.rasterizer = Rasterizer::kProcessor;
+    const auto processor = cutPicture(other, settings);
+    std::size_t others = 0;  // at the rims of balls a pixel is of one or of the other
+    for (std::size_t i = 0; i < tiles.size(); ++i) {
+      others += std::abs(tiles[i] - processor[i]) > 5e-3f;
+    }
+    EXPECT_LT(others, tiles.size() / 100) << int(mode);
+  }
+  EXPECT_LT(greatestDifference(cutPicture(scene, detailed("full", Rasterizer::kTiles)), full),
+            1e-6f);
+}
+
+TEST_F(SplatRendererTest, HasLevelsWhileAViewWantsThem) {
+  SplatScene scene(shaders());
+  fill(scene);
+  cutPicture(scene, detailed("full", Rasterizer::kTiles));
+  const std::size_t bytes = scene.gpuBytes();
+  EXPECT_EQ(scene.levelsBytes(), 0u);
+  cutPicture(scene, detailed("20px", Rasterizer::kTiles));
+  cutPicture(scene, detailed("5px", Rasterizer::kTiles), "other");
+  cutPicture(scene, detailed("full", Rasterizer::kTiles));
+  EXPECT_GT(scene.levelsBytes(), 0u);
+  scene.forget("other");
+  EXPECT_EQ(scene.levelsBytes(), 0u);
+  cutPicture(scene, detailed("full", Rasterizer::kTiles));
+  EXPECT_LE(scene.gpuBytes(), bytes + bytes / 10);
+  // An order that is given, and picks, show slots.
+  cutPicture(scene, detailed("200px", Rasterizer::kTiles));
+  EXPECT_LT(scene.report("view").splats, kSplats / 10);
+  RenderSettings given = detailed("200px", Rasterizer::kTiles);
+  given.order = OrderSource::kOff;
+  cutPicture(scene, given);
+  EXPECT_EQ(scene.report("view").error, 0);
+  SplatScene full(shaders());
+  fill(full);
+  picture(full, Rasterizer::kTiles, OrderSource::kGpu);
+  EXPECT_EQ(picked(scene), picked(full));
+}
+
+TEST_F(SplatRendererTest, KeepsABudgetOfAPictureThatIsWaitedFor) {
+  SplatScene scene(shaders());
+  Splats splats;
+  addWall(splats, 40000, 3);
+  scene.apply(splats.batch(1, {}));
+  for (const char* most : {"100", "1500", "10k"}) {
+    cutPicture(scene, detailed(most, Rasterizer::kTiles));
+    const auto amount = static_cast<std::size_t>(parseDetail(most).amount);
+    EXPECT_LE(scene.report("view").splats, amount);
+    EXPECT_GT(scene.report("view").splats, amount / 5);
+  }
+  cutPicture(scene, detailed("1M", Rasterizer::kTiles));
+  EXPECT_EQ(scene.report("view").error, 0);
+}
+
+TEST_F(SplatRendererTest, FindsTheErrorOfAFrameTime) {
+  SplatScene scene(shaders());
+  Splats splats;
+  addWall(splats, 3000, 4);
+  scene.apply(splats.batch(1, {}));
+  SplatCamera moving = camera();
+  const auto errorOf = [&](const char* detail) {
+    RenderSettings settings = detailed(detail, Rasterizer::kTiles);
+    settings.asynchronous = true;
+    scene.setCamera("view", 1, moving);
+    scene.draw("view", settings, Canvas::kNone);
+    return scene.report("view").error;
+  };
+  double error = 0;
+  for (int frame = 0; frame < 1000 && error < 5; ++frame) {
+    moving.translation[0] = 1e-3 * frame;
+    error = errorOf("0.0001ms");
+  }
+  EXPECT_GE(error, 5);
+  EXPECT_EQ(errorOf("0.0001ms"), 0);  // it rests
+  for (int frame = 0; frame < 1000; ++frame) {
+    moving.translation[0] = 1e-3 * frame;
+    error = errorOf("100000ms");
+    if (error == 0) break;
+  }
+  EXPECT_EQ(error, 0);
+}
+
+// Until the nodes of an edit stand, the picture has no holes that it hasn't before or afterwards;
+// and in the end all is in them.
+TEST_F(SplatRendererTest, RepairsLevelsBesideTheFrames) {
+  SplatScene scene(shaders());
+  const RenderSettings waited = detailed("6px", Rasterizer::kTiles);
+  RenderSettings settings = waited;
+  settings.asynchronous = true;
+  Splats splats;
+  addWall(splats, 20000, 0);
+  scene.apply(splats.batch(1, {}));
+  cutPicture(scene, detailed("full", Rasterizer::kTiles));  // from which they begin
+  auto before = cutPicture(scene, waited, "waited");
+  for (std::uint32_t edit = 1; edit <= 15; ++edit) {
+    Splats some;
+    addWall(some, 1000, edit);
+    std::vector<std::uint32_t> slots(1000);
+    std::iota(slots.begin(), slots.end(), 1291 * edit);
+    scene.apply(some.batch(edit + 1, slots));
+    std::vector<std::vector<float>> pictures;
+    for (int frame = 0; frame < 3; ++frame) pictures.push_back(cutPicture(scene, settings));
+    const auto after = cutPicture(scene, waited, "waited");
+    for (const auto& picture : pictures) {
+      for (std::size_t i = 3; i < picture.size(); i += 4) {
+        ASSERT_GT(picture[i], std::min(before[i], after[i]) - 0.05f) << "edit " << edit;
+      }
+    }
+    before = after;
+  }
+  scene.forget("waited");
+  const auto repaired = cutPicture(scene, detailed("6px", Rasterizer::kTiles));
+  const std::size_t drawn = scene.report("view").splats;
+  cutPicture(scene, detailed("full", Rasterizer::kTiles));  // which drops them
+  EXPECT_EQ(scene.levelsBytes(), 0u);
+  EXPECT_EQ(greatestDifference(cutPicture(scene, detailed("6px", Rasterizer::kTiles)), repaired),
+            0);
+  EXPECT_EQ(scene.report("view").splats, drawn);
+  // Another map has none of those nodes.
+  Splats other;
+  addWall(other, 10, 77);
+  scene.apply(other.batch(1, {}));
+  EXPECT_EQ(greatestDifference(cutPicture(scene, settings),
+                               cutPicture(scene, detailed("full", Rasterizer::kTiles))),
+            0);
 }
 
 // Drivers take more than the language has, each something else; the reference compiler doesn't.

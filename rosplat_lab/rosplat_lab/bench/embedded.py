@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_lab.bench.records import Event, Measurement
 from rosplat_tools.cameras import Camera
 from rosplat_tools.splats import Splats
 
@@ -25,6 +26,11 @@ def open_renderer() -> Renderer:
     from rviz_gaussian_plugin.offscreen import Renderer
 
     return Renderer()
+
+
+def hardware() -> Iterator[Event]:
+    """One measurement that says what draws."""
+    yield Measurement.of("", "", 0, gpu=open_renderer().renderer_info)
 
 
 def gl_finish() -> Callable[[], None]:
@@ -46,25 +52,24 @@ def pose(camera: Camera) -> tuple[Any, ...]:
 class View:
     """A view of the renderer, whose cameras are numbered as the renderer wants it."""
 
-    NAME = "bench"
-
-    def __init__(self, renderer: Renderer) -> None:
+    def __init__(self, renderer: Renderer, name: str = "bench") -> None:
         self._renderer = renderer
+        self._name = name
         self._sequence = 0
 
     def look(self, camera: Camera) -> int:
         """Poses the view's camera; returns its number."""
         self._sequence += 1
-        self._renderer.set_camera(self.NAME, self._sequence, *pose(camera))
+        self._renderer.set_camera(self._name, self._sequence, *pose(camera))
         return self._sequence
 
     def give(self, number: int, revision: int, slots: NDArray[np.uint32]) -> None:
         """Gives the renderer a sorter's order for a camera of this view and a map's revision."""
-        self._renderer.set_order(self.NAME, number, MAP, revision, "bench", 0.0, slots)
+        self._renderer.set_order(self._name, number, MAP, revision, "bench", 0.0, slots)
 
     def draw(self, sort_now: bool = False) -> dict[str, Any]:
         """Draws, sorted in this call if sort_now; returns what the renderer reports."""
-        report: dict[str, Any] = self._renderer.draw(self.NAME, sort_now=sort_now)
+        report: dict[str, Any] = self._renderer.draw(self._name, sort_now=sort_now)
         return report
 
 

@@ -89,7 +89,7 @@ def measure(plan: Plan) -> Iterator[Event]:
         raise SceneError(f"unknown variant '{unknown.pop()}', known are {names}")
     try:
         with ensure_display():
-            (drawing,) = isolated(_hardware)
+            (drawing,) = isolated(embedded.hardware)
             software = isinstance(drawing, Measurement) and "llvmpipe" in drawing.gpu
             sizes, chosen = SIZES, (*variants(), *RENDERERS)
             if software:
@@ -121,11 +121,6 @@ def _part_of(events: Iterator[Event], number: int, jobs: int) -> Iterator[Event]
         if isinstance(event, Doing):
             event = replace(event, part=(number + event.part) / jobs)
         yield event
-
-
-def _hardware() -> Iterator[Event]:
-    """One measurement that says what draws."""
-    yield Measurement.of("", "", 0, gpu=embedded.open_renderer().renderer_info)
 
 
 def _looks(plan: Plan, name: str) -> list[tuple[tuple[int, int], str]]:

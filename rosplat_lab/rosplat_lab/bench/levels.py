@@ -1,11 +1,12 @@
-"""Levels of detail on the processor: error against what they save, what they cost, and popping."""
+"""Levels of detail: error against what they save, what they cost, and popping."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,7 @@ from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, milliseconds
 from rosplat_tools.cameras import Camera
-from rosplat_tools.splats import Splats
-
-if TYPE_CHECKING:
-    from rviz_gaussian_plugin.offscreen import CpuRenderer
+from rosplat_tools.splats import SceneError, Splats
 
 Array = NDArray[np.float64]
 
@@ -32,46 +30,139 @@ EDITED = 10_000  # splats, of an edit
 SUPERSAMPLED = 4  # pixels of the truth in one, along an axis
 PATH, QUICK_PATH = 30, 4  # pictures
 POPPING = ("2px", "4px", "8px")
+STEPS = 8  # cameras that take turns
 STEP, TURN = 0.005, math.radians(0.1)  # from one to the next [m], [rad]
+
+
+class Drawer(Protocol):
+    """A map, drawn in any detail. Making it raises RuntimeError where it can't draw."""
+
+    renderer: Any
+    device: str
+    """What draws."""
+
+    def merge(self) -> dict[str, float]:
+        """Has the levels hold all of the map; what they take, and how many nodes they have."""
+
+    def draw(self, camera: Camera) -> dict[str, Any]:
+        """`splats` drawn and the `error` [px]; returns when the picture is whole."""
+
+    def colour(self) -> Array:
+        """(height, width, 3) of the last picture, over black."""
+
+
+class Processor:
+    """Draws without a graphics card."""
+
+    def __init__(self) -> None:
+        from rviz_gaussian_plugin import offscreen
+
+        self._pose = lambda camera: offscreen.Camera(*embedded.pose(camera))
+        self.renderer = offscreen.CpuRenderer()
+        self.device = f"CPU, {self.renderer.instructions}"
+
+    def merge(self) -> dict[str, float]:
+        nodes = self.renderer.merge()
+        return {"nodes": nodes, "memory": self.renderer.levels_bytes}
+
+    def draw(self, camera: Camera) -> dict[str, Any]:
+        self._drawn: dict[str, Any] = self.renderer.draw(self._pose(camera))
+        return self._drawn
+
+    def colour(self) -> Array:
+        return self._drawn["colour"][..., :3].astype(np.float64)
+
+
+class Card:
+    """Draws with a graphics card. Merging includes what brings the nodes there."""
+
+    def __init__(self) -> None:
+        self.renderer = embedded.open_renderer()
+        self.device = self.renderer.renderer_info
+        # The levels stay for as long as some view wants any.
+        self._views = {full: embedded.View(self.renderer, str(full)) for full in (False, True)}
+        self._finish = embedded.gl_finish()
+
+    def merge(self) -> dict[str, float]:
+        self.renderer.settings.detail = "1px"
+        drawn = self.draw(Camera(0, 16, 16, 16.0, 16.0, 8.0, 8.0, np.eye(4)))
+        return {"memory": drawn["levels_bytes"]}
+
+    def draw(self, camera: Camera) -> dict[str, Any]:
+        view = self._views[self.renderer.settings.detail == "full"]
+        view.look(camera)
+        drawn = view.draw(sort_now=True)
+        self._finish()
+        return drawn
+
+    def colour(self) -> Array:
+        return self.renderer.read_color()[..., :3].astype(np.float64)
+
+
+DRAWERS: dict[str, Callable[[], Drawer]] = {"processor": Processor, "card": Card}
 
 
 def measure(plan: Plan) -> Iterator[Event]:
     """Building and repairing levels; PSNR and frames by error; popping along a slow path."""
     sizes = plan.sizes or ((QUICK_SIZES if plan.quick else SIZES) if not plan.scenes else ())
-    names = scenes.names(sizes, plan.scenes)
-    for number, name in enumerate(names):
-        yield Doing(name, number / len(names))
-        picture = QUICK_PICTURE if plan.quick else PICTURE
-        length = QUICK_PATH if plan.quick else PATH
-        yield from isolated(_scene, name, picture, length, plan.budget)
+    picture = QUICK_PICTURE if plan.quick else PICTURE
+    length = QUICK_PATH if plan.quick else PATH
+    with _drawers(plan) as drawers:
+        jobs = [(name, which) for name in scenes.names(sizes, plan.scenes) for which in drawers]
+        for number, (name, which) in enumerate(jobs):
+            yield Doing(f"{name}, {which}", number / len(jobs))
+            yield from isolated(_scene, name, which, picture, length, plan.budget)
 
 
-def _scene(name: str, picture: tuple[int, int], length: int, budget: Budget) -> Iterator[Event]:
-    from rviz_gaussian_plugin.offscreen import CpuRenderer
+@contextmanager
+def _drawers(plan: Plan) -> Iterator[Sequence[str]]:
+    """Those that there are, or of these those that are asked for, with a display to draw on."""
+    from rviz_gaussian_plugin.offscreen import ensure_display
 
+    if unknown := set(plan.variants) - DRAWERS.keys():
+        known = ", ".join(DRAWERS)
+        raise SceneError(f"unknown variant '{unknown.pop()}', known are {known}")
+    if plan.variants == ("processor",):
+        yield plan.variants
+        return
+    with ensure_display():
+        (drawing,) = isolated(embedded.hardware)
+        accelerated = isinstance(drawing, Measurement) and "llvmpipe" not in drawing.gpu
+        yield plan.variants or (tuple(DRAWERS) if accelerated else ("processor",))
+
+
+def _scene(
+    name: str, which: str, picture: tuple[int, int], length: int, budget: Budget
+) -> Iterator[Event]:
     splats = scenes.load(name)
-    renderer = CpuRenderer()
-    embedded.insert_all(renderer, splats)
+    drawer = DRAWERS[which]()
+    embedded.insert_all(drawer.renderer, splats)
 
     def of(what: str, unit: str, samples: Any, **parameters: str | float) -> Measurement:
-        device = f"CPU, {renderer.instructions}"
-        return Measurement.of(what, unit, samples, name, len(splats), device, **parameters)
+        return Measurement.of(what, unit, samples, name, len(splats), drawer.device, **parameters)
 
-    took = milliseconds(renderer.merge)
-    yield of("build", "s per million splats", 1e3 * took / len(splats))
-    yield of("nodes", "per splat", renderer.merge() / len(splats))
-    yield of("memory", "bytes per splat", renderer.levels_bytes / len(splats))
-    yield of("repair", "ms", [_repair(renderer, splats, part) for part in range(5)])
+    camera = scenes.overview(splats, *picture, 1)[0]
+    _show(drawer, camera, "full")  # which has the map where it is drawn
+    yield of("build", "s per million splats", 1e3 * milliseconds(drawer.merge) / len(splats))
+    held = drawer.merge()
+    if "nodes" in held:
+        yield of("nodes", "per splat", held["nodes"] / len(splats))
+    yield of("memory", "bytes per splat", held["memory"] / len(splats))
+    yield of("repair", "ms", [_repair(drawer, splats, part) for part in range(5)])
     for view in VIEWS:
-        camera = scenes.VIEWS[view](splats, *picture, 1)[0]
-        full = _picture(renderer, camera, "full")
-        truth = _truth(renderer, camera)
+        cameras = scenes.VIEWS[view](splats, *picture, STEPS)
+        camera = cameras[0]
+        full = _picture(drawer, camera, "full")
+        truth = _truth(drawer, camera)
         yield of("PSNR against the truth", "dB", _psnr(full, truth), view=view, px=0.0)
         for detail in ("full", f"{SPLATS}", *(f"{error}px" for error in ERRORS)):
-            renderer.settings.detail = detail
-            pose = _pose(camera)
-            times = budget.spend(lambda _, pose=pose: milliseconds(lambda: renderer.draw(pose)))
-            drawn = renderer.draw(pose)
+            _show(drawer, camera, detail)
+
+            def frame(number: int, cameras: Sequence[Camera] = cameras) -> float:
+                return milliseconds(lambda: drawer.draw(cameras[number % STEPS]))
+
+            times = budget.spend(frame)
+            drawn = drawer.draw(camera)
             shown = {"view": view, "detail": detail, "px": drawn["error"]}
             shown |= {"drawn": drawn["splats"]}
             yield of("frame", "ms", times, **shown)
@@ -79,11 +170,11 @@ def _scene(name: str, picture: tuple[int, int], length: int, budget: Budget) -> 
                 whole = drawn["splats"]
                 continue
             shown |= {"share": drawn["splats"] / max(whole, 1)}
-            colour = np.clip(drawn["colour"][..., :3].astype(np.float64), 0, 1)
+            colour = np.clip(drawer.colour(), 0, 1)
             yield of("PSNR", "dB", _psnr(colour, full), **shown)
             yield of("PSNR against the truth", "dB", _psnr(colour, truth), **shown)
     camera = scenes.inside(splats, *picture, 1)[0]
-    for detail, changes in _pops(renderer, camera, length).items():
+    for detail, changes in _pops(drawer, camera, length).items():
         most = [np.quantile(change, 0.999) for change in changes]
         yield of("popping, 99.9 % of pixels", "/255", most, detail=detail)
         worst = [change.max() for change in changes]
@@ -94,35 +185,33 @@ def _psnr(picture: Array, reference: Array) -> float:
     return min(metrics.psnr(picture, reference), metrics.MOST_PSNR)
 
 
-def _repair(renderer: CpuRenderer, splats: Splats, part: int) -> float:
+def _repair(drawer: Drawer, splats: Splats, part: int) -> float:
     """Milliseconds that the levels take for an edit of neighbouring splats."""
     count = min(EDITED, len(splats))
     first = (len(splats) - count) * part // 4
-    embedded.insert(renderer, splats, slice(first, first + count), 1000 + part)
-    return milliseconds(renderer.merge)
+    embedded.insert(drawer.renderer, splats, slice(first, first + count), 1000 + part)
+    return milliseconds(drawer.merge)
 
 
-def _pose(camera: Camera) -> Any:
-    from rviz_gaussian_plugin import offscreen
+def _show(drawer: Drawer, camera: Camera, detail: str) -> None:
+    drawer.renderer.settings.detail = detail
+    drawer.draw(camera)
 
-    return offscreen.Camera(*embedded.pose(camera))
 
-
-def _picture(renderer: CpuRenderer, camera: Camera, detail: str) -> Array:
+def _picture(drawer: Drawer, camera: Camera, detail: str) -> Array:
     """(height, width, 3) as a screen shows it, over black."""
-    renderer.settings.detail = detail
-    colour = renderer.draw(_pose(camera))["colour"][..., :3]
-    return np.clip(colour.astype(np.float64), 0, 1)
+    _show(drawer, camera, detail)
+    return np.clip(drawer.colour(), 0, 1)
 
 
-def _truth(renderer: CpuRenderer, camera: Camera) -> Array:
+def _truth(drawer: Drawer, camera: Camera) -> Array:
     """The same, each pixel the mean of many: without what the low-pass filter adds to it."""
     n = SUPERSAMPLED
     fine = replace(
         camera, width=n * camera.width, height=n * camera.height, fx=n * camera.fx,
         fy=n * camera.fy, cx=n * camera.cx, cy=n * camera.cy,
     )  # fmt: skip
-    colour = _picture(renderer, fine, "full")
+    colour = _picture(drawer, fine, "full")
     mean: Array = colour.reshape(camera.height, n, camera.width, n, 3).mean(axis=(1, 3))
     return mean
 
@@ -139,12 +228,12 @@ def _path(camera: Camera, length: int) -> Iterator[Camera]:
         yield replace(camera, world_to_camera=step @ camera.world_to_camera)
 
 
-def _pops(renderer: CpuRenderer, camera: Camera, length: int) -> dict[str, list[Array]]:
+def _pops(drawer: Drawer, camera: Camera, length: int) -> dict[str, list[Array]]:
     """By how much pixels change from picture to picture, beyond those of the full map [/255]."""
     changes: dict[str, list[Array]] = {detail: [] for detail in POPPING}
     before: dict[str, Array] = {}
     for here in _path(camera, length):
-        now = {detail: _picture(renderer, here, detail) for detail in ("full", *POPPING)}
+        now = {detail: _picture(drawer, here, detail) for detail in ("full", *POPPING)}
         for detail in POPPING if before else ():
             change = np.abs(now[detail] - before[detail]) - np.abs(now["full"] - before["full"])
             changes[detail].append(255 * np.maximum(change.max(axis=2), 0))

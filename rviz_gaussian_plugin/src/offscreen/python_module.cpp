@@ -286,7 +286,7 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
       merge(renderer);
       request.levels = &renderer.levels;
       request.error =
-          renderer.detail.choose(detail, true, renderer.levels, camera,
+          renderer.detail.choose(detail, true, renderer.levels.groups(), camera,
                                  renderer.slots.index().groups(), request.settings.clip_box);
       if (detail.kind == Detail::Kind::kSplats) request.most_splats = std::size_t(detail.amount);
     }

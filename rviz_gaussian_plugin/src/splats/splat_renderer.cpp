@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <new>
+
+#include "map/detail.hpp"
 
 namespace rosplat {
 
@@ -15,6 +18,13 @@ constexpr const char* kMouseView = "mouse";  // of picks and of the surface
 const ShaderSource& checked(const ShaderSource& source) {
   if (const std::string reason = gl::unsupported(); !reason.empty()) throw gl::Error(reason);
   return source;
+}
+
+// Whether more than may be is drawn, and there is a larger error to be tried.
+bool coarsen(Frame& frame, std::size_t drawn, std::size_t most) {
+  if (!frame.nodes || frame.order || drawn <= most || frame.error > kCoarsestError) return false;
+  frame.error = coarserError(frame.error, drawn, most);
+  return true;
 }
 
 }  // namespace
@@ -32,9 +42,35 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
   const ViewState compiled(shaders_, sort_);  // what all views draw with
 }
 
-void SplatRenderer::apply(const GaussianEdit& edit) {
-  store_.apply(edit, clock());
+void SplatRenderer::apply(const std::shared_ptr<const GaussianEdit>& edit) {
+  store_.apply(*edit, clock());
+  if (levels_) levels_->apply(store_, edit, clock());
   gl::deleteAbandoned();
+}
+
+std::string SplatRenderer::advanceLevels(bool all) {
+  if (levels_error_.empty()) {
+    try {
+      if (!levels_) levels_.emplace();
+      levels_->advance(store_, clock(), all);
+      levels_error_ = levels_->error();
+    } catch (const gl::Error& error) {
+      levels_error_ = error.what();
+    } catch (const std::bad_alloc&) {
+      levels_error_ = "there is no memory for levels of detail";
+    }
+  }
+  const std::string error = levels_error_;
+  if (!error.empty()) dropLevels();
+  levels_error_ = error;
+  return error;
+}
+
+void SplatRenderer::dropLevels() {
+  levels_error_.clear();
+  if (!levels_) return;
+  levels_.reset();
+  store_.dropLevels();
 }
 
 void SplatRenderer::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
@@ -71,7 +107,7 @@ std::string SplatRenderer::warning() const {
   return text;
 }
 
-ViewState& SplatRenderer::view(const std::string& view_id) {
+SplatRenderer::View& SplatRenderer::view(const std::string& view_id) {
   auto found = views_.find(view_id);
   if (found == views_.end()) {
     std::size_t bytes = 0;
@@ -89,7 +125,7 @@ ViewState& SplatRenderer::view(const std::string& view_id) {
     }
   }
   found->second.used = ++used_;
-  return *found->second.state;
+  return found->second;
 }
 
 void SplatRenderer::forget(const std::string& view_id) {
@@ -102,7 +138,11 @@ void SplatRenderer::forget(const std::string& view_id) {
 Frame SplatRenderer::frame(const SplatCamera& camera, const MapState& map,
                            const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
                            gl::Stopwatch& stopwatch) const {
-  return {store_, camera, map, settings, order, canvas != Canvas::kWindow, clock(), stopwatch};
+  return {store_,   levels_ ? &levels_->nodes() : nullptr,
+          camera,   map,
+          settings, 0,
+          order,    canvas != Canvas::kWindow,
+          clock(),  stopwatch};
 }
 
 void SplatRenderer::copyDepth(const CanvasScope& window, const gl::Target& target) {
@@ -159,10 +199,11 @@ void SplatRenderer::divide(ViewState& view) const {
 
 void SplatRenderer::draw(const std::string& view_id, const SplatCamera& camera, const MapState& map,
                          const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
-                         const std::function<void()>& translucent) {
+                         const std::function<void()>& translucent, Cutting cutting) {
   gl::deleteAbandoned();
   gl::Stopwatch stopwatch(settings.profile);
-  ViewState& view = this->view(view_id);
+  View& of = this->view(view_id);
+  ViewState& view = *of.state;
   drawn_ = &view;
   if (translucent) {
     keepTranslucent(view, camera, translucent);
@@ -172,10 +213,12 @@ void SplatRenderer::draw(const std::string& view_id, const SplatCamera& camera, 
   const bool in_tiles = (settings.rasterizer == Rasterizer::kTiles ||
                          (settings.rasterizer == Rasterizer::kAuto && accelerated_)) &&
                         sorts();
-  const Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
+  Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
+  if (levels_ && !order) frame.error = cutting.error;
   view.color.become(settings.float_blending ? GL_RGBA32F : GL_RGBA16F, camera.width, camera.height,
                     window.targetDepth());
-  view.prepare(frame);
+  of.timer.begin();
+  const bool anew = view.prepare(frame);
   glFlush();  // the graphics card begins while the rest is submitted
   const gl::DrawScope scope(view.color);
   copyDepth(window, view.color);
@@ -185,17 +228,30 @@ void SplatRenderer::draw(const std::string& view_id, const SplatCamera& camera, 
   }
   view.blend(frame, scope, in_tiles, bool(translucent));
   // All is submitted: the graphics card goes on while this waits for what it counted first.
-  while (!view.hasRoom(frame)) {
+  while (!view.hasRoom(frame) || coarsen(frame, view.splats().count(), cutting.most)) {
     view.prepare(frame);
     view.blend(frame, scope, in_tiles, bool(translucent));
   }
+  drawn_error_ = frame.cuts() ? frame.error : 0;
   if (canvas != Canvas::kNone) {
     blendOver();
     glDisable(GL_DEPTH_TEST);
     window.layOver(composite_, translucent ? view.behind : view.color);
     stopwatch.lap("composite");
   }
+  if (anew && of.timer.end()) {
+    of.timed_error = drawn_error_;
+    of.timed_in_time = cutting.in_time;
+  }
   profile_ = stopwatch.laps();
+}
+
+std::optional<SplatRenderer::Timed> SplatRenderer::timed(const std::string& view_id) {
+  const auto found = views_.find(view_id);
+  if (found == views_.end()) return {};
+  const std::optional<double> seconds = found->second.timer.take();
+  if (!seconds) return {};
+  return Timed{found->second.timed_error, *seconds, found->second.timed_in_time};
 }
 
 void SplatRenderer::hideFarther() const {
@@ -223,7 +279,7 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
                                 Canvas canvas, double far_clip) {
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
-  ViewState& view = this->view(kMouseView);
+  ViewState& view = *this->view(kMouseView).state;
   const Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
   do {
     view.prepare(frame);
@@ -244,7 +300,7 @@ void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
                              std::uint32_t handle) {
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
-  ViewState& view = this->view(kMouseView);
+  ViewState& view = *this->view(kMouseView).state;
   const Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
   const bool in_tiles = sorts();
   bool listed = false;
@@ -308,8 +364,9 @@ std::vector<float> SplatRenderer::readDepth() {
 }
 
 std::size_t SplatRenderer::gpuBytes() const {
-  std::size_t bytes = store_.bytes() + sort_.bytes() + picker_.bytes() + depth_.bytes() +
-                      surface_depth_.bytes() + pick_depth_.bytes();
+  std::size_t bytes = store_.bytes() + (levels_ ? levels_->gpuBytes() : 0) + sort_.bytes() +
+                      picker_.bytes() + depth_.bytes() + surface_depth_.bytes() +
+                      pick_depth_.bytes();
   for (const auto& [id, view] : views_) bytes += view.state->bytes();
   return bytes;
 }

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <map>
 #include <memory>
 #include <optional>
@@ -14,6 +15,7 @@
 #include "gl/canvas.hpp"
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
+#include "gpu/card_levels.hpp"
 #include "gpu/frame.hpp"
 #include "gpu/radix_sort.hpp"
 #include "gpu/slot_reader.hpp"
@@ -27,6 +29,14 @@
 
 namespace rosplat {
 
+// What a picture draws where there are levels, and no order is given: nodes that are no wider than
+// an error in place of splats, 0 for none [px]; and no more of all than that.
+struct Cutting {
+  double error = 0;
+  std::size_t most = std::numeric_limits<std::size_t>::max();
+  bool in_time = false;  // it is to take a certain time
+};
+
 // Draws a map with OpenGL 4.4: what is visible is projected once a frame, then blended in a given
 // order or in one found here, as quads or in tiles. Knows no Ogre; runs in the render thread only.
 class SplatRenderer {
@@ -36,11 +46,19 @@ class SplatRenderer {
 
   // Uploads what the edit changes; its slots are new from now on. Throws gl::Error when the driver
   // has no memory left.
-  void apply(const GaussianEdit& edit);
+  void apply(const std::shared_ptr<const GaussianEdit>& edit);
 
   const SlotPages& pages() const { return store_.pages(); }
   // What writes the map elsewhere: where its groups are, then a page of it at a time.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
+
+  // Has levels of detail made of the map, some of them or, if that is waited for, all; why there
+  // are none, and empty where there are. They stay until they are dropped.
+  std::string advanceLevels(bool all);
+  void dropLevels();
+  // Those that are drawn by now.
+  const std::vector<Levels::Nodes>& levels() const { return levels_->nodes().pages(); }
+  std::size_t levelsBytes() const { return levels_ ? levels_->bytes() : 0; }
 
   // Blends the splats, in an order or, without one, by the sorters' depth and with their ties,
   // hidden where the current framebuffer and viewport have something nearer, into a target of the
@@ -50,7 +68,7 @@ class SplatRenderer {
   // the memory.
   void draw(const std::string& view_id, const SplatCamera& camera, const MapState& map,
             const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
-            const std::function<void()>& translucent = nullptr);
+            const std::function<void()>& translucent = nullptr, Cutting cutting = {});
   void forget(const std::string& view_id);
   // Lets the splats that a divided draw() has laid over hide what is translucent and farther, where
   // they are more opaque than not.
@@ -91,7 +109,15 @@ class SplatRenderer {
   bool accelerated() const { return accelerated_; }
   // Of the last draw().
   std::size_t drawn() const { return drawn_->splats().count(); }
+  double error() const { return drawn_error_; }  // [px]
   const char* rasterizer() const { return drawn_->rasterizer(); }
+  // How long the graphics card took for one of the last pictures of a view that were new, and its
+  // error; none is told twice.
+  struct Timed {
+    double error, seconds;
+    bool in_time;
+  };
+  std::optional<Timed> timed(const std::string& view_id);
   // Of the last draw(), by stage [s]; empty unless settings.profile asked for it.
   const std::map<std::string, double>& profile() const { return profile_; }
   std::size_t mapBytes() const { return store_.bytes(); }
@@ -103,10 +129,13 @@ class SplatRenderer {
 
     std::unique_ptr<ViewState> state;
     std::uint64_t used = 0;  // the last time
+    gl::Timer timer;
+    double timed_error = 0;
+    bool timed_in_time = false;
   };
 
   // What is kept of a view; where that were too much, another's, drawn longest ago, becomes its.
-  ViewState& view(const std::string& view_id);
+  View& view(const std::string& view_id);
   Frame frame(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
               const OrderPtr& order, Canvas canvas, gl::Stopwatch& stopwatch) const;
   // As the window's own, where the driver can.
@@ -119,6 +148,8 @@ class SplatRenderer {
   bool accelerated_;
   Shaders shaders_;
   SlotStore store_;
+  std::optional<CardLevels> levels_;
+  std::string levels_error_;
   SlotReader reader_;
   RadixSort sort_;
   std::optional<bool> sorts_;
@@ -128,6 +159,7 @@ class SplatRenderer {
   std::map<std::string, View> views_;
   std::uint64_t used_ = 0;      // views so far
   ViewState* drawn_ = nullptr;  // last
+  double drawn_error_ = 0;
   gl::Target depth_, surface_depth_, pick_depth_;
   GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver did, or wouldn't copy
   std::map<std::string, double> profile_;

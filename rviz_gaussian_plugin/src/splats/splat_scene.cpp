@@ -116,6 +116,7 @@ void SplatScene::prepare(const RenderSettings& settings) {
         renderer_->forEachPage([&](const GaussianEdit& page) { fresh->painter().hold(page); });
         fresh->painter().hold(drawn_map_);
         renderer_.reset();
+        cut_views_.clear();
         sorter_.rest();
       }
       software_ = std::move(fresh);
@@ -133,11 +134,13 @@ void SplatScene::prepare(const RenderSettings& settings) {
 
 void SplatScene::moveToCard() {
   software_->painter().stop();
-  software_->painter().forEachPage([this](const GaussianEdit& page) { renderer_->apply(page); });
+  software_->painter().forEachPage([this](const GaussianEdit& page) {
+    renderer_->apply(std::make_shared<const GaussianEdit>(page));
+  });
   drawn_map_ = software_->map();
   software_.reset();
   std::shared_ptr<const GaussianEdit> edit;
-  while (nextEdit(edit, drawn_map_)) renderer_->apply(*edit);
+  while (nextEdit(edit, drawn_map_)) renderer_->apply(edit);
   book(drawn_map_);
 }
 
@@ -173,7 +176,7 @@ void SplatScene::takeArrivals(std::size_t budget) {
     }
     try {
       sorter_.apply(EditQueue::node(arrival.edit, arrival.state));
-      renderer_->apply(*arrival.edit);
+      renderer_->apply(arrival.edit);
     } catch (const gl::Error& error) {  // the rest of the map is still worth seeing
       upload_error_ = error.what();
     } catch (const std::bad_alloc&) {
@@ -292,11 +295,11 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
                                          : book_.choose(view_id, start, source);
     if (!choice.order && !renderer_->sorts()) choice.order = kNoOrder;
   }
-  renderer_->draw(view_id, cameras_.at(view_id), drawn_map_, settings, choice.order, canvas,
-                  around.translucent);
-
   FrameReport report;
-  if (!(settings.detail == Detail{})) report.detail_error = "a graphics card draws all";
+  const Cutting cutting = cut(view_id, settings, report);
+  renderer_->draw(view_id, cameras_.at(view_id), drawn_map_, settings, choice.order, canvas,
+                  around.translucent, cutting);
+  report.error = renderer_->error();
   report.rasterizer = renderer_->rasterizer();
   report.profile = renderer_->profile();
   if (on_gpu) {
@@ -317,6 +320,39 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
   report.map = drawn_map_;
   keepPace(view_id, report);
   return reports_[view_id] = std::move(report);
+}
+
+// Goes on with levels of detail while any view wants some.
+Cutting SplatScene::cut(const std::string& view_id, const RenderSettings& settings,
+                        FrameReport& report) {
+  const Detail& detail = settings.detail;
+  if (detail == Detail{}) {
+    cut_views_.erase(view_id);
+    if (cut_views_.empty()) renderer_->dropLevels();
+    return {};
+  }
+  CutView& view = cut_views_[view_id];
+  DetailControl& control = view.control;
+  if (const auto timed = renderer_->timed(view_id)) {
+    if (timed->in_time) control.took(timed->error, timed->seconds);
+    if (timed->error == 0) control.drewAll(timed->seconds);
+  }
+  const SplatCamera& camera = cameras_.at(view_id);
+  const bool at_once = !settings.asynchronous, rests = camera == view.camera;
+  view.camera = camera;
+  Cutting cutting;
+  cutting.in_time = detail.kind == Detail::Kind::kTime;
+  // A frame time is for what moves; and may have room for all.
+  if (!control.needsLevels(detail) || (cutting.in_time && (at_once || rests))) return {};
+  report.detail_error = renderer_->advanceLevels(at_once);
+  if (!report.detail_error.empty()) return {};
+  cutting.error = control.choose(detail, at_once, renderer_->levels(), camera,
+                                 renderer_->pages().groups(), settings.clip_box);
+  if (at_once && detail.kind == Detail::Kind::kSplats) {
+    cutting.most = static_cast<std::size_t>(detail.amount);
+  }
+  control.drew(cutting.error);
+  return cutting;
 }
 
 void SplatScene::takeMap() {
@@ -402,7 +438,9 @@ std::size_t SplatScene::mapBytes() const {
   return software_ ? software_->mapBytes() : renderer_ ? renderer_->mapBytes() : 0;
 }
 
-std::size_t SplatScene::levelsBytes() const { return software_ ? software_->levelsBytes() : 0; }
+std::size_t SplatScene::levelsBytes() const {
+  return software_ ? software_->levelsBytes() : renderer_ ? renderer_->levelsBytes() : 0;
+}
 
 std::size_t SplatScene::hostBytes() const {
   return sorter_.bytes() + (software_ ? software_->hostBytes() : 0);
@@ -438,7 +476,11 @@ void SplatScene::forget(const std::string& view_id) {
   paces_.erase(view_id);
   book_.forget(view_id);
   if (software_) software_->forget(view_id);
-  if (renderer_) renderer_->forget(view_id);
+  cut_views_.erase(view_id);
+  if (renderer_) {
+    renderer_->forget(view_id);
+    if (cut_views_.empty()) renderer_->dropLevels();
+  }
 }
 
 }  // namespace rosplat

@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "map/detail.hpp"
 #include "map/edit_queue.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/splat_camera.hpp"
@@ -142,6 +143,7 @@ class SplatScene {
   bool nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state);
   void takeOrders();
   void takeMap();  // as the painter has it by now
+  Cutting cut(const std::string& view_id, const RenderSettings& settings, FrameReport& report);
   // A sidecar's order that the processor is to draw instead of its own.
   OrderBook::Choice chooseForSoftware(const std::string& view_id, OrderSource source);
   FrameReport drawSoftware(const std::string& view_id, const RenderSettings& settings,
@@ -176,6 +178,12 @@ class SplatScene {
   std::map<std::string, SplatCamera> cameras_;
   std::map<std::string, FrameReport> reports_;
   std::map<std::string, Pace> paces_;
+  // Of views that aren't drawn in full, on a card.
+  struct CutView {
+    DetailControl control;
+    SplatCamera camera;  // of the last picture
+  };
+  std::map<std::string, CutView> cut_views_;
   MapState drawn_map_, booked_;
   std::optional<bool> auto_is_software_;
   std::uint64_t surface_sequence_ = 0;

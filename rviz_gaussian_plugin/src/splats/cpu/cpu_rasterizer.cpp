@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "cpu/raster_work.hpp"
+#include "map/detail.hpp"
 
 namespace rosplat {
 
@@ -16,9 +17,7 @@ using Clock = std::chrono::steady_clock;
 
 namespace {
 
-constexpr int kLongestSide = 16384;   // [px], as makeCamera() has it
-constexpr double kLeastError = 0.25;  // that is worth a try [px]
-constexpr double kMostError = 1e15;   // where nothing is left to be merged [px]
+constexpr int kLongestSide = 16384;  // [px], as makeCamera() has it
 
 const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -95,9 +94,8 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     choosePages(slots, request, error);
     cull();
     const bool fits = !request.levels || candidates <= request.most_splats;
-    if (fits || error > kMostError || cancelled()) break;
-    error = std::max(error, kLeastError);
-    error *= std::clamp(std::sqrt(double(candidates) / double(request.most_splats)), 1.01, 2.0);
+    if (fits || error > kCoarsestError || cancelled()) break;
+    error = coarserError(error, candidates, request.most_splats);
   }
   if (cancelled()) return false;
   deal();

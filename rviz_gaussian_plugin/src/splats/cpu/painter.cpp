@@ -1,14 +1,13 @@
 #include "cpu/painter.hpp"
 
-#include <sys/resource.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <new>
+
+#include "map/give_way.hpp"
 
 namespace rosplat {
 
@@ -23,16 +22,6 @@ constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
-// What shows the pictures comes first. The threads that this one starts are like it.
-void giveWay() {
-#ifdef __linux__
-  // Twice that and pictures are twice as old on a busy machine, frames no shorter.
-  constexpr int kNicer = 5;
-  const auto self = static_cast<id_t>(syscall(SYS_gettid));
-  setpriority(PRIO_PROCESS, self, getpriority(PRIO_PROCESS, self) + kNicer);
-#endif
 }
 
 template <typename T>
@@ -169,6 +158,8 @@ void Painter::forget(const std::string& view_id) {
   views_.erase(view_id);
   queue_.erase(std::remove(queue_.begin(), queue_.end(), view_id), queue_.end());
   if (painting_ == view_id) cancelled_ = true;
+  edits_ = true;  // for its levels may go
+  wake_.notify_one();
 }
 
 void Painter::run() {
@@ -178,8 +169,12 @@ void Painter::run() {
     wake_.wait(lock, [this] { return stop_ || edits_ || !queue_.empty(); });
     if (stop_) return;
     edits_ = false;
+    for (auto control = controls_.begin(); control != controls_.end();) {
+      control = views_.count(control->first) ? std::next(control) : controls_.erase(control);
+    }
     if (queue_.empty()) {
       lock.unlock();
+      if (controls_.empty()) dropLevels();
       takeEdits(kEverything);
       if (wants_levels_) {
         advanceLevels([this] {
@@ -199,11 +194,14 @@ void Painter::run() {
     cancelled_ = false;
     lock.unlock();
     takeEdits(job.request->settings.asynchronous ? kEditBytesPerPicture : kEverything);
-    const std::shared_ptr<Painting> painting = paint(std::move(job), controls_[view_id]);
+    if (job.request->settings.detail == Detail{}) {
+      controls_.erase(view_id);
+      if (controls_.empty()) dropLevels();
+    }
+    const std::shared_ptr<Painting> painting = paint(view_id, std::move(job));
     lock.lock();
     painting_.clear();
     const auto found = views_.find(view_id);
-    if (found == views_.end()) controls_.erase(view_id);
     if (!painting || found == views_.end()) continue;
     found->second.newest = painting;
     found->second.painted = number;
@@ -242,9 +240,20 @@ bool Painter::advanceLevels(const std::function<bool()>& stop) {
   return whole;
 }
 
-void Painter::chooseDetail(PictureRequest& request, DetailControl& control, Painting& painting) {
+void Painter::dropLevels() {
+  wants_levels_ = false;
+  if (levels_bytes_ == 0) return;
+  levels_.clear();
+  levels_bytes_ = 0;
+  const std::unique_lock lock(slots_mutex_);
+  slots_.dropParents();
+}
+
+void Painter::chooseDetail(PictureRequest& request, const std::string& view_id,
+                           Painting& painting) {
   const RenderSettings& settings = request.settings;
-  if (request.order || painting.request->unsorted) return;
+  if (settings.detail == Detail{} || request.order || painting.request->unsorted) return;
+  DetailControl& control = controls_[view_id];
   const bool in_time = settings.detail.kind == Detail::Kind::kTime;
   const bool moves = settings.asynchronous && !painting.request->rests;
   if (!control.needsLevels(settings.detail) || (in_time && !moves)) return;
@@ -254,8 +263,8 @@ void Painter::chooseDetail(PictureRequest& request, DetailControl& control, Pain
     const bool whole =
         advanceLevels([&] { return cancelled_ || (settings.asynchronous && now() > until); });
     request.levels = &levels_;
-    request.error = control.choose(settings.detail, !settings.asynchronous, levels_, request.camera,
-                                   slots_.index().groups(), settings.clip_box);
+    request.error = control.choose(settings.detail, !settings.asynchronous, levels_.groups(),
+                                   request.camera, slots_.index().groups(), settings.clip_box);
     if (settings.detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
       request.most_splats = static_cast<std::size_t>(settings.detail.amount);
     }
@@ -265,7 +274,7 @@ void Painter::chooseDetail(PictureRequest& request, DetailControl& control, Pain
   }
 }
 
-std::shared_ptr<Painting> Painter::paint(Waiting&& job, DetailControl& control) {
+std::shared_ptr<Painting> Painter::paint(const std::string& view_id, Waiting&& job) {
   const double start = now();
   auto painting = std::make_shared<Painting>();
   painting->asked = job.asked;
@@ -281,7 +290,7 @@ std::shared_ptr<Painting> Painter::paint(Waiting&& job, DetailControl& control) 
     if (asked.order) request.order = viewOf(asked.order->slots);
     request.mean_depth = true;
     request.cancelled = &cancelled_;
-    chooseDetail(request, control, *painting);
+    chooseDetail(request, view_id, *painting);
     {
       const std::shared_lock lock(slots_mutex_);
       painting->map = map();
@@ -294,11 +303,16 @@ std::shared_ptr<Painting> Painter::paint(Waiting&& job, DetailControl& control) 
     }
     painting->drawn = picture_.drawn;
     painting->error_px = picture_.error;
-    if (request.levels) {
-      control.drew(picture_.error, now() - start);
-    } else {
-      control.drewAll(now() - start);
-      wants_levels_ = wants_levels_ || control.needsLevels(asked.settings.detail);
+    const double took = now() - start;
+    if (const auto found = controls_.find(view_id); found != controls_.end()) {
+      DetailControl& control = found->second;
+      if (request.levels) {
+        control.drew(picture_.error);
+        control.took(picture_.error, took);
+      } else {
+        control.drewAll(took);
+        wants_levels_ = wants_levels_ || control.needsLevels(asked.settings.detail);
+      }
     }
     painting->profile = picture_.profile;
     if (asked.window) {

@@ -135,8 +135,10 @@ class Painter {
   void setMap(const MapState& map, const std::string& error);
   // Until `stop`; whether the levels hold all of the map.
   bool advanceLevels(const std::function<bool()>& stop);
-  void chooseDetail(PictureRequest& request, DetailControl& control, Painting& painting);
-  std::shared_ptr<Painting> paint(Waiting&& job, DetailControl& control);
+  // Gives the levels back where no view wants any.
+  void dropLevels();
+  void chooseDetail(PictureRequest& request, const std::string& view_id, Painting& painting);
+  std::shared_ptr<Painting> paint(const std::string& view_id, Waiting&& job);
   std::uint64_t enqueue(const std::string& view_id, PaintRequestPtr&& request);
 
   NextEdit next_edit_;
@@ -167,8 +169,8 @@ class Painter {
   // The painter's own.
   CpuRasterizer rasterizer_;
   Levels levels_;
-  bool wants_levels_ = false;                      // some view does
-  std::map<std::string, DetailControl> controls_;  // by view
+  std::map<std::string, DetailControl> controls_;  // of views that aren't painted in full
+  bool wants_levels_ = false;                      // some of these do
   std::atomic<std::size_t> levels_bytes_{0};
   SplatPicture picture_;
   std::atomic<std::size_t> workspace_{0};

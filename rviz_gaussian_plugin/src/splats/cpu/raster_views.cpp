@@ -118,7 +118,7 @@ void CpuRasterizer::Work::choosePages(const HostSlots& slots, const PictureReque
     if (memory.parents) pages.back().parents = memory.parents->data();
   }
   for (int level = 0; level < kLevels; ++level) {
-    const float own = cellSize(level), parent = level + 1 < kLevels ? 2 * own : kBoundless;
+    const float own = cellSize(level), parent = cellSize(level + 1);
     HostSlots::PerSlot<float>& parents = node_parents[std::size_t(level)];
     parents.fill(parent);
     for (const Levels::Nodes& nodes : request.levels->groups()) {

@@ -111,11 +111,6 @@ struct TileRect {
   std::size_t first, stride;
 };
 
-// Whether splats are solid.
-inline bool drawsBalls(DrawMode mode) {
-  return mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall;
-}
-
 }  // namespace cpu
 
 using namespace cpu;

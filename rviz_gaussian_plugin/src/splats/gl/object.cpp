@@ -27,15 +27,19 @@ std::string labelOf(std::uint64_t number) { return "rosplat " + std::to_string(n
 void destroy(GLenum kind, GLuint id) {
   if (kind == GL_BUFFER) {
     glDeleteBuffers(1, &id);
+  } else if (kind == GL_QUERY) {
+    glDeleteQueries(1, &id);
   } else {
     glDeleteTextures(1, &id);
   }
 }
 
-// Whether it is one of the current context.
-bool isHere(const Abandoned& object) {
-  if (!hasLabels()) return false;
-  if (!(object.kind == GL_BUFFER ? glIsBuffer(object.id) : glIsTexture(object.id))) return false;
+bool exists(GLenum kind, GLuint id) {
+  return kind == GL_BUFFER ? glIsBuffer(id) : kind == GL_QUERY ? glIsQuery(id) : glIsTexture(id);
+}
+
+bool belongsHere(const Abandoned& object) {
+  if (!hasLabels() || !exists(object.kind, object.id)) return false;
   std::array<char, 64> label{};
   glGetObjectLabel(object.kind, object.id, static_cast<GLsizei>(label.size()), nullptr,
                    label.data());
@@ -67,6 +71,8 @@ Object::~Object() {
   abandoned.push_back({kind_, id_, number_});
 }
 
+bool Object::isHere() const { return id_ && belongsHere({kind_, id_, number_}); }
+
 void Object::release() {
   if (id_) destroy(kind_, id_);
   id_ = 0;
@@ -74,8 +80,9 @@ void Object::release() {
 
 void deleteAbandoned() {
   const std::lock_guard lock(mutex);
-  const auto others = std::stable_partition(
-      abandoned.begin(), abandoned.end(), [](const Abandoned& object) { return !isHere(object); });
+  const auto others =
+      std::stable_partition(abandoned.begin(), abandoned.end(),
+                            [](const Abandoned& object) { return !belongsHere(object); });
   for (auto object = others; object != abandoned.end(); ++object) destroy(object->kind, object->id);
   abandoned.erase(others, abandoned.end());
 }

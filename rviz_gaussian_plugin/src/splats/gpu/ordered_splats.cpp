@@ -22,11 +22,13 @@ bool OrderedSplats::answers(const Frame& frame) const {
   return kept_ && prepared_.camera == frame.camera &&
          prepared_.settings.projectsAs(frame.settings) &&
          prepared_.antialiased == frame.map.antialiased && prepared_.edits == frame.store.edits() &&
-         order_ == frame.order && frame.settings.mode != DrawMode::kAge;  // which changes with time
+         prepared_.error == frame.error && order_ == frame.order &&
+         frame.settings.mode != DrawMode::kAge;  // which changes with time
 }
 
 void OrderedSplats::prepare(const Frame& frame) {
-  prepared_ = {frame.camera, frame.settings, frame.map.antialiased, frame.store.edits()};
+  prepared_ = {frame.camera, frame.settings, frame.map.antialiased, frame.store.edits(),
+               frame.error};
   kept_ = false;
   if (order_ != frame.order) takeOrder(frame.order);
   projection_.reserve(std::min(frame.store.slots(), kLeastRoom));

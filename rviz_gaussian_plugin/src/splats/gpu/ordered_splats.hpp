@@ -44,6 +44,7 @@ class OrderedSplats {
     RenderSettings settings;
     bool antialiased = false;
     std::uint64_t edits = 0;  // of the store
+    double error = 0;
   };
 
   void takeOrder(const OrderPtr& order);

@@ -2,32 +2,68 @@
 
 #include <utility>
 
+#include "map/cut.hpp"
+
 namespace rosplat {
 
-void PageTable::keep(const SlotStore& store, const std::vector<SeenGroup>& groups) {
+namespace {
+
+constexpr std::uint32_t kOfSlots = 0xffffffffu;  // in place of a level
+
+}  // namespace
+
+void PageTable::keep(const Frame& frame, const std::vector<SeenGroup>& groups) {
+  const SlotStore& store = frame.store;
+  const std::size_t slot_arenas = store.arenas().size();
+  const auto arenaOf = [&](std::size_t arena) {
+    return arena < slot_arenas ? &store.arenas()[arena]
+                               : &frame.nodes->arenas()[arena - slot_arenas];
+  };
   first_slots_.clear();
-  places_.clear();
-  groups_.clear();
-  std::vector<std::size_t> next(store.arenas().size());  // by arena: how many, then where it goes
-  for (const SlotPage& page : store.pages().pages()) {
-    if (!store.holds(page) || !groups[page.group].pages.mayShow(page)) continue;
+  kept_.clear();
+  const auto keep = [this](const SlotPage& page, SlotArenas::Place place, std::uint32_t level) {
     first_slots_.push_back(page.first_slot);
-    places_.push_back(store.placeOf(page));
-    groups_.push_back(page.group);
-    ++next[places_.back().arena];
+    kept_.push_back({place, page.group, level});
+  };
+  std::vector<Cut> cuts;
+  for (std::size_t group = 0; frame.cuts() && group < groups.size(); ++group) {
+    cuts.push_back(frame.cut(groups[group].camera, store.pages().groups()[group].originOrZero()));
   }
+  const auto mayShow = [&](const SlotPage& page, double own, double parent) {
+    return (!frame.cuts() || cuts[page.group].mayShow(page, own, parent)) &&
+           groups[page.group].pages.mayShow(page);
+  };
+  for (const SlotPage& page : store.pages().pages()) {
+    if (!store.holds(page) || !mayShow(page, 0, store.widestParent(page))) continue;
+    keep(page, store.placeOf(page), kOfSlots);
+  }
+  for (int level = 0; frame.cuts() && level < kLevels; ++level) {
+    const double own = cellSize(level), parent = cellSize(level + 1);
+    for (const NodeStore::OfGroup& nodes : frame.nodes->groups()) {
+      for (const SlotPage& page : nodes[std::size_t(level)]) {
+        if (!mayShow(page, own, parent)) continue;
+        SlotArenas::Place place = frame.nodes->placeOf(page);
+        place.arena += static_cast<std::uint32_t>(slot_arenas);
+        keep(page, place, static_cast<std::uint32_t>(level));
+      }
+    }
+  }
+
+  // By arena: how many, then where the next one goes.
+  std::vector<std::size_t> next(slot_arenas + (frame.cuts() ? frame.nodes->arenas().size() : 0));
+  for (const Kept& page : kept_) ++next[page.place.arena];
   ranges_.clear();
   std::size_t first = 0;
   for (std::size_t arena = 0; arena < next.size(); ++arena) {
     const std::size_t count = std::exchange(next[arena], first);
-    if (count > 0) ranges_.push_back({&store.arenas()[arena], first, count});
+    if (count > 0) ranges_.push_back({arenaOf(arena), first, count});
     first += count;
   }
-  entries_.resize(places_.size());
-  for (std::size_t number = 0; number < places_.size(); ++number) {
-    const SlotStore::Place& place = places_[number];
-    entries_[next[place.arena]++] = {static_cast<std::uint32_t>(number), place.page,
-                                     groups_[number]};
+  entries_.resize(kept_.size());
+  for (std::size_t number = 0; number < kept_.size(); ++number) {
+    const Kept& page = kept_[number];
+    entries_[next[page.place.arena]++] = {static_cast<std::uint32_t>(number), page.place.page,
+                                          page.group, page.level};
   }
   if (entries_ == uploaded_ || entries_.empty()) return;
   table_.upload(entries_);
@@ -37,6 +73,7 @@ void PageTable::keep(const SlotStore& store, const std::vector<SeenGroup>& group
 std::vector<std::uint32_t> PageTable::numbers(std::uint32_t capacity) const {
   std::vector<std::uint32_t> numbers((capacity + SlotPage::kSlots - 1) / SlotPage::kSlots, kNoSlot);
   for (std::size_t number = 0; number < first_slots_.size(); ++number) {
+    if (first_slots_[number] == kNoSlot) break;  // nodes
     numbers[first_slots_[number] / SlotPage::kSlots] = static_cast<std::uint32_t>(number);
   }
   return numbers;

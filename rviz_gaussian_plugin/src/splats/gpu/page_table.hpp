@@ -5,31 +5,32 @@
 #include <vector>
 
 #include "gl/gl_objects.hpp"
-#include "gpu/slot_store.hpp"
+#include "gpu/frame.hpp"
+#include "gpu/slot_arenas.hpp"
 #include "map/seen_group.hpp"
 
 namespace rosplat {
 
-// The pages of a map that a view may show. They are numbered in the order of their slots, and so
-// are these: number of the page * SlotPage::kSlots + slot in the page. Shaders go through them
-// arena by arena.
+// The pages of a map that a view may show, and those of the nodes of its levels of detail. They are
+// numbered in the order of their slots, nodes last, and so are these: number of the page *
+// SlotPage::kSlots + slot in the page. Shaders go through them arena by arena.
 class PageTable {
  public:
   // What is kept of an arena: neighbours in the table.
   struct Range {
-    const SlotStore::Arena* arena;
+    const SlotArenas::Arena* arena;
     std::size_t first, count;
   };
 
-  // Keeps what a view may show. The store must stay as it is while ranges() are used.
-  // groups: of the store, as the view sees them, by index.
-  void keep(const SlotStore& store, const std::vector<SeenGroup>& groups);
+  // Keeps what a frame may show. Its stores must stay as they are while ranges() are used.
+  // groups: of the map, as the view sees them, by index.
+  void keep(const Frame& frame, const std::vector<SeenGroup>& groups);
 
   std::size_t count() const { return first_slots_.size(); }
   const std::vector<Range>& ranges() const { return ranges_; }
   // The table, as splat_pages.glsl reads it.
   const gl::Buffer& table() const { return table_; }
-  // Of the pages by number.
+  // Of the pages by number; kNoSlot of nodes.
   const std::vector<std::uint32_t>& firstSlots() const { return first_slots_; }
   // Of a map's pages of so many slots, by first slot / SlotPage::kSlots: their numbers, kNoSlot
   // where they aren't kept.
@@ -39,15 +40,19 @@ class PageTable {
 
  private:
   struct Entry {  // as in splat_pages.glsl
-    std::uint32_t number, page, group;
+    std::uint32_t number, page, group, level;
     bool operator==(const Entry& o) const {
-      return number == o.number && page == o.page && group == o.group;
+      return number == o.number && page == o.page && group == o.group && level == o.level;
     }
+  };
+  // Where a page is: in an arena of slots, or after these, of nodes.
+  struct Kept {
+    SlotArenas::Place place;
+    std::uint32_t group, level;
   };
 
   std::vector<std::uint32_t> first_slots_;
-  std::vector<SlotStore::Place> places_;  // by number
-  std::vector<std::uint32_t> groups_;     // the same
+  std::vector<Kept> kept_;  // by number
   std::vector<Range> ranges_;
   std::vector<Entry> entries_, uploaded_;
   gl::Buffer table_;

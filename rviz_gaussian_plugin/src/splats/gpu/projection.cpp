@@ -13,14 +13,21 @@ constexpr std::array<const char*, kMaxShDegree + 1> kBands{"", "Band1", "Band2",
 constexpr std::array<const char*, Shaders::kEllipseParts> kEllipses{"Ellipses[0]", "Ellipses[1]",
                                                                     "Ellipses[2]", "Ellipses[3]"};
 
+constexpr std::size_t kShareStep = gl::Slice::kAlignment / sizeof(GLuint);
+
+// What isn't there isn't read, but something must be bound.
+void bindLevels(const gl::Program& program, const SlotArenas::Arena& arena) {
+  program.bind("Levels", arena.levels.id() ? arena.levels : arena.slots);
+}
+
 }  // namespace
 
 Projection::Projection(Shaders& shaders, const Tallies& tallies)
     : cull_(shaders.compute({"splat_slot.glsl", "splat_groups.glsl", "splat_pages.glsl",
-                             "splat_visible.glsl", "splat_cull.comp"})),
+                             "splat_cut.glsl", "splat_visible.glsl", "splat_cull.comp"})),
       project_(shaders.compute({"splat_slot.glsl", "splat_groups.glsl", "splat_pages.glsl",
-                                "splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
-                                "splat_project.comp"})),
+                                "splat_cut.glsl", "splat_visible.glsl", "splat_ellipses.glsl",
+                                "splat_tiles.glsl", "splat_project.comp"})),
       prefix_sum_(shaders),
       part_size_(shaders.partSize()),
       words_(tallies.of(Tallies::kSlotWords)),
@@ -48,7 +55,7 @@ void Projection::run(const Frame& frame, const gl::Buffer& keys) {
   depth_range_.write(no_range.data());
   const std::vector<SeenGroup> groups =
       seenGroups(frame.camera, frame.store.pages().groups(), frame.settings.clip_box);
-  pages_.keep(frame.store, groups);
+  pages_.keep(frame, groups);
   if (pages_.count() == 0) {
     visible_count_.set(0);
     return;
@@ -72,6 +79,7 @@ void Projection::cull() {
   cull_.bind("Pages", pages_.table());
   for (const PageTable::Range& range : pages_.ranges()) {
     cull_.bind("Slots", range.arena->slots);
+    bindLevels(cull_, *range.arena);
     cull_.set("first_entry", static_cast<GLuint>(range.first));
     gl::dispatchInvocations(range.count * SlotPage::kSlots);
   }
@@ -81,8 +89,12 @@ void Projection::cull() {
 }
 
 void Projection::project(const Frame& frame, const gl::Buffer& keys) {
+  const std::size_t first_share = (room_ + kShareStep - 1) / kShareStep * kShareStep;
+  shares_begin_ = frame.cuts() ? first_share * sizeof(GLuint) : 0;
+  boxes_.reserve(shares_begin_ + first_share * sizeof(GLuint));
   project_.use();
   project_.set("room", static_cast<GLuint>(room_));
+  project_.set("first_share", static_cast<GLuint>(first_share));
   bindEllipses(project_);
   bindVisible(project_);
   project_.bind("Keys", keys);
@@ -92,6 +104,7 @@ void Projection::project(const Frame& frame, const gl::Buffer& keys) {
   project_.bind("Pages", pages_.table());
   for (const PageTable::Range& range : pages_.ranges()) {
     project_.bind("Slots", range.arena->slots);
+    bindLevels(project_, *range.arena);
     for (int band = 1; band <= kMaxShDegree; ++band) {
       // What isn't there isn't read, but something must be bound.
       project_.bind(kBands[band],

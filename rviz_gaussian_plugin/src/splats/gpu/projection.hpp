@@ -36,6 +36,8 @@ class Projection {
   // The least and the largest key drawn, depthKey() of their depths.
   const gl::Slice& depthRange() const { return depth_range_; }
   const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
+  // What of each is drawn, if nodes stand for some; else anything.
+  gl::Slice shares() const { return {boxes_.id(), shares_begin_, boxes_.bytes() - shares_begin_}; }
   std::size_t bytes() const;
 
  private:
@@ -51,6 +53,7 @@ class Projection {
   Tally words_, visible_count_;
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
   gl::Buffer boxes_;
+  std::size_t shares_begin_ = 0;  // in these [bytes]
   gl::Slice depth_range_;
   std::size_t room_ = 0;
 };

@@ -75,6 +75,7 @@ void QuadRasterizer::draw(const OrderedSplats& splats, const gl::Buffer& drawn,
   splats.projection().bindEllipses(program);
   program.bind("Drawn", drawn);
   program.bind("DepthRange", splats.projection().depthRange());
+  program.bind("Shares", splats.projection().shares());
   program.bind("Length", splats.tally().words());
   splats.tally().drawQuads();
 }

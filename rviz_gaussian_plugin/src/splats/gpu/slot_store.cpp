@@ -7,71 +7,21 @@ namespace rosplat {
 namespace {
 
 constexpr std::size_t kWord = sizeof(std::uint32_t);
-constexpr std::size_t kSlotBytes = kSlotWords * kWord;
-constexpr std::uint32_t kMostArenaPages = 2048;  // 72 MiB of slots
-
-std::size_t bandBytes(int band) { return kBandWords[band] * kWord; }
-
-// Opacity 0: empty slots.
-void writeZeros(gl::Buffer& buffer, std::size_t offset, std::size_t bytes) {
-  const std::vector<std::uint32_t> zeros(bytes / kWord);
-  buffer.write(offset, zeros.data(), bytes);
-}
-
-// A buffer for so many slots, which begins with what was in another.
-gl::Buffer grown(const gl::Buffer& buffer, std::size_t bytes) {
-  gl::Buffer larger(bytes, GL_DYNAMIC_DRAW);
-  if (buffer.id()) larger.copy(buffer);
-  return larger;
-}
 
 }  // namespace
-
-SlotStore::SlotStore()
-    : arena_pages_(static_cast<std::uint32_t>(std::clamp<std::size_t>(
-          gl::largestStorageBuffer() / (SlotPage::kSlots * kSlotBytes), 1, kMostArenaPages))) {}
-
-void SlotStore::addBands(int degree) {
-  for (Arena& arena : arenas_) {
-    for (int band = sh_degree_ + 1; band <= degree; ++band) {
-      arena.bands[band] =
-          gl::Buffer(arena.pages * SlotPage::kSlots * bandBytes(band), GL_DYNAMIC_DRAW);
-      writeZeros(arena.bands[band], 0, arena.bands[band].bytes());
-    }
-  }
-  sh_degree_ = std::max(sh_degree_, degree);
-}
-
-// The last arena grows by a quarter at least, so that what is copied stays in proportion.
-void SlotStore::makeRoom(std::uint32_t pages) {
-  for (std::uint32_t first = 0; first < pages; first += arena_pages_) {
-    if (first / arena_pages_ == arenas_.size()) arenas_.emplace_back();
-    Arena& arena = arenas_[first / arena_pages_];
-    const std::uint32_t wanted = std::min(pages - first, arena_pages_);
-    if (wanted <= arena.pages) continue;
-    Arena larger;
-    larger.pages = std::clamp(arena.pages + arena.pages / 4, wanted, arena_pages_);
-    const std::size_t slots = std::size_t{larger.pages} * SlotPage::kSlots;
-    larger.slots = grown(arena.slots, slots * kSlotBytes);
-    for (int band = 1; band <= sh_degree_; ++band) {
-      larger.bands[band] = grown(arena.bands[band], slots * bandBytes(band));
-    }
-    arena = std::move(larger);
-  }
-}
 
 void SlotStore::apply(const GaussianEdit& edit, double now) {
   ++edits_;
   if (edit.clear) {
     arenas_.clear();
     held_.clear();
-    sh_degree_ = 0;
+    coarsest_.clear();
     capacity_ = 0;
   }
   capacity_ = std::max(capacity_, edit.capacity);
   pages_.apply(edit);
-  addBands(edit.sh_degree);
-  makeRoom(static_cast<std::uint32_t>(pages_.pages().size()));
+  arenas_.addBands(edit.sh_degree);
+  arenas_.makeRoom(static_cast<std::uint32_t>(pages_.pages().size()));
   for (const std::uint32_t first_slot : pages_.emptied()) empty(*pages_.find(first_slot));
   for (const Piece& piece : pieces(edit)) {
     write(edit, piece, static_cast<std::uint32_t>(now) << 16);
@@ -97,6 +47,9 @@ std::vector<SlotStore::Piece> SlotStore::pieces(const GaussianEdit& edit) {
       if (page && (edit.sh_degree >= 0 || holds(*page))) {
         const Place place = placeOf(*page);
         Arena& arena = arenas_[place.arena];
+        if (edit.sh_degree >= 0 && page->place < coarsest_.size()) {
+          coarsest_[page->place] = kNoLevel;
+        }
         if (!holds(*page)) {
           if (count < SlotPage::kSlots) empty(*page);
           held_[page->place] = true;
@@ -126,7 +79,14 @@ void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_
   staged_.assign(begin, begin + std::ptrdiff_t(kSlotWords * piece.count));
   for (std::size_t i = kChangeWord; i < staged_.size(); i += kSlotWords) staged_[i] |= change;
   piece.arena->slots.write(piece.first * kSlotBytes, staged_.data(), piece.count * kSlotBytes);
-  for (int band = 1; band <= sh_degree_; ++band) {
+  if (piece.arena->levels.id()) {
+    std::vector<std::uint8_t> levels(piece.count);
+    for (std::size_t i = 0; i < piece.count; ++i) {
+      levels[i] = levelOfNew(edit, piece.source + i);
+    }
+    piece.arena->levels.write(piece.first, levels.data(), piece.count);
+  }
+  for (int band = 1; band <= shDegree(); ++band) {
     gl::Buffer& target = piece.arena->bands[band];
     const std::size_t offset = piece.first * bandBytes(band);
     const std::size_t bytes = piece.count * bandBytes(band);
@@ -140,27 +100,36 @@ void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_
 
 GaussianEdit SlotStore::edit(const SlotPage& page) const {
   const Place place = placeOf(page);
-  const Arena& arena = arenas_[place.arena];
+  const Arena& arena = arenas_.arenas()[place.arena];
   const auto read = [&](const gl::Buffer& from, std::size_t words) {
     std::vector<std::uint32_t> values(SlotPage::kSlots * words);
     from.read(place.page * values.size() * kWord, values.data(), values.size() * kWord);
     return values;
   };
   std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;
-  for (int band = 1; band <= sh_degree_; ++band) {
+  for (int band = 1; band <= shDegree(); ++band) {
     bands[band] = read(arena.bands[band], static_cast<std::size_t>(kBandWords[band]));
   }
   return editOf(pages_.groupOf(page), page.first_slot, read(arena.slots, kSlotWords),
-                std::move(bands), sh_degree_);
+                std::move(bands), shDegree());
 }
 
-std::size_t SlotStore::bytes() const {
-  std::size_t bytes = 0;
-  for (const Arena& arena : arenas_) {
-    bytes += arena.slots.bytes();
-    for (const gl::Buffer& band : arena.bands) bytes += band.bytes();
-  }
-  return bytes;
+void SlotStore::setLevels(std::uint32_t first_slot, const EntryLevels& levels) {
+  const SlotPage* const page = pages_.find(first_slot);
+  if (!page || !holds(*page)) return;
+  ++edits_;
+  arenas_.addLevels();
+  coarsest_.resize(pages_.pages().size(), kNoLevel);
+  coarsest_[page->place] = *std::max_element(levels.begin(), levels.end());
+  const Place place = placeOf(*page);
+  arenas_[place.arena].levels.write(std::size_t{place.page} * SlotPage::kSlots, levels.data(),
+                                    levels.size());
+}
+
+void SlotStore::dropLevels() {
+  ++edits_;
+  arenas_.dropLevels();
+  coarsest_.clear();
 }
 
 }  // namespace rosplat

@@ -113,6 +113,7 @@ void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
   program.bind("Splats", splats_);
   program.bind("Begins", begins_);
   program.bind("DepthRange", splats.projection().depthRange());
+  program.bind("Shares", splats.projection().shares());
   if (behind) {
     glActiveTexture(GL_TEXTURE1);
     glBindTexture(GL_TEXTURE_2D, behind->depth());

@@ -48,6 +48,10 @@ ViewBlock::ViewBlock(const Frame& frame) {
   top_first = frame.top_first;
   now = static_cast<float>(frame.now);
   age_range = settings.age_range;
+  const Cut shares = frame.cut(camera, {});
+  cut = frame.cuts();
+  cut_focal = static_cast<float>(shares.focal);
+  rise = floats(shares.from, frame.cuts() ? 1 / (shares.to - shares.from) : 0);
 }
 
 }  // namespace rosplat

@@ -22,11 +22,13 @@ struct ViewBlock {
   std::array<float, 2> clip, focal, offset, half_size, slope, principal_point;
   std::array<float, 2> whole_principal_point, whole_picture;
   std::array<std::int32_t, 2> picture, tiles;
-  std::array<float, 2> ndc_depth, depth_range;
+  std::array<float, 2> ndc_depth, depth_range, rise;
   float scale_modifier, opacity_modifier;
   std::int32_t sh_degree, only_band;
   Flag antialiased, top_first;
   float now, age_range;
+  float cut_focal;
+  Flag cut;
 };
 
 }  // namespace rosplat

@@ -12,17 +12,18 @@ ViewState::ViewState(Shaders& shaders, RadixSort& sort)
       quads_(shaders),
       block_(sizeof(ViewBlock), GL_DYNAMIC_DRAW) {}
 
-void ViewState::prepare(const Frame& frame) {
+bool ViewState::prepare(const Frame& frame) {
   // The frame before may still read what this one writes.
   glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);
   const ViewBlock block(frame);
   block_.write(0, &block, sizeof(block));
   use();
   top_first_ = frame.top_first;
-  if (splats_.answers(frame)) return;
+  if (splats_.answers(frame)) return false;
   splats_.prepare(frame);
   tiles_.forget();
   unknown_ = true;
+  return true;
 }
 
 bool ViewState::list(const Frame& frame) {
@@ -70,9 +71,9 @@ bool ViewState::hasRoom(const Frame& frame) {
   const std::size_t expected = frame.map.expected, capacity = frame.store.capacity();
   const double growth =
       std::clamp(double(expected) / double(std::max<std::size_t>(1, capacity)), 1.0, 4.0);
-  bool enough = splats_.checkRoom(
-      std::max<std::size_t>(frame.store.slots(), std::min<std::size_t>(expected, kMaxSlots)),
-      growth);
+  const std::size_t slots =
+      std::max<std::size_t>(frame.store.slots(), std::min<std::size_t>(expected, kMaxSlots));
+  bool enough = splats_.checkRoom(slots + (frame.cuts() ? frame.nodes->slots() : 0), growth);
   if (listed_) {
     const std::size_t pairs = tallies_.wait(Tallies::kPairs, Tally::kWanted);
     enough = tiles_.checkRoom(pairs, growth) && enough;

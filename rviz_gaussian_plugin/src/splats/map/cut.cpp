@@ -33,9 +33,10 @@ bool Cut::mayShow(const SlotPage& page, double own, double parent) const {
     nearest += outside * outside;
     farthest += across * across;
   }
-  const double most = orthographic ? 1 : 1 / std::sqrt(nearest);
-  const double least = orthographic ? 1 : 1 / std::sqrt(farthest);
-  return kRounding * focal * parent * most > from && focal * own * least < kRounding * to;
+  if (orthographic) nearest = farthest = 1;
+  // Squares of errors times distances: maps have tens of thousands of pages.
+  const double most = kRounding * focal * parent, least = focal * own / kRounding;
+  return most * most > from * from * nearest && least * least <= to * to * farthest;
 }
 
 }  // namespace rosplat

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cctype>
 #include <cmath>
-#include <limits>
+#include <cstring>
 #include <locale>
 #include <numeric>
 #include <sstream>
@@ -19,14 +19,27 @@ namespace {
 
 constexpr double kFirstSplats = 1e6;  // of a frame time, before any was measured
 constexpr double kMostStep = 1.1;     // of the error, from picture to picture
-constexpr double kLeastError = 0.25;  // of a frame time; what is finer is all there is [px]
+constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
+constexpr double kNearTime = 0.1;     // of a frame time, which varies from frame to frame
 
-// Errors are counted by 32nds of an octave.
-constexpr double kBins = 32, kLeastOctave = -6, kMostOctave = 24;
+// Errors are counted by 32nds of their octave: by the first bits of floats, which grow with them.
+constexpr int kLeastOctave = -6, kOctaves = 30, kDropped = 23 - 5;  // of a float's 23 bits
+constexpr std::uint32_t kLeastBits = std::uint32_t(127 + kLeastOctave) << 5;
+constexpr std::uint32_t kBins = std::uint32_t(kOctaves) << 5;
 
 std::size_t binOf(double error) {
-  const double octave = std::clamp(std::log2(error), kLeastOctave, kMostOctave);
-  return static_cast<std::size_t>((octave - kLeastOctave) * kBins);
+  const float value = static_cast<float>(std::min(error, 1e30));
+  std::uint32_t bits;
+  std::memcpy(&bits, &value, sizeof(bits));
+  return std::clamp(bits >> kDropped, kLeastBits, kLeastBits + kBins - 1) - kLeastBits;
+}
+
+// The least error of a bin.
+double errorOf(std::size_t bin) {
+  const std::uint32_t bits = (kLeastBits + static_cast<std::uint32_t>(bin)) << kDropped;
+  float value;
+  std::memcpy(&value, &bits, sizeof(value));
+  return value;
 }
 
 }  // namespace
@@ -76,18 +89,21 @@ std::string toText(const Detail& detail) {
   return text.str();
 }
 
-double errorForSplats(const Levels& levels, const SplatCamera& camera,
+double errorForSplats(const std::vector<Levels::Nodes>& levels, const SplatCamera& camera,
                       const std::vector<Group>& groups, const ClipBox& box, double splats) {
-  constexpr std::size_t kStride = 61;  // of nodes
+  constexpr std::size_t kStride = 61;         // of nodes
+  constexpr std::size_t kMostPages = 1 << 7;  // of a level; most levels have few
   // How many more are drawn where the error that is allowed falls below a bin's.
-  std::vector<double> more(binOf(std::numeric_limits<double>::max()) + 1);
-  const auto sample = [&](const NodePage& page, const PageView& view, const Cut& cut) {
+  std::vector<double> more(kBins);
+  // weight: of how many pages this is one.
+  const auto sample = [&](const NodePage& page, const PageView& view, const Cut& cut,
+                          double weight) {
     if (!view.mayShow(page.bounds)) return;
     const double size = cellSize(page.level());
     const bool top = page.level() + 1 == kLevels;
     const std::size_t nodes = page.cells.size(), samples = (nodes + kStride - 1) / kStride;
-    const double of_nodes = double(nodes) / double(samples);
-    const double of_members = double(page.members()) / double(samples);
+    const double of_nodes = weight * double(nodes) / double(samples);
+    const double of_members = weight * double(page.members()) / double(samples);
     for (std::size_t i = 0; i < samples; ++i) {
       const std::size_t at = i * nodes / samples;
       SlotPage point = page.bounds;
@@ -105,11 +121,14 @@ double errorForSplats(const Levels& levels, const SplatCamera& camera,
       more[binOf(own)] -= of_nodes;
     }
   };
-  for (std::size_t group = 0; group < levels.groups().size(); ++group) {
+  for (std::size_t group = 0; group < levels.size(); ++group) {
     const SeenGroup seen(camera, groups[group], box);
     const Cut cut(seen.camera, groups[group].originOrZero(), 1, true);
-    for (const Levels::Pages& level : levels.groups()[group]) {
-      for (const auto& page : level) sample(*page, seen.pages, cut);
+    for (const Levels::Pages& pages : levels[group]) {
+      const std::size_t step = (pages.size() + kMostPages - 1) / kMostPages;
+      for (std::size_t i = 0; i < pages.size(); i += step) {
+        sample(*pages[i], seen.pages, cut, double(step));
+      }
     }
   }
   // Where levels blend, more may be drawn than there are splats.
@@ -117,46 +136,51 @@ double errorForSplats(const Levels& levels, const SplatCamera& camera,
   double drawn = 0;
   std::size_t bin = more.size();
   while (bin > 0 && drawn + more[bin - 1] <= splats) drawn += more[--bin];
-  return std::exp2(kLeastOctave + double(bin) / kBins);
+  return errorOf(bin);
 }
 
-double DetailControl::choose(const Detail& detail, bool at_once, const Levels& levels,
-                             const SplatCamera& camera, const std::vector<Group>& groups,
-                             const ClipBox& box) {
+double coarserError(double error, std::size_t drawn, std::size_t most) {
+  return std::max(error, kLeastError) *
+         std::clamp(std::sqrt(double(drawn) / double(most)), 1.01, 2.0);
+}
+
+double DetailControl::choose(const Detail& detail, bool at_once,
+                             const std::vector<Levels::Nodes>& levels, const SplatCamera& camera,
+                             const std::vector<Group>& groups, const ClipBox& box) {
   const auto forSplats = [&](double splats) {
     return errorForSplats(levels, camera, groups, box, splats);
   };
+  settled_ = true;
   double wanted = 0;
   switch (detail.kind) {
     case Detail::Kind::kFull:
-      break;
+      return 0;
     case Detail::Kind::kError:
-      wanted = detail.amount;
-      break;
+      return detail.amount;
     case Detail::Kind::kSplats:
       wanted = forSplats(detail.amount);
+      if (at_once) return wanted;
       break;
-    case Detail::Kind::kTime:
+    case Detail::Kind::kTime: {
+      if (seconds_ == 0) return error_ ? *error_ : forSplats(kFirstSplats);
+      const double part = seconds_ / detail.amount;
+      if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) return timed_error_;
       // About as many are drawn as the square of the error leaves.
-      wanted = seconds_ == 0 ? forSplats(kFirstSplats)
-                             : std::max(error_, kLeastError) * std::sqrt(seconds_ / detail.amount);
+      wanted = std::max(timed_error_, kLeastError) * std::sqrt(part);
       if (wanted < kLeastError) wanted = 0;
       break;
+    }
   }
-  const bool moves =
-      detail.kind == Detail::Kind::kTime || (detail.kind == Detail::Kind::kSplats && !at_once);
-  double error = wanted;
-  if (moves && seconds_ > 0) {
-    const double from = std::max(error_, kLeastError);
-    error = std::clamp(wanted, from / kMostStep, from * kMostStep);
-    if (error < kLeastError && wanted == 0) error = 0;
-  }
+  if (!error_) return wanted;  // nobody saw another
+  const double from = std::max(*error_, kLeastError);
+  double error = std::clamp(wanted, from / kMostStep, from * kMostStep);
+  if (error < kLeastError && wanted == 0) error = 0;
   settled_ = std::fabs(error - wanted) <= 0.05 * wanted;
   return error;
 }
 
-void DetailControl::drew(double error, double seconds) {
-  error_ = error;
+void DetailControl::took(double error, double seconds) {
+  timed_error_ = error;
   seconds_ = seconds;
 }
 

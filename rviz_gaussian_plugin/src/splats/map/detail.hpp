@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -18,19 +19,26 @@ std::string toText(const Detail& detail);
 
 // The least error [px] at which a view draws no more splats and nodes than that, by samples: 0
 // where it is all of them. groups: where those of the levels are, by index.
-double errorForSplats(const Levels& levels, const SplatCamera& camera,
+double errorForSplats(const std::vector<Levels::Nodes>& levels, const SplatCamera& camera,
                       const std::vector<Group>& groups, const ClipBox& box, double splats);
+
+// Where nothing is left to be merged. [px]
+constexpr double kCoarsestError = 1e15;
+
+// A larger error, where one has had more drawn than there may be.
+double coarserError(double error, std::size_t drawn, std::size_t most);
 
 // Chooses the error of a view's pictures, one after the other.
 class DetailControl {
  public:
   // For the next picture [px]; 0 has all drawn in full. at_once: whatever the last one had;
   // otherwise it moves towards what is asked for, so that nobody sees it move.
-  double choose(const Detail& detail, bool at_once, const Levels& levels, const SplatCamera& camera,
-                const std::vector<Group>& groups, const ClipBox& box);
-  // What became of it.
-  void drew(double error, double seconds);
-  // Of a picture of all splats. [s]
+  double choose(const Detail& detail, bool at_once, const std::vector<Levels::Nodes>& levels,
+                const SplatCamera& camera, const std::vector<Group>& groups, const ClipBox& box);
+  // What became of it; and the time that one took, which may be known later.
+  void drew(double error) { error_ = error; }
+  void took(double error, double seconds);
+  // Of a picture of all splats, whatever was chosen. [s]
   void drewAll(double seconds) { seconds_in_full_ = seconds; }
   double secondsInFull() const { return seconds_in_full_; }  // 0 before any
   // Whether levels are needed for it: a frame time may have room for all.
@@ -42,8 +50,8 @@ class DetailControl {
   bool settled() const { return settled_; }
 
  private:
-  double error_ = 0;    // of the last picture [px]
-  double seconds_ = 0;  // that it took
+  std::optional<double> error_;           // of the last picture [px]
+  double timed_error_ = 0, seconds_ = 0;  // of the last one of which it is known
   double seconds_in_full_ = 0;
   bool settled_ = true;
 };

@@ -87,20 +87,24 @@ void HostSlots::write(const GaussianEdit& edit, std::size_t source, std::uint32_
   }
 }
 
-void HostSlots::setParents(const std::vector<std::pair<std::uint32_t, float>>& sizes) {
-  for (auto next = sizes.begin(); next != sizes.end();) {
-    const SlotPage& of = *pages_.find(next->first);
-    Page& page = at(of);
-    if (!page.parents) {
-      page.parents = std::make_unique<PerSlot<float>>();
-      for (std::size_t i = 0; i < kSlots; ++i) {
-        (*page.parents)[i] = page.extent[i] >= 0 ? kBoundless : 0;
-      }
+void HostSlots::setParents(const SlotPage& of, const PerSlot<float>& sizes) {
+  Page& page = at(of);
+  if (!page.parents) {
+    page.parents = std::make_unique<PerSlot<float>>();
+    for (std::size_t i = 0; i < kSlots; ++i) {
+      (*page.parents)[i] = page.extent[i] >= 0 ? kBoundless : 0;
     }
-    for (; next != sizes.end() && next->first - of.first_slot < kSlots; ++next) {
-      (*page.parents)[next->first - of.first_slot] = next->second;
-    }
-    page.widest_parent = *std::max_element(page.parents->begin(), page.parents->end());
+  }
+  for (std::size_t i = 0; i < kSlots; ++i) {
+    if (sizes[i] >= 0) (*page.parents)[i] = sizes[i];
+  }
+  page.widest_parent = *std::max_element(page.parents->begin(), page.parents->end());
+}
+
+void HostSlots::dropParents() {
+  for (const auto& page : memory_) {
+    page->parents.reset();
+    page->widest_parent = kBoundless;
   }
 }
 
@@ -117,10 +121,7 @@ void HostSlots::Page::empty() {
 
 PackedSlot HostSlots::Page::packed(std::size_t i, int sh_degree) const {
   PackedSlot slot;
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    std::memcpy(&slot.words[axis], &position[axis][i], sizeof(float));
-  }
-  for (std::size_t k = 0; k < words.size(); ++k) slot.words[3 + k] = words[k][i];
+  for (std::size_t k = 0; k < slot.words.size(); ++k) slot.words[k] = word(k, i);
   for (int band = 1; band <= sh_degree; ++band) {
     for (int k = 0; bands[band] && k < kBandWords[band]; ++k) {
       slot.bands[band][k] = bands[band][std::size_t(k) * kSlots + i];

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -37,6 +38,13 @@ class HostSlots {
     float widest_parent = kBoundless;  // of any slot [m]
 
     void empty();
+    // Of a packed slot, without its bands.
+    std::uint32_t word(std::size_t k, std::size_t i) const {
+      if (k >= position.size()) return words[k - position.size()][i];
+      std::uint32_t bits;
+      std::memcpy(&bits, &position[k][i], sizeof(bits));
+      return bits;
+    }
     PackedSlot packed(std::size_t i, int sh_degree) const;
     // Of all but the extent.
     void put(std::size_t i, const PackedSlot& slot, int sh_degree);
@@ -57,9 +65,11 @@ class HostSlots {
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   // What writes a page elsewhere.
   GaussianEdit edit(const SlotPage& page) const;
-  // Says how wide the cells are whose nodes stand for what slots hold now. Slots ascend. Of
-  // interest to who draws nodes alone, as is the memory.
-  void setParents(const std::vector<std::pair<std::uint32_t, float>>& sizes);
+  // Says how wide the cells are whose nodes stand for what a page's slots hold now; of less than 0,
+  // what was said before holds. Of interest to who draws nodes alone, as is the memory.
+  void setParents(const SlotPage& page, const PerSlot<float>& sizes);
+  // There are no nodes any more.
+  void dropParents();
 
  private:
   void write(const GaussianEdit& edit, std::size_t source, std::uint32_t first, std::uint32_t count,

@@ -35,7 +35,9 @@ std::uint32_t gathered(Cell bits) {
 
 }  // namespace
 
-float cellSize(int level) { return std::ldexp(1.0f, kFinestOctave + level); }
+float cellSize(int level) {
+  return level < kLevels ? std::ldexp(1.0f, kFinestOctave + level) : kBoundless;
+}
 
 Cell entryOf(const Splat& splat) {
   const float size = kSigmas * std::max({splat.scale[0], splat.scale[1], splat.scale[2], kLeast});

@@ -18,7 +18,7 @@ constexpr int kFinestOctave = -13;  // the smallest cells are 2^-13 m wide
 // Wider than any camera is far away: of what has no cell. [m]
 constexpr float kBoundless = 0x1p100f;
 
-// Of a level's cells. [m]
+// Of a level's cells; kBoundless of those beyond the last level. [m]
 float cellSize(int level);
 // The least of a level's, or one that is greater than all of the level before.
 inline Cell firstCell(int level) { return Cell(level) << 57; }

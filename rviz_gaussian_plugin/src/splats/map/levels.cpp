@@ -40,10 +40,6 @@ class NodeCursor {
     ++page_;
     i_ = 0;
   }
-  // The page that begins here, if it ends before a cell, too.
-  std::shared_ptr<const NodePage> wholePage(Cell end) const {
-    return i_ == 0 && before(end) && (*page_)->cells.back() < end ? *page_ : nullptr;
-  }
 
  private:
   Levels::Pages::const_iterator page_, end_;
@@ -152,7 +148,8 @@ void Levels::clear() {
   nodes_.clear();
 }
 
-bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop) {
+bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
+                     const std::function<void(const std::vector<std::uint32_t>&)>& stand) {
   if (!std::exchange(begun_, true)) {
     for (const SlotPage& page : slots.pages()) mark(slots, {{page.first_slot, kSlots}});
   }
@@ -160,16 +157,20 @@ bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop) {
     if (!job_) begin(slots);
     while (job_->level < kLevels) {
       if (stop()) return false;
-      const std::size_t left = job_->pieces.size() - job_->done;
+      const std::size_t left = job_->touched.size() - job_->done;
       if (left == 0) {
         nextLevel();
         continue;
       }
       const std::size_t more = std::min(left, 4 * std::size_t(team_->size()));
-      inParts(more, [&](std::size_t i) { make(slots, job_->pieces[job_->done + i]); });
+      inParts(more,
+              [&](std::size_t i) { make(slots, job_->pieces[job_->touched[job_->done + i]]); });
       job_->done += more;
     }
     publish(slots);
+    const std::unique_ptr<Job> done = std::move(job_);
+    nodes_[done->group] = std::move(done->pages);
+    if (stand) stand(done->marked);
   }
   return true;
 }
@@ -192,14 +193,16 @@ void Levels::begin(const HostSlots& slots) {
     }
     std::sort(parts[number].begin(), parts[number].end(), byCell);
   });
-  Changes& changes = job->changes;
-  for (Changes& part : parts) {
-    const auto sorted = std::ptrdiff_t(changes.size());
-    changes.insert(changes.end(), part.begin(), part.end());
-    std::inplace_merge(changes.begin(), changes.begin() + sorted, changes.end(), byCell);
-    part = {};
+  // By twos, side by side.
+  for (std::size_t step = 1; step < parts.size(); step *= 2) {
+    inParts((parts.size() + step - 1) / (2 * step), [&](std::size_t pair) {
+      const Changes first = std::move(parts[2 * step * pair]),
+                    second = std::move(parts[2 * step * pair + step]);
+      Changes& merged = parts[2 * step * pair];
+      merged.resize(first.size() + second.size());
+      std::merge(first.begin(), first.end(), second.begin(), second.end(), merged.begin(), byCell);
+    });
   }
-
   // What has gone to other groups stays marked for these.
   auto still_marked = marked_;
   still_marked.erase(group);
@@ -210,24 +213,34 @@ void Levels::begin(const HostSlots& slots) {
     still_marked[page.group].push_back(first_slot);
     regrouped.emplace_back(known_[page.place].get(), page.group);
   }
+  job->changes = std::move(parts.front());
+  job->marked = marked;
+  marked_ = std::move(still_marked);
+  job_ = std::move(job);
 
-  // Nothing from here on needs memory: the job has what was marked.
-  const auto knownOf = [&](std::uint32_t slot) -> Known& {
-    return *known_[slots.index().find(slot)->place];
-  };
-  for (const bool enters : {false, true}) {
-    for (const Change& change : changes) {
-      if (change.enters != enters) continue;
-      knownOf(change.slot).cells[change.slot % kSlots] = enters ? change.cell : kNoCell;
-    }
-  }
-  for (const std::uint32_t first_slot : marked) knownOf(first_slot).marked.reset();
+  // Nothing here needs memory: the job has what was marked.
+  inParts(job_->marked.size(),
+          [this, &slots](std::size_t i) { know(slots, *slots.index().find(job_->marked[i])); });
   for (const auto& [known, to] : regrouped) {
     known->group = to;
     known->marked.set();
   }
-  marked_ = std::move(still_marked);
-  job_ = std::move(job);
+}
+
+// Where a slot enters the group that is known of its page.
+Cell Levels::cellOf(const Known& known, const SlotPage& of, const HostSlots::Page& page,
+                    std::uint32_t i) {
+  const bool shows = of.group == known.group && page.extent[i] >= 0;
+  return shows ? entryOf(unpackSlot(page.packed(i, 0).words.data())) : kNoCell;
+}
+
+// What is marked is what the nodes will hold.
+void Levels::know(const HostSlots& slots, const SlotPage& of) {
+  Known& known = *known_[of.place];
+  for (std::uint32_t i = 0; i < kSlots; ++i) {
+    if (known.marked[i]) known.cells[i] = cellOf(known, of, slots.at(of), i);
+  }
+  known.marked.reset();
 }
 
 void Levels::findChanges(const HostSlots& slots, const SlotPage& of, Changes& changes) const {
@@ -235,8 +248,7 @@ void Levels::findChanges(const HostSlots& slots, const SlotPage& of, Changes& ch
   const HostSlots::Page& page = slots.at(of);
   for (std::uint32_t i = 0; i < kSlots; ++i) {
     if (!known.marked[i]) continue;
-    const bool shows = of.group == known.group && page.extent[i] >= 0;
-    const Cell cell = shows ? entryOf(unpackSlot(page.packed(i, 0).words.data())) : kNoCell;
+    const Cell cell = cellOf(known, of, page, i);
     const Cell before = known.cells[i];
     if (before != cell && before != kNoCell) changes.push_back({before, of.first_slot + i, false});
     if (cell != kNoCell) changes.push_back({cell, of.first_slot + i, true});
@@ -256,6 +268,7 @@ void Levels::nextLevel() {
                    parentOf);
   }
   job.pieces.clear();
+  job.touched.clear();
   job.done = 0;
   if (++job.level == kLevels) return;
 
@@ -268,17 +281,27 @@ void Levels::nextLevel() {
   std::inplace_merge(touched.begin(), touched.begin() + inherited, touched.end());
   touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
 
+  const Pages& old = nodes_[job.group][std::size_t(job.level)];
   std::vector<Cell> begins{level_begin};
-  for (const auto& page : nodes_[job.group][std::size_t(job.level)])
-    begins.push_back(page->cells.front());
+  for (const auto& page : old) begins.push_back(page->cells.front());
+  const auto of_pages = std::ptrdiff_t(begins.size());
   for (std::size_t i = kSlots; i < touched.size(); i += kSlots) begins.push_back(touched[i]);
-  std::sort(begins.begin(), begins.end());
+  std::inplace_merge(begins.begin(), begins.begin() + of_pages, begins.end());
   begins.erase(std::unique(begins.begin(), begins.end()), begins.end());
   begins.push_back(level_end);
   auto next = touched.begin();
+  auto page = old.begin();
   for (std::size_t i = 0; i + 1 < begins.size(); ++i) {
-    const auto from = std::exchange(next, std::lower_bound(next, touched.end(), begins[i + 1]));
+    const auto from = next;
+    while (next != touched.end() && *next < begins[i + 1]) ++next;
     job.pieces.push_back({begins[i], begins[i + 1], {from, next}, {}});
+    const bool whole = page != old.end() && (*page)->cells.front() == begins[i];
+    if (from != next || (whole && (*page)->cells.back() >= begins[i + 1])) {
+      job.touched.push_back(i);
+    } else if (whole) {
+      job.pieces.back().pages = {*page};
+    }
+    if (whole) ++page;
   }
 }
 
@@ -288,9 +311,6 @@ void Levels::make(const HostSlots& slots, Piece& piece) const {
   const int degree = slots.shDegree();
   NodeCursor old(nodes_[job_->group][level], piece.begin);
   piece.pages.clear();
-  if (piece.touched.empty()) {
-    if (auto page = old.wholePage(piece.end)) return piece.pages.push_back(std::move(page));
-  }
   std::vector<Node> nodes;
   const auto keepUntil = [&](Cell cell) {
     for (; old.before(cell); old.next()) nodes.push_back(old.node(degree));
@@ -341,17 +361,18 @@ void Levels::make(const HostSlots& slots, Piece& piece) const {
   }
 }
 
-void Levels::publish(HostSlots& slots) {
-  std::vector<std::pair<std::uint32_t, float>> parents;
-  for (const Change& change : job_->changes) {
-    const Known& known = *known_[slots.index().find(change.slot)->place];
-    if (!change.enters || known.marked[change.slot % kSlots]) continue;
-    parents.emplace_back(change.slot, cellSize(levelOf(change.cell)));
-  }
-  std::sort(parents.begin(), parents.end());
-  slots.setParents(parents);
-  nodes_[job_->group] = std::move(job_->pages);
-  job_.reset();
+// Tells the slots that were marked of their nodes, but for what was written since.
+void Levels::publish(HostSlots& slots) const {
+  inParts(job_->marked.size(), [&](std::size_t number) {
+    const SlotPage& of = *slots.index().find(job_->marked[number]);
+    const Known& known = *known_[of.place];
+    HostSlots::PerSlot<float> sizes;
+    for (std::size_t i = 0; i < kSlots; ++i) {
+      const bool stands = !known.marked[i] && known.cells[i] != kNoCell;
+      sizes[i] = stands ? cellSize(levelOf(known.cells[i])) : -1;
+    }
+    slots.setParents(of, sizes);
+  });
 }
 
 std::size_t Levels::nodes() const {

@@ -7,6 +7,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "map/host_slots.hpp"
@@ -62,8 +63,10 @@ class Levels {
 
   // Works on what is marked, the first time on all, until `stop` says so, which is asked every few
   // milliseconds; whether nothing is left. The nodes are those of before until all of the new ones
-  // stand. Throws std::bad_alloc, and goes on from there the next time.
-  bool advance(HostSlots& slots, const std::function<bool()>& stop);
+  // stand, of which `stand` is told: of slots in which pages, by the first. Throws std::bad_alloc,
+  // and goes on from there the next time.
+  bool advance(HostSlots& slots, const std::function<bool()>& stop,
+               const std::function<void(const std::vector<std::uint32_t>&)>& stand = nullptr);
 
   const std::vector<Nodes>& groups() const { return nodes_; }  // by index, as far as there are any
   std::size_t nodes() const;
@@ -92,18 +95,23 @@ class Levels {
   // The way from what was marked of a group to nodes that hold it, level by level.
   struct Job {
     std::uint32_t group;
+    std::vector<std::uint32_t> marked;  // first slots of pages
     Changes changes;
     Nodes pages;
     int level = -1;  // that is being made
     std::vector<Piece> pieces;
-    std::size_t done = 0;  // of them
+    std::vector<std::size_t> touched;  // of them: the others are what they were
+    std::size_t done = 0;              // of these
   };
 
   void begin(const HostSlots& slots);
   void findChanges(const HostSlots& slots, const SlotPage& page, Changes& changes) const;
+  static Cell cellOf(const Known& known, const SlotPage& of, const HostSlots::Page& page,
+                     std::uint32_t i);
+  void know(const HostSlots& slots, const SlotPage& page);
   void nextLevel();
   void make(const HostSlots& slots, Piece& piece) const;
-  void publish(HostSlots& slots);
+  void publish(HostSlots& slots) const;
   // Does step(number) for each number below count, side by side.
   void inParts(std::size_t count, const std::function<void(std::size_t)>& step) const;
 

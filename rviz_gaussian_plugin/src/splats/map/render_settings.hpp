@@ -19,6 +19,11 @@ enum class DrawMode {
   kAge,           // colour-mapped time since a slot last changed, new is red
 };
 
+// Whether splats are solid.
+inline bool drawsBalls(DrawMode mode) {
+  return mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall;
+}
+
 // Opacity compensation for the 2D low-pass filter (Mip-Splatting).
 enum class Antialiasing { kAsTrained, kOn, kOff };
 
@@ -74,7 +79,7 @@ struct RenderSettings {
   OrderSource order = OrderSource::kAuto;
   Rasterizer rasterizer = Rasterizer::kAuto;
   bool profile = false;  // measure the stages of a frame; waits for the graphics card
-  Detail detail;         // the processor alone draws any but all
+  Detail detail;
   ClipBox clip_box;
   float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
   std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest drawn

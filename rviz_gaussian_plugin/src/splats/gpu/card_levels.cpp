@@ -1,0 +1,88 @@
+#include "gpu/card_levels.hpp"
+
+#include <algorithm>
+#include <limits>
+
+namespace rosplat {
+
+namespace {
+
+// What a frame reads back and uploads.
+constexpr std::size_t kPagesPerFrame = 64, kBytesPerFrame = 32u << 20;
+constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
+
+// What is written anew is in no node.
+void leaveLevels(const GaussianEdit& edit,
+                 std::vector<std::pair<std::uint32_t, EntryLevels>>& entries) {
+  if (edit.sh_degree < 0) return;
+  std::size_t source = 0;
+  forEachSlot(edit.runs, [&](std::uint32_t slot) {
+    const std::uint32_t in_page = slot % SlotPage::kSlots;
+    const auto page = std::lower_bound(
+        entries.begin(), entries.end(), slot - in_page,
+        [](const auto& of, std::uint32_t first_slot) { return of.first < first_slot; });
+    if (page != entries.end() && page->first == slot - in_page) {
+      page->second[in_page] = levelOfNew(edit, source);
+    }
+    ++source;
+  });
+}
+
+}  // namespace
+
+void CardLevels::apply(const SlotStore& store, const std::shared_ptr<const GaussianEdit>& edit,
+                       double now) {
+  const std::uint64_t number = builder_.apply(edit, now);
+  if (edit->clear) {
+    cleared_ = number;
+    copied_ = kNoSlot;
+    written_.clear();
+    update_.reset();
+    nodes_ = {};
+  }
+  nodes_.addBands(store.shDegree());
+  written_.push_back({number, edit});
+}
+
+// Gives the builder what of the map it lacks.
+void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages) {
+  const auto& pages = store.pages().pages();
+  if (copied_ == 0) {
+    builder_.apply(std::make_shared<const GaussianEdit>(store.pages().moves()), now);
+  }
+  auto page = std::lower_bound(
+      pages.begin(), pages.end(), copied_,
+      [](const SlotPage& of, std::uint32_t first_slot) { return of.first_slot < first_slot; });
+  for (; page != pages.end() && most_pages > 0; ++page, --most_pages) {
+    if (store.holds(*page)) {
+      builder_.apply(std::make_shared<const GaussianEdit>(store.edit(*page)), now);
+    }
+    copied_ = page->first_slot + 1;
+  }
+}
+
+void CardLevels::advance(SlotStore& store, double now, bool all) {
+  copy(store, now, all ? kEverything : kPagesPerFrame);
+  std::size_t budget = all ? kEverything : kBytesPerFrame;
+  do {
+    if (!update_) {
+      update_ = builder_.take(all);
+      if (update_ && update_->edits < cleared_) update_.reset();
+      if (!update_) return;
+      nodes_.replace(update_->groups, store.shDegree());
+    }
+    if (!nodes_.upload(budget)) return;
+    finish(store);
+  } while (all);
+}
+
+// From here on the nodes are drawn, and what they hold is not.
+void CardLevels::finish(SlotStore& store) {
+  while (!written_.empty() && written_.front().number <= update_->edits) written_.pop_front();
+  for (const Written& written : written_) leaveLevels(*written.edit, update_->entries);
+  for (const auto& [first_slot, levels] : update_->entries) store.setLevels(first_slot, levels);
+  nodes_.show();
+  update_.reset();
+}
+
+}  // namespace rosplat

@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <string>
+
+#include "gpu/node_store.hpp"
+#include "gpu/slot_store.hpp"
+#include "map/level_builder.hpp"
+
+namespace rosplat {
+
+// Levels of detail of the map in a SlotStore, for as long as they are wanted: what is edited goes
+// to a builder beside the render thread, and its nodes come back to the card.
+class CardLevels {
+ public:
+  // The store, which has this edit by now; nodes of another map are gone.
+  void apply(const SlotStore& store, const std::shared_ptr<const GaussianEdit>& edit, double now);
+  // Goes on with what there is to do, in the store too; some of it, or all, which it waits for.
+  // Throws gl::Error when the driver has no memory left.
+  void advance(SlotStore& store, double now, bool all);
+
+  const NodeStore& nodes() const { return nodes_; }
+  // Why there are none; empty where nothing is wrong.
+  std::string error() const { return builder_.error(); }
+  std::size_t bytes() const { return nodes_.bytes() + builder_.bytes(); }
+  std::size_t gpuBytes() const { return nodes_.bytes(); }
+
+ private:
+  // An edit that the builder may not have yet.
+  struct Written {
+    std::uint64_t number;
+    std::shared_ptr<const GaussianEdit> edit;
+  };
+
+  void copy(const SlotStore& store, double now, std::size_t most_pages);
+  void finish(SlotStore& store);
+
+  LevelBuilder builder_;
+  NodeStore nodes_;
+  std::unique_ptr<LevelsUpdate> update_;  // that is being uploaded
+  std::deque<Written> written_;
+  std::uint64_t cleared_ = 0;  // number of the last edit that emptied the map
+  // Pages of the map before these slots were given to the builder, or come as edits.
+  std::uint32_t copied_ = 0;
+};
+
+}  // namespace rosplat

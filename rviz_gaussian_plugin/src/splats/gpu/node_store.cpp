@@ -1,0 +1,101 @@
+#include "gpu/node_store.hpp"
+
+#include <algorithm>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+constexpr std::size_t kSlots = SlotPage::kSlots;
+
+std::size_t pageBytes(int sh_degree) {
+  std::size_t bytes = kSlotBytes;
+  for (int band = 1; band <= sh_degree; ++band) bytes += bandBytes(band);
+  return kSlots * bytes;
+}
+
+}  // namespace
+
+void NodeStore::replace(const std::vector<Levels::Nodes>& groups, int sh_degree) {
+  arenas_.addBands(sh_degree);
+  next_pages_ = groups;
+  next_groups_.assign(groups.size(), {});
+  new_.clear();
+  leaving_.clear();
+  static const Levels::Nodes kNoNodes;
+  static const OfGroup kNone;
+  for (std::size_t group = 0; group < groups.size(); ++group) {
+    const bool known = group < groups_.size();
+    for (std::size_t level = 0; level < groups[group].size(); ++level) {
+      replace((known ? pages_[group] : kNoNodes)[level], (known ? groups_[group] : kNone)[level],
+              groups[group][level], next_groups_[group][level]);
+    }
+  }
+  arenas_.makeRoom(places_);
+}
+
+// Of a level. Both ascend by their cells.
+void NodeStore::replace(const Levels::Pages& before, const Level& held, const Levels::Pages& pages,
+                        Level& next) {
+  const auto free = [this] {
+    if (free_.empty()) return places_++;
+    const std::uint32_t place = free_.back();
+    free_.pop_back();
+    return place;
+  };
+  std::size_t old = 0;
+  for (const auto& page : pages) {
+    for (; old < before.size() && before[old] != page; ++old) {
+      if (before[old]->cells.front() > page->cells.front()) break;
+      leaving_.push_back(held[old].place);
+    }
+    if (old < before.size() && before[old] == page) {
+      next.push_back(held[old++]);
+      continue;
+    }
+    next.push_back(page->bounds);
+    next.back().place = free();
+    new_.push_back({page, next.back().place});
+  }
+  for (; old < before.size(); ++old) leaving_.push_back(held[old].place);
+}
+
+bool NodeStore::upload(std::size_t& bytes) {
+  const std::size_t of_page = pageBytes(arenas_.shDegree());
+  for (; !new_.empty() && bytes > 0; new_.pop_back()) {
+    write(*new_.back().page, new_.back().place);
+    bytes -= std::min(bytes, of_page);
+  }
+  return new_.empty();
+}
+
+void NodeStore::write(const NodePage& page, std::uint32_t place) {
+  const SlotArenas::Place at = arenas_.placeOf(place);
+  SlotArenas::Arena& arena = arenas_[at.arena];
+  const HostSlots::Page& slots = page.slots;
+  const std::size_t count = page.cells.size();
+  const auto put = [&](gl::Buffer& buffer, std::size_t words, const auto& wordOf) {
+    staged_.assign(kSlots * words, 0);
+    for (std::size_t i = 0; i < count; ++i) {
+      for (std::size_t k = 0; k < words; ++k) staged_[words * i + k] = wordOf(k, i);
+    }
+    const std::size_t size = staged_.size() * sizeof(std::uint32_t);
+    buffer.write(at.page * size, staged_.data(), size);
+  };
+  put(arena.slots, kSlotWords, [&](std::size_t k, std::size_t i) { return slots.word(k, i); });
+  for (int band = 1; band <= arenas_.shDegree(); ++band) {
+    const std::uint32_t* const words = slots.bands[band].get();
+    put(arena.bands[band], static_cast<std::size_t>(kBandWords[band]),
+        [&](std::size_t k, std::size_t i) { return words ? words[k * kSlots + i] : 0; });
+  }
+}
+
+void NodeStore::show() {
+  pages_ = std::exchange(next_pages_, {});
+  groups_ = std::exchange(next_groups_, {});
+  free_.insert(free_.end(), leaving_.begin(), leaving_.end());
+  leaving_.clear();
+}
+
+}  // namespace rosplat

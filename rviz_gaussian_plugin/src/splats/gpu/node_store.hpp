@@ -1,0 +1,61 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "gpu/slot_arenas.hpp"
+#include "map/levels.hpp"
+
+namespace rosplat {
+
+// The nodes of levels of detail in the GPU's memory: pages of one level each, packed as slots. New
+// ones are uploaded beside those that are shown, which they replace when all are there.
+class NodeStore {
+ public:
+  // Pages of a level in the order of their cells: `place` is where they are held; and of all
+  // levels.
+  using Level = std::vector<SlotPage>;
+  using OfGroup = std::array<Level, kLevels>;
+
+  // Has these take the place of what is shown, as soon as they are uploaded.
+  void replace(const std::vector<Levels::Nodes>& groups, int sh_degree);
+  // Uploads of them what a number of bytes allows, which it makes less; whether all are there.
+  // Throws gl::Error when the driver has no memory left.
+  bool upload(std::size_t& bytes);
+  // Shows them.
+  void show();
+
+  // That are shown, by group.
+  const std::vector<Levels::Nodes>& pages() const { return pages_; }
+  const std::vector<OfGroup>& groups() const { return groups_; }
+  SlotArenas::Place placeOf(const SlotPage& page) const { return arenas_.placeOf(page.place); }
+  const std::vector<SlotArenas::Arena>& arenas() const { return arenas_.arenas(); }
+  void addBands(int degree) { arenas_.addBands(degree); }
+  // How many nodes there may be.
+  std::size_t slots() const { return std::size_t{places_} * SlotPage::kSlots; }
+  std::size_t bytes() const { return arenas_.bytes(); }
+
+ private:
+  struct New {
+    std::shared_ptr<const NodePage> page;
+    std::uint32_t place;
+  };
+
+  void replace(const Levels::Pages& before, const Level& held, const Levels::Pages& pages,
+               Level& next);
+  void write(const NodePage& page, std::uint32_t place);
+
+  SlotArenas arenas_;
+  std::vector<std::uint32_t> free_;  // places
+  std::uint32_t places_ = 0;         // so far
+  std::vector<Levels::Nodes> pages_, next_pages_;
+  std::vector<OfGroup> groups_, next_groups_;
+  std::vector<New> new_;                // to be uploaded, the last first
+  std::vector<std::uint32_t> leaving_;  // places of what is not among the next
+  std::vector<std::uint32_t> staged_;
+};
+
+}  // namespace rosplat

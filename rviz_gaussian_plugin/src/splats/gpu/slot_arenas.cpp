@@ -1,0 +1,92 @@
+#include "gpu/slot_arenas.hpp"
+
+#include <algorithm>
+
+namespace rosplat {
+
+namespace {
+
+constexpr std::uint32_t kMostArenaPages = 2048;  // 72 MiB of slots
+
+// A buffer of a size, which begins with what was in another.
+gl::Buffer grown(const gl::Buffer& buffer, std::size_t bytes) {
+  gl::Buffer larger(bytes, GL_DYNAMIC_DRAW);
+  if (buffer.id()) larger.copy(buffer);
+  return larger;
+}
+
+std::size_t slotsOf(const SlotArenas::Arena& arena) {
+  return std::size_t{arena.pages} * SlotPage::kSlots;
+}
+
+}  // namespace
+
+void writeZeros(gl::Buffer& buffer, std::size_t offset, std::size_t bytes) {
+  const std::vector<std::uint8_t> zeros(bytes);
+  buffer.write(offset, zeros.data(), bytes);
+}
+
+SlotArenas::SlotArenas()
+    : arena_pages_(static_cast<std::uint32_t>(std::clamp<std::size_t>(
+          gl::largestStorageBuffer() / (SlotPage::kSlots * kSlotBytes), 1, kMostArenaPages))) {}
+
+void SlotArenas::clear() {
+  arenas_.clear();
+  sh_degree_ = 0;
+  levels_ = false;
+}
+
+void SlotArenas::addBands(int degree) {
+  for (Arena& arena : arenas_) {
+    for (int band = sh_degree_ + 1; band <= degree; ++band) {
+      arena.bands[band] = gl::Buffer(slotsOf(arena) * bandBytes(band), GL_DYNAMIC_DRAW);
+      writeZeros(arena.bands[band], 0, arena.bands[band].bytes());
+    }
+  }
+  sh_degree_ = std::max(sh_degree_, degree);
+}
+
+void SlotArenas::addLevels() {
+  levels_ = true;
+  for (Arena& arena : arenas_) {
+    if (arena.levels.id()) continue;
+    const std::vector<std::uint8_t> none(slotsOf(arena), 0xff);
+    arena.levels = gl::Buffer(none.size(), GL_DYNAMIC_DRAW);
+    arena.levels.write(0, none.data(), none.size());
+  }
+}
+
+void SlotArenas::dropLevels() {
+  levels_ = false;
+  for (Arena& arena : arenas_) arena.levels.release();
+}
+
+// The last arena grows by a quarter at least, so that what is copied stays in proportion.
+void SlotArenas::makeRoom(std::uint32_t pages) {
+  for (std::uint32_t first = 0; first < pages; first += arena_pages_) {
+    if (first / arena_pages_ == arenas_.size()) arenas_.emplace_back();
+    Arena& arena = arenas_[first / arena_pages_];
+    const std::uint32_t wanted = std::min(pages - first, arena_pages_);
+    if (wanted <= arena.pages) continue;
+    Arena larger;
+    larger.pages = std::clamp(arena.pages + arena.pages / 4, wanted, arena_pages_);
+    const std::size_t slots = slotsOf(larger);
+    larger.slots = grown(arena.slots, slots * kSlotBytes);
+    for (int band = 1; band <= sh_degree_; ++band) {
+      larger.bands[band] = grown(arena.bands[band], slots * bandBytes(band));
+    }
+    if (levels_) larger.levels = grown(arena.levels, slots);
+    arena = std::move(larger);
+  }
+}
+
+std::size_t SlotArenas::bytes() const {
+  std::size_t bytes = 0;
+  for (const Arena& arena : arenas_) {
+    bytes += arena.slots.bytes() + arena.levels.bytes();
+    for (const gl::Buffer& band : arena.bands) bytes += band.bytes();
+  }
+  return bytes;
+}
+
+}  // namespace rosplat

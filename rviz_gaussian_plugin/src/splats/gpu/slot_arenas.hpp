@@ -1,0 +1,59 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "gl/gl_objects.hpp"
+#include "map/slot_pages.hpp"
+
+namespace rosplat {
+
+// Memory of the GPU for pages of slots, by place, in arenas that are each as large as a shader's
+// buffer may be: what grows is not copied, but for the last arena, until that is full.
+class SlotArenas {
+ public:
+  struct Arena {
+    gl::Buffer slots;                                // kSlotWords a slot
+    std::array<gl::Buffer, kMaxShDegree + 1> bands;  // kBandWords a slot, from band 1 on
+    gl::Buffer levels;                               // a byte a slot, if there are any
+    std::uint32_t pages = 0;                         // room for so many
+  };
+  // Where a page is.
+  struct Place {
+    std::uint32_t arena, page;
+  };
+
+  SlotArenas();
+
+  void clear();
+  // Makes room for so many pages, and for bands. Throw gl::Error when the driver has no memory
+  // left.
+  void makeRoom(std::uint32_t pages);
+  void addBands(int degree);  // which are empty
+  // Makes room for a byte a slot, 255 of those that are there; and gives that back.
+  void addLevels();
+  void dropLevels();
+
+  Place placeOf(std::uint32_t place) const { return {place / arena_pages_, place % arena_pages_}; }
+  const std::vector<Arena>& arenas() const { return arenas_; }
+  Arena& operator[](std::uint32_t arena) { return arenas_[arena]; }
+  int shDegree() const { return sh_degree_; }
+  std::size_t bytes() const;
+
+ private:
+  std::uint32_t arena_pages_;
+  std::vector<Arena> arenas_;
+  int sh_degree_ = 0;
+  bool levels_ = false;
+};
+
+constexpr std::size_t kSlotBytes = kSlotWords * sizeof(std::uint32_t);
+constexpr std::size_t bandBytes(int band) {
+  return static_cast<std::size_t>(kBandWords[std::size_t(band)]) * sizeof(std::uint32_t);
+}
+// Of empty slots: their opacity is 0.
+void writeZeros(gl::Buffer& buffer, std::size_t offset, std::size_t bytes);
+
+}  // namespace rosplat

@@ -1,0 +1,84 @@
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <condition_variable>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "map/gaussian_map.hpp"
+#include "map/host_slots.hpp"
+#include "map/levels.hpp"
+
+namespace rosplat {
+
+// At which level each slot of a page enters the lattice; kNoLevel where no node holds what it is.
+using EntryLevels = std::array<std::uint8_t, SlotPage::kSlots>;
+constexpr std::uint8_t kNoLevel = 0xff;
+
+// That of a slot as an edit has just written it, by its place in the edit; what can't be seen may
+// as well have one.
+inline std::uint8_t levelOfNew(const GaussianEdit& edit, std::size_t source) {
+  return edit.extents[source] >= 0 ? kNoLevel : 0;
+}
+
+// Levels of detail as they are after so many edits.
+struct LevelsUpdate {
+  std::uint64_t edits = 0;
+  std::vector<Levels::Nodes> groups;  // by index
+  // Of pages where they have changed, which ascend, by the first slot.
+  std::vector<std::pair<std::uint32_t, EntryLevels>> entries;
+};
+
+// Builds and repairs the levels of detail of a map that something else draws: in a thread of its
+// own, from a copy of the map in the processor's memory.
+class LevelBuilder {
+ public:
+  LevelBuilder();
+  ~LevelBuilder();
+
+  // What comes next of the map; returns how many edits there were so far. now: the clock of
+  // `change` in packed_slot.hpp.
+  std::uint64_t apply(std::shared_ptr<const GaussianEdit> edit, double now);
+  // What has changed since it was asked last; null where nothing has. wait: until the nodes hold
+  // all that was applied.
+  std::unique_ptr<LevelsUpdate> take(bool wait);
+  // Why there are no more; empty where nothing is wrong.
+  std::string error() const;
+  std::size_t bytes() const { return bytes_; }
+
+ private:
+  struct Waiting {
+    std::shared_ptr<const GaussianEdit> edit;
+    double now;
+    std::uint64_t number;
+  };
+
+  void run();
+  void build();
+  void handOver(const std::vector<std::uint32_t>& changed);
+
+  mutable std::mutex mutex_;  // what follows
+  std::condition_variable wake_, rests_;
+  bool stop_ = false, busy_ = false;
+  std::deque<Waiting> waiting_;
+  std::uint64_t applied_ = 0;
+  std::unique_ptr<LevelsUpdate> update_;
+  std::string error_;
+
+  // The thread's own.
+  HostSlots slots_;
+  Levels levels_;
+  std::uint64_t taken_ = 0;  // number of the last edit
+  std::atomic<std::size_t> bytes_{0};
+  std::thread thread_;
+};
+
+}  // namespace rosplat
