@@ -272,7 +272,7 @@ def test_picks_and_values_of_slots_are_in_the_map_s_frame(target: Target) -> Non
         picked = target.renderer.pick(offscreen.Camera(*pose(camera)))
     else:
         target.draw(camera)
-        picked = target.renderer.pick(View.NAME, 0, 0, camera.width, camera.height)
+        picked = target.renderer.pick(target.view.name, 0, 0, camera.width, camera.height)
         for number in range(0, len(slots), 97):
             (values,) = target.renderer.read_slots([int(slots[number])])
             position = baked.positions[number] + baked.origin

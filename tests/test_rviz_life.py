@@ -91,16 +91,23 @@ def test_nothing_stays_behind(rviz: Rviz, world: World, cycle: Callable[[Rviz], 
     world.place()
     world.map.replace(disc((1, 0, 0)))
     rviz.until(seen)
-    for _ in range(10):  # what drivers and middleware keep for the next time
+
+    def least(cycles: int) -> int:
+        """Memory; threads' heaps give back now and then what they are done with. [bytes]"""
+        memory = []
+        for _ in range(cycles):
+            cycle(rviz)
+            memory.append(resident(rviz.process.pid))
+        rviz.until_status("Map", "Order", "Ok")
+        return min(memory)
+
+    memory = least(10)  # with what drivers and middleware keep for the next time
+    before = counters()
+    for _ in range(CYCLES - 10):
         cycle(rviz)
-    rviz.until_status("Map", "Order", "Ok")
-    before, memory = counters(), resident(rviz.process.pid)
-    for _ in range(CYCLES):
-        cycle(rviz)
-    rviz.until_status("Map", "Order", "Ok")
-    assert counters() == before
     # A page of slots alone is 4 MiB.
-    assert resident(rviz.process.pid) - memory < CYCLES * MEBIBYTE
+    assert least(10) - memory < CYCLES * MEBIBYTE
+    assert counters() == before
 
 
 def test_rviz_ends_well_while_a_map_is_drawn(rviz: Rviz, world: World) -> None:

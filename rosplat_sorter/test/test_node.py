@@ -267,7 +267,7 @@ def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypat
         {"positions": [0.0]},
         {"sh_degree": 200, "sh": []},
         {"operation": 99},
-        {"encoding": 99},
+        {"format": "zip"},
         {"slots": [2**32 - 1] * 3},
         {"first_slot": 2**32 - 1},
         {"revision": 0},

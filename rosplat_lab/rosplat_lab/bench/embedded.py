@@ -54,22 +54,22 @@ class View:
 
     def __init__(self, renderer: Renderer, name: str = "bench") -> None:
         self._renderer = renderer
-        self._name = name
+        self.name = name
         self._sequence = 0
 
     def look(self, camera: Camera) -> int:
         """Poses the view's camera; returns its number."""
         self._sequence += 1
-        self._renderer.set_camera(self._name, self._sequence, *pose(camera))
+        self._renderer.set_camera(self.name, self._sequence, *pose(camera))
         return self._sequence
 
     def give(self, number: int, revision: int, slots: NDArray[np.uint32]) -> None:
         """Gives the renderer a sorter's order for a camera of this view and a map's revision."""
-        self._renderer.set_order(self._name, number, MAP, revision, "bench", 0.0, slots)
+        self._renderer.set_order(self.name, number, MAP, revision, "bench", 0.0, slots)
 
     def draw(self, sort_now: bool = False) -> dict[str, Any]:
         """Draws, sorted in this call if sort_now; returns what the renderer reports."""
-        report: dict[str, Any] = self._renderer.draw(self._name, sort_now=sort_now)
+        report: dict[str, Any] = self._renderer.draw(self.name, sort_now=sort_now)
         return report
 
 

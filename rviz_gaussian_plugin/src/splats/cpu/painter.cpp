@@ -262,6 +262,10 @@ void Painter::chooseDetail(PictureRequest& request, const std::string& view_id,
   try {
     const bool whole =
         advanceLevels([&] { return cancelled_ || (settings.asynchronous && now() > until); });
+    if (levels_.nodes() == 0) {  // all is drawn until they stand
+      painting.settled = whole || in_time;
+      return;
+    }
     request.levels = &levels_;
     request.error = control.choose(settings.detail, !settings.asynchronous, levels_.groups(),
                                    request.camera, slots_.index().groups(), settings.clip_box);
