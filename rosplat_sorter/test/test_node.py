@@ -283,7 +283,7 @@ def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypat
         ({"near_clip": inf}, "near_clip"),
         ({"frame_id": "elsewhere"}, "elsewhere"),
         ({"projection": 9}, "projection"),
-        ({"view_id": "", "cx": 1e308}, "offset_x"),
+        ({"view_id": "", "cx": 1e308}, "cx"),
     ):
         warnings.clear()
         peer.look(make_look(**wrong))  # the next would take its place before it has arrived

@@ -2,7 +2,6 @@
 
 #include <OgreCamera.h>
 #include <OgreHardwarePixelBuffer.h>
-#include <OgreLogManager.h>
 #include <OgreManualObject.h>
 #include <OgreMaterialManager.h>
 #include <OgreRenderTexture.h>
@@ -25,9 +24,9 @@ namespace {
 constexpr const char* kResourceGroup = "rosplat";
 }  // namespace
 
-OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string& plugins) {
-  auto* log = new Ogre::LogManager();  // the root takes it over
-  log->createLog("", true, false, true)->setLogDetail(Ogre::LL_LOW);
+OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string& plugins)
+    : log_(std::make_unique<Ogre::LogManager>()) {
+  log_->createLog("", true, false, true)->setLogDetail(Ogre::LL_LOW);
   try {
     root_ = std::make_unique<Ogre::Root>("", "", "");
     root_->loadPlugin(plugins + "/RenderSystem_GL");

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <OgreLogManager.h>
 #include <OgreRoot.h>
 #include <OgreTexture.h>
 
@@ -58,6 +59,7 @@ class OffscreenRenderer {
   void paintBackground();
   void update();
 
+  std::unique_ptr<Ogre::LogManager> log_;
   std::unique_ptr<Ogre::Root> root_;
   Ogre::SceneManager* manager_ = nullptr;
   Ogre::Camera* camera_ = nullptr;
