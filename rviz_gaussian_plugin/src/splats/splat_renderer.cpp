@@ -48,26 +48,26 @@ void SplatRenderer::apply(const std::shared_ptr<const GaussianEdit>& edit) {
   gl::deleteAbandoned();
 }
 
-std::string SplatRenderer::advanceLevels(bool all) {
-  if (levels_error_.empty()) {
-    try {
-      if (!levels_) levels_.emplace();
-      levels_->advance(store_, clock(), all);
-      levels_error_ = levels_->error();
-    } catch (const gl::Error& error) {
-      levels_error_ = error.what();
-    } catch (const std::bad_alloc&) {
-      levels_error_ = "there is no memory for levels of detail";
-    }
+void SplatRenderer::advanceLevels(bool all) {
+  if (!levels_error_.empty()) return;
+  try {
+    if (!levels_) levels_.emplace();
+    levels_->advance(store_, clock(), all);
+    levels_error_ = levels_->error();
+  } catch (const gl::Error& error) {
+    levels_error_ = error.what();
+  } catch (const std::bad_alloc&) {
+    levels_error_ = "there is no memory for levels of detail";
   }
-  const std::string error = levels_error_;
-  if (!error.empty()) dropLevels();
-  levels_error_ = error;
-  return error;
+  if (!levels_error_.empty()) endLevels();
 }
 
 void SplatRenderer::dropLevels() {
   levels_error_.clear();
+  endLevels();
+}
+
+void SplatRenderer::endLevels() {
   if (!levels_) return;
   levels_.reset();
   store_.dropLevels();

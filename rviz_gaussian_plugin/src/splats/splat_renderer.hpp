@@ -52,10 +52,13 @@ class SplatRenderer {
   // What writes the map elsewhere: where its groups are, then a page of it at a time.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
 
-  // Has levels of detail made of the map, some of them or, if that is waited for, all; why there
-  // are none, and empty where there are. They stay until they are dropped.
-  std::string advanceLevels(bool all);
+  // Has levels of detail made of the map, some of them or, if that is waited for, all. They stay
+  // until they are dropped, and want to be advanced as long as there are edits.
+  void advanceLevels(bool all);
   void dropLevels();
+  bool hasLevels() const { return levels_.has_value(); }
+  // Why there are none although they were to be made.
+  const std::string& levelsError() const { return levels_error_; }
   // Those that are drawn by now.
   const std::vector<Levels::Nodes>& levels() const { return levels_->nodes().pages(); }
   std::size_t levelsBytes() const { return levels_ ? levels_->bytes() : 0; }
@@ -134,6 +137,7 @@ class SplatRenderer {
     bool timed_in_time = false;
   };
 
+  void endLevels();
   // What is kept of a view; where that were too much, another's, drawn longest ago, becomes its.
   View& view(const std::string& view_id);
   Frame frame(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,

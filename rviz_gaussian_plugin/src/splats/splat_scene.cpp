@@ -186,6 +186,7 @@ void SplatScene::takeArrivals(std::size_t budget) {
     drawn_map_ = std::move(arrival.state);
     book(drawn_map_);
   }
+  if (renderer_->hasLevels()) renderer_->advanceLevels(false);  // even if none is drawn now
   takeOrders();
 }
 
@@ -344,7 +345,8 @@ Cutting SplatScene::cut(const std::string& view_id, const RenderSettings& settin
   cutting.in_time = detail.kind == Detail::Kind::kTime;
   // A frame time is for what moves; and may have room for all.
   if (!control.needsLevels(detail) || (cutting.in_time && (at_once || rests))) return {};
-  report.detail_error = renderer_->advanceLevels(at_once);
+  if (at_once || !renderer_->hasLevels()) renderer_->advanceLevels(at_once);
+  report.detail_error = renderer_->levelsError();
   if (!report.detail_error.empty()) return {};
   cutting.error = control.choose(detail, at_once, renderer_->levels(), camera,
                                  renderer_->pages().groups(), settings.clip_box);
