@@ -12,6 +12,8 @@ from rosplat_lab.bench import embedded, live, scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_sorter.edits import MOVE
+from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin.offscreen import Renderer
 
@@ -19,8 +21,6 @@ SIZES, QUICK_SIZES = (5_000_000,), (20_000,)
 PICTURE, QUICK_PICTURE = (1920, 1080), (320, 180)
 SUBMAPS = 50
 DRIFT, TURN = 0.02, 0.01  # that a closure takes back, of each submap's pose [m], [rad]
-BLOCK = 1024  # slots that are of one group
-MOVE = 3
 
 
 def measure(plan: Plan) -> Iterator[Event]:
@@ -95,7 +95,7 @@ def _insert(renderer: Renderer, splats: Splats) -> int:
             splats.opacities[part], splats.sh[part].ravel(), embedded.MAP, revision, len(splats),
             group=group,
         )  # fmt: skip
-        first += -(-(part.stop - part.start) // BLOCK) * BLOCK
+        first += -(-(part.stop - part.start) // SLOTS_PER_PAGE) * SLOTS_PER_PAGE
     return revision
 
 

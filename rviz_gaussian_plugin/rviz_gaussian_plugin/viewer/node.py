@@ -19,11 +19,10 @@ from sensor_msgs.msg import Image
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
-from rosplat_sorter.edits import arrays_of, pose_values
+from rosplat_sorter.edits import arrays_of, poses_of
 from rosplat_sorter.log_text import shown
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
-from rosplat_sorter.view import frame_at
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.splats import SceneError
 from rviz_gaussian_plugin.from_messages import apply, array, numbers
@@ -174,8 +173,8 @@ class Viewer(Node):
             self._sample = Sample()
         origin = np.array([message.origin.x, message.origin.y, message.origin.z])
         self._sample.add(arrays_of(message).positions, origin, message.group)
-        for group, pose in zip(message.groups, message.poses, strict=True):
-            self._sample.place(group, frame_at(*pose_values(pose)))
+        for group, frame in poses_of(message).items():
+            self._sample.place(group, frame)
         self.frame_id = message.header.frame_id
         self.last_batch = time.monotonic()
 
