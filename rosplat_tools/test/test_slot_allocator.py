@@ -1,4 +1,4 @@
-"""Slots by blocks: each given once, the lowest first, holes before new ones."""
+"""Slots by strips: each given once, the lowest first, holes before new ones."""
 
 import numpy as np
 import pytest
@@ -69,5 +69,5 @@ def test_nothing_takes_nothing() -> None:
 
 
 @pytest.mark.parametrize(("count", "slots"), [(0, 0), (1, 128), (128, 128), (129, 256)])
-def test_slots_are_given_by_blocks(count: int, slots: int) -> None:
+def test_slots_are_given_by_strips(count: int, slots: int) -> None:
     assert slots_for(count) == slots

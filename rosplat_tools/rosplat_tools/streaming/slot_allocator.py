@@ -1,4 +1,4 @@
-"""Slots of a map, given out by blocks and taken back. Knows no ROS."""
+"""Slots of a map, given out by strips and taken back. Knows no ROS."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from rosplat_sorter.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE
 
-SLOTS_PER_BLOCK = 128  # what is left of a block is lost until it is given back
-BLOCKS_PER_PAGE = SLOTS_PER_PAGE // SLOTS_PER_BLOCK
+SLOTS_PER_STRIP = 128  # what is left of a strip is lost until it is given back
+STRIPS_PER_PAGE = SLOTS_PER_PAGE // SLOTS_PER_STRIP
 
 Number = TypeVar("Number", int, NDArray[np.int64])
 
 
 def slots_for(count: Number) -> Number:
-    """How many slots so many splats take: whole blocks."""
-    return -(-count // SLOTS_PER_BLOCK) * SLOTS_PER_BLOCK
+    """How many slots so many splats take: whole strips."""
+    return -(-count // SLOTS_PER_STRIP) * SLOTS_PER_STRIP
 
 
 class SlotAllocator:
-    """Gives out whole pages, and blocks of pages that are shared for what is less than a page.
+    """Gives out whole pages, and strips of pages that are shared for what is less than a page.
 
     So pages hold neighbours, and few slots are lost to small sets of splats. The lowest that are
     free come first: holes are used before the map grows.
@@ -32,42 +32,42 @@ class SlotAllocator:
         self._pages = pages
         self._touched = 0  # pages below this have been given out once
         self._free_pages: list[int] = []  # a heap, as is the next
-        self._free_blocks: list[int] = []  # of shared pages
+        self._free_strips: list[int] = []  # of shared pages
         self._slots = 0
 
     @property
     def slots(self) -> int:
-        """How many slots are given out, with what is left of their blocks."""
+        """How many slots are given out, with what is left of their strips."""
         return self._slots
 
     def take(self, count: int) -> NDArray[np.uint32]:
-        """(count,) slots in blocks of their own. Raises MemoryError; takes none then."""
-        pages, rest = divmod(slots_for(count) // SLOTS_PER_BLOCK, BLOCKS_PER_PAGE)
-        shared = rest > len(self._free_blocks)  # one page more is, from now on
+        """(count,) slots in strips of their own. Raises MemoryError; takes none then."""
+        pages, rest = divmod(slots_for(count) // SLOTS_PER_STRIP, STRIPS_PER_PAGE)
+        shared = rest > len(self._free_strips)  # one page more is, from now on
         if pages + shared > self._pages - self._touched + len(self._free_pages):
             raise MemoryError(f"{count:,} slots: the map has no room for them")
-        firsts = [BLOCKS_PER_PAGE * self._page() for _ in range(pages)]
-        blocks = [first + block for first in firsts for block in range(BLOCKS_PER_PAGE)]
+        firsts = [STRIPS_PER_PAGE * self._page() for _ in range(pages)]
+        strips = [first + strip for first in firsts for strip in range(STRIPS_PER_PAGE)]
         if shared:
-            first = BLOCKS_PER_PAGE * self._page()
-            self._free_blocks += range(first, first + BLOCKS_PER_PAGE)
-            heapq.heapify(self._free_blocks)
-        blocks += [heapq.heappop(self._free_blocks) for _ in range(rest)]
-        self._slots += SLOTS_PER_BLOCK * len(blocks)
-        starts = np.array(blocks, np.uint32)[:, None] * SLOTS_PER_BLOCK
-        slots = starts + np.arange(SLOTS_PER_BLOCK, dtype=np.uint32)
+            first = STRIPS_PER_PAGE * self._page()
+            self._free_strips += range(first, first + STRIPS_PER_PAGE)
+            heapq.heapify(self._free_strips)
+        strips += [heapq.heappop(self._free_strips) for _ in range(rest)]
+        self._slots += SLOTS_PER_STRIP * len(strips)
+        starts = np.array(strips, np.uint32)[:, None] * SLOTS_PER_STRIP
+        slots = starts + np.arange(SLOTS_PER_STRIP, dtype=np.uint32)
         return slots.astype(np.uint32).ravel()[:count]
 
     def give_back(self, slots: NDArray[np.uint32]) -> None:
-        """Frees the blocks of slots, all of those that were taken together."""
-        blocks = np.unique(slots // SLOTS_PER_BLOCK)
-        self._slots -= SLOTS_PER_BLOCK * len(blocks)
-        pages, counts = np.unique(blocks // BLOCKS_PER_PAGE, return_counts=True)
-        whole = pages[counts == BLOCKS_PER_PAGE]
+        """Frees the strips of slots, all of those that were taken together."""
+        strips = np.unique(slots // SLOTS_PER_STRIP)
+        self._slots -= SLOTS_PER_STRIP * len(strips)
+        pages, counts = np.unique(strips // STRIPS_PER_PAGE, return_counts=True)
+        whole = pages[counts == STRIPS_PER_PAGE]
         for page in whole.tolist():
             heapq.heappush(self._free_pages, page)
-        for block in blocks[~np.isin(blocks // BLOCKS_PER_PAGE, whole)].tolist():
-            heapq.heappush(self._free_blocks, block)
+        for strip in strips[~np.isin(strips // STRIPS_PER_PAGE, whole)].tolist():
+            heapq.heappush(self._free_strips, strip)
 
     def _page(self) -> int:
         if self._free_pages:

@@ -37,7 +37,7 @@ class StreamPublisher(Node):
         path = declare(self, "path", "", "Streamed SOG to publish: a lod-meta.json.")
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
         most = declare(
-            self, "max_splats", 2_000_000, "The most that the map holds, in pages of 1024 slots.",
+            self, "max_splats", 2_000_000, "The most that the map holds, in strips of 128 slots.",
             1, GaussianArray.MAX_SLOTS,
         )  # fmt: skip
         most_bytes = declare(
