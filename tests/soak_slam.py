@@ -10,36 +10,65 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from std_msgs.msg import Header
 
-from rosplat_tools.emulation.mapping import Edit, edits
+from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.view import frame_at
+from rosplat_tools.emulation.mapping import Edit, Move, edits
 from rosplat_tools.generate import generate
 from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.messages import apply, encode, encode_deletion, encode_move
+from rosplat_tools.poses import to_pose
 from rosplat_tools.program.running import run, spinning, wait_for_end
 from rosplat_tools.slot_map import SlotMap
 
 RATE = 10.0  # messages a second
 BATCH = 1000  # splats of a message
-CLOSURE = 20 * BATCH  # splats that a loop closure moves
-PRUNINGS = 15  # and mapping again what was pruned, from one to the next
-SHIFT = 0.02  # by which it does [m]
+MOST_SUBMAPS = 50
+PRUNINGS = 15  # and mapping again what was pruned, from one loop closure to the next
+SHIFT = 0.02  # by which it moves a submap [m], and turns it [rad]
 
 
-def steps(size: int) -> Iterator[Edit]:
+def steps(size: int) -> Iterator[Edit | Move]:
     """Every edit there will ever be, one a message."""
     scene = generate(size, seed=0, sh_degree=0)
-    yield from edits(scene, batch_size=BATCH, refine_fraction=0.1, prune_fraction=0.02, seed=0)
+    submaps = min(MOST_SUBMAPS, max(2, size // (20 * BATCH)))
+    grown = SlotMap()
+    for step in edits(
+        scene, batch_size=BATCH, refine_fraction=0.1, prune_fraction=0.02, seed=0, submaps=submaps
+    ):
+        apply(as_message(step), grown)
+        yield step
+    groups = grown.groups()
+    del scene, grown
     rng = np.random.default_rng(0)
     while True:
-        first = int(rng.integers(max(1, size - CLOSURE)))
-        moved = range(first, min(first + CLOSURE, size))
-        scene.positions[moved.start : moved.stop] += rng.normal(0, SHIFT, 3).astype(np.float32)
-        yield Edit(moved, scene[moved.start : moved.stop])
+        moved = rng.permutation(submaps)[: submaps // 2].tolist()
+        yield Move({group: _somewhere_near(rng) for group in moved})
         for _ in range(PRUNINGS):
-            pruned = np.sort(rng.choice(size, min(BATCH, size), replace=False))
-            yield Edit(pruned, None)
-            yield Edit(pruned, scene[pruned])
+            part = groups[rng.integers(submaps)]
+            pruned = np.sort(rng.permutation(len(part.slots))[:BATCH])
+            slots = np.asarray(part.slots)[pruned]
+            yield Edit(slots, None, part.group)
+            yield Edit(slots, part.splats[pruned], part.group)
+
+
+def _somewhere_near(rng: np.random.Generator) -> NDArray[np.float64]:
+    return frame_at(rng.normal(0, SHIFT, 3), (*rng.normal(0, SHIFT / 2, 3), 1.0))
+
+
+def as_message(step: Edit | Move, revision: int = 1) -> GaussianArray:
+    """What tells of a step."""
+    of = {"header": Header(), "map_id": "steps", "revision": revision}
+    if isinstance(step, Move):
+        return encode_move({group: to_pose(pose) for group, pose in step.poses.items()}, **of)
+    if step.splats is None:
+        return encode_deletion(step.slots, **of)
+    of |= {"operation": GaussianArray.UPSERT, "group": step.group}
+    return encode(step.splats, step.slots, **of)
 
 
 class Slam(Node):
@@ -49,42 +78,35 @@ class Slam(Node):
         super().__init__("slam")
         self._steps = steps(size)
         self._map = MapPublisher(self)
+        self._map.expect(size)
         self._trace = trace.open("a", buffering=1)
         self._step = 0
         done = last_step(trace)
         if done:  # as a back end that was killed goes on from its checkpoint
             held = SlotMap()
             for _ in range(done):
-                apply(held, next(self._steps))
-            slots, splats = held.snapshot()
-            self._map.replace(splats[:0], expected_slots=size)
-            self._map.upsert(slots, splats)
+                apply(as_message(next(self._steps)), held)
+            self._map.move(held.poses)
+            for part in held.groups():
+                self._map.upsert(part.slots, part.splats, group=part.group)
             self._step = done
-        else:
-            self._map.replace(generate(1, sh_degree=0)[:0], expected_slots=size)
         self._tell()
         # Simulated time may jump.
         self.create_timer(1 / RATE, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _tick(self) -> None:
-        edit = next(self._steps)
-        if edit.splats is None:
-            self._map.delete(edit.slots)
+        step = next(self._steps)
+        if isinstance(step, Move):
+            self._map.move(step.poses)
+        elif step.splats is None:
+            self._map.delete(step.slots)
         else:
-            self._map.upsert(edit.slots, edit.splats)
+            self._map.upsert(step.slots, step.splats, group=step.group)
         self._step += 1
         self._tell()
 
     def _tell(self) -> None:
         self._trace.write(f"{self._map.map_id} {self._map.revision} {self._step}\n")
-
-
-def apply(held: SlotMap, edit: Edit) -> None:
-    """Does an edit to a map."""
-    if edit.splats is None:
-        held.clear(edit.slots)
-    else:
-        held.write(edit.slots, edit.splats)
 
 
 def last_step(trace: Path) -> int:
