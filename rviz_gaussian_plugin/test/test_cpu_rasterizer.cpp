@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <cstring>
 #include <fstream>
 #include <random>
 #include <string>
@@ -83,18 +84,28 @@ Scene cloud() {
   return scene;
 }
 
-PictureRequest request(int width = 150, int height = 110) {
-  PictureRequest request;
-  request.camera.fx = request.camera.fy = width;
-  request.camera.cx = width / 2.0;
-  request.camera.cy = height / 2.0;
-  request.camera.width = width;
-  request.camera.height = height;
+// Of these maps.
+template <typename... Scenes>
+PictureRequest request(int width, int height, const Scenes&... scenes) {
+  SplatCamera camera;
+  camera.fx = camera.fy = width;
+  camera.cx = width / 2.0;
+  camera.cy = height / 2.0;
+  camera.width = width;
+  camera.height = height;
   // ndc.z of a frustum from 1 m to 11 m
-  request.camera.ndc_scale = 1.2;
-  request.camera.ndc_offset = -2.2;
+  camera.ndc_scale = 1.2;
+  camera.ndc_offset = -2.2;
+  PictureRequest request;
+  for (const Scene* scene : {&scenes...}) {
+    PictureLayer& layer = request.layers.emplace_back();
+    layer.slots = &scene->slots;
+    layer.map = &scene->map.state();
+    layer.camera = camera;
+  }
   return request;
 }
+PictureRequest request(const Scene& scene) { return request(150, 110, scene); }
 
 float windowDepth(float z) { return 0.5f * (1.2f * z - 2.2f) / z + 0.5f; }
 
@@ -119,9 +130,9 @@ class AddressLimit {
   rlimit before_;
 };
 
-SplatPicture draw(CpuRasterizer&& with, const Scene& scene, const PictureRequest& request) {
+SplatPicture draw(CpuRasterizer&& with, const PictureRequest& request) {
   SplatPicture picture;
-  EXPECT_TRUE(with.draw(scene.slots, scene.map.state(), request, picture));
+  EXPECT_TRUE(with.draw(request, picture));
   return picture;
 }
 
@@ -129,10 +140,10 @@ SplatPicture draw(CpuRasterizer&& with, const Scene& scene, const PictureRequest
 
 TEST(CpuRasterizer, draws_nothing_of_an_empty_map) {
   const Scene scene;
-  PictureRequest wanted = request(3, 2);
+  PictureRequest wanted = request(3, 2, scene);
   wanted.mean_depth = true;
-  const SplatPicture picture = draw(rasterizer(), scene, wanted);
-  EXPECT_EQ(picture.drawn, 0u);
+  const SplatPicture picture = draw(rasterizer(), wanted);
+  EXPECT_EQ(picture.layers[0].drawn, 0u);
   EXPECT_EQ(picture.colour, std::vector<float>(24));
   ASSERT_EQ(picture.depth.size(), 6u);
   for (const float depth : picture.depth) EXPECT_TRUE(std::isnan(depth));
@@ -142,9 +153,9 @@ TEST(CpuRasterizer, draws_one_splat_on_one_pixel) {
   Scene scene;
   scene.add({0, 0, 5}, 100, 0.6f, {1, 0.5f, 0.25f});
   scene.write();
-  PictureRequest wanted = request(1, 1);
+  PictureRequest wanted = request(1, 1, scene);
   wanted.mean_depth = true;
-  const SplatPicture picture = draw(rasterizer(), scene, wanted);
+  const SplatPicture picture = draw(rasterizer(), wanted);
   ASSERT_EQ(picture.colour.size(), 4u);
   EXPECT_NEAR(picture.colour[0], 0.6f, 1e-3);
   EXPECT_NEAR(picture.colour[1], 0.3f, 1e-3);
@@ -155,28 +166,28 @@ TEST(CpuRasterizer, draws_one_splat_on_one_pixel) {
 
 TEST(CpuRasterizer, draws_the_same_to_the_bit_with_any_number_of_threads) {
   const Scene scene = cloud();
-  const SplatPicture expected = draw(rasterizer(1), scene, request());
-  EXPECT_GT(expected.drawn, 2000u);
+  const SplatPicture expected = draw(rasterizer(1), request(scene));
+  EXPECT_GT(expected.layers[0].drawn, 2000u);
   for (const unsigned threads : {2u, 3u, 7u}) {
-    const SplatPicture picture = draw(rasterizer(threads), scene, request());
+    const SplatPicture picture = draw(rasterizer(threads), request(scene));
     EXPECT_EQ(picture.colour, expected.colour) << threads << " threads";
-    EXPECT_EQ(picture.drawn, expected.drawn);
+    EXPECT_EQ(picture.layers[0].drawn, expected.layers[0].drawn);
   }
 }
 
 TEST(CpuRasterizer, draws_the_same_with_any_instructions) {
   const Scene scene = cloud();
-  const SplatPicture expected = draw(rasterizer(1, Instructions::kPlain), scene, request());
+  const SplatPicture expected = draw(rasterizer(1, Instructions::kPlain), request(scene));
   for (const auto instructions : {Instructions::kAvx2, Instructions::kAvx512}) {
     CpuRasterizer fast = rasterizer(1, instructions);
     const std::string name = fast.instructions();
-    const SplatPicture picture = draw(std::move(fast), scene, request());
+    const SplatPicture picture = draw(std::move(fast), request(scene));
     float error = 0;
     for (std::size_t i = 0; i < picture.colour.size(); ++i) {
       error = std::max(error, std::fabs(picture.colour[i] - expected.colour[i]));
     }
     EXPECT_LT(error, 0.5f / 255) << name;  // where an alpha is next to the cutoff; else far less
-    EXPECT_EQ(picture.drawn, expected.drawn) << name;
+    EXPECT_EQ(picture.layers[0].drawn, expected.layers[0].drawn) << name;
   }
 }
 
@@ -185,10 +196,10 @@ TEST(CpuRasterizer, hides_what_the_scene_hides) {
   scene.add({0, 0, 3}, 100, 0.5f, {1, 0, 0});
   scene.add({0, 0, 8}, 100, 0.5f, {0, 1, 0});
   scene.write();
-  PictureRequest wanted = request(2, 1);
+  PictureRequest wanted = request(2, 1, scene);
   const std::vector<float> scene_depth = {windowDepth(5), 1};
   wanted.scene_depth = {scene_depth.data(), scene_depth.size()};
-  const SplatPicture picture = draw(rasterizer(), scene, wanted);
+  const SplatPicture picture = draw(rasterizer(), wanted);
   EXPECT_NEAR(picture.colour[0], 0.5f, 1e-3);
   EXPECT_NEAR(picture.colour[1], 0, 1e-3);
   EXPECT_NEAR(picture.colour[4 + 0], 0.5f, 1e-3);
@@ -201,11 +212,11 @@ TEST(CpuRasterizer, divides_splats_at_translucent_objects) {
   scene.add({0, 0, 6}, 100, 0.5f, {0, 1, 0});
   scene.add({0, 0, 9}, 100, 0.5f, {0, 0, 1});
   scene.write();
-  PictureRequest wanted = request(2, 1);
+  PictureRequest wanted = request(2, 1, scene);
   const std::vector<float> opaque = {windowDepth(8), 1}, veil = {windowDepth(5), 1};
   wanted.scene_depth = {opaque.data(), opaque.size()};
   wanted.translucent_depth = {veil.data(), veil.size()};
-  const SplatPicture picture = draw(rasterizer(), scene, wanted);
+  const SplatPicture picture = draw(rasterizer(), wanted);
   const auto expectColour = [](const float* rgba, std::array<float, 4> expected) {
     for (std::size_t i = 0; i < 4; ++i) EXPECT_NEAR(rgba[i], expected[i], 1e-3) << i;
   };
@@ -223,11 +234,11 @@ TEST(CpuRasterizer, draws_a_given_order_and_nothing_else) {
   scene.add({0, 0, 6}, 100, 0.5f, {0, 1, 0});
   scene.add({0, 0, 9}, 100, 0.5f, {0, 0, 1});
   scene.write(1000);
-  PictureRequest wanted = request(1, 1);
+  PictureRequest wanted = request(1, 1, scene);
   const std::vector<std::uint32_t> order = {1000, 1002, 77};  // the farthest one last
   wanted.order = {order.data(), order.size()};
-  const SplatPicture picture = draw(rasterizer(), scene, wanted);
-  EXPECT_EQ(picture.drawn, 2u);
+  const SplatPicture picture = draw(rasterizer(), wanted);
+  EXPECT_EQ(picture.layers[0].drawn, 2u);
   EXPECT_NEAR(picture.colour[2], 0.5f, 1e-3);
   EXPECT_NEAR(picture.colour[0], 0.25f, 1e-3);
   EXPECT_NEAR(picture.colour[1], 0, 1e-3);
@@ -240,28 +251,102 @@ TEST(CpuRasterizer, picks_what_contributes_most) {
   scene.add({0, 0, 12}, 100, 0.9f, {0, 0, 1});
   scene.write(2000);
   CpuRasterizer with = rasterizer();
-  PictureRequest wanted = request(2, 1);
-  EXPECT_EQ(with.pick(scene.slots, scene.map.state(), wanted),
-            (std::vector<std::uint32_t>{2000, 2000}));
+  PictureRequest wanted = request(2, 1, scene);
+  EXPECT_EQ(with.pick(wanted), (std::vector<PickedSplat>{{0, 2000}, {0, 2000}}));
   const std::vector<float> scene_depth = {windowDepth(5), windowDepth(2)};
   wanted.scene_depth = {scene_depth.data(), scene_depth.size()};
-  EXPECT_EQ(with.pick(scene.slots, scene.map.state(), wanted),
-            (std::vector<std::uint32_t>{2001, kNoSlot}));
+  EXPECT_EQ(with.pick(wanted), (std::vector<PickedSplat>{{0, 2001}, {0, kNoSlot}}));
+}
+
+// Two maps that reach through each other, and the map of all their splats, those of the second in
+// pages of their own.
+struct Union {
+  Union() {
+    std::mt19937 random(3);
+    std::normal_distribution<float> place(0, 0.8f);
+    std::uniform_real_distribution<float> unit(0, 1);
+    for (Scene* scene : {&first, &second}) {
+      for (int i = 0; i < 2000; ++i) {
+        const std::array<float, 3> position{place(random), place(random), 5 + place(random)};
+        const std::array<float, 3> colour{unit(random), unit(random), unit(random)};
+        const float size = 0.003f * std::exp(5 * unit(random)), opacity = unit(random);
+        scene->add(position, size, opacity, colour);
+        both.add(position, size, opacity, colour);
+      }
+      scene->write();
+      both.write(scene == &first ? 0 : kSecond);
+    }
+  }
+
+  static constexpr std::uint32_t kSecond = 2048;
+  Scene first, second, both;
+};
+
+TEST(CpuRasterizer, draws_maps_in_one_order) {
+  const Union maps;
+  PictureRequest wanted = request(150, 110, maps.first, maps.second);
+  wanted.mean_depth = true;
+  const SplatPicture picture = draw(rasterizer(2), wanted);
+  wanted.layers = request(maps.both).layers;
+  const SplatPicture expected = draw(rasterizer(1), wanted);
+  EXPECT_EQ(picture.colour, expected.colour);
+  EXPECT_EQ(0, std::memcmp(picture.depth.data(), expected.depth.data(),
+                           expected.depth.size() * sizeof(float)));  // NaN as well
+  ASSERT_EQ(picture.layers.size(), 2u);
+  EXPECT_GT(picture.layers[0].drawn, 1000u);
+  EXPECT_GT(picture.layers[1].drawn, 1000u);
+  EXPECT_EQ(picture.layers[0].drawn + picture.layers[1].drawn, expected.layers[0].drawn);
+
+  const std::vector<PickedSplat> picked =
+      rasterizer().pick(request(150, 110, maps.first, maps.second));
+  std::vector<PickedSplat> in_both = rasterizer().pick(request(maps.both));
+  for (PickedSplat& splat : in_both) {
+    if (splat.slot != kNoSlot && splat.slot >= Union::kSecond)
+      splat = {1, splat.slot - Union::kSecond};
+  }
+  EXPECT_EQ(picked, in_both);
+}
+
+// By the clip boxes that part a map, each part in a mode of its own, where no splat is in both.
+TEST(CpuRasterizer, draws_each_map_by_its_own_settings) {
+  Scene scene;
+  scene.add({-1, 0, 4}, 0.1f, 0.4f, {1, 0, 0});
+  scene.add({1, 0, 6}, 0.15f, 0.4f, {0, 1, 0});
+  scene.write();
+  const auto alone = [&](float x, DrawMode mode, float opacity) {
+    PictureLayer layer = request(scene).layers.front();
+    layer.settings.mode = mode;
+    layer.settings.opacity = opacity;
+    layer.settings.clip_box = {true, {x, 0, 5}, {1, 1, 4}};
+    return layer;
+  };
+  PictureRequest wanted;
+  for (const DrawMode mode : {DrawMode::kFlatBall, DrawMode::kGaussianBall, DrawMode::kDepth}) {
+    wanted.layers = {alone(-1, mode, 1)};
+    const SplatPicture left = draw(rasterizer(), wanted);
+    wanted.layers = {alone(1, DrawMode::kColor, 0.5f)};
+    const SplatPicture right = draw(rasterizer(), wanted);
+    wanted.layers = {alone(-1, mode, 1), alone(1, DrawMode::kColor, 0.5f)};
+    const SplatPicture picture = draw(rasterizer(), wanted);
+    for (std::size_t i = 0; i < picture.colour.size(); ++i) {
+      ASSERT_EQ(picture.colour[i], left.colour[i] + right.colour[i]) << "mode " << int(mode);
+    }
+  }
 }
 
 TEST(CpuRasterizer, gives_up_when_it_is_told_to) {
   const Scene scene = cloud();
-  PictureRequest wanted = request();
+  PictureRequest wanted = request(scene);
   std::atomic<bool> cancelled{true};
   wanted.cancelled = &cancelled;
   CpuRasterizer with = rasterizer();
   SplatPicture picture;
-  EXPECT_FALSE(with.draw(scene.slots, scene.map.state(), wanted, picture));
-  EXPECT_TRUE(with.pick(scene.slots, scene.map.state(), wanted).empty());
+  EXPECT_FALSE(with.draw(wanted, picture));
+  EXPECT_TRUE(with.pick(wanted).empty());
   Contributions contributions;
-  EXPECT_FALSE(with.contribute(scene.slots, scene.map.state(), wanted, picture, contributions));
+  EXPECT_FALSE(with.contribute(wanted, picture, contributions));
   cancelled = false;
-  EXPECT_TRUE(with.draw(scene.slots, scene.map.state(), wanted, picture));
+  EXPECT_TRUE(with.draw(wanted, picture));
 }
 
 TEST(CpuRasterizer, says_so_where_there_is_no_memory) {
@@ -270,27 +355,27 @@ TEST(CpuRasterizer, says_so_where_there_is_no_memory) {
   SplatPicture picture;
   const AddressLimit limit(std::size_t{512} << 20);
   try {
-    with.draw(scene.slots, scene.map.state(), request(8192, 8192), picture);
+    with.draw(request(8192, 8192, scene), picture);
     FAIL();
   } catch (const PictureError& error) {
     EXPECT_STREQ(error.what(), "there is no memory for a picture of 8192 x 8192 pixels");
   }
-  EXPECT_TRUE(with.draw(scene.slots, scene.map.state(), request(), picture));
+  EXPECT_TRUE(with.draw(request(scene), picture));
 }
 
 TEST(CpuRasterizer, refuses_pictures_that_are_none) {
   const Scene scene = cloud();
   for (const int width : {0, 40000}) {
     SplatPicture picture;
-    PictureRequest wanted = request();
-    wanted.camera.width = width;
-    EXPECT_THROW(rasterizer().draw(scene.slots, scene.map.state(), wanted, picture), PictureError);
+    PictureRequest wanted = request(scene);
+    wanted.layers[0].camera.width = width;
+    EXPECT_THROW(rasterizer().draw(wanted, picture), PictureError);
   }
-  PictureRequest wanted = request();
+  PictureRequest wanted = request(scene);
   const float depth = 1;
   wanted.scene_depth = {&depth, 1};
   SplatPicture picture;
-  EXPECT_THROW(rasterizer().draw(scene.slots, scene.map.state(), wanted, picture), PictureError);
+  EXPECT_THROW(rasterizer().draw(wanted, picture), PictureError);
 }
 
 TEST(CpuRasterizer, draws_8192_pixels_in_width_and_height) {
@@ -298,7 +383,7 @@ TEST(CpuRasterizer, draws_8192_pixels_in_width_and_height) {
   scene.add({0, 0, 5}, 0.001f, 1, {1, 1, 1});
   scene.add({2.49f, 2.49f, 5}, 0.001f, 1, {1, 1, 1});
   scene.write();
-  const SplatPicture picture = draw(rasterizer(2), scene, request(8192, 8192));
+  const SplatPicture picture = draw(rasterizer(2), request(8192, 8192, scene));
   const auto alpha = [&](std::size_t x, std::size_t y) {
     return picture.colour[4 * (8192 * y + x) + 3];
   };
@@ -318,15 +403,15 @@ TEST(CpuRasterizer, draws_slices_of_depth_as_it_draws_all_at_once) {
               {unit(random), unit(random), unit(random)});
   }
   scene.write();
-  PictureRequest wanted = request(320, 320);
+  PictureRequest wanted = request(320, 320, scene);
   wanted.mean_depth = true;
-  const SplatPicture whole = draw(rasterizer(2), scene, wanted);
-  EXPECT_LT(whole.drawn, 900000u);  // what is behind isn't looked at
-  const SplatPicture again = draw(rasterizer(1), scene, wanted);
+  const SplatPicture whole = draw(rasterizer(2), wanted);
+  EXPECT_LT(whole.layers[0].drawn, 900000u);  // what is behind isn't looked at
+  const SplatPicture again = draw(rasterizer(1), wanted);
   EXPECT_EQ(whole.colour, again.colour);
   EXPECT_EQ(whole.depth, again.depth);
-  wanted.camera = crop(wanted.camera, 64, 128, 96, 48);
-  const SplatPicture part = draw(rasterizer(2), scene, wanted);
+  wanted.layers[0].camera = crop(wanted.layers[0].camera, 64, 128, 96, 48);
+  const SplatPicture part = draw(rasterizer(2), wanted);
   int apart = 0;  // pixels where a splat's contour ends within a hair of the centre
   for (std::size_t y = 0; y < 48; ++y) {
     for (std::size_t x = 0; x < 96; ++x) {
@@ -351,7 +436,7 @@ TEST(CpuRasterizer, draws_more_pairs_of_splat_and_tile_than_there_is_room_for) {
   scene.write();
   CpuRasterizer with = rasterizer(2);
   SplatPicture picture;
-  ASSERT_TRUE(with.draw(scene.slots, scene.map.state(), request(4096, 4096), picture));
+  ASSERT_TRUE(with.draw(request(4096, 4096, scene), picture));
   EXPECT_LT(with.bytes(), std::size_t{1} << 30);
   const float expected = 1 - std::pow(1 - 0.02f, 300.0f);
   for (std::size_t i = 3; i < picture.colour.size(); i += 4 * 4097) {

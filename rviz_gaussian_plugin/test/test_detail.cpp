@@ -38,28 +38,32 @@ struct Plain {
     BatchReport report;
     slots.apply(*map.apply(batch, report), 0);
     levels.advance(slots, [] { return false; });
-    request.camera.fx = request.camera.fy = 300;
-    request.camera.cx = 160;
-    request.camera.cy = 120;
-    request.camera.width = 320;
-    request.camera.height = 240;
-    request.levels = &levels;
+    PictureLayer& layer = request.layers.emplace_back();
+    layer.slots = &slots;
+    layer.map = &map.state();
+    layer.camera.fx = layer.camera.fy = 300;
+    layer.camera.cx = 160;
+    layer.camera.cy = 120;
+    layer.camera.width = 320;
+    layer.camera.height = 240;
+    layer.levels = &levels;
   }
 
   SplatPicture draw(double error, std::size_t most_splats) {
-    request.error = error;
-    request.most_splats = most_splats;
+    request.layers[0].error = error;
+    request.layers[0].most_splats = most_splats;
     CpuRasterizer rasterizer(std::make_shared<ThreadTeam>(2));
     SplatPicture picture;
-    EXPECT_TRUE(rasterizer.draw(slots, map.state(), request, picture));
+    EXPECT_TRUE(rasterizer.draw(request, picture));
     return picture;
   }
   double errorFor(double splats) const {
-    return errorForSplats(levels.groups(), request.camera, slots.index().groups(), {}, splats);
+    return errorForSplats(levels.groups(), request.layers[0].camera, slots.index().groups(), {},
+                          splats);
   }
   double choose(DetailControl& control, const Detail& detail, bool at_once = false) const {
-    return control.choose(detail, at_once, levels.groups(), request.camera, slots.index().groups(),
-                          {});
+    return control.choose(detail, at_once, levels.groups(), request.layers[0].camera,
+                          slots.index().groups(), {});
   }
 
   GaussianMap map;
@@ -94,30 +98,30 @@ TEST(Detail, OfNothingOrOfNonsenseIsRefused) {
 
 TEST(Budget, IsKept) {
   Plain plain(60000);
-  const std::size_t all = plain.draw(0, 1000000).drawn;
+  const std::size_t all = plain.draw(0, 1000000).layers[0].drawn;
   for (const std::size_t most : {std::size_t{1000}, std::size_t{5000}, all / 2}) {
     const double error = plain.errorFor(double(most));
     EXPECT_GT(error, 0);
     const SplatPicture picture = plain.draw(error, most);
-    EXPECT_LE(picture.drawn, most);
-    EXPECT_GT(picture.drawn, most / 4);
-    EXPECT_GE(picture.error, error);
+    EXPECT_LE(picture.layers[0].drawn, most);
+    EXPECT_GT(picture.layers[0].drawn, most / 4);
+    EXPECT_GE(picture.layers[0].error, error);
   }
 }
 
 TEST(Budget, OfWhatThereIsDrawsAll) {
   Plain plain(60000);
-  const std::size_t all = plain.draw(0, 1000000).drawn;
+  const std::size_t all = plain.draw(0, 1000000).layers[0].drawn;
   EXPECT_EQ(plain.errorFor(1e6), 0);
   EXPECT_EQ(plain.errorFor(1.1 * double(all)), 0);
   // Whatever the samples say.
-  EXPECT_LE(plain.draw(0, all / 2).drawn, all / 2);
+  EXPECT_LE(plain.draw(0, all / 2).layers[0].drawn, all / 2);
 }
 
 TEST(Budget, OfOneSplatEnds) {
   Plain plain(3000);
   const SplatPicture picture = plain.draw(plain.errorFor(1), 1);
-  EXPECT_LE(picture.drawn, 8u);  // the coarsest nodes are the least that can be drawn
+  EXPECT_LE(picture.layers[0].drawn, 8u);  // the coarsest nodes are the least that can be drawn
 }
 
 TEST(DetailControl, DrawsAnErrorThatIsAskedForAtOnce) {

@@ -327,13 +327,16 @@ TEST(Levels, OfAnEmptyMapAreEmpty) {
 // A camera at the origin that looks along z.
 PictureRequest request(const Scene& scene, double error) {
   PictureRequest request;
-  request.camera.fx = request.camera.fy = 200;
-  request.camera.cx = 80;
-  request.camera.cy = 60;
-  request.camera.width = 160;
-  request.camera.height = 120;
-  request.levels = &scene.levels;
-  request.error = error;
+  PictureLayer& layer = request.layers.emplace_back();
+  layer.slots = &scene.slots;
+  layer.map = &scene.map.state();
+  layer.camera.fx = layer.camera.fy = 200;
+  layer.camera.cx = 80;
+  layer.camera.cy = 60;
+  layer.camera.width = 160;
+  layer.camera.height = 120;
+  layer.levels = &scene.levels;
+  layer.error = error;
   return request;
 }
 
@@ -355,17 +358,18 @@ TEST(Cut, LeavesNoHole) {
   CpuRasterizer rasterizer(std::make_shared<ThreadTeam>(1));
   SplatPicture full, picture;
   PictureRequest wanted = request(scene, 0);
-  wanted.levels = nullptr;
-  rasterizer.draw(scene.slots, scene.map.state(), wanted, full);
-  std::size_t before = full.drawn + full.drawn / 2;  // where levels blend, both are drawn
+  wanted.layers[0].levels = nullptr;
+  rasterizer.draw(wanted, full);
+  std::size_t before =
+      full.layers[0].drawn + full.layers[0].drawn / 2;  // where levels blend, both are drawn
   for (double error = 1; error < 100; error *= 1.3) {
-    rasterizer.draw(scene.slots, scene.map.state(), request(scene, error), picture);
+    rasterizer.draw(request(scene, error), picture);
     for (std::size_t i = 3; i < picture.colour.size(); i += 4) {
       ASSERT_GT(picture.colour[i], full.colour[i] - 0.15f) << "at " << error << " px";
     }
-    before = std::min(before, picture.drawn);
+    before = std::min(before, picture.layers[0].drawn);
   }
-  EXPECT_LT(before, full.drawn / 20);
+  EXPECT_LT(before, full.layers[0].drawn / 20);
 }
 
 TEST(Cut, SharesOfALoneSplatAndItsNodesSumToAll) {
@@ -376,10 +380,10 @@ TEST(Cut, SharesOfALoneSplatAndItsNodesSumToAll) {
   CpuRasterizer rasterizer(std::make_shared<ThreadTeam>(1));
   SplatPicture full, picture;
   PictureRequest wanted = request(scene, 0);
-  wanted.levels = nullptr;
-  rasterizer.draw(scene.slots, scene.map.state(), wanted, full);
+  wanted.layers[0].levels = nullptr;
+  rasterizer.draw(wanted, full);
   for (double error = 1; error < 1e4; error *= 1.1) {
-    rasterizer.draw(scene.slots, scene.map.state(), request(scene, error), picture);
+    rasterizer.draw(request(scene, error), picture);
     for (std::size_t i = 0; i < picture.colour.size(); ++i) {
       ASSERT_NEAR(picture.colour[i], full.colour[i], 5e-3f) << "at " << error << " px";
     }

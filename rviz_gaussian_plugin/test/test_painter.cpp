@@ -136,7 +136,8 @@ TEST(Painter, LeadsAViewThatMovesToItsDetailWhileTheMapChanges) {
     studio.painter.ask("view", request);
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
     painting = studio.painter.newest("view");
-    if (frame >= 40 && painting && painting->settled && painting->drawn < 6000) break;
+    const bool whole = painting && painting->map.revision == studio.map.state().revision;
+    if (frame >= 40 && whole && painting->settled && painting->drawn < 6000) break;
   }
   ASSERT_TRUE(painting);
   EXPECT_TRUE(painting->settled);

@@ -263,9 +263,12 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
                          const std::optional<Array<float>>& translucent_depth,
                          const std::optional<Array<std::uint32_t>>& order) {
   PictureRequest request;
-  request.camera = camera;
-  request.camera.extent_scale = extentScale(renderer.settings);
-  request.settings = renderer.settings;
+  PictureLayer& layer = request.layers.emplace_back();
+  layer.slots = &renderer.slots;
+  layer.map = &renderer.map.state();
+  layer.camera = camera;
+  layer.camera.extent_scale = extentScale(renderer.settings);
+  layer.settings = renderer.settings;
   if (scene_depth) request.scene_depth = view(*scene_depth);
   if (translucent_depth) request.translucent_depth = view(*translucent_depth);
   if (order) request.order = view(*order);
@@ -284,16 +287,18 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
     const Detail& detail = renderer.settings.detail;
     if (!(detail == Detail{}) && !order) {
       merge(renderer);
-      request.levels = &renderer.levels;
-      request.error =
+      PictureLayer& layer = request.layers.front();
+      layer.levels = &renderer.levels;
+      layer.error =
           renderer.detail.choose(detail, true, renderer.levels.groups(), camera,
-                                 renderer.slots.index().groups(), request.settings.clip_box);
-      if (detail.kind == Detail::Kind::kSplats) request.most_splats = std::size_t(detail.amount);
+                                 renderer.slots.index().groups(), layer.settings.clip_box);
+      if (detail.kind == Detail::Kind::kSplats) layer.most_splats = std::size_t(detail.amount);
     }
-    renderer.rasterizer.draw(renderer.slots, renderer.map.state(), request, picture);
+    renderer.rasterizer.draw(request, picture);
   }
-  py::dict drawn("splats"_a = picture.drawn, "error"_a = picture.error,
-                 "profile"_a = picture.profile, "bytes"_a = renderer.rasterizer.bytes());
+  py::dict drawn("splats"_a = picture.layers.front().drawn,
+                 "error"_a = picture.layers.front().error, "profile"_a = picture.profile,
+                 "bytes"_a = renderer.rasterizer.bytes());
   const auto add = [&](const char* name, const std::vector<float>& values, int channels) {
     if (!values.empty()) drawn[name] = toArray(values, {picture.height, picture.width, channels});
   };
@@ -311,7 +316,7 @@ py::dict contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
   Contributions found;
   {
     const py::gil_scoped_release release;
-    renderer.rasterizer.contribute(renderer.slots, renderer.map.state(), request, picture, found);
+    renderer.rasterizer.contribute(request, picture, found);
   }
   const auto slots = static_cast<py::ssize_t>(found.weight.size());
   return py::dict("colour"_a = toArray(picture.colour, {picture.height, picture.width, 4}),
@@ -325,7 +330,7 @@ Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
   std::vector<std::uint32_t> picked;
   {
     const py::gil_scoped_release release;
-    picked = renderer.rasterizer.pick(renderer.slots, renderer.map.state(), request);
+    for (const PickedSplat& splat : renderer.rasterizer.pick(request)) picked.push_back(splat.slot);
   }
   return toArray(std::move(picked), {camera.height, camera.width});
 }

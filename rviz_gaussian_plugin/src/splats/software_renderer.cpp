@@ -147,8 +147,9 @@ void SoftwareRenderer::drawBefore() const {
 
 PictureRequest SoftwareRenderer::lookAt(const PaintRequest& asked) const {
   PictureRequest request;
-  request.camera = asked.camera;
-  request.settings = asked.settings;
+  request.layers.resize(1);
+  request.layers.front().camera = asked.camera;
+  request.layers.front().settings = asked.settings;
   request.now = painter_.clock();
   request.scene_depth = {asked.scene_depth.data(), asked.scene_depth.size()};
   return request;

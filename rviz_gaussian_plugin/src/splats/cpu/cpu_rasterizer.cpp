@@ -52,14 +52,13 @@ bool orSay(const SplatCamera& camera, const Run& run) {
 
 }  // namespace
 
-bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
-                              const PictureRequest& request, const Wanted& wanted) {
+bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wanted) {
   SplatPicture* const picture = wanted.picture;
   cancel = request.cancelled;
   out_of_memory = false;
   profile.clear();
   began = Clock::now();
-  const SplatCamera& camera = request.camera;
+  const SplatCamera& camera = request.layers.front().camera;
   if (std::min(camera.width, camera.height) < 1 ||
       std::max(camera.width, camera.height) > kLongestSide) {
     throw PictureError("a picture of " + std::to_string(camera.width) + " x " +
@@ -75,8 +74,9 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
   }
   if (wanted.contributions) {
     remaining.resize(4 * pixels);
-    wanted.contributions->weight.assign(map.capacity, 0);
-    wanted.contributions->error.assign(map.capacity, 0);
+    const std::size_t capacity = request.layers.front().map->capacity;
+    wanted.contributions->weight.assign(capacity, 0);
+    wanted.contributions->error.assign(capacity, 0);
   } else if (picture) {
     picture->width = camera.width;
     picture->height = camera.height;
@@ -88,21 +88,38 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     wanted.picked->resize(pixels);
     picking.resize(2 * pixels);
   }
-  setViews(slots, map, request);
-  double error = request.levels ? request.error : 0;
-  while (true) {
-    choosePages(slots, request, error);
+  across = (camera.width + kTile - 1) / kTile;
+  down = (camera.height + kTile - 1) / kTile;
+  tiles = std::size_t(across) * std::size_t(down);
+  layers.resize(request.layers.size());
+  for (std::size_t i = 0; i < layers.size(); ++i) {
+    setView(request.layers[i], request.now, layers[i]);
+  }
+  ordered = request.order.has_value();
+  if (ordered) setOrder(*request.layers.front().slots, *request.order);
+  bool fits = false;
+  while (!fits) {
+    pages.clear();
+    for (std::size_t i = 0; i < layers.size(); ++i) {
+      choosePages(request.layers[i], static_cast<std::uint32_t>(i));
+    }
     cull();
-    const bool fits = !request.levels || candidates <= request.most_splats;
-    if (fits || error > kCoarsestError || cancelled()) break;
-    error = coarserError(error, candidates, request.most_splats);
+    fits = true;
+    for (std::size_t i = 0; i < layers.size(); ++i) {
+      const PictureLayer& asked = request.layers[i];
+      SeenLayer& layer = layers[i];
+      if (!asked.levels || layer.candidates <= asked.most_splats) continue;
+      if (layer.error > kCoarsestError || cancelled()) continue;
+      layer.error = coarserError(layer.error, layer.candidates, asked.most_splats);
+      fits = false;
+    }
   }
   if (cancelled()) return false;
   deal();
   lap("cull");
   openTiles(request);
-  findDepthRange();
-  std::size_t drawn = 0;
+  findDepthRanges();
+  std::vector<SplatPicture::OfLayer> of_layers(layers.size());
   bool first = true;
   while (!waiting.empty()) {
     const Slice slice = waiting.back();
@@ -139,7 +156,9 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
     if (cancelled()) return false;
     if (wanted.contributions) addUp(*wanted.contributions);
     lap("blend");
-    for (const Part& part : parts) drawn += part.drawn;
+    for (const Part& part : parts) {
+      for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].drawn += part.of_layers[i];
+    }
     first = false;
     hides = hides || std::find(open.begin(), open.begin() + std::ptrdiff_t(tiles), kEnded) !=
                          open.begin() + std::ptrdiff_t(tiles);
@@ -152,8 +171,8 @@ bool CpuRasterizer::Work::run(const HostSlots& slots, const MapState& map,
             alpha > 0 ? picture->depth[i] / alpha : std::numeric_limits<float>::quiet_NaN();
       }
     });
-    picture->drawn = drawn;
-    picture->error = error;
+    for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].error = layers[i].error;
+    picture->layers = std::move(of_layers);
     picture->profile = profile;
   }
   return true;
@@ -165,28 +184,29 @@ CpuRasterizer::CpuRasterizer(std::shared_ptr<rosplat_sorter::ThreadTeam> team,
 
 CpuRasterizer::~CpuRasterizer() = default;
 
-bool CpuRasterizer::draw(const HostSlots& slots, const MapState& map, const PictureRequest& request,
-                         SplatPicture& picture) {
-  return orSay(request.camera, [&] { return work_->run(slots, map, request, {&picture}); });
+bool CpuRasterizer::draw(const PictureRequest& request, SplatPicture& picture) {
+  return orSay(request.layers.front().camera, [&] { return work_->run(request, {&picture}); });
 }
 
-std::vector<std::uint32_t> CpuRasterizer::pick(const HostSlots& slots, const MapState& map,
-                                               const PictureRequest& request) {
-  std::vector<std::uint32_t> picked;
-  const bool whole =
-      orSay(request.camera, [&] { return work_->run(slots, map, request, {nullptr, &picked}); });
-  if (!whole) picked.clear();
+std::vector<PickedSplat> CpuRasterizer::pick(const PictureRequest& request) {
+  std::vector<std::uint32_t> indices;
+  const bool whole = orSay(request.layers.front().camera,
+                           [&] { return work_->run(request, {nullptr, &indices}); });
+  if (!whole) return {};
+  std::vector<PickedSplat> picked(indices.size());
+  for (std::size_t i = 0; i < indices.size(); ++i) {
+    if (indices[i] != kNoSlot) picked[i] = work_->splatOf(indices[i]);
+  }
   return picked;
 }
 
-bool CpuRasterizer::contribute(const HostSlots& slots, const MapState& map,
-                               const PictureRequest& request, SplatPicture& picture,
+bool CpuRasterizer::contribute(const PictureRequest& request, SplatPicture& picture,
                                Contributions& contributions) {
   PictureRequest in_colour = request;
-  in_colour.settings.mode = DrawMode::kColor;
+  in_colour.layers.front().settings.mode = DrawMode::kColor;
   in_colour.translucent_depth = {};
-  return draw(slots, map, in_colour, picture) && orSay(request.camera, [&] {
-           return work_->run(slots, map, in_colour, {&picture, nullptr, &contributions});
+  return draw(in_colour, picture) && orSay(request.layers.front().camera, [&] {
+           return work_->run(in_colour, {&picture, nullptr, &contributions});
          });
 }
 

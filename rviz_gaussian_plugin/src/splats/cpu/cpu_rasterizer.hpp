@@ -22,20 +22,12 @@
 
 namespace rosplat {
 
-// What a picture shows beside the map. Arrays are the caller's, and by pixel, top row first.
-struct PictureRequest {
-  SplatCamera camera;
+// A map in a picture, and how it is drawn there.
+struct PictureLayer {
+  const HostSlots* slots = nullptr;
+  const MapState* map = nullptr;
+  SplatCamera camera;  // in the map's frame
   RenderSettings settings;
-  double now = 0;  // the clock of `change` in packed_slot.hpp
-  // Window depth, 0 to 1, of what is opaque: splats behind it are hidden. Empty: nothing is there.
-  ArrayView<float> scene_depth;
-  // The same of the nearest translucent object, 1 where there is none. If given, the splats behind
-  // it make a picture of their own.
-  ArrayView<float> translucent_depth;
-  // Slots, farthest first, to be drawn in this order; what it leaves out isn't drawn. Unset: by
-  // depth, with the sorters' ties.
-  std::optional<ArrayView<std::uint32_t>> order;
-  bool mean_depth = false;  // of the splats, too
   // Nodes of the map to be drawn in place of what is smaller than `error`. Null: all is drawn in
   // full, as it is where the order is given, and for picks.
   const Levels* levels = nullptr;
@@ -43,6 +35,23 @@ struct PictureRequest {
   // No more splats and nodes than that, but for those without a parent: for it, the error is
   // raised.
   std::size_t most_splats = std::numeric_limits<std::size_t>::max();
+};
+
+// What a picture shows. Arrays are the caller's, and by pixel, top row first.
+struct PictureRequest {
+  // At least one. Their cameras are one camera: all that differs is the frame that it is in, and
+  // how large splats are. Splats of the same depth come in the order of the layers.
+  std::vector<PictureLayer> layers;
+  double now = 0;  // the clock of `change` in packed_slot.hpp
+  // Window depth, 0 to 1, of what is opaque: splats behind it are hidden. Empty: nothing is there.
+  ArrayView<float> scene_depth;
+  // The same of the nearest translucent object, 1 where there is none. If given, the splats behind
+  // it make a picture of their own.
+  ArrayView<float> translucent_depth;
+  // Slots of the one layer that there is then, farthest first, to be drawn in this order; what it
+  // leaves out isn't drawn. Unset: by depth, with the sorters' ties.
+  std::optional<ArrayView<std::uint32_t>> order;
+  bool mean_depth = false;  // of the splats, too
   // Set by another thread to have the picture given up.
   const std::atomic<bool>* cancelled = nullptr;
 };
@@ -54,12 +63,22 @@ struct SplatPicture {
   std::vector<float> behind;    // the same behind translucent objects; colour is before them
   std::vector<float> nearness;  // of these: (1 - window depth) * alpha, alpha; as splat_hide.frag
   std::vector<float> depth;     // weighted mean [m], NaN where nothing is
-  std::size_t drawn = 0;        // splats in the picture, as far as it was looked
-  double error = 0;             // that it was drawn to, 0 in full [px]
+  struct OfLayer {
+    std::size_t drawn = 0;  // splats in the picture, as far as it was looked
+    double error = 0;       // that it was drawn to, 0 in full [px]
+  };
+  std::vector<OfLayer> layers;
   std::map<std::string, double> profile;  // by stage [s]
 };
 
-// What splats are to a picture, by slot: sums over its pixels.
+// A splat that a pixel shows.
+struct PickedSplat {
+  std::uint32_t layer = 0, slot = kNoSlot;
+
+  bool operator==(const PickedSplat& o) const { return layer == o.layer && slot == o.slot; }
+};
+
+// What the splats of the one layer are to a picture, by slot: sums over its pixels.
 struct Contributions {
   std::vector<float> weight;  // of alpha x transmittance: of how many pixels a splat is the colour
   std::vector<float> error;   // of the squares by which red, green and blue change without it
@@ -70,9 +89,10 @@ struct PictureError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// Draws a map with the processor alone. What the shaders in ogre_media do is done here, too:
-// projection, order, tiles of 16x16 pixels, front to back. The picture is the same to the bit for
-// any number of threads. Keeps its workspace between pictures; one caller at a time.
+// Draws maps with the processor alone, all of a picture in one depth order. What the shaders in
+// ogre_media do is done here, too: projection, order, tiles of 16x16 pixels, front to back. The
+// picture is the same to the bit for any number of threads. Keeps its workspace between pictures;
+// one caller at a time.
 class CpuRasterizer {
  public:
   // Vector instructions to use; what the machine doesn't have becomes the best that it has.
@@ -85,19 +105,17 @@ class CpuRasterizer {
 
   // Draws into `picture`, whose memory is used again. False where it was cancelled: then the
   // picture is no good. Throws PictureError, and may be used on.
-  bool draw(const HostSlots& slots, const MapState& map, const PictureRequest& request,
-            SplatPicture& picture);
+  bool draw(const PictureRequest& request, SplatPicture& picture);
 
-  // The splat that contributes most to each pixel, at least a twentieth of its colour: slots, or
-  // kNoSlot. For a part of a picture crop() the camera, and the depths. Empty where it was
-  // cancelled. Throws PictureError.
-  std::vector<std::uint32_t> pick(const HostSlots& slots, const MapState& map,
-                                  const PictureRequest& request);
-
-  // Draws, in colour and without translucent objects, and finds what each slot contributes. False
+  // The splat that contributes most to each pixel, at least a twentieth of its colour; of slot
+  // kNoSlot where there is none. For a part of a picture crop() the cameras, and the depths. Empty
   // where it was cancelled. Throws PictureError.
-  bool contribute(const HostSlots& slots, const MapState& map, const PictureRequest& request,
-                  SplatPicture& picture, Contributions& contributions);
+  std::vector<PickedSplat> pick(const PictureRequest& request);
+
+  // Draws one layer, in colour and without translucent objects, and finds what each slot
+  // contributes. False where it was cancelled. Throws PictureError.
+  bool contribute(const PictureRequest& request, SplatPicture& picture,
+                  Contributions& contributions);
 
   const char* instructions() const;  // in use
   std::size_t bytes() const;         // of the workspace

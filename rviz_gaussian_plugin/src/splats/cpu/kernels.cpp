@@ -93,8 +93,7 @@ Floats shareOf(const CutView& cut, const float* eye, const Vec3& p, Floats paren
   return own > 0.0f ? coarser - rise(errorOf(cut, eye, p, all(own))) : coarser;
 }
 
-std::size_t cull(const CullView& given, const PageSlots& page, std::uint32_t index,
-                 Candidate* candidates) {
+std::size_t cull(const CullView& given, const PageSlots& page, Candidate* candidates) {
   const CullView view = given;  // copies that no store below can alias
   const GroupView group = *page.group;
   Candidate* out = candidates;
@@ -118,7 +117,7 @@ std::size_t cull(const CullView& given, const PageSlots& page, std::uint32_t ind
     const Ints bits = (Ints)(z + 0.0f);  // the sum makes one depth of -0 and 0
     const Ints keys = bits ^ ((bits >> 31) | INT32_MIN);
     for (int lane = 0; lane < kLanes; ++lane) {
-      *out = {std::uint32_t(keys[lane]), index + std::uint32_t(i + lane)};
+      *out = {std::uint32_t(keys[lane]), page.first_index + std::uint32_t(i + lane)};
       out -= seen[lane];
     }
   }
@@ -337,6 +336,9 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
   const ProjectView view = given;  // copies that no store below can alias
   const GroupView group = *page.group;
   const bool balls = view.mode == kFlatBall || view.mode == kGaussianBall;
+  const float ball_share = view.mode == kFlatBall       ? kFlatBallShare
+                           : view.mode == kGaussianBall ? kGaussianBallShare
+                                                        : 0.0f;
   std::size_t n = 0;
   for (std::size_t first_of = 0; first_of < count; first_of += kLanes) {
     const int lanes = int(least(std::size_t(kLanes), count - first_of));
@@ -470,8 +472,8 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
       record.top = std::int16_t(lines.first[i]);
       record.right = std::int16_t(columns.last[i]);
       record.bottom = std::int16_t(lines.last[i]);
-      record.slot = page.first_slot + std::uint32_t(places[i]);
-      record.share = share[i];
+      record.index = page.first_index + std::uint32_t(places[i]);
+      record.share = ball_share < 0.0f ? ball_share : share[i];
       Footprint& footprint = footprints[n];
       footprint.top = std::int16_t(rows_of_tiles.first[i]);
       footprint.bottom = std::int16_t(rows_of_tiles.last[i]);
@@ -531,9 +533,8 @@ constexpr std::size_t kPatience = 32;  // splats before a tile is asked whether 
 // is so.
 template <typename BlendOf>
 bool walk(const Listed* listed, std::size_t count, const Record* records, int left, int top,
-          bool balls, const float* transmittance, const float* behind, float ends_at,
-          const BlendOf& blendOf) {
-  const Floats end = all(balls ? kBallEnd : kCutoffEnd), columns = counting();
+          const float* transmittance, const float* behind, float ends_at, const BlendOf& blendOf) {
+  const Floats columns = counting();
   for (std::size_t k = 0; k < count; ++k) {
     if (k % kPatience == 0 && ended(transmittance, behind, ends_at)) return true;
     if (k + kAhead < count) __builtin_prefetch(records + listed[k + kAhead].record);
@@ -546,6 +547,7 @@ bool walk(const Listed* listed, std::size_t count, const Record* records, int le
     const Floats along_u = fma(columns, all(e.ux), all(e.ux * dx + e.uy * dy));
     const Floats along_v = fma(columns, all(e.vx), all(e.vx * dx + e.vy * dy));
     const Floats down_u = all(e.uy), down_v = all(e.vy), peak = all(e.peak);
+    const Floats end = all(e.share < 0.0f ? kBallEnd : kCutoffEnd);
     for (int column = begin; column < end_column; column += kLanes) {
       Floats u = along_u + float(column) * e.ux, v = along_v + float(column) * e.vx;
       for (int row = first; row < last; ++row) {
@@ -559,28 +561,29 @@ bool walk(const Listed* listed, std::size_t count, const Record* records, int le
   return ended(transmittance, behind, ends_at);
 }
 
-template <bool kBalls, bool kGaussianBalls, bool kDepth, bool kOpaque, bool kDivided>
+template <bool kDepth, bool kOpaque, bool kDivided>
 bool blendAs(const BlendTile& tile) {
   // A vector of pixels under a splat.
   const auto blend = [](TilePixels& into, int pixel, Floats falloff, Ints where,
                         const Floats(&colour)[3], Floats depth, float share) {
-    Floats alpha = kBalls ? all(1.0f) : min(falloff, all(kMaxAlpha));
-    if (!kBalls && share < 1.0f) alpha = 1.0f - exp2(share * log2(1.0f - alpha));
+    Floats alpha = min(falloff, all(kMaxAlpha));
+    if (share < 1.0f) {
+      alpha = share < 0.0f ? all(1.0f) : 1.0f - exp2(share * log2(1.0f - alpha));
+    }
     alpha = where ? alpha : Floats{};
     const Floats transmittance = load(into.transmittance + pixel);
     Floats weight = transmittance * alpha;
     store(into.transmittance + pixel, transmittance - weight);
     if (kDepth) store(into.depth + pixel, fma(weight, depth, load(into.depth + pixel)));
-    if (kGaussianBalls) weight = where ? weight * falloff : Floats{};
+    if (share == kGaussianBallShare) weight = where ? weight * falloff : Floats{};
     for (int i = 0; i < 3; ++i) {
       float* const channel = into.colour[i] + pixel;
       store(channel, fma(weight, colour[i], load(channel)));
     }
   };
   TilePixels& pixels = *tile.pixels;
-  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, kBalls,
-              pixels.transmittance, kDivided ? tile.behind->transmittance : nullptr, tile.ends_at,
-              [&](const Record& e) {
+  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
+              kDivided ? tile.behind->transmittance : nullptr, tile.ends_at, [&](const Record& e) {
                 const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
                 const Floats depth = all(e.depth), window_depth = all(e.window_depth);
                 const float share = e.share;
@@ -597,41 +600,32 @@ bool blendAs(const BlendTile& tile) {
               });
 }
 
-template <bool kBalls, bool kGaussianBalls, bool kDepth>
-bool blendBy(const BlendTile& tile) {
+bool blend(const BlendTile& tile, bool with_depth) {
   if (tile.divided) {
-    return tile.opaque ? blendAs<kBalls, kGaussianBalls, true, true, true>(tile)
-                       : blendAs<kBalls, kGaussianBalls, true, false, true>(tile);
+    return tile.opaque ? blendAs<true, true, true>(tile) : blendAs<true, false, true>(tile);
   }
-  return tile.opaque ? blendAs<kBalls, kGaussianBalls, kDepth, true, false>(tile)
-                     : blendAs<kBalls, kGaussianBalls, kDepth, false, false>(tile);
+  if (with_depth) {
+    return tile.opaque ? blendAs<true, true, false>(tile) : blendAs<true, false, false>(tile);
+  }
+  return tile.opaque ? blendAs<false, true, false>(tile) : blendAs<false, false, false>(tile);
 }
 
-bool blend(const BlendTile& tile, bool balls, bool gaussian_balls, bool with_depth) {
-  if (gaussian_balls) {
-    return with_depth ? blendBy<true, true, true>(tile) : blendBy<true, true, false>(tile);
-  }
-  if (balls) {
-    return with_depth ? blendBy<true, false, true>(tile) : blendBy<true, false, false>(tile);
-  }
-  return with_depth ? blendBy<false, false, true>(tile) : blendBy<false, false, false>(tile);
-}
-
-bool pick(const PickTile& tile, bool balls) {
-  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, balls, tile.transmittance,
+bool pick(const PickTile& tile) {
+  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, tile.transmittance,
               nullptr, kLeastPicked, [&](const Record& e) {
+                const bool ball = e.share < 0.0f;
                 return [=, &e, &tile](int pixel, Floats exponent, Ints covered) {
                   if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
                   const Floats alpha =
-                      covered ? (balls ? all(1.0f) : min(falloffOf(exponent), all(kMaxAlpha)))
+                      covered ? (ball ? all(1.0f) : min(falloffOf(exponent), all(kMaxAlpha)))
                               : Floats{};
                   const Floats transmittance = load(tile.transmittance + pixel);
                   const Floats weight = transmittance * alpha;
                   const Floats so_far = load(tile.most + pixel);
                   const Ints more = weight > so_far;
                   store(tile.most + pixel, more ? weight : so_far);
-                  const Ints slot = load<Ints>(tile.slot + pixel);
-                  store(tile.slot + pixel, more ? allInts(std::int32_t(e.slot)) : slot);
+                  const Ints index = load<Ints>(tile.index + pixel);
+                  store(tile.index + pixel, more ? allInts(std::int32_t(e.index)) : index);
                   store(tile.transmittance + pixel, transmittance - weight);
                 };
               });
@@ -653,7 +647,7 @@ bool contribute(const ContributeTile& tile) {
     weights = errors = Floats{};
   };
   const bool has_ended =
-      walk(tile.listed, tile.count, tile.records, tile.left, tile.top, false, pixels.transmittance,
+      walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
            nullptr, tile.ends_at, [&](const Record& e) {
              finish();
              ++next;

@@ -46,7 +46,7 @@ struct PageSlots {
   const float* parents;           // widths of cells, or null where all is drawn in full [m]
   float own_cell;                 // of nodes: how wide their cells are [m], else 0
   float opacity_unit;
-  std::uint32_t first_slot;
+  std::uint32_t first_index;  // Candidate::index of its first slot
 };
 
 // The uniforms of splat_project.comp.
@@ -57,7 +57,7 @@ struct ProjectView {
   float ndc_scale, ndc_offset;
   float scale_modifier, opacity_modifier, now, age_range;
   float depth_range[2];
-  int mode, sh_degree, only_band, tiles_across, tiles_down;
+  int mode, sh_degree, only_band;
   bool orthographic, antialiased;
   CutView cut;
 };
@@ -80,10 +80,13 @@ struct alignas(64) Record {
   float colour[3];
   float depth, window_depth;
   std::int16_t left, top, right, bottom;  // pixels around it, the last two beyond it
-  std::uint32_t slot;
-  float share;  // of it that is drawn: 1 - (1 - alpha)^share
+  std::uint32_t index;                    // as Candidate::index
+  float share;  // of it that is drawn: 1 - (1 - alpha)^share; or below 0, a solid ball
 };
 static_assert(sizeof(Record) == 64);
+
+// Shares of solid balls, which differ from splats pixel by pixel.
+constexpr float kFlatBallShare = -1, kGaussianBallShare = -2;
 
 // alpha = (2^(peak - u^2 - v^2))^kSquared
 constexpr int kSquarings = 4;
@@ -131,8 +134,8 @@ struct PickTile {
   int left, top;
   const float* opaque;  // or null
   float* transmittance;
-  float* most;          // contribution so far
-  std::uint32_t* slot;  // that it is from
+  float* most;           // contribution so far
+  std::uint32_t* index;  // that it is from
 };
 
 // What a splat is to a picture: sums over its pixels.
@@ -154,9 +157,8 @@ struct ContributeTile {
 
 struct Kernels {
   const char* name;
-  // Writes the slots of a page that may be seen; returns how many. index: of its first slot.
-  std::size_t (*cull)(const CullView& view, const PageSlots& page, std::uint32_t index,
-                      Candidate* candidates);
+  // Writes the slots of a page that may be seen; returns how many.
+  std::size_t (*cull)(const CullView& view, const PageSlots& page, Candidate* candidates);
   // Leaves those slots of a page that tiles may still show, and their numbers so far; returns how
   // many.
   std::size_t (*hide)(const CullView& view, const ProjectView& project_view, const Pyramid& pyramid,
@@ -168,8 +170,8 @@ struct Kernels {
                          const std::uint16_t* places, std::size_t count, Record* records,
                          Footprint* footprints, std::uint16_t* kept);
   // Blends until nothing behind can be seen; returns whether that is so.
-  bool (*blend)(const BlendTile& tile, bool balls, bool gaussian_balls, bool with_depth);
-  bool (*pick)(const PickTile& tile, bool balls);
+  bool (*blend)(const BlendTile& tile, bool with_depth);
+  bool (*pick)(const PickTile& tile);
   bool (*contribute)(const ContributeTile& tile);
   void (*toHalves)(const float* from, std::size_t count, std::uint16_t* halves);
 };

@@ -251,7 +251,8 @@ void Painter::dropLevels() {
 
 void Painter::chooseDetail(PictureRequest& request, const std::string& view_id,
                            Painting& painting) {
-  const RenderSettings& settings = request.settings;
+  PictureLayer& layer = request.layers.front();
+  const RenderSettings& settings = layer.settings;
   if (settings.detail == Detail{} || request.order || painting.request->unsorted) return;
   DetailControl& control = controls_[view_id];
   const bool in_time = settings.detail.kind == Detail::Kind::kTime;
@@ -266,13 +267,13 @@ void Painter::chooseDetail(PictureRequest& request, const std::string& view_id,
       painting.settled = whole || in_time;
       return;
     }
-    request.levels = &levels_;
-    request.error = control.choose(settings.detail, !settings.asynchronous, levels_.groups(),
-                                   request.camera, slots_.index().groups(), settings.clip_box);
+    layer.levels = &levels_;
+    layer.error = control.choose(settings.detail, !settings.asynchronous, levels_.groups(),
+                                 layer.camera, slots_.index().groups(), settings.clip_box);
     if (settings.detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
-      request.most_splats = static_cast<std::size_t>(settings.detail.amount);
+      layer.most_splats = static_cast<std::size_t>(settings.detail.amount);
     }
-    painting.settled = in_time ? request.error == 0 : whole && control.settled();
+    painting.settled = in_time ? layer.error == 0 : whole && control.settled();
   } catch (const std::bad_alloc&) {
     painting.detail_error = "there is no memory for levels of detail";
   }
@@ -286,8 +287,11 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, Waiting&& j
   const PaintRequest& asked = *painting->request;
   try {
     PictureRequest request;
-    request.camera = asked.camera;
-    request.settings = asked.settings;
+    request.layers.resize(1);
+    PictureLayer& layer = request.layers.front();
+    layer.slots = &slots_;
+    layer.camera = asked.camera;
+    layer.settings = asked.settings;
     request.now = clock();
     request.scene_depth = viewOf(asked.scene_depth);
     request.translucent_depth = viewOf(asked.translucent_depth);
@@ -298,21 +302,22 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, Waiting&& j
     {
       const std::shared_lock lock(slots_mutex_);
       painting->map = map();
+      layer.map = &painting->map;
       std::vector<std::uint32_t> all;
       if (asked.unsorted) {
         all = slots_.index().slots(painting->map.capacity);
         request.order = viewOf(all);
       }
-      if (!rasterizer_.draw(slots_, painting->map, request, picture_)) return nullptr;
+      if (!rasterizer_.draw(request, picture_)) return nullptr;
     }
-    painting->drawn = picture_.drawn;
-    painting->error_px = picture_.error;
+    painting->drawn = picture_.layers.front().drawn;
+    painting->error_px = picture_.layers.front().error;
     const double took = now() - start;
     if (const auto found = controls_.find(view_id); found != controls_.end()) {
       DetailControl& control = found->second;
-      if (request.levels) {
-        control.drew(picture_.error);
-        control.took(picture_.error, took);
+      if (layer.levels) {
+        control.drew(painting->error_px);
+        control.took(painting->error_px, took);
       } else {
         control.drewAll(took);
         wants_levels_ = wants_levels_ || control.needsLevels(asked.settings.detail);
@@ -339,10 +344,15 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, Waiting&& j
   return painting;
 }
 
-std::vector<std::uint32_t> Painter::pick(const PictureRequest& request) {
+std::vector<std::uint32_t> Painter::pick(PictureRequest request) {
   const std::lock_guard turn(pick_mutex_);
   const std::shared_lock lock(slots_mutex_);
-  return picker_.pick(slots_, map(), request);
+  const MapState map = this->map();
+  request.layers.front().slots = &slots_;
+  request.layers.front().map = &map;
+  std::vector<std::uint32_t> slots;
+  for (const PickedSplat& picked : picker_.pick(request)) slots.push_back(picked.slot);
+  return slots;
 }
 
 std::vector<SplatValues> Painter::read(const std::vector<std::uint32_t>& slots) const {

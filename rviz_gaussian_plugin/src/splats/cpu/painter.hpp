@@ -105,7 +105,7 @@ class Painter {
 
   // Which splats a picture shows, while the caller waits: for the few pixels that a mouse asks for.
   // Throws PictureError.
-  std::vector<std::uint32_t> pick(const PictureRequest& request);
+  std::vector<std::uint32_t> pick(PictureRequest request);
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   MapState map() const;          // that is painted
   std::string mapError() const;  // why a part of it is missing, empty where none is

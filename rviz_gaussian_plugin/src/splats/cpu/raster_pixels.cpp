@@ -25,8 +25,7 @@ const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, floa
 
 void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& picture, bool first,
                                 std::size_t number, Member& member) {
-  const DrawMode mode = request.settings.mode;
-  const TileRect rect(number, project_view.tiles_across, picture.width, picture.height);
+  const TileRect rect(number, across, picture.width, picture.height);
   const bool divided = !request.translucent_depth.empty();
   BlendTile tile;
   tile.count = inTile(number, member);
@@ -60,8 +59,7 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   tile.behind = divided ? &member.behind : nullptr;
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
   tile.divided = depthsOf(request.translucent_depth, rect, member.divided);
-  const bool ended =
-      kernels.blend(tile, drawsBalls(mode), mode == DrawMode::kGaussianBall, request.mean_depth);
+  const bool ended = kernels.blend(tile, request.mean_depth);
   if (ended) open[number] = kEnded;
 
   const auto write = [&](const TilePixels& pixels, std::vector<float>& colour) {
@@ -87,9 +85,8 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
 
 void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::uint32_t>& picked,
                                bool first, std::size_t number, Member& member) {
-  const SplatCamera& camera = request.camera;
-  const DrawMode mode = request.settings.mode;
-  const TileRect rect(number, project_view.tiles_across, camera.width, camera.height);
+  const SplatCamera& camera = request.layers.front().camera;
+  const TileRect rect(number, across, camera.width, camera.height);
   PickTile tile;
   tile.count = inTile(number, member);
   if (tile.count == 0 && !first) return;
@@ -100,25 +97,25 @@ void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::u
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
   tile.transmittance = member.pixels.transmittance;
   tile.most = member.most;
-  tile.slot = member.slots;
+  tile.index = member.indices;
   std::fill_n(tile.transmittance, kTilePixels, 0.0f);
   rect.forEach([&](std::size_t i, std::size_t pixel) {
     tile.transmittance[i] = first ? 1 : picking[2 * pixel];
     tile.most[i] = first ? kLeastPicked : picking[2 * pixel + 1];
-    tile.slot[i] = first ? kNoSlot : picked[pixel];
+    tile.index[i] = first ? kNoSlot : picked[pixel];
   });
-  const bool ended = kernels.pick(tile, drawsBalls(mode));
+  const bool ended = kernels.pick(tile);
   if (ended) open[number] = kEnded;
   rect.forEach([&](std::size_t i, std::size_t pixel) {
     picking[2 * pixel] = tile.transmittance[i];
     picking[2 * pixel + 1] = tile.most[i];
-    picked[pixel] = tile.slot[i];
+    picked[pixel] = tile.index[i];
   });
 }
 
 void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatPicture& picture,
                                      bool first, std::size_t number, Member& member) {
-  const TileRect rect(number, project_view.tiles_across, picture.width, picture.height);
+  const TileRect rect(number, across, picture.width, picture.height);
   ContributeTile tile;
   tile.count = inTile(number, member);
   if (tile.count == 0 && !first) return;
@@ -147,7 +144,7 @@ void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatP
 // Tile by tile, so that sums are the same for any number of threads.
 void CpuRasterizer::Work::addUp(Contributions& contributions) const {
   for (std::size_t i = 0; i < total_pairs; ++i) {
-    const std::uint32_t slot = records[listed[i].record].slot;
+    const std::uint32_t slot = splatOf(records[listed[i].record].index).slot;
     contributions.weight[slot] += of_listed[i].weight;
     contributions.error[slot] += of_listed[i].error;
   }

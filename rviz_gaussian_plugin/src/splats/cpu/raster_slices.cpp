@@ -17,12 +17,14 @@ constexpr std::size_t kMostSlices = 32;
 void CpuRasterizer::Work::cull() {
   found.reserve(pages.size() * kSlots + 1);
   inParts(pages.size(), 16, [&](Part& part, Member&) {
+    part.of_layers.assign(layers.size(), 0);
     Candidate* const begin = found.get() + part.begin * kSlots;
     Candidate* out = begin;
     for (std::size_t i = part.begin; i < part.end; ++i) {
       if (cancelled()) break;
-      const std::size_t count =
-          kernels.cull(cull_view, pages[i], static_cast<std::uint32_t>(i * kSlots), out);
+      const SeenPage& page = pages[i];
+      const std::size_t count = kernels.cull(layers[page.layer].cull, page.slots, out);
+      part.of_layers[page.layer] += count;
       if (!ordered) {
         out += count;
         continue;
@@ -30,7 +32,7 @@ void CpuRasterizer::Work::cull() {
       const Candidate* const end = out + count;
       for (const Candidate* c = out; c < end; ++c) {
         const std::uint32_t rank =
-            ranks[std::size_t(bounds[i]->place) * kSlots + c->index % kSlots];
+            ranks[std::size_t(page.page->place) * kSlots + c->index % kSlots];
         if (rank != kNotOrdered) *out++ = {rank, c->index};
       }
     }
@@ -38,7 +40,11 @@ void CpuRasterizer::Work::cull() {
     part.end = part.begin + std::size_t(out - begin);
   });
   candidates = 0;
-  for (const Part& part : parts) candidates += part.end - part.begin;
+  for (SeenLayer& layer : layers) layer.candidates = 0;
+  for (const Part& part : parts) {
+    candidates += part.end - part.begin;
+    for (std::size_t i = 0; i < layers.size(); ++i) layers[i].candidates += part.of_layers[i];
+  }
 }
 
 // Deals what was found out to slices of depth, nearest first, in each in the order of slots.
@@ -110,7 +116,6 @@ void CpuRasterizer::Work::halve(const Slice& slice) {
 
 // Up to which depth each tile may show something, before the first splat is blended.
 void CpuRasterizer::Work::openTiles(const PictureRequest& request) {
-  const int across = project_view.tiles_across, down = project_view.tiles_down;
   pyramid.across = across;
   pyramid.down = down;
   std::size_t size = 0;
@@ -126,9 +131,10 @@ void CpuRasterizer::Work::openTiles(const PictureRequest& request) {
   pyramid.open = open.data();
   hides = !request.scene_depth.empty();
   if (!hides) return;
+  const SplatCamera& camera = request.layers.front().camera;
   inParts(tiles, 256, [&](const Part& part, Member&) {
     for (std::size_t tile = part.begin; tile < part.end; ++tile) {
-      const TileRect rect(tile, across, request.camera.width, request.camera.height);
+      const TileRect rect(tile, across, camera.width, camera.height);
       float farthest = 0;
       rect.forEach([&](std::size_t, std::size_t pixel) {
         farthest = std::max(farthest, request.scene_depth[pixel]);
@@ -139,7 +145,7 @@ void CpuRasterizer::Work::openTiles(const PictureRequest& request) {
 }
 
 void CpuRasterizer::Work::raisePyramid() {
-  int w = project_view.tiles_across, h = project_view.tiles_down;
+  int w = across, h = down;
   for (int level = 1; level < levels; ++level) {
     const float* const below = &open[std::size_t(pyramid.begins[level - 1])];
     float* const here = &open[std::size_t(pyramid.begins[level])];
@@ -158,11 +164,13 @@ void CpuRasterizer::Work::raisePyramid() {
 }
 
 // Whether all that a page may hold lies behind what tiles may still show.
-bool CpuRasterizer::Work::hidden(const SlotPage& page) const {
-  const ProjectView& v = project_view;
+bool CpuRasterizer::Work::hidden(const SeenPage& seen) const {
+  const SeenLayer& layer = layers[seen.layer];
+  const SlotPage& page = *seen.page;
+  const ProjectView& v = layer.project;
   float centre[3], half[3];  // of a box around it, as the camera sees it [m]
   for (int axis = 0; axis < 3; ++axis) {
-    const float* const row = groups[page.group].floats.to_camera[axis];
+    const float* const row = layer.groups[page.group].floats.to_camera[axis];
     centre[axis] = row[3];
     half[axis] = 0;
     for (int i = 0; i < 3; ++i) {
@@ -187,8 +195,8 @@ bool CpuRasterizer::Work::hidden(const SlotPage& page) const {
     return std::pair(tile(focal * std::min(least * over_near, least * over_far) + middle - reach),
                      tile(focal * std::max(most * over_near, most * over_far) + middle + reach));
   };
-  auto [left, right] = tilesAlong(0, v.fx, v.cx, cull_view.slope_x, v.tiles_across);
-  auto [top, bottom] = tilesAlong(1, v.fy, v.cy, cull_view.slope_y, v.tiles_down);
+  auto [left, right] = tilesAlong(0, v.fx, v.cx, layer.cull.slope_x, across);
+  auto [top, bottom] = tilesAlong(1, v.fy, v.cy, layer.cull.slope_y, down);
   int level = 0;
   for (; right - left > 1 || bottom - top > 1; ++level)
     left /= 2, right /= 2, top /= 2, bottom /= 2;

@@ -94,7 +94,7 @@ void CpuRasterizer::Work::findTiles(const Footprint& f, std::uint32_t record, Pa
     } else {
       columnsOf(f, row, first, last);
     }
-    const int begin = row * project_view.tiles_across;
+    const int begin = row * across;
     for (int tile = begin + first; tile < begin + last; ++tile) {
       if (until && window_depth > until[tile]) continue;
       *out++ = {std::uint32_t(tile), record};
@@ -113,6 +113,7 @@ bool CpuRasterizer::Work::project(const Slice& slice) {
   inParts(end - begin, 4096, [&](Part& part, Member& member) {
     part.counts.assign(tiles, 0);
     part.pairs.size = 0;
+    part.of_layers.assign(layers.size(), 0);
     member.places.resize(kSlots + kMostLanes);
     member.kept.resize(kSlots);
     member.numbers.resize(kSlots);
@@ -126,14 +127,17 @@ bool CpuRasterizer::Work::project(const Slice& slice) {
         member.places[count] = static_cast<std::uint16_t>(run[count].index % kSlots);
         ++count;
       }
-      if (hides && hidden(*bounds[page])) continue;
+      const SeenPage& of = pages[page];
+      const SeenLayer& layer = layers[of.layer];
+      if (hides && hidden(of)) continue;
       if (hides) {
-        count = kernels.hide(cull_view, project_view, pyramid, pages[page], member.places.data(),
+        count = kernels.hide(layer.cull, layer.project, pyramid, of.slots, member.places.data(),
                              member.numbers.data(), count);
       }
       const std::size_t seen =
-          kernels.project(project_view, pages[page], member.places.data(), count, &records[out],
+          kernels.project(layer.project, of.slots, member.places.data(), count, &records[out],
                           member.footprints.data(), member.kept.data());
+      part.of_layers[of.layer] += seen;
       const std::size_t before = part.pairs.size;
       for (std::size_t k = 0; k < seen; ++k, ++out) {
         const std::uint16_t number = member.kept[k];
@@ -148,24 +152,28 @@ bool CpuRasterizer::Work::project(const Slice& slice) {
   return pairs <= kMostPairs;
 }
 
-// Of mode kDepth without a range: that of all that is in the picture.
-void CpuRasterizer::Work::findDepthRange() {
-  if (project_view.mode != static_cast<int>(DrawMode::kDepth) ||
-      project_view.depth_range[1] > project_view.depth_range[0]) {
-    return;
-  }
-  float nearest = std::numeric_limits<float>::infinity(), farthest = -nearest;
+// Of layers of mode kDepth without a range: that of all that is in the picture of each.
+void CpuRasterizer::Work::findDepthRanges() {
+  const auto wants = [](const SeenLayer& layer) {
+    const ProjectView& view = layer.project;
+    return view.mode == static_cast<int>(DrawMode::kDepth) &&
+           !(view.depth_range[1] > view.depth_range[0]);
+  };
+  if (std::none_of(layers.begin(), layers.end(), wants)) return;
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  std::vector<std::array<float, 2>> ranges(layers.size(), {kInfinity, -kInfinity});
   for (const Slice& slice : waiting) {
     project(slice);
     for (const Part& part : parts) {
       for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
-        nearest = std::min(nearest, records[i].depth);
-        farthest = std::max(farthest, records[i].depth);
+        std::array<float, 2>& range = ranges[pages[records[i].index / kSlots].layer];
+        range = {std::min(range[0], records[i].depth), std::max(range[1], records[i].depth)};
       }
     }
   }
-  project_view.depth_range[0] = nearest;
-  project_view.depth_range[1] = farthest;
+  for (std::size_t i = 0; i < layers.size(); ++i) {
+    if (wants(layers[i])) std::copy_n(ranges[i].begin(), 2, layers[i].project.depth_range);
+  }
 }
 
 // Lists each tile's splats, in the order of their slots.

@@ -77,6 +77,22 @@ struct PairList {
   std::size_t size = 0, room = 0;
 };
 
+// A map of the picture as it is looked at.
+struct SeenLayer {
+  std::vector<SeenGroup> groups;
+  CullView cull;
+  ProjectView project;
+  double error = 0;            // [px]
+  std::size_t candidates = 0;  // so far
+};
+
+// A page that the picture may show.
+struct SeenPage {
+  PageSlots slots;
+  const SlotPage* page;
+  std::uint32_t layer;
+};
+
 // A share of a step, and what was found in it.
 struct Part {
   std::size_t begin = 0, end = 0;
@@ -84,6 +100,7 @@ struct Part {
   std::vector<std::uint32_t> counts;  // pairs of each tile, then where the next one goes
   PairList pairs;
   std::size_t drawn = 0;
+  std::vector<std::size_t> of_layers;  // what was found or drawn of each
 };
 
 // The part of a picture that a tile is.
@@ -123,7 +140,7 @@ struct CpuRasterizer::Work {
   struct Member {
     TilePixels pixels, behind;
     alignas(64) float opaque[kTilePixels], divided[kTilePixels], most[kTilePixels];
-    alignas(64) std::uint32_t slots[kTilePixels];
+    alignas(64) std::uint32_t indices[kTilePixels];
     Room<Listed> spare;
     std::vector<std::uint16_t> places, numbers, kept;
     std::vector<Footprint> footprints;
@@ -132,21 +149,22 @@ struct CpuRasterizer::Work {
   // Draws, or picks, or finds what contributes to a picture that was drawn.
   struct Wanted {
     SplatPicture* picture = nullptr;
-    std::vector<std::uint32_t>* picked = nullptr;
+    std::vector<std::uint32_t>* picked = nullptr;  // Record::index, kNoSlot where there is none
     Contributions* contributions = nullptr;
   };
 
-  bool run(const HostSlots& slots, const MapState& map, const PictureRequest& request,
-           const Wanted& wanted);
-  void setViews(const HostSlots& slots, const MapState& map, const PictureRequest& request);
-  void choosePages(const HostSlots& slots, const PictureRequest& request, double error);
-  void choose(const SlotPage& page, const HostSlots::Page& memory);
+  bool run(const PictureRequest& request, const Wanted& wanted);
+  void setView(const PictureLayer& layer, double now, SeenLayer& seen);
+  void setOrder(const HostSlots& slots, const ArrayView<std::uint32_t>& order);
+  void choosePages(const PictureLayer& layer, std::uint32_t number);
+  void choose(const SlotPage& page, const HostSlots::Page& memory, std::uint32_t layer);
   void cull();
   void deal();
   void halve(const Slice& slice);
   void openTiles(const PictureRequest& request);
   void raisePyramid();
-  bool hidden(const SlotPage& page) const;
+  bool hidden(const SeenPage& page) const;
+  PickedSplat splatOf(std::uint32_t index) const;
   void findTiles(const Footprint& footprint, std::uint32_t record, Part& part) const;
   bool project(const Slice& slice);
   void list();
@@ -158,7 +176,7 @@ struct CpuRasterizer::Work {
                   std::size_t tile, Member& member);
   void addUp(Contributions& contributions) const;
   std::size_t inTile(std::size_t tile, Member& member);
-  void findDepthRange();
+  void findDepthRanges();
 
   // Does step(part, member) for parts of [0, count), side by side.
   template <typename Step>
@@ -175,11 +193,8 @@ struct CpuRasterizer::Work {
   std::vector<Member> members;
   std::vector<Part> parts;
 
-  std::vector<SeenGroup> groups;
-  CullView cull_view;
-  ProjectView project_view;
-  std::vector<PageSlots> pages;  // that the picture may show
-  std::vector<const SlotPage*> bounds;
+  std::vector<SeenLayer> layers;
+  std::vector<SeenPage> pages;  // layer by layer, in the order of slots, nodes last
   std::array<HostSlots::PerSlot<float>, kLevels> node_parents;  // PageSlots::parents, by level
   Room<std::uint32_t> ranks;  // in a given order, by place of a page and in that
   bool ordered = false;
@@ -197,6 +212,7 @@ struct CpuRasterizer::Work {
   Room<std::uint32_t> keys;  // of the records
   Room<Listed> listed;
   std::vector<std::size_t> begins;  // of each tile's
+  int across = 0, down = 0;         // tiles
   std::size_t tiles = 0, total_pairs = 0;
 
   const std::atomic<bool>* cancel = nullptr;
