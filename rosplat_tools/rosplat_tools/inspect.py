@@ -11,7 +11,7 @@ import numpy as np
 from rosplat_tools.formats import SceneError, axes, format_of
 from rosplat_tools.program.output import say
 from rosplat_tools.program.progress import watched
-from rosplat_tools.scenes import NAMES, PROCEDURAL, read_scene
+from rosplat_tools.scenes import NAMES, is_generated, read_scene
 
 QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
 
@@ -30,7 +30,7 @@ def describe(path: str | Path) -> str:
         "format": _format(str(path)),
         "splats": f"{len(splats):,}",
         "SH degree": degree,
-        "axes": "z up" if str(path).startswith(PROCEDURAL) else axes(path).text,
+        "axes": "z up" if is_generated(str(path)) else axes(path).text,
         "antialiased": "yes" if splats.antialiased else "no",
         "in memory": f"{_bytes(used.nbytes)}, {used.nbytes // max(1, len(used))} bytes per splat",
     }
@@ -50,7 +50,7 @@ def describe(path: str | Path) -> str:
 
 
 def _format(name: str) -> str:
-    if name.startswith(PROCEDURAL):
+    if is_generated(name):
         return "made by generate"
     path = Path(name)
     return f"{format_of(path).NAME}, {_bytes(_file_size(path))}"

@@ -72,6 +72,8 @@ def _generated(name: str, progress: Progress) -> Splats:
     _check(name, count)
     try:
         return generate(count, seed, progress=progress, scene=GENERATED[f"{kind}:"])
+    except SceneError as error:
+        raise SceneError(f"{name}: {error}") from error
     except MemoryError as error:
         raise SceneError(f"{name}: too large for this machine's memory") from error
 

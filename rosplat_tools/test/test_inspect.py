@@ -48,8 +48,9 @@ def test_a_far_map_tells_its_origin(random_splats: Make, tmp_path: Path) -> None
     assert rows(describe(tmp_path / "a.ply"))["origin"].startswith("300")
 
 
-def test_a_generated_scene() -> None:
-    report = rows(describe("procedural:40"))
+@pytest.mark.parametrize("name", ["procedural:40", "rooms:40"])
+def test_a_generated_scene(name: str) -> None:
+    report = rows(describe(name))
     assert (report["format"], report["splats"]) == ("made by generate", "40")
     assert report["axes"] == "z up"
 

@@ -25,7 +25,7 @@ def test_count_and_seed_are_in_the_name() -> None:
 
 @pytest.mark.parametrize("count", ["", "many", "-3", "0", "3:", "3:4:5", "33554433", "9" * 5000])
 def test_a_count_that_makes_no_sense(count: str) -> None:
-    with pytest.raises(SceneError):
+    with pytest.raises(SceneError, match=f"^procedural:{count}: "):
         load(f"procedural:{count}")
 
 
