@@ -152,14 +152,13 @@ class MapPublisher:
         most = GaussianArray.MAX_SLOTS
         if len(splats) > most:
             raise ValueError(f"{len(splats)} splats: a map has {most} slots")
-        if expected_slots is not None:
-            _check_expected(expected_slots)
+        expected = _whole("expected_slots", expected_slots or 0, most)
         splats = splats.without_empty_bands()
         with self._lock:
             before = self._map, self._expected_slots
             self._map = SlotMap(splats)
             self._tell_of(len(splats) - len(self._map))
-            self._expected_slots = len(splats) if expected_slots is None else expected_slots
+            self._expected_slots = len(splats) if expected_slots is None else expected
             try:
                 with self._sending():
                     self._send_map([Group(0, range(len(splats)), splats)], stamp, progress)
@@ -174,7 +173,7 @@ class MapPublisher:
 
         Raises ValueError for more than a map has.
         """
-        _check_expected(slots)
+        slots = _whole("expected_slots", slots, GaussianArray.MAX_SLOTS)
         with self._lock:
             self._expected_slots = slots
 
@@ -196,7 +195,7 @@ class MapPublisher:
         _check_type(splats)
         _check_stamp(stamp)
         slots = _checked(slots)
-        self._check_group(group)
+        group = _whole("group", group, GaussianArray.MAX_GROUPS - 1)
         if len(slots) != len(splats):
             raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
         with self._lock:
@@ -239,9 +238,10 @@ class MapPublisher:
         Raises ValueError, and sends nothing, for a pose that is none.
         """
         _check_stamp(stamp)
-        for group in poses:
-            self._check_group(group)
-        checked = {group: to_pose(pose, f"poses[{group}]") for group, pose in poses.items()}
+        checked = {
+            _whole("group", group, GaussianArray.MAX_GROUPS - 1): to_pose(pose, f"poses[{group}]")
+            for group, pose in poses.items()
+        }
         if not checked:
             return
         with self._lock:
@@ -250,11 +250,6 @@ class MapPublisher:
                 if not self._make_room(1, stamp):
                     return
                 self._send_poses(checked, stamp)
-
-    def _check_group(self, group: int) -> None:
-        most = GaussianArray.MAX_GROUPS
-        if not isinstance(group, int | np.integer) or not 0 <= group < most:
-            raise ValueError(f"group: a number from 0 to {most - 1}, got {group}")
 
     def _check_room(self, groups: set[int]) -> None:
         if len(groups) > max(1, self._most_groups):
@@ -437,9 +432,11 @@ def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:
     return slots if isinstance(slots, range) else slots.astype(np.uint32)
 
 
-def _check_expected(slots: int) -> None:
-    if not 0 <= slots <= GaussianArray.MAX_SLOTS:
-        raise ValueError(f"expected_slots: from 0 to {GaussianArray.MAX_SLOTS}, got {slots}")
+def _whole(name: str, number: int, most: int) -> int:
+    """A number from 0 to most as Python's own: of NumPy's, messages take only some."""
+    if not isinstance(number, int | np.integer) or not 0 <= number <= most:
+        raise ValueError(f"{name}: a number from 0 to {most}, got {number}")
+    return int(number)
 
 
 def _check_type(splats: Splats) -> None:

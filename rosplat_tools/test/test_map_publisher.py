@@ -116,6 +116,19 @@ def test_groups_are_placed_and_moved_without_their_splats(
     assert not listener.map.poses
 
 
+def test_numbers_may_be_of_numpy_s_kinds(
+    node: Node, random_splats: Maker, listener: Listener
+) -> None:
+    publisher = MapPublisher(node)
+    publisher.replace(random_splats(3), expected_slots=np.int64(8))  # type: ignore[arg-type]
+    publisher.expect(np.int64(9))  # type: ignore[arg-type]
+    publisher.upsert(range(1024, 1025), random_splats(1), group=np.int64(3))  # type: ignore[arg-type]
+    publisher.move({np.int64(3): np.eye(4)})  # type: ignore[dict-item]
+    listener.wait(lambda: len(listener.batches) == 3)
+    assert [batch.expected_slots for batch in listener.batches] == [8, 9, 9]
+    assert (listener.batches[1].group, list(listener.batches[2].groups)) == (3, [3])
+
+
 @pytest.mark.parametrize(
     ("poses", "named"),
     [
