@@ -80,10 +80,28 @@ def test_rows_without_ids_that_moved_are_a_new_map(maps: WholeMaps, listener: An
     assert contents(listener.map.snapshot()[1]) == contents(first)
 
 
+def test_what_was_written_into_the_same_arrays_is_sent(maps: WholeMaps) -> None:
+    splats, ids = random_splats(100, 1), np.arange(100)
+    assert maps.show(splats, ids) == 100
+    splats.positions[[3, 50]] += 1
+    splats.sh[7] = 0
+    assert maps.show(splats, ids) == 3
+    splats.opacities[9] /= 2
+    assert maps.show(splats, ids) == 1
+
+
+def test_ids_may_be_hashes(maps: WholeMaps) -> None:
+    splats, ids = random_splats(3, 0), np.array([2**64 - 1, 5, 2**63], np.uint64)
+    assert maps.show(splats, ids) == 3
+    assert maps.show(splats[::-1], ids[::-1]) == 0
+
+
 def test_ids_that_are_none_are_refused(maps: WholeMaps) -> None:
     splats = random_splats(3, 0)
     with pytest.raises(ValueError, match="once"):
         maps.show(splats, [1, 2, 1])
+    with pytest.raises(ValueError, match="ids: expected integers, got float64"):
+        maps.show(splats, [0.2, 0.7, 1.2])
     with pytest.raises(ValueError, match="shape"):
         maps.show(splats, [1, 2])
     assert maps.show(splats[:0]) == 0

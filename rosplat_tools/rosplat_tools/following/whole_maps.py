@@ -17,10 +17,9 @@ class _Shown:
     """A map as it was sent: what its author calls splats, where they are."""
 
     splats: Splats
+    """(n,) by id, a copy: authors go on in the same arrays."""
     ids: NDArray[np.int64]
     """(n,) ascending."""
-    rows: NDArray[np.intp]
-    """(n,) of splats, by id."""
     slots: NDArray[np.intp]
     """(n,) by id."""
 
@@ -41,12 +40,10 @@ class WholeMaps:
     def show(self, splats: Splats, ids: ArrayLike | None = None) -> int:
         """Makes splats the map; returns how many were sent.
 
-        ids: (n,) what the author calls them, by default their rows. Raises ValueError for an id
-        that is there twice, and whatever MapPublisher raises.
+        ids: (n,) integers, what the author calls them, by default their rows. Raises ValueError for
+        an id that is there twice, and whatever MapPublisher raises.
         """
-        ids = np.arange(len(splats)) if ids is None else np.asarray(ids, np.int64)
-        if ids.shape != (len(splats),):
-            raise ValueError(f"ids: expected shape {(len(splats),)}, got {ids.shape}")
+        ids = _checked(np.arange(len(splats)) if ids is None else np.asarray(ids), len(splats))
         rows = np.argsort(ids)
         ids = ids[rows]
         if np.any(ids[1:] == ids[:-1]):
@@ -62,7 +59,7 @@ class WholeMaps:
         self._publisher.replace(splats[order])
         slots = np.empty(len(order), np.intp)
         slots[order] = np.arange(len(order))
-        self._shown = _Shown(splats, ids, rows, slots[rows])
+        self._shown = _Shown(splats[rows], ids, slots[rows])
         return len(splats)
 
     def _edit(
@@ -75,7 +72,7 @@ class WholeMaps:
             return None
         _, old, same = np.intersect1d(before.ids, ids, assume_unique=True, return_indices=True)
         differs = np.ones(len(ids), bool)
-        differs[same] = _differ(before.splats, before.rows[old], splats, rows[same])
+        differs[same] = _differ(before.splats, old, splats, rows[same])
         if np.count_nonzero(differs) > len(ids) // 2:
             return None
         new = np.delete(np.arange(len(ids)), same)
@@ -91,8 +88,16 @@ class WholeMaps:
         changed = np.flatnonzero(differs)
         if len(changed):
             self._publisher.upsert(slots[changed], splats[rows[changed]])
-        self._shown = _Shown(splats, ids, rows, slots)
+        self._shown = _Shown(splats[rows], ids, slots)
         return len(changed)
+
+
+def _checked(ids: NDArray[np.generic], n: int) -> NDArray[np.int64]:
+    if ids.shape != (n,):
+        raise ValueError(f"ids: expected shape {(n,)}, got {ids.shape}")
+    if n and not np.issubdtype(ids.dtype, np.integer):  # an empty list is one of floats
+        raise ValueError(f"ids: expected integers, got {ids.dtype}")
+    return ids.astype(np.int64)  # those beyond it wrap, and stay different
 
 
 def _differ(
