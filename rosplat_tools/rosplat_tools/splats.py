@@ -70,15 +70,16 @@ class Splats:
         spheres; logits of the opacities (n,) or (n, 1); sh0 (n, 1, 3) and shN (n, k, 3), as gsplat
         and 3DGS keep them (features_dc, features_rest). Raises ValueError for another shape.
         """
-        positions, origin = rebase(_host(means))
+        positions = _host(means)
         quaternions = _host(quaternions_wxyz)
         n = len(positions)
         shape = np.shape(quaternions)
         if shape != (n, 4):
             raise ValueError(f"quaternions_wxyz: expected shape {(n, 4)}, got {shape}")
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
-        scales = np.exp(_host(log_scales))
-        opacities = 1 / (1 + np.exp(-_host(logits)))
+        with np.errstate(over="ignore"):  # a logit of -100 is an opacity of 0
+            scales = np.exp(_host(log_scales))
+            opacities = 1 / (1 + np.exp(-_host(logits)))
         bands = [_host(sh0)] if shN is None else [_host(sh0), _host(shN)]
         return cls(
             positions=positions,
@@ -86,13 +87,21 @@ class Splats:
             scales=np.broadcast_to(scales, (n, 3)) if scales.shape == (n, 1) else scales,
             opacities=opacities[:, 0] if opacities.shape == (n, 1) else opacities,
             sh=bands[0] if len(bands) == 1 else np.concatenate(bands, axis=1),
-            origin=origin,
             antialiased=antialiased,
         )
 
     def __post_init__(self) -> None:
-        """Converts each array to its dtype and checks its shape."""
+        """Converts each array to its dtype and checks its shape.
+
+        Where float32 would lose positions of another dtype, the origin takes what they share.
+        """
         n = len(self.positions)
+        positions = np.asarray(self.positions)
+        if positions.dtype == np.float64 and positions.shape == (n, 3):
+            near, shift = rebase(positions)
+            object.__setattr__(self, "positions", near)
+            if shift.any():
+                object.__setattr__(self, "origin", shift + np.asarray(self.origin, np.float64))
         shapes: dict[str, tuple[int, ...]] = {
             "positions": (n, 3),
             "orientations": (n, 4),
@@ -103,7 +112,8 @@ class Splats:
         }
         for name, shape in shapes.items():
             dtype = np.float64 if name == "origin" else np.float32
-            array = np.ascontiguousarray(getattr(self, name), dtype)
+            with np.errstate(over="ignore"):  # infinite then: publishers leave it out and say so
+                array = np.ascontiguousarray(getattr(self, name), dtype)
             if array.shape != shape:
                 raise ValueError(f"Splats.{name}: expected shape {shape}, got {array.shape}")
             object.__setattr__(self, name, array)
@@ -160,7 +170,7 @@ class Splats:
         rotation = pose[:3, :3]
         return replace(
             self,
-            positions=self.positions @ rotation.T,
+            positions=(self.positions @ rotation.T).astype(np.float32),
             orientations=product(from_matrices(rotation), self.orientations).astype(np.float32),
             sh=harmonics.turned(self.sh, rotation),
             origin=rotation @ self.origin + pose[:3, 3],
@@ -189,13 +199,17 @@ def rebase(positions: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], N
     """Splits (n, 3) positions into float32 offsets and a float64 origin (3,). [m]
 
     The origin is zero unless a position lies so far out that float32 would lose it: then it is the
-    median, in whole metres, which a stray splat does not move.
+    median of those that are finite, which a stray splat does not move, in hundreds of metres, so
+    that a map that grows mostly keeps it.
     """
     origin = np.zeros(3)
-    if len(positions) and np.abs(positions).max() > FAR_FROM_ZERO:
-        origin = np.round(np.median(positions, axis=0))
-        positions = positions - origin
-    return positions.astype(np.float32), origin
+    if np.fmax.reduce(np.abs(positions), axis=None, initial=0.0) > FAR_FROM_ZERO:
+        finite = positions[np.isfinite(positions).all(axis=1)]
+        if len(finite):
+            origin = 100 * np.round(np.median(finite, axis=0) / 100)
+            positions = positions - origin
+    with np.errstate(over="ignore"):  # infinite then: publishers leave it out and say so
+        return positions.astype(np.float32), origin
 
 
 def concatenate(parts: Sequence[Splats]) -> Splats:
@@ -211,7 +225,9 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
     degree = max(part.sh_degree for part in parts)
     return replace(
         first,
-        positions=np.concatenate([p.positions + (p.origin - first.origin) for p in parts]),
+        positions=np.concatenate(
+            [(p.positions + (p.origin - first.origin)).astype(np.float32) for p in parts]
+        ),
         orientations=np.concatenate([p.orientations for p in parts]),
         scales=np.concatenate([p.scales for p in parts]),
         opacities=np.concatenate([p.opacities for p in parts]),

@@ -1,5 +1,6 @@
 """The in-memory map: its checks, its cuts and joins, and the origin that keeps it precise."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,30 @@ def test_a_stray_position_costs_the_others_nothing() -> None:
     np.testing.assert_allclose((near + origin)[:7], positions[:7], atol=1e-6, rtol=0)
 
 
+def test_positions_that_are_none_cost_the_others_nothing() -> None:
+    positions = np.array([4.5e6, 5e5, 100.0]) + np.random.default_rng(0).uniform(-50, 50, (100, 3))
+    positions[7, 1], positions[8, 0] = np.nan, -np.inf
+    near, origin = rebase(positions)
+    np.testing.assert_allclose((near + origin)[9:], positions[9:], atol=1e-5, rtol=0)
+
+
+def test_a_far_map_that_grows_keeps_its_origin() -> None:
+    positions = np.array([4.5e6, 5e5, 100.0]) + np.random.default_rng(0).uniform(-9, 9, (100, 3))
+    grown = np.concatenate([positions, positions[:30] + np.array([20, 0, 0])])
+    np.testing.assert_array_equal(rebase(positions)[1], rebase(grown)[1])
+
+
+def test_far_positions_need_nobody_to_rebase_them() -> None:
+    some = splats(4, 0)
+    far = np.array([4.5e6, 5e5, 100.0])
+    at = some.positions.astype(np.float64) + far
+    moved = replace(some, positions=at)
+    np.testing.assert_allclose(moved.positions + moved.origin, at, atol=1e-5, rtol=0)
+    # Those that are relative to an origin stay so.
+    again = replace(some, positions=at, origin=far)
+    np.testing.assert_allclose(again.positions + again.origin, at + far, atol=1e-5, rtol=0)
+
+
 def test_near_positions_need_no_origin() -> None:
     assert not rebase(np.full((3, 3), 20.0))[1].any()
 
@@ -131,6 +156,15 @@ def test_tensors_are_taken_as_they_are() -> None:
     )
     np.testing.assert_array_equal(trained.positions, means.detach().numpy())
     np.testing.assert_array_equal(trained.opacities, np.full(n, 0.5, np.float32))
+
+
+def test_what_a_trainer_drives_to_the_ends_is_taken_without_a_warning() -> None:
+    ends = np.array([-1000, 1000], np.float32)
+    trained = Splats.from_trained(
+        np.zeros((2, 3)), np.eye(4)[[0, 0]], np.tile(ends[:, None], 3), ends, np.zeros((2, 1, 3))
+    )
+    np.testing.assert_array_equal(trained.opacities, [0, 1])
+    np.testing.assert_array_equal(trained.scales[:, 0], [0, np.inf])
 
 
 def test_another_shape_of_a_trainer_s_array_is_refused_by_name() -> None:
