@@ -4,10 +4,12 @@ import json
 import math
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from rosplat_lab.metrics import MOST_PSNR
-from rosplat_lab.render.command import write_report
+from rosplat_lab.render.command import write_picture, write_report
 
 
 def test_a_report_is_json_for_whoever_reads_it(
@@ -20,3 +22,18 @@ def test_a_report_is_json_for_whoever_reads_it(
     report = json.loads((tmp_path / "report.json").read_text(), parse_constant=pytest.fail)
     assert (report["via"], report["commit"]) == ("host", "abc")
     assert report["cameras"] == [{"camera": 3}, {"camera": 4, "psnr": MOST_PSNR}]
+
+
+@pytest.mark.parametrize("form", ["png16", "png8", "npy"])
+def test_a_picture_is_written_whole_or_not_at_all(tmp_path: Path, form: str) -> None:
+    color = np.random.default_rng(0).uniform(size=(4, 5, 4)).astype(np.float32)
+    path = write_picture(tmp_path / "3", color, form)
+    assert list(tmp_path.iterdir()) == [path]
+    if form == "npy":
+        read = np.load(path)
+    else:
+        read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1].astype(np.float32)
+        read /= 65535 if form == "png16" else 255
+    np.testing.assert_allclose(read, color[..., : read.shape[2]], atol=1 / 255)
+    with pytest.raises(OSError, match=f"none/3.{form[:3]}'"):
+        write_picture(tmp_path / "none" / "3", color, form)

@@ -1,5 +1,6 @@
 """A file is replaced whole, or stays as it was."""
 
+import errno
 import os
 import stat
 from pathlib import Path
@@ -28,6 +29,17 @@ def test_an_interrupted_writing_leaves_the_old_file(
         raise error
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_can_t_be_written_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    for raised in (OSError(errno.ENOSPC, "No space left on device"), OSError("encoder error -2")):
+        with pytest.raises(OSError, match=r"(No space|error -2).*a\.json'$"), replacing(path):
+            raise raised
+    with pytest.raises(OSError, match=r"b\.json"), replacing(path):
+        (tmp_path / "b.json").read_bytes()
+    with pytest.raises(FileNotFoundError, match=r"none/a\.json'$"):
+        write_text(tmp_path / "none" / "a.json", "")
 
 
 def test_nobody_can_lay_a_link_where_it_writes(tmp_path: Path) -> None:

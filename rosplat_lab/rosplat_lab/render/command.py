@@ -32,7 +32,7 @@ from rosplat_lab.metrics import MOST_PSNR, compare
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.backends import BACKENDS
 from rosplat_tools.cameras import Camera, load_cameras
-from rosplat_tools.program.files import write_text
+from rosplat_tools.program.files import replacing, write_text
 from rosplat_tools.program.output import say
 from rosplat_tools.program.processes import Processes, quoted
 from rosplat_tools.scenes import NAMES, check_scene
@@ -236,16 +236,20 @@ def _pixels(path: Path) -> NDArray[np.unsignedinteger]:
 
 
 def write_picture(path: Path, color: NDArray[np.float32], form: str) -> Path:
-    """Writes premultiplied RGBA over black: png16, png8 or the floats themselves as npy."""
+    """Writes premultiplied RGBA over black: png16, png8 or the floats themselves as npy.
+
+    Raises OSError, and leaves no part of a file.
+    """
     if form == "npy":
         path = path.with_suffix(".npy")
-        np.save(path, color)
+        with replacing(path) as partial, partial.open("wb") as file:
+            np.save(file, color)
         return path
     bits = {"png8": np.uint8, "png16": np.uint16}[form]
     scaled = np.rint(np.clip(color[..., 2::-1], 0, 1) * np.iinfo(bits).max).astype(bits)
     path = path.with_suffix(".png")
-    if not cv2.imwrite(str(path), scaled):
-        raise SceneError(f"{path}: can't be written")
+    with replacing(path) as partial:
+        partial.write_bytes(cv2.imencode(".png", scaled)[1].tobytes())
     return path
 
 

@@ -14,18 +14,25 @@ def replacing(path: Path) -> Iterator[Path]:
     """Where the block is to write what then takes the path's place: a new file beside it.
 
     Its name is nobody's to guess, so that no link can stand there. A reader sees the old file or
-    the new one. Where the block raises, the old one stays.
+    the new one. Where the block raises, the old one stays; an OSError that names no other file
+    names the path.
     """
-    file, name = tempfile.mkstemp(prefix=f".{path.name[:100]}.", suffix=".part", dir=path.parent)
-    partial = Path(name)
+    prefix, partial = f".{path.name[:100]}.", None
     try:
+        file, name = tempfile.mkstemp(prefix=prefix, suffix=".part", dir=path.parent)
+        partial = Path(name)
         os.fchmod(file, 0o666 & ~_umask())
         os.close(file)
         yield partial
         partial.replace(path)
+    except OSError as error:
+        if error.filename is None or Path(error.filename).name.startswith(prefix):
+            raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+        raise
     finally:
-        with contextlib.suppress(OSError):  # it was replaced
-            partial.unlink()
+        if partial:
+            with contextlib.suppress(OSError):  # it was replaced
+                partial.unlink()
 
 
 def _umask() -> int:

@@ -17,8 +17,10 @@ from PIL import Image as Picture
 from rclpy.executors import ExternalShutdownException
 
 from rosplat_msgs.msg import ViewCamera
+from rosplat_tools.program.files import replacing
 from rosplat_tools.program.output import say
 from rosplat_tools.program.running import run, spinning
+from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.offscreen import ensure_display
 from rviz_gaussian_plugin.viewer.node import QUIET, Viewer
@@ -49,24 +51,24 @@ def _wait_for_map(viewer: Viewer) -> None:
 
 def show_stills(viewer: Viewer, folder: Path) -> None:
     """Writes demo.png and demo.webp, a turn around the map, and prints the figures of the still."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SceneError(f"parameter output: {folder}: {error.strerror}") from error
     _wait_for_map(viewer)
-    folder.mkdir(parents=True, exist_ok=True)
     orbit = _framed(viewer)
     figures = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", viewer.order_timeout)
-    Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)).save(folder / "demo.png")
+    still = Picture.fromarray(viewer.renderer.read_color8(BACKGROUND))
+    with replacing(folder / "demo.png") as partial:
+        still.save(partial, "PNG")
     frames = []
     for _ in range(ORBIT_FRAMES):
         viewer.draw_still(view_camera(orbit.camera(*ORBIT)), "orbit", viewer.order_timeout)
         frames.append(Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)))
         orbit.turn(2 * math.pi / ORBIT_FRAMES, 0)
-    frames[0].save(
-        folder / "demo.webp",
-        save_all=True,
-        append_images=frames[1:],
-        duration=80,
-        loop=0,
-        quality=60,
-    )
+    turn = {"save_all": True, "append_images": frames[1:], "duration": 80, "loop": 0, "quality": 60}
+    with replacing(folder / "demo.webp") as partial:
+        frames[0].save(partial, "WEBP", **turn)
     say(figures)
     say(f"wrote {folder / 'demo.png'} and {folder / 'demo.webp'}")
 
