@@ -102,6 +102,8 @@ def test_a_parameter_that_makes_no_sense(
 
 def test_a_scene_that_is_none_is_one_line_that_names_the_file(start: Start, tmp_path: Path) -> None:
     scene = write_scene(tmp_path)
+    process = start("stream_publisher")
+    assert process.communicate(timeout=30)[0].startswith("stream_publisher: parameter path: expec")
     outputs = []
     for damage in (
         lambda: (tmp_path / "1_0" / "meta.json").unlink(),

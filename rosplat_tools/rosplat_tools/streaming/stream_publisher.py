@@ -48,6 +48,8 @@ class StreamPublisher(Node):
             self, "error", 1.0, "Chunks are made finer while splats are farther apart [px].",
             1e-3, 1e3,
         )  # fmt: skip
+        if not path:
+            raise SceneError("parameter path: expected a streamed SOG's lod-meta.json, got none")
         scene = open_streamed(Path(path))
         budget = min(most, most_bytes // splat_bytes(scene.sh_degree))
         self._views: dict[str, FollowedView] = {}
