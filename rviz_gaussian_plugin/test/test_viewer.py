@@ -345,7 +345,12 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("up", [0.0, 0.0, 0.0]), ("up", [float("nan"), 0.0, 1.0]), ("order_source", "nobody")],
+    [
+        ("up", [0.0, 0.0, 0.0]),
+        ("up", [float("nan"), 0.0, 1.0]),
+        ("order_source", "nobody"),
+        ("detail", "much"),
+    ],
 )
 def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
     start: Start, name: str, value: object
@@ -355,6 +360,15 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
     assert name in output
+
+
+def test_a_folder_that_can_t_be_is_told_before_a_map_comes(start: Start, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    process = start("rviz_gaussian_plugin.viewer", output=tmp_path / "file" / "out")
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 1
+    last = output.strip().splitlines()[-1]
+    assert last == f"viewer: parameter output: {tmp_path}/file/out: Not a directory"
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("a\nb" * 10**6)])

@@ -26,7 +26,7 @@ from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.splats import SceneError
 from rviz_gaussian_plugin.from_messages import apply, array, numbers
-from rviz_gaussian_plugin.offscreen import OrderSource, Renderer
+from rviz_gaussian_plugin.offscreen import OrderSource, Renderer, RenderSettings
 from rviz_gaussian_plugin.viewer.orbit import Sample
 
 DISCOVERY = 5.0  # how long stills wait for a sorter to be found [s]
@@ -117,12 +117,13 @@ class Viewer(Node):
                 f"parameter order_source: expected one of {', '.join(ORDER_SOURCES)}, "
                 f"got '{order_source}'"
             )
+        try:
+            RenderSettings().detail = detail  # a renderer that is given up would hold its display
+        except ValueError as error:
+            raise SceneError(f"parameter {error}") from error
         self.renderer = Renderer()
         self.renderer.settings.order = ORDER_SOURCES[order_source]
-        try:
-            self.renderer.settings.detail = detail
-        except ValueError as error:
-            raise SceneError(f"parameter detail: {error}") from error
+        self.renderer.settings.detail = detail
         if float_blending:
             self.renderer.settings.float_blending = True
         self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
