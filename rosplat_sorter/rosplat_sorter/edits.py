@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter import payload
+from rosplat_sorter import channels, payload
 from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.log_text import shown
 from rosplat_sorter.payload import Arrays, PayloadError
@@ -40,7 +40,8 @@ class Edit:
     [m], relative to the origin. extents: float32 (n,) [m], see depth.splat_extents; EMPTY where the
     slot becomes empty. Only a REPLACE or UPSERT has these, and a group. rejected: how many splats
     were not usable and become empty slots. snapshot: repeats what the edits up to this revision
-    have left. poses: of a MOVE, by group: its frame in the map's, float64 (4, 4).
+    have left. poses: of a MOVE, by group: its frame in the map's, float64 (4, 4). channels: the
+    names of those that its splats have.
     """
 
     map_id: str
@@ -56,6 +57,7 @@ class Edit:
     snapshot: bool = False
     group: int = 0
     poses: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    channels: tuple[str, ...] = ()
 
     @property
     def writes(self) -> bool:
@@ -105,7 +107,21 @@ def check(message: GaussianArray) -> None:
         values = len(getattr(message, name))
         if values != splats * each:
             raise EditError(f"{name} has {values} values, {splats * each} expected")
+    _check_channels(message, writes)
     _check_poses(message)
+
+
+def _check_channels(message: GaussianArray, writes: bool) -> None:
+    names = message.channel_names
+    if names and not writes:
+        raise EditError(f"channel_names has {len(names)}, only a REPLACE or UPSERT has any")
+    try:
+        channels.joined((), names)
+    except channels.ChannelError as error:
+        raise EditError(str(error)) from None
+    expected = message.count * len(names)
+    if len(message.channels) != expected:
+        raise EditError(f"channels has {len(message.channels)} values, {expected} expected")
 
 
 def _check_poses(message: GaussianArray) -> None:
@@ -172,6 +188,7 @@ def decode(message: GaussianArray) -> Edit:
         snapshot=message.snapshot,
         group=message.group,
         poses=poses_of(message),
+        channels=tuple(message.channel_names),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_sorter.channels import joined
 from rosplat_sorter.edits import EMPTY, MOVE, REPLACE, Edit
 from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, Rows, SlotPages
 
@@ -15,7 +16,7 @@ class SplatMap:
     map_id, revision, frame_id: of the last edit; revision is 0 before any. origins: of each group
     that was written, that of its first splats, float64 (3,) [m]. poses: where groups were placed,
     float64 (4, 4). missed: how many batches of this map never arrived. rejected: how many splats of
-    the last edit were left out.
+    the last edit were left out. channels: the names of those that splats have come with.
     """
 
     def __init__(self) -> None:
@@ -32,6 +33,7 @@ class SplatMap:
         self.pages = pages
         self.origins: dict[int, NDArray[np.float64]] = {}
         self.poses: dict[int, NDArray[np.float64]] = {}
+        self.channels: tuple[str, ...] = ()
         self._frames: NDArray[np.float64] | None = None
         self._end = 0
 
@@ -82,8 +84,9 @@ class SplatMap:
         """Applies an edit; answers which rows it changed, None for a snapshot of what is known.
 
         The rows by which the map grew count as changed even where the answer leaves them out.
-        Raises, without applying the edit, MemoryError where the map can't grow so far, and
-        MixedGroupsError for splats in a page that holds those of another group.
+        Raises, without applying the edit, MemoryError where the map can't grow so far,
+        MixedGroupsError for splats in a page that holds those of another group, and ChannelError
+        for more channels than a map has.
         """
         begins = edit.map_id != self.map_id or self.revision == 0
         back = not begins and edit.revision <= self.revision
@@ -91,9 +94,12 @@ class SplatMap:
             return None
         clears = begins or edit.operation == REPLACE
         pages = SlotPages() if clears else self.pages
+        channels = () if clears else self.channels
         if edit.writes:
             touched = pages.touched(edit.slots)
             pages.check(touched, edit.group, lambda rows: (self._extents[rows] != EMPTY).any())
+            if len(edit.positions):
+                channels = joined(channels, edit.channels)
             if not clears:
                 self._reserve(pages.rows + len(pages.lacking(touched)) * SLOTS_PER_PAGE)
             pages.add(touched, edit.group)
@@ -106,6 +112,7 @@ class SplatMap:
         else:
             self.missed += edit.revision - self.revision - 1
         self._frames = None
+        self.channels = channels
         self.map_id = edit.map_id
         self.revision = edit.revision
         self.rejected = edit.rejected

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rosplat_sorter import backends, camera, edits
 from rosplat_sorter.backends import AUTO, Backend, Unavailable
 from rosplat_sorter.camera import Camera, CameraError
+from rosplat_sorter.channels import ChannelError
 from rosplat_sorter.edits import Edit
 from rosplat_sorter.log_text import shown
 from rosplat_sorter.map import SplatMap
@@ -233,7 +234,7 @@ class Worker:
         )
         try:
             changed = self._map.apply(edit)
-        except (MemoryError, MixedGroupsError) as error:
+        except (MemoryError, MixedGroupsError, ChannelError) as error:
             self._drop_batch(edit.map_id, edit.revision, error)
             return
         if changed is None:

@@ -51,6 +51,9 @@ def encode(
     message.sh_degree = splats.sh_degree
     message.antialiased = splats.antialiased
     message.origin.x, message.origin.y, message.origin.z = splats.origin.tolist()
+    message.channel_names = list(splats.channels)
+    for values in splats.channels.values():
+        message.channels.extend(_as_array("f", values))
     if compression != NONE:
         arrays = Arrays(
             splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh
@@ -119,11 +122,15 @@ def decode(message: GaussianArray) -> tuple[Slots, Splats]:
         np.frombuffer(message.slots, np.uint32) if message.slots else range(first, first + count)
     )
     arrays = arrays_of(message)
+    channels = np.frombuffer(message.channels, np.float32).reshape(
+        len(message.channel_names), count
+    )
     origin = message.origin
     return slots, Splats(
         **vars(arrays),
         origin=np.array([origin.x, origin.y, origin.z]),
         antialiased=message.antialiased,
+        channels=dict(zip(message.channel_names, channels, strict=True)),
     )
 
 
@@ -147,6 +154,7 @@ def array_bytes(message: GaussianArray) -> int:
         message.opacities,
         message.sh,
         message.payload,
+        message.channels,
     )
     return sum(len(values) * values.itemsize for values in arrays)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_sorter.channels import joined
 from rosplat_sorter.edits import is_usable
 from rosplat_sorter.payload import Arrays
 from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, SlotPages
@@ -70,8 +71,9 @@ class SlotMap:
     def write(self, slots: range | NDArray[np.integer], splats: Splats, group: int = 0) -> int:
         """Puts the i-th splat into the i-th slot, in use or not; returns how many are left out.
 
-        Raises ValueError where the splats are antialiased and the map is not, or the reverse, and
-        MixedGroupsError where a page holds splats of another group.
+        Raises ValueError where the splats are antialiased and the map is not, or the reverse,
+        MixedGroupsError where a page holds splats of another group, and ChannelError for more
+        channels than a map has.
         """
         if not len(slots):
             return 0
@@ -81,7 +83,9 @@ class SlotMap:
         into = _index(slots)
         pages = self._pages.touched(into)
         self._pages.check(pages, group, lambda rows: self._used[rows].any())
+        channels = joined(tuple(self._arrays.channels), tuple(splats.channels))
         self._reserve(len(self._pages.lacking(pages)), splats.sh_degree)
+        self._add(channels)
         self._pages.add(pages, group)
         if begins:
             self._arrays = replace(self._arrays, antialiased=splats.antialiased)
@@ -99,6 +103,8 @@ class SlotMap:
         k = splats.sh.shape[1]
         mine.sh[rows, :k] = splats.sh
         mine.sh[rows, k:] = 0
+        for name, values in mine.channels.items():
+            values[rows] = splats.channels.get(name, np.nan)
         usable = is_usable(
             Arrays(positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
         )
@@ -143,6 +149,12 @@ class SlotMap:
         splats = concatenate([part.splats for part in parts])
         return _in_short(slots[places]), splats[places]
 
+    def _add(self, channels: tuple[str, ...]) -> None:
+        """Has a value for each of these channels and row. Raises MemoryError."""
+        if len(channels) > len(self._arrays.channels):
+            both = {name: self._arrays.channel(name) for name in channels}
+            self._arrays = replace(self._arrays, channels=both)
+
     def _reserve(self, pages: int, sh_degree: int) -> None:
         """Makes room for more pages and bands. Raises MemoryError; the map is as it was."""
         arrays = self._arrays
@@ -154,7 +166,8 @@ class SlotMap:
         if rows > len(self._used):
             rows = max(rows, len(self._used) * 9 // 8)
             # Where they are: large ones are remapped, so that there are never two of them.
-            for array in (*(getattr(arrays, name) for name in _ARRAYS), self._used):
+            of_splats = (getattr(arrays, name) for name in _ARRAYS)
+            for array in (*of_splats, *arrays.channels.values(), self._used):
                 array.resize((rows, *array.shape[1:]), refcheck=False)
 
 

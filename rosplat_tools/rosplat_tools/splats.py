@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rosplat_sorter.channels import joined
 from rosplat_sorter.log_text import shown
 from rosplat_tools import harmonics
 from rosplat_tools.quaternions import from_matrices, product
@@ -51,6 +52,8 @@ class Splats:
     """(3,) added to each position in float64. [m]"""
     antialiased: bool = False
     """Trained with opacity compensation for the 2D low-pass filter (Mip-Splatting)."""
+    channels: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """(n,) named values beside what is drawn, "label" say; not finite where a splat has none."""
 
     @classmethod
     def from_trained(
@@ -63,12 +66,14 @@ class Splats:
         shN: ArrayLike | None = None,
         *,
         antialiased: bool = False,
+        channels: Mapping[str, ArrayLike] | None = None,
     ) -> Splats:
         """Splats from what trainers optimise, as NumPy arrays or torch tensors on any device.
 
         means (n, 3) [m]; quaternions_wxyz (n, 4) of any length; log_scales (n, 3), or (n, 1) for
         spheres; logits of the opacities (n,) or (n, 1); sh0 (n, 1, 3) and shN (n, k, 3), as gsplat
-        and 3DGS keep them (features_dc, features_rest). Raises ValueError for another shape.
+        and 3DGS keep them (features_dc, features_rest); channels (n,) each. Raises ValueError for
+        another shape.
         """
         positions = _host(means)
         quaternions = _host(quaternions_wxyz)
@@ -88,6 +93,7 @@ class Splats:
             opacities=opacities[:, 0] if opacities.shape == (n, 1) else opacities,
             sh=bands[0] if len(bands) == 1 else np.concatenate(bands, axis=1),
             antialiased=antialiased,
+            channels={name: _host(values) for name, values in (channels or {}).items()},
         )
 
     def __post_init__(self) -> None:
@@ -117,6 +123,16 @@ class Splats:
             if array.shape != shape:
                 raise ValueError(f"Splats.{name}: expected shape {shape}, got {array.shape}")
             object.__setattr__(self, name, array)
+        joined((), tuple(self.channels))
+        channels = {
+            name: np.ascontiguousarray(values, np.float32) for name, values in self.channels.items()
+        }
+        for name, values in channels.items():
+            if values.shape != (n,):
+                raise ValueError(
+                    f"Splats.channels['{name}']: expected shape {(n,)}, got {values.shape}"
+                )
+        object.__setattr__(self, "channels", channels)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -130,6 +146,7 @@ class Splats:
             scales=self.scales[index],
             opacities=self.opacities[index],
             sh=self.sh[index],
+            channels={name: values[index] for name, values in self.channels.items()},
         )
 
     @property
@@ -141,11 +158,16 @@ class Splats:
                 return degree
         raise ValueError(f"Splats.sh: expected shape (n, 1|4|9|16, 3), got {np.shape(self.sh)}")
 
+    def channel(self, name: str) -> NDArray[np.float32]:
+        """(n,) values of a channel, NaN where there are none."""
+        values = self.channels.get(name)
+        return np.full(len(self), np.nan, np.float32) if values is None else values
+
     @property
     def nbytes(self) -> int:
         """Memory that the arrays take. [bytes]"""
         arrays = (self.positions, self.orientations, self.scales, self.opacities, self.sh)
-        return sum(array.nbytes for array in arrays)
+        return sum(array.nbytes for array in (*arrays, *self.channels.values()))
 
     def with_sh_degree(self, degree: int) -> Splats:
         """The same splats with bands cut off, or zero bands added, to a degree of 0 to 3."""
@@ -215,7 +237,8 @@ def rebase(positions: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], N
 def concatenate(parts: Sequence[Splats]) -> Splats:
     """Joins sets of splats, in order; the result has the first one's origin and the highest degree.
 
-    Raises ValueError when there are none, or when only some are antialiased.
+    Where a part lacks a channel, its splats have no value. Raises ValueError when there are none,
+    when only some are antialiased, or for more channels than a map has.
     """
     if not parts:
         raise ValueError("nothing to concatenate")
@@ -223,6 +246,7 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
         raise ValueError("can't join antialiased splats with others: they are drawn differently")
     first = parts[0]
     degree = max(part.sh_degree for part in parts)
+    names = dict.fromkeys(name for part in parts for name in part.channels)
     return replace(
         first,
         positions=np.concatenate(
@@ -232,4 +256,5 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
         scales=np.concatenate([p.scales for p in parts]),
         opacities=np.concatenate([p.opacities for p in parts]),
         sh=np.concatenate([p.with_sh_degree(degree).sh for p in parts]),
+        channels={name: np.concatenate([p.channel(name) for p in parts]) for name in names},
     )

@@ -48,6 +48,34 @@ def test_round_trip(random_splats: Make, tmp_path: Path, degree: int, antialiase
     assert_same(load(tmp_path / "a.ply"), splats)
 
 
+def test_further_properties_are_channels(
+    random_splats: Make, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    channels = {"label": np.array([3, 2, 1]), "seen": np.array([0.5, np.nan, 0.25])}
+    splats = replace(random_splats(3), channels=channels)
+    save(tmp_path / "a.ply", splats)
+    read = load(tmp_path / "a.ply")
+    assert_same(read, splats)
+    assert list(read.channels) == ["label", "seen"]
+    for name, values in channels.items():
+        np.testing.assert_array_equal(read.channels[name], values)
+    # As trainers have them, beside what they write for viewers of points.
+    rows = rows_of(tmp_path / "a.ply")
+    for name in ["red", "green", "blue", *(f"feature_{i}" for i in range(10))]:
+        rows = structured.append_fields(rows, name, np.arange(3, dtype="u1"), usemask=False)
+    write_rows(tmp_path / "b.ply", rows)
+    told: list[str] = []
+    read = load(tmp_path / "b.ply", warn=told.append)
+    assert list(read.channels) == ["label", "seen", *(f"feature_{i}" for i in range(6))]
+    np.testing.assert_array_equal(read.channels["feature_5"], [0, 1, 2])
+    assert len(told) == 1
+    assert "left out 4 properties" in told[0]
+    save(tmp_path / "a.splat", splats)
+    assert "left out label, seen" in caplog.text
+    with pytest.raises(SceneError, match="channel 'opacity'"):
+        save(tmp_path / "c.ply", replace(splats, channels={"opacity": np.zeros(3)}))
+
+
 def test_no_splats(random_splats: Make, tmp_path: Path) -> None:
     save(tmp_path / "a.ply", random_splats(0))
     assert len(load(tmp_path / "a.ply")) == 0

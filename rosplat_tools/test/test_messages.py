@@ -1,13 +1,22 @@
 """Batches on the wire: laid out as the message says, whole, and quick."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools.messages import Slots, array_bytes, chunks, decode, encode, encode_deletion
+from rosplat_tools.messages import (
+    COMPRESSIONS,
+    Slots,
+    array_bytes,
+    chunks,
+    decode,
+    encode,
+    encode_deletion,
+)
 from rosplat_tools.splats import Splats
 
 Maker = Callable[..., Splats]
@@ -46,6 +55,21 @@ def test_two_gaussians_are_laid_out_as_the_message_says() -> None:
     assert list(message.opacities) == [0.5, 1]
     assert list(message.sh[:6]) == [0, 1, 2, 10, 11, 12]
     assert list(message.sh[12:15]) == [100, 101, 102]
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_channels_lie_one_after_the_other(random_splats: Maker, compression: str) -> None:
+    channels = {"label": np.array([1, 2, 3]), "seen": np.array([0.5, np.nan, 0.25])}
+    given = replace(random_splats(3), channels=channels)
+    message = encode(
+        given, range(3), header=Header(), map_id="a", revision=1, operation=GaussianArray.REPLACE,
+        compression=compression,
+    )  # fmt: skip
+    assert message.channel_names == ["label", "seen"]
+    np.testing.assert_array_equal(message.channels, [1, 2, 3, 0.5, np.nan, 0.25])
+    _, splats = decode(message)
+    for name, values in channels.items():
+        np.testing.assert_array_equal(splats.channels[name], values)
 
 
 def test_a_range_of_slots_is_not_spelled_out(random_splats: Maker) -> None:

@@ -44,6 +44,7 @@ def test_the_map_grows_is_edited_and_ends_as_the_scene(
     mine, its = np.lexsort(splats.positions.T), np.lexsort(scene.positions.T)
     for name in ("positions", "orientations", "scales", "opacities", "sh"):
         np.testing.assert_array_equal(getattr(splats, name)[mine], getattr(scene, name)[its])
+    np.testing.assert_array_equal(splats.channels["keyframe"], np.arange(3050) // 100)
 
 
 def test_it_sends_at_its_rate(start: Start, listener: Any) -> None:

@@ -1,6 +1,7 @@
 """The map that edits add up to, against a dictionary of splats."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,6 +45,25 @@ def test_the_map_is_a_copy_of_what_it_was_given(random_splats: Maker) -> None:
     slot_map = SlotMap(given)
     slot_map.write(range(3), random_splats(3, seed=1))
     np.testing.assert_array_equal(given.positions, random_splats(3).positions)
+
+
+def test_channels_are_of_all_slots_and_none_where_they_were_not_given(random_splats: Maker) -> None:
+    def labelled(count: int, **channels: float) -> Splats:
+        given = {name: np.full(count, value) for name, value in channels.items()}
+        return replace(random_splats(count), channels=given)
+
+    slot_map = SlotMap(random_splats(4))
+    slot_map.write(range(2), labelled(2, label=7))
+    slot_map.write(range(5000, 5002), labelled(2, seen=0.5, label=8))
+    slot_map.write(range(1), random_splats(1))
+    slots, splats = slot_map.snapshot()
+    assert list(slots) == [0, 1, 2, 3, 5000, 5001]
+    none = np.nan
+    np.testing.assert_array_equal(splats.channels["label"], [none, 7, none, none, 8, 8])
+    np.testing.assert_array_equal(splats.channels["seen"], [none] * 4 + [0.5] * 2)
+    with pytest.raises(ValueError, match="10 in all, a map has at most 8"):
+        slot_map.write(range(9000, 9001), labelled(1, **{f"c{i}": 0 for i in range(8)}))
+    assert len(slot_map) == 6
 
 
 def test_a_map_without_holes_is_a_range(random_splats: Maker) -> None:

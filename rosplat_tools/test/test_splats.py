@@ -115,6 +115,23 @@ def test_concatenate_refuses_mixed_filters() -> None:
         concatenate([splats(1), splats(1, antialiased=True)])
 
 
+def test_channels_go_along_and_are_checked() -> None:
+    some = splats(4, channels={"label": [1, 2, 3, 4], "seen": np.arange(4) / 2})
+    np.testing.assert_array_equal(some[[3, 1]].channels["label"], [4, 2])
+    both = concatenate([some, splats(2, channels={"keyframe": [7, 8]})])
+    assert list(both.channels) == ["label", "seen", "keyframe"]
+    np.testing.assert_array_equal(both.channels["keyframe"], [np.nan] * 4 + [7, 8])
+    np.testing.assert_array_equal(both.channels["seen"][3:], [1.5, np.nan, np.nan])
+    assert some.nbytes == splats(4).nbytes + 4 * 4 * 2
+    for wrong, reason in (
+        ({"label": [1, 2, 3]}, "channels"),
+        ({"a b": [0] * 4}, "'a b'"),
+        ({str(i): [0] * 4 for i in range(9)}, "at most 8"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            splats(4, channels=wrong)
+
+
 def test_what_trainers_optimise_becomes_what_is_drawn() -> None:
     some = splats(7, 2)
     with np.errstate(divide="ignore"):

@@ -42,6 +42,19 @@ def test_only_what_differs_is_sent(maps: WholeMaps, listener: Any) -> None:
     assert contents(listener.map.snapshot()[1]) == contents(grown)
 
 
+def test_a_value_of_a_channel_is_a_difference(maps: WholeMaps, listener: Any) -> None:
+    labels = np.array([0, 1, np.nan, 3, 4, 5])
+    splats = replace(random_splats(6), channels={"label": labels})
+    assert maps.show(splats) == 6
+    labels = np.array([0, 1, np.nan, 9, 4, np.nan])
+    splats = replace(splats, channels={"label": labels})
+    assert maps.show(splats) == 2
+    assert maps.show(splats) == 0
+    listener.wait(lambda: len(listener.batches) == 2)
+    heard = listener.map.snapshot()[1].channels["label"]
+    np.testing.assert_array_equal(np.sort(heard), np.sort(labels))
+
+
 def test_what_keeps_its_id_keeps_its_slot(
     maps: WholeMaps, publisher: MapPublisher, listener: Any
 ) -> None:

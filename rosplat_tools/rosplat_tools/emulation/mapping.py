@@ -46,6 +46,12 @@ def around(splats: Splats) -> Splats:
     return splats[np.argsort(angle, kind="stable")]
 
 
+def with_keyframes(splats: Splats, batch_size: int) -> Splats:
+    """The splats with a further channel, keyframe: which batch of so many each comes in, from 0."""
+    keyframes = (np.arange(len(splats)) // batch_size).astype(np.float32)
+    return replace(splats, channels={**splats.channels, "keyframe": keyframes})
+
+
 def edits(
     scene: Splats,
     *,

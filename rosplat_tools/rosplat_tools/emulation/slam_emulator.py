@@ -11,7 +11,7 @@ from rclpy.node import Node
 from tqdm import tqdm
 
 from rosplat_sorter.qos import HISTORY_DEPTH
-from rosplat_tools.emulation.mapping import Move, around, edits
+from rosplat_tools.emulation.mapping import Move, around, edits, with_keyframes
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import run, spinning, wait_for_end
@@ -48,7 +48,8 @@ class SlamEmulator(Node):
             "seed": declare(self, "seed", 0, "Which are refined and pruned.", 0, 2**31),
         }
         try:
-            self._scene = around(load_scene(path, lambda _: None, self.get_logger().warning))
+            scene = around(load_scene(path, lambda _: None, self.get_logger().warning))
+            self._scene = with_keyframes(scene, self._plan["batch_size"])
             self._edits = edits(self._scene, **self._plan)
         except ValueError as error:
             raise SceneError(str(error)) from error

@@ -110,4 +110,7 @@ def _differ(
     for name in ("positions", "orientations", "scales", "sh"):
         other = getattr(a, name)[old] != getattr(b, name)[new]
         differs |= other.any(axis=tuple(range(1, other.ndim)))
+    for name in {*a.channels, *b.channels}:
+        one, other = a.channel(name)[old], b.channel(name)[new]
+        differs |= (one != other) & ~(np.isnan(one) & np.isnan(other))
     return differs

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -47,7 +48,7 @@ _log = logging.getLogger(__name__)
 
 # Each module has NAME, recognises(path, head), axes(path) and read(path, progress, warn); what can
 # be written has SUFFIX and write(stream, path, splats) as well, where path is for errors to name,
-# and IN_SPACE_ORDER where it packs neighbours.
+# IN_SPACE_ORDER where it packs neighbours, and KEEPS_CHANNELS where it does.
 FORMATS: tuple[ModuleType, ...] = (
     compressed_ply,
     ply,
@@ -129,11 +130,17 @@ def save(path: str | Path, splats: Splats) -> Splats:
     """Writes a scene; the path's ending chooses the format. Replaces a file that exists, whole.
 
     Returns the splats in the order of the file: formats that pack neighbours put them in space
-    order. Raises SceneError for an ending that can't be written, splats that a format has no way to
-    write, a place that can't be written to, or too little memory.
+    order; channels that a format has no place for are left out, with a warning in the log. Raises
+    SceneError for an ending that can't be written, splats that a format has no way to write, a
+    place that can't be written to, or too little memory.
     """
     path = Path(path)
     writer = _writer(path)
+    if splats.channels and not getattr(writer, "KEEPS_CHANNELS", False):
+        _log.warning(
+            "%s: left out %s: %s has no channels", path, ", ".join(splats.channels), writer.NAME
+        )
+        splats = replace(splats, channels={})
     with _told(path):
         if getattr(writer, "IN_SPACE_ORDER", False):
             _require_finite(path, splats)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,8 +69,14 @@ class Columns(NamedTuple):
         )
 
 
-def decoded(path: Path, warn: Warn, columns: Columns, antialiased: bool = False) -> Splats:
-    """Splats from a file's numbers.
+def decoded(
+    path: Path,
+    warn: Warn,
+    columns: Columns,
+    antialiased: bool = False,
+    channels: Mapping[str, Floats] = MappingProxyType({}),
+) -> Splats:
+    """Splats from a file's numbers; channels: (n,) each.
 
     Drops splats that hold a number that is not finite or a quaternion of length zero, and tells
     warn how many. The arrays are the callee's from then on.
@@ -92,6 +99,7 @@ def decoded(path: Path, warn: Warn, columns: Columns, antialiased: bool = False)
         )
         positions, orientations, scales = positions[usable], orientations[usable], scales[usable]
         opacities, sh = opacities[usable], sh[usable]
+        channels = {name: values[usable] for name, values in channels.items()}
     offsets, origin = rebase(positions)
     return Splats(
         positions=offsets,
@@ -101,4 +109,5 @@ def decoded(path: Path, warn: Warn, columns: Columns, antialiased: bool = False)
         sh=sh,
         origin=origin,
         antialiased=antialiased,
+        channels=channels,
     )

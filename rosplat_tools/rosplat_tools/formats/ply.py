@@ -2,6 +2,7 @@
 
 x y z, f_dc_0..2, f_rest_* (channel-major), opacity as logit, scale_* as logarithm, rot_0..3 with w
 first. Read in any order of properties, of any numeric type, in text or binary of either byte order.
+Further properties are channels, a trainer's label say.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_sorter.channels import MOST as MOST_CHANNELS
+from rosplat_sorter.channels import is_name
 from rosplat_tools.formats.bounds import claim, size_of
 from rosplat_tools.formats.decoded import (
     AS_TRAINED,
@@ -29,6 +32,7 @@ from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficie
 
 NAME = "PLY"
 SUFFIX = ".ply"
+KEEPS_CHANNELS = True
 
 POSITION = ["x", "y", "z"]
 NORMAL = ["nx", "ny", "nz"]
@@ -41,6 +45,9 @@ ANTIALIASED = "SplatRenderMode: mip"
 
 # Mip-Splatting's own PLYs hold its 3D smoothing filter beside what it is to be applied to. [m]
 FILTER = "filter_3D"
+
+# What others write beside f_dc_*, for viewers of points.
+POINT_COLOR = ["red", "green", "blue", "alpha"]
 
 TINY = np.finfo(np.float32).tiny
 
@@ -76,6 +83,7 @@ def from_rows(
     Mip-Splatting's 3D filter is applied, as its create_fused_ply.py does. path is for errors to
     name. Raises SceneError where a property is missing.
     """
+    channels = _channels(path, rows, warn)
     has_third_scale = SCALE[2] in (rows.dtype.names or ())
     scale = SCALE if has_third_scale else SCALE[:2]
     rest = rest_names(path, rows)
@@ -101,14 +109,18 @@ def from_rows(
         if rest:
             by_channel = _columns(block, rest).reshape(len(block), 3, k - 1)
             sh[part, 1:] = by_channel.transpose(0, 2, 1)
-    return decoded(path, warn, columns, bool(filters) or antialiased)
+    return decoded(path, warn, columns, bool(filters) or antialiased, channels)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     """Writes splats as binary little-endian PLY, with the zero normals that old viewers expect.
 
-    Positions become doubles where the splats have an origin, so that none of it is lost.
+    Positions become doubles where the splats have an origin, so that none of it is lost. Raises
+    SceneError for a channel that is called like a property with a meaning.
     """
+    for name in splats.channels:
+        if _has_meaning(name):
+            raise SceneError(f"{path}: channel '{name}': a PLY has a property of that name")
     comments = [ANTIALIASED] if splats.antialiased else []
     layout = _rows(splats[:0]).dtype
     stream.write(header({"vertex": (len(splats), layout)}, comments))
@@ -120,7 +132,7 @@ def _rows(splats: Splats) -> NDArray[np.void]:
     """The splats as a PLY holds them."""
     rest = [f"f_rest_{i}" for i in range(3 * (splats.sh.shape[1] - 1))]
     position_type = "<f8" if splats.origin.any() else "<f4"
-    names = [*NORMAL, *COLOR, *rest, "opacity", *SCALE, *ROTATION]
+    names = [*NORMAL, *COLOR, *rest, "opacity", *SCALE, *ROTATION, *splats.channels]
     rows = np.zeros(
         len(splats),
         [(name, position_type) for name in POSITION] + [(name, "<f4") for name in names],
@@ -132,7 +144,26 @@ def _rows(splats: Splats) -> NDArray[np.void]:
     # A flat Gaussian's zero scale has no logarithm; the smallest float stands for it.
     _fill(rows, SCALE, np.log(np.maximum(splats.scales, TINY)))
     _fill(rows, ROTATION, np.roll(splats.orientations, 1, axis=1))
+    for name, values in splats.channels.items():
+        rows[name] = values
     return rows
+
+
+def _has_meaning(name: str) -> bool:
+    """Whether a property called so is more than a channel."""
+    known = [*POSITION, *NORMAL, *COLOR, "opacity", *SCALE, *ROTATION, FILTER, *POINT_COLOR]
+    return name in known or name.startswith("f_rest_")
+
+
+def _channels(path: Path, rows: NDArray[np.void], warn: Warn) -> dict[str, Floats]:
+    """(n,) values of the first properties without a meaning, as many as a map has channels."""
+    further = [name for name in rows.dtype.names or () if not _has_meaning(name)]
+    kept = [name for name in further if is_name(name)][:MOST_CHANNELS]
+    if len(kept) < len(further):
+        left = len(further) - len(kept)
+        warn(f"{path}: left out {left} properties: a map has {MOST_CHANNELS} channels of ASCII")
+    with np.errstate(over="ignore"):  # infinite: none
+        return {name: rows[name].astype(np.float32) for name in kept}
 
 
 def antialiased(comments: list[str]) -> bool:
