@@ -37,6 +37,7 @@ class Receiver(Protocol):
     antialiased: bool | None
     revision: int | None
     missed: int | None
+    channels: tuple[str, ...]
 
     def take(self, message: GaussianArray) -> int | None:
         """Applies a batch: how many splats it leaves out, None for a duplicate.
@@ -78,8 +79,8 @@ class Batch:
             if name == "origin":
                 message.origin.x, message.origin.y, message.origin.z = value
             else:
-                listed = name in ("slots", "groups")
-                setattr(message, name, array("I", value) if listed else value)
+                kind = {"slots": "I", "groups": "I", "channels": "f"}.get(name)
+                setattr(message, name, array(kind, value) if kind else value)
         splats = self.count if self.operation in (REPLACE, UPSERT) else 0
         arrays = {name: array("f", list(one) * splats) for name, one in _SPLAT.items()}
         arrays["sh"] = array("f", [0.25] * (3 * (message.sh_degree + 1) ** 2 * splats))
@@ -116,6 +117,7 @@ class Case:
     antialiased: bool = False
     missed: int = 0
     places: dict[int, tuple[float, float, float]] = field(default_factory=dict)  # by group
+    channels: tuple[str, ...] = ()
     looked_at: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 9, 10, 1023, 1024, 70000, MOST - 1)
 
 
@@ -138,6 +140,12 @@ def _move(groups: tuple[int, ...], *poses: Pose, **fields: Any) -> Batch:
 def _at(x: float, *orientation: float) -> Pose:
     qx, qy, qz, qw = orientation or (0.0, 0.0, 0.0, 1.0)
     return Pose(position=Point(x=x, y=2.0, z=-3.0), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+
+
+def _named(*names: str, **fields: Any) -> Batch:
+    """An upsert of two splats with channels."""
+    values = [float(i) for i in range(2 * len(names))]
+    return _upsert(2, **({"channel_names": names, "channels": values} | fields))
 
 
 def _refused(field: str, name: str, **batch: Any) -> Case:
@@ -384,6 +392,58 @@ CASES = (
         places={0: (0, 0, 0)},
     ),
     Case("a move of nothing", (_replace(2), _move(())), in_use=(0, 1)),
+    # Channels: what else there is of each splat.
+    Case(
+        "channels are those that splats have come with",
+        (_named("label", "seen"), _upsert(2, first_slot=2), _named("age", "label")),
+        in_use=(0, 1, 2, 3),
+        channels=("label", "seen", "age"),
+    ),
+    Case(
+        "a value that is no number is none",
+        (_named("label", channels=[NAN, -INF]),),
+        in_use=(0, 1),
+        channels=("label",),
+    ),
+    Case(
+        "channels go with a replace",
+        (_named("label"), _delete(2), _replace(1), _named("seen")),
+        in_use=(0, 1),
+        channels=("seen",),
+    ),
+    Case(
+        "no splats, no channels",
+        (_replace(2), _upsert(0, channel_names=["label"])),
+        in_use=(0, 1),
+    ),
+    Case(
+        "a payload's channels are beside it",
+        (_replace(2), replace(_named("label", first_slot=2), payload=bytes)),
+        in_use=(0, 1, 2, 3),
+        channels=("label",),
+    ),
+    Case(
+        "more channels than a map has, from batch to batch",
+        (_named(*"abcdefgh"), replace(_named("i", first_slot=2), refused="channel_names")),
+        in_use=(0, 1),
+        channels=tuple("abcdefgh"),
+    ),
+    *(
+        _refused("channel_names", name, fields={"channel_names": names, "channels": values})
+        for name, names, values in (
+            ("more channels than a map has", list("abcdefghi"), [0.0] * 18),
+            ("a channel without a name", [""], [0.0] * 2),
+            ("a channel's name with a space", ["a b"], [0.0] * 2),
+            ("a channel's name beyond ASCII", ["\N{SNOWMAN}"], [0.0] * 2),
+            ("a channel's name too long", ["x" * 65], [0.0] * 2),
+            ("a channel that is there twice", ["a", "b", "a"], [0.0] * 6),
+        )
+    ),
+    _refused(
+        "channel_names", "a delete with channels", operation=DELETE, fields={"channel_names": ["a"]}
+    ),
+    _refused("channels", "channels cut short", fields={"channel_names": ["a"], "channels": [0.0]}),
+    _refused("channels", "channels without names", fields={"channels": [0.0] * 2}),
     _refused("group", "a group too high", fields={"group": 32768}),
     _refused("groups", "groups that an upsert moves", fields={"groups": [1]}),
     *(

@@ -44,6 +44,7 @@ DOUBLES = (
 )  # fmt: skip
 FLOATS = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 1e-20, -1.0, 1e20, -3.4e38, 3.4e38)
 TEXTS = ("", "other", "a\n\x1b[31m" * 20, "x" * 5000, "../../etc/passwd", "\N{SNOWMAN}")
+CHANNELS = [f"channel{i}" for i in range(10)]  # two more than a map has
 # Sorters see an empty slot where an opacity is below 1/255.
 SOLID = {"opacities": (np.nan, np.inf, -np.inf, 7.0, 3.4e38)}
 
@@ -106,6 +107,9 @@ def _batch(rng: Generator, revision: int) -> GaussianArray:
     message.scales = array("f", np.exp(rng.uniform(-7, 1, 3 * n)))
     message.opacities = array("f", rng.uniform(0.1, 1, n))
     message.sh = array("f", rng.normal(size=3 * (message.sh_degree + 1) ** 2 * n))
+    names = list(rng.choice(CHANNELS, one_of(rng, [0, 0, 1, 3]), replace=False))
+    message.channel_names = [str(name) for name in names]
+    message.channels = array("f", rng.normal(size=len(names) * n))
     if not rng.integers(4):
         _compress(message)
     return message
@@ -163,6 +167,8 @@ def damage(rng: Generator, message: Any) -> None:
     value = getattr(message, field)
     if hasattr(value, "get_fields_and_field_types"):
         damage(rng, value)
+    elif types[field] == "sequence<string>":
+        setattr(message, field, _damaged_names(rng, value))
     elif isinstance(value, list):  # of messages
         if value and rng.integers(4):
             damage(rng, one_of(rng, value))
@@ -172,6 +178,13 @@ def damage(rng: Generator, message: Any) -> None:
         setattr(message, field, _damaged_array(rng, field, value))
     else:
         setattr(message, field, one_of(rng, _values(types[field])))
+
+
+def _damaged_names(rng: Generator, names: list[str]) -> list[str]:
+    """One says something else, is gone or there twice, or they are many."""
+    place = int(rng.integers(len(names) + 1))
+    text = one_of(rng, [*TEXTS, *names])
+    return [*names[:place], *one_of(rng, [[], [text], [text] * 1000]), *names[place + 1 :]]
 
 
 def _values(kind: str) -> Sequence[Any]:

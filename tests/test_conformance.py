@@ -38,6 +38,10 @@ class Display:
         return x, y, z
 
     @property
+    def channels(self) -> tuple[str, ...]:
+        return tuple(self.map.channels)
+
+    @property
     def antialiased(self) -> bool:
         return bool(self.map.antialiased)
 
@@ -74,6 +78,10 @@ class Sorter:
         return x, y, z
 
     @property
+    def channels(self) -> tuple[str, ...]:
+        return self.map.channels
+
+    @property
     def revision(self) -> int:
         return self.map.revision
 
@@ -105,6 +113,10 @@ class Publisher:
         origins = {part.group: part.splats.origin for part in self.map.groups()}
         x, y, z = origins.get(0, np.zeros(3)).tolist()
         return x, y, z
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return tuple(self.map.snapshot()[1].channels)
 
     @property
     def antialiased(self) -> bool:
@@ -151,5 +163,6 @@ def test_receivers_agree(receiver: type[Receiver], case: Case) -> None:
         (target.revision, revision),
     ):
         assert known is None or known == expected
+    assert target.channels == case.channels
     for group, place in case.places.items():
         assert target.place(group) == place

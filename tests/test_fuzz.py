@@ -38,6 +38,7 @@ from rviz_gaussian_plugin.from_messages import apply, numbers
 from rviz_gaussian_plugin.offscreen import (
     Camera,
     CpuRenderer,
+    DrawMode,
     OrderSource,
     Renderer,
 )
@@ -155,8 +156,8 @@ def receive() -> Claims:
             for group in range(8):
                 assert display.place(group) == sorter.place(group), brief(message)
                 assert not numbered or publisher.place(group) == sorter.place(group)
-            assert (display.origin, display.revision, display.missed) == (
-                sorter.origin, sorter.revision, sorter.missed,
+            assert (display.origin, display.revision, display.missed, display.channels) == (
+                sorter.origin, sorter.revision, sorter.missed, sorter.channels,
             )  # fmt: skip
         asked = fuzz.view_camera(rng)
         with contextlib.suppress(camera.CameraError):
@@ -165,6 +166,7 @@ def receive() -> Claims:
             seen = Camera(*numbers(asked))
             if asked.width * asked.height < MOST_PIXELS:
                 drawing.settings.detail = fuzz.one_of(rng, ["full", "2px", "50"])
+                drawing.settings.mode = fuzz.one_of(rng, [DrawMode.COLOR, DrawMode.CHANNEL])
                 assert drawing.draw(seen)["splats"] >= 0
                 drawing.pick(seen)
 
@@ -209,7 +211,7 @@ def size_of(message: Any) -> int:
         elif isinstance(value, str):
             size += len(value)
         elif isinstance(value, list):
-            size += sum(map(size_of, value))
+            size += sum(len(v) if isinstance(v, str) else size_of(v) for v in value)
         else:
             size += len(value) * value.itemsize if hasattr(value, "itemsize") else 8
     return size
@@ -226,7 +228,7 @@ def _allowed(message: GaussianArray) -> int:
 
 
 # Of a display that draws by the processor, and of a sorter. [bytes]
-PAGE = SLOTS_PER_PAGE * (36 + 4 * 15 + 16 + 1)
+PAGE = SLOTS_PER_PAGE * (36 + 4 * 15 + 16 + 1 + 4 * GaussianArray.MAX_CHANNELS)
 
 
 def brief(message: GaussianArray) -> str:

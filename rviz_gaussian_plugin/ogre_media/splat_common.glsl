@@ -2,7 +2,7 @@
 
 // As in DrawMode.
 const int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNormals = 5, kOpacity = 6,
-          kAge = 7;
+          kAge = 7, kChannel = 8;
 
 const float kTwoPi = 6.2831853;
 const float kLowPass = 0.3;  // [px^2], part of the trained model

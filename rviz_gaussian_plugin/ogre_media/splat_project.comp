@@ -3,7 +3,8 @@
 
 layout(local_size_x = 256) in;
 
-// Spherical harmonics of bands 1 to 3: a word for each coefficient, 3, 5 and 7 a slot.
+// Spherical harmonics of bands 1 to 3: a word for each coefficient, 3, 5 and 7 a slot. In mode kChannel,
+// which needs none, the first holds the channel's values, a word a slot: there are no more bindings everywhere.
 layout(std430) readonly buffer Band1 { uint band1[]; };
 layout(std430) readonly buffer Band2 { uint band2[]; };
 layout(std430) readonly buffer Band3 { uint band3[]; };
@@ -74,9 +75,33 @@ vec3 trainedColour(uint slot, vec3 direction) {
   return radiance(c + 0.5);
 }
 
+// Hues a golden angle apart, of which three in turn are light, medium and dark.
+vec3 categoryColour(int category) {
+  uint number = uint(category);
+  float hue = float(number * 2654435769u >> 8) / 16777216.0;
+  uint tone = number % 3u;
+  float saturation = tone == 0u ? 0.65 : tone == 1u ? 0.85 : 0.8;
+  float value = tone == 0u ? 1.0 : tone == 1u ? 0.7 : 0.5;
+  vec3 pure = clamp(abs(mod(6.0 * hue + vec3(0.0, 4.0, 2.0), 6.0) - 3.0) - 1.0, 0.0, 1.0);
+  return value * (1.0 + saturation * (pure - 1.0));
+}
+
+vec3 channelColour(uint slot) {
+  if (view.channel_colours == 0) return vec3(0.5);
+  uint bits = band1[slot];
+  if ((bits & 0x7f800000u) == 0x7f800000u) return vec3(0.5);  // not finite: there is no value
+  float value = uintBitsToFloat(bits);
+  if (view.channel_colours == 2) {
+    return categoryColour(int(floor(clamp(value, -1073741824.0, 1073741824.0) + 0.5)));
+  }
+  float above = clamp(value, view.channel_least, view.channel_most) - view.channel_least;
+  return turbo(above * view.channel_per_range);
+}
+
 vec3 colour(uint slot, uint group, vec3 direction, vec3 scale, mat3 orientation, float opacity) {
   if (view.mode == kOpacity) return turbo(opacity);
   if (view.mode == kAge) return turbo(1.0 - slotAge(slot, view.now) / view.age_range);
+  if (view.mode == kChannel) return channelColour(slot);
   if (view.mode == kNormals) {
     int shortest = scale.x <= scale.y && scale.x <= scale.z ? 0 : scale.y <= scale.z ? 1 : 2;
     vec3 normal = orientation[shortest];

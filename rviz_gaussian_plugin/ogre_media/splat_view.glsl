@@ -24,4 +24,6 @@ layout(std140) uniform View {
   float age_range;   // what is old [s]
   float cut_focal;   // [px], orthographic [px/m]
   bool cut;          // nodes stand for some splats
+  float channel_least, channel_most, channel_per_range;  // of mode kChannel, as ChannelColouring
+  int channel_colours;  // the same, its kind
 } view;

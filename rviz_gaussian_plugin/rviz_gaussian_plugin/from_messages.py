@@ -25,6 +25,7 @@ def apply(target: Any, batch: GaussianArray) -> dict[str, Any]:
         array(batch.payload, np.uint8), batch.snapshot, batch.group,
         array(batch.groups, np.uint32),
         np.array([[*sum(pose_values(pose), ())] for pose in batch.poses]),
+        batch.channel_names, array(batch.channels),
     )  # fmt: skip
     return report
 

@@ -16,6 +16,7 @@ from rviz_gaussian_plugin._config import OGRE_PLUGINS
 Antialiasing = _offscreen.Antialiasing
 BatchError = _offscreen.BatchError
 Camera = _offscreen.Camera
+ChannelColours = _offscreen.ChannelColours
 ClipBox = _offscreen.ClipBox
 CpuRenderer = _offscreen.CpuRenderer
 DrawMode = _offscreen.DrawMode

@@ -4,7 +4,7 @@ The semantics are those of the INRIA rasteriser (Kerbl et al. 2023) as gsplat 1.
 Written to be read, yet half a million splats in 1280x720 take but some seconds.
 """
 
-from rosplat_lab.reference import levels
+from rosplat_lab.reference import channels, levels
 from rosplat_lab.reference.renderer import Picture, contributions, pick, render
 
-__all__ = ["Picture", "contributions", "levels", "pick", "render"]
+__all__ = ["Picture", "channels", "contributions", "levels", "pick", "render"]

@@ -51,6 +51,8 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   batch.scales = view(message.scales);
   batch.opacities = view(message.opacities);
   batch.sh = view(message.sh);
+  batch.channel_names = message.channel_names;
+  batch.channels = view(message.channels);
   return batch;
 }
 

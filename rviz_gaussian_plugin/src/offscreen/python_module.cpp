@@ -119,7 +119,8 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
                const Array<float>& opacities, const Array<float>& sh, const std::string& map_id,
                std::uint64_t revision, std::uint32_t expected_slots, const std::string& format,
                const Array<std::uint8_t>& payload, bool snapshot, std::uint32_t group,
-               const Array<std::uint32_t>& groups, const Array<double>& poses) {
+               const Array<std::uint32_t>& groups, const Array<double>& poses,
+               const std::vector<std::string>& channel_names, const Array<float>& channels) {
   GaussianBatch batch;
   batch.operation = operation;
   batch.first_slot = first_slot;
@@ -142,6 +143,8 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
   batch.group = group;
   batch.groups = view(groups);
   batch.poses = posesOf(poses);
+  batch.channel_names = channel_names;
+  batch.channels = view(channels);
   BatchReport report;
   {
     const py::gil_scoped_release release;
@@ -157,7 +160,8 @@ void defineApply(py::class_<Target>& type) {
            "sh_degree"_a, "antialiased"_a, "origin"_a, "positions"_a, "orientations"_a, "scales"_a,
            "opacities"_a, "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0, "format"_a = "",
            "payload"_a = Array<std::uint8_t>(0), "snapshot"_a = false, "group"_a = 0,
-           "groups"_a = Array<std::uint32_t>(0), "poses"_a = Array<double>(0));
+           "groups"_a = Array<std::uint32_t>(0), "poses"_a = Array<double>(0),
+           "channel_names"_a = std::vector<std::string>(), "channels"_a = Array<float>(0));
 }
 
 SplatCamera cameraOf(const std::array<double, 3>& position,
@@ -243,10 +247,10 @@ py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>
   py::list splats;
   for (SplatValues& splat : renderer.scene().readSlots(slots)) {
     const auto floats = static_cast<py::ssize_t>(splat.sh.size());
-    splats.append(py::dict("slot"_a = splat.slot, "group"_a = splat.group,
-                           "position"_a = splat.position, "orientation"_a = splat.orientation,
-                           "scale"_a = splat.scale, "opacity"_a = splat.opacity,
-                           "sh"_a = toArray(std::move(splat.sh), {floats / 3, 3})));
+    splats.append(py::dict(
+        "slot"_a = splat.slot, "group"_a = splat.group, "position"_a = splat.position,
+        "orientation"_a = splat.orientation, "scale"_a = splat.scale, "opacity"_a = splat.opacity,
+        "sh"_a = toArray(std::move(splat.sh), {floats / 3, 3}), "channels"_a = splat.channels));
   }
   return splats;
 }
@@ -284,7 +288,7 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
   SplatPicture& picture = renderer.picture;
   {
     const py::gil_scoped_release release;
-    const Detail& detail = renderer.settings.detail;
+    const Detail detail = renderer.settings.drawnDetail();
     if (!(detail == Detail{}) && !order) {
       merge(renderer);
       PictureLayer& layer = request.layers.front();
@@ -388,7 +392,12 @@ PYBIND11_MODULE(_offscreen, module) {
       .value("GAUSSIAN_BALL", DrawMode::kGaussianBall)
       .value("NORMALS", DrawMode::kNormals)
       .value("OPACITY", DrawMode::kOpacity)
-      .value("AGE", DrawMode::kAge);
+      .value("AGE", DrawMode::kAge)
+      .value("CHANNEL", DrawMode::kChannel);
+  py::enum_<ChannelColours>(module, "ChannelColours")
+      .value("AUTO", ChannelColours::kAuto)
+      .value("CATEGORIES", ChannelColours::kCategories)
+      .value("GRADIENT", ChannelColours::kGradient);
   py::enum_<Antialiasing>(module, "Antialiasing")
       .value("AS_TRAINED", Antialiasing::kAsTrained)
       .value("ON", Antialiasing::kOn)
@@ -428,7 +437,10 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("clip_box", &RenderSettings::clip_box)
       .def_readwrite("near_fade", &RenderSettings::near_fade)
       .def_readwrite("depth_range", &RenderSettings::depth_range)
-      .def_readwrite("age_range", &RenderSettings::age_range);
+      .def_readwrite("age_range", &RenderSettings::age_range)
+      .def_readwrite("channel", &RenderSettings::channel)
+      .def_readwrite("channel_colours", &RenderSettings::channel_colours)
+      .def_readwrite("channel_range", &RenderSettings::channel_range);
   module.def("decode_payload", &decodePayload, "payload"_a, "count"_a, "sh_degree"_a,
              "The arrays of GaussianArray, flat, that a payload stands for. Raises BatchError.");
   py::class_<GaussianMap> map(module, "GaussianMap", "A map's books, without what draws it.");
@@ -449,6 +461,14 @@ PYBIND11_MODULE(_offscreen, module) {
           },
           "group"_a, "Where a group is: position [m], quaternion x y z w.")
       .def_property_readonly("groups", [](const GaussianMap& m) { return m.state().groups; })
+      .def_property_readonly("channels",
+                             [](const GaussianMap& m) {
+                               std::vector<std::string> names;
+                               for (const Channel& channel : m.state().channels) {
+                                 names.push_back(channel.name);
+                               }
+                               return names;
+                             })
       .def_property_readonly("antialiased",
                              [](const GaussianMap& m) { return m.state().antialiased; });
   defineApply(map);

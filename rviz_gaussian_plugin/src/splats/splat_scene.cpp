@@ -30,6 +30,7 @@ double now() {
 std::size_t bytes(const GaussianEdit& edit) {
   std::size_t words = kSlotWords * countSlots(edit.runs);
   for (const auto& band : edit.bands) words += band.size();
+  for (const auto& channel : edit.channels) words += channel.size();
   return words * sizeof(std::uint32_t);
 }
 
@@ -199,6 +200,7 @@ void SplatScene::feedSorter() {
     edit.capacity = drawn_map_.capacity;
     edit.slots = {};
     edit.bands = {};
+    edit.channels = {};
     sorter_.apply(EditQueue::node(std::make_shared<GaussianEdit>(std::move(edit)), drawn_map_));
   };
   GaussianEdit nothing;
@@ -326,7 +328,7 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
 // Goes on with levels of detail while any view wants some.
 Cutting SplatScene::cut(const std::string& view_id, const RenderSettings& settings,
                         FrameReport& report) {
-  const Detail& detail = settings.detail;
+  const Detail detail = settings.drawnDetail();
   if (detail == Detail{}) {
     cut_views_.erase(view_id);
     if (cut_views_.empty()) renderer_->dropLevels();

@@ -10,7 +10,7 @@ constexpr int kSlots = 1024;  // of a page
 
 // As in DrawMode.
 constexpr int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNormals = 5,
-              kOpacity = 6, kAge = 7;
+              kOpacity = 6, kAge = 7, kChannel = 8;
 
 constexpr float kLowPass = 0.3f;  // [px^2], part of the trained model
 constexpr float kCutoffAlpha = 1.0f / 255.0f;
@@ -171,6 +171,38 @@ Vec3 turbo(Floats t) {
   return c;
 }
 
+// Hues a golden angle apart, of which three in turn are light, medium and dark.
+Vec3 categoryColour(Ints category) {
+  const Words number = (Words)category;
+  const Floats hue = toFloats((Ints)(number * 2654435769u >> 8)) * (6.0f / 16777216.0f);
+  const Words tone = number % 3u;
+  const Floats saturation = tone == 0u ? all(0.65f) : tone == 1u ? all(0.85f) : all(0.8f);
+  const Floats value = tone == 0u ? all(1.0f) : tone == 1u ? all(0.7f) : all(0.5f);
+  const auto channel = [&](float offset) {
+    Floats at = hue + offset;
+    at = at >= 6.0f ? at - 6.0f : at;
+    const Floats pure = clamp(abs(at - 3.0f) - 1.0f, all(0.0f), all(1.0f));
+    return value * (1.0f + saturation * (pure - 1.0f));
+  };
+  return {channel(0), channel(4), channel(2)};
+}
+
+Vec3 channelColour(const ProjectView& view, Floats value) {
+  constexpr int kExponent = 0x7f800000;
+  const Ints none = ((Ints)value & kExponent) == kExponent;  // not finite: there is no value
+  Vec3 c;
+  if (view.channel_colours == 2) {
+    constexpr float kMost = 1 << 30;
+    c = categoryColour(
+        toInts(floor(clamp(none ? Floats{} : value, all(-kMost), all(kMost)) + 0.5f)));
+  } else {
+    const Floats above =
+        clamp(value, all(view.channel_least), all(view.channel_most)) - view.channel_least;
+    c = turbo(above * view.channel_per_range);
+  }
+  return select(view.channel_colours == 0 ? ~Ints{} : none, {all(0.5f), all(0.5f), all(0.5f)}, c);
+}
+
 // Never darker than black, but brighter than white may be.
 Floats radiance(Floats c) { return c > 0.0f ? min(c, all(65504.0f)) : all(0.0f); }
 
@@ -239,6 +271,7 @@ Vec3 colourOf(const ProjectView& view, const GroupView& group, const PageSlots& 
     ticks = ticks < 0.0f ? ticks + 65536.0f : ticks;
     return turbo(1.0f - 0.25f * ticks / view.age_range);
   }
+  if (view.mode == kChannel) return channelColour(view, places.of(page.channel));
   Vec3 direction = {all(group.eye[0]), all(group.eye[1]), all(group.eye[2])};
   if (!view.orthographic) {
     direction = mean + all(-1.0f) * direction;

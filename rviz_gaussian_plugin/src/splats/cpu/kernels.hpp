@@ -43,6 +43,7 @@ struct PageSlots {
   const GroupView* group;
   const std::uint32_t* words;     // 3 to 8, all slots of each
   const std::uint32_t* bands[4];  // by coefficient, all slots of each
+  const float* channel;           // values of the one that is drawn
   const float* parents;           // widths of cells, or null where all is drawn in full [m]
   float own_cell;                 // of nodes: how wide their cells are [m], else 0
   float opacity_unit;
@@ -57,6 +58,8 @@ struct ProjectView {
   float ndc_scale, ndc_offset;
   float scale_modifier, opacity_modifier, now, age_range;
   float depth_range[2];
+  float channel_least, channel_most, channel_per_range;
+  int channel_colours;  // ChannelColouring::Kind
   int mode, sh_degree, only_band;
   bool orthographic, antialiased;
   CutView cut;

@@ -194,7 +194,7 @@ void Painter::run() {
     cancelled_ = false;
     lock.unlock();
     takeEdits(job.request->settings.asynchronous ? kEditBytesPerPicture : kEverything);
-    if (job.request->settings.detail == Detail{}) {
+    if (job.request->settings.drawnDetail() == Detail{}) {
       controls_.erase(view_id);
       if (controls_.empty()) dropLevels();
     }
@@ -226,6 +226,7 @@ void Painter::takeEdits(std::size_t most_bytes) {
     }
     taken += edit->slots.size() * sizeof(std::uint32_t);
     for (const auto& band : edit->bands) taken += band.size() * sizeof(std::uint32_t);
+    for (const auto& channel : edit->channels) taken += channel.size() * sizeof(float);
     setMap(state, error);
   }
   if (taken < most_bytes) return;
@@ -253,11 +254,12 @@ void Painter::chooseDetail(PictureRequest& request, const std::string& view_id,
                            Painting& painting) {
   PictureLayer& layer = request.layers.front();
   const RenderSettings& settings = layer.settings;
-  if (settings.detail == Detail{} || request.order || painting.request->unsorted) return;
+  const Detail detail = settings.drawnDetail();
+  if (detail == Detail{} || request.order || painting.request->unsorted) return;
   DetailControl& control = controls_[view_id];
-  const bool in_time = settings.detail.kind == Detail::Kind::kTime;
+  const bool in_time = detail.kind == Detail::Kind::kTime;
   const bool moves = settings.asynchronous && !painting.request->rests;
-  if (!control.needsLevels(settings.detail) || (in_time && !moves)) return;
+  if (!control.needsLevels(detail) || (in_time && !moves)) return;
   wants_levels_ = true;
   const double until = now() + std::max(kLevelsPerPicture, kLevelsShare * control.secondsInFull());
   try {
@@ -268,10 +270,10 @@ void Painter::chooseDetail(PictureRequest& request, const std::string& view_id,
       return;
     }
     layer.levels = &levels_;
-    layer.error = control.choose(settings.detail, !settings.asynchronous, levels_.groups(),
-                                 layer.camera, slots_.index().groups(), settings.clip_box);
-    if (settings.detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
-      layer.most_splats = static_cast<std::size_t>(settings.detail.amount);
+    layer.error = control.choose(detail, !settings.asynchronous, levels_.groups(), layer.camera,
+                                 slots_.index().groups(), settings.clip_box);
+    if (detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
+      layer.most_splats = static_cast<std::size_t>(detail.amount);
     }
     painting.settled = in_time ? layer.error == 0 : whole && control.settled();
   } catch (const std::bad_alloc&) {
@@ -320,7 +322,7 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, Waiting&& j
         control.took(painting->error_px, took);
       } else {
         control.drewAll(took);
-        wants_levels_ = wants_levels_ || control.needsLevels(asked.settings.detail);
+        wants_levels_ = wants_levels_ || control.needsLevels(asked.settings.drawnDetail());
       }
     }
     painting->profile = picture_.profile;

@@ -56,6 +56,12 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLay
   p.opacity_modifier = settings.opacity;
   p.now = static_cast<float>(now);
   p.age_range = settings.age_range;
+  const ChannelColouring channel = colouringOf(layer.map->channels, settings);
+  seen.channel = channel.channel;
+  p.channel_colours = channel.kind;
+  p.channel_least = channel.least;
+  p.channel_most = channel.most;
+  p.channel_per_range = channel.per_range;
   p.depth_range[0] = settings.depth_range[0];
   p.depth_range[1] = settings.depth_range[1];
   p.mode = static_cast<int>(settings.mode);
@@ -144,6 +150,14 @@ void CpuRasterizer::Work::choose(const SlotPage& page, const HostSlots::Page& me
   for (int band = 1; band <= kMaxShDegree; ++band) {
     chosen.bands[band] = memory.bands[band] ? memory.bands[band].get() : kZeros.data();
   }
+  static const auto kNoValues = [] {
+    HostSlots::PerSlot<float> values;
+    values.fill(kNoValue);
+    return values;
+  }();
+  const std::size_t channel = layers[layer].channel;
+  const bool has_values = channel < kMostChannels && memory.channels[channel];
+  chosen.channel = has_values ? memory.channels[channel]->data() : kNoValues.data();
   chosen.parents = nullptr;
   chosen.own_cell = 0;
   chosen.opacity_unit = 1.0f / 65535.0f;

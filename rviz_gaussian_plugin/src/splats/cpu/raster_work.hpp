@@ -82,6 +82,7 @@ struct SeenLayer {
   std::vector<SeenGroup> groups;
   CullView cull;
   ProjectView project;
+  std::size_t channel = 0;     // of HostSlots::Page::channels
   double error = 0;            // [px]
   std::size_t candidates = 0;  // so far
 };

@@ -102,6 +102,10 @@ void Projection::project(const Frame& frame, const gl::Buffer& keys) {
   project_.bind("Boxes", boxes_);
   project_.bind("Groups", groups_);
   project_.bind("Pages", pages_.table());
+  const RenderSettings& settings = frame.settings;
+  const std::size_t channel = settings.mode == DrawMode::kChannel
+                                  ? colouringOf(frame.map.channels, settings).channel
+                                  : kMostChannels;
   for (const PageTable::Range& range : pages_.ranges()) {
     project_.bind("Slots", range.arena->slots);
     bindLevels(project_, *range.arena);
@@ -109,6 +113,9 @@ void Projection::project(const Frame& frame, const gl::Buffer& keys) {
       // What isn't there isn't read, but something must be bound.
       project_.bind(kBands[band],
                     band <= frame.store.shDegree() ? range.arena->bands[band] : range.arena->slots);
+    }
+    if (channel < frame.store.channels()) {
+      project_.bind(kBands[1], range.arena->channels[channel]);
     }
     project_.set("first_entry", static_cast<GLuint>(range.first));
     gl::dispatchInvocations(range.count * SlotPage::kSlots);

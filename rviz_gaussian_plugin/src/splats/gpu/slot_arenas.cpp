@@ -33,6 +33,7 @@ SlotArenas::SlotArenas()
 void SlotArenas::clear() {
   arenas_.clear();
   sh_degree_ = 0;
+  channels_ = 0;
   levels_ = false;
 }
 
@@ -44,6 +45,17 @@ void SlotArenas::addBands(int degree) {
     }
   }
   sh_degree_ = std::max(sh_degree_, degree);
+}
+
+void SlotArenas::addChannels(std::size_t count) {
+  for (Arena& arena : arenas_) {
+    const std::vector<float> none(count > channels_ ? slotsOf(arena) : 0, kNoValue);
+    for (std::size_t channel = channels_; channel < count; ++channel) {
+      arena.channels[channel] = gl::Buffer(none.size() * sizeof(float), GL_DYNAMIC_DRAW);
+      arena.channels[channel].write(0, none.data(), arena.channels[channel].bytes());
+    }
+  }
+  channels_ = std::max(channels_, count);
 }
 
 void SlotArenas::addLevels() {
@@ -75,6 +87,9 @@ void SlotArenas::makeRoom(std::uint32_t pages) {
     for (int band = 1; band <= sh_degree_; ++band) {
       larger.bands[band] = grown(arena.bands[band], slots * bandBytes(band));
     }
+    for (std::size_t channel = 0; channel < channels_; ++channel) {
+      larger.channels[channel] = grown(arena.channels[channel], slots * sizeof(float));
+    }
     if (levels_) larger.levels = grown(arena.levels, slots);
     arena = std::move(larger);
   }
@@ -85,6 +100,7 @@ std::size_t SlotArenas::bytes() const {
   for (const Arena& arena : arenas_) {
     bytes += arena.slots.bytes() + arena.levels.bytes();
     for (const gl::Buffer& band : arena.bands) bytes += band.bytes();
+    for (const gl::Buffer& channel : arena.channels) bytes += channel.bytes();
   }
   return bytes;
 }

@@ -18,6 +18,7 @@ class SlotArenas {
     gl::Buffer slots;                                // kSlotWords a slot
     std::array<gl::Buffer, kMaxShDegree + 1> bands;  // kBandWords a slot, from band 1 on
     gl::Buffer levels;                               // a byte a slot, if there are any
+    std::array<gl::Buffer, kMostChannels> channels;  // a float a slot
     std::uint32_t pages = 0;                         // room for so many
   };
   // Where a page is.
@@ -31,7 +32,8 @@ class SlotArenas {
   // Makes room for so many pages, and for bands. Throw gl::Error when the driver has no memory
   // left.
   void makeRoom(std::uint32_t pages);
-  void addBands(int degree);  // which are empty
+  void addBands(int degree);            // which are empty
+  void addChannels(std::size_t count);  // the first of a map, without values
   // Makes room for a byte a slot, 255 of those that are there; and gives that back.
   void addLevels();
   void dropLevels();
@@ -40,12 +42,14 @@ class SlotArenas {
   const std::vector<Arena>& arenas() const { return arenas_; }
   Arena& operator[](std::uint32_t arena) { return arenas_[arena]; }
   int shDegree() const { return sh_degree_; }
+  std::size_t channels() const { return channels_; }
   std::size_t bytes() const;
 
  private:
   std::uint32_t arena_pages_;
   std::vector<Arena> arenas_;
   int sh_degree_ = 0;
+  std::size_t channels_ = 0;
   bool levels_ = false;
 };
 

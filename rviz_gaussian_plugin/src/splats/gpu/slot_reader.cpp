@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstddef>
+#include <cstring>
 
 namespace rosplat {
 
@@ -11,10 +12,15 @@ namespace {
 constexpr std::size_t kWord = sizeof(std::uint32_t);
 
 SplatValues unpack(std::uint32_t slot, const Group& group, const std::uint32_t* words,
-                   int sh_degree) {
+                   int sh_degree, std::size_t channels) {
   std::array<const std::uint32_t*, kMaxShDegree + 1> bands{nullptr, words + kSlotWords};
   for (int band = 1; band < sh_degree; ++band) bands[band + 1] = bands[band] + kBandWords[band];
-  return valuesOf(slot, group, words, sh_degree, bands);
+  SplatValues values = valuesOf(slot, group, words, sh_degree, bands);
+  const std::uint32_t* further = words + kSlotWords;
+  for (int band = 1; band <= sh_degree; ++band) further += kBandWords[band];
+  values.channels.resize(channels);
+  std::memcpy(values.channels.data(), further, channels * kWord);
+  return values;
 }
 
 }  // namespace
@@ -41,6 +47,7 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
 
   std::size_t stride = kSlotWords;
   for (int band = 1; band <= store.shDegree(); ++band) stride += std::size_t(kBandWords[band]);
+  stride += store.channels();
   std::vector<std::uint32_t> words(held.size());
   std::transform(held.begin(), held.end(), words.begin(), [](const Held& of) { return of.place; });
   gl::Buffer wanted(words.size() * kWord, GL_STREAM_DRAW);
@@ -58,20 +65,28 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
     gather_.set("first", static_cast<GLuint>(first));
     gather_.set("count", static_cast<GLuint>(next - first));
     GLuint offset = 0;
-    for (int band = 0; band <= store.shDegree(); ++band) {
-      const auto size = static_cast<GLuint>(band == 0 ? kSlotWords : kBandWords[band]);
-      gather_.bind("Held", band == 0 ? arena.slots : arena.bands[band]);
+    const auto gather = [&](const gl::Buffer& held_there, int words_of_each) {
+      const auto size = static_cast<GLuint>(words_of_each);
+      gather_.bind("Held", held_there);
       gather_.set("words", size);
       gather_.set("offset", offset);
       gl::dispatchInvocations((next - first) * size);
       offset += size;
+    };
+    gather(arena.slots, kSlotWords);
+    for (int band = 1; band <= store.shDegree(); ++band) {
+      gather(arena.bands[band], kBandWords[band]);
+    }
+    for (std::size_t channel = 0; channel < store.channels(); ++channel) {
+      gather(arena.channels[channel], 1);
     }
   }
   gl::storageBarrier();
   gathered.read(0, words.data(), gathered.bytes());
   for (std::size_t k = 0; k < held.size(); ++k) {
     const std::size_t i = held[k].index;
-    values[i] = unpack(slots[i], *held[k].group, &words[k * stride], store.shDegree());
+    values[i] =
+        unpack(slots[i], *held[k].group, &words[k * stride], store.shDegree(), store.channels());
   }
   return values;
 }

@@ -1,6 +1,7 @@
 #include "gpu/slot_store.hpp"
 
 #include <algorithm>
+#include <cstring>
 
 namespace rosplat {
 
@@ -21,6 +22,9 @@ void SlotStore::apply(const GaussianEdit& edit, double now) {
   capacity_ = std::max(capacity_, edit.capacity);
   pages_.apply(edit);
   arenas_.addBands(edit.sh_degree);
+  for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
+    if (!edit.channels[channel].empty()) arenas_.addChannels(channel + 1);
+  }
   arenas_.makeRoom(static_cast<std::uint32_t>(pages_.pages().size()));
   for (const std::uint32_t first_slot : pages_.emptied()) empty(*pages_.find(first_slot));
   for (const Piece& piece : pieces(edit)) {
@@ -96,6 +100,13 @@ void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_
       writeZeros(target, offset, bytes);
     }
   }
+  const std::vector<float> none(channels() > 0 ? piece.count : 0, kNoValue);
+  for (std::size_t channel = 0; channel < channels(); ++channel) {
+    const std::vector<float>& values = edit.channels[channel];
+    piece.arena->channels[channel].write(piece.first * sizeof(float),
+                                         values.empty() ? none.data() : &values[piece.source],
+                                         piece.count * sizeof(float));
+  }
 }
 
 GaussianEdit SlotStore::edit(const SlotPage& page) const {
@@ -110,8 +121,14 @@ GaussianEdit SlotStore::edit(const SlotPage& page) const {
   for (int band = 1; band <= shDegree(); ++band) {
     bands[band] = read(arena.bands[band], static_cast<std::size_t>(kBandWords[band]));
   }
-  return editOf(pages_.groupOf(page), page.first_slot, read(arena.slots, kSlotWords),
-                std::move(bands), shDegree());
+  GaussianEdit edit = editOf(pages_.groupOf(page), page.first_slot, read(arena.slots, kSlotWords),
+                             std::move(bands), shDegree());
+  for (std::size_t channel = 0; channel < channels(); ++channel) {
+    const std::vector<std::uint32_t> words = read(arena.channels[channel], 1);
+    edit.channels[channel].resize(words.size());
+    std::memcpy(edit.channels[channel].data(), words.data(), words.size() * kWord);
+  }
+  return edit;
 }
 
 void SlotStore::setLevels(std::uint32_t first_slot, const EntryLevels& levels) {

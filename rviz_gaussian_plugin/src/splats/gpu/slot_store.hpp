@@ -47,7 +47,8 @@ class SlotStore {
     return std::min<std::size_t>(capacity_, pages_.pages().size() * SlotPage::kSlots);
   }
   int shDegree() const { return arenas_.shDegree(); }
-  std::uint64_t edits() const { return edits_; }  // so far
+  std::size_t channels() const { return arenas_.channels(); }  // that there are values of
+  std::uint64_t edits() const { return edits_; }               // so far
   std::size_t bytes() const { return arenas_.bytes(); }
 
  private:

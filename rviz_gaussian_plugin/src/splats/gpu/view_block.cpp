@@ -48,6 +48,11 @@ ViewBlock::ViewBlock(const Frame& frame) {
   top_first = frame.top_first;
   now = static_cast<float>(frame.now);
   age_range = settings.age_range;
+  const ChannelColouring channel = colouringOf(map.channels, settings);
+  channel_least = channel.least;
+  channel_most = channel.most;
+  channel_per_range = channel.per_range;
+  channel_colours = channel.channel < frame.store.channels() ? channel.kind : 0;
   const Cut shares = frame.cut(camera, {});
   cut = frame.cuts();
   cut_focal = static_cast<float>(shares.focal);

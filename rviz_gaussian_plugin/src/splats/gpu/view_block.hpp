@@ -29,6 +29,8 @@ struct ViewBlock {
   float now, age_range;
   float cut_focal;
   Flag cut;
+  float channel_least, channel_most, channel_per_range;
+  std::int32_t channel_colours;
 };
 
 }  // namespace rosplat

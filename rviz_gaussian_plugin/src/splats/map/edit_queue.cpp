@@ -20,6 +20,7 @@ std::size_t bytesOf(const EditQueue::Waiting& waiting) {
   const GaussianEdit& edit = *waiting.edit;
   std::size_t bytes = sizeof(waiting) + sizeof(edit) + waiting.state.id.capacity();
   for (const auto& band : edit.bands) bytes += bytesOf(band);
+  for (const auto& channel : edit.channels) bytes += bytesOf(channel);
   return bytes + bytesOf(edit.runs) + bytesOf(edit.slots) + bytesOf(edit.positions) +
          bytesOf(edit.extents) + bytesOf(edit.moves);
 }
@@ -70,6 +71,9 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, const std::ve
   taken->extents = part(edit.extents, 1, kept, count);
   for (std::size_t band = 1; band < edit.bands.size(); ++band) {
     taken->bands[band] = part(edit.bands[band], kBandWords[band], kept, count);
+  }
+  for (std::size_t channel = 0; channel < edit.channels.size(); ++channel) {
+    taken->channels[channel] = part(edit.channels[channel], 1, kept, count);
   }
   return taken;
 }

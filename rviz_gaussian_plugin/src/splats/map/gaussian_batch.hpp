@@ -45,6 +45,8 @@ struct GaussianBatch {
   ArrayView<float> scales;        // 3 a splat [m]
   ArrayView<float> opacities;     // 1 a splat
   ArrayView<float> sh;            // 3 (sh_degree + 1)^2 a splat
+  std::vector<std::string> channel_names;
+  ArrayView<float> channels;  // 1 a splat for the first of these, then for the next
 };
 
 }  // namespace rosplat

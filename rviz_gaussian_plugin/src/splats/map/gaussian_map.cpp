@@ -104,6 +104,15 @@ void check(const GaussianBatch& batch) {
   checkLength("scales", batch.scales.size, 3 * splats);
   checkLength("opacities", batch.opacities.size, splats);
   checkLength("sh", batch.sh.size, coefficients * splats);
+  joined({}, batch.channel_names);
+  if (!values && !batch.channel_names.empty()) {
+    throw BatchError("channel_names are for batches with splats");
+  }
+  if (batch.channels.size != n * batch.channel_names.size()) {
+    throw BatchError("channels holds " + std::to_string(batch.channels.size) +
+                     " values, not count for each of the " +
+                     std::to_string(batch.channel_names.size()) + " channel_names");
+  }
 }
 
 bool allFinite(const float* values, std::size_t count) {
@@ -177,6 +186,20 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
   return kept;
 }
 
+// Has the values of a batch's channels where the map's are.
+void layOutChannels(const GaussianBatch& batch, const std::vector<bool>& kept,
+                    std::vector<Channel>& channels, GaussianEdit& edit) {
+  const float* values = batch.channels.data;
+  for (const std::string& name : batch.channel_names) {
+    const std::size_t index = indexOf(channels, name);
+    edit.channels[index].assign(values, values + batch.count);
+    for (std::size_t i = 0; i < batch.count; ++i) {
+      if (kept[i]) channels[index].widen(values[i]);
+    }
+    values += batch.count;
+  }
+}
+
 }  // namespace
 
 std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
@@ -239,6 +262,10 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     splats = decoded.decode(batch);
     kept = layOut(splats, edit->origin, *edit);
     report.dropped = static_cast<std::uint64_t>(std::count(kept.begin(), kept.end(), false));
+    if (batch.count > 0) {
+      next.channels = joined(std::move(next.channels), batch.channel_names);
+      layOutChannels(batch, kept, next.channels, *edit);
+    }
     next.sh_degree = std::max<int>(next.sh_degree, batch.sh_degree);
     used.makeRoom(edit->runs);
     for (const auto& [first, count] : edit->runs) {

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "map/channels.hpp"
 #include "map/gaussian_batch.hpp"
 #include "map/groups.hpp"
 #include "map/map_sample.hpp"
@@ -34,7 +35,8 @@ struct GaussianEdit {
   std::array<double, 3> origin{};    // of that group, in its frame [m]
   std::vector<std::uint32_t> slots;  // kSlotWords a slot
   std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // kBandWords[band] a slot
-  std::vector<float> positions;  // 3 a slot [m], relative to the origin
+  std::vector<float> positions;                            // 3 a slot [m], relative to the origin
+  std::array<std::vector<float>, kMostChannels> channels;  // a value a slot, or none: empty
   std::vector<float> extents;    // radius of the 1/255 ellipsoid along its longest axis [m], or -1
   std::vector<GroupMove> moves;  // each group once
 };
@@ -69,9 +71,10 @@ struct MapState {
   std::uint32_t capacity = 0;  // one past the highest slot in use
   std::size_t groups = 0;      // that have had splats since the last clear
   int sh_degree = 0;
-  bool antialiased = false;   // as the first splats since the last clear
-  std::uint64_t missed = 0;   // batches, since the last clear
-  std::uint64_t dropped = 0;  // splats, since the last clear
+  std::vector<Channel> channels;  // that splats have come with since the last clear
+  bool antialiased = false;       // as the first splats since the last clear
+  std::uint64_t missed = 0;       // batches, since the last clear
+  std::uint64_t dropped = 0;      // splats, since the last clear
 
   // Whether all that its publisher announced is there.
   bool complete() const { return splats > 0 && splats + dropped >= expected; }
@@ -89,6 +92,7 @@ struct SplatValues {
   float opacity = 0;
   // 3 (degree + 1)^2, coefficient-major, RGB interleaved, in the group's frame.
   std::vector<float> sh;
+  std::vector<float> channels;  // by MapState::channels, not finite where there is none
 };
 
 // Of a slot as packed_slot.hpp has it.

@@ -16,7 +16,8 @@ void HostSlots::apply(const GaussianEdit& edit, double now) {
     memory_.clear();
     pages_ = {};
     sh_degree_ = 0;
-    band_bytes_ = 0;
+    channels_ = 0;
+    band_bytes_ = channel_bytes_ = 0;
   }
   sh_degree_ = std::max(sh_degree_, edit.sh_degree);
   pages_.apply(edit);
@@ -85,6 +86,25 @@ void HostSlots::write(const GaussianEdit& edit, std::size_t source, std::uint32_
       }
     }
   }
+  writeChannels(edit, source, page, target, count);
+}
+
+void HostSlots::writeChannels(const GaussianEdit& edit, std::size_t source, Page& page,
+                              std::size_t target, std::size_t count) {
+  for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
+    const std::vector<float>& values = edit.channels[channel];
+    auto& memory = page.channels[channel];
+    if (!values.empty()) channels_ = std::max(channels_, channel + 1);
+    if (!values.empty() && !memory) {
+      memory = std::make_unique<PerSlot<float>>();
+      memory->fill(kNoValue);
+      channel_bytes_ += sizeof(*memory);
+    }
+    if (!memory) continue;
+    for (std::size_t i = 0; i < count; ++i) {
+      (*memory)[target + i] = values.empty() ? kNoValue : values[source + i];
+    }
+  }
 }
 
 void HostSlots::setParents(const SlotPage& of, const PerSlot<float>& sizes) {
@@ -109,7 +129,7 @@ void HostSlots::dropParents() {
 }
 
 std::size_t HostSlots::bytes() const {
-  return memory_.size() * sizeof(Page) + band_bytes_ + pages_.bytes() +
+  return memory_.size() * sizeof(Page) + band_bytes_ + channel_bytes_ + pages_.bytes() +
          memory_.capacity() * sizeof(memory_[0]);
 }
 
@@ -153,6 +173,10 @@ std::vector<SplatValues> HostSlots::read(const std::vector<std::uint32_t>& slots
     const PackedSlot packed = at(*found).packed(slot % kSlots, sh_degree_);
     values =
         valuesOf(slot, pages_.groupOf(*found), packed.words.data(), sh_degree_, packed.bandWords());
+    for (std::size_t channel = 0; channel < channels_; ++channel) {
+      const auto& memory = at(*found).channels[channel];
+      values.channels.push_back(memory ? (*memory)[slot % kSlots] : kNoValue);
+    }
   }
   return splats;
 }
@@ -171,7 +195,13 @@ GaussianEdit HostSlots::edit(const SlotPage& of) const {
                   &bands[band][std::size_t(kBandWords[band]) * i]);
     }
   }
-  return editOf(pages_.groupOf(of), of.first_slot, std::move(slots), std::move(bands), sh_degree_);
+  GaussianEdit edit =
+      editOf(pages_.groupOf(of), of.first_slot, std::move(slots), std::move(bands), sh_degree_);
+  for (std::size_t channel = 0; channel < channels_; ++channel) {
+    const auto& memory = at(of).channels[channel];
+    if (memory) edit.channels[channel].assign(memory->begin(), memory->end());
+  }
+  return edit;
 }
 
 }  // namespace rosplat

@@ -16,8 +16,8 @@
 namespace rosplat {
 
 // The slots of a map in the processor's memory, page by page: 40 bytes a slot and those of its
-// further bands, and 4 where there are levels. Not for several threads at once, but any number may
-// read.
+// further bands, 4 for each channel, and 4 where there are levels. Not for several threads at once,
+// but any number may read.
 class HostSlots {
  public:
   static constexpr std::size_t kSlots = SlotPage::kSlots;
@@ -32,6 +32,7 @@ class HostSlots {
     std::array<PerSlot<std::uint32_t>, 6> words;  // 3 to 8 of a packed slot
     std::array<std::unique_ptr<std::uint32_t[]>, kMaxShDegree + 1>
         bands;  // coefficient by coefficient, kSlots of each; null where there are none
+    std::array<std::unique_ptr<PerSlot<float>>, kMostChannels> channels;  // null: no values
     // How wide the cells are whose nodes stand for each slot where they are small in a picture:
     // kBoundless where there is none, 0 of empty slots. Null where there are none for the page. [m]
     std::unique_ptr<PerSlot<float>> parents;
@@ -74,11 +75,14 @@ class HostSlots {
  private:
   void write(const GaussianEdit& edit, std::size_t source, std::uint32_t first, std::uint32_t count,
              std::uint32_t change);
+  void writeChannels(const GaussianEdit& edit, std::size_t source, Page& page, std::size_t target,
+                     std::size_t count);
 
   SlotPages pages_;
   std::vector<std::unique_ptr<Page>> memory_;  // by place
   int sh_degree_ = 0;
-  std::size_t band_bytes_ = 0;
+  std::size_t channels_ = 0;  // that there are values of
+  std::size_t band_bytes_ = 0, channel_bytes_ = 0;
 };
 
 }  // namespace rosplat

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <string>
 
 #include "map/gaussian_map.hpp"
 
@@ -17,6 +18,14 @@ enum class DrawMode {
   kNormals,       // the shortest axis, towards the camera: 0.5 + 0.5 n in the map's frame
   kOpacity,       // colour-mapped peak opacity
   kAge,           // colour-mapped time since a slot last changed, new is red
+  kChannel,       // colour-mapped values of a channel; grey where there are none
+};
+
+// How values of a channel become colours.
+enum class ChannelColours {
+  kAuto,        // categories where all are integers
+  kCategories,  // the nearest integers have colours that are easy to tell apart
+  kGradient,
 };
 
 // Whether splats are solid.
@@ -84,14 +93,21 @@ struct RenderSettings {
   float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
   std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest drawn
   float age_range = 10;                // of kAge [s]
+  std::string channel;                 // of kChannel; empty: the map's first
+  ChannelColours channel_colours = ChannelColours::kAuto;
+  std::array<float, 2> channel_range{};  // ends of a gradient; empty: all values that there were
 
   // Whether splats are projected alike.
   bool projectsAs(const RenderSettings& o) const {
     return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
            scale == o.scale && opacity == o.opacity && antialiasing == o.antialiasing &&
            clip_box == o.clip_box && near_fade == o.near_fade && age_range == o.age_range &&
-           detail == o.detail;
+           channel == o.channel && channel_colours == o.channel_colours &&
+           channel_range == o.channel_range && detail == o.detail;
   }
+
+  // Nodes have no values of channels: these are drawn in full.
+  Detail drawnDetail() const { return mode == DrawMode::kChannel ? Detail{} : detail; }
 };
 
 // How many times as large as in the map splats are culled: SplatCamera::extent_scale.

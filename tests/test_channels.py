@@ -1,0 +1,206 @@
+"""Channels: values of splats beside what is drawn of them, coloured and read back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from std_msgs.msg import Header
+from test_cpu_renderer import CAMERAS, cloud, decibels
+
+from rosplat_lab import reference
+from rosplat_lab.bench.embedded import View, pose
+from rosplat_msgs.msg import GaussianArray
+from rosplat_tools.cameras import Camera
+from rosplat_tools.messages import Slots, encode
+from rosplat_tools.splats import Splats
+from rviz_gaussian_plugin import offscreen
+from rviz_gaussian_plugin.from_messages import apply
+from rviz_gaussian_plugin.offscreen import (
+    ChannelColours,
+    CpuRenderer,
+    DrawMode,
+    Instructions,
+    Rasterizer,
+    Renderer,
+)
+
+Array = NDArray[Any]
+
+CAMERA = CAMERAS["outside"]
+SH_C0 = 0.28209479177387814
+
+
+@dataclass
+class Target:
+    """Something that draws a map."""
+
+    renderer: Any
+    view: View | None = None
+    map_id: int = 0
+    revision: int = 0
+
+    def begin(self, splats: Splats, **settings: Any) -> None:
+        """A new map, drawn by channels."""
+        self.map_id += 1
+        self.revision = 0
+        self.write(range(len(splats)), splats, GaussianArray.REPLACE)
+        self.set(mode=DrawMode.CHANNEL, **settings)
+
+    def set(self, **settings: Any) -> None:
+        for name, value in settings.items():
+            setattr(self.renderer.settings, name, value)
+
+    def write(self, slots: Slots, splats: Splats, operation: int = GaussianArray.UPSERT) -> None:
+        self.revision += 1
+        batch = encode(
+            splats, slots, header=Header(frame_id="map"), map_id=str(self.map_id),
+            revision=self.revision, operation=operation,
+        )  # fmt: skip
+        apply(self.renderer, batch)
+
+    def draw(self, camera: Camera = CAMERA) -> Array:
+        if self.view is None:
+            drawn: Array = self.renderer.draw(offscreen.Camera(*pose(camera)))["colour"]
+            return drawn
+        self.view.look(camera)
+        self.view.draw(sort_now=True)
+        picture: Array = self.renderer.read_color()
+        return picture
+
+
+@pytest.fixture(scope="module")
+def opengl(display: str) -> Iterator[Target]:
+    renderer = Renderer()
+    target = Target(renderer, View(renderer))
+    yield target
+    del target.renderer, target.view  # before the display
+
+
+SCENES = {
+    "scene by the processor": Rasterizer.PROCESSOR,
+    "tiles": Rasterizer.TILES,
+    "quads": Rasterizer.QUADS,
+}
+
+
+@pytest.fixture(params=[*Instructions.__members__, *SCENES])
+def target(request: pytest.FixtureRequest) -> Iterator[Target]:
+    """The ways on which a map comes into a picture."""
+    if request.param in SCENES:
+        target = request.getfixturevalue("opengl")
+        target.renderer.settings = offscreen.RenderSettings()
+        target.set(float_blending=True, rasterizer=SCENES[request.param])
+    else:
+        target = Target(CpuRenderer(2, Instructions.__members__[request.param]))
+        if request.param != "BEST" and target.renderer.instructions != request.param.lower():
+            pytest.skip(f"this machine has no {request.param}")
+    return target
+
+
+def painted(splats: Splats, colours: Array) -> Array:
+    """What splats in these colours look like."""
+    sh = ((colours - 0.5) / SH_C0)[:, None]
+    return reference.render(replace(splats, sh=sh), CAMERA).rgba
+
+
+def with_channels(splats: Splats, **channels: Array) -> Splats:
+    return replace(splats, channels=channels)
+
+
+def labels(count: int) -> Array:
+    """Integers of all sizes, and where there is none."""
+    random = np.random.default_rng(7)
+    some = random.integers(-3, 30, count).astype(np.float32)
+    some[random.integers(count, size=40)] = [-(2.0**24), 2.0**24, 3e38, -3e38] * 10
+    some[random.integers(count, size=60)] = [np.nan, np.inf, -np.inf] * 20
+    return some
+
+
+def test_categories_are_coloured_as_their_twin_has_them(target: Target) -> None:
+    splats = cloud()
+    values = labels(len(splats))
+    target.begin(with_channels(splats, label=values), channel="label")
+    expected = painted(splats, reference.channels.categories(values))
+    assert decibels(target.draw(), expected) > 60
+    # Between integers there are no categories, unless they are asked for.
+    values += np.float32(0.25)
+    target.begin(with_channels(splats, label=values))
+    assert decibels(target.draw(), expected) < 30
+    target.set(channel_colours=ChannelColours.CATEGORIES)
+    assert decibels(target.draw(), painted(splats, reference.channels.categories(values))) > 60
+
+
+def test_gradients_are_coloured_as_their_twin_has_them(target: Target) -> None:
+    splats = cloud()
+    values = np.random.default_rng(3).normal(10, 3, len(splats)).astype(np.float32)
+    values[::7] = np.nan
+    target.begin(with_channels(splats, seen=values))
+    least, most = np.nanmin(values), np.nanmax(values)
+    assert (
+        decibels(target.draw(), painted(splats, reference.channels.gradient(values, least, most)))
+        > 60
+    )
+    target.set(channel_range=(9.0, 12.0))
+    assert decibels(target.draw(), painted(splats, reference.channels.gradient(values, 9, 12))) > 60
+
+
+def test_extremes_are_colours_too(target: Target) -> None:
+    splats = cloud()
+    values = np.full(len(splats), 0.5, np.float32)
+    target.begin(with_channels(splats, flat=values))
+    assert (
+        decibels(target.draw(), painted(splats, reference.channels.gradient(values, 0.5, 0.5))) > 60
+    )
+    values[::2], values[1::2] = 3e38, -3e38
+    target.begin(with_channels(splats, wide=values), channel_colours=ChannelColours.GRADIENT)
+    assert np.isfinite(target.draw()).all()
+
+
+def test_edits_write_channels_and_slots_without_are_grey(target: Target) -> None:
+    splats = cloud()
+    count = len(splats)
+    target.begin(splats)  # without any
+    grey = np.full((count, 3), reference.channels.NO_VALUE)
+    assert decibels(target.draw(), painted(splats, grey)) > 60
+    values = np.arange(count) % 5.0
+    target.write(range(count), with_channels(splats, label=values, seen=values / 8))
+    target.write(range(100), splats[:100])
+    target.write(np.arange(200, 300), with_channels(splats[200:300], label=np.full(100, 7.0)))
+    values[:100], values[200:300] = np.nan, 7
+    target.set(channel="label")
+    assert decibels(target.draw(), painted(splats, reference.channels.categories(values))) > 60
+    target.set(channel="seen")
+    seen = values / 8
+    seen[200:300] = np.nan
+    assert decibels(target.draw(), painted(splats, reference.channels.gradient(seen, 0, 0.5))) > 60
+    target.set(channel="nobody's")
+    assert decibels(target.draw(), painted(splats, grey)) > 60
+
+
+def test_channels_are_drawn_in_full(target: Target) -> None:
+    splats = cloud()
+    values = labels(len(splats))
+    target.begin(with_channels(splats, label=values), detail="20px")
+    assert decibels(target.draw(), painted(splats, reference.channels.categories(values))) > 60
+
+
+def test_values_are_read_back_whoever_draws(opengl: Target) -> None:
+    splats = cloud()
+    count = len(splats)
+    values = np.arange(count) / 2.0
+    opengl.renderer.settings = offscreen.RenderSettings()
+    opengl.set(rasterizer=Rasterizer.TILES)
+    opengl.begin(with_channels(splats, half=values))
+    opengl.write(range(5000, 5000 + count), with_channels(splats, label=values * 2))
+    for rasterizer in (Rasterizer.TILES, Rasterizer.PROCESSOR, Rasterizer.TILES):
+        opengl.set(rasterizer=rasterizer)  # the map moves over to it
+        opengl.draw()
+        read = opengl.renderer.read_slots([3, 5003])
+        np.testing.assert_array_equal(
+            [splat["channels"] for splat in read], [[1.5, np.nan], [np.nan, 3]]
+        )
