@@ -23,6 +23,7 @@ CHANGES = [
     ("Draw Mode", "Normals"),
     ("Draw Mode", "Opacity"),
     ("Draw Mode", "Age"),
+    ("Draw Mode", "Channel"),
     ("Alpha", 0.5),
     ("Scale", 0.5),
     ("SH Degree", "0"),

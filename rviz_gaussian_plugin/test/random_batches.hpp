@@ -12,7 +12,7 @@ namespace rosplat {
 // A batch with arrays of its own; its views look into them once look() is called.
 struct OwnedBatch : GaussianBatch {
   std::vector<std::uint32_t> slot_list, group_list;
-  std::vector<float> position, orientation, scale, opacity, harmonics;
+  std::vector<float> position, orientation, scale, opacity, harmonics, values;
 
   // Good splats of random positions for all of `count`; nothing for a DELETE or a MOVE.
   void fill(std::mt19937& random) {
@@ -26,6 +26,9 @@ struct OwnedBatch : GaussianBatch {
     for (float& alpha : opacity) alpha = part(random);
     harmonics.resize(3u * (sh_degree + 1u) * (sh_degree + 1u) * n);
     for (float& c : harmonics) c = part(random);
+    if (n == 0) channel_names.clear();
+    values.resize(channel_names.size() * n);
+    for (float& value : values) value = part(random);
     look();
   }
 
@@ -37,6 +40,7 @@ struct OwnedBatch : GaussianBatch {
     scales = {scale.data(), scale.size()};
     opacities = {opacity.data(), opacity.size()};
     sh = {harmonics.data(), harmonics.size()};
+    channels = {values.data(), values.size()};
   }
 };
 

@@ -30,6 +30,23 @@ bool has(const StatusLine& line, const std::string& words) {
 
 }  // namespace
 
+TEST(ChannelStatus, saysWhichIsDrawnAndHow) {
+  MapState map;
+  RenderSettings settings;
+  EXPECT_EQ(channelStatus(map, settings).level, StatusProperty::Warn);
+  map.channels = joined({}, {"label", "seen"});
+  map.channels[0].widen(3);
+  for (const float value : {0.5f, kNoValue, 0.25f}) map.channels[1].widen(value);
+  EXPECT_EQ(channelStatus(map, settings).text, "label, categories");
+  settings.channel = "seen";
+  EXPECT_EQ(channelStatus(map, settings).text, "seen, 0.25 (blue) to 0.5 (red)");
+  settings.channel_range = {0, 1};
+  EXPECT_EQ(channelStatus(map, settings).text, "seen, 0 (blue) to 1 (red)");
+  settings.channel = "age";
+  EXPECT_EQ(channelStatus(map, settings).text, "The map has no 'age', but label, seen");
+  EXPECT_EQ(channelStatus(map, settings).level, StatusProperty::Warn);
+}
+
 TEST(TopicStatus, saysWhyNothingArrives) {
   GaussianClient::Status received = heard(0);
   received.publishers.clear();

@@ -47,6 +47,10 @@ class Model {
         for (int band = 1; band <= kMaxShDegree; ++band) keep(edit.bands[band], kBandWords[band]);
         for (int k = 0; k < 3; ++k) held.position[k] = edit.positions[3 * i + k];
         held.extent = edit.extents[i];
+        for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
+          const std::vector<float>& values = edit.channels[channel];
+          held.channels[channel] = values.empty() ? -1 : values[i];
+        }
       }
       ++i;
     });
@@ -61,11 +65,12 @@ class Model {
     std::vector<std::uint32_t> words;
     std::array<float, 3> position{};
     float extent = -1;
+    std::array<float, kMostChannels> channels{};  // -1: none
     std::uint32_t group = 0;
     std::array<double, 3> origin{};
     bool operator==(const Slot& o) const {
-      return words == o.words && position == o.position && extent == o.extent && group == o.group &&
-             origin == o.origin;
+      return words == o.words && position == o.position && extent == o.extent &&
+             channels == o.channels && group == o.group && origin == o.origin;
     }
   };
   std::map<std::uint32_t, Slot> slots_;
@@ -92,6 +97,9 @@ OwnedBatch randomBatch(std::uint64_t revision, std::mt19937& random) {
     batch.count = SlotPage::kSlots;
   }
   if (batch.operation == GaussianBatch::UPSERT && chance(3)) chooseMoves(batch, 3, random);
+  for (const char* name : {"label", "seen", "age"}) {
+    if (chance(3)) batch.channel_names.push_back(name);
+  }
   batch.fill(random);
   if (chance(3) && !batch.opacity.empty()) batch.opacity.front() = NAN;  // its slot becomes empty
   return batch;

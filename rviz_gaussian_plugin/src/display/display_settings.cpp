@@ -46,13 +46,32 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
                             {"Gaussian Ball", DrawMode::kGaussianBall},
                             {"Normals", DrawMode::kNormals},
                             {"Opacity", DrawMode::kOpacity},
-                            {"Age", DrawMode::kAge}});
+                            {"Age", DrawMode::kAge},
+                            {"Channel", DrawMode::kChannel}});
   auto_range_ = new BoolProperty("Auto Range", true,
                                  "Colour from the nearest to the farthest splat drawn.", mode_);
   nearest_ = number("Nearest", 0.0f, "Depth that is drawn red. [m]", mode_, 0.0f);
   farthest_ = number("Farthest", 10.0f, "Depth that is drawn blue. [m]", mode_, 0.0f);
   age_range_ =
       number("Age Range", 10.0f, "Time after which a slot is drawn as old. [s]", mode_, 0.001f);
+  channel_ = new EditableEnumProperty(
+      "Channel", "",
+      "Which values that come with the splats are coloured; empty: the map's first. Splats without "
+      "one are grey, and all are drawn in full.",
+      mode_);
+  channel_colours_ = choice<ChannelColours>(
+      "Colors", "Auto",
+      "Categories: each integer has a colour of its own. Gradient: blue to red. Auto: Categories "
+      "where all values are integers.",
+      mode_,
+      {{"Auto", ChannelColours::kAuto},
+       {"Categories", ChannelColours::kCategories},
+       {"Gradient", ChannelColours::kGradient}});
+  auto_bounds_ = new BoolProperty(
+      "Autocompute Value Bounds", true,
+      "A gradient goes from the least to the most that the channel has had.", mode_);
+  least_value_ = new FloatProperty("Min Value", 0.0f, "What is drawn blue.", mode_);
+  most_value_ = new FloatProperty("Max Value", 1.0f, "What is drawn red.", mode_);
   detail_ =
       new EditableEnumProperty("Detail", "Full",
                                "How much of the map is drawn. Full: all. Pixels (2 px): what "
@@ -125,16 +144,19 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
     on_change();
   };
   for (Property* property :
-       {static_cast<Property*>(mode_),           static_cast<Property*>(detail_),
-        static_cast<Property*>(auto_range_),     static_cast<Property*>(nearest_),
-        static_cast<Property*>(farthest_),       static_cast<Property*>(age_range_),
-        static_cast<Property*>(alpha_),          static_cast<Property*>(scale_),
-        static_cast<Property*>(sh_degree_),      static_cast<Property*>(sh_band_),
-        static_cast<Property*>(order_),          static_cast<Property*>(rasterizer_),
-        static_cast<Property*>(profile_),        static_cast<Property*>(antialiasing_),
-        static_cast<Property*>(float_blending_), static_cast<Property*>(near_fade_),
-        static_cast<Property*>(clip_),           static_cast<Property*>(clip_centre_),
-        static_cast<Property*>(clip_size_),      static_cast<Property*>(clip_handles_)}) {
+       {static_cast<Property*>(mode_),         static_cast<Property*>(detail_),
+        static_cast<Property*>(auto_range_),   static_cast<Property*>(nearest_),
+        static_cast<Property*>(farthest_),     static_cast<Property*>(age_range_),
+        static_cast<Property*>(channel_),      static_cast<Property*>(channel_colours_),
+        static_cast<Property*>(auto_bounds_),  static_cast<Property*>(least_value_),
+        static_cast<Property*>(most_value_),   static_cast<Property*>(alpha_),
+        static_cast<Property*>(scale_),        static_cast<Property*>(sh_degree_),
+        static_cast<Property*>(sh_band_),      static_cast<Property*>(order_),
+        static_cast<Property*>(rasterizer_),   static_cast<Property*>(profile_),
+        static_cast<Property*>(antialiasing_), static_cast<Property*>(float_blending_),
+        static_cast<Property*>(near_fade_),    static_cast<Property*>(clip_),
+        static_cast<Property*>(clip_centre_),  static_cast<Property*>(clip_size_),
+        static_cast<Property*>(clip_handles_)}) {
     QObject::connect(property, &Property::changed, property, changed);
   }
   hideWithoutEffect();
@@ -147,9 +169,26 @@ void DisplaySettings::hideWithoutEffect() {
   nearest_->setHidden(!depth || auto_range_->getBool());
   farthest_->setHidden(!depth || auto_range_->getBool());
   age_range_->setHidden(mode != DrawMode::kAge);
+  const bool channel = mode == DrawMode::kChannel;
+  const auto colours = static_cast<ChannelColours>(channel_colours_->getOptionInt());
+  const bool bounds = channel && colours != ChannelColours::kCategories;
+  channel_->setHidden(!channel);
+  channel_colours_->setHidden(!channel);
+  auto_bounds_->setHidden(!bounds);
+  least_value_->setHidden(!bounds || auto_bounds_->getBool());
+  most_value_->setHidden(!bounds || auto_bounds_->getBool());
   clip_centre_->setHidden(!clip_->getBool());
   clip_size_->setHidden(!clip_->getBool());
   clip_handles_->setHidden(!clip_->getBool());
+}
+
+void DisplaySettings::offerChannels(const std::vector<Channel>& channels) {
+  std::vector<std::string> names;
+  for (const Channel& channel : channels) names.push_back(channel.name);
+  if (names == channels_) return;
+  channel_->clearOptions();
+  for (const std::string& name : names) channel_->addOptionStd(name);
+  channels_ = std::move(names);
 }
 
 std::string DisplaySettings::detailError() const {
@@ -181,6 +220,11 @@ RenderSettings DisplaySettings::get() const {
     settings.depth_range = {nearest_->getFloat(), farthest_->getFloat()};
   }
   settings.age_range = age_range_->getFloat();
+  settings.channel = channel_->getStdString();
+  settings.channel_colours = static_cast<ChannelColours>(channel_colours_->getOptionInt());
+  if (!auto_bounds_->getBool()) {
+    settings.channel_range = {least_value_->getFloat(), most_value_->getFloat()};
+  }
   try {
     settings.detail = parseDetail(detail_->getStdString());
   } catch (const std::invalid_argument&) {  // detailError() says so

@@ -2,6 +2,7 @@
 
 #include <functional>
 #include <string>
+#include <vector>
 
 #include "map/render_settings.hpp"
 
@@ -23,6 +24,8 @@ class DisplaySettings {
   DisplaySettings(rviz_common::properties::Property* display, std::function<void()> on_change);
 
   RenderSettings get() const;
+  // Has the map's channels to choose from.
+  void offerChannels(const std::vector<Channel>& channels);
   // Why its detail is Full instead of what was typed; empty where it isn't.
   std::string detailError() const;
 
@@ -39,6 +42,12 @@ class DisplaySettings {
   rviz_common::properties::FloatProperty* nearest_;
   rviz_common::properties::FloatProperty* farthest_;
   rviz_common::properties::FloatProperty* age_range_;
+  rviz_common::properties::EditableEnumProperty* channel_;
+  std::vector<std::string> channels_;  // offered
+  rviz_common::properties::EnumProperty* channel_colours_;
+  rviz_common::properties::BoolProperty* auto_bounds_;
+  rviz_common::properties::FloatProperty* least_value_;
+  rviz_common::properties::FloatProperty* most_value_;
   rviz_common::properties::EnumProperty* sh_degree_;
   rviz_common::properties::EnumProperty* sh_band_;
   rviz_common::properties::EnumProperty* order_;

@@ -151,6 +151,30 @@ StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::siz
   return {as_wanted ? StatusProperty::Ok : StatusProperty::Warn, nameOf("Detail", view), text};
 }
 
+StatusLine channelStatus(const MapState& map, const RenderSettings& settings) {
+  std::vector<std::string> names;
+  for (const Channel& channel : map.channels) names.push_back(channel.name);
+  const auto line = [](StatusProperty::Level level, std::string text) -> StatusLine {
+    return {level, "Channel", std::move(text)};
+  };
+  if (names.empty()) {
+    return line(StatusProperty::Warn, "No splat of the map has come with a channel");
+  }
+  const ChannelColouring colouring = colouringOf(map.channels, settings);
+  if (colouring.kind == ChannelColouring::kNone) {
+    return line(StatusProperty::Warn,
+                concat("The map has no '", settings.channel, "', but ", joined(names)));
+  }
+  std::ostringstream text;
+  text << names[colouring.channel];
+  if (colouring.kind == ChannelColouring::kCategories) {
+    text << ", categories";
+  } else {
+    text << ", " << colouring.least << " (blue) to " << colouring.most << " (red)";
+  }
+  return line(StatusProperty::Ok, text.str());
+}
+
 StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes) {
   return {StatusProperty::Ok, "Memory",
           concat("GPU ", gpu_bytes >> 20, " MiB, host ", host_bytes >> 20, " MiB")};

@@ -37,6 +37,8 @@ StatusLine frameStatus(const FrameReport& frame, const std::string& view);
 // What was drawn of the map, to which error, and what its levels of detail take.
 StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::size_t levels_bytes,
                         const std::string& view);
+// Which channel is drawn, and how.
+StatusLine channelStatus(const MapState& map, const RenderSettings& settings);
 StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes);
 
 }  // namespace rosplat

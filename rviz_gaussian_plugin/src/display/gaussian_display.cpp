@@ -234,6 +234,7 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   if (render_service_) render_service_->refuseUnserved();
   if (const auto now = std::chrono::steady_clock::now(); now - status_time_ > kStatusPeriod) {
     status_time_ = now;
+    settings_->offerChannels(cloud_->scene().state().channels);
     showStatus(statusLines());
   }
 }
@@ -283,7 +284,7 @@ void GaussianDisplay::publishPicked(const std::vector<SplatValues>& splats) {
   if (!client_) return;
   const MapState& map = cloud_->scene().drawnMap();
   for (const SplatValues& splat : splats) {
-    client_->publish(toMessage(splat, client_->header(), map.id, map.revision));
+    client_->publish(toMessage(splat, client_->header(), map));
   }
 }
 
@@ -313,7 +314,10 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
   if (const std::string error = settings_->detailError(); !error.empty()) {
     lines.push_back({StatusProperty::Error, "Detail", error + "; all is drawn"});
   }
-  const Detail wanted = cloud_->settings().detail;
+  if (cloud_->settings().mode == DrawMode::kChannel) {
+    lines.push_back(channelStatus(map, cloud_->settings()));
+  }
+  const Detail wanted = cloud_->settings().drawnDetail();
   std::vector<SplatCamera> cameras;
   for (const auto& [view, frame, camera] : views) {
     cameras.push_back(camera);

@@ -1,5 +1,6 @@
 #include "messages.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 #include <utility>
@@ -10,6 +11,7 @@ namespace rosplat {
 
 static_assert(kMaxSlots == rosplat_msgs::msg::GaussianArray::MAX_SLOTS);
 static_assert(kMostGroups == rosplat_msgs::msg::GaussianArray::MAX_GROUPS);
+static_assert(kMostChannels == rosplat_msgs::msg::GaussianArray::MAX_CHANNELS);
 static_assert(SlotPage::kSlots == rosplat_msgs::msg::GaussianArray::SLOTS_PER_BLOCK);
 static_assert(rosplat_sorter::kMostSlots == kMaxSlots);
 static_assert(rosplat_sorter::OrderReader::kPacked == rosplat_msgs::msg::SplatOrder::PACKED);
@@ -118,11 +120,11 @@ rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::st
 }
 
 rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::msg::Header& header,
-                                      const std::string& map_id, std::uint64_t revision) {
+                                      const MapState& map) {
   rosplat_msgs::msg::Gaussian message;
   message.header = header;
-  message.map_id = map_id;
-  message.revision = revision;
+  message.map_id = map.id;
+  message.revision = map.revision;
   message.slot = splat.slot;
   message.group = splat.group;
   message.pose.position.x = splat.position[0];
@@ -142,6 +144,10 @@ rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::
   message.sh_degree =
       static_cast<std::uint8_t>(std::lround(std::sqrt(double(splat.sh.size()) / 3)) - 1);
   message.sh = splat.sh;
+  for (std::size_t i = 0; i < std::min(map.channels.size(), splat.channels.size()); ++i) {
+    message.channel_names.push_back(map.channels[i].name);
+    message.channels.push_back(std::isfinite(splat.channels[i]) ? splat.channels[i] : kNoValue);
+  }
   return message;
 }
 

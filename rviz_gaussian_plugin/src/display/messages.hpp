@@ -30,7 +30,7 @@ rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::st
 
 // With its orientation as a unit quaternion.
 rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::msg::Header& header,
-                                      const std::string& map_id, std::uint64_t revision);
+                                      const MapState& map);
 
 Placement toPlacement(const geometry_msgs::msg::Pose& pose);
 

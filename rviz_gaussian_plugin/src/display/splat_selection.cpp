@@ -52,9 +52,9 @@ QColor baseColour(const SplatValues& splat) {
   return {rgb[0], rgb[1], rgb[2]};
 }
 
-Property* describe(const SplatValues& splat) {
+Property* describe(const SplatValues& splat, const std::vector<Channel>& channels) {
   auto* parent = new Property(QString("Slot %1").arg(splat.slot));
-  const auto add = [parent](const char* name, const QString& value, const char* description) {
+  const auto add = [parent](const QString& name, const QString& value, const char* description) {
     (new Property(name, value, description, parent))->setReadOnly(true);
   };
   if (splat.opacity <= 0) {
@@ -68,6 +68,11 @@ Property* describe(const SplatValues& splat) {
          "Base Color", baseColour(splat),
          "Band 0 of the spherical harmonics: the mean over all directions.", parent))
         ->setReadOnly(true);
+    for (std::size_t i = 0; i < std::min(channels.size(), splat.channels.size()); ++i) {
+      const float value = splat.channels[i];
+      add(QString::fromStdString(channels[i].name),
+          std::isfinite(value) ? QString::number(value, 'g', 9) : "none", "A channel of the map.");
+    }
   }
   parent->setReadOnly(true);
   return parent;
@@ -188,7 +193,7 @@ void SplatSelection::list(Property* parent) {
   qDeleteAll(properties_);
   properties_.clear();
   for (std::size_t i = 0; i < std::min(splats_.size(), kListed); ++i) {
-    properties_.append(describe(splats_[i]));
+    properties_.append(describe(splats_[i], cloud_.scene().drawnMap().channels));
   }
   if (slots_.size() > kListed) {
     properties_.append(new Property(QString("... and %1 more").arg(slots_.size() - kListed)));
