@@ -73,6 +73,26 @@ Window Geometry: {Width: 1400, Height: 900}
 """
 
 
+CHANNELS_CONFIG = """\
+Panels:
+  - Class: rviz_common/Displays
+    Name: Displays
+    Property Tree Widget:
+      Expanded: [/Gaussian Map1, /Gaussian Map1/Draw Mode1]
+      Splitter Ratio: 0.5
+    Tree Height: 540
+Visualization Manager:
+  Displays:
+    - {Class: rviz_gaussian_plugin/GaussianMap, Name: Gaussian Map, Enabled: true, Value: true,
+       Topic: /gaussians, Draw Mode: {Value: Channel, Channel: keyframe}}
+  Global Options: {Fixed Frame: map, Background Color: 32; 34; 38, Frame Rate: 30}
+  Views:
+    Current: {Class: rviz_default_plugins/Orbit, Name: Current View, Distance: 4.4, Yaw: 0.8,
+      Pitch: 0.5, Focal Point: {X: 0, Y: 0, Z: 0.5}, Near Clip Distance: 0.01}
+Window Geometry: {Width: 1400, Height: 640}
+"""
+
+
 def shoot(name: str, display: str, crop: tuple[int, int, int, int] | None = None) -> None:
     """A picture of the screen into docs/, small enough for a README."""
     picture = ImageGrab.grab(xdisplay=display).convert("RGB")
@@ -201,6 +221,21 @@ def selection(display: str, folder: Path, seconds: float) -> None:
         shoot("selection.jpg", display)
 
 
+def channels(display: str, folder: Path, seconds: float) -> None:
+    """A map in the colours of the keyframes that its splats came with, as SLAM sends them."""
+    config = folder / "channels.rviz"
+    config.write_text(CHANNELS_CONFIG)
+    with Processes(folder) as processes:
+        processes.node(
+            "rosplat_tools", "slam_emulator", "--ros-args", "-p", "path:=procedural:60000",
+            "-p", "batch_size:=3000", "-p", "prune_fraction:=0.0",
+        )  # fmt: skip
+        processes.start("rviz2", ["rviz2", "-d", str(config)])
+        time.sleep(seconds)
+        processes.check()
+        shoot("channels.jpg", display, (0, 0, 1400, 640))
+
+
 def embedded_viewer(folder: Path, scene: Path) -> None:
     """The picture of `make demo` without a display."""
     with Processes(folder) as processes:
@@ -216,7 +251,7 @@ def embedded_viewer(folder: Path, scene: Path) -> None:
     print(f"wrote {DOCS / 'demo.jpg'}")
 
 
-PICTURES = ("comparison", "demo", "occlusion", "selection", "rviz")
+PICTURES = ("comparison", "demo", "occlusion", "selection", "channels", "rviz")
 
 
 def main() -> None:
@@ -241,6 +276,8 @@ def main() -> None:
             occlusion(display, folder, options.scene, options.seconds)
         if "selection" in options.only:
             selection(display, folder, options.seconds)
+        if "channels" in options.only:
+            channels(display, folder, options.seconds)
         if "rviz" in options.only:
             shipped_configuration(display, folder, options.seconds)
 

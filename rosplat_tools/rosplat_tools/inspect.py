@@ -34,6 +34,11 @@ def describe(path: str | Path) -> str:
         "antialiased": "yes" if splats.antialiased else "no",
         "in memory": f"{_bytes(used.nbytes)}, {used.nbytes // max(1, len(used))} bytes per splat",
     }
+    if splats.channels:
+        rows["channels"] = ", ".join(
+            f"{name} ({np.count_nonzero(np.isfinite(values)):,} values)"
+            for name, values in splats.channels.items()
+        )
     if len(splats):
         world = splats.positions + splats.origin
         rows["from"] = " ".join(f"{v:.4g}" for v in world.min(axis=0)) + " m"

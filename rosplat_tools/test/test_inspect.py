@@ -43,6 +43,12 @@ def test_what_is_left_out_is_told(random_splats: Make, tmp_path: Path) -> None:
     assert "dropped 1 of 10" in rows(describe(tmp_path / "a.ply"))["left out"]
 
 
+def test_channels_are_named(random_splats: Make, tmp_path: Path) -> None:
+    channels = {"label": np.arange(10), "seen": np.where(np.arange(10) < 3, np.nan, 0.5)}
+    save(tmp_path / "a.ply", replace(random_splats(10), channels=channels))
+    assert rows(describe(tmp_path / "a.ply"))["channels"] == "label (10 values), seen (7 values)"
+
+
 def test_a_far_map_tells_its_origin(random_splats: Make, tmp_path: Path) -> None:
     save(tmp_path / "a.ply", replace(random_splats(10), origin=np.array([3e5, 0, 0])))
     assert rows(describe(tmp_path / "a.ply"))["origin"].startswith("300")
