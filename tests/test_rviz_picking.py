@@ -127,6 +127,30 @@ def test_a_box_selects_more_keys_add_and_remove(
     rviz.until(lambda s: not cyan(s).any())
 
 
+def test_what_is_selected_before_the_last_is_found_counts(
+    rviz: Rviz, world: World, picked: list[Any]
+) -> None:
+    """Among many splats that are too faint to be picked, but are to be looked at for it."""
+    colours = {-1: (1, 0, 0), 0: (0, 1, 0), 1: (0, 0, 1)}
+    faint = disc((0, 0, 0), z=-1, sigma=0.1, opacity=0.01)
+    for _ in range(18):
+        faint = concatenate([faint, faint])
+    faint.positions[:, :2] = np.random.default_rng(0).uniform(-1.5, 1.5, (len(faint), 2))
+    discs = [disc(colour, x=x, sigma=0.1) for x, colour in colours.items()]
+    world.map.replace(concatenate([*discs, faint]))
+    left, middle, right = spot(rviz, red), spot(rviz, green), spot(rviz, blue)
+    rviz.drag((left[0] - 30, left[1] - 30), (middle[0] + 30, middle[1] + 30))
+    rviz.drag(right, (right[0] + 1, right[1] + 1), hold="shift")
+    rviz.drag(middle, (middle[0] + 1, middle[1] + 1), hold="ctrl")
+    until_selected(rviz, world, {"Slot 0", "Slot 2"})
+    world.spin_until(lambda: [message.slot for message in picked] == [0, 1, 2])
+    rviz.drag((left[0] - 140, left[1] - 30), (right[0] + 140, right[1] + 30))
+    rviz.click(left[0] - 200, left[1])  # the void
+    rviz.click(*middle)
+    until_selected(rviz, world, {"Slot 1"})
+    world.spin_until(lambda: picked[-1].slot == 1)
+
+
 def test_what_hides_a_splat_keeps_it_from_being_selected(
     rviz: Rviz, world: World, picked: list[Any]
 ) -> None:

@@ -1,17 +1,13 @@
-// The picked splats for rviz's selection: a handle in 24 bits of colour.
+// Where splats are picked, for rviz's selection: a number in 24 bits of colour.
 
 layout(std430) readonly buffer Picked { uint picked[]; };  // as in splat_pick.comp
 uniform ivec2 corner;  // of the viewport in the target [px]
 uniform int width;     // of the picture [px]
-uniform uint handle;   // of the map; 0: each slot is its own handle, counted from 1
+uniform uint number;
 layout(location = 0) out vec4 colour;
-
-const uint kHandles = 1u << 24;
 
 void main() {
   ivec2 texel = ivec2(gl_FragCoord.xy) - corner;
-  uint slot = picked[texel.y * width + texel.x];
-  if (slot >= kHandles - 1u) discard;
-  uint shown = handle > 0u ? handle : slot + 1u;
-  colour = vec4(uvec3(shown >> 16, shown >> 8, shown) & 255u, 255.0) / 255.0;
+  if (picked[texel.y * width + texel.x] == kNone) discard;
+  colour = vec4(uvec3(number >> 16, number >> 8, number) & 255u, 255.0) / 255.0;
 }

@@ -293,6 +293,66 @@ TEST_F(SoftwareRendererTest, TheSurfaceIsThatOfTheNewestPictureWhileThePainterPa
   EXPECT_LT(error(surface(window, camera(0.3)), there), 0.6 * error(here, there));
 }
 
+TEST_F(SoftwareRendererTest, PicksAreMarkedAtOnceAndFoundBeside) {
+  constexpr std::uint32_t kNumber = 0x123456;
+  const Window window(64, 48);
+  const auto pick = [&](const SplatCamera& part) {
+    window.clear();
+    renderer_->drawPick("view", part, {}, Canvas::kWindow, kNumber);
+    return renderer_->pick();
+  };
+  const auto marked = [&](int row, int column) {  // the window's first row is the picture's last
+    const auto pixels = window.pixels();
+    const std::uint8_t* rgb = &pixels[4 * std::size_t((47 - row) * 64 + column)];
+    return std::uint32_t(rgb[0] << 16 | rgb[1] << 8 | rgb[2]);
+  };
+  expected(window, camera());
+  const std::vector<float> colour = renderer_->readColor();
+  rest(window, camera());
+  source_.hold();
+  draw(camera(0.1));
+  source_.waitUntilReached();  // and the painter is busy
+  Pick whole = pick(camera());
+  std::vector<std::uint32_t> marks;
+  for (int i = 0; i < 64 * 48; ++i) marks.push_back(marked(i / 64, i % 64));
+  for (std::size_t i = 0; i < marks.size(); ++i) {
+    ASSERT_EQ(marks[i], colour[4 * i + 3] >= kLeastPicked ? kNumber : 0) << i;
+  }
+  pick(camera());  // given up
+  Pick part = pick(crop(camera(), 20, 10, 5, 3));
+  EXPECT_FALSE(whole.found() || part.found());
+  source_.letGo();
+  const Pick::Slots slots = whole.slots(), of_part = part.slots();
+  ASSERT_EQ(slots.size(), marks.size());
+  ASSERT_EQ(of_part.size(), 15u);
+  for (std::size_t i = 0; i < of_part.size(); ++i) {
+    EXPECT_EQ(of_part[i], slots[(10 + i / 5) * 64 + 20 + i % 5]);
+  }
+  std::size_t found = 0;
+  for (std::size_t i = 0; i < slots.size(); ++i) {
+    if (slots[i] == kNoSlot) continue;
+    ++found;
+    EXPECT_LT(slots[i], 2000u);
+    EXPECT_EQ(marks[i], kNumber);
+  }
+  EXPECT_GT(found, slots.size() / 2);
+  rest(window, camera(0.1));  // what was being painted meanwhile
+  EXPECT_EQ(window.pixels(), expected(window, camera(0.1)));
+}
+
+TEST_F(SoftwareRendererTest, APickThatCantBeFoundSaysWhy) {
+  SplatCamera wide = camera();
+  wide.width = wide.height = 1 << 20;
+  renderer_->drawPick("view", wide, {}, Canvas::kNone, 0);
+  EXPECT_THROW(renderer_->pick().slots(), PictureError);
+  source_.hold();
+  renderer_->drawPick("view", camera(), {}, Canvas::kNone, 0);
+  Pick left = renderer_->pick();
+  source_.letGo();
+  renderer_.reset();
+  EXPECT_TRUE(left.found());
+}
+
 TEST_F(SoftwareRendererTest, EditsThatComeWhileItPaintsAreShown) {
   const Window window(64, 48);
   rest(window, camera());

@@ -171,8 +171,8 @@ std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, OrderSource
 std::vector<std::uint32_t> picked(SplatScene& scene) {
   RenderSettings settings;
   settings.rasterizer = Rasterizer::kTiles;
-  scene.drawPick(camera(), settings, Canvas::kNone, 0);
-  return scene.readPick();
+  scene.drawPick("view", camera(), settings, Canvas::kNone, 0);
+  return scene.pick().slots();
 }
 
 float greatestDifference(const std::vector<float>& a, const std::vector<float>& b) {
@@ -819,8 +819,8 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     EXPECT_EQ(changed(before), State());
     scene.drawSurface("view", camera(), settings, Canvas::kWindow, 100);
     EXPECT_EQ(changed(before), State());
-    scene.drawPick(camera(), settings, Canvas::kWindow, 0);
-    scene.readPick();
+    scene.drawPick("view", camera(), settings, Canvas::kWindow, 0);
+    scene.pick();
     scene.readSlots({1, 2, 3});
     EXPECT_EQ(changed(before), State());
   }

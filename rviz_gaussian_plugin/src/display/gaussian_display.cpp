@@ -231,6 +231,7 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   updateTransform();
   updateHandles();
   views_->update();
+  selection_->updateProperties();
   if (render_service_) render_service_->refuseUnserved();
   if (const auto now = std::chrono::steady_clock::now(); now - status_time_ > kStatusPeriod) {
     status_time_ = now;

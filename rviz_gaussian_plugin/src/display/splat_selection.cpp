@@ -8,10 +8,12 @@
 #include <QColor>
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <rviz_common/display_context.hpp>
 #include <rviz_common/interaction/handler_manager_iface.hpp>
 #include <rviz_common/properties/color_property.hpp>
 #include <rviz_rendering/material_manager.hpp>
+#include <utility>
 
 #include "splat_outline.hpp"
 
@@ -25,14 +27,6 @@ using rviz_common::properties::Property;
 constexpr std::chrono::milliseconds kRefreshPeriod{250};  // of a map that changes all the time
 constexpr float kOutlineSigmas = 2;  // where a splat still has an eighth of its opacity
 constexpr float kBand0 = 0.28209479f;
-
-std::set<std::uint32_t> slotsOf(const Picked& picked) {
-  std::set<std::uint32_t> slots;
-  for (const std::uint64_t handle : picked.extra_handles) {
-    slots.insert(static_cast<std::uint32_t>(handle - 1));
-  }
-  return slots;
-}
 
 // Rounded to a unit, which leaves whole coordinates of maps far from their frame's origin.
 template <typename Values>
@@ -109,30 +103,69 @@ void SplatSelection::preRenderPass(std::uint32_t) {
 void SplatSelection::postRenderPass(std::uint32_t) { outline_node_->setVisible(true); }
 
 void SplatSelection::onSelect(const Picked& picked) {
-  std::vector<std::uint32_t> fresh;
-  for (const std::uint32_t slot : slotsOf(picked)) {
-    if (slots_.insert(slot).second && fresh.size() < kListed) fresh.push_back(slot);
-  }
-  read();
-  drawOutlines();
-  // Right after a pick: the context that it was drawn in is current.
-  if (!fresh.empty()) on_select_(cloud_.scene().readSlots(fresh));
+  if (picked.extra_handles.empty()) return;
+  tickets_.insert(picked.extra_handles.begin(), picked.extra_handles.end());
+  begin(true);
 }
 
 void SplatSelection::onDeselect(const Picked& picked) {
-  for (const std::uint32_t slot : slotsOf(picked)) slots_.erase(slot);
-  // No reading here: nobody knows whether a context is current.
-  splats_.erase(std::remove_if(splats_.begin(), splats_.end(),
-                               [this](const auto& splat) { return !slots_.count(splat.slot); }),
-                splats_.end());
+  if (picked.extra_handles.empty()) return;
+  // rviz removes all that it has selected, or what has been picked for nothing else.
+  if (!tickets_.count(*picked.extra_handles.begin())) return begin(false);
+  tickets_.clear();
+  waiting_.clear();
+  error_.clear();
+  slots_.clear();
+  splats_.clear();
   drawOutlines();
+}
+
+// Right after a pick: the context that it was drawn in is current.
+void SplatSelection::begin(bool adds) {
+  waiting_.push_back({cloud_.scene().pick(), adds});
+  if (take()) drawOutlines();
+}
+
+// What has been found, in the order in which it was asked for; whether there was any.
+bool SplatSelection::take() {
+  if (waiting_.empty() || !waiting_.front().pick.found()) return false;
+  std::vector<std::uint32_t> fresh;
+  for (; !waiting_.empty() && waiting_.front().pick.found(); waiting_.pop_front()) {
+    error_.clear();
+    Pick::Slots found;
+    try {
+      found = waiting_.front().pick.slots();
+    } catch (const std::exception& error) {
+      error_ = error.what();
+    }
+    std::sort(found.begin(), found.end());
+    found.erase(std::unique(found.begin(), found.end()), found.end());
+    if (!found.empty() && found.back() == kNoSlot) found.pop_back();
+    const std::vector<std::uint32_t> before = std::exchange(slots_, {});
+    if (waiting_.front().adds) {
+      std::set_difference(found.begin(), found.end(), before.begin(), before.end(),
+                          std::back_inserter(fresh));
+      std::set_union(before.begin(), before.end(), found.begin(), found.end(),
+                     std::back_inserter(slots_));
+    } else {
+      std::set_difference(before.begin(), before.end(), found.begin(), found.end(),
+                          std::back_inserter(slots_));
+    }
+  }
+  read();
+  fresh.resize(std::min(fresh.size(), kListed));
+  if (!fresh.empty()) on_select_(cloud_.scene().readSlots(fresh));
+  return true;
 }
 
 void SplatSelection::refresh() {
   const MapState& map = cloud_.scene().drawnMap();
-  if (slots_.empty() || (map.id == read_map_ && map.revision == read_revision_)) return;
-  if (std::chrono::steady_clock::now() - read_at_ < kRefreshPeriod) return;
-  read();
+  const bool changed = map.id != read_map_ || map.revision != read_revision_;
+  const bool late = std::chrono::steady_clock::now() - read_at_ >= kRefreshPeriod;
+  if (!take()) {
+    if (slots_.empty() || !changed || !late) return;
+    read();
+  }
   shown_ = false;  // nor may it be now: the outlines are being drawn
 }
 
@@ -141,9 +174,8 @@ void SplatSelection::read() {
   read_map_ = map.id;
   read_revision_ = map.revision;
   read_at_ = std::chrono::steady_clock::now();
-  std::vector<std::uint32_t> slots(slots_.begin(), slots_.end());
-  slots.resize(std::min(slots.size(), kOutlined));
-  splats_ = cloud_.scene().readSlots(slots);
+  const auto end = slots_.begin() + std::ptrdiff_t(std::min(slots_.size(), kOutlined));
+  splats_ = cloud_.scene().readSlots({slots_.begin(), end});
   if (!splats_.empty()) origin_ = splats_.front().position;
   follow();
 }
@@ -198,17 +230,20 @@ void SplatSelection::list(Property* parent) {
   if (slots_.size() > kListed) {
     properties_.append(new Property(QString("... and %1 more").arg(slots_.size() - kListed)));
   }
+  if (!waiting_.empty()) properties_.append(new Property("Picking ..."));
+  if (!error_.empty()) {
+    properties_.append(new Property("Not picked", QString::fromStdString(error_)));
+  }
   for (Property* property : properties_) parent->addChild(property);
   if (properties_.size() == 1) properties_.front()->expand();
   shown_ = true;
 }
 
-rviz_common::interaction::V_AABB SplatSelection::getAABBs(const Picked& picked) {
-  const std::set<std::uint32_t> slots = slotsOf(picked);
+rviz_common::interaction::V_AABB SplatSelection::getAABBs(const Picked&) {
   const Ogre::Affine3 map(outline_node_->_getFullTransform());
   rviz_common::interaction::V_AABB boxes;
   for (const SplatValues& splat : splats_) {
-    if (slots.count(splat.slot)) boxes.push_back(boxAround(outlined(splat), kOutlineSigmas, map));
+    boxes.push_back(boxAround(outlined(splat), kOutlineSigmas, map));
   }
   return boxes;
 }

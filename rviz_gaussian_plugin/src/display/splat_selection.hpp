@@ -4,8 +4,8 @@
 
 #include <array>
 #include <chrono>
+#include <deque>
 #include <functional>
-#include <map>
 #include <memory>
 #include <rviz_common/interaction/selection_handler.hpp>
 #include <set>
@@ -22,8 +22,9 @@ class SceneNode;
 namespace rosplat {
 
 // The slots of a map that rviz's Select tool has selected: outlined in the scene, listed in the
-// Selection panel. Its extra handles are slots, counted from 1. Make it by
-// createSelectionHandler(), as every handler.
+// Selection panel. Its extra handles are tickets, of which each stands for all that has been picked
+// at once: which slots that are may be known only later. Make it by createSelectionHandler(), as
+// every handler.
 class SplatSelection : public rviz_common::interaction::SelectionHandler {
  public:
   // What is known of a selection at most: of more splats than these nothing is shown or told.
@@ -38,7 +39,8 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
                  SelectCallback on_select);
   ~SplatSelection() override;
 
-  // Render thread: reads the selected slots again where the map has changed, some times a second.
+  // Render thread: takes what has been found since, and reads the selected slots again where the
+  // map has changed, some times a second. updateProperties() shows it.
   void refresh();
   // Puts the outlines to where the map is now.
   void follow();
@@ -58,6 +60,13 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
       const rviz_common::interaction::Picked& picked) override;
 
  private:
+  struct Waiting {
+    Pick pick;
+    bool adds;  // to what is selected, or removes from it
+  };
+
+  void begin(bool adds);
+  bool take();
   void read();
   void drawOutlines();
   SplatValues outlined(const SplatValues& splat) const;
@@ -65,9 +74,12 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
 
   SplatCloud& cloud_;
   SelectCallback on_select_;
-  std::set<std::uint32_t> slots_;    // selected
-  std::vector<SplatValues> splats_;  // of the first kOutlined of them
-  std::string read_map_;             // as it was when they were read
+  std::set<std::uint64_t> tickets_;   // selected
+  std::deque<Waiting> waiting_;       // picks whose slots aren't known yet
+  std::string error_;                 // why those of the last never will be
+  std::vector<std::uint32_t> slots_;  // selected, ascending
+  std::vector<SplatValues> splats_;   // of the first kOutlined of them
+  std::string read_map_;              // as it was when they were read
   std::uint64_t read_revision_ = 0;
   std::chrono::steady_clock::time_point read_at_;
   bool shown_ = true;               // outlines and panel show what was read

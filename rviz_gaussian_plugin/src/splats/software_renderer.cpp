@@ -1,11 +1,14 @@
 #include "software_renderer.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
 namespace rosplat {
 
 namespace {
+
+constexpr float kSurfaceAlpha = 0.5f;  // more splats than void
 
 bool same(const MapState& a, const MapState& b) {
   return a.id == b.id && a.round == b.round && a.revision == b.revision;
@@ -145,69 +148,48 @@ void SoftwareRenderer::drawBefore() const {
   overlay_.draw(window, drawn_->colour, mesh_, drawn_->shown->colour.cells);
 }
 
-PictureRequest SoftwareRenderer::lookAt(const PaintRequest& asked) const {
-  PictureRequest request;
-  request.layers.resize(1);
-  request.layers.front().camera = asked.camera;
-  request.layers.front().settings = asked.settings;
-  request.now = painter_.clock();
-  request.scene_depth = {asked.scene_depth.data(), asked.scene_depth.size()};
-  return request;
-}
-
-void SoftwareRenderer::drawSurface(const std::string& view_id, const SplatCamera& camera,
-                                   Canvas canvas, double far_clip) {
+void SoftwareRenderer::drawNumbers(const CanvasScope& window, const std::string& view_id,
+                                   const SplatCamera& camera, const std::vector<float>& scene_depth,
+                                   float least_alpha,
+                                   const std::function<std::uint32_t(double)>& number) {
   const auto view = views_.find(view_id);
   if (view == views_.end() || !view->second.shown) return;
-  const PaintedSurface& surface = view->second.shown->surface;
-  const CanvasScope window(canvas);
-  const std::vector<float> scene_depth = window.readDepth(camera.width, camera.height);
-  std::vector<std::uint8_t> rgba(4 * std::size_t(camera.width) * std::size_t(camera.height), 0);
-  std::size_t pixel = 0;
-  for (int row = 0; row < camera.height; ++row) {
-    for (int column = 0; column < camera.width; ++column, ++pixel) {
-      const double depth = surface.depthAt(camera, column, row);
-      if (std::isnan(depth)) continue;
-      const double ndc =
-          (camera.ndc_scale * depth + camera.ndc_offset) / (camera.orthographic ? 1 : depth);
-      if (!scene_depth.empty() && 0.5 * ndc + 0.5 > scene_depth[pixel]) continue;
-      const double part = std::min(std::max(depth / far_clip, 0.0), 1.0);
-      putNumber(&rgba[4 * pixel], static_cast<std::uint32_t>(16777215.0 * part));
-    }
+  const std::vector<double> depths = view->second.shown->surface.seenBy(camera, least_alpha);
+  std::vector<std::uint8_t> rgba(4 * depths.size(), 0);
+  for (std::size_t i = 0; i < depths.size(); ++i) {
+    const double depth = depths[i];
+    if (std::isnan(depth)) continue;
+    const double ndc =
+        (camera.ndc_scale * depth + camera.ndc_offset) / (camera.orthographic ? 1 : depth);
+    if (!scene_depth.empty() && 0.5 * ndc + 0.5 > scene_depth[i]) continue;
+    putNumber(&rgba[4 * i], number(depth));
   }
-  drawBytes(window, camera, rgba);
-}
-
-void SoftwareRenderer::drawPick(const SplatCamera& camera, const RenderSettings& settings,
-                                Canvas canvas, std::uint32_t handle) {
-  constexpr std::uint32_t kHandles = 1u << 24;
-  const CanvasScope window(canvas);
-  PaintRequest asked;
-  asked.camera = camera;
-  asked.settings = settings;
-  asked.scene_depth = window.readDepth(camera.width, camera.height);
-  // rviz asks twice: for the map that a pixel shows, and for the slot.
-  if (const MapState map = painter_.map(); !(asked == picked_as_) || !same(map, picked_of_)) {
-    picked_of_ = {};
-    picked_ = painter_.pick(lookAt(asked));
-    picked_as_ = std::move(asked);
-    picked_of_ = map;
-  }
-  if (canvas == Canvas::kNone) return;
-  std::vector<std::uint8_t> rgba(4 * picked_.size(), 0);
-  for (std::size_t i = 0; i < picked_.size(); ++i) {
-    if (picked_[i] >= kHandles - 1) continue;
-    putNumber(&rgba[4 * i], handle ? handle : picked_[i] + 1);
-  }
-  drawBytes(window, camera, rgba);
-}
-
-void SoftwareRenderer::drawBytes(const CanvasScope& window, const SplatCamera& camera,
-                                 const std::vector<std::uint8_t>& rgba) {
   bytes_.write(camera.width, camera.height, rgba);
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   overlay_.draw(window, bytes_);
+}
+
+void SoftwareRenderer::drawSurface(const std::string& view_id, const SplatCamera& camera,
+                                   Canvas canvas, double far_clip) {
+  const CanvasScope window(canvas);
+  const auto scene_depth = window.readDepth(camera.width, camera.height);
+  drawNumbers(window, view_id, camera, scene_depth, kSurfaceAlpha, [far_clip](double depth) {
+    return static_cast<std::uint32_t>(16777215.0 * std::clamp(depth / far_clip, 0.0, 1.0));
+  });
+}
+
+void SoftwareRenderer::drawPick(const std::string& view_id, const SplatCamera& camera,
+                                const RenderSettings& settings, Canvas canvas,
+                                std::uint32_t number) {
+  const CanvasScope window(canvas);
+  picked_ = {};
+  picked_.camera = camera;
+  picked_.settings = settings;
+  if (canvas == Canvas::kNone) return;
+  picked_.scene_depth = window.readDepth(camera.width, camera.height);
+  drawNumbers(window, view_id, camera, picked_.scene_depth, kLeastPicked,
+              [number](double) { return number; });
 }
 
 const std::vector<float>& SoftwareRenderer::readColor() const {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
@@ -46,10 +47,10 @@ class SoftwareRenderer {
   // See SplatRenderer. Where the surface is in what a view shows.
   void drawSurface(const std::string& view_id, const SplatCamera& camera, Canvas canvas,
                    double far_clip);
-  // See SplatRenderer. Of few pixels, for they are waited for. Throws PictureError.
-  void drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
-                std::uint32_t handle);
-  const std::vector<std::uint32_t>& readPick() const { return picked_; }
+  // See SplatRenderer. Where splats are in what a view shows; which, the painter finds.
+  void drawPick(const std::string& view_id, const SplatCamera& camera,
+                const RenderSettings& settings, Canvas canvas, std::uint32_t number);
+  Pick pick() { return painter_.pick(picked_); }
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const {
     return painter_.read(slots);
   }
@@ -76,20 +77,19 @@ class SoftwareRenderer {
 
   // Whether a picture of this map as it is now is what was asked for last.
   static bool asked(const View& view, const PaintRequest& request, const MapState& map);
-  PictureRequest lookAt(const PaintRequest& asked) const;
   void ask(const std::string& view_id, PaintRequestPtr request, const MapState& map);
   void show(View& view, const PaintingPtr& painting);
-  // Writes colours of 8 bits, of the size of a camera's picture.
-  void drawBytes(const CanvasScope& window, const SplatCamera& camera,
-                 const std::vector<std::uint8_t>& rgba);
+  // Writes a number of 24 bits, of the depth [m], where what a view shows has so much of splats
+  // before what is opaque.
+  void drawNumbers(const CanvasScope& window, const std::string& view_id, const SplatCamera& camera,
+                   const std::vector<float>& scene_depth, float least_alpha,
+                   const std::function<std::uint32_t(double)>& number);
 
   Overlay overlay_;
   Painter painter_;
   std::map<std::string, View> views_;
   OverlayTexture bytes_;
-  std::vector<std::uint32_t> picked_;
-  PaintRequest picked_as_;
-  MapState picked_of_;
+  PaintRequest picked_;  // what drawPick() has marked last
 
   // Of the last draw().
   const View* drawn_ = nullptr;

@@ -23,6 +23,7 @@ namespace {
 
 // After the opaque and the translucent objects of the scene, before overlays.
 constexpr Ogre::uint8 kRenderQueue = Ogre::RENDER_QUEUE_7;
+constexpr std::uint32_t kMostTickets = (1u << 24) - 1;  // a pixel of rviz's selection has 24 bits
 
 // Sorted with the translucent objects, the farthest first, but itself neither.
 Ogre::MaterialPtr layerMaterial() {
@@ -233,8 +234,10 @@ void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
     if (view == seen_.end()) view = seen_.begin();  // it has moved since
     if (touched) {
       scene_->drawSurface(view->first, camera, settings_, canvas, camera_->getFarClipDistance());
-    } else {  // first the map that a pixel shows, then the slot
-      scene_->drawPick(camera, settings_, canvas, scheme == "Pick" ? pick_handle_ : 0);
+    } else {
+      const bool first = scheme == "Pick";
+      if (first) pick_ticket_ = pick_ticket_ % kMostTickets + 1;
+      scene_->drawPick(view->first, camera, settings_, canvas, first ? pick_handle_ : pick_ticket_);
     }
   } catch (const std::exception& error) {
     error_ = error.what();

@@ -37,7 +37,8 @@ class SplatCloud : public Ogre::MovableObject {
   // Sort in the next draws rather than take what order there is.
   void setSortNow(bool sort_now) { sort_now_ = sort_now; }
 
-  // What rviz's selection knows the map by, 24 bits; 0: it can't be selected.
+  // What rviz's selection knows the map by, 24 bits; 0: it can't be selected. What is selected, it
+  // knows by a ticket, another with each pick.
   void setPickHandle(std::uint32_t handle) { pick_handle_ = handle; }
 
   // A sentence for the user; drawing pauses for a second, or until clearError().
@@ -88,7 +89,7 @@ class SplatCloud : public Ogre::MovableObject {
   RenderSettings settings_;
   Placement place_;
   bool sort_now_ = false;
-  std::uint32_t pick_handle_ = 0;
+  std::uint32_t pick_handle_ = 0, pick_ticket_ = 0;
   bool drawn_ = false;    // in this frame
   bool divided_ = false;  // at the translucent objects, so that kHide and kBefore have to follow
   std::string error_;

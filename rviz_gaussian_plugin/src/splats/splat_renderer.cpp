@@ -297,7 +297,7 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
 
 void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
                              const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
-                             std::uint32_t handle) {
+                             std::uint32_t number) {
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;
@@ -312,7 +312,7 @@ void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
   const gl::DrawScope scope(pick_depth_);
   copyDepth(window, pick_depth_);
   picker_.pick(view.splats(), listed ? &view.tiles() : nullptr, pick_depth_, view.topFirst());
-  if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, handle);
+  if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, number);
 }
 
 std::vector<SplatValues> SplatRenderer::readSlots(const std::vector<std::uint32_t>& slots) const {

@@ -86,10 +86,10 @@ class SplatRenderer {
                    const OrderPtr& order, Canvas canvas, double far_clip);
 
   // Finds the splat that contributes most to each pixel, at least a twentieth of its colour, among
-  // those that the current framebuffer and viewport don't hide; then writes there the map's handle
-  // for rviz's selection as 24-bit colour, or, without one, slot + 1 (slots of 24 bits only).
+  // those that the current framebuffer and viewport don't hide; then writes there a number, for
+  // rviz's selection, as 24-bit colour.
   void drawPick(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-                const OrderPtr& order, Canvas canvas, std::uint32_t handle);
+                const OrderPtr& order, Canvas canvas, std::uint32_t number);
   // What drawPick() found: width * height slots, top row first; kNoSlot where there is none.
   std::vector<std::uint32_t> readPick() const { return picker_.read(); }
 

@@ -462,11 +462,11 @@ void SplatScene::drawSurface(const std::string& view_id, const SplatCamera& came
   renderer_->drawSurface(camera, drawn_map_, inFull(settings), sortNow(camera), canvas, far_clip);
 }
 
-void SplatScene::drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
-                          std::uint32_t handle) {
+void SplatScene::drawPick(const std::string& view_id, const SplatCamera& camera,
+                          const RenderSettings& settings, Canvas canvas, std::uint32_t number) {
   prepare(settings);
-  if (software_) return software_->drawPick(camera, inFull(settings), canvas, handle);
-  renderer_->drawPick(camera, drawn_map_, inFull(settings), sortNow(camera), canvas, handle);
+  if (software_) return software_->drawPick(view_id, camera, inFull(settings), canvas, number);
+  renderer_->drawPick(camera, drawn_map_, inFull(settings), sortNow(camera), canvas, number);
 }
 
 std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {

@@ -95,12 +95,13 @@ class SplatScene {
   // card draws it anew, in the order that it waits for.
   void drawSurface(const std::string& view_id, const SplatCamera& camera,
                    const RenderSettings& settings, Canvas canvas, double far_clip);
-  // Render thread: writes which splats are seen; see SplatRenderer. Sorts, and waits for it.
-  void drawPick(const SplatCamera& camera, const RenderSettings& settings, Canvas canvas,
-                std::uint32_t handle);
-  std::vector<std::uint32_t> readPick() const {
-    return software_ ? software_->readPick() : renderer_->readPick();
-  }
+  // Render thread: writes a number where splats are seen, as pick() finds them; see SplatRenderer.
+  // A graphics card sorts for it; without one it is where a view shows some.
+  void drawPick(const std::string& view_id, const SplatCamera& camera,
+                const RenderSettings& settings, Canvas canvas, std::uint32_t number);
+  // Render thread, after drawPick(): which they are. Without a graphics card, they are found
+  // beside.
+  Pick pick() { return software_ ? software_->pick() : Pick(renderer_->readPick()); }
   // Render thread: the values of slots as they are drawn, in the map's frame.
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
   // Render thread: the map as it is drawn.

@@ -71,6 +71,9 @@ struct SplatPicture {
   std::map<std::string, double> profile;  // by stage [s]
 };
 
+// What a splat contributes to a pixel at least that is picked there; less nobody sees.
+constexpr float kLeastPicked = 0.05f;
+
 // A splat that a pixel shows.
 struct PickedSplat {
   std::uint32_t layer = 0, slot = kNoSlot;
@@ -107,7 +110,7 @@ class CpuRasterizer {
   // picture is no good. Throws PictureError, and may be used on.
   bool draw(const PictureRequest& request, SplatPicture& picture);
 
-  // The splat that contributes most to each pixel, at least a twentieth of its colour; of slot
+  // The splat that contributes most to each pixel, at least kLeastPicked of its colour; of slot
   // kNoSlot where there is none. For a part of a picture crop() the cameras, and the depths. Empty
   // where it was cancelled. Throws PictureError.
   std::vector<PickedSplat> pick(const PictureRequest& request);

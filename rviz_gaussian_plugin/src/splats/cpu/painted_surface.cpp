@@ -8,7 +8,6 @@ namespace rosplat {
 
 namespace {
 
-constexpr float kSurfaceAlpha = 0.5f;
 constexpr double kNothing = std::numeric_limits<double>::quiet_NaN();
 
 // What a camera sees at a place in its picture, so deep, in its frame.
@@ -20,34 +19,40 @@ std::array<double, 3> pointAt(const SplatCamera& camera, double x, double y, dou
 }  // namespace
 
 PaintedSurface::PaintedSurface(const SplatCamera& camera, const SplatPicture& picture)
-    : camera_(camera), depths_(picture.depth.size()) {
-  for (std::size_t i = 0; i < depths_.size(); ++i) {
-    const float alpha = picture.colour[4 * i + 3], depth = picture.depth[i];
-    depths_[i] = alpha >= kSurfaceAlpha ? depth : static_cast<float>(kNothing);
+    : camera_(camera), pixels_(picture.depth.size()) {
+  for (std::size_t i = 0; i < pixels_.size(); ++i) {
+    pixels_[i] = {picture.colour[4 * i + 3], picture.depth[i]};
   }
 }
 
-double PaintedSurface::depthOf(const std::array<double, 3>& point) const {
+double PaintedSurface::depthOf(const std::array<double, 3>& point, float least_alpha) const {
   const double spread = camera_.orthographic ? 1 : point[2];
   const double x = std::floor(camera_.fx * point[0] / spread + camera_.cx);
   const double y = std::floor(camera_.fy * point[1] / spread + camera_.cy);
   const bool inside = spread > 0 && x >= 0 && y >= 0 && x < camera_.width && y < camera_.height;
-  return inside ? depths_[std::size_t(y) * std::size_t(camera_.width) + std::size_t(x)] : kNothing;
+  if (!inside) return kNothing;
+  const Pixel pixel = pixels_[std::size_t(y) * std::size_t(camera_.width) + std::size_t(x)];
+  return pixel.alpha >= least_alpha ? pixel.depth : kNothing;
 }
 
-double PaintedSurface::depthAt(const SplatCamera& camera, int column, int row) const {
+std::vector<double> PaintedSurface::seenBy(const SplatCamera& camera, float least_alpha) const {
   constexpr int kSteps = 3;  // towards where the ray meets the surface
-  if (depths_.empty()) return kNothing;
-  const double x = column + 0.5, y = row + 0.5;
+  std::vector<double> depths(std::size_t(camera.width) * std::size_t(camera.height), kNothing);
+  if (pixels_.empty()) return depths;
   const Placement there = frameIn(camera, camera_), back = frameIn(camera_, camera);
-  double depth = depthOf(pointAt(camera, x, y, 1));  // as if the camera had not moved
-  for (int step = 0; step < kSteps && !std::isnan(depth); ++step) {
-    std::array<double, 3> point = there(pointAt(camera, x, y, depth));
-    const double met = depthOf(point);
-    const double longer = camera_.orthographic ? 1 : met / point[2];
-    depth = back({longer * point[0], longer * point[1], met})[2];
+  for (std::size_t pixel = 0; pixel < depths.size(); ++pixel) {
+    const double x = double(pixel % std::size_t(camera.width)) + 0.5;
+    const double y = double(pixel / std::size_t(camera.width)) + 0.5;
+    double& depth = depths[pixel];
+    depth = depthOf(pointAt(camera, x, y, 1), least_alpha);  // as if the camera had not moved
+    for (int step = 0; step < kSteps && !std::isnan(depth); ++step) {
+      const std::array<double, 3> point = there(pointAt(camera, x, y, depth));
+      const double met = depthOf(point, least_alpha);
+      const double longer = camera_.orthographic ? 1 : met / point[2];
+      depth = back({longer * point[0], longer * point[1], met})[2];
+    }
   }
-  return depth;
+  return depths;
 }
 
 }  // namespace rosplat

@@ -8,22 +8,28 @@
 
 namespace rosplat {
 
-// Where a picture is more splats than void, for cameras that are near the one that saw it.
+// Where splats are that a picture shows, for cameras that are near the one that saw it.
 class PaintedSurface {
  public:
   PaintedSurface() = default;
   // Of a picture with its mean depth, and the camera that sees it.
   PaintedSurface(const SplatCamera& camera, const SplatPicture& picture);
 
-  // How deep it is in the middle of a pixel of a camera's picture [m]; NaN where there is none. Of
-  // the camera of the picture, or a part of that, exactly.
-  double depthAt(const SplatCamera& camera, int column, int row) const;
+  // How deep they are in the middle of each pixel of a camera's picture, top row first [m]; NaN
+  // where they cover less than so much of it. Of the camera of the picture, or a part of that,
+  // exactly.
+  std::vector<double> seenBy(const SplatCamera& camera, float least_alpha) const;
 
  private:
-  double depthOf(const std::array<double, 3>& point) const;  // of what hides a point, or is there
+  struct Pixel {
+    float alpha, depth;  // [m]
+  };
+
+  // Of what hides a point, or is there.
+  double depthOf(const std::array<double, 3>& point, float least_alpha) const;
 
   SplatCamera camera_;
-  std::vector<float> depths_;  // by pixel [m]
+  std::vector<Pixel> pixels_;
 };
 
 }  // namespace rosplat

@@ -70,7 +70,6 @@ bool PaintRequest::operator==(const PaintRequest& o) const {
 Painter::Painter(NextEdit next_edit)
     : next_edit_(std::move(next_edit)),
       start_(now()),
-      picker_(std::make_shared<rosplat_sorter::ThreadTeam>(0)),
       levels_(rosplat_sorter::ThreadTeam::ofViewers()),
       thread_([this] { run(); }) {}
 
@@ -81,6 +80,7 @@ void Painter::stop() {
     const std::lock_guard lock(mutex_);
     stop_ = true;
     cancelled_ = true;
+    if (picking_) *picking_ = true;
   }
   wake_.notify_all();
   if (thread_.joinable()) thread_.join();
@@ -166,8 +166,20 @@ void Painter::run() {
   giveWay();
   std::unique_lock lock(mutex_);
   while (true) {
-    wake_.wait(lock, [this] { return stop_ || edits_ || !queue_.empty(); });
+    wake_.wait(lock, [this] { return stop_ || edits_ || !queue_.empty() || !picks_.empty(); });
     if (stop_) return;
+    cancelled_ = false;
+    if (!picks_.empty()) {
+      PickJob job = std::move(picks_.front());
+      picks_.pop_front();
+      picking_ = job.given_up;
+      lock.unlock();
+      find(job);
+      lock.lock();
+      picking_.reset();
+      edits_ = true;  // which may have been left for it
+      continue;
+    }
     edits_ = false;
     for (auto control = controls_.begin(); control != controls_.end();) {
       control = views_.count(control->first) ? std::next(control) : controls_.erase(control);
@@ -179,7 +191,7 @@ void Painter::run() {
       if (wants_levels_) {
         advanceLevels([this] {
           const std::lock_guard own(mutex_);
-          return stop_ || edits_ || !queue_.empty();
+          return stop_ || edits_ || !queue_.empty() || !picks_.empty();
         });
       }
       lock.lock();
@@ -191,18 +203,24 @@ void Painter::run() {
     const std::uint64_t number = job.number;
     painting_ = view_id;
     refining_ = job.request->rests;
-    cancelled_ = false;
     lock.unlock();
     takeEdits(job.request->settings.asynchronous ? kEditBytesPerPicture : kEverything);
     if (job.request->settings.drawnDetail() == Detail{}) {
       controls_.erase(view_id);
       if (controls_.empty()) dropLevels();
     }
-    const std::shared_ptr<Painting> painting = paint(view_id, std::move(job));
+    const std::shared_ptr<Painting> painting = paint(view_id, job);
     lock.lock();
     painting_.clear();
     const auto found = views_.find(view_id);
-    if (!painting || found == views_.end()) continue;
+    if (found == views_.end()) continue;
+    if (!painting) {
+      if (!found->second.waiting) {  // nothing newer: it was given up for a pick
+        found->second.waiting = std::move(job);
+        queue_.push_front(view_id);
+      }
+      continue;
+    }
     found->second.newest = painting;
     found->second.painted = number;
     found->second.given_up = false;
@@ -281,22 +299,28 @@ void Painter::chooseDetail(PictureRequest& request, const std::string& view_id,
   }
 }
 
-std::shared_ptr<Painting> Painter::paint(const std::string& view_id, Waiting&& job) {
+PictureRequest Painter::pictureOf(const PaintRequest& asked) const {
+  PictureRequest request;
+  request.layers.resize(1);
+  PictureLayer& layer = request.layers.front();
+  layer.slots = &slots_;
+  layer.camera = asked.camera;
+  layer.settings = asked.settings;
+  request.now = clock();
+  request.scene_depth = viewOf(asked.scene_depth);
+  request.translucent_depth = viewOf(asked.translucent_depth);
+  return request;
+}
+
+std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiting& job) {
   const double start = now();
   auto painting = std::make_shared<Painting>();
   painting->asked = job.asked;
-  painting->request = std::move(job.request);
+  painting->request = job.request;
   const PaintRequest& asked = *painting->request;
   try {
-    PictureRequest request;
-    request.layers.resize(1);
+    PictureRequest request = pictureOf(asked);
     PictureLayer& layer = request.layers.front();
-    layer.slots = &slots_;
-    layer.camera = asked.camera;
-    layer.settings = asked.settings;
-    request.now = clock();
-    request.scene_depth = viewOf(asked.scene_depth);
-    request.translucent_depth = viewOf(asked.translucent_depth);
     if (asked.order) request.order = viewOf(asked.order->slots);
     request.mean_depth = true;
     request.cancelled = &cancelled_;
@@ -346,15 +370,29 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, Waiting&& j
   return painting;
 }
 
-std::vector<std::uint32_t> Painter::pick(PictureRequest request) {
-  const std::lock_guard turn(pick_mutex_);
-  const std::shared_lock lock(slots_mutex_);
-  const MapState map = this->map();
-  request.layers.front().slots = &slots_;
-  request.layers.front().map = &map;
-  std::vector<std::uint32_t> slots;
-  for (const PickedSplat& picked : picker_.pick(request)) slots.push_back(picked.slot);
-  return slots;
+Pick Painter::pick(PaintRequest asked) {
+  const std::lock_guard lock(mutex_);
+  PickJob& job = picks_.emplace_back();
+  job.asked = std::move(asked);
+  cancelled_ = true;  // what is being painted comes after
+  wake_.notify_one();
+  return Pick(job.slots.get_future(), job.given_up);
+}
+
+void Painter::find(PickJob& job) {
+  try {
+    PictureRequest request = pictureOf(job.asked);
+    request.cancelled = job.given_up.get();
+    const std::shared_lock lock(slots_mutex_);
+    const MapState map = this->map();
+    request.layers.front().map = &map;
+    Pick::Slots slots;
+    for (const PickedSplat& picked : rasterizer_.pick(request)) slots.push_back(picked.slot);
+    job.slots.set_value(std::move(slots));
+  } catch (...) {
+    job.slots.set_exception(std::current_exception());
+  }
+  workspace_ = rasterizer_.bytes();
 }
 
 std::vector<SplatValues> Painter::read(const std::vector<std::uint32_t>& slots) const {

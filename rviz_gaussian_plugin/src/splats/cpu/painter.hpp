@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <future>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -22,6 +23,7 @@
 #include "map/gaussian_map.hpp"
 #include "map/host_slots.hpp"
 #include "map/levels.hpp"
+#include "map/pick.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
 #include "order/order.hpp"
@@ -103,9 +105,9 @@ class Painter {
   PaintingPtr paintNow(const std::string& view_id, PaintRequestPtr request);
   void forget(const std::string& view_id);
 
-  // Which splats a picture shows, while the caller waits: for the few pixels that a mouse asks for.
-  // Throws PictureError.
-  std::vector<std::uint32_t> pick(PictureRequest request);
+  // Has the splats found that a picture shows, before anything is painted; where that fails, by
+  // PictureError.
+  Pick pick(PaintRequest asked);
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   MapState map() const;          // that is painted
   std::string mapError() const;  // why a part of it is missing, empty where none is
@@ -123,6 +125,11 @@ class Painter {
     PaintRequestPtr request;
     double asked = 0;
   };
+  struct PickJob {
+    PaintRequest asked;
+    std::promise<Pick::Slots> slots;
+    Pick::GivenUp given_up = std::make_shared<std::atomic<bool>>(false);
+  };
   struct View {
     std::optional<Waiting> waiting;
     std::uint64_t painted = 0;  // number of the newest that is finished
@@ -138,7 +145,9 @@ class Painter {
   // Gives the levels back where no view wants any.
   void dropLevels();
   void chooseDetail(PictureRequest& request, const std::string& view_id, Painting& painting);
-  std::shared_ptr<Painting> paint(const std::string& view_id, Waiting&& job);
+  PictureRequest pictureOf(const PaintRequest& asked) const;
+  std::shared_ptr<Painting> paint(const std::string& view_id, const Waiting& job);
+  void find(PickJob& job);
   std::uint64_t enqueue(const std::string& view_id, PaintRequestPtr&& request);
 
   NextEdit next_edit_;
@@ -152,6 +161,8 @@ class Painter {
   std::uint64_t asked_ = 0;        // that ever were
   std::string painting_;           // the view
   bool refining_ = false;          // it, for a camera that rests
+  std::deque<PickJob> picks_;
+  Pick::GivenUp picking_;  // what is being found, if anything
   std::atomic<bool> cancelled_{false};
 
   // With another lock than the slots, for which nobody who shows pictures shall wait.
@@ -162,9 +173,6 @@ class Painter {
 
   mutable std::shared_mutex slots_mutex_;  // what follows; the painter paints with a shared lock
   HostSlots slots_;
-
-  std::mutex pick_mutex_;
-  CpuRasterizer picker_;  // with threads of its own, which take no turns with the painter's
 
   // The painter's own.
   CpuRasterizer rasterizer_;

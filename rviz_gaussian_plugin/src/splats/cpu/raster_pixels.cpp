@@ -9,7 +9,6 @@ namespace rosplat {
 
 namespace {
 
-constexpr float kLeastPicked = 0.05f;  // contribution to a pixel; less nobody sees
 // 106 dB and more against blending all; gsplat ends there, too
 constexpr float kTransparent = 1e-4f;
 

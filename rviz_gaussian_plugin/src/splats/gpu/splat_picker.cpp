@@ -37,12 +37,12 @@ void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
 }
 
 void SplatPicker::draw(const CanvasScope& canvas, const gl::Target& target,
-                       std::uint32_t handle) const {
+                       std::uint32_t number) const {
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   colour_.use();
   colour_.set("width", target.width());
-  colour_.set("handle", handle);
+  colour_.set("number", number);
   colour_.bind("Picked", picked_);
   canvas.layOver(colour_, target);
 }

@@ -21,9 +21,8 @@ class SplatPicker {
   // tiles: without, each tile walks all of them.
   void pick(const OrderedSplats& splats, const TileRasterizer* lists, const gl::Target& target,
             bool top_first);
-  // Writes the map's handle for rviz's selection as 24-bit colour wherever there is a splat, or,
-  // without one, slot + 1 (slots of 24 bits only).
-  void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t handle) const;
+  // Writes a number as 24-bit colour wherever there is a splat.
+  void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t number) const;
   // width * height slots, top row first; kNoSlot where there is none.
   std::vector<std::uint32_t> read() const;
 
