@@ -34,14 +34,26 @@ class MapSubscription:
         self.topic = node.resolve_topic_name("gaussians")
         self._qos = MAP
         self._mixed = False  # what publishers keep
+        self._maps = ("", "")  # of the last batch, and the one before that
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         node.create_timer(WATCH_PERIOD, self._meet_publishers, callback_group, steady)
 
     def _subscribe(self) -> Subscription:
         return self._node.create_subscription(
-            GaussianArray, "gaussians", self._on_batch, self._qos, callback_group=self._group
+            GaussianArray, "gaussians", self._hear, self._qos, callback_group=self._group
         )
+
+    def _hear(self, message: GaussianArray) -> None:
+        now, before = self._maps
+        if message.map_id != now:
+            self._maps = message.map_id, now
+            if message.map_id == before and self._node.count_publishers(self.topic) > 1:
+                self._node.get_logger().warning(
+                    f"{self.topic}: publishers clear each other's map: end all but one of them",
+                    throttle_duration_sec=5.0,
+                )
+        self._on_batch(message)
 
     def _meet_publishers(self) -> None:
         publishers = self._node.get_publishers_info_by_topic(self.topic)

@@ -258,6 +258,24 @@ def test_a_volatile_publisher_beside_another_is_told_of(sorter, peer, capfd):
         silent.close()
 
 
+def test_publishers_that_clear_each_other_s_map_are_told_of(sorter, peer, make_batch, capfd):
+    other, said, revision = Peer(), [], 0
+
+    def told():
+        nonlocal revision
+        revision += 1
+        peer.edit(make_batch(2, revision=revision, map_id="mine"))
+        other.edit(make_batch(2, revision=revision, map_id="yours"))
+        said.append(capfd.readouterr().err)
+        return "publishers clear each other's map: end all but one" in "".join(said)
+
+    try:
+        other.meet()
+        peer.wait(told, "no warning")
+    finally:
+        other.close()
+
+
 def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypatch):
     nan, inf = float("nan"), float("inf")
     warnings = []
