@@ -30,6 +30,19 @@ def test_a_file_is_shown_each_time_it_was_written(
         np.testing.assert_allclose(np.sort(shown.opacities), np.sort(splats.opacities), atol=1e-6)
 
 
+def test_a_file_is_followed_where_simulated_time_stands_still(
+    start: Start, listener: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "map.ply"
+    process = start("follow", path=path, period=0.05, use_sim_time=True)
+    assert process.stdout
+    assert f"following {path}, of which there is none yet" in process.stdout.readline()
+    formats.save(path, random_splats(50, 1))
+    listener.wait_for(50)
+    assert "50 of them sent" in process.stdout.readline()
+    assert "use_sim_time is true, but nobody publishes /clock" in process.stdout.readline()
+
+
 def test_a_cloud_is_shown_in_its_frame(start: Start, listener: Any, node: Node) -> None:
     start("follow")
     publisher = node.create_publisher(PointCloud2, "cloud", 1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -42,8 +43,10 @@ class Follow(Node):
         self._maps = WholeMaps(self._publisher)
         if path:
             self._file = WatchedFile(path)
-            self.create_timer(period, self._look)
-            self.get_logger().info(f"following {shown(path)}")
+            steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
+            self.create_timer(period, self._look, clock=steady)
+            none = "" if self._file.is_there() else ", of which there is none yet"
+            self.get_logger().info(f"following {shown(path)}{none}")
         self._subscribe(PointCloud2, "cloud", self._on_cloud)
         try:
             from gsplat_msgs.msg import SplatArray

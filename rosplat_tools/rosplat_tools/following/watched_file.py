@@ -36,6 +36,10 @@ class WatchedFile:
         self._told = newest
         return newest
 
+    def is_there(self) -> bool:
+        """Whether there is one now."""
+        return self._newest() is not None
+
     def is_still(self, version: Version) -> bool:
         """Whether nobody has written since: then what was read meanwhile is whole."""
         return _version(version.path) == version

@@ -26,6 +26,7 @@ from rosplat_tools.splats import SceneError
 
 GRACE = 0.5  # what callbacks get to end before ROS does [s]
 BREATH = 0.0002  # in which a thread begins with a callback [s]
+CLOCK_PATIENCE = 5.0  # for simulated time to begin [s]
 LOST = 3.0  # after a signal, nobody has heard of its exception [s]
 
 
@@ -111,6 +112,10 @@ def _wait_for_callbacks(executor: Executor, timeout: float) -> None:
 
 
 def wait_for_end(node: Node) -> None:
-    """Until a signal comes or a callback raises."""
+    """Until a signal comes or a callback raises. Says so where simulated time doesn't begin."""
+    patient_until = time.monotonic() + CLOCK_PATIENCE
     while node.context.ok():
         time.sleep(0.1)
+        if time.monotonic() > patient_until and not node.get_clock().now().nanoseconds:
+            patient_until = math.inf
+            node.get_logger().warning("use_sim_time is true, but nobody publishes /clock")
