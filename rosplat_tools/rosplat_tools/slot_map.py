@@ -13,8 +13,6 @@ from rosplat_sorter.payload import Arrays
 from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, SlotPages
 from rosplat_tools.splats import Splats, concatenate, sh_coefficients
 
-_ARRAYS = ("positions", "orientations", "scales", "opacities", "sh")
-
 
 @dataclass(frozen=True, eq=False)
 class Group:
@@ -166,8 +164,7 @@ class SlotMap:
         if rows > len(self._used):
             rows = max(rows, len(self._used) * 9 // 8)
             # Where they are: large ones are remapped, so that there are never two of them.
-            of_splats = (getattr(arrays, name) for name in _ARRAYS)
-            for array in (*of_splats, *arrays.channels.values(), self._used):
+            for array in (*arrays.arrays, self._used):
                 array.resize((rows, *array.shape[1:]), refcheck=False)
 
 

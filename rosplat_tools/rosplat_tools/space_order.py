@@ -33,13 +33,7 @@ def space_order(positions: NDArray[np.float32]) -> NDArray[np.intp]:
 def put_in_space_order(splats: Splats) -> None:
     """Reorders splats of finite positions where they are, an array at a time to spare memory."""
     order = space_order(splats.positions)
-    for array in (
-        splats.positions,
-        splats.orientations,
-        splats.scales,
-        splats.opacities,
-        splats.sh,
-    ):
+    for array in splats.arrays:
         array[:] = np.take(array, order, axis=0)
 
 

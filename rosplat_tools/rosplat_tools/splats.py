@@ -164,10 +164,15 @@ class Splats:
         return np.full(len(self), np.nan, np.float32) if values is None else values
 
     @property
+    def arrays(self) -> tuple[NDArray[np.float32], ...]:
+        """All that has a row for each splat."""
+        drawn = (self.positions, self.orientations, self.scales, self.opacities, self.sh)
+        return (*drawn, *self.channels.values())
+
+    @property
     def nbytes(self) -> int:
         """Memory that the arrays take. [bytes]"""
-        arrays = (self.positions, self.orientations, self.scales, self.opacities, self.sh)
-        return sum(array.nbytes for array in (*arrays, *self.channels.values()))
+        return sum(array.nbytes for array in self.arrays)
 
     def with_sh_degree(self, degree: int) -> Splats:
         """The same splats with bands cut off, or zero bands added, to a degree of 0 to 3."""

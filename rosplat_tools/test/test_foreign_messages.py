@@ -1,5 +1,6 @@
 """Maps in the messages of other packages."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -28,6 +29,12 @@ def test_a_cloud_is_what_the_same_ply_is(how: dict[str, Any]) -> None:
         np.testing.assert_allclose(
             getattr(found, name), getattr(splats, name), rtol=1e-5, atol=1e-6
         )
+
+
+def test_further_fields_of_a_cloud_are_channels() -> None:
+    splats = replace(random_splats(100), channels={"label": np.arange(100)})
+    found = from_point_cloud(cloud(splats), "/cloud", silent)
+    np.testing.assert_array_equal(found.channels["label"], np.arange(100))
 
 
 def test_a_cloud_that_is_no_map_is_named() -> None:

@@ -4,6 +4,7 @@ import lzma
 import signal
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ Start = Callable[..., subprocess.Popen[str]]
 @pytest.fixture
 def ply(tmp_path: Path, random_splats: Maker) -> Path:
     path = tmp_path / "scene.ply"
-    formats.save(path, random_splats(5000, 2))
+    labels = {"label": np.arange(5000)}
+    formats.save(path, replace(random_splats(5000, 2), channels=labels))
     return path
 
 
@@ -64,7 +66,9 @@ def test_scenes_are_loaded_and_saved_while_it_runs(
     copy = tmp_path / "copy.ply"
     answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
     assert (answer.success, answer.splats) == (True, 5000)
-    np.testing.assert_allclose(formats.load(copy).scales, in_space_order(ply).scales, rtol=1e-6)
+    saved, scene = formats.load(copy), in_space_order(ply)
+    np.testing.assert_allclose(saved.scales, scene.scales, rtol=1e-6)
+    np.testing.assert_array_equal(saved.channels["label"], scene.channels["label"])
 
     before = copy.read_bytes()
     answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
