@@ -256,6 +256,7 @@ def draw() -> Claims:
 
     def check(case: int, rng: np.random.Generator) -> None:
         renderer.settings.order = fuzz.one_of(rng, [OrderSource.SIDECAR, OrderSource.AUTO])
+        renderer.settings.mode = fuzz.one_of(rng, [DrawMode.COLOR, DrawMode.CHANNEL])
         asked = fuzz.view_camera(rng)
         if asked.width * asked.height > MOST_PIXELS:
             return
