@@ -10,7 +10,7 @@ import pytest
 from rosplat_lab.bench.embedded import insert_all, pose
 from rosplat_lab.metrics import psnr
 from rosplat_sorter.edits import is_usable
-from rosplat_sorter.payload import Arrays, decode, encode
+from rosplat_sorter.payload import Arrays, decode, encode, suits
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.generate import generate
 from rosplat_tools.splats import Splats
@@ -39,21 +39,37 @@ def test_cpp_and_numpy_decode_alike(sh_degree: int) -> None:
     assert np.isnan(got["scales"]).any()
 
 
-def test_the_picture_is_that_of_the_arrays() -> None:
+def pictures(splats: Splats) -> list[np.ndarray]:
+    renderer = offscreen.CpuRenderer(threads=2)
+    insert_all(renderer, splats)
+    drawn = []
+    for eye in ((4.0, 1.0, 1.5), (-1.0, 2.5, 0.8)):
+        camera = Camera(
+            id=0, width=320, height=240, fx=250.0, fy=250.0, cx=160.0, cy=120.0,
+            world_to_camera=look_at(eye, (0, 0, 0)),
+        )  # fmt: skip
+        picture = renderer.draw(offscreen.Camera(*pose(camera)))["colour"]
+        drawn.append(np.clip(picture[..., :3], 0, 1))
+    return drawn
+
+
+@pytest.mark.parametrize(
+    ("far", "large", "suited"),
+    [(0, 0, True), (1e3, 0, True), (1e7, 0, False), (1e37, 0, False),
+     (0, 1e2, True), (0, 1e6, False), (0, 1e37, False)],
+)  # fmt: skip
+def test_the_picture_is_that_of_the_arrays_where_no_stray_splat_is(
+    far: float, large: float, suited: bool
+) -> None:
     splats = generate(30_000)
+    splats.positions[0] += np.float32(far)
+    splats.scales[0] += np.float32(large)
+    splats.opacities[0] = 0  # what it costs the others is meant
     arrays = arrays_of(splats)
-    packed = encode(arrays, is_usable(arrays))
-    pictures = []
-    for shown in (splats, replace(splats, **vars(decode(packed, len(splats), splats.sh_degree)))):
-        renderer = offscreen.CpuRenderer(threads=2)
-        insert_all(renderer, shown)
-        for eye in ((4.0, 1.0, 1.5), (-1.0, 2.5, 0.8)):
-            camera = Camera(
-                id=0, width=320, height=240, fx=250.0, fy=250.0, cx=160.0, cy=120.0,
-                world_to_camera=look_at(eye, (0, 0, 0)),
-            )  # fmt: skip
-            drawn = renderer.draw(offscreen.Camera(*pose(camera)))
-            pictures.append(np.clip(drawn["colour"][..., :3], 0, 1))
-    for picture, expected in zip(pictures[2:], pictures[:2], strict=True):
+    usable = is_usable(arrays)
+    packed = encode(arrays, usable)
+    got = pictures(replace(splats, **vars(decode(packed, len(splats), splats.sh_degree))))
+    for picture, expected in zip(got, pictures(splats), strict=True):
         assert expected.std() > 0.05
-        assert psnr(picture, expected) > LEAST
+        assert (psnr(picture, expected) > LEAST) == suited
+    assert suits(arrays, usable) == suited

@@ -38,6 +38,8 @@ BOUNDS_BYTES = 5 * 2 * 4
 
 # The least scale that is told from 0 is this much below the greatest. [natural logarithm]
 SCALE_RANGE = 16.0
+# How much greater than most splats one may be, and still all are told from 0. [natural logarithm]
+GREATEST_SCALE = 12.0
 ROTATION_BOUNDS = np.array([-0.70710684, 0.70710684], np.float32)  # just beyond sqrt(1/2)
 OPACITY_BOUNDS = np.array([0, 1], np.float32)
 
@@ -61,6 +63,25 @@ def size(count: int, sh_degree: int) -> int:
     """Bytes of a payload."""
     rest = (sh_degree + 1) ** 2 - 1
     return BOUNDS_BYTES + count * (4 * WORDS + (1 + 3 * rest if rest else 0))
+
+
+def suits(arrays: Arrays, usable: NDArray[np.bool_]) -> bool:
+    """Whether a payload shows splats as they are: no stray one makes the steps of all too large.
+
+    Steps of position may be a 16th of the median splat's size, or a 65,536th of where most are.
+    """
+    positions, greatest = arrays.positions[usable], arrays.scales[usable].max(axis=1, initial=0)
+    if not len(positions):
+        return True
+    bounds = _bounds(positions, axis=0).astype(np.float64)
+    step = np.ptp(bounds, axis=0).max() / 2**POSITION_BITS
+    some = slice(None, None, 1 + len(positions) // 4096)
+    low, high = np.quantile(positions[some].astype(np.float64), (0.05, 0.95), axis=0)
+    size = float(np.median(greatest[some]))
+    return bool(
+        step <= max(size / 16, (high - low).max() / 2**16)
+        and greatest.max() <= (size or np.inf) * np.exp(GREATEST_SCALE)
+    )
 
 
 def encode(arrays: Arrays, usable: NDArray[np.bool_]) -> NDArray[np.uint8]:

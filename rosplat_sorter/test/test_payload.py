@@ -107,3 +107,12 @@ def test_what_is_no_payload_is_refused():
         bad[: payload.BOUNDS_BYTES].view(np.float32).reshape(5, 2)[row] = lower, upper
         with pytest.raises(PayloadError, match="bounds"):
             decode(bad, 10, 3)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_few_splats_points_and_none_suit(count):
+    given = arrays(count)
+    assert payload.suits(given, all_of(given))
+    assert payload.suits(given, ~all_of(given))
+    given.scales[:] = 0
+    assert payload.suits(given, all_of(given))

@@ -40,7 +40,7 @@ def encode(
     """A REPLACE or UPSERT that writes the i-th splat to the i-th slot, all in one group.
 
     The message holds the bands of spherical harmonics that splats holds. compression: NONE, or the
-    format to send them in. Raises ValueError where
+    format to send them in, unless that would not show them as they are. Raises ValueError where
     slots and splats differ in number.
     """
     if len(slots) != len(splats):
@@ -58,9 +58,11 @@ def encode(
         arrays = Arrays(
             splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh
         )
-        message.format = compression
-        message.payload = _as_array("B", payload.encode(arrays, is_usable(arrays)))
-        return message
+        usable = is_usable(arrays)
+        if payload.suits(arrays, usable):
+            message.format = compression
+            message.payload = _as_array("B", payload.encode(arrays, usable))
+            return message
     message.positions = _as_array("f", splats.positions)
     message.orientations = _as_array("f", splats.orientations)
     message.scales = _as_array("f", splats.scales)

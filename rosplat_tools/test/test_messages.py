@@ -143,3 +143,19 @@ def test_a_payload_holds_the_splats_in_less(random_splats: Maker) -> None:
     message.payload = message.payload[:-1]
     with pytest.raises(ValueError, match="payload has"):
         decode(message)
+
+
+def test_where_a_payload_would_lose_places_arrays_go(random_splats: Maker) -> None:
+    splats = random_splats(200, 3)
+    splats.positions[7] = 1e9
+    message = encode(
+        splats,
+        range(200),
+        header=Header(),
+        map_id="a",
+        revision=1,
+        operation=GaussianArray.UPSERT,
+        compression="quantised",
+    )
+    assert not message.format
+    np.testing.assert_array_equal(decode(message)[1].positions, splats.positions)
