@@ -70,17 +70,19 @@ def suits(arrays: Arrays, usable: NDArray[np.bool_]) -> bool:
 
     Steps of position may be a 16th of the median splat's size, or a 65,536th of where most are.
     """
-    positions, greatest = arrays.positions[usable], arrays.scales[usable].max(axis=1, initial=0)
+    positions, scales = arrays.positions, arrays.scales
+    if not usable.all():
+        positions, scales = positions[usable], scales[usable]
     if not len(positions):
         return True
-    bounds = _bounds(positions, axis=0).astype(np.float64)
-    step = np.ptp(bounds, axis=0).max() / 2**POSITION_BITS
+    bounds = np.array([_bounds(column) for column in positions.T], np.float64)
+    step = np.ptp(bounds, axis=1).max() / 2**POSITION_BITS
     some = slice(None, None, 1 + len(positions) // 4096)
     low, high = np.quantile(positions[some].astype(np.float64), (0.05, 0.95), axis=0)
-    size = float(np.median(greatest[some]))
+    size = float(np.median(scales[some].max(axis=1)))
     return bool(
         step <= max(size / 16, (high - low).max() / 2**16)
-        and greatest.max() <= (size or np.inf) * np.exp(GREATEST_SCALE)
+        and scales.max() <= (size or np.inf) * np.exp(GREATEST_SCALE)
     )
 
 
@@ -94,7 +96,7 @@ def encode(arrays: Arrays, usable: NDArray[np.bool_]) -> NDArray[np.uint8]:
     colours = _companded(arrays.sh[:, 0])
     told_apart = scales.max(initial=-np.inf) - np.float32(SCALE_RANGE)
     bounds = np.zeros((5, 2), np.float32)
-    bounds[:3] = _bounds(arrays.positions, axis=0).T
+    bounds[:3] = [_bounds(column) for column in arrays.positions.T]  # NumPy is slow along axis 0
     bounds[3] = _bounds(scales[(scales >= told_apart) & (scales > -np.inf)])
     bounds[4] = _bounds(colours)
 
@@ -193,10 +195,8 @@ def _units() -> Floats:
     return units.astype(np.float32)
 
 
-def _bounds(values: Floats, axis: int | None = None) -> Floats:
-    if not values.size:
-        return np.zeros((2, *values.shape[1:]) if axis is not None else 2, np.float32)
-    return np.stack([values.min(axis=axis), values.max(axis=axis)])
+def _bounds(values: Floats) -> Floats:
+    return np.array([values.min(), values.max()] if values.size else [0, 0], np.float32)
 
 
 def _codes(values: Floats, bounds: Floats, steps: int) -> Codes:
