@@ -4,7 +4,6 @@ layout(local_size_x = 256) in;
 layout(std430) readonly buffer Splats { uint splat_of[]; };
 layout(std430) readonly buffer Begins { uint begins[]; };
 layout(std430) readonly buffer DepthRange { uint nearest, farthest; };
-layout(std430) readonly buffer Shares { float shares[]; };  // of what is drawn, if not all
 layout(binding = 0) uniform sampler2D scene_depth;
 layout(binding = 0) writeonly uniform image2D blended;
 #ifdef BEHIND
@@ -23,7 +22,10 @@ const float kTransparent = 1e-5;
 
 shared vec4 places[kBatch];  // centre [px], window depth, opacity
 shared vec4 axes[kBatch];    // falloffAxes()
-shared vec4 colours[kBatch];  // and shares
+shared vec3 colours[kBatch];
+#ifdef SHARES
+shared float shares_of[kBatch];
+#endif
 shared uint reaching[kParts][kWords];  // a bit for each splat of the batch
 shared uint finished;
 
@@ -79,8 +81,10 @@ void main() {
       Ellipse e = ellipse(splat);
       places[local] = vec4(e.centre, windowDepth(e.depth), e.opacity);
       axes[local] = falloffAxes(e);
-      colours[local] = vec4(view.mode == kDepth ? depthColour(e.depth, range) : e.colour,
-                            view.cut ? shares[splat] : 1.0);
+      colours[local] = view.mode == kDepth ? depthColour(e.depth, range) : e.colour;
+#ifdef SHARES
+      shares_of[local] = shares[splat];
+#endif
       mark(local, e, tile);
     }
     barrier();
@@ -89,10 +93,12 @@ void main() {
         uint k = 32u * word + uint(findLSB(bits));
         vec4 place = places[k];
         float falloff = falloffAt(axes[k], vec2(pixel) + 0.5 - place.xy);
-        vec3 splat = colours[k].rgb;
+        vec3 splat = colours[k];
         float alpha = alphaAt(place.w, falloff, view.mode);
         if (alpha < kCutoffAlpha) continue;
-        alpha = sharedAlpha(alpha, colours[k].a, view.mode);
+#ifdef SHARES
+        alpha = sharedAlpha(alpha, shares_of[k], view.mode);
+#endif
         if (view.mode == kGaussianBall) splat *= falloff;
 #ifdef BEHIND
         if (place.z > hidden_from && place.z <= behind_until) {

@@ -36,7 +36,8 @@ class Projection {
   // The least and the largest key drawn, depthKey() of their depths.
   const gl::Slice& depthRange() const { return depth_range_; }
   const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
-  // What of each is drawn, if nodes stand for some; else anything.
+  // Whether nodes stand for some; and what of each is drawn then, else anything.
+  bool hasShares() const { return shares_begin_ > 0; }
   gl::Slice shares() const { return {boxes_.id(), shares_begin_, boxes_.bytes() - shares_begin_}; }
   std::size_t bytes() const;
 

@@ -25,6 +25,11 @@ TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies&
           {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "tile_blend.comp"})),
       blend_divided_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
                                       "splat_behind.glsl", "tile_blend.comp"})),
+      blend_shares_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
+                                     "splat_shares.glsl", "tile_blend.comp"})),
+      blend_shares_divided_(
+          shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
+                           "splat_shares.glsl", "splat_behind.glsl", "tile_blend.comp"})),
       prefix_sum_(shaders),
       sort_(sort),
       pair_count_(tallies.of(Tallies::kPairs)),
@@ -107,13 +112,16 @@ void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch)
 
 void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target,
                            const gl::Target* behind) const {
-  const gl::Program& program = behind ? blend_divided_ : blend_;
+  const bool shares = splats.projection().hasShares();
+  const gl::Program& program = shares   ? behind ? blend_shares_divided_ : blend_shares_
+                               : behind ? blend_divided_
+                                        : blend_;
   program.use();
   splats.projection().bindEllipses(program);
   program.bind("Splats", splats_);
   program.bind("Begins", begins_);
   program.bind("DepthRange", splats.projection().depthRange());
-  program.bind("Shares", splats.projection().shares());
+  if (shares) program.bind("Shares", splats.projection().shares());
   if (behind) {
     glActiveTexture(GL_TEXTURE1);
     glBindTexture(GL_TEXTURE_2D, behind->depth());

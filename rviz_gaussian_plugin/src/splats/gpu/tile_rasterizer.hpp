@@ -53,7 +53,8 @@ class TileRasterizer {
  private:
   bool counted(int width, int height) const { return width_ == width && height_ == height; }
 
-  const gl::Program &count_, &list_, &ranges_, &blend_, &blend_divided_;
+  const gl::Program &count_, &list_, &ranges_;
+  const gl::Program &blend_, &blend_divided_, &blend_shares_, &blend_shares_divided_;
   PrefixSum prefix_sum_;
   RadixSort& sort_;
   Tally pair_count_;
