@@ -17,6 +17,7 @@ namespace rosplat {
 
 namespace {
 
+constexpr double kAim = 0.95;         // of a most: what samples miss seldom goes beyond it
 constexpr double kFirstSplats = 1e6;  // of a frame time, before any was measured
 constexpr double kMostStep = 1.1;     // of the error, from picture to picture
 constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
@@ -158,7 +159,7 @@ double DetailControl::choose(const Detail& detail, bool at_once,
     case Detail::Kind::kError:
       return detail.amount;
     case Detail::Kind::kSplats:
-      wanted = forSplats(detail.amount);
+      wanted = forSplats(kAim * detail.amount);
       if (at_once) return wanted;
       break;
     case Detail::Kind::kTime: {
