@@ -139,7 +139,7 @@ TEST(Lattice, ACellLiesInItsParent) {
   for (int i = 0; i < 1000; ++i) {
     const float far = std::exp(8 * unit(random));
     const std::array<float, 3> p{far * unit(random), far * unit(random), far * unit(random)};
-    const Cell entry = entryOf({p, {0, 0, 0, 1}, {0.01f * far, 0.001f, 0}});
+    const Cell entry = entryOf(p, 0.01f * far);
     Cell cell = entry;
     for (int level = levelOf(cell); level + 1 < kLevels; ++level, cell = parentOf(cell)) {
       ASSERT_EQ(levelOf(cell), level);
@@ -170,9 +170,9 @@ TEST(Lattice, ParentsSortAsTheirChildren) {
 }
 
 TEST(Lattice, WhatIsTooLargeOrTooFarHasNoCell) {
-  EXPECT_EQ(entryOf({{}, {0, 0, 0, 1}, {1e6f, 0, 0}}), kNoCell);
-  EXPECT_EQ(entryOf({{1e12f, 0, 0}, {0, 0, 0, 1}, {1, 1, 1}}), kNoCell);
-  EXPECT_NE(entryOf({{}, {0, 0, 0, 1}, {0, 0, 0}}), kNoCell);
+  EXPECT_EQ(entryOf({}, 1e6f), kNoCell);
+  EXPECT_EQ(entryOf({1e12f, 0, 0}, 1), kNoCell);
+  EXPECT_NE(entryOf({}, 0), kNoCell);
 }
 
 TEST(Levels, OfOneSplatAreThatSplat) {

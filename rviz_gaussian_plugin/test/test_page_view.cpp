@@ -1,8 +1,10 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <random>
 #include <vector>
 
+#include "map/page_shelf.hpp"
 #include "map/seen_group.hpp"
 #include "rosplat_sorter/depth_order.hpp"
 
@@ -107,6 +109,32 @@ TEST(PageView, ShowsNoPageThatNothingCanBeSeenOf) {
   EXPECT_FALSE(view.mayShow(page));
   page.extent = 0;
   EXPECT_TRUE(view.mayShow(page));
+}
+
+TEST(PageShelf, LosesNoPageThatMayBeShown) {
+  const SeenGroup group(camera(false), {}, {});
+  std::mt19937 random(7);
+  std::uniform_real_distribution<float> step(-2, 2), size(0, 1);
+  std::vector<SlotPage> pages;
+  std::array<float, 3> at{};
+  for (int i = 0; i < 5000; ++i) {
+    for (float& x : at) x = std::clamp(x + step(random), -60.0f, 60.0f);
+    pages.push_back(Page(random, at, size(random), size(random)).bounds());
+    pages.back().group = std::uint32_t(i / 700);
+  }
+  std::size_t next = 0, skipped = 0;
+  for (const PageShelf& shelf : shelve(pages)) {
+    ASSERT_EQ(shelf.begin, next);
+    next = shelf.end;
+    const bool shown = group.pages.mayShow(shelf.bounds);
+    for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
+      EXPECT_EQ(pages[i].group, shelf.bounds.group);
+      EXPECT_TRUE(shown || !group.pages.mayShow(pages[i])) << i;
+    }
+    if (!shown) skipped += shelf.end - shelf.begin;
+  }
+  EXPECT_EQ(next, pages.size());
+  EXPECT_GT(skipped, pages.size() / 4);
 }
 
 }  // namespace

@@ -75,8 +75,8 @@ void SplatRenderer::endLevels() {
 
 void SplatRenderer::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
   take(pages().moves());
-  for (const SlotPage& page : pages().pages()) {
-    if (store_.holds(page)) take(store_.edit(page));
+  for (std::size_t i = 0; i < pages().pages().size(); ++i) {
+    if (store_.holds(pages().pages()[i])) take(editOf(store_.read(i, 1)));
   }
 }
 

@@ -50,14 +50,19 @@ void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages
   if (copied_ == 0) {
     builder_.apply(std::make_shared<const GaussianEdit>(store.pages().moves()), now);
   }
-  auto page = std::lower_bound(
+  const auto from = std::lower_bound(
       pages.begin(), pages.end(), copied_,
       [](const SlotPage& of, std::uint32_t first_slot) { return of.first_slot < first_slot; });
-  for (; page != pages.end() && most_pages > 0; ++page, --most_pages) {
-    if (store.holds(*page)) {
-      builder_.apply(std::make_shared<const GaussianEdit>(store.edit(*page)), now);
+  for (auto i = std::size_t(from - pages.begin()); i < pages.size() && most_pages > 0;) {
+    std::size_t count = 1;
+    if (store.holds(pages[i])) {
+      PackedRun run = store.read(i, std::min(most_pages, kPagesPerFrame));
+      count = run.slots.size() / (kSlotWords * SlotPage::kSlots);
+      builder_.apply(std::move(run), now);
     }
-    copied_ = page->first_slot + 1;
+    i += count;
+    most_pages -= count;
+    copied_ = pages[i - 1].first_slot + 1;
   }
 }
 

@@ -48,17 +48,18 @@ void NodeStore::replace(const Levels::Pages& before, const Level& held, const Le
   for (const auto& page : pages) {
     for (; old < before.size() && before[old] != page; ++old) {
       if (before[old]->cells.front() > page->cells.front()) break;
-      leaving_.push_back(held[old].place);
+      leaving_.push_back(held.pages[old].place);
     }
     if (old < before.size() && before[old] == page) {
-      next.push_back(held[old++]);
+      next.pages.push_back(held.pages[old++]);
       continue;
     }
-    next.push_back(page->bounds);
-    next.back().place = free();
-    new_.push_back({page, next.back().place});
+    next.pages.push_back(page->bounds);
+    next.pages.back().place = free();
+    new_.push_back({page, next.pages.back().place});
   }
-  for (; old < before.size(); ++old) leaving_.push_back(held[old].place);
+  for (; old < before.size(); ++old) leaving_.push_back(held.pages[old].place);
+  next.shelves = shelve(next.pages);
 }
 
 bool NodeStore::upload(std::size_t& bytes) {
@@ -73,21 +74,15 @@ bool NodeStore::upload(std::size_t& bytes) {
 void NodeStore::write(const NodePage& page, std::uint32_t place) {
   const SlotArenas::Place at = arenas_.placeOf(place);
   SlotArenas::Arena& arena = arenas_[at.arena];
-  const HostSlots::Page& slots = page.slots;
-  const std::size_t count = page.cells.size();
-  const auto put = [&](gl::Buffer& buffer, std::size_t words, const auto& wordOf) {
-    staged_.assign(kSlots * words, 0);
-    for (std::size_t i = 0; i < count; ++i) {
-      for (std::size_t k = 0; k < words; ++k) staged_[words * i + k] = wordOf(k, i);
-    }
+  const auto put = [&](gl::Buffer& buffer, int band, std::size_t words) {
+    staged_.resize(kSlots * words);
+    page.slots.interleave(band, staged_.data());
     const std::size_t size = staged_.size() * sizeof(std::uint32_t);
     buffer.write(at.page * size, staged_.data(), size);
   };
-  put(arena.slots, kSlotWords, [&](std::size_t k, std::size_t i) { return slots.word(k, i); });
+  put(arena.slots, 0, kSlotWords);
   for (int band = 1; band <= arenas_.shDegree(); ++band) {
-    const std::uint32_t* const words = slots.bands[band].get();
-    put(arena.bands[band], static_cast<std::size_t>(kBandWords[band]),
-        [&](std::size_t k, std::size_t i) { return words ? words[k * kSlots + i] : 0; });
+    put(arena.bands[band], band, static_cast<std::size_t>(kBandWords[band]));
   }
 }
 

@@ -8,6 +8,7 @@
 
 #include "gpu/slot_arenas.hpp"
 #include "map/levels.hpp"
+#include "map/page_shelf.hpp"
 
 namespace rosplat {
 
@@ -17,7 +18,10 @@ class NodeStore {
  public:
   // Pages of a level in the order of their cells: `place` is where they are held; and of all
   // levels.
-  using Level = std::vector<SlotPage>;
+  struct Level {
+    std::vector<SlotPage> pages;
+    std::vector<PageShelf> shelves;
+  };
   using OfGroup = std::array<Level, kLevels>;
 
   // Has these take the place of what is shown, as soon as they are uploaded.

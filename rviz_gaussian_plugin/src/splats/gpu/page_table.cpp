@@ -33,18 +33,26 @@ void PageTable::keep(const Frame& frame, const std::vector<SeenGroup>& groups) {
     return (!frame.cuts() || cuts[page.group].mayShow(page, own, parent)) &&
            groups[page.group].pages.mayShow(page);
   };
-  for (const SlotPage& page : store.pages().pages()) {
-    if (!store.holds(page) || !mayShow(page, 0, store.widestParent(page))) continue;
-    keep(page, store.placeOf(page), kOfSlots);
+  for (const PageShelf& shelf : store.shelves()) {
+    if (!mayShow(shelf.bounds, 0, shelf.widest_parent)) continue;
+    for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
+      const SlotPage& page = store.pages().pages()[i];
+      if (!store.holds(page) || !mayShow(page, 0, store.widestParent(page))) continue;
+      keep(page, store.placeOf(page), kOfSlots);
+    }
   }
-  for (int level = 0; frame.cuts() && level < kLevels; ++level) {
-    const double own = cellSize(level), parent = cellSize(level + 1);
+  for (int number = 0; frame.cuts() && number < kLevels; ++number) {
+    const double own = cellSize(number), parent = cellSize(number + 1);
     for (const NodeStore::OfGroup& nodes : frame.nodes->groups()) {
-      for (const SlotPage& page : nodes[std::size_t(level)]) {
-        if (!mayShow(page, own, parent)) continue;
-        SlotArenas::Place place = frame.nodes->placeOf(page);
-        place.arena += static_cast<std::uint32_t>(slot_arenas);
-        keep(page, place, static_cast<std::uint32_t>(level));
+      const NodeStore::Level& level = nodes[std::size_t(number)];
+      for (const PageShelf& shelf : level.shelves) {
+        if (!mayShow(shelf.bounds, own, parent)) continue;
+        for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
+          if (!mayShow(level.pages[i], own, parent)) continue;
+          SlotArenas::Place place = frame.nodes->placeOf(level.pages[i]);
+          place.arena += static_cast<std::uint32_t>(slot_arenas);
+          keep(level.pages[i], place, static_cast<std::uint32_t>(number));
+        }
       }
     }
   }

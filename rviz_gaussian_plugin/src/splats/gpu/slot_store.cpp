@@ -109,26 +109,51 @@ void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_
   }
 }
 
-GaussianEdit SlotStore::edit(const SlotPage& page) const {
+PackedRun SlotStore::read(std::size_t first, std::size_t most) const {
+  const std::vector<SlotPage>& all = pages_.pages();
+  const SlotPage& page = all[first];
   const Place place = placeOf(page);
+  const auto follows = [&](std::size_t i) {
+    const SlotPage& next = all[first + i];
+    const Place at = placeOf(next);
+    return holds(next) && next.group == page.group && at.arena == place.arena &&
+           at.page == place.page + i && next.first_slot == page.first_slot + i * SlotPage::kSlots;
+  };
+  std::size_t pages = 1;
+  while (pages < most && first + pages < all.size() && follows(pages)) ++pages;
   const Arena& arena = arenas_.arenas()[place.arena];
-  const auto read = [&](const gl::Buffer& from, std::size_t words) {
-    std::vector<std::uint32_t> values(SlotPage::kSlots * words);
-    from.read(place.page * values.size() * kWord, values.data(), values.size() * kWord);
+  const auto words = [&](const gl::Buffer& from, std::size_t of_slot) {
+    std::vector<std::uint32_t> values(pages * SlotPage::kSlots * of_slot);
+    from.read(place.page * SlotPage::kSlots * of_slot * kWord, values.data(),
+              values.size() * kWord);
     return values;
   };
-  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;
+  PackedRun run{
+      pages_.groupOf(page), page.first_slot, shDegree(), words(arena.slots, kSlotWords), {}, {}};
   for (int band = 1; band <= shDegree(); ++band) {
-    bands[band] = read(arena.bands[band], static_cast<std::size_t>(kBandWords[band]));
+    run.bands[band] = words(arena.bands[band], static_cast<std::size_t>(kBandWords[band]));
   }
-  GaussianEdit edit = editOf(pages_.groupOf(page), page.first_slot, read(arena.slots, kSlotWords),
-                             std::move(bands), shDegree());
   for (std::size_t channel = 0; channel < channels(); ++channel) {
-    const std::vector<std::uint32_t> words = read(arena.channels[channel], 1);
-    edit.channels[channel].resize(words.size());
-    std::memcpy(edit.channels[channel].data(), words.data(), words.size() * kWord);
+    std::vector<float>& values = run.channels[channel];
+    values.resize(pages * SlotPage::kSlots);
+    arena.channels[channel].read(place.page * SlotPage::kSlots * kWord, values.data(),
+                                 values.size() * kWord);
   }
-  return edit;
+  return run;
+}
+
+const std::vector<PageShelf>& SlotStore::shelves() const {
+  if (shelved_ != edits_) {
+    shelves_ = shelve(pages_.pages());
+    for (PageShelf& shelf : shelves_) {
+      shelf.widest_parent = 0;
+      for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
+        shelf.widest_parent = std::max(shelf.widest_parent, widestParent(pages_.pages()[i]));
+      }
+    }
+    shelved_ = edits_;
+  }
+  return shelves_;
 }
 
 void SlotStore::setLevels(std::uint32_t first_slot, const EntryLevels& levels) {

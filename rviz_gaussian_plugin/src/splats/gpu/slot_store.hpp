@@ -9,6 +9,7 @@
 #include "gpu/slot_arenas.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/level_builder.hpp"
+#include "map/page_shelf.hpp"
 #include "map/slot_pages.hpp"
 
 namespace rosplat {
@@ -28,8 +29,9 @@ class SlotStore {
   bool holds(const SlotPage& page) const { return page.place < held_.size() && held_[page.place]; }
   Place placeOf(const SlotPage& page) const { return arenas_.placeOf(page.place); }
   const std::vector<Arena>& arenas() const { return arenas_.arenas(); }
-  // What writes a page elsewhere. Waits for the graphics card.
-  GaussianEdit edit(const SlotPage& page) const;
+  // What is in pages()[first] and its neighbours in the same arena, so many of them at most. Waits
+  // for the graphics card.
+  PackedRun read(std::size_t first, std::size_t most) const;
 
   // Says at which levels of detail the slots of a page enter these; what is written anew enters
   // none.
@@ -40,6 +42,9 @@ class SlotStore {
   float widestParent(const SlotPage& page) const {
     return page.place < coarsest_.size() ? cellSize(coarsest_[page.place]) : kBoundless;
   }
+
+  // All pages, as they are now.
+  const std::vector<PageShelf>& shelves() const;
 
   std::uint32_t capacity() const { return capacity_; }  // one past the highest slot in use
   // How many may be in use.
@@ -68,6 +73,8 @@ class SlotStore {
   std::vector<std::uint8_t> coarsest_;  // the highest level of a page's slots, if there are any
   std::uint32_t capacity_ = 0;
   std::uint64_t edits_ = 0;
+  mutable std::vector<PageShelf> shelves_;  // after so many edits:
+  mutable std::uint64_t shelved_ = 0;
   std::vector<std::uint32_t> staged_;
 };
 

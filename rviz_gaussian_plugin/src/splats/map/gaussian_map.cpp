@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <iterator>
 #include <optional>
 #include <string>
@@ -181,7 +182,8 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
     }
     packSlot(splat, sh + 3, batch.sh_degree, &edit.slots[kSlotWords * i], bands);
     std::copy_n(position, 3, &edit.positions[3 * i]);
-    edit.extents[i] = extentOf(splat);
+    edit.extents[i] =
+        extentOf(splat.opacity, *std::max_element(splat.scale.begin(), splat.scale.end()));
   }
   return kept;
 }
@@ -346,22 +348,24 @@ void GaussianMap::checkBlocks(const SlotSet& used, const SlotRuns& runs,
   }
 }
 
-GaussianEdit editOf(const Group& group, std::uint32_t first_slot, std::vector<std::uint32_t> slots,
-                    std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands, int sh_degree) {
+GaussianEdit editOf(PackedRun run) {
   GaussianEdit edit;
-  const std::size_t count = slots.size() / kSlotWords;
-  edit.group = group.number;
-  edit.origin = group.originOrZero();
-  edit.runs = {{first_slot, static_cast<std::uint32_t>(count)}};
-  edit.sh_degree = sh_degree;
-  edit.slots = std::move(slots);
-  edit.bands = std::move(bands);
+  const std::size_t count = run.slots.size() / kSlotWords;
+  edit.group = run.group.number;
+  edit.origin = run.group.originOrZero();
+  edit.runs = {{run.first_slot, static_cast<std::uint32_t>(count)}};
+  edit.sh_degree = run.sh_degree;
+  edit.slots = std::move(run.slots);
+  edit.bands = std::move(run.bands);
+  edit.channels = std::move(run.channels);
+  edit.positions.resize(3 * count);
+  edit.extents.resize(count);
   for (std::size_t i = 0; i < count; ++i) {
-    edit.slots[kSlotWords * i + kChangeWord] &= 0xffffu;
-    const Splat splat = unpackSlot(&edit.slots[kSlotWords * i]);
-    if (splat.opacity > 0) edit.capacity = first_slot + static_cast<std::uint32_t>(i) + 1;
-    edit.positions.insert(edit.positions.end(), splat.position.begin(), splat.position.end());
-    edit.extents.push_back(extentOf(splat));
+    std::uint32_t* const slot = &edit.slots[kSlotWords * i];
+    slot[kChangeWord] &= 0xffffu;
+    if (slot[3] & 0xffffu) edit.capacity = run.first_slot + static_cast<std::uint32_t>(i) + 1;
+    std::memcpy(&edit.positions[3 * i], slot, 3 * sizeof(float));
+    edit.extents[i] = extentOf(slotOpacity(slot), largestScale(slot));
   }
   return edit;
 }

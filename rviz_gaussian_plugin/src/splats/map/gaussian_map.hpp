@@ -41,10 +41,18 @@ struct GaussianEdit {
   std::vector<GroupMove> moves;  // each group once
 };
 
-// An edit that writes neighbouring slots of a group as they were packed once, to a map that lacks
-// them.
-GaussianEdit editOf(const Group& group, std::uint32_t first_slot, std::vector<std::uint32_t> slots,
-                    std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands, int sh_degree);
+// Neighbouring slots of a group, as they were packed once.
+struct PackedRun {
+  Group group;
+  std::uint32_t first_slot = 0;
+  int sh_degree = 0;
+  std::vector<std::uint32_t> slots;                                // as in GaussianEdit
+  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // the same
+  std::array<std::vector<float>, kMostChannels> channels;          // the same
+};
+
+// An edit that writes them to a map that lacks them.
+GaussianEdit editOf(PackedRun run);
 // An edit that places groups where they are.
 GaussianEdit editOf(const Groups& groups);
 

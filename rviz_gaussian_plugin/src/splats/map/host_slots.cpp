@@ -1,7 +1,9 @@
 #include "map/host_slots.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cstring>
+#include <new>
 
 namespace rosplat {
 
@@ -11,39 +13,58 @@ std::size_t bandWords(int band) { return HostSlots::kSlots * kBandWords[band]; }
 
 }  // namespace
 
-void HostSlots::apply(const GaussianEdit& edit, double now) {
+void HostSlots::apply(const GaussianEdit& edit, double now, rosplat_sorter::ThreadTeam* team) {
   if (edit.clear) {
     memory_.clear();
     pages_ = {};
     sh_degree_ = 0;
     channels_ = 0;
-    band_bytes_ = channel_bytes_ = 0;
   }
   sh_degree_ = std::max(sh_degree_, edit.sh_degree);
-  pages_.apply(edit);
-  memory_.reserve(pages_.pages().size());
-  while (memory_.size() < pages_.pages().size()) {
-    memory_.push_back(std::make_unique<Page>());
-    memory_.back()->extent.fill(-1);
+  for (std::size_t channel = channels_; channel < kMostChannels; ++channel) {
+    if (!edit.channels[channel].empty()) channels_ = channel + 1;
   }
+  pages_.apply(edit);
+  std::atomic<bool> out_of_memory{false};
+  const auto inParts = [&](std::size_t count, const auto& step) {
+    const auto task = [&](unsigned number, unsigned) {
+      try {
+        step(number);
+      } catch (const std::bad_alloc&) {
+        out_of_memory = true;
+      }
+    };
+    if (team) {
+      team->run(static_cast<unsigned>(count), task);
+    } else {
+      for (unsigned number = 0; number < count; ++number) task(number, 0);
+    }
+    if (out_of_memory) throw std::bad_alloc();
+  };
+  const std::size_t before = memory_.size();
+  memory_.resize(pages_.pages().size());
+  inParts(memory_.size() - before, [&](std::size_t number) {
+    memory_[before + number] = std::make_unique<Page>();
+    memory_[before + number]->extent.fill(-1);
+  });
   for (const std::uint32_t first_slot : pages_.emptied()) at(*pages_.find(first_slot)).empty();
   const auto change = static_cast<std::uint32_t>(now) << 16;
   std::size_t source = 0;
+  std::vector<Part> parts;  // of a run: no two are of one page
   for (const auto& [first, count] : edit.runs) {
-    for (std::uint32_t done = 0; done < count;) {
+    parts.clear();
+    for (std::uint32_t done = 0, in_page; done < count; done += in_page) {
       const std::uint32_t slot = first + done;
-      const auto in_page =
-          std::min(count - done, static_cast<std::uint32_t>(kSlots - slot % kSlots));
-      write(edit, source + done, slot, in_page, change);
-      done += in_page;
+      in_page = std::min(count - done, static_cast<std::uint32_t>(kSlots - slot % kSlots));
+      parts.push_back({slot, in_page, source + done});
     }
+    inParts(parts.size(), [&](std::size_t number) { write(edit, parts[number], change); });
     source += count;
   }
 }
 
-// Slots of one page.
-void HostSlots::write(const GaussianEdit& edit, std::size_t source, std::uint32_t first,
-                      std::uint32_t count, std::uint32_t change) {
+void HostSlots::write(const GaussianEdit& edit, const Part& part, std::uint32_t change) {
+  const auto& [first, count, source] = part;
   const SlotPage* const found = pages_.find(first);
   if (!found) return;  // slots that were never used are empty already
   Page& page = *memory_[found->place];
@@ -77,7 +98,6 @@ void HostSlots::write(const GaussianEdit& edit, std::size_t source, std::uint32_
       if (band > edit.sh_degree) continue;
       page.bands[band].reset(new std::uint32_t[bandWords(band)]{});
       memory = page.bands[band].get();
-      band_bytes_ += bandWords(band) * sizeof(std::uint32_t);
     }
     for (std::size_t i = 0; i < count; ++i) {
       for (std::size_t k = 0; k < coefficients; ++k) {
@@ -94,11 +114,9 @@ void HostSlots::writeChannels(const GaussianEdit& edit, std::size_t source, Page
   for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
     const std::vector<float>& values = edit.channels[channel];
     auto& memory = page.channels[channel];
-    if (!values.empty()) channels_ = std::max(channels_, channel + 1);
     if (!values.empty() && !memory) {
       memory = std::make_unique<PerSlot<float>>();
       memory->fill(kNoValue);
-      channel_bytes_ += sizeof(*memory);
     }
     if (!memory) continue;
     for (std::size_t i = 0; i < count; ++i) {
@@ -129,7 +147,12 @@ void HostSlots::dropParents() {
 }
 
 std::size_t HostSlots::bytes() const {
-  return memory_.size() * sizeof(Page) + band_bytes_ + channel_bytes_ + pages_.bytes() +
+  std::size_t words = 0;  // of bands and channels
+  for (const auto& page : memory_) {
+    for (int band = 1; band <= sh_degree_; ++band) words += page->bands[band] ? bandWords(band) : 0;
+    for (const auto& channel : page->channels) words += channel ? kSlots : 0;
+  }
+  return memory_.size() * sizeof(Page) + words * sizeof(std::uint32_t) + pages_.bytes() +
          memory_.capacity() * sizeof(memory_[0]);
 }
 
@@ -137,6 +160,18 @@ void HostSlots::Page::empty() {
   for (auto& of_all : words) of_all.fill(0);
   extent.fill(-1);
   if (parents) parents->fill(0);
+}
+
+void HostSlots::Page::interleave(int band, std::uint32_t* to) const {
+  const std::size_t words = band == 0 ? kSlotWords : std::size_t(kBandWords[band]);
+  for (std::size_t k = 0; k < words; ++k) {
+    const void* const from = band > 0 ? (bands[band] ? &bands[band][k * kSlots] : nullptr)
+                             : k < position.size() ? static_cast<const void*>(position[k].data())
+                                                   : this->words[k - position.size()].data();
+    std::array<std::uint32_t, kSlots> of_all{};
+    if (from) std::memcpy(of_all.data(), from, sizeof(of_all));
+    for (std::size_t i = 0; i < kSlots; ++i) to[words * i + k] = of_all[i];
+  }
 }
 
 PackedSlot HostSlots::Page::packed(std::size_t i, int sh_degree) const {
@@ -182,26 +217,18 @@ std::vector<SplatValues> HostSlots::read(const std::vector<std::uint32_t>& slots
 }
 
 GaussianEdit HostSlots::edit(const SlotPage& of) const {
-  std::vector<std::uint32_t> slots(kSlots * kSlotWords);
-  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;
+  PackedRun run{pages_.groupOf(of), of.first_slot, sh_degree_, {}, {}, {}};
+  run.slots.resize(kSlots * kSlotWords);
+  at(of).interleave(0, run.slots.data());
   for (int band = 1; band <= sh_degree_; ++band) {
-    bands[band].resize(kSlots * static_cast<std::size_t>(kBandWords[band]));
+    run.bands[band].resize(bandWords(band));
+    at(of).interleave(band, run.bands[band].data());
   }
-  for (std::size_t i = 0; i < kSlots; ++i) {
-    const PackedSlot slot = at(of).packed(i, sh_degree_);
-    std::copy(slot.words.begin(), slot.words.end(), &slots[kSlotWords * i]);
-    for (int band = 1; band <= sh_degree_; ++band) {
-      std::copy_n(slot.bands[band].begin(), kBandWords[band],
-                  &bands[band][std::size_t(kBandWords[band]) * i]);
-    }
-  }
-  GaussianEdit edit =
-      editOf(pages_.groupOf(of), of.first_slot, std::move(slots), std::move(bands), sh_degree_);
   for (std::size_t channel = 0; channel < channels_; ++channel) {
     const auto& memory = at(of).channels[channel];
-    if (memory) edit.channels[channel].assign(memory->begin(), memory->end());
+    if (memory) run.channels[channel].assign(memory->begin(), memory->end());
   }
-  return edit;
+  return editOf(std::move(run));
 }
 
 }  // namespace rosplat

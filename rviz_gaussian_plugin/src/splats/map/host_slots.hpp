@@ -12,6 +12,7 @@
 #include "map/lattice.hpp"
 #include "map/packed_slot.hpp"
 #include "map/slot_pages.hpp"
+#include "rosplat_sorter/thread_team.hpp"
 
 namespace rosplat {
 
@@ -47,13 +48,15 @@ class HostSlots {
       return bits;
     }
     PackedSlot packed(std::size_t i, int sh_degree) const;
+    // All slots' words of a band, or, of 0, the others: slot by slot, as they are packed.
+    void interleave(int band, std::uint32_t* to) const;
     // Of all but the extent.
     void put(std::size_t i, const PackedSlot& slot, int sh_degree);
   };
 
-  // now: the clock of `change` in packed_slot.hpp. Throws std::bad_alloc: then some of the edit is
-  // missing.
-  void apply(const GaussianEdit& edit, double now);
+  // now: the clock of `change` in packed_slot.hpp; team: helps. Throws std::bad_alloc: then some of
+  // the edit is missing.
+  void apply(const GaussianEdit& edit, double now, rosplat_sorter::ThreadTeam* team = nullptr);
 
   const std::vector<SlotPage>& pages() const { return pages_.pages(); }  // by ascending first_slot
   const Page& at(const SlotPage& page) const { return *memory_[page.place]; }
@@ -73,8 +76,12 @@ class HostSlots {
   void dropParents();
 
  private:
-  void write(const GaussianEdit& edit, std::size_t source, std::uint32_t first, std::uint32_t count,
-             std::uint32_t change);
+  // Slots of one page.
+  struct Part {
+    std::uint32_t first, count;
+    std::size_t source;  // in the edit
+  };
+  void write(const GaussianEdit& edit, const Part& part, std::uint32_t change);
   void writeChannels(const GaussianEdit& edit, std::size_t source, Page& page, std::size_t target,
                      std::size_t count);
 
@@ -82,7 +89,6 @@ class HostSlots {
   std::vector<std::unique_ptr<Page>> memory_;  // by place
   int sh_degree_ = 0;
   std::size_t channels_ = 0;  // that there are values of
-  std::size_t band_bytes_ = 0, channel_bytes_ = 0;
 };
 
 }  // namespace rosplat

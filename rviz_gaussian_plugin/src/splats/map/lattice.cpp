@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 namespace rosplat {
 
@@ -13,6 +14,19 @@ constexpr int kTop = 3 * (kAxisBits - 1);               // where the highest bit
 constexpr Cell kBelowTop = (Cell{1} << (kTop - 3)) - 1;
 constexpr float kSigmas = 2;     // that a cell is wider than
 constexpr float kLeast = 1e-9f;  // of sizes that matter [m]
+
+// 2^octave, of one that is far from the ends of what floats hold; and the octave of a number.
+float powerOfTwo(int octave) {
+  const std::uint32_t bits = std::uint32_t(127 + octave) << 23;
+  float value;
+  std::memcpy(&value, &bits, sizeof(bits));
+  return value;
+}
+int octaveOf(float value) {
+  std::uint32_t bits;
+  std::memcpy(&bits, &value, sizeof(bits));
+  return int(bits >> 23 & 255u) - 127;
+}
 
 // Two zeros before each bit.
 Cell spread(std::uint32_t coordinate) {
@@ -36,24 +50,27 @@ std::uint32_t gathered(Cell bits) {
 }  // namespace
 
 float cellSize(int level) {
-  return level < kLevels ? std::ldexp(1.0f, kFinestOctave + level) : kBoundless;
+  return level < kLevels ? powerOfTwo(kFinestOctave + level) : kBoundless;
 }
 
-Cell entryOf(const Splat& splat) {
-  const float size = kSigmas * std::max({splat.scale[0], splat.scale[1], splat.scale[2], kLeast});
+Cell entryOf(const std::array<float, 3>& position, float largest_scale) {
+  const float size = kSigmas * std::max(largest_scale, kLeast);
   float farthest = kLeast;
-  for (const float x : splat.position) farthest = std::max(farthest, std::fabs(x));
+  for (const float x : position) farthest = std::max(farthest, std::fabs(x));
   const int octave =
-      std::max({std::ilogb(size) + 1, std::ilogb(farthest) + 2 - kAxisBits, kFinestOctave});
+      std::max({octaveOf(size) + 1, octaveOf(farthest) + 2 - kAxisBits, kFinestOctave});
   const int level = octave - kFinestOctave;
-  return level < kLevels ? cellAt(splat.position, level) : kNoCell;
+  return level < kLevels ? cellAt(position, level) : kNoCell;
 }
 
 Cell cellAt(const std::array<float, 3>& position, int level) {
   Cell cell = firstCell(level);
+  const float per_metre = powerOfTwo(-(kFinestOctave + level));
   for (int axis = 0; axis < 3; ++axis) {
-    const float at = std::floor(std::ldexp(position[axis], -(kFinestOctave + level)));
-    cell |= spread(static_cast<std::uint32_t>(static_cast<std::int32_t>(at) + kOffset)) << axis;
+    const float along = position[axis] * per_metre;
+    const auto toward_zero = static_cast<std::int32_t>(along);
+    const std::int32_t at = toward_zero - int(along < float(toward_zero));
+    cell |= spread(static_cast<std::uint32_t>(at + kOffset)) << axis;
   }
   return cell;
 }

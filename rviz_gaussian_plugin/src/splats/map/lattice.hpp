@@ -25,7 +25,7 @@ inline Cell firstCell(int level) { return Cell(level) << 57; }
 inline int levelOf(Cell cell) { return static_cast<int>(cell >> 57); }
 // Where a splat enters: in the first cells that are wider than it is, and near enough to the origin
 // to be counted (2^18 of them to either side). kNoCell for one that is too large or too far.
-Cell entryOf(const Splat& splat);
+Cell entryOf(const std::array<float, 3>& position, float largest_scale);
 // The cell around a position, relative to the group's origin [m], which must be near enough.
 Cell cellAt(const std::array<float, 3>& position, int level);
 // The corner of the least coordinates. [m]

@@ -1,5 +1,6 @@
 #include "map/level_builder.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <new>
 #include <set>
@@ -26,7 +27,7 @@ EntryLevels entriesOf(const HostSlots::Page& page) {
 }  // namespace
 
 LevelBuilder::LevelBuilder()
-    : levels_(rosplat_sorter::ThreadTeam::ofViewers()), thread_([this] { run(); }) {}
+    : team_(rosplat_sorter::ThreadTeam::ofViewers()), levels_(team_), thread_([this] { run(); }) {}
 
 LevelBuilder::~LevelBuilder() {
   {
@@ -38,12 +39,20 @@ LevelBuilder::~LevelBuilder() {
 }
 
 std::uint64_t LevelBuilder::apply(std::shared_ptr<const GaussianEdit> edit, double now) {
+  return push({std::move(edit), {}, now, 0});
+}
+
+std::uint64_t LevelBuilder::apply(PackedRun run, double now) {
+  return push({nullptr, std::move(run), now, 0});
+}
+
+std::uint64_t LevelBuilder::push(Waiting&& edit) {
   std::uint64_t number;
   {
     const std::lock_guard lock(mutex_);
-    number = ++applied_;
-    if (edit->clear) waiting_.clear();
-    if (error_.empty()) waiting_.push_back({std::move(edit), now, number});
+    number = edit.number = ++applied_;
+    if (edit.edit && edit.edit->clear) waiting_.clear();
+    if (error_.empty()) waiting_.push_back(std::move(edit));
   }
   wake_.notify_one();
   return number;
@@ -87,21 +96,49 @@ void LevelBuilder::run() {
   }
 }
 
+void LevelBuilder::inParts(std::size_t count, const std::function<void(std::size_t)>& step) const {
+  std::atomic<bool> out_of_memory{false};
+  team_->run(static_cast<unsigned>(count), [&](unsigned number, unsigned) {
+    try {
+      step(number);
+    } catch (const std::bad_alloc&) {
+      out_of_memory = true;
+    }
+  });
+  if (out_of_memory) throw std::bad_alloc();
+}
+
+// Some of what waits, as edits.
+std::vector<LevelBuilder::Waiting> LevelBuilder::takeSome() {
+  std::vector<Waiting> some;
+  {
+    const std::lock_guard lock(mutex_);
+    const std::size_t count = stop_ ? 0 : std::min<std::size_t>(waiting_.size(), team_->size());
+    for (std::size_t i = 0; i < count; ++i) {
+      some.push_back(std::move(waiting_.front()));
+      waiting_.pop_front();
+      if (some.back().edit && some.back().edit->clear) update_.reset();
+    }
+  }
+  inParts(some.size(), [&some](std::size_t i) {
+    Waiting& of = some[i];
+    if (!of.edit) of.edit = std::make_shared<const GaussianEdit>(editOf(std::move(of.run)));
+  });
+  return some;
+}
+
 // Takes what waits into the slots, and that into the nodes, until more waits.
 void LevelBuilder::build() {
-  const auto next = [this](Waiting& edit) {
-    const std::lock_guard lock(mutex_);
-    if (waiting_.empty() || stop_) return false;
-    edit = std::move(waiting_.front());
-    waiting_.pop_front();
-    if (edit.edit->clear) update_.reset();
-    return true;
-  };
-  for (Waiting edit; next(edit);) {
-    if (edit.edit->clear) levels_.clear();
-    taken_ = edit.number;
-    slots_.apply(*edit.edit, edit.now);
-    levels_.mark(slots_, edit.edit->runs);
+  while (true) {
+    std::vector<Waiting> some = takeSome();
+    if (some.empty()) break;
+    for (Waiting& of : some) {
+      if (of.edit->clear) levels_.clear();
+      taken_ = of.number;
+      slots_.apply(*of.edit, of.now, team_.get());
+      levels_.mark(slots_, of.edit->runs);
+      of.edit.reset();
+    }
   }
   levels_.advance(
       slots_,
@@ -124,10 +161,13 @@ void LevelBuilder::handOver(const std::vector<std::uint32_t>& changed) {
   auto update = std::make_unique<LevelsUpdate>();
   update->edits = taken_;
   update->groups = levels_.groups();
-  for (const std::uint32_t first_slot : pages) {
-    update->entries.emplace_back(first_slot,
-                                 entriesOf(slots_.at(*slots_.index().find(first_slot))));
-  }
+  update->entries.resize(pages.size());
+  auto entries = update->entries.begin();
+  for (const std::uint32_t first_slot : pages) (entries++)->first = first_slot;
+  inParts(pages.size(), [&](std::size_t i) {
+    auto& [first_slot, levels] = update->entries[i];
+    levels = entriesOf(slots_.at(*slots_.index().find(first_slot)));
+  });
   const std::lock_guard lock(mutex_);
   update_ = std::move(update);
 }

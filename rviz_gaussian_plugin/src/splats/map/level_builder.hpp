@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -47,6 +48,7 @@ class LevelBuilder {
   // What comes next of the map; returns how many edits there were so far. now: the clock of
   // `change` in packed_slot.hpp.
   std::uint64_t apply(std::shared_ptr<const GaussianEdit> edit, double now);
+  std::uint64_t apply(PackedRun run, double now);
   // What has changed since it was asked last; null where nothing has. wait: until the nodes hold
   // all that was applied.
   std::unique_ptr<LevelsUpdate> take(bool wait);
@@ -56,13 +58,18 @@ class LevelBuilder {
 
  private:
   struct Waiting {
-    std::shared_ptr<const GaussianEdit> edit;
+    std::shared_ptr<const GaussianEdit> edit;  // null: that of the run
+    PackedRun run;
     double now;
     std::uint64_t number;
   };
 
+  std::uint64_t push(Waiting&& edit);
   void run();
   void build();
+  std::vector<Waiting> takeSome();
+  // Does step(number) for each number below count, side by side.
+  void inParts(std::size_t count, const std::function<void(std::size_t)>& step) const;
   void handOver(const std::vector<std::uint32_t>& changed);
 
   mutable std::mutex mutex_;  // what follows
@@ -74,6 +81,7 @@ class LevelBuilder {
   std::string error_;
 
   // The thread's own.
+  std::shared_ptr<rosplat_sorter::ThreadTeam> team_;
   HostSlots slots_;
   Levels levels_;
   std::uint64_t taken_ = 0;  // number of the last edit

@@ -33,7 +33,8 @@ class NodeCursor {
                      cells.begin());
   }
   bool before(Cell cell) const { return page_ != end_ && (*page_)->cells[i_] < cell; }
-  Node node(int sh_degree) const { return (*page_)->node(i_, sh_degree); }
+  const NodePage& page() const { return **page_; }
+  std::size_t index() const { return i_; }
   PackedSlot packed(int sh_degree) const { return (*page_)->slots.packed(i_, sh_degree); }
   void next() {
     if (++i_ < (*page_)->cells.size()) return;
@@ -67,35 +68,46 @@ auto changesFrom(const Changes& changes, Cell from) {
                           [](const auto& change, Cell cell) { return change.cell < cell; });
 }
 
+// Of neighbours that are alike, the first.
+void append(std::vector<Cell>& cells, Cell cell) {
+  if (cells.empty() || cells.back() != cell) cells.push_back(cell);
+}
+
 }  // namespace
 
-NodePage::NodePage(const Node* nodes, std::size_t count, int sh_degree, std::uint32_t group) {
+NodePage::NodePage(int sh_degree, std::uint32_t group) : sh_degree_(sh_degree) {
   constexpr float infinity = std::numeric_limits<float>::infinity();
   bounds.first_slot = kNoSlot;
   bounds.group = group;
   bounds.least.fill(infinity);
   bounds.most.fill(-infinity);
   slots.extent.fill(-1);
-  for (std::size_t i = 0; i < count; ++i) {
-    const Node& node = nodes[i];
-    slots.put(i, node.packed, sh_degree);
-    slots.extent[i] = node.extent;
-    bounds.extent = std::max(bounds.extent, node.extent);
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      const float x = slots.position[axis][i];
-      bounds.least[axis] = std::min(bounds.least[axis], x);
-      bounds.most[axis] = std::max(bounds.most[axis], x);
-    }
-    cells.push_back(node.cell);
-    members_.insert(members_.end(), node.members.begin(), node.members.end());
-    ends_.push_back(static_cast<std::uint32_t>(members_.size()));
+}
+
+void NodePage::add(Cell cell, const PackedSlot& packed, const std::uint32_t* members,
+                   std::size_t count) {
+  const std::size_t i = cells.size();
+  slots.put(i, packed, sh_degree_);
+  slots.extent[i] = nodeExtentOf(packed);
+  bounds.extent = std::max(bounds.extent, slots.extent[i]);
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const float x = slots.position[axis][i];
+    bounds.least[axis] = std::min(bounds.least[axis], x);
+    bounds.most[axis] = std::max(bounds.most[axis], x);
   }
+  cells.push_back(cell);
+  members_.insert(members_.end(), members, members + count);
+  ends_.push_back(static_cast<std::uint32_t>(members_.size()));
+}
+
+std::pair<const std::uint32_t*, std::size_t> NodePage::membersOf(std::size_t i) const {
+  const std::uint32_t begin = i > 0 ? ends_[i - 1] : 0;
+  return {members_.data() + begin, ends_[i] - begin};
 }
 
 Node NodePage::node(std::size_t i, int sh_degree) const {
-  const auto begin = members_.begin() + (i > 0 ? ends_[i - 1] : 0);
-  return {
-      cells[i], slots.packed(i, sh_degree), slots.extent[i], {begin, members_.begin() + ends_[i]}};
+  const auto [members, count] = membersOf(i);
+  return {cells[i], slots.packed(i, sh_degree), slots.extent[i], {members, members + count}};
 }
 
 std::size_t NodePage::bytes() const {
@@ -162,10 +174,7 @@ bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
         nextLevel();
         continue;
       }
-      const std::size_t more = std::min(left, 4 * std::size_t(team_->size()));
-      inParts(more,
-              [&](std::size_t i) { make(slots, job_->pieces[job_->touched[job_->done + i]]); });
-      job_->done += more;
+      make(slots, std::min(left, 4 * std::size_t(team_->size())));
     }
     publish(slots);
     const std::unique_ptr<Job> done = std::move(job_);
@@ -182,27 +191,14 @@ void Levels::begin(const HostSlots& slots) {
   if (nodes_.size() <= group) nodes_.resize(group + 1);
   auto job = std::make_unique<Job>();
   job->group = group;
-  const auto byCell = [](const Change& a, const Change& b) {
-    return a.cell != b.cell ? a.cell < b.cell : a.slot < b.slot;
-  };
-  std::vector<Changes> parts(team_->size());
+  std::vector<std::vector<Change>> parts(4 * std::size_t(team_->size()));
   inParts(parts.size(), [&](std::size_t number) {
     const std::size_t end = marked.size() * (number + 1) / parts.size();
     for (std::size_t i = marked.size() * number / parts.size(); i < end; ++i) {
       findChanges(slots, *slots.index().find(marked[i]), parts[number]);
     }
-    std::sort(parts[number].begin(), parts[number].end(), byCell);
   });
-  // By twos, side by side.
-  for (std::size_t step = 1; step < parts.size(); step *= 2) {
-    inParts((parts.size() + step - 1) / (2 * step), [&](std::size_t pair) {
-      const Changes first = std::move(parts[2 * step * pair]),
-                    second = std::move(parts[2 * step * pair + step]);
-      Changes& merged = parts[2 * step * pair];
-      merged.resize(first.size() + second.size());
-      std::merge(first.begin(), first.end(), second.begin(), second.end(), merged.begin(), byCell);
-    });
-  }
+  job->changes = sorted(parts);
   // What has gone to other groups stays marked for these.
   auto still_marked = marked_;
   still_marked.erase(group);
@@ -213,7 +209,6 @@ void Levels::begin(const HostSlots& slots) {
     still_marked[page.group].push_back(first_slot);
     regrouped.emplace_back(known_[page.place].get(), page.group);
   }
-  job->changes = std::move(parts.front());
   job->marked = marked;
   marked_ = std::move(still_marked);
   job_ = std::move(job);
@@ -230,8 +225,11 @@ void Levels::begin(const HostSlots& slots) {
 // Where a slot enters the group that is known of its page.
 Cell Levels::cellOf(const Known& known, const SlotPage& of, const HostSlots::Page& page,
                     std::uint32_t i) {
-  const bool shows = of.group == known.group && page.extent[i] >= 0;
-  return shows ? entryOf(unpackSlot(page.packed(i, 0).words.data())) : kNoCell;
+  if (of.group != known.group || page.extent[i] < 0) return kNoCell;
+  std::array<std::uint32_t, 5> words;  // all that matters here
+  for (std::size_t k = 0; k < words.size(); ++k) words[k] = page.word(k, i);
+  return entryOf({page.position[0][i], page.position[1][i], page.position[2][i]},
+                 largestScale(words.data()));
 }
 
 // What is marked is what the nodes will hold.
@@ -243,7 +241,8 @@ void Levels::know(const HostSlots& slots, const SlotPage& of) {
   known.marked.reset();
 }
 
-void Levels::findChanges(const HostSlots& slots, const SlotPage& of, Changes& changes) const {
+void Levels::findChanges(const HostSlots& slots, const SlotPage& of,
+                         std::vector<Change>& changes) const {
   const Known& known = *known_[of.place];
   const HostSlots::Page& page = slots.at(of);
   for (std::uint32_t i = 0; i < kSlots; ++i) {
@@ -255,6 +254,49 @@ void Levels::findChanges(const HostSlots& slots, const SlotPage& of, Changes& ch
   }
 }
 
+// Dealt out to ranges of cells, each of which is sorted then, side by side.
+Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) const {
+  constexpr std::size_t kSamples = 32;  // of a part
+  std::vector<Cell> samples, ends;      // of ranges
+  Changes changes;
+  for (const auto& part : parts) {
+    changes.count += part.size();
+    for (std::size_t i = 0; i < part.size(); i += part.size() / kSamples + 1) {
+      samples.push_back(part[i].cell);
+    }
+  }
+  std::sort(samples.begin(), samples.end());
+  const std::size_t ranges = parts.size();
+  for (std::size_t i = 1; i < ranges && !samples.empty(); ++i) {
+    ends.push_back(samples[samples.size() * i / ranges]);
+  }
+
+  const auto rangeOf = [&ends](const Change& change) {
+    return std::size_t(std::upper_bound(ends.begin(), ends.end(), change.cell) - ends.begin());
+  };
+  std::vector<std::size_t> next(ranges * parts.size());  // place, by range, then part
+  inParts(parts.size(), [&](std::size_t part) {
+    for (const Change& change : parts[part]) ++next[rangeOf(change) * parts.size() + part];
+  });
+  std::size_t sum = 0;
+  for (std::size_t& place : next) sum += std::exchange(place, sum);
+  std::vector<std::size_t> begins{next};
+  changes.all.reset(new Change[changes.count]);
+  inParts(parts.size(), [&](std::size_t part) {
+    for (const Change& change : parts[part]) {
+      changes.all[next[rangeOf(change) * parts.size() + part]++] = change;
+    }
+  });
+  inParts(ranges, [&](std::size_t range) {
+    const std::size_t begin = begins[range * parts.size()];
+    const std::size_t end = range + 1 < ranges ? begins[(range + 1) * parts.size()] : changes.count;
+    std::sort(&changes.all[begin], changes.all.get() + end, [](const Change& a, const Change& b) {
+      return a.cell != b.cell ? a.cell < b.cell : a.slot < b.slot;
+    });
+  });
+  return changes;
+}
+
 // Cuts the next level into pieces: where its pages begin, and so that in none more cells are
 // touched than a page holds.
 void Levels::nextLevel() {
@@ -264,8 +306,7 @@ void Levels::nextLevel() {
     Pages& pages = job.pages[std::size_t(job.level)];
     pages.insert(pages.end(), piece.pages.begin(), piece.pages.end());
     if (job.level + 1 == kLevels) continue;
-    std::transform(piece.touched.begin(), piece.touched.end(), std::back_inserter(touched),
-                   parentOf);
+    for (const Cell cell : piece.touched) append(touched, parentOf(cell));
   }
   job.pieces.clear();
   job.touched.clear();
@@ -276,7 +317,7 @@ void Levels::nextLevel() {
   const Cell level_begin = firstCell(job.level), level_end = firstCell(job.level + 1);
   auto change = changesFrom(job.changes, level_begin);
   for (; change != job.changes.end() && change->cell < level_end; ++change) {
-    touched.push_back(change->cell);
+    append(touched, change->cell);
   }
   std::inplace_merge(touched.begin(), touched.begin() + inherited, touched.end());
   touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
@@ -305,37 +346,62 @@ void Levels::nextLevel() {
   }
 }
 
-// The nodes of a piece: those of touched cells from what is in them, the others as they are.
-void Levels::make(const HostSlots& slots, Piece& piece) const {
+// So many pieces more: nodes side by side, a few at a time, then the pages that they lie in.
+void Levels::make(const HostSlots& slots, std::size_t count) {
+  constexpr std::size_t kCells = 64;
+  Job& job = *job_;
+  struct Part {
+    std::size_t piece, begin;
+  };
+  std::vector<Part> parts;
+  std::vector<std::vector<Made>> made(count);
+  const auto piece = [&](std::size_t i) -> Piece& { return job.pieces[job.touched[job.done + i]]; };
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t begin = 0; begin < piece(i).touched.size(); begin += kCells) {
+      parts.push_back({i, begin});
+    }
+    made[i].resize((piece(i).touched.size() + kCells - 1) / kCells);
+  }
+  inParts(parts.size(), [&](std::size_t number) {
+    const auto& [i, begin] = parts[number];
+    const std::size_t end = std::min(begin + kCells, piece(i).touched.size());
+    made[i][begin / kCells] = nodesOf(slots, piece(i), begin, end);
+  });
+  inParts(count, [&](std::size_t i) {
+    fill(piece(i), made[i], slots.shDegree());
+    made[i] = {};
+  });
+  job.done += count;
+}
+
+// Those of some of its touched cells, from what is in them.
+Levels::Made Levels::nodesOf(const HostSlots& slots, const Piece& piece, std::size_t begin,
+                             std::size_t end) const {
+  static const Pages kNone;
   const auto level = std::size_t(job_->level);
   const int degree = slots.shDegree();
-  NodeCursor old(nodes_[job_->group][level], piece.begin);
-  piece.pages.clear();
-  std::vector<Node> nodes;
-  const auto keepUntil = [&](Cell cell) {
-    for (; old.before(cell); old.next()) nodes.push_back(old.node(degree));
-  };
-  static const Pages kNone;
-  const Cell first = piece.touched.empty() ? 0 : piece.touched.front();
+  const Cell first = piece.touched[begin];
+  NodeCursor old(nodes_[job_->group][level], first);
   NodeCursor child(level > 0 ? job_->pages[level - 1] : kNone, level > 0 ? childrenOf(first) : 0);
   auto change = changesFrom(job_->changes, first);
   SlotFinder found(slots);
-  for (const Cell cell : piece.touched) {
-    keepUntil(cell);
-    Node node{};
-    node.cell = cell;
-    std::vector<std::uint32_t> before;
+  Made made;
+  for (std::size_t i = begin; i < end; ++i) {
+    const Cell cell = piece.touched[i];
+    const std::size_t before = made.members.size();
+    const std::uint32_t *member = nullptr, *last = nullptr;
+    old.skipTo(cell);
     if (old.before(cell + 1)) {
-      before = old.node(degree).members;
-      old.next();
+      const auto [members, count] = old.page().membersOf(old.index());
+      member = members;
+      last = members + count;
     }
-    auto member = before.begin();
     for (; change != job_->changes.end() && change->cell == cell; ++change) {
-      while (member != before.end() && *member < change->slot) node.members.push_back(*member++);
-      if (member != before.end() && *member == change->slot) ++member;
-      if (change->enters) node.members.push_back(change->slot);
+      while (member != last && *member < change->slot) made.members.push_back(*member++);
+      if (member != last && *member == change->slot) ++member;
+      if (change->enters) made.members.push_back(change->slot);
     }
-    node.members.insert(node.members.end(), member, before.end());
+    made.members.insert(made.members.end(), member, last);
 
     Mixture mixture(cell, degree);
     if (level > 0) {
@@ -344,20 +410,64 @@ void Levels::make(const HostSlots& slots, Piece& piece) const {
         mixture.add(child.packed(degree), kMostNodeOpacity);
       }
     }
-    for (const std::uint32_t slot : node.members) {
+    for (std::size_t k = before; k < made.members.size(); ++k) {
+      const std::uint32_t slot = made.members[k];
       mixture.add(found.pageOf(slot).packed(slot % kSlots, degree), 1);
     }
-    if (mixture.empty()) continue;
-    node.packed = mixture.pack();
-    node.extent = nodeExtentOf(node.packed);
-    nodes.push_back(std::move(node));
+    if (mixture.empty()) {  // what was there is gone by now
+      made.members.resize(before);
+      continue;
+    }
+    made.cells.push_back(cell);
+    made.packed.push_back(mixture.pack());
+    made.ends.push_back(static_cast<std::uint32_t>(made.members.size()));
+  }
+  return made;
+}
+
+// The pages of a piece: of what was made of its touched cells, and of the others as they are.
+void Levels::fill(Piece& piece, const std::vector<Made>& made, int sh_degree) const {
+  struct Source {
+    const NodePage* page;  // or null: it was made
+    const Made* made;
+    std::size_t i;
+  };
+  std::vector<Source> sources;
+  NodeCursor old(nodes_[job_->group][std::size_t(job_->level)], piece.begin);
+  auto touched = piece.touched.begin();
+  const auto keepUntil = [&](Cell cell) {
+    for (; old.before(cell); old.next()) {
+      const Cell kept = old.page().cells[old.index()];
+      while (touched != piece.touched.end() && *touched < kept) ++touched;
+      if (touched != piece.touched.end() && *touched == kept) continue;
+      sources.push_back({&old.page(), nullptr, old.index()});
+    }
+  };
+  for (const Made& part : made) {
+    for (std::size_t i = 0; i < part.cells.size(); ++i) {
+      keepUntil(part.cells[i]);
+      sources.push_back({nullptr, &part, i});
+    }
   }
   keepUntil(piece.end);
-  const std::size_t pages = (nodes.size() + kSlots - 1) / kSlots;
-  for (std::size_t i = 0; i < pages; ++i) {
-    const std::size_t begin = nodes.size() * i / pages, end = nodes.size() * (i + 1) / pages;
-    piece.pages.push_back(
-        std::make_shared<NodePage>(&nodes[begin], end - begin, degree, job_->group));
+
+  const std::size_t pages = (sources.size() + kSlots - 1) / kSlots;
+  piece.pages.clear();
+  for (std::size_t number = 0; number < pages; ++number) {
+    auto page = std::make_shared<NodePage>(sh_degree, job_->group);
+    const std::size_t end = sources.size() * (number + 1) / pages;
+    for (std::size_t k = sources.size() * number / pages; k < end; ++k) {
+      const auto& [kept, part, i] = sources[k];
+      if (kept) {
+        const auto [members, count] = kept->membersOf(i);
+        page->add(kept->cells[i], kept->slots.packed(i, sh_degree), members, count);
+      } else {
+        const std::uint32_t first = i > 0 ? part->ends[i - 1] : 0;
+        page->add(part->cells[i], part->packed[i], part->members.data() + first,
+                  part->ends[i] - first);
+      }
+    }
+    piece.pages.push_back(std::move(page));
   }
 }
 

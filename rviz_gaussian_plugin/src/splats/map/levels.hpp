@@ -25,21 +25,26 @@ struct Node {
   std::vector<std::uint32_t> members;  // slots that enter the lattice here, ascending
 };
 
-// Nodes of one level, neighbours in space. Never changed, once it is made.
+// Nodes of one level, neighbours in space. Never changed, once it is filled.
 class NodePage {
  public:
-  NodePage(const Node* nodes, std::size_t count, int sh_degree, std::uint32_t group);
+  NodePage(int sh_degree, std::uint32_t group);
+  // In the order of their cells.
+  void add(Cell cell, const PackedSlot& packed, const std::uint32_t* members, std::size_t count);
 
-  SlotPage bounds;        // as if the nodes were slots
-  HostSlots::Page slots;  // the nodes, in the order of their cells
+  SlotPage bounds;          // as if the nodes were slots
+  HostSlots::Page slots{};  // the nodes, in the order of their cells
   std::vector<Cell> cells;
 
   int level() const { return levelOf(cells.front()); }
   Node node(std::size_t i, int sh_degree) const;
+  // Of a node: from where, and how many.
+  std::pair<const std::uint32_t*, std::size_t> membersOf(std::size_t i) const;
   std::size_t members() const { return members_.size(); }  // of all its nodes
   std::size_t bytes() const;
 
  private:
+  int sh_degree_;
   std::vector<std::uint32_t> members_, ends_;  // those of one node after the other
 };
 
@@ -79,7 +84,14 @@ class Levels {
     std::uint32_t slot;
     bool enters;
   };
-  using Changes = std::vector<Change>;  // by cell, then slot
+  // By cell, then slot.
+  struct Changes {
+    std::unique_ptr<Change[]> all;
+    std::size_t count = 0;
+
+    const Change* begin() const { return all.get(); }
+    const Change* end() const { return all.get() + count; }
+  };
   // What is known of a page of slots.
   struct Known {
     std::uint32_t group;                       // whose nodes hold it, or soon will
@@ -91,6 +103,12 @@ class Levels {
     Cell begin, end;
     std::vector<Cell> touched;
     Pages pages;  // what it becomes
+  };
+  // Nodes of some touched cells.
+  struct Made {
+    std::vector<Cell> cells;
+    std::vector<PackedSlot> packed;
+    std::vector<std::uint32_t> members, ends;  // those of one node after the other
   };
   // The way from what was marked of a group to nodes that hold it, level by level.
   struct Job {
@@ -105,12 +123,17 @@ class Levels {
   };
 
   void begin(const HostSlots& slots);
-  void findChanges(const HostSlots& slots, const SlotPage& page, Changes& changes) const;
+  void findChanges(const HostSlots& slots, const SlotPage& page,
+                   std::vector<Change>& changes) const;
+  Changes sorted(const std::vector<std::vector<Change>>& parts) const;
   static Cell cellOf(const Known& known, const SlotPage& of, const HostSlots::Page& page,
                      std::uint32_t i);
   void know(const HostSlots& slots, const SlotPage& page);
   void nextLevel();
-  void make(const HostSlots& slots, Piece& piece) const;
+  void make(const HostSlots& slots, std::size_t count);
+  Made nodesOf(const HostSlots& slots, const Piece& piece, std::size_t begin,
+               std::size_t end) const;
+  void fill(Piece& piece, const std::vector<Made>& made, int sh_degree) const;
   void publish(HostSlots& slots) const;
   // Does step(number) for each number below count, side by side.
   void inParts(std::size_t count, const std::function<void(std::size_t)>& step) const;

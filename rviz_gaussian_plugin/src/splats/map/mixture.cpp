@@ -21,9 +21,9 @@ Matrix eigenvectors(Matrix& a) {
   for (int sweep = 0; sweep < 12; ++sweep) {
     const double off = a[0][1] * a[0][1] + a[0][2] * a[0][2] + a[1][2] * a[1][2];
     const double on = a[0][0] * a[0][0] + a[1][1] * a[1][1] + a[2][2] * a[2][2];
-    if (off <= 1e-24 * on) break;
+    if (off <= 1e-15 * on) break;  // far below what a slot holds of a rotation
     for (const auto& [p, q] : {std::pair{0, 1}, {0, 2}, {1, 2}}) {
-      if (a[p][q] == 0) continue;
+      if (a[p][q] * a[p][q] <= 1e-16 * on) continue;
       const double theta = 0.5 * (a[q][q] - a[p][p]) / a[p][q];
       const double t = std::copysign(1 / (std::fabs(theta) + std::sqrt(theta * theta + 1)), theta);
       const double c = 1 / std::sqrt(t * t + 1), s = t * c;
@@ -83,9 +83,8 @@ bool isLater(std::uint16_t a, std::uint16_t b) { return std::int16_t(a - b) > 0;
 }  // namespace
 
 float nodeExtentOf(const PackedSlot& node) {
-  Splat splat = unpackSlot(node.words.data());
-  splat.opacity *= kMostNodeOpacity;
-  return extentOf(splat);
+  const std::uint32_t* const slot = node.words.data();
+  return extentOf(kMostNodeOpacity * slotOpacity(slot), largestScale(slot));
 }
 
 Mixture::Mixture(Cell cell, int sh_degree)

@@ -14,6 +14,15 @@ constexpr float kScaleSteps = 65534;
 constexpr float kQuaternionSteps = 16383;  // to either side
 constexpr float kSqrtHalf = 0.70710678f;
 
+// The nearest integer, the even one of two, of a number that is smaller than 2^22: as
+// std::lrint(), which is a call.
+int nearest(float value) {
+  value += 0x1.8p23f;
+  std::uint32_t bits;
+  std::memcpy(&bits, &value, sizeof(bits));
+  return int(bits - 0x4b400000u);
+}
+
 // To the nearest half-precision float, ties to even; beyond the largest, the largest.
 std::uint32_t toHalf(float value) {
   value = std::clamp(value, -kLargestHalf, kLargestHalf);
@@ -32,16 +41,18 @@ std::uint32_t toHalf(float value) {
   return sign | ((bits - 0x38000000u) >> 13);
 }
 
+// Its bits where a float has them mean 2^-112 of it, subnormal or not.
 float fromHalf(std::uint32_t half) {
-  const float magnitude = std::ldexp(float((half & 0x3ffu) | ((half & 0x7c00u) ? 0x400u : 0u)),
-                                     std::max(int(half >> 10 & 31u), 1) - 25);
-  return half & 0x8000u ? -magnitude : magnitude;
+  const std::uint32_t bits = (half & 0x8000u) << 16 | (half & 0x7fffu) << 13;
+  float value;
+  std::memcpy(&value, &bits, sizeof(bits));
+  return value * 0x1p112f;
 }
 
 std::uint32_t toLogScale(float scale) {
   const float octaves = std::log2(scale) - kLeastScaleLog2;  // of 0: minus infinity
   if (!(octaves >= 0)) return 0;
-  return 1u + std::uint32_t(std::lrint(std::min(octaves / kScaleOctaves, 1.0f) * kScaleSteps));
+  return 1u + std::uint32_t(nearest(std::min(octaves / kScaleOctaves, 1.0f) * kScaleSteps));
 }
 
 float fromLogScale(std::uint32_t code) {
@@ -51,7 +62,7 @@ float fromLogScale(std::uint32_t code) {
 
 // Signed fraction of one, rounded to `steps` to either side, in as many bits as it takes.
 std::uint32_t toFraction(float value, float steps, std::uint32_t mask) {
-  return std::uint32_t(int(std::lrint(std::clamp(value, -1.0f, 1.0f) * steps))) & mask;
+  return std::uint32_t(nearest(std::clamp(value, -1.0f, 1.0f) * steps)) & mask;
 }
 
 std::uint64_t toSmallestThree(const std::array<float, 4>& orientation) {
@@ -89,10 +100,9 @@ std::array<float, 4> fromSmallestThree(std::uint64_t packed) {
 
 }  // namespace
 
-float extentOf(const Splat& splat) {
-  if (!(splat.opacity >= 1.0f / 255.0f)) return -1.0f;
-  const float sigmas = std::sqrt(2.0f * std::log(255.0f * splat.opacity));
-  return sigmas * std::max({splat.scale[0], splat.scale[1], splat.scale[2]});
+float extentOf(float opacity, float largest_scale) {
+  if (!(opacity >= 1.0f / 255.0f)) return -1.0f;
+  return std::sqrt(2.0f * std::log(255.0f * opacity)) * largest_scale;
 }
 
 void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t* slot,
@@ -104,7 +114,7 @@ void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t*
   const float unit = fromHalf(sh_scale);
 
   std::memcpy(slot, splat.position.data(), sizeof(splat.position));
-  slot[3] = std::uint32_t(std::lrint(std::clamp(splat.opacity, 0.0f, 1.0f) * 65535.0f)) |
+  slot[3] = std::uint32_t(nearest(std::clamp(splat.opacity, 0.0f, 1.0f) * 65535.0f)) |
             toLogScale(splat.scale[0]) << 16;
   slot[4] = toLogScale(splat.scale[1]) | toLogScale(splat.scale[2]) << 16;
   const std::uint64_t rotation = toSmallestThree(splat.orientation);
@@ -123,10 +133,16 @@ void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t*
   }
 }
 
+float slotOpacity(const std::uint32_t* slot) { return float(slot[3] & 0xffffu) / 65535.0f; }
+
+float largestScale(const std::uint32_t* slot) {
+  return fromLogScale(std::max({slot[3] >> 16, slot[4] & 0xffffu, slot[4] >> 16}));
+}
+
 Splat unpackSlot(const std::uint32_t* slot) {
   Splat splat;
   std::memcpy(splat.position.data(), slot, sizeof(splat.position));
-  splat.opacity = float(slot[3] & 0xffffu) / 65535.0f;
+  splat.opacity = slotOpacity(slot);
   splat.scale = {fromLogScale(slot[3] >> 16), fromLogScale(slot[4] & 0xffffu),
                  fromLogScale(slot[4] >> 16)};
   splat.orientation = fromSmallestThree(std::uint64_t(slot[6] & 0xffffu) << 32 | slot[5]);

@@ -41,7 +41,7 @@ struct PackedSlot {
 
 // Radius of the ellipsoid on which alpha falls to 1/255 [m], -1 for a splat that never reaches
 // that.
-float extentOf(const Splat& splat);
+float extentOf(float opacity, float largest_scale);
 
 // Packs a splat of finite values. sh: the coefficients of bands 1 to sh_degree, RGB interleaved;
 // bands[b]: room for kBandWords[b] words, for 1 <= b <= sh_degree. What a field can't hold becomes
@@ -51,6 +51,9 @@ void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t*
 
 // A splat as packSlot() kept it; the quaternion has unit length.
 Splat unpackSlot(const std::uint32_t* slot);
+// Some of it in less time.
+float slotOpacity(const std::uint32_t* slot);
+float largestScale(const std::uint32_t* slot);
 
 // Its coefficients of bands 1 to sh_degree, as packSlot() takes them.
 // Room for 3 ((sh_degree + 1)^2 - 1) floats in the first case.
