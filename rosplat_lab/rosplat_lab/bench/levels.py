@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -32,6 +33,7 @@ PATH, QUICK_PATH = 30, 4  # pictures
 POPPING = ("2px", "4px", "8px")
 STEPS = 8  # cameras that take turns
 STEP, TURN = 0.005, math.radians(0.1)  # from one to the next [m], [rad]
+NEAR = 0.5  # away, to what the camera comes nearer by STEP [m]
 
 
 class Drawer(Protocol):
@@ -179,6 +181,11 @@ def _scene(
         yield of("popping, 99.9 % of pixels", "/255", most, detail=detail)
         worst = [change.max() for change in changes]
         yield of("popping, worst pixel", "/255", worst, detail=detail)
+    for detail, changes in _fades(drawer, camera, length).items():
+        most = [np.quantile(change, 0.999) for change in changes]
+        yield of("popping of a camera at rest, 99.9 % of pixels", "/255", most, detail=detail)
+        worst = [change.max() for change in changes]
+        yield of("popping of a camera at rest, worst pixel", "/255", worst, detail=detail)
 
 
 def _psnr(picture: Array, reference: Array) -> float:
@@ -228,8 +235,24 @@ def _path(camera: Camera, length: int) -> Iterator[Camera]:
         yield replace(camera, world_to_camera=step @ camera.world_to_camera)
 
 
+def _fades(drawer: Drawer, camera: Camera, length: int) -> dict[str, list[Array]]:
+    """By how much pixels change from picture to picture by the cut alone [/255]: the camera rests,
+    and errors grow as those of what is NEAR do along the path."""
+
+    def pictures(detail: str) -> Iterator[Array]:
+        for index in range(length):
+            error = float(detail.removesuffix("px")) * (1 + STEP / NEAR) ** index
+            yield _picture(drawer, camera, f"{error:.6g}px")
+
+    return {
+        detail: [255 * np.abs(b - a).max(axis=2) for a, b in itertools.pairwise(pictures(detail))]
+        for detail in POPPING
+    }
+
+
 def _pops(drawer: Drawer, camera: Camera, length: int) -> dict[str, list[Array]]:
-    """By how much pixels change from picture to picture, beyond those of the full map [/255]."""
+    """By how much pixels change from picture to picture, beyond those of the full map [/255]: what
+    pops, and what of a coarser picture moves past pixels, whether anything pops or not."""
     changes: dict[str, list[Array]] = {detail: [] for detail in POPPING}
     before: dict[str, Array] = {}
     for here in _path(camera, length):
