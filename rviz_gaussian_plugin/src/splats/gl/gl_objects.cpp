@@ -56,11 +56,11 @@ void Buffer::zero() {
   glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
 }
 
-void Buffer::copy(const Buffer& from) {
+void Buffer::copy(const Buffer& from, std::size_t offset, std::size_t bytes) {
   glBindBuffer(GL_COPY_READ_BUFFER, from.id());
   glBindBuffer(GL_COPY_WRITE_BUFFER, id());
-  glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, 0, 0,
-                      static_cast<GLsizeiptr>(from.bytes_));
+  glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset), 0,
+                      static_cast<GLsizeiptr>(bytes));
 }
 
 std::size_t largestStorageBuffer() {

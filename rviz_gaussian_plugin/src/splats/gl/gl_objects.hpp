@@ -35,8 +35,8 @@ class Buffer {
   // Waits for the graphics card.
   void read(std::size_t offset, void* data, std::size_t bytes) const;
   void zero();
-  // Begins with all that is in another, which is no larger.
-  void copy(const Buffer& from);
+  // Begins with a part of another.
+  void copy(const Buffer& from, std::size_t offset, std::size_t bytes);
   // Makes room for so many bytes; what was in it is lost if it grows.
   void reserve(std::size_t bytes);
   // Gives its memory back.

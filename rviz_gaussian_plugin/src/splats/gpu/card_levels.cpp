@@ -8,7 +8,7 @@ namespace rosplat {
 namespace {
 
 // What a frame reads back and uploads.
-constexpr std::size_t kPagesPerFrame = 64, kBytesPerFrame = 32u << 20;
+constexpr std::size_t kPagesPerFrame = 64, kPagesAtOnce = 256, kBytesPerFrame = 32u << 20;
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 // What is written anew is in no node.
@@ -56,7 +56,7 @@ void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages
   for (auto i = std::size_t(from - pages.begin()); i < pages.size() && most_pages > 0;) {
     std::size_t count = 1;
     if (store.holds(pages[i])) {
-      PackedRun run = store.read(i, std::min(most_pages, kPagesPerFrame));
+      PackedRun run = store.read(i, std::min(most_pages, kPagesAtOnce));
       count = run.slots.size() / (kSlotWords * SlotPage::kSlots);
       builder_.apply(std::move(run), now);
     }

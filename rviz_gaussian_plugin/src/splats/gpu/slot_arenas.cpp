@@ -11,7 +11,7 @@ constexpr std::uint32_t kMostArenaPages = 2048;  // 72 MiB of slots
 // A buffer of a size, which begins with what was in another.
 gl::Buffer grown(const gl::Buffer& buffer, std::size_t bytes) {
   gl::Buffer larger(bytes, GL_DYNAMIC_DRAW);
-  if (buffer.id()) larger.copy(buffer);
+  if (buffer.id()) larger.copy(buffer, 0, buffer.bytes());
   return larger;
 }
 
