@@ -27,3 +27,12 @@ def test_it_runs_either_way(package: str, path: Path) -> None:
     for command in ([str(path)], [sys.executable, "-m", module]):
         helped = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True)
         assert helped.stdout.startswith(f"usage: {path.name} ")
+
+
+@pytest.mark.parametrize(
+    "module", [f"{package}.{path.name}" for package, path in COMMANDS if package != "rosplat_tools"]
+)
+def test_what_takes_long_to_load_is_loaded_where_an_interrupt_is_quiet(module: str) -> None:
+    """As run_module does it, which rosplat_tools.commands are made of."""
+    loaded = f"import sys, {module}; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", loaded], check=False).returncode == 0

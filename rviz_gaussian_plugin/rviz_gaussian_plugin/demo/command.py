@@ -11,7 +11,7 @@ import uuid
 from pathlib import Path
 
 from rosplat_tools.program.output import say
-from rosplat_tools.program.processes import ProcessError, Processes, interrupt_by_signals, quoted
+from rosplat_tools.program.processes import ProcessError, Processes, quoted
 from rosplat_tools.scenes import NAMES, vertical
 from rosplat_tools.splats import SceneError
 
@@ -36,7 +36,6 @@ def main(arguments: list[str] | None = None) -> int:
         help="the scene's vertical, for the embedded viewer (default: the format's, or z)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
-    interrupt_by_signals()
     screen = bool(os.environ.get("DISPLAY"))
     rviz = bool(shutil.which("rviz2")) and screen and not options.host
     # One demo doesn't see another, but what the user runs beside it, rviz2's TF say, it does.
@@ -80,10 +79,4 @@ def main(arguments: list[str] | None = None) -> int:
     except (ProcessError, SceneError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
