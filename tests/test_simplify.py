@@ -179,6 +179,7 @@ def test_refusals_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[
         (str(scene), str(scene), "--psnr", "50", "--overwrite"): f"{scene}: is the scene itself",
         (str(scene), str(scene), "--psnr", "50"): f"{scene}: exists already",
         (GARDEN, str(tmp_path / "no" / "a.ply"), "--psnr", "50"): "is no folder",
+        (GARDEN, str(out), "--psnr", "50", "--report", "no/a.json"): "no/a.json: no is no folder",
         (GARDEN, str(tmp_path / "a.obj"), "--psnr", "50"): "can't write this ending",
         (str(empty), str(out), "--psnr", "50"): f"{empty}: holds no splats",
         (str(tmp_path / "none.ply"), str(out), "--psnr", "50"): "none.ply",

@@ -104,6 +104,8 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     check_output(out, options.overwrite)
     if out.exists() and Path(options.input).exists() and out.samefile(options.input):
         raise SceneError(f"{out}: is the scene itself")
+    if options.report and not options.report.parent.is_dir():
+        raise SceneError(f"{options.report}: {options.report.parent} is no folder")
     began = time.monotonic()
     with watched("reading") as progress:
         splats = load_scene(options.input, progress, _warn)
