@@ -138,14 +138,13 @@ TEST(DetailControl, MovesABudgetSlowlyUnlessAtOnce) {
   const Plain plain(60000);
   DetailControl control;
   const double coarse = plain.choose(control, {Kind::kSplats, 1000});
-  // The first picture's, for nobody saw another; of somewhat less than may be drawn.
-  EXPECT_EQ(coarse, plain.errorFor(950));
+  EXPECT_EQ(coarse, plain.errorFor(1000));  // the first picture's, for nobody saw another
   control.drew(coarse);
   const double next = plain.choose(control, {Kind::kSplats, 20000});
   EXPECT_LT(next, coarse);
   EXPECT_GT(next, 0.8 * coarse);
   EXPECT_FALSE(control.settled());
-  EXPECT_EQ(plain.choose(control, {Kind::kSplats, 20000}, true), plain.errorFor(19000));
+  EXPECT_EQ(plain.choose(control, {Kind::kSplats, 20000}, true), plain.errorFor(20000));
   for (int i = 0; i < 100; ++i) control.drew(plain.choose(control, {Kind::kSplats, 20000}));
   EXPECT_TRUE(control.settled());
   EXPECT_EQ(plain.choose(control, {Kind::kSplats, 1e6}, true), 0);

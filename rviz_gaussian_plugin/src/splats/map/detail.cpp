@@ -17,7 +17,7 @@ namespace rosplat {
 
 namespace {
 
-constexpr double kAim = 0.95;         // of a most: what samples miss seldom goes beyond it
+constexpr double kAim = 0.95;         // of a most, where not all may be drawn: samples err
 constexpr double kFirstSplats = 1e6;  // of a frame time, before any was measured
 constexpr double kMostStep = 1.1;     // of the error, from picture to picture
 constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
@@ -136,7 +136,7 @@ double errorForSplats(const std::vector<Levels::Nodes>& levels, const SplatCamer
   if (std::accumulate(more.begin(), more.end(), 0.0) <= splats) return 0;
   double drawn = 0;
   std::size_t bin = more.size();
-  while (bin > 0 && drawn + more[bin - 1] <= splats) drawn += more[--bin];
+  while (bin > 0 && drawn + more[bin - 1] <= kAim * splats) drawn += more[--bin];
   return errorOf(bin);
 }
 
@@ -159,7 +159,7 @@ double DetailControl::choose(const Detail& detail, bool at_once,
     case Detail::Kind::kError:
       return detail.amount;
     case Detail::Kind::kSplats:
-      wanted = forSplats(kAim * detail.amount);
+      wanted = forSplats(detail.amount);
       if (at_once) return wanted;
       break;
     case Detail::Kind::kTime: {
