@@ -6,6 +6,7 @@
 #include <cstring>
 #include <locale>
 #include <numeric>
+#include <regex>
 #include <sstream>
 #include <stdexcept>
 #include <vector>
@@ -48,8 +49,11 @@ double errorOf(std::size_t bin) {
 Detail parseDetail(const std::string& text) {
   std::string word;
   for (const char c : text) {
-    if (c != ' ' && c != ',')
-      word += static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    if (c != ' ') word += static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  }
+  // Thousands of splats; who writes 1,5 for 1.5 is told.
+  if (std::regex_match(word, std::regex("[1-9][0-9]{0,2}(,[0-9]{3})+"))) {
+    word.erase(std::remove(word.begin(), word.end(), ','), word.end());
   }
   if (word == "full") return {};
   std::istringstream in(word);
