@@ -42,10 +42,16 @@ def test_a_cloud_that_is_no_map_is_named() -> None:
     message.fields = message.fields[:3]
     with pytest.raises(SceneError, match=r"/cloud: .*no property opacity"):
         from_point_cloud(message, "/cloud", silent)
-    for name, value in [("width", 11), ("point_step", 8), ("height", 3), ("data", b"")]:
+    for name, value, error in [
+        ("width", 11, "data: "),
+        ("point_step", 8, "point_step: 8 bytes, field z ends after 12"),
+        ("point_step", 2**32 - 1, "point_step: 4294967295 bytes"),
+        ("height", 3, "data: "),
+        ("data", b"", "data: 0 bytes"),
+    ]:
         message = cloud(random_splats(10, 0))
         setattr(message, name, value)
-        with pytest.raises(SceneError, match="/cloud: "):
+        with pytest.raises(SceneError, match=f"/cloud: {error}"):
             from_point_cloud(message, "/cloud", silent)
 
 

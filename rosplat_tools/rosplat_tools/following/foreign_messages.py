@@ -41,17 +41,18 @@ def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
     step, width, height = message.point_step, message.width, message.height
     fields = {f.name: f for f in message.fields if f.count == 1 and f.datatype in _TYPES}
     order = ">" if message.is_bigendian else "<"
+    formats = [np.dtype(order + _TYPES[f.datatype]) for f in fields.values()]
+    offsets = [f.offset for f in fields.values()]
+    for field, start, kind in zip(fields, offsets, formats, strict=True):
+        end = start + kind.itemsize
+        if end > step:
+            raise SceneError(f"{name}: point_step: {step} bytes, field {field} ends after {end}")
     try:
         layout = np.dtype(
-            {
-                "names": list(fields),
-                "formats": [order + _TYPES[f.datatype] for f in fields.values()],
-                "offsets": [f.offset for f in fields.values()],
-                "itemsize": step,
-            }
+            {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": step}
         )
     except ValueError as error:
-        raise SceneError(f"{name}: fields: {error}") from error
+        raise SceneError(f"{name}: point_step: {step} bytes: {error}") from error
     if width * step > message.row_step and height > 1:
         raise SceneError(
             f"{name}: row_step: {message.row_step}, for {width} points of {step} bytes"
