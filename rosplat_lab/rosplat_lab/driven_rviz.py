@@ -72,8 +72,9 @@ class DrivenRviz:
         """The exit code of rviz2 after its window was closed."""
         self.ask("quit")
         self._connection.close()
-        self.processes.forget(self.process)
-        return self.process.wait(30)
+        code = self.process.wait(30)
+        self.processes.forget(self.process)  # and no sooner: its screen would go before it
+        return code
 
     def ask(self, what: str, **request: object) -> Any:
         """The answer to a request; see driven_rviz.cpp. Raises Refused."""
