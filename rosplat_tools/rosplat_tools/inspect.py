@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rosplat_tools.formats import SceneError, axes, format_of
+from rosplat_tools.formats import SceneError, axes, format_of, streamed_sog
 from rosplat_tools.program.output import say
 from rosplat_tools.program.progress import watched
 from rosplat_tools.scenes import NAMES, is_generated, read_scene
@@ -62,7 +62,10 @@ def _format(name: str) -> str:
 
 
 def _file_size(path: Path) -> int:
-    """Size of a file, or of the files of the scene's folder. [bytes]"""
+    """Size of a file, or of the files of the scene's folders. [bytes]"""
+    if format_of(path) is streamed_sog:
+        scene = streamed_sog.open_streamed(path)
+        return scene.path.stat().st_size + sum(map(_file_size, scene.files))
     folder = path if path.is_dir() else path.parent if path.name == "meta.json" else None
     files = [path] if folder is None else [file for file in folder.iterdir() if file.is_file()]
     return sum(file.stat().st_size for file in files)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from streamed_scene import write_scene
 
 from rosplat_tools.formats import save
 from rosplat_tools.inspect import describe, main
@@ -64,6 +65,13 @@ def test_a_generated_scene(name: str) -> None:
 def test_axes_that_a_format_fixes(random_splats: Make, tmp_path: Path) -> None:
     save(tmp_path / "a.spz", random_splats(3))
     assert rows(describe(tmp_path / "a.spz"))["axes"] == "x right, y up, z back (by SPZ's rule)"
+
+
+def test_a_streamed_scene_is_as_large_as_its_parts(tmp_path: Path) -> None:
+    path = write_scene(tmp_path / "scene")
+    size = sum(part.stat().st_size for part in path.parent.rglob("*") if part.is_file())
+    assert rows(describe(path))["format"] == f"streamed SOG, {size / 1000:.3g} kB"
+    assert rows(describe(path.parent))["format"] == f"streamed SOG, {size / 1000:.3g} kB"
 
 
 def test_an_empty_map(random_splats: Make, tmp_path: Path) -> None:
