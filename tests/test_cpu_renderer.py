@@ -135,9 +135,10 @@ def test_contributions_are_those_of_the_twin(renderer: CpuRenderer, view: str) -
     splats = cloud()[:60]
     insert_all(renderer, splats)
     found = renderer.contribute(offscreen.Camera(*pose(CAMERAS[view])))
-    weights, errors = reference.contributions(splats, CAMERAS[view])
+    weights, energies, errors = reference.contributions(splats, CAMERAS[view])
     assert errors.max() > 1  # there was something to see
     np.testing.assert_allclose(found["weight"], weights, rtol=2e-3, atol=0.02)
+    np.testing.assert_allclose(found["energy"], energies, rtol=4e-3, atol=1e-3)
     np.testing.assert_allclose(found["error"], errors, rtol=5e-3, atol=1e-3)
     drawn = draw(renderer, CAMERAS[view])["colour"]
     np.testing.assert_array_equal(found["colour"], drawn)

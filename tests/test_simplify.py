@@ -52,8 +52,10 @@ def test_what_no_view_sees_counts_for_little(garden: Splats) -> None:
             for name in ("positions", "orientations", "scales", "opacities", "sh")
         )
     )
-    weights = contributions(splats, cameras, lambda what, part: None)
-    assert 0 < weights[-1] < 0.1 * weights[0]
+    found = contributions(splats, cameras, lambda what, part: None)
+    assert 0 < found.weight[-1] < 0.1 * found.weight[0]
+    assert 0 < found.energy[-1] < 0.1 * found.energy[0]
+    assert found.error[-1] > 0
 
 
 def test_fewer_splats_that_keep_the_bound(garden: Splats, out: Path, tmp_path: Path) -> None:

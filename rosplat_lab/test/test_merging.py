@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from rosplat_lab.reference.projection import rotation_matrices
-from rosplat_lab.simplify.merging import MOST, Pairs, areas, find_pairs, merge
+from rosplat_lab.simplify.merging import MOST, Contributions, areas, combine, find_pairs, merge
 from rosplat_tools.splats import Splats
 
 Make = Callable[..., Splats]
+
+PIXEL = 0.001  # [m]
 
 
 def covariances(splats: Splats) -> np.ndarray:
@@ -20,15 +22,22 @@ def covariances(splats: Splats) -> np.ndarray:
     return axes @ axes.transpose(0, 2, 1)
 
 
-def all_pairs(splats: Splats, count: int) -> Pairs:
-    """Splats 0 and 1, 2 and 3, and so on."""
-    return Pairs(np.arange(0, 2 * count, 2), np.arange(1, 2 * count, 2))
+def combined(splats: Splats, weights: np.ndarray) -> tuple[Splats, Contributions]:
+    """Of splats 0 and 1, 2 and 3, and so on."""
+    even, odd = slice(0, None, 2), slice(1, None, 2)
+    return combine(splats[even], splats[odd], seen(weights[even]), seen(weights[odd]), PIXEL)
+
+
+def seen(weights: np.ndarray) -> Contributions:
+    """What splats contribute that are all a tenth as bright as what is behind them."""
+    return Contributions(weights, weights**2, 0.1 * weights**2)
 
 
 def test_a_merged_splat_has_the_moments_of_the_two(random_splats: Make) -> None:
     splats = random_splats(40)
     weights = np.random.default_rng(1).uniform(1, 9, 40)
-    merged, sums = merge(splats, weights, all_pairs(splats, 20), 20)
+    merged, found = combined(splats, weights)
+    sums = found.weight
     share = (weights / np.repeat(sums, 2)).reshape(-1, 2)
     means = splats.positions.reshape(-1, 2, 3)
     expected = np.einsum("pi,pik->pk", share, means)
@@ -44,7 +53,7 @@ def test_a_merged_splat_has_the_moments_of_the_two(random_splats: Make) -> None:
 
 def test_merging_keeps_what_splats_cover(random_splats: Make) -> None:
     splats = replace(random_splats(40), opacities=np.full(40, 0.2))
-    merged, _ = merge(splats, np.ones(40), all_pairs(splats, 20), 20)
+    merged, _ = combined(splats, np.ones(40))
     covered = (splats.opacities * areas(splats)).reshape(-1, 2).sum(axis=1)
     np.testing.assert_allclose(merged.opacities * areas(merged), covered, rtol=1e-4)
     assert merged.opacities.max() <= 1
@@ -52,9 +61,11 @@ def test_merging_keeps_what_splats_cover(random_splats: Make) -> None:
 
 def test_only_the_first_pairs_are_merged(random_splats: Make) -> None:
     splats = random_splats(10)
-    merged, weights = merge(splats, np.ones(10), all_pairs(splats, 5), 2)
-    assert (len(merged), len(weights)) == (8, 8)
-    np.testing.assert_array_equal(merged.positions[2:], splats.positions[4:])
+    pairs = find_pairs(splats, seen(np.ones(10)), PIXEL)
+    merged, found = merge(splats, seen(np.ones(10)), pairs, 1)
+    assert len(merged) == len(found.weight) == len(found.energy) == len(found.error) == 9
+    others = np.setdiff1d(np.arange(10), [pairs.first[0], pairs.second[0]])
+    assert {*map(tuple, splats.positions[others])} <= {*map(tuple, merged.positions)}
 
 
 def test_pairs_are_disjoint_and_the_most_alike_come_first(random_splats: Make) -> None:
@@ -67,9 +78,11 @@ def test_pairs_are_disjoint_and_the_most_alike_come_first(random_splats: Make) -
             for name in ("positions", "orientations", "scales", "opacities", "sh")
         )
     )
-    pairs = find_pairs(splats, np.ones(220), pixel=0.001)
+    pairs = find_pairs(splats, seen(np.ones(220)), PIXEL)
     assert len(pairs) <= MOST * 220
-    assert len(np.unique([pairs.first, pairs.second])) == 2 * len(pairs)
+    apart = pairs.first != pairs.second
+    members = np.concatenate([pairs.first, pairs.second[apart]])
+    assert len(np.unique(members)) == len(members)
     assert {*zip(pairs.first[:20], pairs.second[:20], strict=True)} == {
         (i, 200 + i) for i in range(20)
     }
@@ -79,9 +92,29 @@ def test_what_contributes_little_goes_first(random_splats: Make) -> None:
     splats = random_splats(400)
     splats.scales[:] = 0.02
     weights = np.where(np.arange(400) % 10 == 0, 1e-3, 1.0)
-    pairs = find_pairs(splats, weights, pixel=0.001)
+    pairs = find_pairs(splats, seen(weights), PIXEL)
     light = (weights[pairs.first] < 1) | (weights[pairs.second] < 1)
     assert light[:20].all() and not light.all()
+
+
+def test_what_looks_like_what_is_behind_it_is_left_out(random_splats: Make) -> None:
+    """And first; nothing is put in its place."""
+    splats = random_splats(100)
+    splats.scales[:] = 0.02
+    alike = np.arange(100) % 10 == 0
+    found = Contributions(np.ones(100), np.ones(100), np.where(alike, 1e-9, 0.1))
+    pairs = find_pairs(splats, found, PIXEL)
+    assert {*pairs.first[:10]} == {*pairs.second[:10]} == {*np.flatnonzero(alike)}
+    fewer, _ = merge(splats, found, pairs, 10)
+    np.testing.assert_array_equal(fewer.positions, splats.positions[~alike])
+    np.testing.assert_array_equal(fewer.opacities, splats.opacities[~alike])
+
+
+def test_what_is_merged_has_as_much_energy_as_its_field(random_splats: Make) -> None:
+    """Of two in one place, which add up: four times that of one."""
+    _, found = combined(random_splats(1)[np.zeros(2, np.intp)], np.ones(2))
+    assert found.energy == pytest.approx([4.0], rel=1e-3)
+    assert found.error == pytest.approx([0.4], rel=1e-3)
 
 
 def test_of_pairs_as_far_apart_that_of_one_colour_goes_first() -> None:
@@ -93,16 +126,16 @@ def test_of_pairs_as_far_apart_that_of_one_colour_goes_first() -> None:
         opacities=np.full(4, 0.5),
         sh=colours[:, None],
     )
-    pairs = find_pairs(splats, np.ones(4), pixel=0.001)
+    pairs = find_pairs(splats, seen(np.ones(4)), PIXEL)
     assert (pairs.first.tolist(), pairs.second.tolist()) == ([2], [3])
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
 def test_few_splats(random_splats: Make, count: int) -> None:
     splats = random_splats(count)
-    pairs = find_pairs(splats, np.ones(count), pixel=0.001)
+    pairs = find_pairs(splats, seen(np.ones(count)), PIXEL)
     assert len(pairs) == (count > 1)
-    merged, _ = merge(splats, np.ones(count), pairs, len(pairs))
+    merged, _ = merge(splats, seen(np.ones(count)), pairs, len(pairs))
     assert len(merged) == count - len(pairs)
 
 
@@ -111,9 +144,9 @@ def test_splats_of_one_place_and_of_any_size_merge(random_splats: Make) -> None:
     splats.positions[:] = 1
     splats.scales[:100] = 0
     splats.scales[100:200] = 1e6
-    weights = np.ones(300)
+    found = seen(np.ones(300))
     while len(splats) > 1:
-        pairs = find_pairs(splats, weights, pixel=0.001)
-        splats, weights = merge(splats, weights, pairs, len(pairs))
+        pairs = find_pairs(splats, found, PIXEL)
+        splats, found = merge(splats, found, pairs, len(pairs))
         for array in (splats.positions, splats.orientations, splats.scales, splats.opacities):
             assert np.isfinite(array).all()

@@ -86,26 +86,29 @@ def pick(splats: Splats, camera: Camera) -> tuple[NDArray[np.int64], Array]:
     return slots, most
 
 
-def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array]:
-    """What each splat is to a picture, (n,) and (n,), sums over its pixels.
+def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array, Array]:
+    """What each splat is to a picture, (n,) each, sums over its pixels.
 
-    The first of alpha times the transmittance before it. The second of the squares by which red,
-    green and blue change without it; it draws a picture for each splat.
+    The first of alpha times the transmittance before it, the second of the squares of these. The
+    third of the squares by which red, green and blue change without it; it draws a picture for each
+    splat.
     """
-    weights = np.zeros(len(splats))
+    weights, energies = np.zeros(len(splats)), np.zeros(len(splats))
     projected = project(splats, camera)
     projected = projected[_front_to_back(projected, None, len(splats))]
     for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
         ys = np.arange(y, min(y + TILE, camera.height))
         xs = np.arange(x, min(x + TILE, camera.width))
         for part, of_pixels in _weights(projected[members], xs, ys, 0.99, 0.0):
-            weights[projected.slots[members[part]]] += of_pixels.sum(axis=(1, 2))
+            slots = projected.slots[members[part]]
+            weights[slots] += of_pixels.sum(axis=(1, 2))
+            energies[slots] += (of_pixels**2).sum(axis=(1, 2))
     whole = render(splats, camera).rgba[..., :3]
     errors = np.zeros(len(splats))
     for slot in projected.slots:
         others = np.delete(np.arange(len(splats)), slot)
         errors[slot] = np.sum((render(splats[others], camera).rgba[..., :3] - whole) ** 2)
-    return weights, errors
+    return weights, energies, errors
 
 
 def _front_to_back(

@@ -2,7 +2,8 @@
 
 Pairs are merged by their moments, weighted by what each contributes to pictures. What that costs is
 the squared error of the pair's field against the merged splat's, in closed form, seen along the
-three axes (L2 of mixtures: Jian and Vemuri 2011). Knows no renderer.
+three axes (L2 of mixtures: Jian and Vemuri 2011), in units of what pictures change without each of
+the two. Where leaving one out costs less, it is left out. Knows no renderer.
 """
 
 from __future__ import annotations
@@ -25,20 +26,48 @@ Array = NDArray[np.floating[Any]]
 Indices = NDArray[np.intp]
 
 NEIGHBOURS = 4  # that a splat may be merged with; 16 gain 0.3 dB
-MOST = 0.25  # of the splats that are merged before neighbours are looked for again
-SHAPE = 0.3  # what a change of shape counts beside the same change of colour: most is hidden by
-# what is behind, which is of like colour
+MOST = 0.25  # of the splats that go before neighbours are looked for again
+INEXACT = 0.1  # part of what leaving one of a pair out costs that merging it costs at least
 CHUNK = 1 << 16  # pairs whose arrays stay in the cache
 LARGEST = 1e15  # variance whose square a 32-bit float holds [px^2]
 LEAST = 1e-12  # of areas and weights that are divided by
 
 
 @dataclass(frozen=True)
+class Contributions:
+    """What each splat is to pictures: (n,) sums over their pixels."""
+
+    weight: NDArray[np.float64]
+    """Of alpha x transmittance: of how many pixels it is the colour."""
+    energy: NDArray[np.float64]
+    """Of the squares of these."""
+    error: NDArray[np.float64]
+    """Of the squares by which red, green and blue change without it."""
+
+    def __getitem__(self, index: Indices | NDArray[np.bool_]) -> Contributions:
+        """Those of the splats that an index array or a mask picks."""
+        return Contributions(self.weight[index], self.energy[index], self.error[index])
+
+    def contrast(self) -> NDArray[np.float64]:
+        """(n,) mean square by which a splat differs from what is behind it."""
+        contrast: NDArray[np.float64] = self.error / np.maximum(self.energy, LEAST * LEAST)
+        return contrast
+
+
+@dataclass(frozen=True)
 class Pairs:
-    """Splats to be merged, no splat in two pairs, those first that are missed least."""
+    """Splats to be merged, no splat in two pairs, those first that are missed least.
+
+    What is its own partner is to be left out.
+    """
 
     first: Indices
     second: Indices
+    costs: Array
+    """About the sum of the squares by which pictures change."""
+    merged: Splats
+    """What takes the place of both."""
+    contributions: Contributions
 
     def __len__(self) -> int:
         return len(self.first)
@@ -53,25 +82,22 @@ def areas(splats: Splats) -> NDArray[np.float64]:
 
 def find_pairs(
     splats: Splats,
-    weights: NDArray[np.float64],
+    contributions: Contributions,
     pixel: float,
     progress: Callable[[float], None] = lambda part: None,
 ) -> Pairs:
-    """Pairs of neighbours for a map's next round of merging, at most MOST of its splats.
+    """Pairs of neighbours for a map's next round, at most MOST of its splats.
 
-    weights: (n,) what each contributes. pixel: size of one where the map is [m]; what is smaller is
-    blurred by the low-pass filter of the renderer, and costs little.
+    pixel: size of one where the map is [m]; what is smaller is blurred by the low-pass filter of
+    the renderer, and costs little.
     """
     count = len(splats)
     if count < 2:
-        return Pairs(np.zeros(0, np.intp), np.zeros(0, np.intp))
-    positions = splats.positions.astype(np.float64)
-    nearest = cKDTree(positions).query(positions, min(NEIGHBOURS + 1, count), workers=-1)[1]
+        none = np.zeros(0, np.intp)
+        return Pairs(none, none, np.zeros(0), splats[none], contributions[none])
+    low, high = _neighbours(splats.positions)
     progress(0.2)
-    one = np.repeat(np.arange(count), nearest.shape[1])
-    low, high = np.minimum(one, nearest.ravel()), np.maximum(one, nearest.ravel())
-    low, high = np.divmod(np.unique((low * count + high)[low != high]), count)
-    field = _Field.of(splats, weights, pixel)
+    field = _Field.of(splats, contributions, pixel)
     chunks = [slice(start, start + CHUNK) for start in range(0, len(low), CHUNK)]
     costs = np.empty(len(low), np.float32)
 
@@ -81,40 +107,80 @@ def find_pairs(
     with ThreadPoolExecutor() as pool:
         for done, _ in enumerate(pool.map(cost, chunks)):
             progress(0.2 + 0.7 * done / len(chunks))
-    return _disjoint(low, high, costs, count, max(1, int(MOST * count)))
+    alone = np.arange(count)
+    low, high = np.concatenate([low, alone]), np.concatenate([high, alone])
+    costs = np.concatenate([costs, field.errors])
+    chosen = _disjoint(low, high, costs, count, max(1, int(MOST * count)))
+    low, high = low[chosen], high[chosen]
+    merged = combine(splats[low], splats[high], contributions[low], contributions[high], pixel)
+    return Pairs(low, high, costs[chosen], *merged)
 
 
 def merge(
-    splats: Splats, weights: NDArray[np.float64], pairs: Pairs, count: int
-) -> tuple[Splats, NDArray[np.float64]]:
-    """A map in which the first count pairs are merged, and its weights."""
+    splats: Splats, contributions: Contributions, pairs: Pairs, count: int
+) -> tuple[Splats, Contributions]:
+    """A map in which the first count pairs are merged or left out, and what it contributes."""
     first, second = pairs.first[:count], pairs.second[:count]
-    if not len(first):
-        return splats, weights
-    of_first, of_second = weights[first] + LEAST, weights[second] + LEAST
-    share = of_second / (of_first + of_second)
-    apart = (splats.positions[second] - splats.positions[first]).astype(np.float64)
-    covariances = _mixed(_covariances(splats[first]), _covariances(splats[second]), apart, share)
-    variances, axes = np.linalg.eigh(covariances[:, _FULL].reshape(-1, 3, 3))
-    axes[:, :, 0] *= np.linalg.det(axes)[:, None]  # no reflection
-    areas_of_all = areas(splats)
-
-    out = replace(splats, **{name: getattr(splats, name).copy() for name in _ARRAYS})
-    out.positions[first] += share[:, None] * apart
-    out.scales[first] = np.sqrt(np.maximum(variances, 0))
-    out.orientations[first] = Rotation.from_matrix(axes).as_quat()
-    out.sh[first] += share[:, None, None] * (splats.sh[second] - splats.sh[first])
-    covered = splats.opacities * areas_of_all
-    area = np.maximum(areas(out[first]), LEAST * LEAST)
-    out.opacities[first] = np.clip((covered[first] + covered[second]) / area, 0, 1)
-    sums = weights.copy()
-    sums[first] += weights[second]
     kept = np.ones(len(splats), bool)
     kept[second] = False
-    return out[kept], sums[kept]
+    return (
+        _with(splats, _OF_SPLATS, first, pairs.merged, count)[kept],
+        _with(contributions, _SUMS, first, pairs.contributions, count)[kept],
+    )
 
 
-_ARRAYS = ("positions", "orientations", "scales", "opacities", "sh")
+_OF_SPLATS = ("positions", "orientations", "scales", "opacities", "sh")
+_SUMS = ("weight", "energy", "error")
+
+
+def _with(arrays: Any, names: tuple[str, ...], where: Indices, values: Any, count: int) -> Any:
+    """Splats, or contributions, some of which are the first count of others."""
+    out = replace(arrays, **{name: getattr(arrays, name).copy() for name in names})
+    for name in names:
+        getattr(out, name)[where] = getattr(values, name)[:count]
+    return out
+
+
+def combine(
+    one: Splats, other: Splats, of_one: Contributions, of_other: Contributions, pixel: float
+) -> tuple[Splats, Contributions]:
+    """Each of some splats and another as one, and what that contributes."""
+    weight = of_one.weight + of_other.weight
+    share = (of_other.weight + LEAST) / (weight + 2 * LEAST)
+    apart = (other.positions - one.positions).astype(np.float64)
+    covariances = [_covariances(one), _covariances(other)]
+    covariances.append(_mixed(covariances[0], covariances[1], apart, share))
+    variances, axes = np.linalg.eigh(covariances[2][:, _FULL].reshape(-1, 3, 3))
+    axes[:, :, 0] *= np.linalg.det(axes)[:, None]  # no reflection
+    merged = replace(
+        one,
+        positions=(one.positions + share[:, None] * apart).astype(np.float32),
+        scales=np.sqrt(np.maximum(variances, 0)),
+        orientations=Rotation.from_matrix(axes).as_quat(),
+        sh=one.sh + share[:, None, None] * (other.sh - one.sh),
+    )
+    covered = one.opacities * areas(one) + other.opacities * areas(other)
+    area = np.maximum(areas(merged), LEAST * LEAST)
+    merged = replace(merged, opacities=np.clip(covered / area, 0, 1))
+
+    fields = [_alone(_blurred(covariance, pixel)) for covariance in covariances]
+    amplitude = np.sqrt(of_one.energy / fields[0]) + np.sqrt(of_other.energy / fields[1])
+    energy: NDArray[np.float64] = amplitude**2 * fields[2]
+    contrast = of_one.contrast() + share * (of_other.contrast() - of_one.contrast())
+    return merged, Contributions(weight, energy, contrast * energy)
+
+
+def _neighbours(positions: NDArray[np.float32]) -> tuple[Indices, Indices]:
+    """Each splat and the nearest to it, by number the lower and the higher, no pair twice."""
+    count = len(positions)
+    tree = cKDTree(positions, balanced_tree=False)
+    nearest = tree.query(positions, min(NEIGHBOURS + 1, count), workers=-1)[1]
+    one = np.repeat(np.arange(count), nearest.shape[1])
+    other = nearest.ravel()
+    mutual = (nearest[other] == one[:, None]).any(axis=1)
+    once = (one < other) | ((one > other) & ~mutual)
+    one, other = one[once], other[once]
+    return np.minimum(one, other), np.maximum(one, other)
 
 
 @dataclass(frozen=True)
@@ -124,46 +190,60 @@ class _Field:
     positions: Array
     covariances: Array  # (n, 6), with the low-pass filter
     weights: Array
+    amplitudes: Array  # what the integral of each splat's Gaussian is taken times
+    contrasts: Array
+    errors: Array
     colours: Array
     alone: Array  # (n,) integral of the square of each splat's Gaussian
 
     @classmethod
-    def of(cls, splats: Splats, weights: NDArray[np.float64], pixel: float) -> _Field:
+    def of(cls, splats: Splats, contributions: Contributions, pixel: float) -> _Field:
         # In pixels from the middle: areas in metres may be beyond 32-bit floats.
-        covariances = np.clip(_covariances(splats) / pixel**2, -LARGEST, LARGEST)
-        covariances = covariances.astype(np.float32)
-        covariances[:, :3] += LOW_PASS
+        covariances = _blurred(_covariances(splats), pixel)
         positions = (splats.positions - splats.positions.mean(axis=0)) / np.float32(pixel)
-        scaled = (weights / max(weights.max(), LEAST)).astype(np.float32)
-        colours = np.float32(C0) * splats.sh[:, 0]
-        alone = _overlap(np.zeros_like(positions), 2 * covariances)
-        return cls(positions, covariances, scaled, colours, alone)
+        alone = _alone(covariances)
+        return cls(
+            positions,
+            covariances,
+            contributions.weight.astype(np.float32),
+            np.sqrt(contributions.energy / alone).astype(np.float32),
+            contributions.contrast().astype(np.float32),
+            contributions.error.astype(np.float32),
+            np.float32(C0) * splats.sh[:, 0],
+            alone,
+        )
 
     def cost(self, i: Indices, j: Indices) -> Array:
         """(m,) squared errors of merging splats i (m,) with splats j (m,)."""
-        of_i, of_j = self.weights[i] + np.float32(LEAST), self.weights[j] + np.float32(LEAST)
+        of_i, of_j = self.amplitudes[i], self.amplitudes[j]
         total = of_i + of_j
-        share = of_j / total
+        weighs_i, weighs_j = (
+            self.weights[i] + np.float32(LEAST),
+            self.weights[j] + np.float32(LEAST),
+        )
+        share = weighs_j / (weighs_i + weighs_j)
         apart = self.positions[j] - self.positions[i]
         one, other = self.covariances[i], self.covariances[j]
         merged = _mixed(one, other, apart, share)
         both = _overlap(apart, one + other)
-        alone = of_i**2 * self.alone[i] + of_j**2 * self.alone[j]
-        shape = alone + 2 * of_i * of_j * both
-        shape += total**2 * _overlap(np.zeros_like(apart), 2 * merged)
+        shape = of_i**2 * self.alone[i] + of_j**2 * self.alone[j] + 2 * of_i * of_j * both
+        shape += total**2 * _alone(merged)
         shape -= 2 * total * of_i * _overlap(share[:, None] * apart, one + merged)
         shape -= 2 * total * of_j * _overlap((1 - share)[:, None] * apart, other + merged)
+        contrast = self.contrasts[i] + share * (self.contrasts[j] - self.contrasts[i])
         differ = ((self.colours[j] - self.colours[i]) ** 2).sum(axis=1)
-        apart_in_colour = self.alone[i] + self.alone[j] - 2 * both
-        costs: Array = SHAPE**2 * shape + (of_i * share) ** 2 * differ * apart_in_colour
-        return costs
+        differs_i, differs_j = share * of_i, (1 - share) * of_j
+        colour = differs_i**2 * self.alone[i] + differs_j**2 * self.alone[j]
+        colour -= 2 * differs_i * differs_j * both
+        costs: Array = contrast * np.maximum(shape, 0) + differ * np.maximum(colour, 0)
+        return costs + np.float32(INEXACT) * np.minimum(self.errors[i], self.errors[j])
 
 
-def _disjoint(low: Indices, high: Indices, costs: Array, count: int, most: int) -> Pairs:
-    """Takes the cheapest pair of all that are left, again and again."""
+def _disjoint(low: Indices, high: Indices, costs: Array, count: int, most: int) -> Indices:
+    """Takes the cheapest pair of all that are left, again and again; returns which, in order."""
     order = np.argsort(costs, kind="stable")
     low, high, rank = low[order], high[order], np.arange(len(order))
-    taken: list[Indices] = []
+    taken = [rank[:0]]
     number = 0
     free = np.ones(count, bool)
     while len(rank) and number < most:
@@ -171,14 +251,13 @@ def _disjoint(low: Indices, high: Indices, costs: Array, count: int, most: int) 
         np.minimum.at(best, low, rank)
         np.minimum.at(best, high, rank)
         ours = (best[low] == rank) & (best[high] == rank)  # nobody has a cheaper one
-        taken.append(np.stack([rank[ours], low[ours], high[ours]]))
+        taken.append(rank[ours])
         number += int(ours.sum())
         free[low[ours]] = free[high[ours]] = False
         left = free[low] & free[high]
         low, high, rank = low[left], high[left], rank[left]
-    pairs = np.concatenate(taken, axis=1) if taken else np.zeros((3, 0), np.intp)
-    pairs = pairs[:, np.argsort(pairs[0])[:most]]
-    return Pairs(pairs[1], pairs[2])
+    chosen: Indices = order[np.sort(np.concatenate(taken))[:most]]
+    return chosen
 
 
 # Symmetric matrices are kept as xx, yy, zz, xy, xz, yz.
@@ -200,6 +279,18 @@ def _mixed(one: Array, other: Array, apart: Array, share: Array) -> Array:
     outer = apart[:, _ROWS] * apart[:, _COLUMNS]
     mixed: Array = one + part * (other - one) + part * (1 - part) * outer
     return mixed
+
+
+def _blurred(covariances: Array, pixel: float) -> Array:
+    """(n, 6) in pixels, with the renderer's low-pass filter. [px^2]"""
+    blurred: Array = np.clip(covariances / pixel**2, -LARGEST, LARGEST).astype(np.float32)
+    blurred[:, :3] += LOW_PASS
+    return blurred
+
+
+def _alone(covariances: Array) -> Array:
+    """(n,) integrals of the squares of Gaussians of unit mass, seen along three axes."""
+    return _overlap(np.zeros((len(covariances), 3), np.float32), 2 * covariances)
 
 
 def _overlap(apart: Array, covariances: Array) -> Array:

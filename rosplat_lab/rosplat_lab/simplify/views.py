@@ -62,13 +62,21 @@ def views(
     return cameras
 
 
-def _cells(offsets: NDArray[np.float64], radius: float) -> set[tuple[int, ...]]:
-    """The cells of the grid in which something is, as far as cameras go."""
-    near = offsets[np.abs(offsets).max(axis=1, initial=0) <= (FARTHEST + 1) * radius]
-    return set(map(tuple, np.unique(np.floor(near * (CELLS / radius)).astype(int), axis=0)))
+def _cells(offsets: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:
+    """In which cells of a grid around the middle something is, as far as cameras go and beyond."""
+    half = math.ceil((FARTHEST + 1) * CELLS)
+    taken = np.zeros((2 * half, 2 * half, 2 * half), bool)
+    cells = _cell(offsets[np.abs(offsets).max(axis=1, initial=0) < half * radius / CELLS], radius)
+    taken[tuple(cells.T)] = True
+    return taken
 
 
-def _beside(offset: NDArray[np.float64], taken: set[tuple[int, ...]], radius: float) -> bool:
+def _beside(offset: NDArray[np.float64], taken: NDArray[np.bool_], radius: float) -> bool:
     """Whether something is in a place's cell or one that touches it."""
-    cell = np.floor(offset * (CELLS / radius)).astype(int)
-    return any(tuple(cell + step - 1) in taken for step in np.ndindex(3, 3, 3))
+    x, y, z = _cell(offset, radius)
+    return bool(taken[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].any())
+
+
+def _cell(offsets: NDArray[np.float64], radius: float) -> NDArray[np.intp]:
+    half = math.ceil((FARTHEST + 1) * CELLS)
+    return half + np.floor(offsets * (CELLS / radius)).astype(np.intp)

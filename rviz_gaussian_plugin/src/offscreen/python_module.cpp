@@ -325,6 +325,7 @@ py::dict contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
   const auto slots = static_cast<py::ssize_t>(found.weight.size());
   return py::dict("colour"_a = toArray(picture.colour, {picture.height, picture.width, 4}),
                   "weight"_a = toArray(std::move(found.weight), {slots}),
+                  "energy"_a = toArray(std::move(found.energy), {slots}),
                   "error"_a = toArray(std::move(found.error), {slots}));
 }
 

@@ -76,6 +76,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     remaining.resize(4 * pixels);
     const std::size_t capacity = request.layers.front().map->capacity;
     wanted.contributions->weight.assign(capacity, 0);
+    wanted.contributions->energy.assign(capacity, 0);
     wanted.contributions->error.assign(capacity, 0);
   } else if (picture) {
     picture->width = camera.width;

@@ -84,6 +84,7 @@ struct PickedSplat {
 // What the splats of the one layer are to a picture, by slot: sums over its pixels.
 struct Contributions {
   std::vector<float> weight;  // of alpha x transmittance: of how many pixels a splat is the colour
+  std::vector<float> energy;  // of the squares of these
   std::vector<float> error;   // of the squares by which red, green and blue change without it
 };
 

@@ -673,11 +673,11 @@ float sumOf(Floats v) {
 bool contribute(const ContributeTile& tile) {
   TilePixels& pixels = *tile.pixels;
   Contribution* next = tile.splats;
-  Floats weights = {}, errors = {};  // of the splat that is being walked over
+  Floats weights = {}, energies = {}, errors = {};  // of the splat that is being walked over
   const auto finish = [&] {
     if (next == tile.splats) return;
-    next[-1] = {sumOf(weights), sumOf(errors)};
-    weights = errors = Floats{};
+    next[-1] = {sumOf(weights), sumOf(energies), sumOf(errors)};
+    weights = energies = errors = Floats{};
   };
   const bool has_ended =
       walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
@@ -685,14 +685,15 @@ bool contribute(const ContributeTile& tile) {
              finish();
              ++next;
              const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
-             return [=, &pixels, &tile, &weights, &errors, &e](int pixel, Floats exponent,
-                                                               Ints covered) {
+             return [=, &pixels, &tile, &weights, &energies, &errors, &e](
+                        int pixel, Floats exponent, Ints covered) {
                if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
                const Floats alpha = covered ? min(falloffOf(exponent), all(kMaxAlpha)) : Floats{};
                const Floats transmittance = load(pixels.transmittance + pixel);
                const Floats weight = transmittance * alpha;
                store(pixels.transmittance + pixel, transmittance - weight);
                weights += weight;
+               energies = fma(weight, weight, energies);
                // Without it, what is behind would be seen by 1 / (1 - alpha) as much.
                const Floats uncovers = alpha / (1.0f - alpha);
                for (int i = 0; i < 3; ++i) {

@@ -144,6 +144,7 @@ struct PickTile {
 // What a splat is to a picture: sums over its pixels.
 struct Contribution {
   float weight;  // of alpha x transmittance: of how many pixels it is the colour
+  float energy;  // of the squares of these
   float error;   // of the squares by which red, green and blue change without it
 };
 

@@ -145,6 +145,7 @@ void CpuRasterizer::Work::addUp(Contributions& contributions) const {
   for (std::size_t i = 0; i < total_pairs; ++i) {
     const std::uint32_t slot = splatOf(records[listed[i].record].index).slot;
     contributions.weight[slot] += of_listed[i].weight;
+    contributions.energy[slot] += of_listed[i].energy;
     contributions.error[slot] += of_listed[i].error;
   }
 }
