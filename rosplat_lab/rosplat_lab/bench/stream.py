@@ -142,13 +142,18 @@ class Course:
         self._up = int(np.argmin(self._last - self._first))  # scenes are wider than they are high
         self._first[self._up] = self._last[self._up] = np.median(high[:, self._up])
         way = self._last - self._first
-        self._ahead = way / max(float(np.linalg.norm(way)), 1e-9)
+        self._length = max(float(np.linalg.norm(way)), 1e-9)
+        self._ahead = way / self._length
         self._chunk = float(np.median(np.linalg.norm(high - low, axis=1)))
 
     def at(self, seconds: float, place: float = 0.0) -> Camera:
-        """The camera so long after it left a place, 0 to 1 of the way through the scene."""
-        start = self._first + place * (self._last - self._first)
-        eye = start + SPEED * self._chunk * seconds * self._ahead
+        """The camera so long after it left a place, 0 to 1 of the way through the scene.
+
+        At the end of the way it flies back, and looks ahead as before.
+        """
+        flown = place * self._length + SPEED * self._chunk * seconds
+        along = self._length - abs(flown % (2 * self._length) - self._length)
+        eye = self._first + along * self._ahead
         up = np.eye(3)[self._up]
         turn = WEAVE * math.sin(2 * math.pi * seconds / TURN)
         aside = np.cross(up, self._ahead)
