@@ -95,6 +95,18 @@ def test_all_of_it_comes_and_only_once(path: Path) -> None:
     assert "12,000 of 12,000 splats, 4 of 4 chunks" in str(streamed)
 
 
+def test_what_is_missing_comes_at_its_coarsest_first(path: Path) -> None:
+    streamed, living = stream(path)
+    seen: dict[int, int] = {}
+    more = True
+    while more:
+        more = streamed.step([before(0)], patience=1e-3)
+        for chunk, count in living.chunks().items():
+            seen.setdefault(chunk, count)
+    assert seen == dict.fromkeys(range(4), LEVELS[2])
+    assert living.chunks()[0] == LEVELS[0]
+
+
 def test_the_budget_follows_the_camera_and_no_chunk_is_ever_missing(path: Path) -> None:
     budget = SLOTS[0] + 3 * SLOTS[2]
     streamed, living = stream(path, budget)

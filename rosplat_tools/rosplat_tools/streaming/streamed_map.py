@@ -71,6 +71,7 @@ class StreamedMap:
         self._held: list[_Held | None] = [None] * len(scene.chunks)
         self._slots = SlotAllocator()
         self._to_come: dict[int, Part] = {}
+        self._unfinished = False  # once all has come that is to come, there will be more
         self._error = 0.0
         self._list()
 
@@ -111,7 +112,7 @@ class StreamedMap:
                 growing.pop(chunk, None)
                 shrinking.pop(chunk, None)
                 del self._to_come[chunk]
-        return bool(self._to_come)
+        return bool(self._to_come) or self._unfinished
 
     def _plan(self, views: Sequence[Camera]) -> tuple[dict[int, Part], dict[int, Part]]:
         """The levels to come of chunks that get finer, the most urgent first, and of others.
@@ -139,6 +140,10 @@ class StreamedMap:
         leaving = (self._held[chunk] for chunk in (*finer, *coarser, *dropped))
         self._sink.expect(self.splats + change - sum(held.splats for held in leaving if held))
         self._put({}, dict.fromkeys(dropped))
+        # What isn't there begins with its coarsest level, soon read: until then there is a hole.
+        missing = [chunk for chunk in finer if held[chunk] == NOTHING and wanted[chunk] > 0]
+        self._unfinished = bool(missing)
+        growing |= {chunk: self._parts[chunk][0] for chunk in missing}
         return growing, shrinking
 
     def close(self) -> None:
