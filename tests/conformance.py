@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from geometry_msgs.msg import Point, Pose, Quaternion
 
 from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.payload import FORMAT
 from rosplat_tools.messages import decode, encode
 
@@ -39,8 +40,8 @@ class Receiver(Protocol):
     missed: int | None
     channels: tuple[str, ...]
 
-    def take(self, message: GaussianArray) -> int | None:
-        """Applies a batch: how many splats it leaves out, None for a duplicate.
+    def take(self, message: GaussianArray, arrival: Arrival) -> int:
+        """Applies a batch: how many splats it leaves out.
 
         Raises ValueError, naming the field, for a batch that contradicts itself.
         """
@@ -68,7 +69,7 @@ class Batch:
     lengths: dict[str, int] = field(default_factory=dict)
     refused: str = ""
     dropped: int = 0
-    duplicate: bool = False
+    arrival: Arrival = Arrival.HEARD
     payload: Callable[[bytes], bytes] | None = None
 
     def message(self, revision: int) -> GaussianArray:
@@ -135,6 +136,10 @@ def _delete(count: int = 0, **fields: Any) -> Batch:
 
 def _move(groups: tuple[int, ...], *poses: Pose, **fields: Any) -> Batch:
     return Batch(MOVE, 0, {"groups": groups, "poses": list(poses)} | fields)
+
+
+def _pulled(batch: Batch, last: bool = False) -> Batch:
+    return replace(batch, arrival=Arrival.LAST if last else Arrival.PULLED)
 
 
 def _at(x: float, *orientation: float) -> Pose:
@@ -251,15 +256,36 @@ CASES = (
         (_replace(5), _upsert(1, map_id="other", first_slot=2, revision=1)),
         in_use=(2,),
     ),
+    # Pulled: what the batches up to a revision have left.
     Case(
-        "a snapshot of what is here",
-        (_replace(3), Batch(REPLACE, 1, {"revision": 1, "snapshot": True}, duplicate=True)),
+        "what is missing is pulled",
+        (
+            _replace(3),
+            _pulled(_delete(1, revision=4)),
+            _pulled(_upsert(1, first_slot=9, revision=4), last=True),
+            _upsert(1, first_slot=4, revision=5),
+        ),
+        in_use=(1, 2, 4, 9),
+    ),
+    Case(
+        "all is pulled, whatever was heard before",
+        (
+            _upsert(2, revision=7, first_slot=4),
+            _pulled(_replace(revision=9)),
+            _pulled(_upsert(3, revision=9), last=True),
+        ),
         in_use=(0, 1, 2),
     ),
     Case(
-        "a snapshot where something is missing",
-        (_replace(3), _upsert(4, revision=3), _replace(1, revision=3, snapshot=True)),
-        in_use=(0,),
+        "pulled, but not all of it",
+        (_upsert(2, revision=7), _pulled(_upsert(1, first_slot=4, revision=7))),
+        in_use=(0, 1, 4),
+        missed=6,
+    ),
+    Case(
+        "what is pulled makes up for what was missed",
+        (_upsert(2, revision=7), _pulled(_upsert(revision=7), last=True)),
+        in_use=(0, 1),
     ),
     Case("played once more", (_replace(3), _upsert(4), _replace(1, revision=1)), in_use=(0,)),
     Case(

@@ -9,6 +9,7 @@ from conformance import CASES, Case, Receiver
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.edits import EMPTY, decode
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.map_pull import Arrival
 from rosplat_tools import messages
 from rosplat_tools.slot_map import SlotMap
 from rviz_gaussian_plugin.from_messages import apply
@@ -21,9 +22,8 @@ class Display:
     def __init__(self) -> None:
         self.map = GaussianMap()
 
-    def take(self, message: GaussianArray) -> int | None:
-        report = apply(self.map, message)
-        return None if report["duplicate"] else int(report["dropped"])
+    def take(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> int:
+        return int(apply(self.map, message, arrival)["dropped"])
 
     def in_use(self, slot: int) -> bool:
         return bool(self.map.in_use(slot))
@@ -62,8 +62,9 @@ class Sorter:
     def __init__(self) -> None:
         self.map = SplatMap()
 
-    def take(self, message: GaussianArray) -> int | None:
-        return None if self.map.apply(decode(message)) is None else self.map.rejected
+    def take(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> int:
+        self.map.apply(decode(message, arrival))
+        return self.map.rejected
 
     def in_use(self, slot: int) -> bool:
         return bool((self.map.extents[self.map.slots == slot] != EMPTY).any())
@@ -98,7 +99,8 @@ class Publisher:
     def __init__(self) -> None:
         self.map = SlotMap()
 
-    def take(self, message: GaussianArray) -> int | None:
+    def take(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> int:
+        assert arrival is Arrival.HEARD
         return messages.apply(message, self.map)
 
     def in_use(self, slot: int) -> bool:
@@ -128,7 +130,7 @@ RECEIVERS = (Display, Sorter, Publisher)
 
 def concerns(case: Case, receiver: type[Receiver]) -> bool:
     """A publisher misses none of its own batches, and mixes no filters."""
-    whose = {"revision", "map_id", "snapshot"}
+    whose = {"revision", "map_id"}
     numbered = all(batch.refused or not whose & batch.fields.keys() for batch in case.batches)
     return receiver is not Publisher or (numbered and "antialiasing" not in case.name)
 
@@ -149,12 +151,10 @@ def test_receivers_agree(receiver: type[Receiver], case: Case) -> None:
         message = batch.message(number)
         if batch.refused:
             with pytest.raises(ValueError, match=rf"\b{batch.refused}\b"):
-                target.take(message)
+                target.take(message, batch.arrival)
             continue
-        dropped = target.take(message)
-        assert dropped == (None if batch.duplicate else batch.dropped)
-        if not batch.duplicate:
-            revision = message.revision
+        assert target.take(message, batch.arrival) == batch.dropped
+        revision = message.revision
     assert [slot for slot in case.looked_at if target.in_use(slot)] == list(case.in_use)
     for known, expected in (
         (target.origin, case.origin),

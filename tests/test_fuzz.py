@@ -145,7 +145,7 @@ def receive() -> Claims:
                 with contextlib.suppress(ValueError):
                     apply(drawing, message)
             numbered &= (message.revision, message.map_id) == (number, "map")
-            numbered &= not message.snapshot and message.antialiased == batches[0].antialiased
+            numbered &= message.antialiased == batches[0].antialiased
             if results[0] == "refused":
                 numbered = False
             elif numbered:
@@ -193,9 +193,9 @@ def look(sorter: Sorter, native: Any, asked: ViewCamera) -> None:
     np.testing.assert_array_equal(native.order(view), expected)
 
 
-def outcome(receiver: Any, message: GaussianArray) -> int | str | None:
+def outcome(receiver: Any, message: GaussianArray) -> int | str:
     try:
-        result: int | None = receiver.take(message)
+        result: int = receiver.take(message)
     except ValueError:
         return "refused"
     return result

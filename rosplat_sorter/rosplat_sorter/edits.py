@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rosplat_sorter import channels, payload
 from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.log_text import shown
+from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.payload import Arrays, PayloadError
 from rosplat_sorter.slot_pages import MAX_SLOTS, Slots
 from rosplat_sorter.view import frame_at
@@ -39,9 +40,8 @@ class Edit:
     origin: float64 (3,) [m]. slots: the n slots touched, all below `end`. positions: float32 (n, 3)
     [m], relative to the origin. extents: float32 (n,) [m], see depth.splat_extents; EMPTY where the
     slot becomes empty. Only a REPLACE or UPSERT has these, and a group. rejected: how many splats
-    were not usable and become empty slots. snapshot: repeats what the edits up to this revision
-    have left. poses: of a MOVE, by group: its frame in the map's, float64 (4, 4). channels: the
-    names of those that its splats have.
+    were not usable and become empty slots. poses: of a MOVE, by group: its frame in the map's,
+    float64 (4, 4). channels: the names of those that its splats have.
     """
 
     map_id: str
@@ -54,7 +54,7 @@ class Edit:
     positions: NDArray[np.float32]
     extents: NDArray[np.float32]
     rejected: int
-    snapshot: bool = False
+    arrival: Arrival = Arrival.HEARD
     group: int = 0
     poses: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     channels: tuple[str, ...] = ()
@@ -163,7 +163,18 @@ def arrays_of(message: GaussianArray) -> Arrays:
     )
 
 
-def decode(message: GaussianArray) -> Edit:
+def array_bytes(message: GaussianArray) -> int:
+    """Memory that a batch's arrays take: nearly all of it. [bytes]"""
+    arrays = (
+        message.slots,
+        message.payload,
+        message.channels,
+        *(getattr(message, name) for name in _columns(message)),
+    )
+    return sum(len(values) * values.itemsize for values in arrays)
+
+
+def decode(message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> Edit:
     """The edit of a message. Raises EditError where the message is wrong in structure."""
     check(message)
     listed = np.asarray(message.slots, np.uint32)
@@ -185,7 +196,7 @@ def decode(message: GaussianArray) -> Edit:
         positions=arrays.positions,
         extents=extents,
         rejected=len(usable) - int(np.count_nonzero(usable)),
-        snapshot=message.snapshot,
+        arrival=arrival,
         group=message.group,
         poses=poses_of(message),
         channels=tuple(message.channel_names),

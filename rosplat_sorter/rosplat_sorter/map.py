@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from rosplat_sorter.channels import joined
 from rosplat_sorter.edits import EMPTY, MOVE, REPLACE, Edit
+from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, Rows, SlotPages
 
 
@@ -15,8 +16,9 @@ class SplatMap:
 
     map_id, revision, frame_id: of the last edit; revision is 0 before any. origins: of each group
     that was written, that of its first splats, float64 (3,) [m]. poses: where groups were placed,
-    float64 (4, 4). missed: how many batches of this map never arrived. rejected: how many splats of
-    the last edit were left out. channels: the names of those that splats have come with.
+    float64 (4, 4). missed: how many batches of this map never arrived, and weren't pulled later.
+    rejected: how many splats of the last edit were left out. channels: the names of those that
+    splats have come with.
     """
 
     def __init__(self) -> None:
@@ -80,8 +82,8 @@ class SplatMap:
         """One more than the highest slot that was written; slots below may be empty."""
         return self._end
 
-    def apply(self, edit: Edit) -> Rows | None:
-        """Applies an edit; answers which rows it changed, None for a snapshot of what is known.
+    def apply(self, edit: Edit) -> Rows:
+        """Applies an edit; answers which rows it changed.
 
         The rows by which the map grew count as changed even where the answer leaves them out.
         Raises, without applying the edit, MemoryError where the map can't grow so far,
@@ -89,9 +91,8 @@ class SplatMap:
         for more channels than a map has.
         """
         begins = edit.map_id != self.map_id or self.revision == 0
-        back = not begins and edit.revision <= self.revision
-        if back and edit.snapshot and not self.missed:
-            return None
+        heard = edit.arrival is Arrival.HEARD
+        back = heard and not begins and edit.revision <= self.revision
         clears = begins or edit.operation == REPLACE
         pages = SlotPages() if clears else self.pages
         channels = () if clears else self.channels
@@ -107,9 +108,9 @@ class SplatMap:
             self._clear(pages)
         if begins or back:  # played once more; not from its beginning, it lacks all before
             self.revision = self.missed = 0
-        if edit.operation == REPLACE:  # what came before it is not missed
-            self.missed = 0
-        else:
+        if edit.operation == REPLACE or edit.arrival is Arrival.LAST:
+            self.missed = 0  # of what came before
+        elif heard:
             self.missed += edit.revision - self.revision - 1
         self._frames = None
         self.channels = channels

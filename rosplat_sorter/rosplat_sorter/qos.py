@@ -2,29 +2,27 @@
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-HISTORY_DEPTH = 1000
 
-
-def map_qos(
-    history_depth: int = HISTORY_DEPTH,
-    durability: DurabilityPolicy = DurabilityPolicy.TRANSIENT_LOCAL,
+def _map_qos(
+    depth: int, durability: DurabilityPolicy = DurabilityPolicy.TRANSIENT_LOCAL
 ) -> QoSProfile:
-    """`gaussians`: nothing is lost, and a late joiner gets the last history_depth batches.
-
-    A reader needs the depth as well: a late joiner's history arrives at once.
-    """
     return QoSProfile(
         reliability=ReliabilityPolicy.RELIABLE,
         durability=durability,
         history=HistoryPolicy.KEEP_LAST,
-        depth=history_depth,
+        depth=depth,
     )
 
 
-MAP = map_qos()
+# Who hears `gaussians`: a publisher that can't be pulled from may keep many batches.
+MAP = _map_qos(1000)
 
-# From publishers that keep nothing for late joiners.
-MAP_VOLATILE = map_qos(durability=DurabilityPolicy.VOLATILE)
+# The same of publishers that keep nothing for them.
+MAP_VOLATILE = _map_qos(1000, DurabilityPolicy.VOLATILE)
+
+# Whoever is pulled from: a late joiner hears of the map by the last batch. The others are for
+# readers that lag behind.
+PULLED_MAP = _map_qos(8)
 
 # Cameras and orders: the newest of each view counts, and all views share the topics.
 VIEW = QoSProfile(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 MAX_SLOTS = 1 << 25  # as GaussianArray.MAX_SLOTS
 SLOTS_PER_PAGE = 1024
+PAGES = MAX_SLOTS // SLOTS_PER_PAGE
 
 # As NumPy indexes with them: a range, or one by one.
 Slots: TypeAlias = "slice | NDArray[np.uint32]"
@@ -31,7 +32,7 @@ class SlotPages:
     """
 
     def __init__(self) -> None:
-        self._places = np.full(MAX_SLOTS // SLOTS_PER_PAGE, -1, np.int64)  # of each page, or -1
+        self._places = np.full(PAGES, -1, np.int64)  # of each page, or -1
         self._groups = np.zeros(len(self._places), np.uint32)
         self._count = 0
         self._list()
@@ -119,8 +120,7 @@ class SlotPages:
         if (places >= 0).all() and (np.diff(places) == 1).all():
             row = int(places[0]) * SLOTS_PER_PAGE + slots.start % SLOTS_PER_PAGE
             return slice(row, row + slots.stop - slots.start)
-        pages = np.arange(first, end)[places >= 0]
-        named = (pages[:, None] * SLOTS_PER_PAGE + _WITHIN).ravel()
+        named = slots_of(np.arange(first, end)[places >= 0])
         kept = (named >= slots.start) & (named < slots.stop)
         return self._rows(named[kept])
 
@@ -132,6 +132,12 @@ class SlotPages:
         """The slots of rows."""
         within = (rows % SLOTS_PER_PAGE).astype(np.uint32)
         return self.first_slots[rows // SLOTS_PER_PAGE] + within
+
+
+def slots_of(pages: NDArray[np.integer]) -> NDArray[np.integer]:
+    """All slots of some pages."""
+    slots: NDArray[np.integer] = (pages[:, None] * SLOTS_PER_PAGE + _WITHIN).ravel()
+    return slots
 
 
 def _span(slots: slice) -> tuple[int, int]:

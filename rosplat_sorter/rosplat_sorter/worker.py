@@ -18,6 +18,7 @@ from rosplat_sorter.channels import ChannelError
 from rosplat_sorter.edits import Edit
 from rosplat_sorter.log_text import shown
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_sorter.slot_pages import MixedGroupsError
 from rosplat_sorter.view import View
@@ -80,7 +81,7 @@ class _Inbox:
 
     def add(self, edit: Edit) -> None:
         """Adds an edit. What a REPLACE forgets needn't be applied before it."""
-        if edit.operation == edits.REPLACE and not edit.snapshot:
+        if edit.operation == edits.REPLACE:
             self.edits.clear()
             self.edit_bytes = 0
         self.edits.append(edit)
@@ -139,10 +140,10 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name="sorter", daemon=True)
         self._thread.start()
 
-    def edit(self, message: GaussianArray) -> None:
+    def edit(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> None:
         """Takes an edit of the map; waits while too much lies there that isn't applied yet."""
         try:
-            edit = edits.decode(message)
+            edit = edits.decode(message, arrival)
         except Exception as error:  # no message may end the node
             self._drop_batch(message.map_id, message.revision, error)
             return
@@ -237,10 +238,9 @@ class Worker:
         except (MemoryError, MixedGroupsError, ChannelError) as error:
             self._drop_batch(edit.map_id, edit.revision, error)
             return
-        if changed is None:
-            return
         if edit.map_id != known_map or edit.revision <= known_revision:
-            known_missed = 0
+            if edit.arrival is Arrival.HEARD:
+                known_missed = 0
             for viewer in self._viewers.values():
                 viewer.answered = None  # its revisions say nothing about these
         if edit.map_id != known_map:

@@ -163,20 +163,6 @@ def test_gaps_are_counted(make_batch):
     assert (splats.revision, splats.missed) == (9, 0)
 
 
-def test_a_snapshot_is_taken_only_where_something_is_missing(make_batch):
-    splats = SplatMap()
-    apply(splats, make_batch(3))
-    apply(splats, make_batch(1, revision=2, first_slot=3))
-    snapshot = make_batch(9, revision=2, operation=0)
-    snapshot.snapshot = True
-    assert apply(splats, snapshot) is None
-    assert len(splats) == 4
-    apply(splats, make_batch(1, revision=4))  # without the third
-    assert apply(splats, snapshot) == slice(0, SLOTS_PER_PAGE)
-    assert in_use(splats) == list(range(9))
-    assert (splats.revision, splats.missed) == (2, 0)
-
-
 def test_a_map_is_played_once_more(make_batch):
     splats = SplatMap()
     apply(splats, make_batch(5, operation=0))

@@ -14,6 +14,7 @@ from rosplat_sorter import backends
 from rosplat_sorter.backends import BACKENDS, Entry
 from rosplat_sorter.backends.native_backend import NativeBackend
 from rosplat_sorter.backends.numpy_backend import NumpyBackend
+from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.shared_orders import FOLDER
 from rosplat_sorter.worker import FORGET_AFTER, MAX_VIEWS, Worker
@@ -198,17 +199,16 @@ def test_of_a_burst_of_maps_only_the_newest_waits(start, make_batch, make_look):
     assert not [line for line in host.lines if "missed" in line]
 
 
-def test_a_snapshot_that_waits_displaces_nothing(start, make_batch, make_look):
-    """Who has what it repeats drops it, and needs what came before."""
+def test_each_part_of_what_is_pulled_is_sorted(start, make_batch, make_look):
+    """They are all of one revision."""
     worker, host = start()
-    GatedBackend.gate.clear()
-    worker.edit(make_batch())
-    worker.look(make_look())
-    assert GatedBackend.sorting.wait(10)
-    worker.edit(make_batch(2, revision=2, first_slot=3))
-    worker.edit(make_batch(1, revision=2, operation=0, snapshot=True))
-    GatedBackend.gate.set()
-    assert len(host.answer(revision=2).slots) == 5
+    worker.edit(make_batch(operation=0, revision=5), Arrival.PULLED)
+    worker.look(make_look(sequence=1))
+    assert len(host.answer(1).slots) == 3
+    worker.edit(make_batch(2, revision=5, first_slot=3), Arrival.LAST)
+    worker.look(make_look(sequence=2))
+    assert len(host.answer(2).slots) == 5
+    assert not [line for line in host.lines if "missed" in line]
 
 
 def test_who_sends_faster_than_edits_are_applied_waits(start, make_batch, make_look, monkeypatch):
@@ -250,9 +250,6 @@ def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch,
     worker.look(make_look(sequence=2))
     second = host.answer(2)
     assert second.slots is first.slots
-    snapshot = make_batch()
-    snapshot.snapshot = True
-    worker.edit(snapshot)
     worker.look(make_look(sequence=3))
     host.answer(3)
     assert GatedBackend.sorts == 1

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import contextlib
-import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from threading import RLock
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose
 from numpy.typing import ArrayLike, NDArray
-from rclpy.duration import Duration
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.qos import HISTORY_DEPTH, map_qos
+from rosplat_msgs.srv import PullMap, RepeatMap
+from rosplat_sorter.qos import PULLED_MAP
+from rosplat_tools.map_changes import MapChanges
 from rosplat_tools.messages import (
     COMPRESSIONS,
     NONE,
     Slots,
-    array_bytes,
     chunks,
     encode,
     encode_deletion,
@@ -34,17 +35,6 @@ from rosplat_tools.splats import Splats
 
 CHUNK_BYTES = 8_000_000
 
-# What a history takes at most, in maps, and what it may always take [bytes].
-HISTORY_MAPS = 2
-HISTORY_FLOOR = 64_000_000
-
-# How long a new writer waits for the subscribers of the one before it. [s]
-REMATCH_TIMEOUT = 1.0
-
-# How long slow subscribers are waited for before a snapshot that can't be put off; then they get it
-# as a new map. [s]
-ACKNOWLEDGE_TIMEOUT = 1.0
-
 Progress = Callable[[int], None]
 """Is told how many more splats have gone out; what it raises ends the sending."""
 
@@ -52,21 +42,19 @@ Progress = Callable[[int], None]
 class MapPublisher:
     """Owns the topic of one map: a map_id, its revisions, and a copy of the map by slot.
 
-    A late joiner rebuilds the map from the batches that the middleware keeps, the last
-    history_depth. So the history always begins with a REPLACE and holds every batch since. Each
-    REPLACE starts a new writer, whose history is empty. An edit that the history has no room for
-    sends the whole map first, as a REPLACE and UPSERTs of large chunks. These fill at most half
-    the history, so the next such snapshot is history_depth / 2 edits away or farther. They repeat
-    the last revisions, marked as a snapshot: subscribers that have those drop them.
+    Batches go out as they are made, and nobody is waited for. Who joins late, or misses some,
+    pulls what has changed since the last revision that it has, as it is now, from the service
+    <topic>/pull. It is answered by the node's executor between its other callbacks; where that has
+    several threads, beside them. Only pages of splats that a client lacks are copied, chunk_bytes
+    for an answer at most. Who just listens to the topic, a bag say, hears the whole map from
+    `repeat` or the service <topic>/repeat.
 
     Splats may be written in groups, submaps say, and groups placed by `move`: what a loop closure
     takes is a pose for each, no splats. A group that was never placed is where the map's frame is.
 
-    The same is done for memory's sake where the history takes more than twice what the map takes.
-    While a subscriber lags behind, that waits until it takes four times as much.
-
     Calls are serialised, from any thread; they return when the middleware has taken the batches.
-    Where sending an edit ends by an exception, the next one sends the whole map, as a new one.
+    Where sending an edit ends by an exception, it is part of the map all the same: who hears the
+    next batch pulls it.
     """
 
     def __init__(
@@ -75,17 +63,15 @@ class MapPublisher:
         *,
         frame_id: str = "map",
         topic: str = "gaussians",
-        history_depth: int = HISTORY_DEPTH,
         chunk_bytes: int = CHUNK_BYTES,
         compression: str = NONE,
     ) -> None:
-        """Advertises the topic; the map is empty, and nothing is sent yet.
+        """Advertises the topic and its services; the map is empty, and nothing is sent yet.
 
-        compression: NONE, or one of messages.COMPRESSIONS: for subscribers beyond a network. Raises
-        ValueError for another, a history_depth under 2 or a chunk_bytes under 1.
+        chunk_bytes: of splats in a message, at most. compression: NONE, or one of
+        messages.COMPRESSIONS: for subscribers beyond a network. Raises ValueError for another, or a
+        chunk_bytes under 1.
         """
-        if history_depth < 2:
-            raise ValueError(f"history_depth: at least 2 batches, got {history_depth}")
         if chunk_bytes < 1:
             raise ValueError(f"chunk_bytes: at least 1, got {chunk_bytes}")
         if compression not in COMPRESSIONS:
@@ -94,21 +80,21 @@ class MapPublisher:
         self.frame_id = frame_id
         self._compression = compression
         self._node = node
-        self._topic = topic
-        self._depth = history_depth
-        self._qos = map_qos(history_depth)
+        self._topic = node.resolve_topic_name(topic)
         self._chunk_bytes = chunk_bytes
         self._lock = RLock()
         self._map_id = str(uuid.uuid4())
         self._revision = 0
         self._map = SlotMap()
+        self._changes = MapChanges()
         self._expected_slots = 0
-        self._all_sent = True
-        self._publisher = node.create_publisher(GaussianArray, topic, self._qos)
-        self._in_history = 0
-        self._history_bytes = 0
-        # Each takes a batch of a snapshot, which may fill half the history; poses take two.
-        self._most_groups = history_depth // 2 - 2
+        self._publisher = node.create_publisher(GaussianArray, topic, PULLED_MAP)
+        group = MutuallyExclusiveCallbackGroup()
+        for kind, name, serve in (
+            (PullMap, "pull", self._on_pull),
+            (RepeatMap, "repeat", self._on_repeat),
+        ):
+            node.create_service(kind, f"{self._topic}/{name}", serve, callback_group=group)
 
     @property
     def map_id(self) -> str:
@@ -160,13 +146,21 @@ class MapPublisher:
             self._tell_of(len(splats) - len(self._map))
             self._expected_slots = len(splats) if expected_slots is None else expected
             try:
-                with self._sending():
-                    self._send_map([Group(0, range(len(splats)), splats)], stamp, progress)
+                self._send_map([Group(0, range(len(splats)), splats)], stamp, progress)
             except BaseException as error:
                 self._map, self._expected_slots = before
+                self._revision += 1  # that nobody has
+                self._changes = MapChanges(begun=self._revision)
+                # To whom a part of the other has come; where that fails, it is pulled.
                 if isinstance(error, Exception):  # and nobody is in a hurry to end
-                    self._send_back(stamp)
+                    with contextlib.suppress(Exception):
+                        self._send_map(self._map.groups(), stamp)
                 raise
+
+    def repeat(self) -> None:
+        """Sends the whole map once more, as it is: for bags, and others that only listen."""
+        with self._lock:
+            self._send_map(self._map.groups(), None)
 
     def expect(self, slots: int) -> None:
         """Has the next batches say that the finished map will need so many slots, 0: who knows.
@@ -198,19 +192,19 @@ class MapPublisher:
         group = _whole("group", group, GaussianArray.MAX_GROUPS - 1)
         if len(slots) != len(splats):
             raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
+        splats = splats.without_empty_bands()
         with self._lock:
-            self._check_room({*self._map.group_numbers, group})
-            splats = splats.without_empty_bands()
+            splats = splats.with_sh_degree(max(splats.sh_degree, self._map.sh_degree))
             self._tell_of(self._map.write(slots, splats, group))
-            with self._sending():
-                splats = splats.with_sh_degree(self._map.sh_degree)
-                parts = list(chunks(splats, self._chunk_bytes))
-                if not self._make_room(len(parts), stamp):
-                    return
+            parts = list(chunks(splats, self._chunk_bytes))
+            self._changes.write(slots, self._revision + len(parts), group)
+            # A bag that is played once more begins with an empty map.
+            operation = GaussianArray.UPSERT if self._revision else GaussianArray.REPLACE
+            with self._numbering(len(parts)):
                 for part in parts:
-                    self._send_splats(
-                        GaussianArray.UPSERT, Group(group, slots[part], splats[part]), stamp
-                    )
+                    some = Group(group, slots[part], splats[part])
+                    self._send(self._splats(operation, some, stamp))
+                    operation = GaussianArray.UPSERT
 
     def delete(self, slots: range | ArrayLike, *, stamp: Time | None = None) -> None:
         """Empties slots. Raises ValueError where one is named twice, or can't be one."""
@@ -218,19 +212,9 @@ class MapPublisher:
         slots = _checked(slots)
         with self._lock:
             self._map.clear(slots)
-            with self._sending():
-                if not self._make_room(1, stamp):
-                    return
-                self._revision += 1
-                self._send(
-                    encode_deletion(
-                        slots,
-                        header=self._header(stamp),
-                        map_id=self._map_id,
-                        revision=self._revision,
-                        expected_slots=self._expected_slots,
-                    )
-                )
+            self._changes.clear(slots, self._revision + 1)
+            with self._numbering(1):
+                self._send(self._deletion(slots, stamp))
 
     def move(self, poses: Mapping[int, Pose | ArrayLike], *, stamp: Time | None = None) -> None:
         """Places groups in the map's frame: {group: a Pose or a rigid transform (4, 4)}.
@@ -246,16 +230,9 @@ class MapPublisher:
             return
         with self._lock:
             self._map.poses |= {group: to_matrix(pose) for group, pose in checked.items()}
-            with self._sending():
-                if not self._make_room(1, stamp):
-                    return
-                self._send_poses(checked, stamp)
-
-    def _check_room(self, groups: set[int]) -> None:
-        if len(groups) > max(1, self._most_groups):
-            raise ValueError(
-                f"group: a history_depth of {self._depth} has room for {self._most_groups} groups"
-            )
+            self._changes.place(list(checked), self._revision + 1)
+            with self._numbering(1):
+                self._send(self._move(checked, stamp))
 
     def _tell_of(self, left_out: int) -> None:
         if left_out:
@@ -265,149 +242,125 @@ class MapPublisher:
                 throttle_duration_sec=5.0,
             )
 
-    def _send_back(self, stamp: Time | None) -> None:
-        """Sends the map to whom a part of another has come; if that fails, the next edit does."""
-        with contextlib.suppress(Exception), self._sending():
-            self._send_map(self._map.groups(), stamp)
-
-    @contextlib.contextmanager
-    def _sending(self) -> Iterator[None]:
-        try:
-            yield
-        except BaseException:
-            self._all_sent = False
-            raise
-
-    def _make_room(self, batches: int, stamp: Time | None) -> bool:
-        """Whether edits can follow in a history that begins with a REPLACE.
-
-        Where they can't, the map as they leave it has been sent in their place.
-        """
-        room = max(HISTORY_FLOOR, HISTORY_MAPS * self._map.nbytes)
-        if self._all_sent and 0 < self._in_history <= self._depth - batches:
-            if self._history_bytes <= room:
-                return True
-            if self._history_bytes <= 2 * room and not self._all_have_all(0.0):
-                return True
-        groups = self._map.groups()
-        needed = len(self._large_chunks(groups)) + (2 if self._map.poses else 0)
-        repeatable = (
-            self._all_sent
-            and needed <= self._revision
-            and needed <= self._depth - batches
-            and self._all_have_all(ACKNOWLEDGE_TIMEOUT)
-        )
-        if repeatable:
-            self._revision -= needed
-        self._send_map(groups, stamp, snapshot=repeatable)
-        return repeatable
-
-    def _all_have_all(self, timeout: float) -> bool:
-        """Whether each subscriber has all that was sent, at the latest after a timeout [s].
-
-        Who still lacks a revision that a snapshot repeats would take it for that one.
-        """
-        deadline = time.monotonic() + timeout
-        # Not for as long as that at once: rclpy keeps Python's lock while it waits.
-        while not (acknowledged := self._publisher.wait_for_all_acked(Duration())):
-            if time.monotonic() > deadline:
-                break
-            time.sleep(0.005)
-        return acknowledged
-
-    def _large_chunks(self, groups: list[Group]) -> list[tuple[Group, slice]]:
-        """Parts of groups that fill half the history at most."""
-        parts = max(1, self._depth // 2 - len(groups) + 1)
-        size = sum(group.splats.nbytes for group in groups) // parts + 1
-        return [
-            (group, part)
-            for group in groups
-            for part in chunks(group.splats, max(self._chunk_bytes, size))
-        ]
+    # --- Sending ----------------------------------------------------------------------------------
 
     def _send_map(
-        self,
-        groups: list[Group],
-        stamp: Time | None,
-        progress: Progress | None = None,
-        snapshot: bool = False,
+        self, groups: list[Group], stamp: Time | None, progress: Progress | None = None
     ) -> None:
-        self._start_history()
+        parts = [
+            Group(group.group, group.slots[part], group.splats[part])
+            for group in groups
+            for part in chunks(group.splats, self._chunk_bytes)
+        ]
+        revision = self._revision + 1
+        before = 2 if self._map.poses else 0
+        self._changes = MapChanges(begun=revision)
+        self._changes.place(list(self._map.poses), revision + 1)
+        for number, part in enumerate(parts, revision + before):
+            self._changes.write(part.slots, number, part.group)
         operation = GaussianArray.REPLACE
-        if self._map.poses:  # before any splat, so that none is seen elsewhere
-            nothing = Group(0, range(0), groups[0].splats[:0])
-            self._send_splats(operation, nothing, stamp, snapshot)
-            poses = {group: to_pose(pose) for group, pose in self._map.poses.items()}
-            self._send_poses(poses, stamp, snapshot)
-            operation = GaussianArray.UPSERT
-        for group, part in self._large_chunks(groups):
-            some = Group(group.group, group.slots[part], group.splats[part])
-            self._send_splats(operation, some, stamp, snapshot)
-            operation = GaussianArray.UPSERT
-            if progress:
-                progress(len(some.slots))
-        self._all_sent = True
+        with self._numbering(before + len(parts)):
+            if self._map.poses:  # before any splat, so that none is seen elsewhere
+                self._send(self._beginning(groups[0].splats, stamp))
+                self._send(self._move(self._poses(), stamp))
+                operation = GaussianArray.UPSERT
+            for part in parts:
+                self._send(self._splats(operation, part, stamp))
+                operation = GaussianArray.UPSERT
+                if progress:
+                    progress(len(part.slots))
 
-    def _send_splats(
-        self, operation: int, some: Group, stamp: Time | None, snapshot: bool = False
-    ) -> None:
-        self._revision += 1
-        self._send(
-            encode(
-                some.splats,
-                some.slots,
-                header=self._header(stamp),
-                map_id=self._map_id,
-                revision=self._revision,
-                operation=operation,
-                group=some.group,
-                expected_slots=self._expected_slots,
-                snapshot=snapshot,
-                compression=self._compression,
-            )
-        )
-
-    def _send_poses(
-        self, poses: Mapping[int, Pose], stamp: Time | None, snapshot: bool = False
-    ) -> None:
-        self._revision += 1
-        self._send(
-            encode_move(
-                poses,
-                header=self._header(stamp),
-                map_id=self._map_id,
-                revision=self._revision,
-                expected_slots=self._expected_slots,
-                snapshot=snapshot,
-            )
-        )
+    @contextlib.contextmanager
+    def _numbering(self, batches: int) -> Iterator[None]:
+        """Of batches to send: those that aren't, because sending fails, are lost to all."""
+        last = self._revision + batches
+        try:
+            yield
+        finally:
+            self._revision = last
 
     def _send(self, message: GaussianArray) -> None:
+        self._revision += 1
+        message.revision = self._revision
         self._publisher.publish(message)
-        self._in_history += 1
-        self._history_bytes += array_bytes(message)
 
-    def _header(self, stamp: Time | None) -> Header:
-        return Header(stamp=stamp or self._node.get_clock().now().to_msg(), frame_id=self.frame_id)
+    # --- Batches, of the revision that the map has now --------------------------------------------
 
-    def _start_history(self) -> None:
-        """Puts a writer with an empty history in place of one that has sent something.
+    def _beginning(self, splats: Splats, stamp: Time | None = None) -> GaussianArray:
+        return self._splats(GaussianArray.REPLACE, Group(0, range(0), splats[:0]), stamp)
 
-        What its subscribers have not received yet is lost to them, and superseded by what follows.
-        """
-        if not self._in_history:
-            return
-        old = self._publisher
-        self._publisher = self._node.create_publisher(GaussianArray, self._topic, self._qos)
-        self._in_history = self._history_bytes = 0
-        # A subscriber that asks for no history would miss what is sent before it knows the writer.
-        deadline = time.monotonic() + REMATCH_TIMEOUT
-        while (
-            self._publisher.get_subscription_count() < old.get_subscription_count()
-            and time.monotonic() < deadline
-        ):
-            time.sleep(0.002)
-        self._node.destroy_publisher(old)
+    def _splats(self, operation: int, some: Group, stamp: Time | None = None) -> GaussianArray:
+        return encode(
+            some.splats,
+            some.slots,
+            **self._of_map(stamp),
+            operation=operation,
+            group=some.group,
+            compression=self._compression,
+        )
+
+    def _deletion(self, slots: Slots, stamp: Time | None = None) -> GaussianArray:
+        return encode_deletion(slots, **self._of_map(stamp))
+
+    def _move(self, poses: Mapping[int, Pose], stamp: Time | None = None) -> GaussianArray:
+        return encode_move(poses, **self._of_map(stamp))
+
+    def _of_map(self, stamp: Time | None) -> dict[str, Any]:
+        stamp = stamp or self._node.get_clock().now().to_msg()
+        return {
+            "header": Header(stamp=stamp, frame_id=self.frame_id),
+            "map_id": self._map_id,
+            "revision": self._revision,
+            "expected_slots": self._expected_slots,
+        }
+
+    def _poses(self, groups: Iterable[int] | None = None) -> dict[int, Pose]:
+        poses = self._map.poses
+        return {group: to_pose(poses[group]) for group in (poses if groups is None else groups)}
+
+    # --- Services ---------------------------------------------------------------------------------
+
+    def _on_pull(self, request: PullMap.Request, response: PullMap.Response) -> PullMap.Response:
+        try:
+            with self._lock:
+                if request.map_id == self._map_id and self._revision:
+                    self._fill(request, response)
+        except MemoryError:  # no request may end the node
+            self._node.get_logger().error(f"{self._topic}/pull: memory is lacking")
+            response = PullMap.Response()
+        return response
+
+    def _fill(self, request: PullMap.Request, response: PullMap.Response) -> None:
+        after, block = request.after_revision, request.first_block
+        if not self._changes.begun <= after <= self._revision:
+            # Who goes on with a map that was replaced meanwhile gets the new one in the next round.
+            after, block = 0, 0 if after else block
+        changed = self._changes.since(after, block, self._map, self._chunk_bytes)
+        batches = response.batches
+        if not block:
+            if not after:
+                batches.append(self._beginning(changed.groups[0].splats))
+            placed = self._changes.placed(after)
+            if placed:
+                batches.append(self._move(self._poses(placed)))
+        if len(changed.emptied):
+            batches.append(self._deletion(changed.emptied))
+        batches += [
+            self._splats(GaussianArray.UPSERT, group)
+            for group in changed.groups
+            if len(group.slots) or not batches
+        ]
+        for batch in batches:
+            batch.expected_slots = self._expected_slots or len(self._map)
+        response.next_block = changed.next_page
+
+    def _on_repeat(self, _: RepeatMap.Request, response: RepeatMap.Response) -> RepeatMap.Response:
+        try:
+            self.repeat()
+            response.success, response.splats = True, len(self)
+        except Exception as error:  # no request may end the node
+            response.message = str(error) or "not enough memory"
+        return response
 
 
 def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:

@@ -34,7 +34,6 @@ def encode(
     operation: int,
     group: int = 0,
     expected_slots: int = 0,
-    snapshot: bool = False,
     compression: str = NONE,
 ) -> GaussianArray:
     """A REPLACE or UPSERT that writes the i-th splat to the i-th slot, all in one group.
@@ -46,7 +45,6 @@ def encode(
     if len(slots) != len(splats):
         raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
     message = _batch(slots, header, map_id, revision, operation, expected_slots)
-    message.snapshot = snapshot
     message.group = group
     message.sh_degree = splats.sh_degree
     message.antialiased = splats.antialiased
@@ -85,11 +83,9 @@ def encode_move(
     map_id: str,
     revision: int,
     expected_slots: int = 0,
-    snapshot: bool = False,
 ) -> GaussianArray:
     """A MOVE that places groups."""
     message = _batch(range(0), header, map_id, revision, GaussianArray.MOVE, expected_slots)
-    message.snapshot = snapshot
     message.groups = list(poses)
     message.poses = list(poses.values())
     return message
@@ -144,21 +140,6 @@ def chunks(splats: Splats, chunk_bytes: int) -> Iterator[slice]:
     step = max(1, chunk_bytes * len(splats) // max(1, splats.nbytes))
     for start in range(0, max(1, len(splats)), step):
         yield slice(start, min(start + step, len(splats)))
-
-
-def array_bytes(message: GaussianArray) -> int:
-    """Memory that a batch's arrays take: nearly all of it. [bytes]"""
-    arrays = (
-        message.slots,
-        message.positions,
-        message.orientations,
-        message.scales,
-        message.opacities,
-        message.sh,
-        message.payload,
-        message.channels,
-    )
-    return sum(len(values) * values.itemsize for values in arrays)
 
 
 def _batch(

@@ -13,7 +13,6 @@ from rclpy.node import Node
 
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_sorter.log_text import shown
-from rosplat_sorter.qos import HISTORY_DEPTH
 from rosplat_tools import formats
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
@@ -36,9 +35,6 @@ class PlyPublisher(Node):
         chunk_bytes = declare(
             self, "chunk_bytes", CHUNK_BYTES, "Size of a message at most. [bytes]", 100_000, 10**9
         )
-        history_depth = declare(
-            self, "history_depth", HISTORY_DEPTH, "Batches kept for late subscribers.", 2, 100_000
-        )
         self._scene_root: str = declare(
             self, "scene_root", "/", "Folder below which ~/load may read; empty: nowhere."
         )
@@ -49,7 +45,6 @@ class PlyPublisher(Node):
             self,
             frame_id=frame_id,
             chunk_bytes=chunk_bytes,
-            history_depth=history_depth,
             compression=declare_compression(self),
         )
         self._busy = threading.Lock()

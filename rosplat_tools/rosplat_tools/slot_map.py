@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rosplat_sorter.channels import joined
 from rosplat_sorter.edits import is_usable
 from rosplat_sorter.payload import Arrays
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, SlotPages
+from rosplat_sorter.slot_pages import PAGES, SLOTS_PER_PAGE, SlotPages, slots_of
 from rosplat_tools.splats import Splats, concatenate, sh_coefficients
 
 
@@ -51,20 +51,27 @@ class SlotMap:
         return int(np.count_nonzero(self._used))
 
     @property
-    def group_numbers(self) -> list[int]:
-        """The groups that blocks of slots were written for, ascending."""
-        numbers: list[int] = self._pages.groups.tolist()
-        return numbers
-
-    @property
     def sh_degree(self) -> int:
         """Highest band of spherical harmonics that was ever written."""
         return self._arrays.sh_degree
 
     @property
-    def nbytes(self) -> int:
-        """Memory that a snapshot's splats take. [bytes]"""
-        return self._arrays.nbytes // max(1, len(self._used)) * len(self)
+    def splat_bytes(self) -> int:
+        """Memory that a splat takes. [bytes]"""
+        return self._arrays.nbytes // max(1, len(self._used))
+
+    def used_by_page(self) -> NDArray[np.int64]:
+        """How many slots are in use of each page, -1 where none ever was, int64 (PAGES,)."""
+        counts = np.full(PAGES, -1)
+        used = self._used[: self._pages.rows].reshape(-1, SLOTS_PER_PAGE)
+        counts[self._pages.first_slots // SLOTS_PER_PAGE] = np.count_nonzero(used, axis=1)
+        return counts
+
+    def unused(self, pages: NDArray[np.integer]) -> NDArray[np.integer]:
+        """The slots that are not in use of some pages that were written once."""
+        slots = slots_of(pages)
+        unused: NDArray[np.integer] = slots[~self._used[self._pages.find(slots)]]
+        return unused
 
     def write(self, slots: range | NDArray[np.integer], splats: Splats, group: int = 0) -> int:
         """Puts the i-th splat into the i-th slot, in use or not; returns how many are left out.
@@ -113,12 +120,17 @@ class SlotMap:
         """Empties slots; those beyond the map are empty already."""
         self._used[self._pages.find(_index(slots))] = False
 
-    def groups(self) -> list[Group]:
+    def groups(self, pages: NDArray[np.integer] | None = None) -> list[Group]:
         """A copy of the slots in use, ascending in each group, and of what is in them.
 
-        In the groups' own frames. There is always a first group, empty where there are no splats.
+        Of some pages, if given. In the groups' own frames. There is always a first group, empty
+        where there are no splats.
         """
-        rows = np.flatnonzero(self._used)
+        if pages is None:
+            rows = np.flatnonzero(self._used)
+        else:
+            rows = self._pages.find(slots_of(pages))
+            rows = rows[self._used[rows]]
         slots = self._pages.slots(rows)
         of = self._pages.groups_of(rows)
         if not self._pages.ascending or len(self._pages.groups) > 1:
@@ -179,8 +191,11 @@ def _no_splats() -> Splats:
 
 
 def _in_short(slots: NDArray[np.uint32]) -> range | NDArray[np.uint32]:
-    """Slots from 0 on as a range."""
-    return range(len(slots)) if np.all(slots == np.arange(len(slots))) else slots
+    """Ascending slots without a gap as a range."""
+    if not len(slots):
+        return range(0)
+    first, end = int(slots[0]), int(slots[-1]) + 1
+    return range(first, end) if end - first == len(slots) else slots
 
 
 def _index(slots: range | NDArray[np.integer]) -> slice | NDArray[np.integer]:

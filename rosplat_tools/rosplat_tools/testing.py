@@ -5,6 +5,7 @@ A conftest.py names it: `pytest_plugins = ["rosplat_tools.testing"]`.
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
@@ -20,7 +21,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.qos import MAP
+from rosplat_sorter.map_pull import Arrival
+from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.messages import apply
 from rosplat_tools.slot_map import SlotMap
 from rosplat_tools.splats import Splats
@@ -98,14 +100,15 @@ class Listener:
         self._clients: dict[str, Any] = {}
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
-        node.create_subscription(GaussianArray, "gaussians", self._receive, MAP)
+        MapSubscription(node, self._receive)
 
-    def _receive(self, batch: GaussianArray) -> None:
+    def _receive(self, batch: GaussianArray, _: Arrival) -> None:
         self.batches.append(batch)
         if self.map is None:
             assert batch.operation == batch.REPLACE
             self.map = SlotMap()
-        apply(batch, self.map)
+        with contextlib.suppress(ValueError):  # who refuses a batch keeps the map
+            apply(batch, self.map)
 
     def wait(self, until: Callable[[], object], timeout: float = 60.0) -> None:
         """Receives until something holds; fails the test where it doesn't come to."""

@@ -1,7 +1,7 @@
 """Run as a program: rebuilds a map from its topic until a revision, and writes down what came.
 
-receive_map.py TOPIC REVISION OUT.npz [--volatile]: prints "listening" when it does. OUT.npz holds
-slots and the arrays of their splats, and the revision and operation of each batch.
+receive_map.py TOPIC REVISION OUT.npz: prints "listening" when it does. OUT.npz holds slots and the
+arrays of their splats, the revision and operation of each batch, and whether it was pulled.
 """
 
 import sys
@@ -11,34 +11,33 @@ import numpy as np
 import rclpy
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.qos import MAP, MAP_VOLATILE
+from rosplat_sorter.map_pull import Arrival
+from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.messages import apply
 from rosplat_tools.slot_map import SlotMap
 
 TIMEOUT = 60.0
 
 topic, last_revision, out = sys.argv[1], int(sys.argv[2]), sys.argv[3]
-batches: list[tuple[int, int]] = []
+batches: list[tuple[int, int, bool]] = []
 built = SlotMap()
 
 
-def receive(message: GaussianArray) -> None:
-    if message.snapshot and batches and message.revision <= batches[-1][0]:
-        return  # is here already
-    batches.append((message.revision, message.operation))
+def receive(message: GaussianArray, arrival: Arrival) -> None:
+    batches.append((message.revision, message.operation, arrival is not Arrival.HEARD))
     apply(message, built)
 
 
 rclpy.init()
-node = rclpy.create_node("receiver")
-node.create_subscription(
-    GaussianArray, topic, receive, MAP_VOLATILE if "--volatile" in sys.argv else MAP
-)
+node = rclpy.create_node("receiver", cli_args=["--ros-args", "-r", f"gaussians:={topic}"])
+heard = MapSubscription(node, receive)
 while not node.get_publishers_info_by_topic(topic):
     time.sleep(0.01)
 print("listening", flush=True)
 deadline = time.monotonic() + TIMEOUT
-while (not batches or batches[-1][0] < last_revision) and time.monotonic() < deadline:
+while (
+    not batches or batches[-1][0] < last_revision or heard.pulling
+) and time.monotonic() < deadline:
     rclpy.spin_once(node, timeout_sec=0.1)
 slots, splats = built.snapshot()
 np.savez(
@@ -49,7 +48,8 @@ np.savez(
     scales=splats.scales,
     opacities=splats.opacities,
     sh=splats.without_empty_bands().sh,
-    revisions=[revision for revision, _ in batches],
-    operations=[operation for _, operation in batches],
+    revisions=[revision for revision, _, _ in batches],
+    operations=[operation for _, operation, _ in batches],
+    pulled=[pulled for _, _, pulled in batches],
 )
 rclpy.shutdown()

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,11 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import Pose, Quaternion
-from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools.map_publisher import HISTORY_MAPS, MapPublisher
+from rosplat_msgs.srv import PullMap, RepeatMap
+from rosplat_sorter.qos import MAP_VOLATILE
+from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.messages import chunks
 from rosplat_tools.program.running import Cancelled
 from rosplat_tools.splats import Splats
 from rosplat_tools.testing import Listener
@@ -27,10 +31,24 @@ RECEIVER = Path(__file__).with_name("receive_map.py")
 
 
 @contextmanager
-def receiver(node: Node, until: int, out: Path, *options: str) -> Iterator[Received]:
+def spun(node: Node) -> Iterator[None]:
+    """Has the node's services answer while the block runs."""
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        yield
+    finally:
+        executor.shutdown()
+        thread.join()
+
+
+@contextmanager
+def receiver(node: Node, until: int, out: Path) -> Iterator[Received]:
     """A subscriber in a process of its own, there in the block; what it got is there after it."""
     topic = node.resolve_topic_name("gaussians")
-    command = [sys.executable, str(RECEIVER), topic, str(until), str(out), *options]
+    command = [sys.executable, str(RECEIVER), topic, str(until), str(out)]
 
     def matched() -> int:  # what is sent before a publisher knows a receiver may miss it
         return sum(
@@ -40,7 +58,7 @@ def receiver(node: Node, until: int, out: Path, *options: str) -> Iterator[Recei
         )
 
     before = matched()
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with spun(node), subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout
         assert process.stdout.readline() == "listening\n"
         patient_until = time.monotonic() + 5  # another receiver may leave meanwhile
@@ -88,7 +106,6 @@ def test_subscribers_of_any_time_rebuild_the_map(
         with receiver(node, last, tmp_path / "late.npz") as late:
             pass
     for received in (early, late):
-        assert received["revisions"].tolist() == list(range(1, last + 1))
         assert_same_map(received, publisher)
 
 
@@ -148,134 +165,104 @@ def test_a_pose_that_is_none_is_refused(node: Node, poses: Any, named: str) -> N
 
 
 def test_what_groups_don_t_allow_is_refused_and_not_sent(node: Node, random_splats: Maker) -> None:
-    publisher = MapPublisher(node, history_depth=8)
+    publisher = MapPublisher(node)
     publisher.upsert(range(3), random_splats(3))
     with pytest.raises(ValueError, match="slots 0 to 1023 hold splats of group 0, this batch is"):
         publisher.upsert(range(5, 6), random_splats(1), group=2)
     publisher.upsert(range(1024, 1025), random_splats(1), group=2)
-    with pytest.raises(ValueError, match="history_depth of 8 has room for 2 groups"):
-        publisher.upsert(range(2048, 2049), random_splats(1), group=3)
     assert (publisher.revision, len(publisher)) == (2, 4)
 
 
-def test_the_history_never_loses_its_beginning(
-    node: Node, random_splats: Maker, tmp_path: Path
-) -> None:
-    """More edits than the history holds: a latecomer gets a whole map in fewer batches."""
-    publisher = MapPublisher(node, history_depth=12, chunk_bytes=20_000)
-    publisher.replace(random_splats(300))
-    edit(publisher, random_splats, 25)
+def test_who_joins_late_pulls_the_map(node: Node, random_splats: Maker, tmp_path: Path) -> None:
+    """In several answers, all of one revision."""
+    publisher = MapPublisher(node, chunk_bytes=300_000)
+    publisher.replace(random_splats(3000))
+    edit(publisher, random_splats, 10)
+    publisher.move({0: np.eye(4)})
     with receiver(node, publisher.revision, tmp_path / "late.npz") as late:
         pass
     assert_same_map(late, publisher)
-    assert late["operations"][0] == GaussianArray.REPLACE
-    assert (np.diff(late["revisions"]) == 1).all()
-    assert len(late["revisions"]) <= 12
+    first = late["pulled"].argmax()
+    assert late["pulled"][first:].all()
+    assert late["operations"][first] == GaussianArray.REPLACE
+    assert set(late["revisions"][first:]) == {publisher.revision}
+    assert late["operations"].tolist().count(GaussianArray.UPSERT) > 2
 
 
-def test_who_has_the_map_never_sees_a_snapshot_for_latecomers(
-    node: Node, random_splats: Maker, tmp_path: Path
+def test_who_misses_batches_pulls_what_they_changed(
+    node: Node, random_splats: Maker, listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    publisher = MapPublisher(node, history_depth=12, chunk_bytes=20_000)
-    last = 1 + 4 + 3 * 25  # an empty REPLACE, 300 splats in chunks, edits
-    with receiver(node, last, tmp_path / "early.npz") as early:
-        publisher.replace(random_splats(0))
-        publisher.upsert(range(300), random_splats(300))
-        edit(publisher, random_splats, 25)
-        assert publisher.revision == last
-        with receiver(node, last, tmp_path / "late.npz") as late:
-            pass
-    assert early["revisions"].tolist() == list(range(1, last + 1))
-    assert early["operations"].tolist().count(GaussianArray.REPLACE) == 1
-    assert late["operations"].tolist().count(GaussianArray.REPLACE) == 1
-    assert 1 < len(late["revisions"]) <= 12
-    for received in (early, late):
-        assert_same_map(received, publisher)
-
-
-def test_the_history_takes_no_more_than_some_maps(
-    node: Node, random_splats: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Edits far larger than the map: a latecomer gets few of them, who was there all, once."""
-    monkeypatch.setattr("rosplat_tools.map_publisher.HISTORY_FLOOR", 0)
     publisher = MapPublisher(node)
-    last = 1 + 10
-    with receiver(node, last, tmp_path / "early.npz") as early:
-        publisher.replace(random_splats(300))
-        for step in range(last - 1):
-            if publisher._history_bytes > HISTORY_MAPS * publisher._map.nbytes:
-                # Acknowledged with a heartbeat, up to three seconds later.
-                publisher._publisher.wait_for_all_acked(Duration(seconds=5))
-            publisher.upsert(range(100, 200), random_splats(100, seed=step))
-        with receiver(node, last, tmp_path / "late.npz") as late:
-            pass
-    assert early["revisions"].tolist() == list(range(1, last + 1))
-    assert early["operations"].tolist().count(GaussianArray.REPLACE) == 1
-    assert late["operations"][0] == GaussianArray.REPLACE
-    assert len(late["revisions"]) <= 1 + 4  # the map, another, and what went over it
-    for received in (early, late):
-        assert_same_map(received, publisher)
+    publisher.replace(random_splats(5000))
+    listener.wait_for(5000)
+    with monkeypatch.context() as lost:
+        lost.setattr(type(publisher._publisher), "publish", lambda *_: None)
+        publisher.upsert(range(2048, 2050), random_splats(2, seed=1))
+        publisher.delete(range(3072, 4096))
+        publisher.upsert(range(3072, 3080), random_splats(8), group=4)
+    publisher.delete([4099])
+    heard = len(listener.batches)
+    listener.wait_for(5000 - 1024 + 8 - 1)
+    pulled = listener.batches[heard:]
+    assert {batch.revision for batch in pulled} == {publisher.revision}
+    touched = {
+        slot // 1024
+        for batch in pulled
+        for slot in batch.slots or range(batch.first_slot, batch.first_slot + batch.count)
+    }
+    assert touched == {2, 3, 4}
+    assert listener.map
+    np.testing.assert_array_equal(
+        listener.map.snapshot()[1].positions, publisher.snapshot()[1].positions
+    )
 
 
-def test_who_lags_behind_puts_a_snapshot_off_for_a_while(
-    node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("asked", "answered"),
+    [
+        ({"map_id": "another"}, []),
+        ({}, [0, 1]),
+        ({"after_revision": 2}, [1]),  # nothing has changed
+        ({"after_revision": 1}, [2, 1]),
+        ({"after_revision": 2**64 - 1}, [0, 1]),
+        ({"first_block": 1}, [1]),
+        ({"first_block": 2**32 - 1}, [1]),
+    ],
+)
+def test_requests_of_any_kind_are_answered(
+    node: Node, random_splats: Maker, listener: Listener, asked: dict[str, Any], answered: list[int]
 ) -> None:
-    monkeypatch.setattr("rosplat_tools.map_publisher.HISTORY_FLOOR", 0)
+    """By the operations of batches."""
     publisher = MapPublisher(node)
-    publisher.replace(random_splats(10))
-    monkeypatch.setattr(type(publisher._publisher), "wait_for_all_acked", lambda *_: False)
-    sent: list[GaussianArray] = []
-    monkeypatch.setattr(type(publisher._publisher), "publish", lambda _, m: sent.append(m))
-    for _ in range(8):
-        publisher.upsert(range(5), random_splats(5))
-    assert [message.revision for message in sent] == list(range(2, 10))
-    # The map, and edits until there are more than four: then the map again.
-    assert [message.operation for message in sent] == [1, 1, 1, 1, 1, 1, 1, 0]
+    publisher.replace(random_splats(5))
+    publisher.delete([3])
+    request = {"map_id": publisher.map_id} | asked
+    response = listener.call(PullMap, "gaussians/pull", **request)
+    assert [batch.operation for batch in response.batches] == answered
+    assert response.next_block == 0
+    assert all(batch.expected_slots == 5 for batch in response.batches)
 
 
-def test_who_lags_behind_gets_a_snapshot_as_a_new_map(
-    node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch
+def test_a_map_without_a_batch_is_not_pulled(node: Node, listener: Listener) -> None:
+    publisher = MapPublisher(node)
+    response = listener.call(PullMap, "gaussians/pull", map_id=publisher.map_id)
+    assert not response.batches
+
+
+def test_who_only_listens_hears_the_map_when_it_is_repeated(
+    node: Node, random_splats: Maker, listener: Listener
 ) -> None:
-    publisher = MapPublisher(node, history_depth=4)
-    publisher.replace(random_splats(10))
-    monkeypatch.setattr(type(publisher._publisher), "wait_for_all_acked", lambda *_: False)
-    sent: list[GaussianArray] = []
-    monkeypatch.setattr(type(publisher._publisher), "publish", lambda _, m: sent.append(m))
-    for slot in range(10, 16):
-        publisher.upsert(range(slot, slot + 1), random_splats(1))
-    assert [message.revision for message in sent] == [2, 3, 4, 5, 6, 7]
-    assert [message.operation for message in sent] == [1, 1, 1, 0, 1, 1]
-    assert sent[3].count == 14
-
-
-def test_a_new_map_takes_the_old_one_s_batches_out_of_the_history(
-    node: Node, random_splats: Maker, tmp_path: Path
-) -> None:
-    publisher = MapPublisher(node, chunk_bytes=20_000)
-    for seed in range(3):
-        publisher.replace(random_splats(400, seed=seed))
-    with receiver(node, publisher.revision, tmp_path / "late.npz") as late:
-        pass
-    assert len(late["revisions"]) == publisher.revision // 3
-    assert_same_map(late, publisher)
-
-
-def test_a_subscriber_without_history_ends_with_the_map_as_well(
-    node: Node, random_splats: Maker, tmp_path: Path
-) -> None:
-    """Each REPLACE comes from another writer, which must be known before it sends."""
-    publisher = MapPublisher(node, history_depth=10)
-    last = 40
-    with receiver(node, last, tmp_path / "volatile.npz", "--volatile") as received:
-        while not publisher._publisher.get_subscription_count():
-            time.sleep(0.01)
-        for step in range(last // 2):
-            publisher.replace(random_splats(50, seed=step))
-            publisher.upsert(range(50, 60), random_splats(10, seed=step))
-    # What a later REPLACE supersedes may be missing, nothing else.
-    begin = np.flatnonzero(received["operations"] == GaussianArray.REPLACE)[-1]
-    assert received["revisions"][begin:].tolist() == [last - 1, last]
-    assert_same_map(received, publisher)
+    publisher = MapPublisher(node)
+    publisher.replace(random_splats(3))
+    publisher.upsert(range(1024, 1030), random_splats(6, 3), group=3)
+    publisher.move({3: np.eye(4)})
+    heard: list[GaussianArray] = []
+    node.create_subscription(GaussianArray, "gaussians", heard.append, MAP_VOLATILE)
+    answer = listener.call(RepeatMap, "gaussians/repeat")
+    assert (answer.success, answer.splats) == (True, 9)
+    listener.wait(lambda: heard and heard[-1].revision == publisher.revision)
+    assert [batch.operation for batch in heard] == [0, 3, 1, 1]
+    assert [batch.revision for batch in heard] == [4, 5, 6, 7]
 
 
 def test_a_slam_map_of_500_batches_reaches_a_latecomer(
@@ -352,13 +339,11 @@ def test_a_replace_that_fails_leaves_the_map_as_it_was(
         if len(told) == 3:
             raise error
 
-    sent = publisher.revision
-    with (
-        receiver(node, sent + 3 + sent, tmp_path / "early.npz") as early,
-        pytest.raises(error),
-    ):
-        publisher.replace(random_splats(2000, seed=1), progress=progress)
-    assert publisher.revision == sent + 3 + sent
+    sent, other = publisher.revision, random_splats(2000, seed=1)
+    last = sent + len(list(chunks(other, 20_000))) + 1 + sent
+    with receiver(node, last, tmp_path / "early.npz") as early, pytest.raises(error):
+        publisher.replace(other, progress=progress)
+    assert publisher.revision == last
     with receiver(node, publisher.revision, tmp_path / "late.npz") as late:
         pass
     assert len(publisher) == 300
@@ -366,31 +351,22 @@ def test_a_replace_that_fails_leaves_the_map_as_it_was(
         assert_same_map(received, publisher)
 
 
-def test_after_an_interrupted_edit_the_whole_map_is_sent(
-    node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch
+def test_an_edit_that_was_not_sent_is_pulled(
+    node: Node, random_splats: Maker, listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not as a snapshot, which subscribers that have its revisions would drop."""
     publisher = MapPublisher(node, chunk_bytes=20_000)
     publisher.replace(random_splats(300, 0))
-    sent: list[GaussianArray] = []
+    listener.wait_for(300)
+    with monkeypatch.context() as failing:
 
-    def publish(_: object, message: GaussianArray) -> None:
-        if len(sent) == 2:
-            sent.clear()
+        def publish(_: object, message: GaussianArray) -> None:
             raise KeyboardInterrupt
-        sent.append(message)
 
-    monkeypatch.setattr(type(publisher._publisher), "publish", publish)
-    with pytest.raises(KeyboardInterrupt):
-        publisher.upsert(range(1000), random_splats(1000, 0))
-    last = publisher.revision
-    publisher._chunk_bytes = 10**6
+        failing.setattr(type(publisher._publisher), "publish", publish)
+        with pytest.raises(KeyboardInterrupt):
+            publisher.upsert(range(1000), random_splats(1000, 0))
     publisher.delete([7])
-    (batch,) = sent
-    assert (batch.operation, batch.snapshot) == (GaussianArray.REPLACE, False)
-    assert (batch.revision, batch.count) == (last + 1, 999)
-    publisher.delete([8])
-    assert sent[1].operation == GaussianArray.DELETE
+    listener.wait_for(999)
 
 
 def test_calls_of_several_threads_take_turns(

@@ -8,15 +8,8 @@ import pytest
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools.messages import (
-    COMPRESSIONS,
-    Slots,
-    array_bytes,
-    chunks,
-    decode,
-    encode,
-    encode_deletion,
-)
+from rosplat_sorter.edits import array_bytes
+from rosplat_tools.messages import COMPRESSIONS, Slots, chunks, decode, encode, encode_deletion
 from rosplat_tools.splats import Splats
 
 Maker = Callable[..., Splats]

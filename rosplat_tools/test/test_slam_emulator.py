@@ -22,21 +22,10 @@ def test_the_map_grows_is_edited_and_ends_as_the_scene(
     formats.save(path, random_splats(3050))
     process = start("slam_emulator", path=path, batch_size=100, rate=200.0, prune_fraction=0.1)
     assert process.stdout
-    # Says so when the last edit is out; what it sent before is on its way by then.
+    # Says so when the last edit is out; the listener pulls the map then.
     line = process.stdout.readline()
     assert "3,050 splats mapped" in line
     listener.wait_for(3050)
-    listener.wait(lambda: listener.batches[-1].operation == GaussianArray.UPSERT)
-
-    assert all(batch.count <= 100 for batch in listener.batches)
-    assert [batch.revision for batch in listener.batches] == list(
-        range(1, len(listener.batches) + 1)
-    )
-    assert {batch.operation for batch in listener.batches} == {
-        GaussianArray.REPLACE,
-        GaussianArray.UPSERT,
-        GaussianArray.DELETE,
-    }
     assert {batch.expected_slots for batch in listener.batches} == {3050}
 
     _, splats = listener.map.snapshot()
@@ -48,9 +37,14 @@ def test_the_map_grows_is_edited_and_ends_as_the_scene(
 
 
 def test_it_sends_at_its_rate(start: Start, listener: Any) -> None:
-    start("slam_emulator", path="procedural:4000", batch_size=100, rate=20.0, refine_fraction=0.0)
-    listener.wait(lambda: len(listener.batches) >= 41)
-    stamps = [batch.header.stamp for batch in listener.batches]
+    start("slam_emulator", path="procedural:9000", batch_size=100, rate=20.0, refine_fraction=0.0)
+
+    def last() -> list[GaussianArray]:
+        return listener.batches[-41:]
+
+    # That are heard: all that is pulled at once is of one revision.
+    listener.wait(lambda: len(last()) == 41 and last()[40].revision - last()[0].revision == 40)
+    stamps = [batch.header.stamp for batch in last()]
     seconds = [stamp.sec + stamp.nanosec * 1e-9 for stamp in stamps]
     assert seconds[-1] - seconds[0] == pytest.approx(2, abs=0.6)
 
@@ -83,14 +77,11 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
 
 def test_submaps_drift_until_a_loop_closure_moves_them(start: Start, listener: Any) -> None:
     start("slam_emulator", path="procedural:3000", batch_size=500, rate=200.0, submaps=3)
-    listener.wait(lambda: listener.batches and list(listener.batches[-1].groups) == [1, 2])
-    closure = listener.batches[-1]
-    assert closure.operation == GaussianArray.MOVE
-    assert [pose.position.x for pose in closure.poses] == [0, 0]
-    assert listener.map.group_numbers == [0, 1, 2]
-    assert len(listener.map) == 3000
-    moves = [batch for batch in listener.batches if batch.operation == GaussianArray.MOVE]
-    assert [list(batch.groups) for batch in moves] == [[1], [2], [1, 2]]
+    listener.wait_for(3000)
+    poses = listener.map.poses
+    listener.wait(lambda: len(poses) == 2 and not any(pose[0, 3] for pose in poses.values()))
+    assert [part.group for part in listener.map.groups()] == [0, 1, 2]
+    assert sorted(poses) == [1, 2]
 
 
 def test_it_sends_payloads_if_it_is_to(start: Start, listener: Any) -> None:

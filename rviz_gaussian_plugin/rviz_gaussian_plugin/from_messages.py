@@ -8,10 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_msgs.msg import GaussianArray, ViewCamera
+from rosplat_sorter import map_pull
 from rosplat_sorter.edits import pose_values
+from rviz_gaussian_plugin.offscreen import Arrival
 
 
-def apply(target: Any, batch: GaussianArray) -> dict[str, Any]:
+def apply(
+    target: Any, batch: GaussianArray, arrival: map_pull.Arrival = map_pull.Arrival.HEARD
+) -> dict[str, Any]:
     """Hands a batch to a Renderer, CpuRenderer or GaussianMap; what became of it.
 
     Raises BatchError, naming the field, for one that contradicts itself.
@@ -22,7 +26,7 @@ def apply(target: Any, batch: GaussianArray) -> dict[str, Any]:
         batch.sh_degree, batch.antialiased, (origin.x, origin.y, origin.z), array(batch.positions),
         array(batch.orientations), array(batch.scales), array(batch.opacities), array(batch.sh),
         batch.map_id, batch.revision, batch.expected_slots, batch.format,
-        array(batch.payload, np.uint8), batch.snapshot, batch.group,
+        array(batch.payload, np.uint8), Arrival(arrival), batch.group,
         array(batch.groups, np.uint32),
         np.array([[*sum(pose_values(pose), ())] for pose in batch.poses]),
         batch.channel_names, array(batch.channels),

@@ -14,6 +14,7 @@ from rviz_gaussian_plugin import _offscreen
 from rviz_gaussian_plugin._config import OGRE_PLUGINS
 
 Antialiasing = _offscreen.Antialiasing
+Arrival = _offscreen.Arrival
 BatchError = _offscreen.BatchError
 Camera = _offscreen.Camera
 ChannelColours = _offscreen.ChannelColours
@@ -22,6 +23,7 @@ CpuRenderer = _offscreen.CpuRenderer
 DrawMode = _offscreen.DrawMode
 GaussianMap = _offscreen.GaussianMap
 Instructions = _offscreen.Instructions
+MapPull = _offscreen.MapPull
 OrderError = _offscreen.OrderError
 OrderSource = _offscreen.OrderSource
 Rasterizer = _offscreen.Rasterizer

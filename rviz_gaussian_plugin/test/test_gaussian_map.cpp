@@ -158,18 +158,21 @@ TEST_F(GaussianMapTest, CountsLosses) {
   EXPECT_EQ(map.state().missed, 0u);  // a REPLACE needs nothing before it
 }
 
-TEST_F(GaussianMapTest, TakesASnapshotOnlyWhereSomethingIsMissing) {
-  Batch snapshot(2, GaussianBatch::REPLACE, 0, 7);
-  snapshot.snapshot = true;
-  apply(Batch(1, GaussianBatch::REPLACE, 0, 1));
-  apply(Batch(2, GaussianBatch::UPSERT, 1, 1));
-  EXPECT_EQ(apply(snapshot), nullptr);
-  EXPECT_TRUE(report.duplicate);
-  EXPECT_EQ(map.state().splats, 2u);
-  apply(Batch(4, GaussianBatch::UPSERT, 2, 1));  // without the third
-  EXPECT_TRUE(apply(snapshot)->clear);
-  EXPECT_EQ(map.state().splats, 7u);
+TEST_F(GaussianMapTest, IsCompleteOnceTheLastOfWhatIsPulledIsThere) {
+  const auto pulled = [&](Batch batch, Arrival arrival) {
+    batch.arrival = arrival;
+    return apply(batch);
+  };
+  apply(Batch(7, GaussianBatch::UPSERT, 0, 1));
+  const MapState before = map.state();
+  EXPECT_EQ(before.missed, 6u);
+  pulled(Batch(7, GaussianBatch::UPSERT, 1, 1), Arrival::kPulled);
+  EXPECT_FALSE(map.state().complete());
+  pulled(Batch(7, GaussianBatch::UPSERT, 2, 1), Arrival::kLast);
+  EXPECT_TRUE(map.state().complete());
   EXPECT_EQ(map.state().missed, 0u);
+  EXPECT_EQ(map.state().round, before.round);
+  EXPECT_EQ(map.state().edits, before.edits + 2);  // of one revision, but another map
 }
 
 TEST_F(GaussianMapTest, IsPlayedOnceMore) {

@@ -16,6 +16,7 @@ from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
 from rosplat_tools.cameras import Camera
 from rosplat_tools.map_publisher import MapPublisher
@@ -145,10 +146,10 @@ def test_a_publisher_that_doesn_t_latch_is_heard_and_a_broken_batch_survived(
     viewer: subprocess.Popen[str], node: Node, listener: Any
 ) -> None:
     publisher = node.create_publisher(GaussianArray, "gaussians", MAP_VOLATILE)
-    listener.wait(lambda: publisher.get_subscription_count() >= 1)
+    listener.wait(lambda: publisher.get_subscription_count() == 2)  # and the listener's
     source = MapPublisher(node, topic="elsewhere")
     sent: list[GaussianArray] = []
-    source._send = sent.append  # type: ignore[method-assign,assignment]
+    source._publisher = SimpleNamespace(publish=sent.append)
     source.replace(discs((RED, 2.0)))
     broken = GaussianArray(map_id="broken", revision=1, count=1_000_000)
     publisher.publish(broken)
@@ -386,8 +387,8 @@ def test_no_message_ends_it(error: Exception) -> None:
         _map=SimpleNamespace(topic="gaussians"),
         _instance="me",
     )
-    viewer._take = lambda message: Viewer._take(viewer, message)
-    Viewer._on_batch(viewer, GaussianArray())
+    viewer._take = lambda *of: Viewer._take(viewer, *of)
+    Viewer._on_batch(viewer, GaussianArray(), Arrival.HEARD)
     for encoding in (SplatOrder.SLOTS, SplatOrder.SHARED):
         assert not Viewer._on_order(viewer, SplatOrder(view_id="me/view", encoding=encoding))
     assert len(lines) == 3

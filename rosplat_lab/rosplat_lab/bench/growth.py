@@ -65,7 +65,7 @@ def _over_ros(plan: Plan, size: int, backend: str, picture: tuple[int, int]) -> 
         (
             "slam_emulator", "-p", f"path:={PROCEDURAL}{size}", "-p", f"rate:={RATE}",
             "-p", f"batch_size:={BATCH}", "-p", "refine_fraction:=0.0",
-            "-p", "prune_fraction:=0.0", "-p", f"history_depth:={2 * size // BATCH + 2}",
+            "-p", "prune_fraction:=0.0",
         ),
         backend=backend, radius=scenes.GARDEN, picture=picture,
         until=lambda seen: _grown(seen, size, backend),

@@ -16,6 +16,7 @@ import numpy as np
 from rosplat_lab.bench.embedded import gl_finish
 from rosplat_lab.bench.scenes import STEP
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_sorter.map_pull import Arrival
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning
 from rosplat_tools.view_messages import view_camera
@@ -44,11 +45,11 @@ class MovingViewer(Viewer):
         self._arrivals: list[dict[str, float]] = []
         self._lock = threading.Lock()
 
-    def _on_batch(self, message: GaussianArray) -> None:
+    def _on_batch(self, message: GaussianArray, arrival: Arrival) -> None:
         if message.operation == GaussianArray.REPLACE:
             stamp = message.header.stamp
             self.published = stamp.sec + 1e-9 * stamp.nanosec
-        super()._on_batch(message)
+        super()._on_batch(message, arrival)
         self.received = time.time()
 
     def _on_order(self, message: SplatOrder) -> bool:

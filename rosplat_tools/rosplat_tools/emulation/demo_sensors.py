@@ -28,6 +28,7 @@ from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.cameras import Camera
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
@@ -167,13 +168,11 @@ class DemoSensors(Node):
 
     # --- The path ---------------------------------------------------------------------------------
 
-    def _on_batch(self, message: GaussianArray) -> None:
+    def _on_batch(self, message: GaussianArray, _: Arrival) -> None:
         """Lays the path anew around every whole map that is sent."""
         if message.operation == GaussianArray.DELETE:
             return
         if message.operation == GaussianArray.REPLACE:
-            if message.snapshot and self._flight:
-                return  # of the map that it flies around
             self._samples, self._received, self._begun = [], 0, time.monotonic()
         if self._begun is None:
             return

@@ -10,7 +10,6 @@ import time
 from rclpy.node import Node
 from tqdm import tqdm
 
-from rosplat_sorter.qos import HISTORY_DEPTH
 from rosplat_tools.emulation.mapping import Move, around, edits, with_keyframes
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
@@ -28,9 +27,6 @@ class SlamEmulator(Node):
         path = declare(self, "path", f"{PROCEDURAL}500000", f"Scene to arrive at: {NAMES}.")
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
         rate = declare(self, "rate", 10.0, "Messages per second. [Hz]", 0.01, 1000.0)
-        history_depth = declare(
-            self, "history_depth", HISTORY_DEPTH, "Batches kept for late subscribers.", 2, 100_000
-        )
         self._loop = declare(self, "loop", False, "Start over when the scene is complete.")
         self._plan = {
             "batch_size": declare(
@@ -56,7 +52,6 @@ class SlamEmulator(Node):
         self._map = MapPublisher(
             self,
             frame_id=frame_id,
-            history_depth=history_depth,
             compression=declare_compression(self),
         )
         self._bar = tqdm(

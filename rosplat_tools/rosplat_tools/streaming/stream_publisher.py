@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_sorter.camera import Camera, CameraError, decode
 from rosplat_sorter.log_text import shown
-from rosplat_sorter.qos import HISTORY_DEPTH, VIEW
+from rosplat_sorter.qos import VIEW
 from rosplat_tools.formats.streamed_sog import open_streamed
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
@@ -58,7 +58,6 @@ class StreamPublisher(Node):
             self,
             frame_id=frame_id,
             chunk_bytes=CHUNK_BYTES,
-            history_depth=HISTORY_DEPTH,
             compression=declare_compression(self),
         )
         self._map = StreamedMap(

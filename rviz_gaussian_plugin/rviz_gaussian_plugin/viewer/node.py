@@ -21,6 +21,7 @@ from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.edits import arrays_of, poses_of
 from rosplat_sorter.log_text import shown
+from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.program.parameters import declare
@@ -151,19 +152,17 @@ class Viewer(Node):
 
     # --- Executor threads -------------------------------------------------------------------------
 
-    def _on_batch(self, message: GaussianArray) -> None:
+    def _on_batch(self, message: GaussianArray, arrival: Arrival) -> None:
         try:
-            self._take(message)
+            self._take(message, arrival)
         except Exception as error:  # no message may end the viewer: the map stays
             reason = shown(error, 300) or "out of memory"
             self.get_logger().error(
                 f"{self._map.topic}: a batch is refused: {reason}", throttle_duration_sec=5.0
             )
 
-    def _take(self, message: GaussianArray) -> None:
-        report = apply(self.renderer, message)
-        if report["duplicate"]:
-            return
+    def _take(self, message: GaussianArray, arrival: Arrival) -> None:
+        report = apply(self.renderer, message, arrival)
         if report["missed"] or report["dropped"]:
             self.get_logger().warning(
                 f"{self._map.topic}: {report['missed']} batches missing, "
@@ -219,7 +218,7 @@ class Viewer(Node):
 
     def complete(self) -> bool:
         """Whether the map has all that its publisher announced, or has stopped growing."""
-        if not self.renderer.splats or not len(self._sample):
+        if not self.renderer.splats or not len(self._sample) or self._map.pulling:
             return False
         expected = self.renderer.expected
         if expected and self.renderer.splats + self.renderer.dropped >= expected:

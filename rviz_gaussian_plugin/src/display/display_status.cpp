@@ -107,6 +107,7 @@ StatusLine mapStatus(const MapState& map, const Backlog& backlog) {
   if (map.expected > map.splats) text += concat(" of ", map.expected);
   if (map.groups > 1) text += concat(" in ", map.groups, " groups");
   text += concat(", SH degree ", map.sh_degree, map.antialiased ? ", antialiased" : "");
+  if (map.pulled) text += "; not all of it is pulled yet";
   if (map.missed > 0) text += concat("; ", map.missed, " batches are missing");
   if (map.dropped > 0) text += concat("; ", map.dropped, " splats with invalid values left out");
   if (backlog.edits > 0) {

@@ -22,6 +22,22 @@ rclcpp::QoS pickedQos() {
   return rclcpp::QoS(rclcpp::KeepLast(100)).reliable().durability_volatile();
 }
 
+// Of a clock that nobody sets. [s]
+double now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+using Message = rosplat_msgs::msg::GaussianArray;
+
+MapPull<std::shared_ptr<const Message>>::Labelled labelled(std::shared_ptr<const Message> message) {
+  const Message& m = *message;
+  const std::size_t bytes =
+      sizeof(m) + m.payload.size() +
+      sizeof(float) * (m.slots.size() + m.positions.size() + m.orientations.size() +
+                       m.scales.size() + m.opacities.size() + m.sh.size() + m.channels.size());
+  return {{m.map_id, m.revision, m.operation == Message::REPLACE, bytes}, std::move(message)};
+}
+
 // Who sent a request.
 std::string clientOf(const rmw_request_id_t& id) {
   return {std::begin(id.writer_guid), std::end(id.writer_guid)};
@@ -58,8 +74,9 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   group_ = node_->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false);
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
+  remapped_ = node_->get_node_topics_interface()->resolve_topic_name(topic_);
+  pull_client_ = node_->create_client<PullMap>(remapped_ + "/pull", serviceQos(), group_);
   map_ = subscribe(qos_);
-  remapped_ = map_->get_topic_name();
   status_.topic = remapped_;
   orders_ = node_->create_subscription<SplatOrder>(
       remapped_ + "/order", viewQos(),
@@ -76,6 +93,8 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
         sidecar_->tell();
       },
       group_);
+  pull_tick_ =
+      node_->create_wall_timer(100ms, [this] { act(pull_.tick(now(), served())); }, group_);
   watchPublishers();
   executor_.add_callback_group(group_, node_->get_node_base_interface());
   thread_ = std::thread([this] {
@@ -101,14 +120,41 @@ rclcpp::Subscription<GaussianClient::GaussianArray>::SharedPtr GaussianClient::s
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
   return node_->create_subscription<GaussianArray>(
-      topic_, qos, [this](std::shared_ptr<const GaussianArray> message) { receive(*message); },
+      topic_, qos,
+      [this](std::shared_ptr<const GaussianArray> message) {
+        act(pull_.hear(labelled(std::move(message)), now(), served()));
+      },
       options);
 }
 
-void GaussianClient::receive(const GaussianArray& message) {
+void GaussianClient::act(Pull::Step step) {
+  if (step.request) send(*step.request);  // first, so that it is answered meanwhile
+  for (const auto& [message, arrival] : step.batches) take(*message, arrival);
+}
+
+void GaussianClient::send(const Pull::Request& request) {
+  if (asked_) pull_client_->remove_pending_request(*asked_);  // answered, or not waited for
+  auto asked = std::make_shared<PullMap::Request>();
+  asked->map_id = request.map_id;
+  asked->after_revision = request.after_revision;
+  asked->first_block = request.first_block;
+  const auto answer = [this,
+                       number = request.number](rclcpp::Client<PullMap>::SharedFuture future) {
+    const std::shared_ptr<const PullMap::Response> response = future.get();
+    std::vector<Pull::Labelled> batches;
+    for (const GaussianArray& batch : response->batches) {
+      batches.push_back(labelled(std::shared_ptr<const GaussianArray>(response, &batch)));
+    }
+    act(pull_.answer(number, std::move(batches), response->next_block, now(), served()));
+  };
+  asked_ = pull_client_->async_send_request(std::move(asked), answer).request_id;
+}
+
+void GaussianClient::take(const GaussianArray& message, Arrival arrival) {
   try {
-    const BatchReport report = scene_.apply(toBatch(message));
-    if (report.duplicate) return;
+    GaussianBatch batch = toBatch(message);
+    batch.arrival = arrival;
+    scene_.apply(batch);
     const std::lock_guard lock(mutex_);
     ++status_.batches;
     if (message.map_id != maps_[0]) {

@@ -10,6 +10,7 @@
 #include <rosplat_msgs/msg/gaussian_array.hpp>
 #include <rosplat_msgs/msg/splat_order.hpp>
 #include <rosplat_msgs/msg/view_camera.hpp>
+#include <rosplat_msgs/srv/pull_map.hpp>
 #include <rosplat_msgs/srv/render_view.hpp>
 #include <set>
 #include <std_msgs/msg/header.hpp>
@@ -19,6 +20,7 @@
 
 #include "camera_trail.hpp"
 #include "fair_queue.hpp"
+#include "map/map_pull.hpp"
 #include "rosplat_sorter/order_slots.hpp"
 #include "sidecar_switch.hpp"
 #include "splat_scene.hpp"
@@ -26,9 +28,9 @@
 namespace rosplat {
 
 // The ROS side of a display: feeds a scene from a map's topic and its sorter's, in a thread of its
-// own so that no message holds up the GUI. For a map on /gaussians: the views go out on
-// /gaussians/view, orders come in on /gaussians/order, pictures may be asked for at
-// /gaussians/render.
+// own so that no message holds up the GUI. For a map on /gaussians: what is missing of it is pulled
+// from /gaussians/pull, the views go out on /gaussians/view, orders come in on /gaussians/order,
+// pictures may be asked for at /gaussians/render.
 class GaussianClient {
  public:
   using RenderView = rosplat_msgs::srv::RenderView;
@@ -91,11 +93,16 @@ class GaussianClient {
 
  private:
   using GaussianArray = rosplat_msgs::msg::GaussianArray;
+  using PullMap = rosplat_msgs::srv::PullMap;
   using SplatOrder = rosplat_msgs::msg::SplatOrder;
+  using Pull = MapPull<std::shared_ptr<const GaussianArray>>;
   static constexpr std::size_t kMostRequests = 64;  // for pictures, that wait
 
   rclcpp::Subscription<GaussianArray>::SharedPtr subscribe(const rclcpp::QoS& qos);
-  void receive(const GaussianArray& message);
+  void act(Pull::Step step);
+  void send(const Pull::Request& request);
+  void take(const GaussianArray& message, Arrival arrival);
+  bool served() const { return pull_client_->service_is_ready(); }
   void refuse(const std::string& why);
   void receive(SplatOrder& message);
   void dropOrder(const std::string& why);
@@ -110,12 +117,15 @@ class GaussianClient {
   rclcpp::QoS qos_;             // that is asked for
   bool made_volatile_ = false;  // what is asked for instead
   rclcpp::Subscription<GaussianArray>::SharedPtr map_;
+  Pull pull_;
+  rclcpp::Client<PullMap>::SharedPtr pull_client_;
+  std::optional<std::int64_t> asked_;  // the request that was sent last
   rclcpp::Subscription<SplatOrder>::SharedPtr orders_;
   rclcpp::Publisher<rosplat_msgs::msg::ViewCamera>::SharedPtr view_publisher_;
   std::atomic<bool> views_followed_ = false;
   rclcpp::Publisher<rosplat_msgs::msg::Gaussian>::SharedPtr picked_publisher_;
   rclcpp::Service<RenderView>::SharedPtr render_service_;
-  rclcpp::TimerBase::SharedPtr watch_;
+  rclcpp::TimerBase::SharedPtr watch_, pull_tick_;
   std::unique_ptr<CameraTrail> trail_;  // if poses are published
   std::unique_ptr<SidecarSwitch> sidecar_;
   rosplat_sorter::OrderReader reader_;

@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "map/map_pull.hpp"
 #include "printable.hpp"
 
 namespace rosplat {
@@ -13,6 +14,7 @@ static_assert(kMaxSlots == rosplat_msgs::msg::GaussianArray::MAX_SLOTS);
 static_assert(kMostGroups == rosplat_msgs::msg::GaussianArray::MAX_GROUPS);
 static_assert(kMostChannels == rosplat_msgs::msg::GaussianArray::MAX_CHANNELS);
 static_assert(SlotPage::kSlots == rosplat_msgs::msg::GaussianArray::SLOTS_PER_BLOCK);
+static_assert(SlotPage::kSlots * MapPull<int>::kBlocks == kMaxSlots);
 static_assert(rosplat_sorter::kMostSlots == kMaxSlots);
 static_assert(rosplat_sorter::OrderReader::kPacked == rosplat_msgs::msg::SplatOrder::PACKED);
 static_assert(rosplat_sorter::OrderReader::kShared == rosplat_msgs::msg::SplatOrder::SHARED);
@@ -30,7 +32,6 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   GaussianBatch batch;
   batch.map_id = message.map_id;
   batch.revision = message.revision;
-  batch.snapshot = message.snapshot;
   batch.operation = message.operation;
   batch.expected_slots = message.expected_slots;
   batch.first_slot = message.first_slot;

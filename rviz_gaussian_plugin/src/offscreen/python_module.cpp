@@ -9,6 +9,7 @@
 #include <optional>
 
 #include "cpu/cpu_rasterizer.hpp"
+#include "map/map_pull.hpp"
 #include "map/payload.hpp"
 #include "offscreen_renderer.hpp"
 
@@ -110,6 +111,25 @@ std::vector<Pose> posesOf(const Array<double>& values) {
   return poses;
 }
 
+// Whatever Python calls a batch, with its label: map_id, revision, whether it replaces, bytes.
+using Pull = MapPull<py::object>;
+using Labelled = std::tuple<std::string, std::uint64_t, bool, std::size_t, py::object>;
+
+Pull::Labelled labelled(const Labelled& from) {
+  const auto& [map_id, revision, replaces, bytes, batch] = from;
+  return {{map_id, revision, replaces, bytes}, batch};
+}
+
+// The batches to apply, each with how it came, and the request to send, or None.
+py::tuple toPython(const Pull::Step& step) {
+  py::object request = py::none();
+  if (const auto& asked = step.request) {
+    request =
+        py::make_tuple(asked->number, asked->map_id, asked->after_revision, asked->first_block);
+  }
+  return py::make_tuple(step.batches, request);
+}
+
 // To whatever takes batches.
 template <typename Target>
 py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
@@ -118,7 +138,7 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
                const Array<float>& orientations, const Array<float>& scales,
                const Array<float>& opacities, const Array<float>& sh, const std::string& map_id,
                std::uint64_t revision, std::uint32_t expected_slots, const std::string& format,
-               const Array<std::uint8_t>& payload, bool snapshot, std::uint32_t group,
+               const Array<std::uint8_t>& payload, Arrival arrival, std::uint32_t group,
                const Array<std::uint32_t>& groups, const Array<double>& poses,
                const std::vector<std::string>& channel_names, const Array<float>& channels) {
   GaussianBatch batch;
@@ -139,7 +159,7 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
   batch.expected_slots = expected_slots;
   batch.format = format;
   batch.payload = view(payload);
-  batch.snapshot = snapshot;
+  batch.arrival = arrival;
   batch.group = group;
   batch.groups = view(groups);
   batch.poses = posesOf(poses);
@@ -150,8 +170,7 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
     const py::gil_scoped_release release;
     report = take(target, batch);
   }
-  return py::dict("duplicate"_a = report.duplicate, "missed"_a = report.missed,
-                  "dropped"_a = report.dropped);
+  return py::dict("missed"_a = report.missed, "dropped"_a = report.dropped);
 }
 
 template <typename Target>
@@ -159,7 +178,7 @@ void defineApply(py::class_<Target>& type) {
   type.def("apply", &apply<Target>, "operation"_a, "first_slot"_a, "count"_a, "slots"_a,
            "sh_degree"_a, "antialiased"_a, "origin"_a, "positions"_a, "orientations"_a, "scales"_a,
            "opacities"_a, "sh"_a, "map_id"_a, "revision"_a, "expected_slots"_a = 0, "format"_a = "",
-           "payload"_a = Array<std::uint8_t>(0), "snapshot"_a = false, "group"_a = 0,
+           "payload"_a = Array<std::uint8_t>(0), "arrival"_a = Arrival::kHeard, "group"_a = 0,
            "groups"_a = Array<std::uint32_t>(0), "poses"_a = Array<double>(0),
            "channel_names"_a = std::vector<std::string>(), "channels"_a = Array<float>(0));
 }
@@ -385,6 +404,10 @@ PYBIND11_MODULE(_offscreen, module) {
   py::register_exception<BatchError>(module, "BatchError", PyExc_ValueError);
   // Local, for rosplat_sorter's own module has the same error.
   py::register_local_exception<rosplat_sorter::OrderError>(module, "OrderError", PyExc_ValueError);
+  py::enum_<Arrival>(module, "Arrival")
+      .value("HEARD", Arrival::kHeard)
+      .value("PULLED", Arrival::kPulled)
+      .value("LAST", Arrival::kLast);
   py::enum_<DrawMode>(module, "DrawMode")
       .value("COLOR", DrawMode::kColor)
       .value("DEPTH", DrawMode::kDepth)
@@ -444,12 +467,35 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("channel_range", &RenderSettings::channel_range);
   module.def("decode_payload", &decodePayload, "payload"_a, "count"_a, "sh_degree"_a,
              "The arrays of GaussianArray, flat, that a payload stands for. Raises BatchError.");
+  py::class_<Pull>(module, "MapPull", "What a display pulls of a map, and when; see map_pull.py.")
+      .def(py::init<>())
+      .def_property_readonly("pulling", &Pull::pulling)
+      .def(
+          "hear",
+          [](Pull& pull, const Labelled& heard, double now, bool served) {
+            return toPython(pull.hear(labelled(heard), now, served));
+          },
+          "heard"_a, "now"_a, "served"_a)
+      .def(
+          "answer",
+          [](Pull& pull, std::uint64_t number, const std::vector<Labelled>& batches,
+             std::uint32_t next_block, double now, bool served) {
+            std::vector<Pull::Labelled> answer;
+            for (const Labelled& each : batches) answer.push_back(labelled(each));
+            return toPython(pull.answer(number, std::move(answer), next_block, now, served));
+          },
+          "number"_a, "batches"_a, "next_block"_a, "now"_a, "served"_a)
+      .def(
+          "tick",
+          [](Pull& pull, double now, bool served) { return toPython(pull.tick(now, served)); },
+          "now"_a, "served"_a);
   py::class_<GaussianMap> map(module, "GaussianMap", "A map's books, without what draws it.");
   map.def(py::init<>())
       .def("in_use", &GaussianMap::inUse, "slot"_a)
       .def_property_readonly("revision", [](const GaussianMap& m) { return m.state().revision; })
       .def_property_readonly("splats", [](const GaussianMap& m) { return m.state().splats; })
       .def_property_readonly("missed", [](const GaussianMap& m) { return m.state().missed; })
+      .def_property_readonly("pulled", [](const GaussianMap& m) { return m.state().pulled; })
       .def(
           "origin",
           [](const GaussianMap& m, std::uint32_t group) { return groupOf(m, group).origin; },

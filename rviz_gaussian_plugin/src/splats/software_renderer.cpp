@@ -10,9 +10,7 @@ namespace {
 
 constexpr float kSurfaceAlpha = 0.5f;  // more splats than void
 
-bool same(const MapState& a, const MapState& b) {
-  return a.id == b.id && a.round == b.round && a.revision == b.revision;
-}
+bool same(const MapState& a, const MapState& b) { return a.edits == b.edits; }
 
 bool shows(const Painting& painting, const PaintRequest& request, const MapState& map) {
   return same(painting.map, map) && *painting.request == request;

@@ -224,8 +224,7 @@ OrderPtr SplatScene::unsorted() {
 }
 
 void SplatScene::book(const MapState& map) {
-  if (map.id == booked_.id && map.round == booked_.round && map.revision == booked_.revision)
-    return;
+  if (map.edits == booked_.edits) return;
   booked_ = map;
   book_.mapChanged(map, now());
 }

@@ -20,13 +20,17 @@ struct ArrayView {
   bool empty() const { return size == 0; }
 };
 
+// How a batch came: heard on the topic, or pulled; the last of those ends a pull, nothing is
+// missing then.
+enum class Arrival : std::uint8_t { kHeard, kPulled, kLast };
+
 // One batch of edits as it arrives, not yet checked: the fields of rosplat_msgs/GaussianArray.
 struct GaussianBatch {
   enum Operation : std::uint8_t { REPLACE = 0, UPSERT = 1, DELETE = 2, MOVE = 3 };
 
+  Arrival arrival = Arrival::kHeard;
   std::string map_id;
   std::uint64_t revision = 0;
-  bool snapshot = false;
   std::uint8_t operation = REPLACE;
   std::uint32_t expected_slots = 0;
   std::uint32_t first_slot = 0;

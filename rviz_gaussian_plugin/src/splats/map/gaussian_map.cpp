@@ -210,11 +210,8 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   std::vector<GroupMove> moves;
   if (batch.operation == GaussianBatch::MOVE) moves = movesOf(batch);
   const bool new_map = batch.map_id != state_.id;
-  const bool back = !new_map && batch.revision <= state_.revision;
-  if (back && batch.snapshot && state_.missed == 0) {
-    report.duplicate = true;
-    return nullptr;
-  }
+  const bool heard = batch.arrival == Arrival::kHeard;
+  const bool back = heard && !new_map && batch.revision <= state_.revision;
   const bool replace = batch.operation == GaussianBatch::REPLACE;
   const bool values = writes(batch);
 
@@ -228,10 +225,13 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   // A REPLACE makes whatever came before it unimportant. A map that is played once more, but not
   // from its beginning, lacks all before.
   if (back) next.revision = next.missed = 0;
-  if (!replace) report.missed = batch.revision - next.revision - 1;
+  if (heard && !replace) report.missed = batch.revision - next.revision - 1;
+  if (batch.arrival == Arrival::kLast) next.missed = 0;
+  if (!heard) next.pulled = batch.arrival == Arrival::kPulled;
   next.id = batch.map_id;
   next.round = state_.round + (new_map || back ? 1 : 0);
   next.revision = batch.revision;
+  next.edits = state_.edits + 1;
   next.expected = batch.expected_slots;
   if (values && batch.count > 0 && next.capacity == 0) next.antialiased = batch.antialiased;
 

@@ -58,7 +58,6 @@ GaussianEdit editOf(const Groups& groups);
 
 // What became of a batch.
 struct BatchReport {
-  bool duplicate = false;     // a snapshot of what is here already, ignored
   std::uint64_t missed = 0;   // batches lost before this one
   std::uint64_t dropped = 0;  // splats with values that mean nothing; their slots are empty
 };
@@ -74,6 +73,8 @@ struct MapState {
   // Grows where revisions begin again: with another map, or one that is played once more.
   std::uint64_t round = 0;
   std::uint64_t revision = 0;
+  // Grows with each batch. What is pulled comes in several of one revision.
+  std::uint64_t edits = 0;
   std::uint32_t splats = 0;
   std::uint32_t expected = 0;  // what the publisher announced, 0 where it didn't
   std::uint32_t capacity = 0;  // one past the highest slot in use
@@ -81,11 +82,12 @@ struct MapState {
   int sh_degree = 0;
   std::vector<Channel> channels;  // that splats have come with since the last clear
   bool antialiased = false;       // as the first splats since the last clear
-  std::uint64_t missed = 0;       // batches, since the last clear
+  bool pulled = false;            // in part: more is on its way
+  std::uint64_t missed = 0;       // batches, since the last clear or pull
   std::uint64_t dropped = 0;      // splats, since the last clear
 
   // Whether all that its publisher announced is there.
-  bool complete() const { return splats > 0 && splats + dropped >= expected; }
+  bool complete() const { return !pulled && splats > 0 && splats + dropped >= expected; }
 };
 
 constexpr std::uint32_t kNoSlot = 0xffffffffu;
@@ -115,9 +117,8 @@ class GaussianMap {
   // Gets an edit, and the state after it, before the map knows of it.
   using Keep = std::function<void(const std::shared_ptr<const GaussianEdit>&, const MapState&)>;
 
-  // Checks a batch and turns it into an edit; null for a duplicate. Throws BatchError, or what
-  // `keep` throws, or std::bad_alloc: then the map is unchanged, and the next batch misses this
-  // one.
+  // Checks a batch and turns it into an edit. Throws BatchError, or what `keep` throws, or
+  // std::bad_alloc: then the map is unchanged, and the next batch misses this one.
   std::shared_ptr<const GaussianEdit> apply(const GaussianBatch& batch, BatchReport& report,
                                             const Keep& keep = nullptr);
 

@@ -26,7 +26,7 @@ void OrderBook::mapChanged(const MapState& map, double now) {
     if (view.sidecar && fresh(view, *view.sidecar)) view.waiting_since = now;
     if (begins) {
       view.sidecar = view.built_in = view.drawn = nullptr;
-      view.requested_revision = 0;
+      view.requested_edits = 0;
     }
   }
   map_ = map;
@@ -64,11 +64,11 @@ bool OrderBook::answered(const std::string& view_id) const {
 
 void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& base) {
   if (view.requested_sequence == view.cameras.back().sequence &&
-      view.requested_revision == map_.revision && view.requested_base == base) {
+      view.requested_edits == map_.edits && view.requested_base == base) {
     return;
   }
   view.requested_sequence = view.cameras.back().sequence;
-  view.requested_revision = map_.revision;
+  view.requested_edits = map_.edits;
   view.requested_base = base;
   // A merge compares depths as the base was sorted: by the camera that it answers.
   const Camera* camera = &view.cameras.back();

@@ -67,7 +67,7 @@ class OrderBook {
     OrderPtr sidecar, built_in, drawn;
     OrderPtr early;            // the sidecar's, of a revision that has not arrived here yet
     double waiting_since = 0;  // for the sidecar
-    std::uint64_t requested_sequence = 0, requested_revision = 0;
+    std::uint64_t requested_sequence = 0, requested_edits = 0;
     OrderPtr requested_base;
   };
 

@@ -1,0 +1,372 @@
+"""What a stream of edits adds up to, whatever of it is lost: its hearers and a dictionary agree.
+
+Batches, requests and answers go astray or wait, latecomers join, the publisher starts anew.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rosplat_msgs.msg import GaussianArray
+from rosplat_msgs.srv import PullMap
+from rosplat_sorter import map_pull
+from rosplat_sorter.edits import EMPTY, decode
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.map_pull import Arrival, Label, Request, Step
+from rosplat_sorter.map_subscription import label
+from rosplat_sorter.slot_pages import MixedGroupsError
+from rosplat_sorter.view import frame_at
+from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.splats import Splats
+from rviz_gaussian_plugin import offscreen
+from rviz_gaussian_plugin.from_messages import apply
+
+BLOCK = GaussianArray.SLOTS_PER_BLOCK
+KINDS = [
+    *["upsert"] * 12, *["delete"] * 6, *["delete a block"] * 6, *["move"] * 4,
+    "delete all", "replace", "repeat", "join", "restart",
+]  # fmt: skip
+Points = dict[int, NDArray[np.float64]]
+
+
+@dataclass
+class Model:
+    """A group and a mean in its frame by slot, and poses."""
+
+    splats: dict[int, tuple[int, NDArray[np.float64]]] = field(default_factory=dict)
+    poses: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+
+    def mixes(self, slots: NDArray[np.int64], group: int) -> bool:
+        blocks = set((slots // BLOCK).tolist())
+        return any(slot // BLOCK in blocks and of != group for slot, (of, _) in self.splats.items())
+
+    def write(self, slots: NDArray[np.int64], splats: Splats, group: int) -> None:
+        for slot, mean in zip(slots.tolist(), splats.positions + splats.origin, strict=True):
+            self.splats[slot] = group, mean
+
+    def points(self) -> Points:
+        placed = {}
+        for slot, (group, mean) in self.splats.items():
+            pose = self.poses.get(group, np.eye(4))
+            placed[slot] = pose[:3, :3] @ mean + pose[:3, 3]
+        return placed
+
+
+class DisplayPull:
+    """The display's, as the sorter's is called."""
+
+    def __init__(self) -> None:
+        self._pull = offscreen.MapPull()
+
+    @property
+    def pulling(self) -> bool:
+        return bool(self._pull.pulling)
+
+    def hear(self, of: Label, batch: Any, now: float, served: bool) -> Step[Any]:
+        return _step(self._pull.hear((*astuple(of), batch), now, served))
+
+    def answer(self, number: int, batches: Any, block: int, now: float, served: bool) -> Step[Any]:
+        labelled = [(*astuple(of), batch) for of, batch in batches]
+        return _step(self._pull.answer(number, labelled, block, now, served))
+
+    def tick(self, now: float, served: bool) -> Step[Any]:
+        return _step(self._pull.tick(now, served))
+
+
+def _step(result: Any) -> Step[Any]:
+    batches, request = result
+    arrived = [(batch, Arrival(int(arrival))) for batch, arrival in batches]
+    return Step(arrived, Request(*request) if request else None)
+
+
+PULLS = {"sorter": map_pull.MapPull, "display": DisplayPull}
+
+
+class Wire:
+    """In place of a node, its topic and its services: to whom batches go, and who answers."""
+
+    def __init__(self) -> None:
+        self.pull: Callable[..., PullMap.Response] | None = None
+        self.sent: list[GaussianArray] = []
+
+    def create_publisher(self, *_: object) -> Wire:
+        return self
+
+    def create_service(self, kind: type, _: str, serve: Any, **__: object) -> None:
+        if kind is PullMap:
+            self.pull = serve
+
+    def resolve_topic_name(self, name: str) -> str:
+        return name
+
+    def get_clock(self) -> Any:
+        return self
+
+    def now(self) -> Any:
+        return self
+
+    def to_msg(self) -> None:
+        return None
+
+    def publish(self, message: GaussianArray) -> None:
+        self.sent.append(message)
+
+
+class Receiver:
+    """Whoever hears the wire: maps that batches make, and what follows them."""
+
+    def __init__(self, kind: str, random: np.random.Generator) -> None:
+        self._pull = PULLS[kind]()
+        self._random = random
+        self.map, self.display = SplatMap(), offscreen.GaussianMap()
+        self.coming: deque[GaussianArray] = deque()
+        self._request: Request | None = None
+        self._answer: tuple[int, PullMap.Response] | None = None
+        self._now = 0.0
+
+    @property
+    def exact(self) -> bool:
+        """Whether it says that nothing of its revision is missing."""
+        return self.map.revision > 0 and not self.map.missed and not self.display.pulled
+
+    @property
+    def at_rest(self) -> bool:
+        waits = self.coming or self._request or self._answer
+        return not (waits or self._pull.pulling or self.map.missed)
+
+    def live(self, wire: Wire, served: bool, loses: bool) -> None:
+        """Something of what can happen next happens."""
+        self._now += float(self._random.choice([0.01, 0.05, 0.2]))
+        what = self._random.integers(5)
+        if what <= 1 and self.coming:
+            message = self.coming.popleft()
+            self._do(self._pull.hear(label(message), message, self._now, served))
+        elif what == 2 and self._request and served and wire.pull:
+            request, self._request = self._request, None
+            asked = PullMap.Request(
+                map_id=request.map_id,
+                after_revision=request.after_revision,
+                first_block=request.first_block,
+            )
+            if not loses:
+                self._answer = request.number, wire.pull(asked, PullMap.Response())
+        elif what == 3 and self._answer:
+            (number, answer), self._answer = self._answer, None
+            batches = [(label(message), message) for message in answer.batches]
+            self._do(self._pull.answer(number, batches, answer.next_block, self._now, served))
+        else:
+            if loses:
+                self._now += 10  # nobody waits for so long
+            self._do(self._pull.tick(self._now, served))
+
+    def _do(self, step: Step[GaussianArray]) -> None:
+        self._request = step.request or self._request
+        for message, arrival in step.batches:
+            try:
+                self.map.apply(decode(message, arrival))
+            except MixedGroupsError:  # it lacks a deletion
+                assert arrival is Arrival.HEARD
+                with pytest.raises(ValueError, match="group"):
+                    apply(self.display, message, arrival)
+                continue
+            apply(self.display, message, arrival)
+
+
+def splats_at(random: np.random.Generator, count: int) -> Splats:
+    return Splats(
+        positions=random.normal(size=(count, 3)),
+        orientations=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
+        scales=np.full((count, 3), 0.1),
+        opacities=random.choice([0.001, 0.5], count),  # too faint to be drawn: these count as well
+        sh=np.zeros((count, 1, 3)),
+        origin=np.round(random.normal(size=3) * 100),
+    )
+
+
+def points_of(held: SplatMap) -> Points:
+    used = held.extents != EMPTY
+    frames = held.frames[held.groups[used]]
+    means = (frames[:, :3, :3] @ held.positions[used][:, :, None])[:, :, 0] + frames[:, :3, 3]
+    return dict(zip(held.slots[used].tolist(), means, strict=True))
+
+
+def assert_same(points: Points, expected: Points) -> None:
+    assert points.keys() == expected.keys()
+    for slot, mean in expected.items():
+        np.testing.assert_allclose(points[slot], mean, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", PULLS)
+@pytest.mark.parametrize("losses", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("chunk_bytes", [200, 2000, 10**6])
+@pytest.mark.parametrize("seed", range(2))
+def test_whatever_is_lost_all_end_with_the_map(
+    kind: str, losses: float, chunk_bytes: int, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    wire, model = Wire(), Model()
+    publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)  # type: ignore[arg-type]
+    receivers = [Receiver(kind, random)]
+    known: dict[tuple[str, int], Points] = {}
+
+    def send(served: bool, losses: float) -> None:
+        known[publisher.map_id, publisher.revision] = model.points()
+        for message in wire.sent:
+            for receiver in receivers:
+                if random.random() >= losses:
+                    receiver.coming.append(message)
+        wire.sent.clear()
+        for receiver in receivers:
+            for _ in range(int(random.integers(30))):
+                receiver.live(wire, served, loses=random.random() < losses)
+                check(receiver)
+
+    def check(receiver: Receiver) -> None:
+        held = receiver.map
+        expected = known.get((held.map_id, held.revision))
+        if receiver.exact and expected is not None:
+            assert_same(points_of(held), expected)
+            assert receiver.display.splats == len(expected)
+
+    for action in random.choice(KINDS, 60):
+        group = int(random.integers(4))
+        count = int(random.integers(1, 8))
+        slots = random.choice(40, count, replace=False) + BLOCK * int(random.integers(0, 4))
+        splats = splats_at(random, count)
+        before = publisher.revision
+        if action == "join":
+            receivers = [*receivers[-2:], Receiver(kind, random)]
+        elif action == "restart":
+            publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)  # type: ignore[arg-type]
+            model = Model()
+        elif action == "upsert" and model.mixes(slots, group):
+            with pytest.raises(ValueError, match="hold splats of group"):
+                publisher.upsert(slots, splats, group=group)
+            assert publisher.revision == before
+        elif action == "upsert":
+            publisher.upsert(slots, splats, group=group)
+            model.write(slots, splats, group)
+        elif action == "replace":
+            publisher.replace(splats)
+            model = Model()
+            model.write(np.arange(count), splats, 0)
+        elif action == "repeat":
+            publisher.repeat()
+        elif action == "move":
+            pose = frame_at(random.normal(size=3) * 100, random.normal(size=4))
+            publisher.move({group: pose})
+            model.poses[group] = pose
+        else:
+            gone = {"delete": slots, "delete all": range(4 * BLOCK)}.get(action)
+            if gone is None:
+                block = int(random.integers(4)) * BLOCK
+                gone = range(block, block + BLOCK)
+            publisher.delete(gone)
+            for slot in gone:
+                model.splats.pop(int(slot), None)
+        used, held = publisher.snapshot()
+        own = dict(zip(np.asarray(used).tolist(), held.positions + held.origin, strict=True))
+        assert_same(own, model.points())
+        send(served=random.random() >= losses, losses=losses)
+    publisher.delete([])  # who has lost the last batch can't know: this isn't lost
+    send(served=True, losses=0.0)
+    for receiver in receivers:
+        for _ in range(1000):
+            if receiver.at_rest:
+                break
+            receiver.live(wire, served=True, loses=False)
+            check(receiver)
+        assert receiver.at_rest
+        assert receiver.exact
+        assert (receiver.map.map_id, receiver.map.revision) == (
+            publisher.map_id, publisher.revision,
+        )  # fmt: skip
+        check(receiver)
+
+
+def beginning(kind: str) -> tuple[Any, Request]:
+    """A receiver that has revision 1 and heard 5, and what it asks for."""
+    pull = PULLS[kind]()
+    assert pull.hear(Label("map", 1, True), "one", 0.0, True).batches == [("one", Arrival.HEARD)]
+    step = pull.hear(Label("map", 5, False, 100), "five", 1.0, True)
+    assert not step.batches
+    assert (step.request.map_id, step.request.after_revision, step.request.first_block) == (
+        "map", 1, 0,
+    )  # fmt: skip
+    return pull, step.request
+
+
+def part(revision: int, map_id: str = "map", replaces: bool = False) -> tuple[Label, str]:
+    return Label(map_id, revision, replaces), f"pulled {revision}"
+
+
+@pytest.mark.parametrize("kind", PULLS)
+@pytest.mark.parametrize(
+    ("batches", "next_block"),
+    [
+        ([], 0),
+        ([part(5, map_id="another")], 0),
+        ([part(5), part(5, map_id="another")], 0),
+        ([part(0)], 0),
+        ([part(5), part(6)], 0),
+        ([part(5)], 2**15),
+        ([part(5)], 2**32 - 1),
+    ],
+)
+def test_an_answer_that_is_none_counts_for_nothing(
+    kind: str, batches: list[tuple[Label, str]], next_block: int
+) -> None:
+    pull, request = beginning(kind)
+    step = pull.answer(request.number, batches, next_block, 1.1, True)
+    assert step == Step([("five", Arrival.HEARD)])
+    assert not pull.pulling
+    assert pull.tick(1.5, True).request is None
+    again = pull.tick(2.5, True).request
+    assert (again.after_revision, again.first_block) == (1, 0)
+    # Nothing older than what was heard meanwhile.
+    assert pull.answer(again.number, [part(4)], 0, 2.6, True) == Step()
+
+
+@pytest.mark.parametrize("kind", PULLS)
+def test_answers_never_go_back_to_earlier_blocks(kind: str) -> None:
+    pull, request = beginning(kind)
+    step = pull.answer(request.number, [part(5)], 7, 1.1, True)
+    assert step.batches == [("pulled 5", Arrival.PULLED)]
+    assert step.request.first_block == 7
+    assert not pull.answer(step.request.number, [part(5)], 7, 1.2, True).batches
+    assert not pull.pulling
+
+
+@pytest.mark.parametrize("kind", PULLS)
+def test_who_does_not_answer_is_waited_for_a_while(kind: str) -> None:
+    pull, request = beginning(kind)  # at 1.0
+    assert pull.tick(2.0, True) == Step()
+    for now in (2.1, 4.2):  # the server may not have known it yet
+        again = pull.tick(now, True).request
+        assert (again.after_revision, again.first_block) == (1, 0)
+    assert pull.answer(request.number, [part(5)], 0, 5.0, True) == Step()  # too late
+    assert pull.tick(8.1, True) == Step()
+    assert pull.tick(8.3, True) == Step([("five", Arrival.HEARD)])
+    pull, request = beginning(kind)
+    assert pull.tick(1.1, False).batches == [("five", Arrival.HEARD)]  # it has ended
+
+
+@pytest.mark.parametrize("kind", PULLS)
+def test_what_waits_has_a_limit_and_what_is_dropped_is_pulled(kind: str) -> None:
+    pull, request = beginning(kind)
+    most = map_pull.MOST_WAITING // 2
+    for revision in (6, 7, 8):
+        assert not pull.hear(Label("map", revision, False, most), revision, 1.1, True).batches
+    step = pull.answer(request.number, [part(5)], 0, 1.2, True)
+    assert step.batches == [("pulled 5", Arrival.LAST)]  # 6 is lacking
+    assert step.request.after_revision == 5
+    step = pull.answer(step.request.number, [part(6)], 0, 1.3, True)
+    assert step.batches == [("pulled 6", Arrival.LAST), (7, Arrival.HEARD), (8, Arrival.HEARD)]
+    assert not pull.pulling
