@@ -85,7 +85,7 @@ def test_submaps_drift_until_a_loop_closure_puts_them_right(random_splats: Maker
             slot_map.clear(edit.slots)
         else:
             slot_map.write(edit.slots, edit.splats, edit.group)
-    assert slot_map.group_numbers == [0, 1, 2, 3]
+    assert [part.group for part in slot_map.groups()] == [0, 1, 2, 3]
     assert len(away) == 3
     assert min(away) > 0.001
     off = np.abs(slot_map.snapshot()[1].positions - scene.positions).max(axis=1)
