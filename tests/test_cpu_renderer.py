@@ -94,6 +94,21 @@ def test_matches_the_float64_twin(renderer: CpuRenderer, view: str, antialiased:
     assert expected.rgba.max() > 0.5  # there was something to see
 
 
+@pytest.mark.parametrize("view", CAMERAS)
+def test_maps_beside_each_other_match_the_twin_of_their_union(
+    renderer: CpuRenderer, view: str
+) -> None:
+    splats = cloud()
+    robot = np.arange(len(splats)) % 3
+    others = [CpuRenderer(threads=1), CpuRenderer(threads=1)]
+    for number, each in enumerate([renderer, *others]):
+        insert_all(each, splats[robot == number])
+    drawn = draw(renderer, CAMERAS[view], beside=others)
+    assert decibels(drawn["colour"], reference.render(splats, CAMERAS[view]).rgba) >= 80
+    with pytest.raises(ValueError, match="an order is of one map alone"):
+        draw(renderer, CAMERAS[view], beside=others, order=np.zeros(1, np.uint32))
+
+
 def test_antialiasing_can_be_forced(renderer: CpuRenderer) -> None:
     insert_all(renderer, cloud())
     renderer.settings.antialiasing = Antialiasing.ON

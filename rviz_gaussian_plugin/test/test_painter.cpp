@@ -17,13 +17,16 @@ namespace {
 // A painter, and the map that it is given.
 struct Studio {
   Studio()
-      : painter([this](std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
-          const std::lock_guard lock(mutex);
-          if (edits.empty()) return false;
-          std::tie(edit, state) = std::move(edits.front());
-          edits.pop_front();
-          return true;
-        }) {}
+      : copy(std::make_shared<PaintedMap>(
+            [this](std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
+              const std::lock_guard lock(mutex);
+              if (edits.empty()) return false;
+              std::tie(edit, state) = std::move(edits.front());
+              edits.pop_front();
+              return true;
+            })) {
+    painter.add(copy);
+  }
 
   // Splats on a wall 6 m away, in slots from the first on.
   void write(std::uint32_t count, std::uint8_t operation, std::uint32_t first_slot = 0) {
@@ -55,14 +58,16 @@ struct Studio {
   std::shared_ptr<PaintRequest> request(const char* detail, bool asynchronous = false,
                                         double x = 0) const {
     auto request = std::make_shared<PaintRequest>();
-    request->camera.translation[0] = -x;
-    request->camera.fx = request->camera.fy = 100;
-    request->camera.cx = 60;
-    request->camera.cy = 40;
-    request->camera.width = 120;
-    request->camera.height = 80;
-    request->settings.detail = parseDetail(detail);
-    request->settings.asynchronous = asynchronous;
+    PaintLayer& layer = request->layers.emplace_back();
+    layer.map = copy;
+    layer.camera.translation[0] = -x;
+    layer.camera.fx = layer.camera.fy = 100;
+    layer.camera.cx = 60;
+    layer.camera.cy = 40;
+    layer.camera.width = 120;
+    layer.camera.height = 80;
+    layer.settings.detail = parseDetail(detail);
+    layer.settings.asynchronous = asynchronous;
     return request;
   }
 
@@ -81,6 +86,7 @@ struct Studio {
   GaussianMap map;
   std::mutex mutex;
   std::deque<std::pair<std::shared_ptr<const GaussianEdit>, MapState>> edits;
+  PaintedMapPtr copy;
   Painter painter;
 };
 
@@ -88,38 +94,38 @@ TEST(Painter, PaintsADetailThatIsWaitedForAtOnceAndOfTheWholeMap) {
   Studio studio;
   studio.write(20000, GaussianBatch::REPLACE);
   const PaintingPtr full = studio.painter.paintNow("view", studio.request("full"));
-  EXPECT_EQ(full->error_px, 0);
-  EXPECT_EQ(studio.painter.levelsBytes(), 0u);  // nobody asked for any
+  EXPECT_EQ(full->maps[0].error, 0);
+  EXPECT_EQ(studio.copy->levelsBytes(), 0u);  // nobody asked for any
   const PaintingPtr few = studio.painter.paintNow("view", studio.request("2000"));
-  EXPECT_LE(few->drawn, 2000u);
-  EXPECT_LT(few->drawn, full->drawn / 4);
-  EXPECT_GT(few->error_px, 0);
+  EXPECT_LE(few->maps[0].drawn, 2000u);
+  EXPECT_LT(few->maps[0].drawn, full->maps[0].drawn / 4);
+  EXPECT_GT(few->maps[0].error, 0);
   EXPECT_TRUE(few->settled);
-  EXPECT_GT(studio.painter.levelsBytes(), 0u);
+  EXPECT_GT(studio.copy->levelsBytes(), 0u);
 
   studio.write(20000, GaussianBatch::UPSERT, 20000);
   const PaintingPtr more = studio.painter.paintNow("view", studio.request("2000"));
-  EXPECT_EQ(more->map.splats, 40000u);
-  EXPECT_LE(more->drawn, 2000u);
+  EXPECT_EQ(more->maps[0].map.splats, 40000u);
+  EXPECT_LE(more->maps[0].drawn, 2000u);
   studio.write(10, GaussianBatch::REPLACE);
   const PaintingPtr other = studio.painter.paintNow("view", studio.request("2000"));
-  EXPECT_EQ(other->map.splats, 10u);
-  EXPECT_EQ(other->error_px, 0);  // of so few, all are drawn
+  EXPECT_EQ(other->maps[0].map.splats, 10u);
+  EXPECT_EQ(other->maps[0].error, 0);  // of so few, all are drawn
 
   studio.painter.paintNow("other view", studio.request("full"));
-  EXPECT_GT(studio.painter.levelsBytes(), 0u);
+  EXPECT_GT(studio.copy->levelsBytes(), 0u);
   studio.painter.paintNow("view", studio.request("full"));
-  EXPECT_EQ(studio.painter.levelsBytes(), 0u);  // nobody wants any, any more
+  EXPECT_EQ(studio.copy->levelsBytes(), 0u);  // nobody wants any, any more
   studio.write(20000, GaussianBatch::REPLACE);
-  EXPECT_LE(studio.painter.paintNow("view", studio.request("2000"))->drawn, 2000u);
+  EXPECT_LE(studio.painter.paintNow("view", studio.request("2000"))->maps[0].drawn, 2000u);
 }
 
 TEST(Painter, PaintsAGivenOrderInFull) {
   Studio studio;
   studio.write(20000, GaussianBatch::REPLACE);
   auto request = std::make_shared<PaintRequest>(*studio.request("8px"));
-  request->unsorted = true;
-  EXPECT_EQ(studio.painter.paintNow("view", request)->error_px, 0);
+  request->layers[0].unsorted = true;
+  EXPECT_EQ(studio.painter.paintNow("view", request)->maps[0].error, 0);
 }
 
 TEST(Painter, LeadsAViewThatMovesToItsDetailWhileTheMapChanges) {
@@ -136,14 +142,14 @@ TEST(Painter, LeadsAViewThatMovesToItsDetailWhileTheMapChanges) {
     studio.painter.ask("view", request);
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
     painting = studio.painter.newest("view");
-    const bool whole = painting && painting->map.revision == studio.map.state().revision;
-    if (frame >= 40 && whole && painting->settled && painting->drawn < 6000) break;
+    const bool whole = painting && painting->maps[0].map.revision == studio.map.state().revision;
+    if (frame >= 40 && whole && painting->settled && painting->maps[0].drawn < 6000) break;
   }
   ASSERT_TRUE(painting);
   EXPECT_TRUE(painting->settled);
-  EXPECT_EQ(painting->map.revision, studio.map.state().revision);
-  EXPECT_LT(painting->drawn, 6000u);
-  EXPECT_GT(painting->drawn, 1000u);
+  EXPECT_EQ(painting->maps[0].map.revision, studio.map.state().revision);
+  EXPECT_LT(painting->maps[0].drawn, 6000u);
+  EXPECT_GT(painting->maps[0].drawn, 1000u);
 }
 
 TEST(Painter, KeepsAFrameTimeWhereTheCameraMovesAndPaintsAllWhereItRests) {
@@ -152,25 +158,26 @@ TEST(Painter, KeepsAFrameTimeWhereTheCameraMovesAndPaintsAllWhereItRests) {
   constexpr const char* kEver = "3600000ms";
   const PaintingPtr in_time = studio.painted(studio.request(kEver, true));
   ASSERT_TRUE(in_time);
-  EXPECT_EQ(in_time->error_px, 0);
-  EXPECT_EQ(studio.painter.levelsBytes(), 0u);  // none are needed
+  EXPECT_EQ(in_time->maps[0].error, 0);
+  EXPECT_EQ(studio.copy->levelsBytes(), 0u);  // none are needed
 
   constexpr const char* kNever = "0.001ms";
   PaintingPtr moving = in_time;
   double x = 0;
-  for (int frame = 0; frame < 1000 && moving->drawn > in_time->drawn / 2; ++frame) {
+  for (int frame = 0; frame < 1000 && moving->maps[0].drawn > in_time->maps[0].drawn / 2; ++frame) {
     moving = studio.painted(studio.request(kNever, true, x += 0.001));
     ASSERT_TRUE(moving);
   }
-  EXPECT_LT(moving->drawn, in_time->drawn / 2);
-  EXPECT_GT(moving->error_px, 0);
+  EXPECT_LT(moving->maps[0].drawn, in_time->maps[0].drawn / 2);
+  EXPECT_GT(moving->maps[0].error, 0);
   EXPECT_FALSE(moving->settled);
   const auto again = studio.request(kNever, true, x);
   again->rests = true;
   const PaintingPtr resting = studio.painted(again);
   ASSERT_TRUE(resting);
-  EXPECT_EQ(resting->error_px, 0);
-  EXPECT_NEAR(double(resting->drawn), double(in_time->drawn), 0.01 * double(in_time->drawn));
+  EXPECT_EQ(resting->maps[0].error, 0);
+  EXPECT_NEAR(double(resting->maps[0].drawn), double(in_time->maps[0].drawn),
+              0.01 * double(in_time->maps[0].drawn));
   EXPECT_TRUE(resting->settled);
 }
 

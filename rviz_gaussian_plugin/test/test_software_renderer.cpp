@@ -166,8 +166,8 @@ class SoftwareRendererTest : public testing::Test {
  protected:
   void SetUp() override {
     if (!makeContext()) GTEST_SKIP() << "no OpenGL without a window";
-    renderer_ = std::make_unique<SoftwareRenderer>(
-        shaders(), [this](auto& edit, MapState& state) { return source_.next(edit, state); });
+    renderer_ = std::make_unique<SoftwareRenderer>(shaders());
+    map_ = addMap(source_);
     source_.add(2000);
   }
   void TearDown() override {
@@ -175,10 +175,20 @@ class SoftwareRendererTest : public testing::Test {
     renderer_.reset();
   }
 
-  PaintingPtr draw(const SplatCamera& camera, bool asynchronous = true, const char* view = "view") {
+  PaintedMapPtr addMap(Source& source) {
+    auto map = std::make_shared<PaintedMap>(
+        [&source](auto& edit, MapState& state) { return source.next(edit, state); });
+    renderer_->painter().add(map);
+    return map;
+  }
+  ViewedMap viewed(const SplatCamera& camera, bool asynchronous = true,
+                   const char* view = "view") const {
     RenderSettings settings;
     settings.asynchronous = asynchronous;
-    return renderer_->draw(view, camera, settings, nullptr, source_.map.state(), Canvas::kWindow);
+    return {view, map_, camera, settings, nullptr, source_.map.state()};
+  }
+  PaintingPtr draw(const SplatCamera& camera, bool asynchronous = true, const char* view = "view") {
+    return renderer_->draw({viewed(camera, asynchronous, view)}, Canvas::kWindow);
   }
   // Until the picture of this camera is shown.
   void rest(const Window& window, const SplatCamera& camera, const char* view = "view") {
@@ -196,6 +206,7 @@ class SoftwareRendererTest : public testing::Test {
 
   Source source_;
   std::unique_ptr<SoftwareRenderer> renderer_;
+  PaintedMapPtr map_;
 };
 
 TEST_F(SoftwareRendererTest, DrawsGoOnWhileThePainterPaints) {
@@ -218,7 +229,7 @@ TEST_F(SoftwareRendererTest, TheNewestPictureIsShownMeanwhileNearToWhereItIs) {
   rest(window, camera(0));
   const auto stale = window.pixels();
   source_.hold();
-  renderer_->wake();
+  renderer_->painter().wake();
   source_.waitUntilReached();
   window.clear();
   EXPECT_NE(draw(camera(0.3)), nullptr);
@@ -250,7 +261,7 @@ TEST_F(SoftwareRendererTest, TheSurfaceIsThatOfTheNewestPictureWhileThePainterPa
   };
   const auto surface = [&](const Window& of, const SplatCamera& camera, double scene_depth = 1) {
     of.clear(scene_depth);
-    renderer_->drawSurface("view", camera, Canvas::kWindow, kFar);
+    renderer_->drawSurface("view", *map_, camera, Canvas::kWindow, kFar);
     const auto bytes = of.pixels();
     std::vector<float> depths;
     for (int row = camera.height - 1; row >= 0; --row) {  // a window's first row is its last
@@ -270,7 +281,7 @@ TEST_F(SoftwareRendererTest, TheSurfaceIsThatOfTheNewestPictureWhileThePainterPa
   const auto here = exact(camera()), there = exact(camera(0.3));
   rest(window, camera());
   source_.hold();
-  renderer_->wake();
+  renderer_->painter().wake();
   source_.waitUntilReached();
   const auto found = surface(window, camera());
   for (std::size_t i = 0; i < here.size(); ++i) ASSERT_NEAR(found[i], here[i], 2e-5) << i;
@@ -298,8 +309,8 @@ TEST_F(SoftwareRendererTest, PicksAreMarkedAtOnceAndFoundBeside) {
   const Window window(64, 48);
   const auto pick = [&](const SplatCamera& part) {
     window.clear();
-    renderer_->drawPick("view", part, {}, Canvas::kWindow, kNumber);
-    return renderer_->pick();
+    renderer_->drawPick({viewed(part, false)}, 0, Canvas::kWindow, kNumber);
+    return renderer_->pick(map_);
   };
   const auto marked = [&](int row, int column) {  // the window's first row is the picture's last
     const auto pixels = window.pixels();
@@ -343,11 +354,11 @@ TEST_F(SoftwareRendererTest, PicksAreMarkedAtOnceAndFoundBeside) {
 TEST_F(SoftwareRendererTest, APickThatCantBeFoundSaysWhy) {
   SplatCamera wide = camera();
   wide.width = wide.height = 1 << 20;
-  renderer_->drawPick("view", wide, {}, Canvas::kNone, 0);
-  EXPECT_THROW(renderer_->pick().slots(), PictureError);
+  renderer_->drawPick({viewed(wide, false)}, 0, Canvas::kNone, 0);
+  EXPECT_THROW(renderer_->pick(map_).slots(), PictureError);
   source_.hold();
-  renderer_->drawPick("view", camera(), {}, Canvas::kNone, 0);
-  Pick left = renderer_->pick();
+  renderer_->drawPick({viewed(camera(), false)}, 0, Canvas::kNone, 0);
+  Pick left = renderer_->pick(map_);
   source_.letGo();
   renderer_.reset();
   EXPECT_TRUE(left.found());
@@ -361,12 +372,12 @@ TEST_F(SoftwareRendererTest, EditsThatComeWhileItPaintsAreShown) {
   draw(camera(0.1));
   source_.waitUntilReached();
   source_.add(3000);
-  renderer_->wake();
+  renderer_->painter().wake();
   source_.letGo();
   rest(window, camera());
   EXPECT_NE(window.pixels(), before);
   EXPECT_EQ(window.pixels(), expected(window, camera()));
-  EXPECT_EQ(renderer_->map().splats, 5000u);
+  EXPECT_EQ(map_->state().splats, 5000u);
 }
 
 TEST_F(SoftwareRendererTest, AViewThatIsForgottenWhileItIsPaintedIsGone) {
@@ -394,13 +405,61 @@ TEST_F(SoftwareRendererTest, SeveralViewsOfAnySizeTakeTurns) {
   }
 }
 
+// Where a map is a metre to the side in the frame of another.
+SplatCamera aside(SplatCamera camera) {
+  camera.translation[0] += 1;
+  return camera;
+}
+
+TEST_F(SoftwareRendererTest, MapsOfAViewAreOnePictureWhoseverDisplayGoes) {
+  const Window window(64, 48);
+  Source other_source;
+  other_source.add(500);
+  const PaintedMapPtr other = addMap(other_source);
+  const auto both = [&](const SplatCamera& camera) {
+    ViewedMap first = viewed(camera), second = viewed(aside(camera), true, "other");
+    second.map = other;
+    second.state = other_source.map.state();
+    return std::vector<ViewedMap>{first, second};
+  };
+  const auto rest = [&](const std::vector<ViewedMap>& maps) {
+    PaintingPtr painting;
+    do {
+      std::this_thread::yield();
+      window.clear();
+      painting = renderer_->draw(maps, Canvas::kWindow);
+    } while (!renderer_->exact());
+    EXPECT_EQ(painting->maps.size(), maps.size());
+    return window.pixels();
+  };
+  const auto alone = rest({both(camera())[1]});
+  const auto together = rest(both(camera()));
+  EXPECT_NE(together, alone);
+
+  // The first display goes, and the painter is busy: what there is stays, as the other sees it.
+  renderer_->forget("view");
+  other_source.add(1);
+  other_source.hold();
+  renderer_->painter().wake();
+  other_source.waitUntilReached();
+  window.clear();
+  EXPECT_NE(renderer_->draw({both(camera())[1]}, Canvas::kWindow), nullptr);
+  EXPECT_FALSE(renderer_->exact());
+  const auto meanwhile = window.pixels();
+  double difference = 0;
+  for (std::size_t i = 0; i < together.size(); ++i) {
+    difference += std::abs(meanwhile[i] - together[i]);
+  }
+  EXPECT_LT(difference / double(together.size()), 1);
+  other_source.letGo();
+  rest({both(camera())[1]});
+}
+
 TEST_F(SoftwareRendererTest, WhatCantBePaintedSaysWhyAndTheMapStays) {
   const Window window(64, 48);
   SplatCamera wide = camera();
   wide.width = wide.height = 1 << 20;
-  RenderSettings settings;
-  EXPECT_THROW(renderer_->draw("view", wide, settings, nullptr, source_.map.state(), Canvas::kNone),
-               PictureError);
+  EXPECT_THROW(renderer_->draw({viewed(wide, false)}, Canvas::kNone), PictureError);
   rest(window, camera());
   EXPECT_EQ(window.pixels(), expected(window, camera()));
 }

@@ -171,7 +171,7 @@ std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, OrderSource
 std::vector<std::uint32_t> picked(SplatScene& scene) {
   RenderSettings settings;
   settings.rasterizer = Rasterizer::kTiles;
-  scene.drawPick("view", camera(), settings, Canvas::kNone, 0);
+  scene.drawPick({{&scene, "view", camera(), settings}}, Canvas::kNone, 0);
   return scene.pick().slots();
 }
 
@@ -725,7 +725,8 @@ TEST_F(SplatRendererTest, DrawsQuadsWhereTheListOfTilesFindsNoMemory) {
     const Framebuffer window(GL_DEPTH24_STENCIL8, 0, 1);
     RenderSettings settings;
     settings.rasterizer = Rasterizer::kTiles;
-    scene.drawSurface("view", camera(), settings, Canvas::kWindow, 100);  // as picks project
+    scene.drawSurface({&scene, "view", camera(), settings}, Canvas::kWindow,
+                      100);  // as picks project
   }
   // From now on, only the list asks for that much.
   epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
@@ -817,9 +818,9 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     scene.hideFarther();
     scene.drawBefore();
     EXPECT_EQ(changed(before), State());
-    scene.drawSurface("view", camera(), settings, Canvas::kWindow, 100);
+    scene.drawSurface({&scene, "view", camera(), settings}, Canvas::kWindow, 100);
     EXPECT_EQ(changed(before), State());
-    scene.drawPick("view", camera(), settings, Canvas::kWindow, 0);
+    scene.drawPick({{&scene, "view", camera(), settings}}, Canvas::kWindow, 0);
     scene.pick();
     scene.readSlots({1, 2, 3});
     EXPECT_EQ(changed(before), State());

@@ -122,6 +122,10 @@ StatusLine orderStatus(const FrameReport& frame, const std::string& view) {
   std::string text = concat(frame.splats, " splats by ", frame.order_source);
   if (frame.sort_time > 0) text += concat(" in ", frame.sort_time * 1e3, " ms");
   text += frame.order_fresh ? ", fresh" : concat(", ", frame.order_age * 1e3, " ms old");
+  if (frame.maps > 1) {
+    const std::size_t others = frame.maps - 1;
+    text += concat(", in one order with ", others, others == 1 ? " other map" : " other maps");
+  }
   const bool old = !frame.order_fresh && frame.order_age > kOldOrder;
   return {old ? StatusProperty::Warn : StatusProperty::Ok, nameOf("Order", view), text};
 }
@@ -176,9 +180,10 @@ StatusLine channelStatus(const MapState& map, const RenderSettings& settings) {
   return line(StatusProperty::Ok, text.str());
 }
 
-StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes) {
-  return {StatusProperty::Ok, "Memory",
-          concat("GPU ", gpu_bytes >> 20, " MiB, host ", host_bytes >> 20, " MiB")};
+StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes, std::size_t shared_bytes) {
+  std::string text = concat("GPU ", gpu_bytes >> 20, " MiB, host ", host_bytes >> 20, " MiB");
+  if (shared_bytes > 0) text += concat(" and ", shared_bytes >> 20, " MiB that all maps share");
+  return {StatusProperty::Ok, "Memory", text};
 }
 
 }  // namespace rosplat

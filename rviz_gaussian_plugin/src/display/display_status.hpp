@@ -39,6 +39,7 @@ StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::siz
                         const std::string& view);
 // Which channel is drawn, and how.
 StatusLine channelStatus(const MapState& map, const RenderSettings& settings);
-StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes);
+// shared_bytes: of the host's, by what all maps share.
+StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes, std::size_t shared_bytes);
 
 }  // namespace rosplat

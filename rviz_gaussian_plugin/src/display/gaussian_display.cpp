@@ -331,7 +331,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
   }
   const auto regimes = scene.hardRegimes(cloud_->settings(), cameras);
   if (!regimes.empty()) lines.push_back(accuracyStatus(regimes));
-  lines.push_back(memoryStatus(scene.gpuBytes(), scene.hostBytes()));
+  lines.push_back(memoryStatus(scene.gpuBytes(), scene.hostBytes(), scene.sharedBytes()));
   return lines;
 }
 

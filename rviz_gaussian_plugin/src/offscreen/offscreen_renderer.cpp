@@ -179,8 +179,9 @@ std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id, i
   const SplatCamera part = crop(cameraOf(view_id), left, top, width, height);
   if (width < 1 || height < 1) return {};
   picked_ = true;
-  cloud_->scene().drawPick(view_id, part, settings, Canvas::kNone, 0);
-  return cloud_->scene().pick().slots();
+  SplatScene& scene = cloud_->scene();
+  scene.drawPick({{&scene, view_id, part, settings}}, Canvas::kNone, 0);
+  return scene.pick().slots();
 }
 
 std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float, 3>& background) {

@@ -280,18 +280,24 @@ std::size_t merge(CpuRenderer& renderer) {
   return renderer.levels.nodes();
 }
 
+// A map in a picture.
+PictureLayer layerOf(const CpuRenderer& renderer, const SplatCamera& camera) {
+  PictureLayer layer;
+  layer.slots = &renderer.slots;
+  layer.map = &renderer.map.state();
+  layer.camera = camera;
+  layer.camera.extent_scale = extentScale(renderer.settings);
+  layer.settings = renderer.settings;
+  return layer;
+}
+
 // Whose arrays must outlive it.
 PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
                          const std::optional<Array<float>>& scene_depth,
                          const std::optional<Array<float>>& translucent_depth,
                          const std::optional<Array<std::uint32_t>>& order) {
   PictureRequest request;
-  PictureLayer& layer = request.layers.emplace_back();
-  layer.slots = &renderer.slots;
-  layer.map = &renderer.map.state();
-  layer.camera = camera;
-  layer.camera.extent_scale = extentScale(renderer.settings);
-  layer.settings = renderer.settings;
+  request.layers.push_back(layerOf(renderer, camera));
   if (scene_depth) request.scene_depth = view(*scene_depth);
   if (translucent_depth) request.translucent_depth = view(*translucent_depth);
   if (order) request.order = view(*order);
@@ -301,8 +307,11 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
 py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
                    const std::optional<Array<float>>& scene_depth,
                    const std::optional<Array<float>>& translucent_depth,
-                   const std::optional<Array<std::uint32_t>>& order) {
+                   const std::optional<Array<std::uint32_t>>& order,
+                   const std::vector<CpuRenderer*>& beside) {
+  if (order && !beside.empty()) throw std::invalid_argument("an order is of one map alone");
   PictureRequest request = requestOf(renderer, camera, scene_depth, translucent_depth, order);
+  for (const CpuRenderer* other : beside) request.layers.push_back(layerOf(*other, camera));
   request.mean_depth = mean_depth;
   SplatPicture& picture = renderer.picture;
   {
@@ -597,7 +606,9 @@ PYBIND11_MODULE(_offscreen, module) {
            "instructions"_a = CpuRasterizer::Instructions::kBest)
       .def_readwrite("settings", &CpuRenderer::settings)
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "scene_depth"_a = py::none(),
-           "translucent_depth"_a = py::none(), "order"_a = py::none())
+           "translucent_depth"_a = py::none(), "order"_a = py::none(),
+           "beside"_a = std::vector<CpuRenderer*>(),
+           "Draws the map; and, in one order with it, those of other renderers in the same frame.")
       .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
       .def("nodes", &nodesOf, "level"_a, "group"_a = 0)
       .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })

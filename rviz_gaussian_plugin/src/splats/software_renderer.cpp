@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace rosplat {
@@ -12,8 +13,21 @@ constexpr float kSurfaceAlpha = 0.5f;  // more splats than void
 
 bool same(const MapState& a, const MapState& b) { return a.edits == b.edits; }
 
-bool shows(const Painting& painting, const PaintRequest& request, const MapState& map) {
-  return same(painting.map, map) && *painting.request == request;
+bool shows(const Painting& painting, const PaintRequest& request,
+           const std::vector<ViewedMap>& maps) {
+  const auto as = [](const Painting::OfMap& shown, const ViewedMap& map) {
+    return same(shown.map, map.state);
+  };
+  return *painting.request == request &&
+         std::equal(painting.maps.begin(), painting.maps.end(), maps.begin(), maps.end(), as);
+}
+
+// A camera in the frame of a map, as one in the frame of the first map of a picture that shows
+// both.
+SplatCamera inFirst(const PaintRequest& picture, const PaintedMap& map, const SplatCamera& camera) {
+  const PaintLayer* const layer = picture.of(map);
+  if (layer == &picture.layers.front()) return camera;
+  return inFrameOf(frameSeenBy(picture.camera(), layer->camera), camera);
 }
 
 // A number of 24 bits as an opaque colour, its lowest byte in blue.
@@ -26,86 +40,120 @@ void putNumber(std::uint8_t* rgba, std::uint32_t number) {
 
 }  // namespace
 
-SoftwareRenderer::SoftwareRenderer(const ShaderSource& source, Painter::NextEdit next_edit)
-    : overlay_(source), painter_(std::move(next_edit)) {}
+std::shared_ptr<SoftwareRenderer> SoftwareRenderer::ofProcess(const ShaderSource& source) {
+  static std::weak_ptr<SoftwareRenderer> shared;
+  std::shared_ptr<SoftwareRenderer> renderer = shared.lock();
+  if (!renderer) shared = renderer = std::make_shared<SoftwareRenderer>(source);
+  return renderer;
+}
 
-void SoftwareRenderer::ask(const std::string& view_id, PaintRequestPtr request,
-                           const MapState& map) {
-  View& view = views_[view_id];
+PaintRequest SoftwareRenderer::requestOf(const std::vector<ViewedMap>& maps) const {
+  PaintRequest request;
+  for (const ViewedMap& map : maps) {
+    PaintLayer& layer = request.layers.emplace_back();
+    layer.map = map.map;
+    layer.camera = map.camera;
+    layer.settings = map.settings;
+    layer.order = map.order;
+    layer.unsorted = maps.size() == 1 && map.settings.order == OrderSource::kOff;
+    if (map.settings.asynchronous && map.settings.mode == DrawMode::kAge) {
+      layer.age_tick = static_cast<std::uint64_t>(painter_.clock());
+    }
+  }
+  return request;
+}
+
+const std::string& SoftwareRenderer::join(const std::vector<ViewedMap>& maps) {
+  std::string name = maps.front().view_id;
+  for (const ViewedMap& map : maps) {
+    const auto found = names_.find(map.view_id);
+    if (found == names_.end()) continue;
+    name = found->second;
+    break;
+  }
+  for (const ViewedMap& map : maps) {
+    const std::string before = std::exchange(names_[map.view_id], name);
+    if (before != name) drop(before);
+  }
+  return names_[maps.front().view_id];
+}
+
+void SoftwareRenderer::ask(const std::string& name, PaintRequestPtr request,
+                           const std::vector<ViewedMap>& maps) {
+  View& view = views_[name];
   view.asked = request;
-  view.asked_of = map;
-  painter_.ask(view_id, std::move(request));
+  view.asked_of.clear();
+  for (const ViewedMap& map : maps) view.asked_of.push_back(map.state);
+  painter_.ask(name, std::move(request));
 }
 
-bool SoftwareRenderer::asked(const View& view, const PaintRequest& request, const MapState& map) {
-  return view.asked && *view.asked == request && same(view.asked_of, map);
+bool SoftwareRenderer::asked(const View& view, const PaintRequest& request,
+                             const std::vector<ViewedMap>& maps) {
+  const auto as = [](const MapState& state, const ViewedMap& map) {
+    return same(state, map.state);
+  };
+  return view.asked && *view.asked == request &&
+         std::equal(view.asked_of.begin(), view.asked_of.end(), maps.begin(), maps.end(), as);
 }
 
-bool SoftwareRenderer::ready(const std::string& view_id, const SplatCamera& camera,
-                             const RenderSettings& settings, const OrderPtr& order,
-                             const MapState& map) {
-  auto request = std::make_shared<PaintRequest>();
-  request->camera = camera;
-  request->settings = settings;
-  request->settings.asynchronous = false;
-  request->order = order;
-  request->unsorted = settings.order == OrderSource::kOff;
-  const View& view = views_[view_id];
-  const PaintingPtr newest = painter_.newest(view_id);
-  if (newest && shows(*newest, *request, map)) return true;
-  if (!asked(view, *request, map)) ask(view_id, std::move(request), map);
+bool SoftwareRenderer::ready(const ViewedMap& map) {
+  const std::vector<ViewedMap> maps{map};
+  const std::string& name = join(maps);
+  auto request = std::make_shared<PaintRequest>(requestOf(maps));
+  const View& view = views_[name];
+  const PaintingPtr newest = painter_.newest(name);
+  if (newest && shows(*newest, *request, maps)) return true;
+  if (!asked(view, *request, maps)) ask(name, std::move(request), maps);
   return false;
 }
 
-PaintingPtr SoftwareRenderer::draw(const std::string& view_id, const SplatCamera& camera,
-                                   const RenderSettings& settings, const OrderPtr& order,
-                                   const MapState& map, Canvas canvas, const Surroundings& around) {
-  auto request = std::make_shared<PaintRequest>();
-  request->camera = camera;
-  request->settings = settings;
-  request->order = order;
-  request->unsorted = settings.order == OrderSource::kOff;
+PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas canvas,
+                                   const Surroundings& around) {
+  const std::string& name = join(maps);
+  const bool asynchronous = maps.front().settings.asynchronous;
+  auto request = std::make_shared<PaintRequest>(requestOf(maps));
+  const SplatCamera& camera = request->camera();
   request->window = canvas != Canvas::kNone;
-  if (settings.asynchronous && settings.mode == DrawMode::kAge) {
-    request->age_tick = static_cast<std::uint64_t>(painter_.clock());
-  }
   if (around.translucent) {
     request->translucent_depth = depthsOf(canvas, camera.width, camera.height, around.translucent);
   }
   const CanvasScope window(canvas);
   if (around.opaque) request->scene_depth = window.readDepth(camera.width, camera.height);
 
-  View& view = views_[view_id];
+  View& view = views_[name];
   drawn_ = nullptr;
-  PaintingPtr painting = painter_.newest(view_id);
-  exact_ = painting && shows(*painting, *request, map);
+  PaintingPtr painting = painter_.newest(name);
+  exact_ = painting && shows(*painting, *request, maps);
   if (exact_ && !painting->error.empty()) {
     view.asked = nullptr;  // another time it may succeed
-    painter_.ask(view_id, request);
+    painter_.ask(name, request);
     throw PictureError(painting->error);
   }
-  if (!settings.asynchronous && !exact_) {
+  if (!asynchronous && !exact_) {
     view.asked = nullptr;
-    painting = painter_.paintNow(view_id, request);
+    painting = painter_.paintNow(name, request);
     exact_ = true;
-  } else if (!exact_ && asked(view, *request, map)) {
-    painter_.hurry(view_id);  // the camera rests
+  } else if (!exact_ && asked(view, *request, maps)) {
+    painter_.hurry(name);  // the camera rests
   } else if (!exact_) {
-    ask(view_id, request, map);
-  } else if (settings.asynchronous && !painting->settled && painting->request == view.asked) {
+    ask(name, request, maps);
+  } else if (asynchronous && !painting->settled && painting->request == view.asked) {
     request->rests = true;
-    ask(view_id, request, map);
+    ask(name, request, maps);
   }
-  const bool fits =
-      painting && painting->error.empty() && (painting->request->window || canvas == Canvas::kNone);
-  if (!fits) return nullptr;
+  if (!painting || !painting->error.empty()) return nullptr;
+  if (!painting->request->window && canvas != Canvas::kNone) return nullptr;
+  const auto in_picture = std::find_if(maps.begin(), maps.end(), [&painting](const ViewedMap& map) {
+    return painting->request->of(*map.map) != nullptr;
+  });
+  if (in_picture == maps.end()) return nullptr;
   drawn_ = &view;
   canvas_ = canvas;
   if (canvas == Canvas::kNone) {
     view.shown = painting;
     return painting;
   }
-  mesh_ = painting->mesh.seenBy(camera);
+  mesh_ = painting->mesh.seenBy(inFirst(*painting->request, *in_picture->map, in_picture->camera));
   show(view, painting);
   blendOver();
   glDisable(GL_DEPTH_TEST);
@@ -118,7 +166,7 @@ PaintingPtr SoftwareRenderer::draw(const std::string& view_id, const SplatCamera
 
 void SoftwareRenderer::show(View& view, const PaintingPtr& painting) {
   if (view.shown == painting) return;
-  const SplatCamera& camera = painting->request->camera;
+  const SplatCamera& camera = painting->request->camera();
   const auto write = [&camera](OverlayTexture& texture, const auto& layer) {
     if (!layer.values.empty()) texture.write(camera.width, camera.height, layer.values);
   };
@@ -146,21 +194,31 @@ void SoftwareRenderer::drawBefore() const {
   overlay_.draw(window, drawn_->colour, mesh_, drawn_->shown->colour.cells);
 }
 
-void SoftwareRenderer::drawNumbers(const CanvasScope& window, const std::string& view_id,
-                                   const SplatCamera& camera, const std::vector<float>& scene_depth,
-                                   float least_alpha,
-                                   const std::function<std::uint32_t(double)>& number) {
-  const auto view = views_.find(view_id);
-  if (view == views_.end() || !view->second.shown) return;
-  const std::vector<double> depths = view->second.shown->surface.seenBy(camera, least_alpha);
-  std::vector<std::uint8_t> rgba(4 * depths.size(), 0);
-  for (std::size_t i = 0; i < depths.size(); ++i) {
-    const double depth = depths[i];
-    if (std::isnan(depth)) continue;
+std::vector<double> SoftwareRenderer::depthsShown(const std::string& view_id, const PaintedMap& map,
+                                                  const SplatCamera& camera,
+                                                  const std::vector<float>& scene_depth,
+                                                  float least_alpha) const {
+  const auto name = names_.find(view_id);
+  const auto view = name == names_.end() ? views_.end() : views_.find(name->second);
+  if (view == views_.end() || !view->second.shown) return {};
+  const Painting& shown = *view->second.shown;
+  if (!shown.request->of(map)) return {};
+  const SplatCamera in_first = inFirst(*shown.request, map, camera);
+  std::vector<double> depths = shown.surface.seenBy(in_first, least_alpha);
+  for (std::size_t i = 0; i < depths.size() && !scene_depth.empty(); ++i) {
     const double ndc =
-        (camera.ndc_scale * depth + camera.ndc_offset) / (camera.orthographic ? 1 : depth);
-    if (!scene_depth.empty() && 0.5 * ndc + 0.5 > scene_depth[i]) continue;
-    putNumber(&rgba[4 * i], number(depth));
+        (camera.ndc_scale * depths[i] + camera.ndc_offset) / (camera.orthographic ? 1 : depths[i]);
+    if (0.5 * ndc + 0.5 > scene_depth[i]) depths[i] = std::numeric_limits<double>::quiet_NaN();
+  }
+  return depths;
+}
+
+void SoftwareRenderer::drawNumbers(const CanvasScope& window, const SplatCamera& camera,
+                                   const std::vector<std::uint32_t>& numbers) {
+  if (numbers.empty()) return;
+  std::vector<std::uint8_t> rgba(4 * numbers.size(), 0);
+  for (std::size_t i = 0; i < numbers.size(); ++i) {
+    if (numbers[i]) putNumber(&rgba[4 * i], numbers[i]);
   }
   bytes_.write(camera.width, camera.height, rgba);
   glDisable(GL_BLEND);
@@ -168,30 +226,43 @@ void SoftwareRenderer::drawNumbers(const CanvasScope& window, const std::string&
   overlay_.draw(window, bytes_);
 }
 
-void SoftwareRenderer::drawSurface(const std::string& view_id, const SplatCamera& camera,
-                                   Canvas canvas, double far_clip) {
+void SoftwareRenderer::drawSurface(const std::string& view_id, const PaintedMap& map,
+                                   const SplatCamera& camera, Canvas canvas, double far_clip) {
   const CanvasScope window(canvas);
   const auto scene_depth = window.readDepth(camera.width, camera.height);
-  drawNumbers(window, view_id, camera, scene_depth, kSurfaceAlpha, [far_clip](double depth) {
-    return static_cast<std::uint32_t>(16777215.0 * std::clamp(depth / far_clip, 0.0, 1.0));
-  });
+  std::vector<std::uint32_t> numbers;
+  for (const double depth : depthsShown(view_id, map, camera, scene_depth, kSurfaceAlpha)) {
+    const double part = std::isnan(depth) ? 0 : std::clamp(depth / far_clip, 0.0, 1.0);
+    numbers.push_back(static_cast<std::uint32_t>(16777215.0 * part));
+  }
+  drawNumbers(window, camera, numbers);
 }
 
-void SoftwareRenderer::drawPick(const std::string& view_id, const SplatCamera& camera,
-                                const RenderSettings& settings, Canvas canvas,
+void SoftwareRenderer::drawPick(const std::vector<ViewedMap>& maps, std::size_t mine, Canvas canvas,
                                 std::uint32_t number) {
   const CanvasScope window(canvas);
-  picked_ = {};
-  picked_.camera = camera;
-  picked_.settings = settings;
+  const ViewedMap& map = maps[mine];
+  const SplatCamera& camera = map.camera;
+  picked_ = requestOf(maps);
   if (canvas == Canvas::kNone) return;
   picked_.scene_depth = window.readDepth(camera.width, camera.height);
-  drawNumbers(window, view_id, camera, picked_.scene_depth, kLeastPicked,
-              [number](double) { return number; });
+  std::vector<std::uint32_t> numbers;
+  if (maps.size() > 1) {
+    for (const std::uint32_t slot : pick(map.map).slots()) {
+      numbers.push_back(slot == kNoSlot ? 0 : number);
+    }
+  } else {
+    const auto& scene_depth = picked_.scene_depth;
+    for (const double depth :
+         depthsShown(map.view_id, *map.map, camera, scene_depth, kLeastPicked)) {
+      numbers.push_back(std::isnan(depth) ? 0 : number);
+    }
+  }
+  drawNumbers(window, camera, numbers);
 }
 
 const std::vector<float>& SoftwareRenderer::readColor() const {
-  if (!drawn_ || drawn_->shown->request->settings.asynchronous) {
+  if (!drawn_ || drawn_->shown->request->asynchronous()) {
     throw PictureError("pictures that follow the camera are only shown");
   }
   return drawn_->shown->picture.colour;
@@ -203,8 +274,19 @@ const std::vector<float>& SoftwareRenderer::readDepth() const {
 }
 
 void SoftwareRenderer::forget(const std::string& view_id) {
-  painter_.forget(view_id);
-  const auto found = views_.find(view_id);
+  const auto found = names_.find(view_id);
+  if (found == names_.end()) return;
+  const std::string name = found->second;
+  names_.erase(found);
+  drop(name);
+}
+
+void SoftwareRenderer::drop(const std::string& name) {
+  for (const auto& [view_id, shown_as] : names_) {
+    if (shown_as == name) return;
+  }
+  painter_.forget(name);
+  const auto found = views_.find(name);
   if (found == views_.end()) return;
   if (drawn_ == &found->second) drawn_ = nullptr;
   views_.erase(found);

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <cstdint>
-#include <functional>
 #include <map>
 #include <memory>
 #include <string>
@@ -17,77 +16,92 @@
 
 namespace rosplat {
 
-// Draws a map where no graphics card does: a painter makes its pictures, and OpenGL only lays them
-// over the window. Knows no Ogre; runs in the render thread only, which waits for a picture if it
-// isn't asynchronous, and never otherwise.
+// A map in a view.
+struct ViewedMap {
+  std::string view_id;  // its display's name for it
+  PaintedMapPtr map;
+  SplatCamera camera;  // in the map's frame
+  RenderSettings settings;
+  OrderPtr order;  // null: by depth; of a map that is alone
+  MapState state;  // with all that waits
+};
+
+// Draws maps where no graphics card does: a painter makes their pictures, and OpenGL only lays them
+// over the window. Maps of one view are in one picture, by depth. Knows no Ogre; runs in the render
+// thread only, which waits for a picture if it isn't asynchronous, and never otherwise.
 class SoftwareRenderer {
  public:
   // Throws gl::Error where the driver can't do it.
-  SoftwareRenderer(const ShaderSource& source, Painter::NextEdit next_edit);
+  explicit SoftwareRenderer(const ShaderSource& source) : overlay_(source) {}
+  // The one that the maps of a process share.
+  static std::shared_ptr<SoftwareRenderer> ofProcess(const ShaderSource& source);
 
-  // There are edits to take.
-  void wake() { painter_.wake(); }
-  // Where the map goes, or comes from, if something else draws it at other times.
+  // Who takes the maps' edits.
   Painter& painter() { return painter_; }
-  // Has a picture made that isn't for a window; whether it is there, of the map as it is now.
-  // order: null by depth.
-  bool ready(const std::string& view_id, const SplatCamera& camera, const RenderSettings& settings,
-             const OrderPtr& order, const MapState& map);
+  // Has a picture made of a map that isn't for a window; whether it is there, of the map as it is
+  // now.
+  bool ready(const ViewedMap& map);
   // Shows a view as SplatRenderer::draw() does, or what there is of it: the newest picture, carried
-  // over to this camera. What is shown, and null where nothing is yet. Throws PictureError.
-  PaintingPtr draw(const std::string& view_id, const SplatCamera& camera,
-                   const RenderSettings& settings, const OrderPtr& order, const MapState& map,
-                   Canvas canvas, const Surroundings& around = {});
-  // Whether that was this very camera, and the map as it is now.
+  // over to this camera. What is shown, and null where nothing is yet; not all of these maps have
+  // to be in it, and others may. Throws PictureError.
+  PaintingPtr draw(const std::vector<ViewedMap>& maps, Canvas canvas,
+                   const Surroundings& around = {});
+  // Whether that was this very camera, and the maps as they are now.
   bool exact() const { return exact_; }
   // After a draw() with translucent objects; see SplatRenderer.
   void hideFarther() const;
   void drawBefore() const;
 
   // See SplatRenderer. Where the surface is in what a view shows.
-  void drawSurface(const std::string& view_id, const SplatCamera& camera, Canvas canvas,
-                   double far_clip);
-  // See SplatRenderer. Where splats are in what a view shows; which, the painter finds.
-  void drawPick(const std::string& view_id, const SplatCamera& camera,
-                const RenderSettings& settings, Canvas canvas, std::uint32_t number);
-  Pick pick() { return painter_.pick(picked_); }
-  std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const {
-    return painter_.read(slots);
-  }
+  void drawSurface(const std::string& view_id, const PaintedMap& map, const SplatCamera& camera,
+                   Canvas canvas, double far_clip);
+  // See SplatRenderer. Where one of a view's maps is in what that shows; which splats, the painter
+  // finds. Which of several maps a pixel shows is waited for. Throws PictureError.
+  void drawPick(const std::vector<ViewedMap>& maps, std::size_t mine, Canvas canvas,
+                std::uint32_t number);
+  // Of a map, after its drawPick().
+  Pick pick(const PaintedMapPtr& of) { return painter_.pick(picked_, of); }
 
   // What draw() showed last; see SplatRenderer. Throw PictureError where it is asynchronous.
   const std::vector<float>& readColor() const;
   const std::vector<float>& readDepth() const;
 
-  MapState map() const { return painter_.map(); }  // that is painted
-  std::string mapError() const { return painter_.mapError(); }
   void forget(const std::string& view_id);
-  std::size_t hostBytes() const { return painter_.bytes(); }
-  std::size_t mapBytes() const { return painter_.mapBytes(); }
-  std::size_t levelsBytes() const { return painter_.levelsBytes(); }
+  std::size_t hostBytes() const { return painter_.bytes(); }  // beside the maps
   std::size_t gpuBytes() const;
 
  private:
+  // What displays show together.
   struct View {
     PaintRequestPtr asked;
-    MapState asked_of;
+    std::vector<MapState> asked_of;
     PaintingPtr shown;
     OverlayTexture colour, behind, hiding;
   };
 
-  // Whether a picture of this map as it is now is what was asked for last.
-  static bool asked(const View& view, const PaintRequest& request, const MapState& map);
-  void ask(const std::string& view_id, PaintRequestPtr request, const MapState& map);
+  PaintRequest requestOf(const std::vector<ViewedMap>& maps) const;
+  // The one that displays' views are, by name; they have another one together if they were apart.
+  const std::string& join(const std::vector<ViewedMap>& maps);
+  // Whether a picture of these maps as they are now is what was asked for last.
+  static bool asked(const View& view, const PaintRequest& request,
+                    const std::vector<ViewedMap>& maps);
+  void ask(const std::string& name, PaintRequestPtr request, const std::vector<ViewedMap>& maps);
   void show(View& view, const PaintingPtr& painting);
-  // Writes a number of 24 bits, of the depth [m], where what a view shows has so much of splats
-  // before what is opaque.
-  void drawNumbers(const CanvasScope& window, const std::string& view_id, const SplatCamera& camera,
-                   const std::vector<float>& scene_depth, float least_alpha,
-                   const std::function<std::uint32_t(double)>& number);
+  // Of what a view shows, how deep it is for a camera of a map's frame, where it has so much of
+  // splats before what is opaque [m]; NaN elsewhere, and none where it shows nothing.
+  std::vector<double> depthsShown(const std::string& view_id, const PaintedMap& map,
+                                  const SplatCamera& camera, const std::vector<float>& scene_depth,
+                                  float least_alpha) const;
+  // Writes numbers of 24 bits by pixel, top row first; nothing where one is 0.
+  void drawNumbers(const CanvasScope& window, const SplatCamera& camera,
+                   const std::vector<std::uint32_t>& numbers);
+  // What nobody shows any more.
+  void drop(const std::string& name);
 
   Overlay overlay_;
   Painter painter_;
-  std::map<std::string, View> views_;
+  std::map<std::string, std::string> names_;  // of what is shown, by a display's view
+  std::map<std::string, View> views_;         // by name
   OverlayTexture bytes_;
   PaintRequest picked_;  // what drawPick() has marked last
 

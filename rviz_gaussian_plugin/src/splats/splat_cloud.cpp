@@ -25,6 +25,8 @@ namespace {
 constexpr Ogre::uint8 kRenderQueue = Ogre::RENDER_QUEUE_7;
 constexpr std::uint32_t kMostTickets = (1u << 24) - 1;  // a pixel of rviz's selection has 24 bits
 
+std::uint64_t made = 0;  // clouds
+
 // Sorted with the translucent objects, the farthest first, but itself neither.
 Ogre::MaterialPtr layerMaterial() {
   auto& materials = Ogre::MaterialManager::getSingleton();
@@ -118,6 +120,7 @@ SplatCamera cameraOf(const Ogre::Camera& ogre, int width, int height) {
 SplatCloud::SplatCloud(const std::string& name, const std::string& resource_group,
                        ViewCallback on_view)
     : Ogre::MovableObject(name),
+      number_(++made),
       scene_(std::make_unique<SplatScene>([resource_group](const std::string& shader) {
         return Ogre::ResourceGroupManager::getSingleton()
             .openResource(shader, resource_group)
@@ -205,48 +208,100 @@ bool SplatCloud::anyOpaque(Ogre::SceneManager& manager) {
   return !lister.found.empty();
 }
 
+std::vector<SplatCloud*> SplatCloud::cloudsIn(Ogre::SceneManager& manager) {
+  Lister lister;
+  auto priorities = manager.getRenderQueue()->getQueueGroup(kRenderQueue)->getIterator();
+  while (priorities.hasMoreElements()) {
+    auto* const group = priorities.getNext();
+    group->getTransparents().acceptVisitor(&lister,
+                                           Ogre::QueuedRenderableCollection::OM_SORT_DESCENDING);
+    // Of which schemes of rviz's mouse tools make them.
+    group->getSolidsBasic().acceptVisitor(&lister, Ogre::QueuedRenderableCollection::OM_PASS_GROUP);
+  }
+  std::vector<SplatCloud*> clouds;
+  for (const Ogre::RenderablePass& object : lister.found) {
+    if (const auto* layer = dynamic_cast<Layer*>(object.renderable)) {
+      clouds.push_back(&layer->cloud());
+    }
+  }
+  std::sort(clouds.begin(), clouds.end(),
+            [](const SplatCloud* a, const SplatCloud* b) { return a->number_ < b->number_; });
+  return clouds;
+}
+
+bool SplatCloud::pauses() const {
+  return !error_.empty() && (scene_->unusable() || std::chrono::steady_clock::now() < error_ends_);
+}
+
+void SplatCloud::fail(const std::exception& error) {
+  error_ = error.what();
+  error_ends_ = std::chrono::steady_clock::now() + std::chrono::seconds(1);
+}
+
+SplatCamera SplatCloud::cameraIn(const Ogre::Viewport& viewport) const {
+  SplatCamera camera =
+      inFrameOf(place_, cameraOf(*camera_, viewport.getActualWidth(), viewport.getActualHeight()));
+  camera.extent_scale = extentScale(settings_);
+  return camera;
+}
+
 void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
   Ogre::Viewport* viewport = manager.getCurrentViewport();
   // rviz's mouse tools draw the scene in schemes of their own.
   const std::string& scheme = viewport->getMaterialScheme();
   const bool seen = scheme == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
-  const bool touched = scheme == "Depth";
+  const bool surface = scheme == "Depth";
   const bool picked = pick_handle_ && (scheme == "Pick" || scheme == "Pick1");
-  if (!(seen || touched || picked) || !camera_) return;
+  if (!(seen || surface || picked) || !camera_) return;
   // A narrow box of rviz's selection has none, once shrunk to its texture.
   if (viewport->getActualWidth() < 1 || viewport->getActualHeight() < 1) return;
-  const auto now = std::chrono::steady_clock::now();
-  if (!error_.empty() && (scene_->unusable() || now < error_ends_)) return;
-  SplatCamera camera = inFrameOf(
-      place_, cameraOf(*camera_, viewport->getActualWidth(), viewport->getActualHeight()));
-  camera.extent_scale = extentScale(settings_);
   const Canvas canvas =
       viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
+  if (seen) return drawSeen(turn, manager, canvas);
+  if (turn != Turn::kBefore) return;
   try {
-    if (seen) {
-      drawSeen(turn, manager, camera, canvas);
-      error_.clear();
-      return;
+    const auto mine = touched(viewport);
+    if (!mine) return;
+    if (surface) return scene_->drawSurface(*mine, canvas, camera_->getFarClipDistance());
+    std::vector<SplatScene::Touched> all;
+    for (SplatCloud* cloud : cloudsIn(manager)) {
+      if (auto other = cloud->touched(viewport)) all.push_back(std::move(*other));
     }
-    if (turn != Turn::kBefore || seen_.empty()) return;  // what isn't seen can't be touched
-    auto view = seen_.begin();
-    while (view != seen_.end() && !makePart(camera, view->second)) ++view;
-    if (view == seen_.end()) view = seen_.begin();  // it has moved since
-    if (touched) {
-      scene_->drawSurface(view->first, camera, settings_, canvas, camera_->getFarClipDistance());
-    } else {
-      const bool first = scheme == "Pick";
-      if (first) pick_ticket_ = pick_ticket_ % kMostTickets + 1;
-      scene_->drawPick(view->first, camera, settings_, canvas, first ? pick_handle_ : pick_ticket_);
-    }
+    const bool first = scheme == "Pick";
+    if (first) pick_ticket_ = pick_ticket_ % kMostTickets + 1;
+    scene_->drawPick(all, canvas, first ? pick_handle_ : pick_ticket_);
   } catch (const std::exception& error) {
-    error_ = error.what();
-    error_ends_ = now + std::chrono::seconds(1);
+    fail(error);
   }
 }
 
-void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCamera& camera,
-                          Canvas canvas) {
+std::optional<SplatScene::Part> SplatCloud::part(Ogre::Viewport* viewport) {
+  if (pauses()) return {};
+  const SplatCamera camera = cameraIn(*viewport);
+  const std::string view = on_view_(viewport, camera);
+  if (view.empty()) {
+    seen_.clear();
+    scene_->upload(settings_);
+    error_.clear();
+    return {};
+  }
+  for (auto of = seen_.begin(); of != seen_.end();) {
+    of = scene_->knows(of->first) ? std::next(of) : seen_.erase(of);
+  }
+  seen_[view] = camera;
+  return SplatScene::Part{scene_.get(), view, settings_};
+}
+
+std::optional<SplatScene::Touched> SplatCloud::touched(Ogre::Viewport* viewport) {
+  if (seen_.empty() || pauses()) return {};  // what isn't seen can't be touched
+  SplatCamera camera = cameraIn(*viewport);
+  auto view = seen_.begin();
+  while (view != seen_.end() && !makePart(camera, view->second)) ++view;
+  if (view == seen_.end()) view = seen_.begin();  // it has moved since
+  return SplatScene::Touched{scene_.get(), view->first, camera, settings_};
+}
+
+void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas) {
   if (drawn_) {
     if (divided_ && turn == Turn::kHide) scene_->hideFarther();
     if (divided_ && turn == Turn::kBefore) scene_->drawBefore();
@@ -265,21 +320,38 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCam
       }
     };
   }
-  drawn_ = true;
-  Ogre::Viewport* viewport = manager.getCurrentViewport();
-  const std::string view = on_view_(viewport, camera);
-  if (view.empty()) {
-    seen_.clear();
-    scene_->upload(settings_);
-    return;
-  }
-  for (auto of = seen_.begin(); of != seen_.end();) {
-    of = scene_->knows(of->first) ? std::next(of) : seen_.erase(of);
-  }
-  seen_[view] = camera;
   around.opaque = anyOpaque(manager);
-  scene_->draw(view, settings_, canvas, sort_now_, around);
-  divided_ = bool(around.translucent);
+
+  // Those that are drawn together, by the first of each.
+  std::vector<std::vector<SplatCloud*>> groups;
+  std::vector<std::vector<SplatScene::Part>> parts;
+  for (SplatCloud* cloud : cloudsIn(manager)) {
+    cloud->drawn_ = true;
+    try {
+      const auto part = cloud->part(manager.getCurrentViewport());
+      if (!part) continue;
+      part->scene->prepare(part->settings);
+      std::size_t group = 0;
+      while (group < parts.size() && !SplatScene::together(parts[group].front(), *part)) ++group;
+      if (group == parts.size()) {
+        groups.emplace_back();
+        parts.emplace_back();
+      }
+      groups[group].push_back(cloud);
+      parts[group].push_back(*part);
+    } catch (const std::exception& error) {
+      cloud->fail(error);
+    }
+  }
+  for (std::size_t group = 0; group < groups.size(); ++group) {
+    try {
+      SplatScene::draw(parts[group], canvas, sort_now_, around);
+      groups[group].front()->divided_ = bool(around.translucent);
+      for (SplatCloud* cloud : groups[group]) cloud->error_.clear();
+    } catch (const std::exception& error) {
+      for (SplatCloud* cloud : groups[group]) cloud->fail(error);
+    }
+  }
 }
 
 }  // namespace rosplat

@@ -9,6 +9,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -18,6 +19,8 @@ namespace rosplat {
 
 // A map as a part of an Ogre scene: drawn after everything opaque, hidden by it, before and behind
 // what is translucent. It is where setPlace() says, wherever the node is that it is attached to.
+// The clouds of a view are drawn together, by the first that Ogre comes to: in one order, where the
+// same draws them.
 class SplatCloud : public Ogre::MovableObject {
  public:
   // Names the view that a viewport shows and registers its camera with the scene; called in the
@@ -71,18 +74,30 @@ class SplatCloud : public Ogre::MovableObject {
     const Ogre::LightList& getLights() const override { return cloud_.queryLights(); }
     bool preRender(Ogre::SceneManager* manager, Ogre::RenderSystem* system) override;
 
+    SplatCloud& cloud() const { return cloud_; }
+
    private:
     SplatCloud& cloud_;
     Turn turn_;
   };
 
+  // That Ogre is drawing now, in the order in which they were made.
+  static std::vector<SplatCloud*> cloudsIn(Ogre::SceneManager& manager);
   void draw(Turn turn, Ogre::SceneManager& manager);
-  void drawSeen(Turn turn, Ogre::SceneManager& manager, const SplatCamera& camera, Canvas canvas);
+  void drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas);
+  // What a viewport sees of the map, if it is to be drawn; after an error it isn't for a while.
+  std::optional<SplatScene::Part> part(Ogre::Viewport* viewport);
+  // The same of a viewport of rviz's mouse tools, if the map was drawn.
+  std::optional<SplatScene::Touched> touched(Ogre::Viewport* viewport);
+  SplatCamera cameraIn(const Ogre::Viewport& viewport) const;
+  bool pauses() const;
+  void fail(const std::exception& error);
   std::vector<Ogre::RenderablePass> translucent(Ogre::SceneManager& manager) const;
   static bool anyOpaque(Ogre::SceneManager& manager);  // before the splats in this view
 
   std::array<Layer, 3> layers_{Layer(*this, Turn::kBehind), Layer(*this, Turn::kHide),
                                Layer(*this, Turn::kBefore)};
+  const std::uint64_t number_;  // of those that were ever made
   std::unique_ptr<SplatScene> scene_;
   ViewCallback on_view_;
   std::map<std::string, SplatCamera> seen_;  // by view, as drawn last; mouse tools draw parts

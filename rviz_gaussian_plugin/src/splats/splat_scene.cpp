@@ -48,6 +48,8 @@ SplatScene::Trim::~Trim() {
 #endif
 }
 
+SplatScene::~SplatScene() { leavePainter(); }
+
 BatchReport SplatScene::apply(const GaussianBatch& batch) {
   BatchReport report;
   const std::lock_guard lock(map_mutex_);
@@ -111,16 +113,20 @@ void SplatScene::prepare(const RenderSettings& settings) {
   if (software ? bool(software_) : renderer_.has_value()) return;
   try {
     if (software) {
-      auto fresh = std::make_unique<SoftwareRenderer>(
-          shaders_, [this](auto& edit, MapState& state) { return nextEdit(edit, state); });
+      auto software = SoftwareRenderer::ofProcess(shaders_);
+      auto fresh = std::make_shared<PaintedMap>(
+          [this](auto& edit, MapState& state) { return nextEdit(edit, state); });
       if (renderer_) {
-        renderer_->forEachPage([&](const GaussianEdit& page) { fresh->painter().hold(page); });
-        fresh->painter().hold(drawn_map_);
+        const double clock = software->painter().clock();
+        renderer_->forEachPage([&](const GaussianEdit& page) { fresh->hold(page, clock); });
+        fresh->hold(drawn_map_);
         renderer_.reset();
         cut_views_.clear();
         sorter_.rest();
       }
-      software_ = std::move(fresh);
+      software->painter().add(fresh);
+      painted_ = std::move(fresh);
+      software_ = std::move(software);
     } else {
       renderer_.emplace(shaders_);
       if (software_) moveToCard();
@@ -134,15 +140,24 @@ void SplatScene::prepare(const RenderSettings& settings) {
 }
 
 void SplatScene::moveToCard() {
-  software_->painter().stop();
-  software_->painter().forEachPage([this](const GaussianEdit& page) {
+  painted_->leave();
+  painted_->forEachPage([this](const GaussianEdit& page) {
     renderer_->apply(std::make_shared<const GaussianEdit>(page));
   });
-  drawn_map_ = software_->map();
-  software_.reset();
+  drawn_map_ = painted_->state();
+  leavePainter();
   std::shared_ptr<const GaussianEdit> edit;
   while (nextEdit(edit, drawn_map_)) renderer_->apply(edit);
   book(drawn_map_);
+}
+
+void SplatScene::leavePainter() {
+  if (!software_) return;
+  painted_->leave();
+  software_->painter().remove(painted_);
+  for (const auto& [view_id, camera] : cameras_) software_->forget(view_id);
+  painted_.reset();
+  software_.reset();
 }
 
 bool SplatScene::nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
@@ -157,7 +172,7 @@ bool SplatScene::nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& s
 void SplatScene::upload(const RenderSettings& settings) {
   prepare(settings);
   if (software_) {
-    software_->wake();
+    software_->painter().wake();
   } else {
     takeArrivals(kUploadBytesPerFrame);
   }
@@ -278,15 +293,13 @@ OrderPtr SplatScene::sortNow(const SplatCamera& camera) {
 
 const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
                                     Canvas canvas, bool sort_now, const Surroundings& around) {
-  const double start = now();
   prepare(settings);
-  const OrderSource source = sourceOf(settings, sort_now);
   if (software_) {
-    FrameReport report = drawSoftware(view_id, settings, canvas, source, around);
-    report.draw_time = now() - start;
-    keepPace(view_id, report);
-    return reports_[view_id] = std::move(report);
+    drawSoftware({{this, view_id, settings}}, canvas, sort_now, around);
+    return reports_[view_id];
   }
+  const double start = now();
+  const OrderSource source = sourceOf(settings, sort_now);
   takeArrivals(sort_now ? kEverything : kUploadBytesPerFrame);
   const bool on_gpu = sortsOnGpu(source);
   OrderBook::Choice choice;
@@ -359,60 +372,97 @@ Cutting SplatScene::cut(const std::string& view_id, const RenderSettings& settin
 }
 
 void SplatScene::takeMap() {
-  drawn_map_ = software_->map();
+  drawn_map_ = painted_->state();
   // What is queued is painted before anything that is waited for.
   book(queued());
-  upload_error_ = software_->mapError();
+  upload_error_ = painted_->error();
   takeOrders();
 }
 
-OrderBook::Choice SplatScene::chooseForSoftware(const std::string& view_id, OrderSource source) {
-  return source == OrderSource::kSidecar ? book_.received(view_id, now()) : OrderBook::Choice{};
+bool SplatScene::together(const Part& one, const Part& other) {
+  return one.scene->software_ && other.scene->software_;
+}
+
+void SplatScene::draw(const std::vector<Part>& parts, Canvas canvas, bool sort_now,
+                      const Surroundings& around) {
+  const Part& first = parts.front();
+  if (parts.size() > 1) return drawSoftware(parts, canvas, sort_now, around);
+  first.scene->draw(first.view_id, first.settings, canvas, sort_now, around);
+}
+
+// A sidecar's order is drawn instead of the processor's own, if asked for, of a map that is alone.
+ViewedMap SplatScene::viewed(const std::string& view_id, const RenderSettings& settings,
+                             bool sort_now, bool alone) {
+  takeMap();
+  const bool received = alone && sourceOf(settings, sort_now) == OrderSource::kSidecar;
+  return {view_id,
+          painted_,
+          cameras_.at(view_id),
+          settings,
+          received ? book_.received(view_id, now()).order : nullptr,
+          queued()};
 }
 
 bool SplatScene::ready(const std::string& view_id, const RenderSettings& settings, bool sort_now) {
   prepare(settings);
   if (!software_) return true;
-  takeMap();
-  const OrderPtr order = chooseForSoftware(view_id, sourceOf(settings, sort_now)).order;
-  return software_->ready(view_id, cameras_.at(view_id), settings, order, queued());
+  RenderSettings waited_for = settings;
+  waited_for.asynchronous = false;
+  return software_->ready(viewed(view_id, waited_for, sort_now, true));
 }
 
-FrameReport SplatScene::drawSoftware(const std::string& view_id, const RenderSettings& settings,
-                                     Canvas canvas, OrderSource source,
-                                     const Surroundings& around) {
-  software_->wake();
-  takeMap();
-  const OrderBook::Choice choice = chooseForSoftware(view_id, source);
-  FrameReport report;
-  report.rasterizer = "processor";
-  const PaintingPtr painting = software_->draw(view_id, cameras_.at(view_id), settings,
-                                               choice.order, queued(), canvas, around);
-  if (!painting) return report;
-  report.map = painting->map;
-  takeMap();
-  report.splats = choice.order ? choice.order->slots.size() : painting->drawn;
-  report.error = painting->error_px;
-  report.detail_error = painting->detail_error;
-  report.paint_time = painting->took;
-  if (settings.profile) report.profile = painting->profile;
-  if (!software_->exact()) report.picture_age = now() - painting->asked;
-  if (painting->request->order) {
-    report.order_source = painting->request->order->source;
-    report.order_fresh = choice.fresh && software_->exact();
+void SplatScene::drawSoftware(const std::vector<Part>& parts, Canvas canvas, bool sort_now,
+                              const Surroundings& around) {
+  const double start = now();
+  const std::shared_ptr<SoftwareRenderer> software = parts.front().scene->software_;
+  software->painter().wake();
+  std::vector<ViewedMap> maps;
+  for (const Part& part : parts) {
+    maps.push_back(part.scene->viewed(part.view_id, part.settings, sort_now, parts.size() == 1));
+  }
+  const PaintingPtr painting = software->draw(maps, canvas, around);
+  const double took = now() - start;
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    FrameReport report;
+    report.rasterizer = "processor";
+    report.draw_time = took;
+    report.maps = parts.size();
+    parts[i].scene->takeMap();
+    if (painting) parts[i].scene->describe(*painting, software->exact(), parts[i], report);
+    parts[i].scene->keepPace(parts[i].view_id, report);
+    parts[i].scene->reports_[parts[i].view_id] = std::move(report);
+  }
+}
+
+void SplatScene::describe(const Painting& painting, bool exact, const Part& part,
+                          FrameReport& report) const {
+  const PaintLayer* const layer = painting.request->of(*painted_);
+  if (!layer) return;  // it isn't in the picture yet
+  const Painting::OfMap& of = painting.maps[std::size_t(layer - painting.request->layers.data())];
+  report.map = of.map;
+  report.splats = of.drawn;
+  report.error = of.error;
+  report.detail_error = of.detail_error;
+  report.paint_time = painting.took;
+  if (part.settings.profile) report.profile = painting.profile;
+  if (!exact) report.picture_age = now() - painting.asked;
+  if (layer->order) {
+    const OrderBook::Choice choice = book_.received(part.view_id, now());
+    report.splats = layer->order->slots.size();
+    report.order_source = layer->order->source;
+    report.order_fresh = choice.fresh && exact;
     report.order_age = choice.age;
-    report.sort_time = painting->request->order->sort_time;
-  } else if (painting->request->unsorted) {
+    report.sort_time = layer->order->sort_time;
+  } else if (layer->unsorted) {
     report.order_source = "nobody";
   } else {
     report.order_source = "processor";
-    report.order_fresh = software_->exact();
+    report.order_fresh = exact;
     report.order_age = report.picture_age;
-    if (const auto sort = painting->profile.find("sort"); sort != painting->profile.end()) {
+    if (const auto sort = painting.profile.find("sort"); sort != painting.profile.end()) {
       report.sort_time = sort->second;
     }
   }
-  return report;
 }
 
 void SplatScene::keepPace(const std::string& view_id, FrameReport& report) {
@@ -438,38 +488,56 @@ std::size_t SplatScene::gpuBytes() const {
 }
 
 std::size_t SplatScene::mapBytes() const {
-  return software_ ? software_->mapBytes() : renderer_ ? renderer_->mapBytes() : 0;
+  return software_ ? painted_->bytes() : renderer_ ? renderer_->mapBytes() : 0;
 }
 
 std::size_t SplatScene::levelsBytes() const {
-  return software_ ? software_->levelsBytes() : renderer_ ? renderer_->levelsBytes() : 0;
+  return software_ ? painted_->levelsBytes() : renderer_ ? renderer_->levelsBytes() : 0;
 }
 
 std::size_t SplatScene::hostBytes() const {
-  return sorter_.bytes() + (software_ ? software_->hostBytes() : 0);
+  return sorter_.bytes() + (software_ ? painted_->bytes() + painted_->levelsBytes() : 0);
 }
+
+std::size_t SplatScene::sharedBytes() const { return software_ ? software_->hostBytes() : 0; }
 
 FrameReport SplatScene::report(const std::string& view_id) const {
   const auto found = reports_.find(view_id);
   return found == reports_.end() ? FrameReport{} : found->second;
 }
 
-void SplatScene::drawSurface(const std::string& view_id, const SplatCamera& camera,
-                             const RenderSettings& settings, Canvas canvas, double far_clip) {
-  prepare(settings);
-  if (software_) return software_->drawSurface(view_id, camera, canvas, far_clip);
-  renderer_->drawSurface(camera, drawn_map_, inFull(settings), sortNow(camera), canvas, far_clip);
+void SplatScene::drawSurface(const Touched& mine, Canvas canvas, double far_clip) {
+  prepare(mine.settings);
+  if (software_) {
+    return software_->drawSurface(mine.view_id, *painted_, mine.camera, canvas, far_clip);
+  }
+  renderer_->drawSurface(mine.camera, drawn_map_, inFull(mine.settings), sortNow(mine.camera),
+                         canvas, far_clip);
 }
 
-void SplatScene::drawPick(const std::string& view_id, const SplatCamera& camera,
-                          const RenderSettings& settings, Canvas canvas, std::uint32_t number) {
-  prepare(settings);
-  if (software_) return software_->drawPick(view_id, camera, inFull(settings), canvas, number);
-  renderer_->drawPick(camera, drawn_map_, inFull(settings), sortNow(camera), canvas, number);
+void SplatScene::drawPick(const std::vector<Touched>& all, Canvas canvas, std::uint32_t number) {
+  const Touched& mine = *std::find_if(
+      all.begin(), all.end(), [this](const Touched& touched) { return touched.scene == this; });
+  prepare(mine.settings);
+  if (!software_) {
+    return renderer_->drawPick(mine.camera, drawn_map_, inFull(mine.settings), sortNow(mine.camera),
+                               canvas, number);
+  }
+  std::vector<ViewedMap> maps;
+  std::size_t of = 0;
+  for (const Touched& touched : all) {
+    if (!touched.scene->software_) continue;
+    if (touched.scene == this) of = maps.size();
+    RenderSettings settings = inFull(touched.settings);
+    settings.order = OrderSource::kAuto;
+    maps.push_back(
+        {touched.view_id, touched.scene->painted_, touched.camera, settings, nullptr, {}});
+  }
+  software_->drawPick(maps, of, canvas, number);
 }
 
 std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {
-  if (software_) return software_->readSlots(slots);
+  if (software_) return painted_->read(slots);
   return renderer_ ? renderer_->readSlots(slots) : std::vector<SplatValues>{};
 }
 

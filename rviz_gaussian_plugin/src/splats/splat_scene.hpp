@@ -27,6 +27,7 @@ namespace rosplat {
 // What a frame drew.
 struct FrameReport {
   std::size_t splats = 0;                 // drawn, and nodes that stand for some
+  std::size_t maps = 1;                   // in the same picture, in one order
   double error = 0;                       // to which they do, 0 where all is drawn in full [px]
   std::string detail_error;               // why that isn't the detail that was asked for
   std::string order_source;               // who sorted, empty where nothing is sorted yet
@@ -53,6 +54,7 @@ struct Backlog {
 class SplatScene {
  public:
   explicit SplatScene(ShaderSource shaders) : shaders_(std::move(shaders)) {}
+  ~SplatScene();
 
   // Any thread: checks a batch and queues it for the next frame. Throws BatchError.
   BatchReport apply(const GaussianBatch& batch);
@@ -71,6 +73,8 @@ class SplatScene {
 
   // Render thread: the camera of a view; sequence grows by one with each.
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
+  // Render thread: has it drawn by what the settings ask for. Throws gl::Error.
+  void prepare(const RenderSettings& settings);
   // Render thread: uploads some of what waits, for a map that isn't to be seen. Throws gl::Error.
   void upload(const RenderSettings& settings);
   // Render thread: whether a sidecar's orders are drawn, or only its own. Throws gl::Error.
@@ -86,22 +90,39 @@ class SplatScene {
   // unless the settings name another. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
                           bool sort_now = false, const Surroundings& around = {});
+  // Render thread: the same of several maps in one picture, in one order by depth; whose cameras
+  // are one camera, and which are together().
+  struct Part {
+    SplatScene* scene;
+    std::string view_id;
+    RenderSettings settings;
+  };
+  static void draw(const std::vector<Part>& parts, Canvas canvas, bool sort_now,
+                   const Surroundings& around);
+  // Render thread: whether maps are drawn by the same, and so in one picture.
+  static bool together(const Part& one, const Part& other);
   // Render thread: after a draw() with translucent objects; see SplatRenderer.
   void hideFarther() const { software_ ? software_->hideFarther() : renderer_->hideFarther(); }
   void drawBefore() const { software_ ? software_->drawBefore() : renderer_->drawBefore(); }
   // Render thread: what draw() drew last of a view; of no order source before.
   FrameReport report(const std::string& view_id) const;
+  // A map where rviz's mouse tools look at a view, or a part of it.
+  struct Touched {
+    SplatScene* scene;
+    std::string view_id;
+    SplatCamera camera;
+    RenderSettings settings;
+  };
   // Render thread: writes where the surface is that a view shows; see SplatRenderer. A graphics
   // card draws it anew, in the order that it waits for.
-  void drawSurface(const std::string& view_id, const SplatCamera& camera,
-                   const RenderSettings& settings, Canvas canvas, double far_clip);
-  // Render thread: writes a number where splats are seen, as pick() finds them; see SplatRenderer.
-  // A graphics card sorts for it; without one it is where a view shows some.
-  void drawPick(const std::string& view_id, const SplatCamera& camera,
-                const RenderSettings& settings, Canvas canvas, std::uint32_t number);
+  void drawSurface(const Touched& mine, Canvas canvas, double far_clip);
+  // Render thread: writes a number where splats of this map are seen, among all of the view, as
+  // pick() finds them; see SplatRenderer. A graphics card sorts for it; without one it is where a
+  // view shows some.
+  void drawPick(const std::vector<Touched>& all, Canvas canvas, std::uint32_t number);
   // Render thread, after drawPick(): which they are. Without a graphics card, they are found
   // beside.
-  Pick pick() { return software_ ? software_->pick() : Pick(renderer_->readPick()); }
+  Pick pick() { return software_ ? software_->pick(painted_) : Pick(renderer_->readPick()); }
   // Render thread: the values of slots as they are drawn, in the map's frame.
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
   // Render thread: the map as it is drawn.
@@ -129,6 +150,7 @@ class SplatScene {
   std::size_t mapBytes() const;
   std::size_t levelsBytes() const;  // of what draws the map
   std::size_t hostBytes() const;
+  std::size_t sharedBytes() const;  // of the host, by what draws this and other maps
 
  private:
   // What was drawn of a view lately.
@@ -137,18 +159,19 @@ class SplatScene {
   };
 
   bool prefersSoftware(const RenderSettings& settings);
-  void prepare(const RenderSettings& settings);
   void moveToCard();
   MapState queued() const;
   void book(const MapState& map);
   bool nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state);
   void takeOrders();
   void takeMap();  // as the painter has it by now
+  void leavePainter();
   Cutting cut(const std::string& view_id, const RenderSettings& settings, FrameReport& report);
-  // A sidecar's order that the processor is to draw instead of its own.
-  OrderBook::Choice chooseForSoftware(const std::string& view_id, OrderSource source);
-  FrameReport drawSoftware(const std::string& view_id, const RenderSettings& settings,
-                           Canvas canvas, OrderSource source, const Surroundings& around);
+  ViewedMap viewed(const std::string& view_id, const RenderSettings& settings, bool sort_now,
+                   bool alone);
+  static void drawSoftware(const std::vector<Part>& parts, Canvas canvas, bool sort_now,
+                           const Surroundings& around);
+  void describe(const Painting& painting, bool exact, const Part& part, FrameReport& report) const;
   void keepPace(const std::string& view_id, FrameReport& report);
   bool sortsOnGpu(OrderSource source);
   OrderPtr sortNow(const SplatCamera& camera);  // for the mouse tools; null: on the graphics card
@@ -190,7 +213,9 @@ class SplatScene {
   std::uint64_t surface_sequence_ = 0;
   OrderPtr unsorted_;
   std::array<std::uint64_t, 3> unsorted_of_{};  // round, capacity and number of pages
-  std::unique_ptr<SoftwareRenderer> software_;  // or renderer_; its thread takes arrivals_
+  // Or renderer_; its thread takes arrivals_.
+  std::shared_ptr<SoftwareRenderer> software_;
+  PaintedMapPtr painted_;
 };
 
 }  // namespace rosplat

@@ -3,9 +3,10 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <iterator>
 #include <limits>
 #include <new>
+#include <set>
+#include <utility>
 
 #include "map/give_way.hpp"
 
@@ -15,9 +16,6 @@ namespace {
 
 // So much of a map that streams in is taken before what there is of it is shown.
 constexpr std::size_t kEditBytesPerPicture = std::size_t{256} << 20;
-// So long pictures wait for levels of detail that aren't whole; then they do without. [s]
-constexpr double kLevelsPerPicture = 0.03;
-constexpr double kLevelsShare = 0.5;  // or for that part of the time that they take without
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 double now() {
@@ -57,25 +55,47 @@ PaintedLayer<float> hidingLayer(const std::vector<float>& nearness, int width, i
   return layer;
 }
 
+// While it is drawn: what maps hold, and what is known of them.
+class LockedMaps {
+ public:
+  LockedMaps(const PaintRequest& asked, PictureRequest& request) : states_(asked.layers.size()) {
+    for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+      locks_.push_back(asked.layers[i].map->lock());
+      states_[i] = asked.layers[i].map->state();
+      request.layers[i].map = &states_[i];
+    }
+  }
+  const std::vector<MapState>& states() const { return states_; }
+
+ private:
+  std::vector<std::shared_lock<std::shared_mutex>> locks_;
+  std::vector<MapState> states_;
+};
+
 }  // namespace
 
-bool PaintRequest::operator==(const PaintRequest& o) const {
-  return camera == o.camera && camera.ndc_scale == o.camera.ndc_scale &&
+bool PaintLayer::operator==(const PaintLayer& o) const {
+  return map == o.map && camera == o.camera && camera.ndc_scale == o.camera.ndc_scale &&
          camera.ndc_offset == o.camera.ndc_offset && settings.projectsAs(o.settings) &&
-         settings.depth_range == o.settings.depth_range && age_tick == o.age_tick &&
-         order == o.order && unsorted == o.unsorted && window == o.window &&
-         scene_depth == o.scene_depth && translucent_depth == o.translucent_depth;
+         settings.depth_range == o.settings.depth_range && order == o.order &&
+         unsorted == o.unsorted && age_tick == o.age_tick;
 }
 
-Painter::Painter(NextEdit next_edit)
-    : next_edit_(std::move(next_edit)),
-      start_(now()),
-      levels_(rosplat_sorter::ThreadTeam::ofViewers()),
-      thread_([this] { run(); }) {}
+const PaintLayer* PaintRequest::of(const PaintedMap& map) const {
+  const auto found = std::find_if(layers.begin(), layers.end(), [&map](const PaintLayer& layer) {
+    return layer.map.get() == &map;
+  });
+  return found == layers.end() ? nullptr : &*found;
+}
 
-Painter::~Painter() { stop(); }
+bool PaintRequest::operator==(const PaintRequest& o) const {
+  return layers == o.layers && window == o.window && scene_depth == o.scene_depth &&
+         translucent_depth == o.translucent_depth;
+}
 
-void Painter::stop() {
+Painter::Painter() : start_(now()), thread_([this] { run(); }) {}
+
+Painter::~Painter() {
   {
     const std::lock_guard lock(mutex_);
     stop_ = true;
@@ -83,7 +103,7 @@ void Painter::stop() {
     if (picking_) *picking_ = true;
   }
   wake_.notify_all();
-  if (thread_.joinable()) thread_.join();
+  thread_.join();
 }
 
 double Painter::clock() const { return std::fmod((now() - start_) * kTicksPerSecond, 65536.0); }
@@ -96,25 +116,18 @@ void Painter::wake() {
   wake_.notify_one();
 }
 
-void Painter::hold(const GaussianEdit& page) {
-  const std::unique_lock lock(slots_mutex_);
-  slots_.apply(page, clock());
+void Painter::add(PaintedMapPtr map) {
+  const std::lock_guard lock(mutex_);
+  maps_.push_back(std::move(map));
+  edits_ = true;
+  wake_.notify_one();
 }
 
-void Painter::hold(const MapState& map) { setMap(map, ""); }
-
-void Painter::setMap(const MapState& map, const std::string& error) {
-  const std::size_t bytes = slots_.bytes();  // of which its writers are the only ones
-  const std::lock_guard lock(map_mutex_);
-  map_ = map;
-  map_error_ = error;
-  map_bytes_ = bytes;
-}
-
-void Painter::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
-  const std::shared_lock lock(slots_mutex_);
-  take(slots_.index().moves());
-  for (const SlotPage& page : slots_.pages()) take(slots_.edit(page));
+void Painter::remove(const PaintedMapPtr& map) {
+  const std::lock_guard lock(mutex_);
+  maps_.erase(std::remove(maps_.begin(), maps_.end(), map), maps_.end());
+  edits_ = true;  // so that what the painter knows of it goes
+  wake_.notify_one();
 }
 
 std::uint64_t Painter::enqueue(const std::string& view_id, PaintRequestPtr&& request) {
@@ -166,7 +179,7 @@ void Painter::run() {
   giveWay();
   std::unique_lock lock(mutex_);
   while (true) {
-    wake_.wait(lock, [this] { return stop_ || edits_ || !queue_.empty() || !picks_.empty(); });
+    wake_.wait(lock, [this] { return hasWork(); });
     if (stop_) return;
     cancelled_ = false;
     if (!picks_.empty()) {
@@ -181,19 +194,19 @@ void Painter::run() {
       continue;
     }
     edits_ = false;
-    for (auto control = controls_.begin(); control != controls_.end();) {
-      control = views_.count(control->first) ? std::next(control) : controls_.erase(control);
-    }
+    std::vector<PaintedMapPtr> maps = maps_;
     if (queue_.empty()) {
       lock.unlock();
-      if (controls_.empty()) dropLevels();
-      takeEdits(kEverything);
-      if (wants_levels_) {
-        advanceLevels([this] {
+      keepViews(maps, "", {});
+      takeEdits(maps, kEverything);
+      for (const PaintedMapPtr& map : maps) {
+        if (!map->wantsLevels()) continue;
+        map->advanceLevels([this] {
           const std::lock_guard own(mutex_);
-          return stop_ || edits_ || !queue_.empty() || !picks_.empty();
+          return hasWork();
         });
       }
+      maps.clear();
       lock.lock();
       continue;
     }
@@ -204,11 +217,9 @@ void Painter::run() {
     painting_ = view_id;
     refining_ = job.request->rests;
     lock.unlock();
-    takeEdits(job.request->settings.asynchronous ? kEditBytesPerPicture : kEverything);
-    if (job.request->settings.drawnDetail() == Detail{}) {
-      controls_.erase(view_id);
-      if (controls_.empty()) dropLevels();
-    }
+    takeEdits(maps, job.request->asynchronous() ? kEditBytesPerPicture : kEverything);
+    keepViews(maps, view_id, job.request->layers);
+    maps.clear();
     const std::shared_ptr<Painting> painting = paint(view_id, job);
     lock.lock();
     painting_.clear();
@@ -228,88 +239,61 @@ void Painter::run() {
   }
 }
 
-void Painter::takeEdits(std::size_t most_bytes) {
-  std::size_t taken = 0;
-  std::shared_ptr<const GaussianEdit> edit;
-  MapState state;
-  while (taken < most_bytes && !cancelled_ && next_edit_(edit, state)) {
-    const std::unique_lock lock(slots_mutex_);
-    std::string error = edit->clear ? "" : mapError();
-    if (edit->clear) levels_.clear();
-    try {
-      slots_.apply(*edit, clock());
-      levels_.mark(slots_, edit->runs);
-    } catch (const std::bad_alloc&) {  // the rest of the map is still worth seeing
-      error = "there is no memory for all of the map";
-    }
-    taken += edit->slots.size() * sizeof(std::uint32_t);
-    for (const auto& band : edit->bands) taken += band.size() * sizeof(std::uint32_t);
-    for (const auto& channel : edit->channels) taken += channel.size() * sizeof(float);
-    setMap(state, error);
+void Painter::takeEdits(const std::vector<PaintedMapPtr>& maps, std::size_t most_bytes) {
+  bool all = true;
+  for (const PaintedMapPtr& map : maps) {
+    all = map->takeEdits(most_bytes, cancelled_, clock()) && all;
   }
-  if (taken < most_bytes) return;
+  if (all) return;
   const std::lock_guard lock(mutex_);
   edits_ = true;  // the rest
 }
 
-bool Painter::advanceLevels(const std::function<bool()>& stop) {
-  // Nobody else writes slots, nor looks at what this writes.
-  const bool whole = levels_.advance(slots_, stop);
-  levels_bytes_ = levels_.bytes();
-  return whole;
-}
-
-void Painter::dropLevels() {
-  wants_levels_ = false;
-  if (levels_bytes_ == 0) return;
-  levels_.clear();
-  levels_bytes_ = 0;
-  const std::unique_lock lock(slots_mutex_);
-  slots_.dropParents();
-}
-
-void Painter::chooseDetail(PictureRequest& request, const std::string& view_id,
-                           Painting& painting) {
-  PictureLayer& layer = request.layers.front();
-  const RenderSettings& settings = layer.settings;
-  const Detail detail = settings.drawnDetail();
-  if (detail == Detail{} || request.order || painting.request->unsorted) return;
-  DetailControl& control = controls_[view_id];
-  const bool in_time = detail.kind == Detail::Kind::kTime;
-  const bool moves = settings.asynchronous && !painting.request->rests;
-  if (!control.needsLevels(detail) || (in_time && !moves)) return;
-  wants_levels_ = true;
-  const double until = now() + std::max(kLevelsPerPicture, kLevelsShare * control.secondsInFull());
-  try {
-    const bool whole =
-        advanceLevels([&] { return cancelled_ || (settings.asynchronous && now() > until); });
-    if (levels_.nodes() == 0) {  // all is drawn until they stand
-      painting.settled = whole || in_time;
-      return;
-    }
-    layer.levels = &levels_;
-    layer.error = control.choose(detail, !settings.asynchronous, levels_.groups(), layer.camera,
-                                 slots_.index().groups(), settings.clip_box);
-    if (detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
-      layer.most_splats = static_cast<std::size_t>(detail.amount);
-    }
-    painting.settled = in_time ? layer.error == 0 : whole && control.settled();
-  } catch (const std::bad_alloc&) {
-    painting.detail_error = "there is no memory for levels of detail";
+void Painter::keepViews(const std::vector<PaintedMapPtr>& maps, const std::string& view_id,
+                        const std::vector<PaintLayer>& layers) {
+  std::set<std::string> views;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [id, view] : views_) views.insert(id);
+  }
+  for (const PaintedMapPtr& map : maps) {
+    const bool wanted = std::any_of(layers.begin(), layers.end(), [&map](const PaintLayer& layer) {
+      return layer.map == map && !(layer.settings.drawnDetail() == Detail{});
+    });
+    map->keepViews(
+        [&](const std::string& id) { return views.count(id) > 0 && (wanted || id != view_id); });
   }
 }
 
 PictureRequest Painter::pictureOf(const PaintRequest& asked) const {
   PictureRequest request;
-  request.layers.resize(1);
-  PictureLayer& layer = request.layers.front();
-  layer.slots = &slots_;
-  layer.camera = asked.camera;
-  layer.settings = asked.settings;
+  for (const PaintLayer& layer : asked.layers) {
+    PictureLayer& drawn = request.layers.emplace_back();
+    drawn.slots = &layer.map->slots();
+    drawn.camera = layer.camera;
+    drawn.settings = layer.settings;
+  }
   request.now = clock();
   request.scene_depth = viewOf(asked.scene_depth);
   request.translucent_depth = viewOf(asked.translucent_depth);
   return request;
+}
+
+void Painter::chooseDetail(const std::string& view_id, PictureRequest& request,
+                           Painting& painting) const {
+  const PaintRequest& asked = *painting.request;
+  const bool waited_for = !asked.asynchronous();
+  for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+    const PaintLayer& layer = asked.layers[i];
+    if (layer.settings.drawnDetail() == Detail{} || layer.order || layer.unsorted) continue;
+    const double start = now();
+    PaintedMap::Chosen chosen = layer.map->chooseDetail(
+        view_id, asked.rests,
+        [&](double patience) { return cancelled_ || (!waited_for && now() > start + patience); },
+        request.layers[i]);
+    painting.settled = painting.settled && chosen.settled;
+    painting.maps[i].detail_error = std::move(chosen.error);
+  }
 }
 
 std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiting& job) {
@@ -318,62 +302,60 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiti
   painting->asked = job.asked;
   painting->request = job.request;
   const PaintRequest& asked = *painting->request;
+  painting->maps.resize(asked.layers.size());
   try {
     PictureRequest request = pictureOf(asked);
-    PictureLayer& layer = request.layers.front();
-    if (asked.order) request.order = viewOf(asked.order->slots);
+    const PaintLayer& first = asked.layers.front();
+    if (first.order) request.order = viewOf(first.order->slots);
     request.mean_depth = true;
     request.cancelled = &cancelled_;
-    chooseDetail(request, view_id, *painting);
+    chooseDetail(view_id, request, *painting);
     {
-      const std::shared_lock lock(slots_mutex_);
-      painting->map = map();
-      layer.map = &painting->map;
+      const LockedMaps maps(asked, request);
       std::vector<std::uint32_t> all;
-      if (asked.unsorted) {
-        all = slots_.index().slots(painting->map.capacity);
+      if (first.unsorted) {
+        all = first.map->slots().index().slots(maps.states().front().capacity);
         request.order = viewOf(all);
+      }
+      for (std::size_t i = 0; i < maps.states().size(); ++i) {
+        painting->maps[i].map = maps.states()[i];
       }
       if (!rasterizer_.draw(request, picture_)) return nullptr;
     }
-    painting->drawn = picture_.layers.front().drawn;
-    painting->error_px = picture_.layers.front().error;
     const double took = now() - start;
-    if (const auto found = controls_.find(view_id); found != controls_.end()) {
-      DetailControl& control = found->second;
-      if (layer.levels) {
-        control.drew(painting->error_px);
-        control.took(painting->error_px, took);
-      } else {
-        control.drewAll(took);
-        wants_levels_ = wants_levels_ || control.needsLevels(asked.settings.drawnDetail());
-      }
+    for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+      Painting::OfMap& of = painting->maps[i];
+      of.drawn = picture_.layers[i].drawn;
+      of.error = picture_.layers[i].error;
+      asked.layers[i].map->drew(view_id, request.layers[i], of.error, took);
     }
     painting->profile = picture_.profile;
     if (asked.window) {
       const int width = picture_.width, height = picture_.height;
-      painting->mesh = PictureMesh(asked.camera, picture_);
-      painting->surface = PaintedSurface(asked.camera, picture_);
+      painting->mesh = PictureMesh(asked.camera(), picture_);
+      painting->surface = PaintedSurface(asked.camera(), picture_);
       painting->colour = colourLayer(picture_.colour, width, height);
       painting->behind = colourLayer(picture_.behind, width, height);
       painting->hiding = hidingLayer(picture_.nearness, width, height);
     }
-    if (!asked.settings.asynchronous) painting->picture = std::exchange(picture_, {});
+    if (!asked.asynchronous()) painting->picture = std::exchange(picture_, {});
   } catch (const PictureError& error) {
     painting->error = error.what();
   } catch (const std::bad_alloc&) {
-    painting->error = "there is no memory for a picture of " + std::to_string(asked.camera.width) +
-                      "x" + std::to_string(asked.camera.height) + " pixels";
+    painting->error = "there is no memory for a picture of " +
+                      std::to_string(asked.camera().width) + "x" +
+                      std::to_string(asked.camera().height) + " pixels";
   }
   workspace_ = rasterizer_.bytes();
   painting->took = now() - start;
   return painting;
 }
 
-Pick Painter::pick(PaintRequest asked) {
+Pick Painter::pick(PaintRequest asked, PaintedMapPtr of) {
   const std::lock_guard lock(mutex_);
   PickJob& job = picks_.emplace_back();
   job.asked = std::move(asked);
+  job.of = std::move(of);
   cancelled_ = true;  // what is being painted comes after
   wake_.notify_one();
   return Pick(job.slots.get_future(), job.given_up);
@@ -383,38 +365,16 @@ void Painter::find(PickJob& job) {
   try {
     PictureRequest request = pictureOf(job.asked);
     request.cancelled = job.given_up.get();
-    const std::shared_lock lock(slots_mutex_);
-    const MapState map = this->map();
-    request.layers.front().map = &map;
+    const LockedMaps maps(job.asked, request);
     Pick::Slots slots;
-    for (const PickedSplat& picked : rasterizer_.pick(request)) slots.push_back(picked.slot);
+    for (const PickedSplat& picked : rasterizer_.pick(request)) {
+      slots.push_back(job.asked.layers[picked.layer].map == job.of ? picked.slot : kNoSlot);
+    }
     job.slots.set_value(std::move(slots));
   } catch (...) {
     job.slots.set_exception(std::current_exception());
   }
   workspace_ = rasterizer_.bytes();
 }
-
-std::vector<SplatValues> Painter::read(const std::vector<std::uint32_t>& slots) const {
-  const std::shared_lock lock(slots_mutex_);
-  return slots_.read(slots);
-}
-
-MapState Painter::map() const {
-  const std::lock_guard lock(map_mutex_);
-  return map_;
-}
-
-std::string Painter::mapError() const {
-  const std::lock_guard lock(map_mutex_);
-  return map_error_;
-}
-
-std::size_t Painter::mapBytes() const {
-  const std::lock_guard lock(map_mutex_);
-  return map_bytes_;
-}
-
-std::size_t Painter::bytes() const { return mapBytes() + levels_bytes_ + workspace_; }
 
 }  // namespace rosplat

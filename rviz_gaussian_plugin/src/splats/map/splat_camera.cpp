@@ -40,6 +40,19 @@ Placement frameIn(const SplatCamera& camera, const SplatCamera& other) {
   return there;
 }
 
+Placement frameSeenBy(const SplatCamera& camera, const SplatCamera& other) {
+  Placement there;
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) there.rotation[3 * i + k] = 0;
+    for (int j = 0; j < 3; ++j) {
+      const double back = other.rotation[3 * j + i];
+      there.translation[i] += back * (camera.translation[j] - other.translation[j]);
+      for (int k = 0; k < 3; ++k) there.rotation[3 * i + k] += back * camera.rotation[3 * j + k];
+    }
+  }
+  return there;
+}
+
 SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera) {
   SplatCamera moved = camera;
   moved.translation = Placement{camera.rotation, camera.translation}(map.translation);

@@ -54,6 +54,9 @@ Placement makePlacement(const std::array<double, 3>& position,
 // Where a camera's frame is in that of another of the same map.
 Placement frameIn(const SplatCamera& camera, const SplatCamera& other);
 
+// Where the map of a camera is in that of another, which are one camera.
+Placement frameSeenBy(const SplatCamera& camera, const SplatCamera& other);
+
 // A camera of a scene, as one in the frame of a map that is placed there.
 SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera);
 

@@ -1,0 +1,134 @@
+"""Several maps in one rviz2: one order for all of their splats, and each as its display says."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from rosplat_lab.metrics import psnr
+from rosplat_tools.generate import generate
+from rosplat_tools.splats import concatenate
+from rviz_harness import (
+    Rviz,
+    World,
+    centre,
+    configuration,
+    disc,
+    green,
+    map_display,
+    needs_rviz,
+    red,
+)
+
+pytestmark = needs_rviz
+
+
+@pytest.fixture
+def other(world: World) -> Iterator[World]:
+    """Another robot's map."""
+    other = World(frame=f"{world.frame}_other", namespace="other")
+    yield other
+    other.close()
+
+
+def both(**properties: object) -> str:
+    """Maps as two displays show them."""
+    return map_display(**properties) + map_display("Other", "/other/gaussians", **properties)
+
+
+def test_each_splat_is_where_it_is_whosever_it_is(rviz: Rviz, world: World, other: World) -> None:
+    """Seen from above: red over green over blue, of which the green one is another map's."""
+    rviz.load(configuration(both()))
+
+    def seen(red: float, green: float, blue: float) -> None:
+        def found(picture: np.ndarray) -> bool:
+            row, column = picture.shape[0] // 2, picture.shape[1] // 2
+            pixels = picture[row - 3 : row + 4, column - 3 : column + 4]
+            return bool((np.abs(pixels - 255 * np.array([red, green, blue])) < 4).all())
+
+        rviz.until(found)
+
+    world.place()
+    other.place()
+    below = disc((0, 0, 1), opacity=0.6)
+    world.map.replace(concatenate([disc((1, 0, 0), z=2.0, opacity=0.6), below]))
+    other.map.replace(disc((0, 1, 0), z=1.0, opacity=0.6))
+    seen(0.6, 0.24, 0.096)
+    rviz.until_status("Other", "Order", "Ok", "1 splats by processor", "in one order with 1 other")
+    other.place(z=2.0)
+    seen(0.24, 0.6, 0.096)
+    world.place(z=-4.0)
+    seen(0.24, 0.6, 0.096)
+    other.place(z=-4.0)
+    seen(0.6, 0.24, 0.096)
+
+    rviz.set("Other", "Alpha", value=0.5)
+    seen(0.6, 0.4 * 0.3, 0.4 * 0.7 * 0.6)
+    rviz.set("Map", "Draw Mode", value="Flat Ball")
+    seen(1, 0, 0)
+    rviz.set("Map", value=False)
+    seen(0, 0.3, 0)
+    rviz.set("Map", value=True)
+    seen(1, 0, 0)
+
+
+def test_two_maps_look_like_the_map_of_all_their_splats(
+    rviz: Rviz, world: World, other: World
+) -> None:
+    rviz.load(configuration(both(), view="{Class: rviz_default_plugins/Orbit, Distance: 3}"))
+    splats = generate(20000)
+    half = np.arange(len(splats)) % 2 == 0
+    world.place()
+    other.place()
+    world.map.replace(splats)
+    rviz.until_status("Map", "Order", "Ok", "by processor, fresh")
+    whole = rviz.until(lambda s: s.max() > 100)
+    while (whole != (whole := rviz.picture())).any():
+        time.sleep(1)
+    rviz.set("Map", value=False)
+    rviz.until(lambda s: s.max() < 20)
+    world.map.replace(splats[half])
+    other.map.replace(splats[~half])
+    rviz.set("Map", value=True)
+    rviz.until(lambda s: psnr(s / 255, whole / 255) > 55)
+
+
+@pytest.mark.skipif(not shutil.which("xdotool"), reason="no xdotool to click with")
+def test_a_click_selects_what_is_seen_whosever_it_is(
+    rviz: Rviz, world: World, other: World
+) -> None:
+    from rosplat_msgs.msg import Gaussian
+
+    rviz.load(configuration(both(), tools="{Class: rviz_default_plugins/Select}"))
+    picked: list[tuple[str, int]] = []
+    for topic in ("/gaussians/picked", "/other/gaussians/picked"):
+        world.node.create_subscription(
+            Gaussian, topic, lambda m: picked.append((m.header.frame_id, m.slot)), 100
+        )
+    world.place()
+    other.place()
+    hidden, beside = disc((0, 0, 1), x=1, sigma=0.2), disc((0, 1, 0), x=-1, sigma=0.2)
+    world.map.replace(concatenate([hidden, beside]))
+    elsewhere = disc((1, 1, 1), x=50)
+    other.map.replace(concatenate([elsewhere] * 2 + [disc((1, 0, 0), x=1, z=1, sigma=0.3)]))
+
+    def both_there(picture: np.ndarray) -> bool:
+        return red(picture).sum() > 300 and green(picture).sum() > 300
+
+    picture = rviz.until(both_there)
+    spots = [tuple(map(int, centre(colour(picture)))) for colour in (red, green)]
+    rviz.click(*spots[0])
+    world.spin_until(lambda: picked)
+    assert picked == [(other.frame, 2)]
+    picked.clear()
+    rviz.click(*spots[1])
+    world.spin_until(lambda: picked)
+    assert picked == [(world.frame, 1)]
+    picked.clear()
+    rviz.drag((spots[1][0] - 30, spots[1][1] - 30), (spots[0][0] + 30, spots[0][1] + 30))
+    world.spin_until(lambda: len(picked) == 2)
+    assert set(picked) == {(other.frame, 2), (world.frame, 1)}
