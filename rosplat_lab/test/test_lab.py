@@ -435,10 +435,11 @@ def test_results_are_kept_by_all_that_a_scene_holds(random_splats: Make) -> None
     changed = [
         replace(splats, **{name: 1 - np.asarray(value)})
         for name, value in vars(splats).items()
-        if name != "antialiased"
+        if name not in ("antialiased", "channels")
     ]
     changed.append(replace(splats, antialiased=True))
-    assert scene_key(splats) == scene_key(random_splats(10))
+    labelled = replace(splats, channels={"label": np.zeros(10, np.float32)})
+    assert scene_key(splats) == scene_key(random_splats(10)) == scene_key(labelled)
     assert len({scene_key(which) for which in (splats, *changed)}) == 1 + len(changed)
 
 
