@@ -122,9 +122,17 @@ rclcpp::Subscription<GaussianClient::GaussianArray>::SharedPtr GaussianClient::s
   return node_->create_subscription<GaussianArray>(
       topic_, qos,
       [this](std::shared_ptr<const GaussianArray> message) {
+        note(message->map_id);
         act(pull_.hear(labelled(std::move(message)), now(), served()));
       },
       options);
+}
+
+void GaussianClient::note(const std::string& map_id) {
+  if (map_id == maps_[0]) return;
+  const std::lock_guard lock(mutex_);
+  status_.contended |= map_id == maps_[1];
+  maps_ = {map_id, maps_[0]};
 }
 
 void GaussianClient::act(Pull::Step step) {
@@ -157,10 +165,6 @@ void GaussianClient::take(const GaussianArray& message, Arrival arrival) {
     scene_.apply(batch);
     const std::lock_guard lock(mutex_);
     ++status_.batches;
-    if (message.map_id != maps_[0]) {
-      status_.contended |= message.map_id == maps_[1];
-      maps_ = {message.map_id, maps_[0]};
-    }
     status_.frame_id = message.header.frame_id;
     status_.refusal.clear();
   } catch (const BatchError& error) {

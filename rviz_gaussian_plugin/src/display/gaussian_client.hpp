@@ -99,6 +99,7 @@ class GaussianClient {
   static constexpr std::size_t kMostRequests = 64;  // for pictures, that wait
 
   rclcpp::Subscription<GaussianArray>::SharedPtr subscribe(const rclcpp::QoS& qos);
+  void note(const std::string& map_id);
   void act(Pull::Step step);
   void send(const Pull::Request& request);
   void take(const GaussianArray& message, Arrival arrival);

@@ -171,7 +171,8 @@ void GaussianDisplay::subscribe() {
     switchBackend();
   } catch (const std::exception& error) {
     unsubscribe();
-    showStatus({{StatusProperty::Error, "Topic", std::string("Can't subscribe: ") + error.what()}});
+    showStatus(
+        {{StatusProperty::Error, "Topic", "Can't subscribe to '" + topic + "': " + error.what()}});
   }
 }
 
