@@ -28,7 +28,7 @@ Indices = NDArray[np.intp]
 NEIGHBOURS = 4  # that a splat may be merged with; 16 gain 0.3 dB
 MOST = 0.25  # of the splats that go before neighbours are looked for again
 INEXACT = 0.1  # part of what leaving one of a pair out costs that merging it costs at least
-CHUNK = 1 << 16  # pairs whose arrays stay in the cache
+CHUNK = 1 << 16  # pairs, or splats, whose arrays stay in the cache
 LARGEST = 1e15  # variance whose square a 32-bit float holds [px^2]
 LEAST = 1e-12  # of areas and weights that are divided by
 
@@ -174,7 +174,11 @@ def _neighbours(positions: NDArray[np.float32]) -> tuple[Indices, Indices]:
     """Each splat and the nearest to it, by number the lower and the higher, no pair twice."""
     count = len(positions)
     tree = cKDTree(positions, balanced_tree=False)
-    nearest = tree.query(positions, min(NEIGHBOURS + 1, count), workers=-1)[1]
+    parts = [positions[start : start + CHUNK] for start in range(0, count, CHUNK)]
+    # In threads that an interrupt waits for: SciPy's own would go on in a tree that is gone.
+    with ThreadPoolExecutor() as pool:
+        found = pool.map(lambda part: tree.query(part, min(NEIGHBOURS + 1, count))[1], parts)
+        nearest = np.concatenate(list(found))
     one = np.repeat(np.arange(count), nearest.shape[1])
     other = nearest.ravel()
     mutual = (nearest[other] == one[:, None]).any(axis=1)
