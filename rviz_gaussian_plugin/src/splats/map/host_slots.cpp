@@ -1,9 +1,10 @@
 #include "map/host_slots.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <cstring>
-#include <new>
+#include <memory>
+
+#include "map/in_parts.hpp"
 
 namespace rosplat {
 
@@ -25,25 +26,9 @@ void HostSlots::apply(const GaussianEdit& edit, double now, rosplat_sorter::Thre
     if (!edit.channels[channel].empty()) channels_ = channel + 1;
   }
   pages_.apply(edit);
-  std::atomic<bool> out_of_memory{false};
-  const auto inParts = [&](std::size_t count, const auto& step) {
-    const auto task = [&](unsigned number, unsigned) {
-      try {
-        step(number);
-      } catch (const std::bad_alloc&) {
-        out_of_memory = true;
-      }
-    };
-    if (team) {
-      team->run(static_cast<unsigned>(count), task);
-    } else {
-      for (unsigned number = 0; number < count; ++number) task(number, 0);
-    }
-    if (out_of_memory) throw std::bad_alloc();
-  };
   const std::size_t before = memory_.size();
   memory_.resize(pages_.pages().size());
-  inParts(memory_.size() - before, [&](std::size_t number) {
+  inParts(team, memory_.size() - before, [&](std::size_t number) {
     memory_[before + number] = std::make_unique<Page>();
     memory_[before + number]->extent.fill(-1);
   });
@@ -58,7 +43,7 @@ void HostSlots::apply(const GaussianEdit& edit, double now, rosplat_sorter::Thre
       in_page = std::min(count - done, static_cast<std::uint32_t>(kSlots - slot % kSlots));
       parts.push_back({slot, in_page, source + done});
     }
-    inParts(parts.size(), [&](std::size_t number) { write(edit, parts[number], change); });
+    inParts(team, parts.size(), [&](std::size_t number) { write(edit, parts[number], change); });
     source += count;
   }
 }

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "map/give_way.hpp"
+#include "map/in_parts.hpp"
 
 namespace rosplat {
 
@@ -96,18 +97,6 @@ void LevelBuilder::run() {
   }
 }
 
-void LevelBuilder::inParts(std::size_t count, const std::function<void(std::size_t)>& step) const {
-  std::atomic<bool> out_of_memory{false};
-  team_->run(static_cast<unsigned>(count), [&](unsigned number, unsigned) {
-    try {
-      step(number);
-    } catch (const std::bad_alloc&) {
-      out_of_memory = true;
-    }
-  });
-  if (out_of_memory) throw std::bad_alloc();
-}
-
 // Some of what waits, as edits.
 std::vector<LevelBuilder::Waiting> LevelBuilder::takeSome() {
   std::vector<Waiting> some;
@@ -120,7 +109,7 @@ std::vector<LevelBuilder::Waiting> LevelBuilder::takeSome() {
       if (some.back().edit && some.back().edit->clear) update_.reset();
     }
   }
-  inParts(some.size(), [&some](std::size_t i) {
+  inParts(team_.get(), some.size(), [&some](std::size_t i) {
     Waiting& of = some[i];
     if (!of.edit) of.edit = std::make_shared<const GaussianEdit>(editOf(std::move(of.run)));
   });
@@ -164,7 +153,7 @@ void LevelBuilder::handOver(const std::vector<std::uint32_t>& changed) {
   update->entries.resize(pages.size());
   auto entries = update->entries.begin();
   for (const std::uint32_t first_slot : pages) (entries++)->first = first_slot;
-  inParts(pages.size(), [&](std::size_t i) {
+  inParts(team_.get(), pages.size(), [&](std::size_t i) {
     auto& [first_slot, levels] = update->entries[i];
     levels = entriesOf(slots_.at(*slots_.index().find(first_slot)));
   });

@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
-#include <functional>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -68,8 +67,6 @@ class LevelBuilder {
   void run();
   void build();
   std::vector<Waiting> takeSome();
-  // Does step(number) for each number below count, side by side.
-  void inParts(std::size_t count, const std::function<void(std::size_t)>& step) const;
   void handOver(const std::vector<std::uint32_t>& changed);
 
   mutable std::mutex mutex_;  // what follows

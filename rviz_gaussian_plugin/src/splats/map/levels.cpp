@@ -1,11 +1,11 @@
 #include "map/levels.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <iterator>
 #include <limits>
-#include <new>
 #include <utility>
+
+#include "map/in_parts.hpp"
 
 namespace rosplat {
 
@@ -119,18 +119,6 @@ std::size_t NodePage::bytes() const {
   return bytes;
 }
 
-void Levels::inParts(std::size_t count, const std::function<void(std::size_t)>& step) const {
-  std::atomic<bool> out_of_memory{false};
-  team_->run(static_cast<unsigned>(count), [&](unsigned number, unsigned) {
-    try {
-      step(number);
-    } catch (const std::bad_alloc&) {
-      out_of_memory = true;
-    }
-  });
-  if (out_of_memory) throw std::bad_alloc();
-}
-
 void Levels::mark(const HostSlots& slots, const SlotRuns& runs) {
   if (!begun_) return;
   for (const auto& [first, count] : runs) {
@@ -192,7 +180,7 @@ void Levels::begin(const HostSlots& slots) {
   auto job = std::make_unique<Job>();
   job->group = group;
   std::vector<std::vector<Change>> parts(4 * std::size_t(team_->size()));
-  inParts(parts.size(), [&](std::size_t number) {
+  inParts(team_.get(), parts.size(), [&](std::size_t number) {
     const std::size_t end = marked.size() * (number + 1) / parts.size();
     for (std::size_t i = marked.size() * number / parts.size(); i < end; ++i) {
       findChanges(slots, *slots.index().find(marked[i]), parts[number]);
@@ -214,7 +202,7 @@ void Levels::begin(const HostSlots& slots) {
   job_ = std::move(job);
 
   // Nothing here needs memory: the job has what was marked.
-  inParts(job_->marked.size(),
+  inParts(team_.get(), job_->marked.size(),
           [this, &slots](std::size_t i) { know(slots, *slots.index().find(job_->marked[i])); });
   for (const auto& [known, to] : regrouped) {
     known->group = to;
@@ -275,19 +263,19 @@ Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) co
     return std::size_t(std::upper_bound(ends.begin(), ends.end(), change.cell) - ends.begin());
   };
   std::vector<std::size_t> next(ranges * parts.size());  // place, by range, then part
-  inParts(parts.size(), [&](std::size_t part) {
+  inParts(team_.get(), parts.size(), [&](std::size_t part) {
     for (const Change& change : parts[part]) ++next[rangeOf(change) * parts.size() + part];
   });
   std::size_t sum = 0;
   for (std::size_t& place : next) sum += std::exchange(place, sum);
   std::vector<std::size_t> begins{next};
   changes.all.reset(new Change[changes.count]);
-  inParts(parts.size(), [&](std::size_t part) {
+  inParts(team_.get(), parts.size(), [&](std::size_t part) {
     for (const Change& change : parts[part]) {
       changes.all[next[rangeOf(change) * parts.size() + part]++] = change;
     }
   });
-  inParts(ranges, [&](std::size_t range) {
+  inParts(team_.get(), ranges, [&](std::size_t range) {
     const std::size_t begin = begins[range * parts.size()];
     const std::size_t end = range + 1 < ranges ? begins[(range + 1) * parts.size()] : changes.count;
     std::sort(&changes.all[begin], changes.all.get() + end, [](const Change& a, const Change& b) {
@@ -362,12 +350,12 @@ void Levels::make(const HostSlots& slots, std::size_t count) {
     }
     made[i].resize((piece(i).touched.size() + kCells - 1) / kCells);
   }
-  inParts(parts.size(), [&](std::size_t number) {
+  inParts(team_.get(), parts.size(), [&](std::size_t number) {
     const auto& [i, begin] = parts[number];
     const std::size_t end = std::min(begin + kCells, piece(i).touched.size());
     made[i][begin / kCells] = nodesOf(slots, piece(i), begin, end);
   });
-  inParts(count, [&](std::size_t i) {
+  inParts(team_.get(), count, [&](std::size_t i) {
     fill(piece(i), made[i], slots.shDegree());
     made[i] = {};
   });
@@ -473,7 +461,7 @@ void Levels::fill(Piece& piece, const std::vector<Made>& made, int sh_degree) co
 
 // Tells the slots that were marked of their nodes, but for what was written since.
 void Levels::publish(HostSlots& slots) const {
-  inParts(job_->marked.size(), [&](std::size_t number) {
+  inParts(team_.get(), job_->marked.size(), [&](std::size_t number) {
     const SlotPage& of = *slots.index().find(job_->marked[number]);
     const Known& known = *known_[of.place];
     HostSlots::PerSlot<float> sizes;

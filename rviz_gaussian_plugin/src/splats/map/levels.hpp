@@ -135,8 +135,6 @@ class Levels {
                std::size_t end) const;
   void fill(Piece& piece, const std::vector<Made>& made, int sh_degree) const;
   void publish(HostSlots& slots) const;
-  // Does step(number) for each number below count, side by side.
-  void inParts(std::size_t count, const std::function<void(std::size_t)>& step) const;
 
   std::shared_ptr<rosplat_sorter::ThreadTeam> team_;
   bool begun_ = false;
