@@ -354,6 +354,9 @@ def test_who_does_not_answer_is_waited_for_a_while(kind: str) -> None:
     assert pull.answer(request.number, [part(5)], 0, 5.0, True) == Step()  # too late
     assert pull.tick(8.1, True) == Step()
     assert pull.tick(8.3, True) == Step([("five", Arrival.HEARD)])
+    assert pull.tick(9.4, True).request  # with new patience
+    assert pull.tick(10.3, True) == Step()
+    assert pull.tick(10.5, True).request
     pull, request = beginning(kind)
     assert pull.tick(1.1, False).batches == [("five", Arrival.HEARD)]  # it has ended
 

@@ -148,6 +148,7 @@ class MapPull(Generic[Batch]):
 
     def _stop(self) -> None:
         self.pulling, self._asked, self._block = False, None, 0
+        self._patience = PATIENCE
         self._waiting.clear()
         self._waiting_bytes = 0
 

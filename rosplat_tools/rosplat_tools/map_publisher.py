@@ -198,7 +198,6 @@ class MapPublisher:
             self._tell_of(self._map.write(slots, splats, group))
             parts = list(chunks(splats, self._chunk_bytes))
             self._changes.write(slots, self._revision + len(parts), group)
-            # A bag that is played once more begins with an empty map.
             operation = GaussianArray.UPSERT if self._revision else GaussianArray.REPLACE
             with self._numbering(len(parts)):
                 for part in parts:
@@ -212,9 +211,8 @@ class MapPublisher:
         slots = _checked(slots)
         with self._lock:
             self._map.clear(slots)
-            self._changes.clear(slots, self._revision + 1)
-            with self._numbering(1):
-                self._send(self._deletion(slots, stamp))
+            self._changes.clear(slots, self._edit_revision)
+            self._send_edit(self._deletion(slots, stamp))
 
     def move(self, poses: Mapping[int, Pose | ArrayLike], *, stamp: Time | None = None) -> None:
         """Places groups in the map's frame: {group: a Pose or a rigid transform (4, 4)}.
@@ -230,9 +228,8 @@ class MapPublisher:
             return
         with self._lock:
             self._map.poses |= {group: to_matrix(pose) for group, pose in checked.items()}
-            self._changes.place(list(checked), self._revision + 1)
-            with self._numbering(1):
-                self._send(self._move(checked, stamp))
+            self._changes.place(list(checked), self._edit_revision)
+            self._send_edit(self._move(checked, stamp))
 
     def _tell_of(self, left_out: int) -> None:
         if left_out:
@@ -269,6 +266,20 @@ class MapPublisher:
                 operation = GaussianArray.UPSERT
                 if progress:
                     progress(len(part.slots))
+
+    @property
+    def _edit_revision(self) -> int:
+        """Of an edit without splats. The first follows an empty REPLACE: see _send_edit."""
+        return self._revision + 1 if self._revision else 2
+
+    def _send_edit(self, batch: GaussianArray) -> None:
+        # Each map begins with a REPLACE: in a bag that loops, it empties the map of the round before.
+        begins = not self._revision
+        with self._numbering(2 if begins else 1):
+            if begins:
+                beginning = self._beginning(self._map.groups()[0].splats, batch.header.stamp)
+                self._send(beginning)
+            self._send(batch)
 
     @contextlib.contextmanager
     def _numbering(self, batches: int) -> Iterator[None]:

@@ -146,6 +146,25 @@ def test_numbers_may_be_of_numpy_s_kinds(
     assert (listener.batches[1].group, list(listener.batches[2].groups)) == (3, [3])
 
 
+@pytest.mark.parametrize("first", ["replace", "upsert", "delete", "move"])
+def test_a_map_begins_with_a_replace(
+    node: Node, random_splats: Maker, listener: Listener, first: str
+) -> None:
+    """A bag that loops plays it into the map of the round before."""
+    publisher = MapPublisher(node)
+    if first == "replace":
+        publisher.replace(random_splats(3))
+    elif first == "upsert":
+        publisher.upsert(range(3), random_splats(3))
+    elif first == "delete":
+        publisher.delete([7])
+    else:
+        publisher.move({2: np.eye(4)})
+    listener.wait(lambda: listener.batches and listener.batches[-1].revision == publisher.revision)
+    assert [batch.operation for batch in listener.batches].index(GaussianArray.REPLACE) == 0
+    assert [batch.revision for batch in listener.batches] == list(range(1, publisher.revision + 1))
+
+
 @pytest.mark.parametrize(
     ("poses", "named"),
     [

@@ -140,6 +140,7 @@ class MapPull {
   void stop() {
     pulling_ = false;
     asked_.reset();
+    patience_ = kPatience;
     block_ = 0;
     waiting_.clear();
     waiting_bytes_ = 0;
