@@ -273,7 +273,7 @@ class MapPublisher:
         return self._revision + 1 if self._revision else 2
 
     def _send_edit(self, batch: GaussianArray) -> None:
-        # Each map begins with a REPLACE: in a bag that loops, it empties the map of the round before.
+        # Each map begins with a REPLACE: where a bag loops, it empties that of the round before.
         begins = not self._revision
         with self._numbering(2 if begins else 1):
             if begins:
