@@ -12,17 +12,6 @@ Cut::Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double 
       from(error * (sharp ? 1 - 1e-5 : std::sqrt(0.5))),
       to(error) {}
 
-double Cut::errorOf(const std::array<float, 3>& position, double size) const {
-  if (orthographic) return focal * size;
-  double away = 0;  // squared
-  for (std::size_t i = 0; i < 3; ++i) {
-    const double least = std::floor(position[i] / size) * size;
-    const double outside = std::max({least - eye[i], eye[i] - least - size, 0.0});
-    away += outside * outside;
-  }
-  return focal * size / std::max(std::sqrt(away), 1e-6);
-}
-
 bool Cut::mayShow(const SlotPage& page, double own, double parent) const {
   constexpr double kRounding = 1.001;
   double nearest = 0, farthest = 0;  // squared

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cstddef>
 
 #include "map/slot_pages.hpp"
 #include "map/splat_camera.hpp"
@@ -22,11 +24,33 @@ struct Cut {
   // camera: in the group's frame; sharp: of solids, s is a step.
   Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool sharp);
 
-  // Of the cell of a size around a position. [px]
-  double errorOf(const std::array<float, 3>& position, double size) const;
+  // Squared, of cells of a size, by their corners [m]. [px2]
+  template <std::size_t N>
+  std::array<float, N> squaredErrors(const std::array<std::array<float, N>, 3>& corners,
+                                     float size) const;
   // Whether anything of a page may have a share. own: of its nodes' cells, 0 of splats; parent: of
   // the widest of their parents. [m]
   bool mayShow(const SlotPage& page, double own, double parent) const;
 };
+
+template <std::size_t N>
+std::array<float, N> Cut::squaredErrors(const std::array<std::array<float, N>, 3>& corners,
+                                        float size) const {
+  constexpr float kNearest = 1e-12f;  // squared [m2]
+  std::array<float, N> errors{};      // first: distances
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const float at = static_cast<float>(eye[axis]);
+    for (std::size_t i = 0; i < N; ++i) {
+      const float below = corners[axis][i] - at, above = at - corners[axis][i] - size;
+      const float outside = std::max(std::max(below, above), 0.0f);
+      errors[i] += outside * outside;
+    }
+  }
+  const float width = static_cast<float>(focal) * size;
+  for (float& error : errors) {
+    error = width * width / (orthographic ? 1.0f : std::max(error, kNearest));
+  }
+  return errors;
+}
 
 }  // namespace rosplat

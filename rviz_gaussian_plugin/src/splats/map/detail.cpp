@@ -1,15 +1,16 @@
 #include "map/detail.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <cmath>
+#include <cstdint>
 #include <cstring>
 #include <locale>
 #include <numeric>
 #include <regex>
 #include <sstream>
 #include <stdexcept>
-#include <vector>
 
 #include "map/cut.hpp"
 #include "map/seen_group.hpp"
@@ -24,24 +25,31 @@ constexpr double kMostStep = 1.1;     // of the error, from picture to picture
 constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
 constexpr double kNearTime = 0.1;     // of a frame time, which varies from frame to frame
 
-// Errors are counted by 32nds of their octave: by the first bits of floats, which grow with them.
-constexpr int kLeastOctave = -6, kOctaves = 30, kDropped = 23 - 5;  // of a float's 23 bits
-constexpr std::uint32_t kLeastBits = std::uint32_t(127 + kLeastOctave) << 5;
-constexpr std::uint32_t kBins = std::uint32_t(kOctaves) << 5;
+// Squared errors are counted by 16ths of their octave: by the first bits of floats, which grow with
+// them.
+constexpr int kOctaveBits = 4, kDropped = 23 - kOctaveBits;  // of a float's 23 bits
+constexpr int kOctave = 1 << kOctaveBits, kBins = 60 * kOctave;
+constexpr int kLeastBits = (127 - 12) * kOctave;  // of 2^-12
 
-std::size_t binOf(double error) {
-  const float value = static_cast<float>(std::min(error, 1e30));
-  std::uint32_t bits;
-  std::memcpy(&bits, &value, sizeof(bits));
-  return std::clamp(bits >> kDropped, kLeastBits, kLeastBits + kBins - 1) - kLeastBits;
+using Bins = NodeSamples::Each<int>;
+
+Bins binsOf(const NodeSamples::Each<float>& squared) {
+  Bins bins;
+  for (std::size_t i = 0; i < bins.size(); ++i) {
+    std::int32_t bits;
+    std::memcpy(&bits, &squared[i], sizeof(bits));
+    // Room for half an octave of errors more.
+    bins[i] = std::clamp((bits >> kDropped) - kLeastBits, 0, kBins - 1 - kOctave);
+  }
+  return bins;
 }
 
 // The least error of a bin.
-double errorOf(std::size_t bin) {
-  const std::uint32_t bits = (kLeastBits + static_cast<std::uint32_t>(bin)) << kDropped;
-  float value;
-  std::memcpy(&value, &bits, sizeof(value));
-  return value;
+double errorOf(int bin) {
+  const std::int32_t bits = (kLeastBits + bin) << kDropped;
+  float squared;
+  std::memcpy(&squared, &bits, sizeof(squared));
+  return std::sqrt(squared);
 }
 
 }  // namespace
@@ -96,51 +104,49 @@ std::string toText(const Detail& detail) {
 
 double errorForSplats(const std::vector<Levels::Nodes>& levels, const SplatCamera& camera,
                       const std::vector<Group>& groups, const ClipBox& box, double splats) {
-  constexpr std::size_t kStride = 61;         // of nodes
-  constexpr std::size_t kMostPages = 1 << 7;  // of a level; most levels have few
+  constexpr std::size_t kMostPages = 1 << 6;  // of a level; most levels have few
   // How many more are drawn where the error that is allowed falls below a bin's.
-  std::vector<double> more(kBins);
+  std::array<double, kBins> more{};
   // weight: of how many pages this is one.
-  const auto sample = [&](const NodePage& page, const PageView& view, const Cut& cut,
-                          double weight) {
+  const auto count = [&](const NodePage& page, int level, const PageView& view, const Cut& cut,
+                         double weight) {
     if (!view.mayShow(page.bounds)) return;
-    const double size = cellSize(page.level());
-    const bool top = page.level() + 1 == kLevels;
-    const std::size_t nodes = page.cells.size(), samples = (nodes + kStride - 1) / kStride;
-    const double of_nodes = weight * double(nodes) / double(samples);
-    const double of_members = weight * double(page.members()) / double(samples);
-    for (std::size_t i = 0; i < samples; ++i) {
-      const std::size_t at = i * nodes / samples;
-      SlotPage point = page.bounds;
-      for (std::size_t axis = 0; axis < 3; ++axis) {
-        point.least[axis] = point.most[axis] = page.slots.position[axis][at];
-      }
-      point.extent = page.slots.extent[at];
-      if (!view.mayShow(point)) continue;
-      // Splats are drawn below the end of the rise of their parent's share, nodes also above the
-      // beginning of their own.
-      const double own = cut.errorOf(point.least, size);
-      more[binOf(std::sqrt(2) * own)] += of_members;
-      more[top ? more.size() - 1 : binOf(std::sqrt(2) * cut.errorOf(point.least, 2 * size))] +=
-          of_nodes;
-      more[binOf(own)] -= of_nodes;
+    const float size = cellSize(level);
+    const bool top = level + 1 == kLevels;
+    const NodeSamples& samples = page.samples;
+    const auto shown = view.mayShow(samples.position, samples.extent);
+    const Bins own = binsOf(cut.squaredErrors(samples.corner, size));
+    const Bins parents = binsOf(cut.squaredErrors(samples.parent_corner, 2 * size));
+    weight /= double(NodeSamples::kCount);
+    const double nodes = weight * double(page.cells.size());
+    const double members = weight * double(page.members());
+    for (std::size_t i = 0; i < NodeSamples::kCount; ++i) {
+      if (!shown[i]) continue;
+      // Splats are drawn below the end of the rise of their parent's share, half an octave up;
+      // nodes also above the beginning of their own.
+      more[std::size_t(own[i] + kOctave)] += members;
+      more[std::size_t(top ? kBins - 1 : parents[i] + kOctave)] += nodes;
+      more[std::size_t(own[i])] -= nodes;
     }
   };
   for (std::size_t group = 0; group < levels.size(); ++group) {
     const SeenGroup seen(camera, groups[group], box);
     const Cut cut(seen.camera, groups[group].originOrZero(), 1, true);
-    for (const Levels::Pages& pages : levels[group]) {
+    for (int level = 0; level < kLevels; ++level) {
+      const Levels::Pages& pages = levels[group][std::size_t(level)];
       const std::size_t step = (pages.size() + kMostPages - 1) / kMostPages;
       for (std::size_t i = 0; i < pages.size(); i += step) {
-        sample(*pages[i], seen.pages, cut, double(step));
+        count(*pages[i], level, seen.pages, cut, double(step));
       }
     }
   }
   // Where levels blend, more may be drawn than there are splats.
   if (std::accumulate(more.begin(), more.end(), 0.0) <= splats) return 0;
   double drawn = 0;
-  std::size_t bin = more.size();
-  while (bin > 0 && drawn + more[bin - 1] <= kAim * splats) drawn += more[--bin];
+  int bin = kBins;
+  while (bin > 0 && drawn + more[std::size_t(bin - 1)] <= kAim * splats) {
+    drawn += more[std::size_t(--bin)];
+  }
   return errorOf(bin);
 }
 

@@ -100,6 +100,20 @@ void NodePage::add(Cell cell, const PackedSlot& packed, const std::uint32_t* mem
   ends_.push_back(static_cast<std::uint32_t>(members_.size()));
 }
 
+void NodePage::sample() {
+  const bool top = level() + 1 == kLevels;
+  for (std::size_t k = 0; k < NodeSamples::kCount; ++k) {
+    const std::size_t i = k * cells.size() / NodeSamples::kCount;
+    const auto corner = cornerOf(cells[i]), parent = top ? corner : cornerOf(parentOf(cells[i]));
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      samples.position[axis][k] = slots.position[axis][i];
+      samples.corner[axis][k] = static_cast<float>(corner[axis]);
+      samples.parent_corner[axis][k] = static_cast<float>(parent[axis]);
+    }
+    samples.extent[k] = slots.extent[i];
+  }
+}
+
 std::pair<const std::uint32_t*, std::size_t> NodePage::membersOf(std::size_t i) const {
   const std::uint32_t begin = i > 0 ? ends_[i - 1] : 0;
   return {members_.data() + begin, ends_[i] - begin};
@@ -455,6 +469,7 @@ void Levels::fill(Piece& piece, const std::vector<Made>& made, int sh_degree) co
                   part->ends[i] - first);
       }
     }
+    page->sample();
     piece.pages.push_back(std::move(page));
   }
 }

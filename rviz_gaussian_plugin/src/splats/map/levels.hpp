@@ -25,14 +25,28 @@ struct Node {
   std::vector<std::uint32_t> members;  // slots that enter the lattice here, ascending
 };
 
+// Some nodes of a page, spread evenly over it, with the corners of their cells and of their
+// parents': what a view shows of large maps is estimated by these alone, which lie side by side.
+struct NodeSamples {
+  static constexpr std::size_t kCount = 16;
+  template <typename T>
+  using Each = std::array<T, kCount>;
+
+  std::array<Each<float>, 3> position, corner, parent_corner;  // [m]
+  Each<float> extent;
+};
+
 // Nodes of one level, neighbours in space. Never changed, once it is filled.
 class NodePage {
  public:
   NodePage(int sh_degree, std::uint32_t group);
   // In the order of their cells.
   void add(Cell cell, const PackedSlot& packed, const std::uint32_t* members, std::size_t count);
+  // Once all are there.
+  void sample();
 
-  SlotPage bounds;          // as if the nodes were slots
+  SlotPage bounds;  // as if the nodes were slots
+  NodeSamples samples;
   HostSlots::Page slots{};  // the nodes, in the order of their cells
   std::vector<Cell> cells;
 
