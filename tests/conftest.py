@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from drawing import Target
+from rosplat_lab.bench.embedded import View
 from rviz_harness import MARKERS, Rviz, World, configuration, map_display
 
 pytest_plugins = ["rosplat_tools.testing"]
@@ -41,6 +43,17 @@ def display() -> Iterator[str]:
 
     with ensure_display() as name:
         yield name
+
+
+@pytest.fixture(scope="module")
+def opengl(display: str) -> Iterator[Target]:
+    """What draws by OpenGL, one for the tests of a file."""
+    from rviz_gaussian_plugin.offscreen import Renderer
+
+    renderer = Renderer()
+    target = Target(renderer, View(renderer))
+    yield target
+    del renderer, target.renderer, target.view  # before the display
 
 
 @pytest.fixture(scope="module")

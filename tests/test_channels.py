@@ -2,83 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from std_msgs.msg import Header
-from test_cpu_renderer import CAMERAS, cloud, decibels
 
+from drawing import CAMERAS, Target, cloud, decibels
 from rosplat_lab import reference
-from rosplat_lab.bench.embedded import View, pose
-from rosplat_msgs.msg import GaussianArray
-from rosplat_tools.cameras import Camera
-from rosplat_tools.messages import Slots, encode
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin import offscreen
-from rviz_gaussian_plugin.from_messages import apply
 from rviz_gaussian_plugin.offscreen import (
     ChannelColours,
     CpuRenderer,
     DrawMode,
     Instructions,
     Rasterizer,
-    Renderer,
 )
 
 Array = NDArray[Any]
 
 CAMERA = CAMERAS["outside"]
 SH_C0 = 0.28209479177387814
-
-
-@dataclass
-class Target:
-    """Something that draws a map."""
-
-    renderer: Any
-    view: View | None = None
-    map_id: int = 0
-    revision: int = 0
-
-    def begin(self, splats: Splats, **settings: Any) -> None:
-        """A new map, drawn by channels."""
-        self.map_id += 1
-        self.revision = 0
-        self.write(range(len(splats)), splats, GaussianArray.REPLACE)
-        self.set(mode=DrawMode.CHANNEL, **settings)
-
-    def set(self, **settings: Any) -> None:
-        for name, value in settings.items():
-            setattr(self.renderer.settings, name, value)
-
-    def write(self, slots: Slots, splats: Splats, operation: int = GaussianArray.UPSERT) -> None:
-        self.revision += 1
-        batch = encode(
-            splats, slots, header=Header(frame_id="map"), map_id=str(self.map_id),
-            revision=self.revision, operation=operation,
-        )  # fmt: skip
-        apply(self.renderer, batch)
-
-    def draw(self, camera: Camera = CAMERA) -> Array:
-        if self.view is None:
-            drawn: Array = self.renderer.draw(offscreen.Camera(*pose(camera)))["colour"]
-            return drawn
-        self.view.look(camera)
-        self.view.draw(sort_now=True)
-        picture: Array = self.renderer.read_color()
-        return picture
-
-
-@pytest.fixture(scope="module")
-def opengl(display: str) -> Iterator[Target]:
-    renderer = Renderer()
-    target = Target(renderer, View(renderer))
-    yield target
-    del target.renderer, target.view  # before the display
 
 
 SCENES = {
@@ -89,10 +35,10 @@ SCENES = {
 
 
 @pytest.fixture(params=[*Instructions.__members__, *SCENES])
-def target(request: pytest.FixtureRequest) -> Iterator[Target]:
+def target(request: pytest.FixtureRequest) -> Target:
     """The ways on which a map comes into a picture."""
     if request.param in SCENES:
-        target = request.getfixturevalue("opengl")
+        target: Target = request.getfixturevalue("opengl")
         target.renderer.settings = offscreen.RenderSettings()
         target.set(float_blending=True, rasterizer=SCENES[request.param])
     else:
@@ -112,6 +58,12 @@ def with_channels(splats: Splats, **channels: Array) -> Splats:
     return replace(splats, channels=channels)
 
 
+def begin(target: Target, splats: Splats, **settings: Any) -> None:
+    """A new map, drawn by channels."""
+    target.begin(splats)
+    target.set(mode=DrawMode.CHANNEL, **settings)
+
+
 def labels(count: int) -> Array:
     """Integers of all sizes, and where there is none."""
     random = np.random.default_rng(7)
@@ -124,12 +76,12 @@ def labels(count: int) -> Array:
 def test_categories_are_coloured_as_their_twin_has_them(target: Target) -> None:
     splats = cloud()
     values = labels(len(splats))
-    target.begin(with_channels(splats, label=values), channel="label")
+    begin(target, with_channels(splats, label=values), channel="label")
     expected = painted(splats, reference.channels.categories(values))
     assert decibels(target.draw(), expected) > 60
     # Between integers there are no categories, unless they are asked for.
     values += np.float32(0.25)
-    target.begin(with_channels(splats, label=values))
+    begin(target, with_channels(splats, label=values))
     assert decibels(target.draw(), expected) < 30
     target.set(channel_colours=ChannelColours.CATEGORIES)
     assert decibels(target.draw(), painted(splats, reference.channels.categories(values))) > 60
@@ -139,7 +91,7 @@ def test_gradients_are_coloured_as_their_twin_has_them(target: Target) -> None:
     splats = cloud()
     values = np.random.default_rng(3).normal(10, 3, len(splats)).astype(np.float32)
     values[::7] = np.nan
-    target.begin(with_channels(splats, seen=values))
+    begin(target, with_channels(splats, seen=values))
     least, most = np.nanmin(values), np.nanmax(values)
     assert (
         decibels(target.draw(), painted(splats, reference.channels.gradient(values, least, most)))
@@ -152,19 +104,19 @@ def test_gradients_are_coloured_as_their_twin_has_them(target: Target) -> None:
 def test_extremes_are_colours_too(target: Target) -> None:
     splats = cloud()
     values = np.full(len(splats), 0.5, np.float32)
-    target.begin(with_channels(splats, flat=values))
+    begin(target, with_channels(splats, flat=values))
     assert (
         decibels(target.draw(), painted(splats, reference.channels.gradient(values, 0.5, 0.5))) > 60
     )
     values[::2], values[1::2] = 3e38, -3e38
-    target.begin(with_channels(splats, wide=values), channel_colours=ChannelColours.GRADIENT)
+    begin(target, with_channels(splats, wide=values), channel_colours=ChannelColours.GRADIENT)
     assert np.isfinite(target.draw()).all()
 
 
 def test_edits_write_channels_and_slots_without_are_grey(target: Target) -> None:
     splats = cloud()
     count = len(splats)
-    target.begin(splats)  # without any
+    begin(target, splats)  # without any
     grey = np.full((count, 3), reference.channels.NO_VALUE)
     assert decibels(target.draw(), painted(splats, grey)) > 60
     values = np.arange(count) % 5.0
@@ -185,7 +137,7 @@ def test_edits_write_channels_and_slots_without_are_grey(target: Target) -> None
 def test_channels_are_drawn_in_full(target: Target) -> None:
     splats = cloud()
     values = labels(len(splats))
-    target.begin(with_channels(splats, label=values), detail="20px")
+    begin(target, with_channels(splats, label=values), detail="20px")
     assert decibels(target.draw(), painted(splats, reference.channels.categories(values))) > 60
 
 
@@ -195,7 +147,7 @@ def test_values_are_read_back_whoever_draws(opengl: Target) -> None:
     values = np.arange(count) / 2.0
     opengl.renderer.settings = offscreen.RenderSettings()
     opengl.set(rasterizer=Rasterizer.TILES)
-    opengl.begin(with_channels(splats, half=values))
+    begin(opengl, with_channels(splats, half=values))
     opengl.write(range(5000, 5000 + count), with_channels(splats, label=values * 2))
     for rasterizer in (Rasterizer.TILES, Rasterizer.PROCESSOR, Rasterizer.TILES):
         opengl.set(rasterizer=rasterizer)  # the map moves over to it

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from drawing import CAMERAS, camera_at, cloud, decibels, draw
 from rosplat_lab import reference
 from rosplat_lab.bench.embedded import insert_all, pose
-from rosplat_tools.cameras import Camera, load_cameras, look_at
+from rosplat_tools.cameras import load_cameras
 from rosplat_tools.formats import load
 from rosplat_tools.generate import generate
-from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin import offscreen
 from rviz_gaussian_plugin.offscreen import Antialiasing, CpuRenderer, Instructions
-
-Array = NDArray[Any]
 
 INSTRUCTIONS = [Instructions.PLAIN, Instructions.AVX2, Instructions.AVX512]
 
@@ -31,51 +27,6 @@ def renderer(request: pytest.FixtureRequest) -> CpuRenderer:
     if renderer.instructions != request.param.name.lower():
         pytest.skip(f"this machine has no {request.param.name}")
     return renderer
-
-
-def draw(renderer: CpuRenderer, camera: Camera, **wanted: Any) -> dict[str, Any]:
-    drawn: dict[str, Any] = renderer.draw(offscreen.Camera(*pose(camera)), **wanted)
-    return drawn
-
-
-def decibels(picture: Array, expected: Array) -> float:
-    """PSNR of what a screen could show, peak 1."""
-    error = np.clip(picture, 0, 1).astype(np.float64) - np.clip(expected, 0, 1)
-    return float(-10 * np.log10(np.mean(error**2) + 1e-300))
-
-
-def camera_at(eye: tuple[float, float, float], **overrides: Any) -> Camera:
-    """A camera that looks at the origin."""
-    fields = {
-        "id": 0, "width": 190, "height": 130, "fx": 170.0, "fy": 170.0, "cx": 95.0, "cy": 65.0,
-        "world_to_camera": look_at(eye, (0, 0, 0)),
-    }  # fmt: skip
-    return Camera(**(fields | overrides))
-
-
-CAMERAS = {
-    "outside": camera_at((2.0, 1.0, 0.7)),
-    "inside": camera_at((0.2, 0.1, 0.1)),
-    "off-centre": camera_at((-1.5, 1.5, 1.0), cx=20.3, cy=99.6, fx=210.0),
-    "orthographic": camera_at((1.0, -2.0, 1.0), orthographic=True, fx=60.0, fy=60.0),
-}
-
-
-def cloud(antialiased: bool = False) -> Splats:
-    """Anisotropic splats of all opacities, as packed slots hold them but for size and rotation."""
-    random = np.random.default_rng(4)
-    count = 600
-    orientations = random.normal(size=(count, 4))
-    return Splats(
-        positions=random.normal(scale=0.4, size=(count, 3)).astype(np.float32),
-        orientations=(orientations / np.linalg.norm(orientations, axis=1, keepdims=True)).astype(
-            np.float32
-        ),
-        scales=(0.15 * random.uniform(0.02, 1, size=(count, 3)) ** 2).astype(np.float32),
-        opacities=(random.integers(0, 65536, count) / 65535).astype(np.float32),
-        sh=random.normal(scale=0.8, size=(count, 1, 3)).astype(np.float16).astype(np.float32),
-        antialiased=antialiased,
-    )
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])

@@ -8,36 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point, Pose, Quaternion
 from numpy.typing import NDArray
 
+from drawing import Target, camera_at, decibels
 from rosplat_lab import reference
-from rosplat_lab.bench.embedded import View, pose
-from rosplat_lab.reference.projection import rotation_matrices
+from rosplat_lab.bench.embedded import pose
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools import harmonics
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.splats import Splats
+from rosplat_sorter.edits import pose_values
+from rosplat_sorter.view import frame_at
+from rosplat_tools.splats import Splats, concatenate
 from rviz_gaussian_plugin import offscreen
-from rviz_gaussian_plugin.offscreen import (
-    ClipBox,
-    CpuRenderer,
-    DrawMode,
-    OrderSource,
-    Rasterizer,
-    Renderer,
-)
+from rviz_gaussian_plugin.offscreen import ClipBox, CpuRenderer, DrawMode, OrderSource, Rasterizer
 
 Array = NDArray[Any]
 
 BLOCK = GaussianArray.SLOTS_PER_BLOCK
-REPLACE, UPSERT, DELETE, MOVE = (
-    GaussianArray.REPLACE,
-    GaussianArray.UPSERT,
-    GaussianArray.DELETE,
-    GaussianArray.MOVE,
-)
-IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1.0])
-NO_FLOATS = np.zeros(0, np.float32)
 FAR = np.array([4.5e6, -3.2e6, 12.5])  # [m]
 
 
@@ -54,74 +40,16 @@ def cloud(count: int, seed: int, degree: int = 3) -> Splats:
     )
 
 
-def random_pose(random: np.random.Generator, reach: float = 0.5) -> Array:
-    """x y z [m], quaternion x y z w of some length."""
-    return np.concatenate([random.uniform(-reach, reach, 3), random.normal(size=4)])
+def random_pose(random: np.random.Generator) -> Pose:
+    """Within half a metre, with a quaternion of some length."""
+    x, y, z = random.uniform(-0.5, 0.5, 3)
+    qx, qy, qz, qw = random.normal(size=4)
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
-def camera_at(eye: tuple[float, float, float], about: Array | None = None) -> Camera:
-    """A camera that looks at a place from an eye beside it. [m]"""
-    target = np.zeros(3) if about is None else about
-    return Camera(
-        id=0, width=190, height=130, fx=170.0, fy=170.0, cx=95.0, cy=65.0,
-        world_to_camera=look_at(target + eye, target),
-    )  # fmt: skip
-
-
-@dataclass
-class Target:
-    """Something that draws a map, and its batches."""
-
-    renderer: Any
-    view: View | None = None
-    map_id: int = 0
-    revision: int = 0
-
-    def apply(
-        self,
-        operation: int,
-        slots: Array | None = None,
-        splats: Splats | None = None,
-        group: int = 0,
-        poses: dict[int, Array] | None = None,
-    ) -> None:
-        self.revision += 1
-        slots = np.zeros(0, np.uint32) if slots is None else np.asarray(slots, np.uint32)
-        floats = [NO_FLOATS] * 5
-        if splats is not None:
-            arrays = (splats.positions, splats.orientations, splats.scales, splats.opacities)
-            floats = [values.ravel() for values in (*arrays, splats.sh)]
-        poses = poses or {}
-        self.renderer.apply(
-            operation, 0, len(slots), slots, splats.sh_degree if splats else 0,
-            False, tuple(splats.origin) if splats else (0.0, 0.0, 0.0), *floats,
-            str(self.map_id), self.revision, group=group,
-            groups=np.array(list(poses), np.uint32),
-            poses=np.array(list(poses.values()), np.float64),
-        )  # fmt: skip
-
-    def begin(self) -> None:
-        """A new map, empty."""
-        self.map_id += 1
-        self.revision = 0
-        self.apply(REPLACE)
-
-    def draw(self, camera: Camera) -> Array:
-        if self.view is None:
-            drawn: Array = self.renderer.draw(offscreen.Camera(*pose(camera)))["colour"]
-            return drawn
-        self.view.look(camera)
-        self.view.draw(sort_now=True)
-        picture: Array = self.renderer.read_color()
-        return picture
-
-
-@pytest.fixture(scope="module")
-def opengl(display: str) -> Iterator[Target]:
-    renderer = Renderer()
-    target = Target(renderer, View(renderer))
-    yield target
-    del target.renderer, target.view  # before the display
+def placed(splats: Splats, at: Pose) -> Splats:
+    """The same splats in the map's frame."""
+    return splats.moved(frame_at(*pose_values(at)))
 
 
 @pytest.fixture(params=["processor", "levels", "tiles", "quads", "built-in order"])
@@ -142,66 +70,13 @@ def target(request: pytest.FixtureRequest) -> Iterator[Target]:
     assert not opengl.renderer.failed(), "OpenGL reported an error"
 
 
-def placed(splats: Splats, place: Array) -> Splats:
-    """The same splats in the map's frame, in float64: their harmonics turned with them."""
-    x, y, z, w = place[3:] / np.linalg.norm(place[3:])
-    rotation = rotation_matrices(np.array([[x, y, z, w]]))[0]
-    bx, by, bz, bw = splats.orientations.astype(np.float64).T
-    turned = np.stack(
-        [
-            w * bx + x * bw + y * bz - z * by,
-            w * by - x * bz + y * bw + z * bx,
-            w * bz + x * by - y * bx + z * bw,
-            w * bw - x * bx - y * by - z * bz,
-        ],
-        axis=1,
-    )
-    # f'(d) = f(R^T d), for as many directions as determine it.
-    directions = np.random.default_rng(0).normal(size=(200, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    degree = splats.sh_degree
-    turn = np.linalg.pinv(harmonics.basis(directions, degree)) @ harmonics.basis(
-        directions @ rotation, degree
-    )
-    positions = (splats.positions.astype(np.float64) + splats.origin) @ rotation.T + place[:3]
-    origin = np.round(positions.mean(axis=0))
-    return Splats(
-        positions=(positions - origin).astype(np.float32),
-        orientations=turned.astype(np.float32),
-        scales=splats.scales,
-        opacities=splats.opacities,
-        sh=np.einsum("kj,njc->nkc", turn, splats.sh).astype(np.float32),
-        origin=origin,
-    )
-
-
-def decibels(picture: Array, expected: Array) -> float:
-    """PSNR of what a screen could show, peak 1."""
-    error = np.clip(picture, 0, 1).astype(np.float64) - np.clip(expected, 0, 1)
-    return float(-10 * np.log10(np.mean(error**2) + 1e-300))
-
-
-def joined(parts: list[Splats]) -> Splats:
-    """All splats, relative to the first origin."""
-    origin = parts[0].origin
-    moved = [part.positions + (part.origin - origin).astype(np.float32) for part in parts]
-    return replace(
-        parts[0],
-        positions=np.concatenate(moved),
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("orientations", "scales", "opacities", "sh")
-        },
-    )
-
-
 @dataclass
 class Submaps:
     """Some clouds in groups of their own around a place, and the same as one map."""
 
     about: Array
     splats: dict[int, Splats] = field(default_factory=dict)
-    poses: dict[int, Array] = field(default_factory=dict)
+    poses: dict[int, Pose] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         random = np.random.default_rng(7)
@@ -209,10 +84,13 @@ class Submaps:
         # Where a pose brings them to, whatever their own origins are.
         self.splats[3] = replace(self.splats[3], origin=np.array([-2e6, 5.0, 1e6]))
         for group, splats in self.splats.items():
-            turn = random_pose(random)
-            rotated = placed(splats, np.concatenate([np.zeros(3), turn[3:]]))
-            turn[:3] += self.about - (rotated.origin + rotated.positions.mean(axis=0))
-            self.poses[group] = turn
+            at = random_pose(random)
+            beside, _ = pose_values(at)
+            at.position = Point()
+            turned = placed(splats, at)
+            x, y, z = self.about + beside - (turned.origin + turned.positions.mean(axis=0))
+            at.position = Point(x=x, y=y, z=z)
+            self.poses[group] = at
 
     def slots(self, group: int) -> Array:
         return list(self.splats).index(group) * BLOCK + np.arange(len(self.splats[group]))
@@ -220,11 +98,13 @@ class Submaps:
     def show(self, target: Target) -> None:
         target.begin()
         for group, splats in self.splats.items():
-            target.apply(UPSERT, self.slots(group), splats, group)
-        target.apply(MOVE, poses=self.poses)
+            target.write(self.slots(group), splats, group)
+        target.move(self.poses)
 
     def baked(self) -> Splats:
-        return joined([placed(splats, self.poses[group]) for group, splats in self.splats.items()])
+        return concatenate(
+            [placed(splats, self.poses[group]) for group, splats in self.splats.items()]
+        )
 
 
 @pytest.mark.parametrize("about", [np.zeros(3), FAR], ids=["near", "4,500 km away"])
@@ -252,8 +132,7 @@ def test_clip_box_and_normals_are_in_the_map_s_frame(target: Target, mode: DrawM
         submaps.show(target)
         picture = target.draw(camera)
         baked = submaps.baked()
-        target.begin()
-        target.apply(UPSERT, np.arange(len(baked)), baked)
+        target.begin(baked)
         assert decibels(picture, target.draw(camera)) >= 60
         assert 0.05 < (picture[..., 3] > 0).mean() < 0.5
     finally:
@@ -300,15 +179,15 @@ def test_poses_go_along_when_another_rasteriser_takes_over(
     settings = opengl.renderer.settings
     settings.rasterizer = before
     opengl.begin()
-    opengl.apply(MOVE, poses=submaps.poses)
+    opengl.move(submaps.poses)
     *first, last = submaps.splats.items()
     for group, splats in first:
-        opengl.apply(UPSERT, submaps.slots(group), splats, group)
+        opengl.write(submaps.slots(group), splats, group)
     assert opengl.draw(camera).any()
     settings.rasterizer = after
     opengl.draw(camera)
     group, splats = last  # that was placed, but had no splats
-    opengl.apply(UPSERT, submaps.slots(group), splats, group)
+    opengl.write(submaps.slots(group), splats, group)
     picture = opengl.draw(camera)
     submaps.show(opengl)
     np.testing.assert_array_equal(picture, opengl.draw(camera))
@@ -319,7 +198,7 @@ class Model:
     """A map of groups in plain Python: what batches have left, and how to load it at once."""
 
     random: np.random.Generator
-    poses: dict[int, Array] = field(default_factory=dict)
+    poses: dict[int, Pose] = field(default_factory=dict)
     origins: dict[int, Array] = field(default_factory=dict)
     group_of: dict[int, int] = field(default_factory=dict)  # by block
     splats: dict[int, Splats] = field(default_factory=dict)  # by slot, one each
@@ -333,7 +212,7 @@ class Model:
             groups = self.random.permutation(4)[: self.random.integers(1, 5)]
             poses = {int(group): random_pose(self.random) for group in groups}
             self.poses.update(poses)
-            target.apply(MOVE, poses=poses)
+            target.move(poses)
         elif kind == "delete" and self.splats:
             slots = self.random.choice(list(self.splats), len(self.splats) // 3, replace=False)
             self._delete(target, slots)
@@ -341,16 +220,18 @@ class Model:
             block = self.random.integers(4)
             self._delete(target, np.arange(block * BLOCK, (block + 1) * BLOCK))
         else:
-            self._write(target, REPLACE if kind == "replace" else UPSERT)
+            self._write(
+                target, GaussianArray.REPLACE if kind == "replace" else GaussianArray.UPSERT
+            )
 
     def _delete(self, target: Target, slots: Array) -> None:
-        target.apply(DELETE, slots)
+        target.delete(slots)
         for slot in slots:
             self.splats.pop(int(slot), None)
 
     def _write(self, target: Target, operation: int) -> None:
         block = int(self.random.integers(4))
-        if operation == REPLACE:
+        if operation == GaussianArray.REPLACE:
             self.poses, self.origins, self.splats = {}, {}, {}
         used = any(slot // BLOCK == block for slot in self.splats)
         group = self.group_of[block] if used else int(self.random.integers(4))
@@ -359,7 +240,7 @@ class Model:
         slots = block * BLOCK + self.random.choice(BLOCK, count, replace=False)
         splats = cloud(count, int(self.random.integers(1 << 30)), int(self.random.integers(4)))
         splats = replace(splats, origin=np.round(self.random.normal(scale=0.2, size=3), 2))
-        target.apply(operation, slots, splats, group)
+        target.write(slots, splats, group, operation)
         origin = self.origins.setdefault(group, splats.origin)
         rebased = splats.positions.astype(np.float64) + splats.origin - origin
         if (splats.origin != origin).any():
@@ -371,14 +252,11 @@ class Model:
     def load(self, target: Target) -> None:
         """The same as a new map."""
         target.begin()
-        target.apply(MOVE, poses=self.poses)
-        degree = max((one.sh_degree for one in self.splats.values()), default=0)
-        for slot in sorted(self.splats):
-            one = self.splats[slot]
-            sh = np.zeros((1, (degree + 1) ** 2, 3), np.float32)
-            sh[:, : one.sh.shape[1]] = one.sh
-            target.apply(
-                UPSERT, np.array([slot]), replace(one, sh=sh), self.group_of[slot // BLOCK]
+        target.move(self.poses)
+        for block in sorted({slot // BLOCK for slot in self.splats}):
+            slots = np.array(sorted(slot for slot in self.splats if slot // BLOCK == block))
+            target.write(
+                slots, concatenate([self.splats[slot] for slot in slots]), self.group_of[block]
             )
 
 

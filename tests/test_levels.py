@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from test_cpu_renderer import CAMERAS, decibels, draw
 
+from drawing import CAMERAS, decibels, draw
 from rosplat_lab import reference
 from rosplat_lab.bench.embedded import insert_all
 from rosplat_lab.reference import levels
 from rosplat_lab.reference.projection import rotation_matrices
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin.offscreen import CpuRenderer
-
-Array = NDArray[Any]
 
 
 @pytest.fixture(scope="module")

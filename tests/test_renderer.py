@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drawing import decibels
 from rosplat_lab import reference
+from rosplat_lab.bench.embedded import pose
 from rosplat_lab.lab import motion
 from rosplat_lab.lab.bench import Bench, Shot, Sort
 from rosplat_lab.lab.methods import METHODS
@@ -86,36 +88,12 @@ class Host:
 
     def look(self, camera: Camera) -> None:
         self.sequence += 1
-        self.renderer.set_camera(
-            "test", self.sequence, camera.position, quaternion(camera.camera_to_world[:3, :3]),
-            int(camera.orthographic), camera.fx, camera.fy, camera.cx, camera.cy,
-            camera.width, camera.height, camera.near, camera.far,
-        )  # fmt: skip
+        self.renderer.set_camera("test", self.sequence, *pose(camera))
 
     def draw(self, camera: Camera) -> np.ndarray:
         self.look(camera)
         self.renderer.draw("test", sort_now=True)
         return self.renderer.read_color()
-
-
-def quaternion(rotation: np.ndarray) -> tuple[float, ...]:
-    """x, y, z, w of a rotation matrix (Bar-Itzhack 2000)."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    symmetric = np.array(
-        [
-            [a - e - i, b + d, c + g, h - f],
-            [b + d, e - a - i, f + h, c - g],
-            [c + g, f + h, i - a - e, d - b],
-            [h - f, c - g, d - b, a + e + i],
-        ]
-    )
-    return tuple(np.linalg.eigh(symmetric)[1][:, -1])
-
-
-def decibels(picture: np.ndarray, expected: np.ndarray) -> float:
-    """PSNR of premultiplied RGBA that a screen could show, peak 1."""
-    error = np.clip(picture, 0, 1).astype(np.float64) - np.clip(expected, 0, 1)
-    return float(-10 * np.log10(np.mean(error**2) + 1e-300))
 
 
 @pytest.fixture(scope="module")

@@ -3,46 +3,28 @@
 #include <algorithm>
 #include <cstdint>
 #include <random>
-#include <vector>
 
-#include "map/gaussian_batch.hpp"
+#include "owned_batch.hpp"
 
 namespace rosplat {
 
-// A batch with arrays of its own; its views look into them once look() is called.
-struct OwnedBatch : GaussianBatch {
-  std::vector<std::uint32_t> slot_list, group_list;
-  std::vector<float> position, orientation, scale, opacity, harmonics, values;
-
-  // Good splats of random positions for all of `count`; nothing for a DELETE or a MOVE.
-  void fill(std::mt19937& random) {
-    const std::size_t n = operation >= DELETE ? 0 : count;
-    std::uniform_real_distribution<float> place(-10, 10), part(0.01f, 1);
-    position.resize(3 * n);
-    for (float& x : position) x = place(random);
-    orientation.assign(4 * n, 0.5f);
-    scale.assign(3 * n, 0.1f);
-    opacity.resize(n);
-    for (float& alpha : opacity) alpha = part(random);
-    harmonics.resize(3u * (sh_degree + 1u) * (sh_degree + 1u) * n);
-    for (float& c : harmonics) c = part(random);
-    if (n == 0) channel_names.clear();
-    values.resize(channel_names.size() * n);
-    for (float& value : values) value = part(random);
-    look();
-  }
-
-  void look() {
-    slots = {slot_list.data(), slot_list.size()};
-    groups = {group_list.data(), group_list.size()};
-    positions = {position.data(), position.size()};
-    orientations = {orientation.data(), orientation.size()};
-    scales = {scale.data(), scale.size()};
-    opacities = {opacity.data(), opacity.size()};
-    sh = {harmonics.data(), harmonics.size()};
-    channels = {values.data(), values.size()};
-  }
-};
+// Good splats of random positions for all of a batch's `count`; nothing for a DELETE or a MOVE.
+inline void fill(OwnedBatch& batch, std::mt19937& random) {
+  const std::size_t n = batch.operation >= GaussianBatch::DELETE ? 0 : batch.count;
+  std::uniform_real_distribution<float> place(-10, 10), part(0.01f, 1);
+  batch.position.resize(3 * n);
+  for (float& x : batch.position) x = place(random);
+  batch.orientation.assign(4 * n, 0.5f);
+  batch.scale.assign(3 * n, 0.1f);
+  batch.opacity.resize(n);
+  for (float& alpha : batch.opacity) alpha = part(random);
+  batch.harmonics.resize(3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u) * n);
+  for (float& c : batch.harmonics) c = part(random);
+  if (n == 0) batch.channel_names.clear();
+  batch.values.resize(batch.channel_names.size() * n);
+  for (float& value : batch.values) value = part(random);
+  batch.look();
+}
 
 // Makes a batch a MOVE of some of the groups below a number, each once.
 inline void chooseMoves(OwnedBatch& batch, std::uint32_t below, std::mt19937& random) {

@@ -9,9 +9,11 @@
 #include <fstream>
 #include <random>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "cpu/cpu_rasterizer.hpp"
+#include "owned_batch.hpp"
 
 using namespace rosplat;
 using Instructions = CpuRasterizer::Instructions;
@@ -22,51 +24,31 @@ namespace {
 // A map of given splats without bands beyond 0, 5 m before a camera that looks along z.
 struct Scene {
   void add(std::array<float, 3> position, float scale, float opacity, std::array<float, 3> colour) {
-    positions.insert(positions.end(), position.begin(), position.end());
-    orientations.insert(orientations.end(), {0, 0, 0, 1});
-    scales.insert(scales.end(), {scale, scale, scale});
-    opacities.push_back(opacity);
-    for (const float c : colour) sh.push_back((c - 0.5f) / 0.28209479f);
+    for (float& c : colour) c = (c - 0.5f) / 0.28209479f;
+    batch.add(position, {scale, scale, scale}, opacity, {colour.begin(), colour.end()});
   }
 
-  GaussianBatch batch(std::uint8_t operation, std::uint32_t first_slot = 0) {
-    GaussianBatch batch;
-    batch.map_id = "map";
-    batch.revision = map.state().revision + 1;
-    batch.operation = operation;
-    batch.first_slot = first_slot;
-    batch.count = static_cast<std::uint32_t>(opacities.size());
-    batch.positions = {positions.data(), positions.size()};
-    batch.orientations = {orientations.data(), orientations.size()};
-    batch.scales = {scales.data(), scales.size()};
-    batch.opacities = {opacities.data(), opacities.size()};
-    batch.sh = {sh.data(), sh.size()};
-    return batch;
-  }
-
-  void apply(const GaussianBatch& batch) {
+  void apply(OwnedBatch next) {
+    next.revision = map.state().revision + 1;
     BatchReport report;
-    const auto edit = map.apply(batch, report);
+    const auto edit = map.apply(next.look(), report);
     slots.apply(*edit, 0);
   }
   // Writes the splats from a slot on and forgets them.
   void write(std::uint32_t first_slot = 0) {
-    apply(batch(GaussianBatch::UPSERT, first_slot));
-    positions.clear(), orientations.clear(), scales.clear(), opacities.clear(), sh.clear();
+    batch.operation = GaussianBatch::UPSERT;
+    batch.first_slot = first_slot;
+    apply(std::exchange(batch, OwnedBatch()));
   }
   void remove(std::uint32_t first_slot, std::uint32_t count) {
-    GaussianBatch none;
-    none.map_id = "map";
-    none.revision = map.state().revision + 1;
-    none.operation = GaussianBatch::DELETE;
-    none.first_slot = first_slot;
+    OwnedBatch none(0, GaussianBatch::DELETE, first_slot);
     none.count = count;
     apply(none);
   }
 
   GaussianMap map;
   HostSlots slots;
-  std::vector<float> positions, orientations, scales, opacities, sh;
+  OwnedBatch batch;  // to be written
 };
 
 // 3000 splats of all sizes and opacities around the point that the camera looks at.
@@ -198,7 +180,7 @@ TEST(CpuRasterizer, hides_what_the_scene_hides) {
   scene.write();
   PictureRequest wanted = request(2, 1, scene);
   const std::vector<float> scene_depth = {windowDepth(5), 1};
-  wanted.scene_depth = {scene_depth.data(), scene_depth.size()};
+  wanted.scene_depth = scene_depth;
   const SplatPicture picture = draw(rasterizer(), wanted);
   EXPECT_NEAR(picture.colour[0], 0.5f, 1e-3);
   EXPECT_NEAR(picture.colour[1], 0, 1e-3);
@@ -214,8 +196,8 @@ TEST(CpuRasterizer, divides_splats_at_translucent_objects) {
   scene.write();
   PictureRequest wanted = request(2, 1, scene);
   const std::vector<float> opaque = {windowDepth(8), 1}, veil = {windowDepth(5), 1};
-  wanted.scene_depth = {opaque.data(), opaque.size()};
-  wanted.translucent_depth = {veil.data(), veil.size()};
+  wanted.scene_depth = opaque;
+  wanted.translucent_depth = veil;
   const SplatPicture picture = draw(rasterizer(), wanted);
   const auto expectColour = [](const float* rgba, std::array<float, 4> expected) {
     for (std::size_t i = 0; i < 4; ++i) EXPECT_NEAR(rgba[i], expected[i], 1e-3) << i;
@@ -236,7 +218,7 @@ TEST(CpuRasterizer, draws_a_given_order_and_nothing_else) {
   scene.write(1000);
   PictureRequest wanted = request(1, 1, scene);
   const std::vector<std::uint32_t> order = {1000, 1002, 77};  // the farthest one last
-  wanted.order = {order.data(), order.size()};
+  wanted.order = order;
   const SplatPicture picture = draw(rasterizer(), wanted);
   EXPECT_EQ(picture.layers[0].drawn, 2u);
   EXPECT_NEAR(picture.colour[2], 0.5f, 1e-3);
@@ -254,7 +236,7 @@ TEST(CpuRasterizer, picks_what_contributes_most) {
   PictureRequest wanted = request(2, 1, scene);
   EXPECT_EQ(with.pick(wanted), (std::vector<PickedSplat>{{0, 2000}, {0, 2000}}));
   const std::vector<float> scene_depth = {windowDepth(5), windowDepth(2)};
-  wanted.scene_depth = {scene_depth.data(), scene_depth.size()};
+  wanted.scene_depth = scene_depth;
   EXPECT_EQ(with.pick(wanted), (std::vector<PickedSplat>{{0, 2001}, {0, kNoSlot}}));
 }
 
@@ -372,8 +354,8 @@ TEST(CpuRasterizer, refuses_pictures_that_are_none) {
     EXPECT_THROW(rasterizer().draw(wanted, picture), PictureError);
   }
   PictureRequest wanted = request(scene);
-  const float depth = 1;
-  wanted.scene_depth = {&depth, 1};
+  const std::vector<float> depth = {1};
+  wanted.scene_depth = depth;
   SplatPicture picture;
   EXPECT_THROW(rasterizer().draw(wanted, picture), PictureError);
 }

@@ -8,6 +8,7 @@
 
 #include "cpu/cpu_rasterizer.hpp"
 #include "map/detail.hpp"
+#include "owned_batch.hpp"
 
 namespace rosplat {
 namespace {
@@ -20,23 +21,12 @@ struct Plain {
   explicit Plain(std::uint32_t count) : levels(std::make_shared<ThreadTeam>(2)) {
     std::mt19937 random(5);
     std::uniform_real_distribution<float> unit(-1, 1);
-    std::vector<float> positions, orientations, scales, opacities(count, 0.9f), sh(3 * count);
+    OwnedBatch batch(1);
     for (std::uint32_t i = 0; i < count; ++i) {
-      positions.insert(positions.end(), {30 * unit(random), 2, 31 + 30 * unit(random)});
-      orientations.insert(orientations.end(), {0, 0, 0, 1});
-      scales.insert(scales.end(), {0.03f, 0.001f, 0.03f});
+      batch.add({30 * unit(random), 2, 31 + 30 * unit(random)}, {0.03f, 0.001f, 0.03f}, 0.9f);
     }
-    GaussianBatch batch;
-    batch.map_id = "map";
-    batch.revision = 1;
-    batch.count = count;
-    batch.positions = {positions.data(), positions.size()};
-    batch.orientations = {orientations.data(), orientations.size()};
-    batch.scales = {scales.data(), scales.size()};
-    batch.opacities = {opacities.data(), opacities.size()};
-    batch.sh = {sh.data(), sh.size()};
     BatchReport report;
-    slots.apply(*map.apply(batch, report), 0);
+    slots.apply(*map.apply(batch.look(), report), 0);
     levels.advance(slots, [] { return false; });
     PictureLayer& layer = request.layers.emplace_back();
     layer.slots = &slots;

@@ -81,9 +81,7 @@ class Model {
 // What 300 edits, coalesced or not, may be made of.
 OwnedBatch randomBatch(std::uint64_t revision, std::mt19937& random) {
   const auto chance = [&](int in) { return std::uniform_int_distribution<>(1, in)(random) == 1; };
-  OwnedBatch batch;
-  batch.map_id = "map";
-  batch.revision = revision;
+  OwnedBatch batch(revision);
   batch.operation = chance(60)  ? GaussianBatch::REPLACE
                     : chance(4) ? GaussianBatch::DELETE
                                 : GaussianBatch::UPSERT;
@@ -100,7 +98,7 @@ OwnedBatch randomBatch(std::uint64_t revision, std::mt19937& random) {
   for (const char* name : {"label", "seen", "age"}) {
     if (chance(3)) batch.channel_names.push_back(name);
   }
-  batch.fill(random);
+  fill(batch, random);
   if (chance(3) && !batch.opacity.empty()) batch.opacity.front() = NAN;  // its slot becomes empty
   return batch;
 }
@@ -145,11 +143,7 @@ TEST(EditQueue, WhatIsCoalescedLeavesWhatOneByOneDoes) {
       try {
         edit = apply(map, batch);
       } catch (const BatchError&) {  // another group's block
-        OwnedBatch nothing;
-        nothing.map_id = "map";
-        nothing.operation = GaussianBatch::DELETE;
-        nothing.revision = revision;
-        edit = apply(map, nothing);
+        edit = apply(map, OwnedBatch(revision, GaussianBatch::DELETE));
       }
       one_by_one.apply(*edit);
       poses.push_back(one_by_one.poses());
@@ -172,23 +166,18 @@ TEST(EditQueue, TakesNoMoreMemoryThanTheSlotsThatItWrites) {
   std::mt19937 random(1);
   GaussianMap map;
   EditQueue queue;
-  OwnedBatch batch;
-  batch.map_id = "map";
-  batch.operation = GaussianBatch::UPSERT;
+  OwnedBatch batch(1, GaussianBatch::UPSERT);
   batch.sh_degree = 3;
   batch.count = 1000;
-  batch.fill(random);
+  fill(batch, random);
   std::size_t most = 0;
-  for (batch.revision = 1; batch.revision <= 3000; ++batch.revision) {
+  for (; batch.revision <= 3000; ++batch.revision) {
     queue.push(EditQueue::node(apply(map, batch), map.state()));
     most = std::max(most, queue.bytes());
   }
   EXPECT_LT(most, 17u << 20);  // of 350 MB
-  OwnedBatch nothing;
-  nothing.map_id = "map";
-  nothing.operation = GaussianBatch::UPSERT;
-  nothing.look();
-  for (nothing.revision = 3001; nothing.revision <= 103000; ++nothing.revision) {
+  for (std::uint64_t revision = 3001; revision <= 103000; ++revision) {
+    const OwnedBatch nothing(revision, GaussianBatch::UPSERT);
     queue.push(EditQueue::node(apply(map, nothing), map.state()));
   }
   EXPECT_LT(queue.bytes(), 17u << 20);
@@ -199,11 +188,10 @@ TEST(EditQueue, AClearDropsWhatWaits) {
   GaussianMap map;
   EditQueue queue;
   OwnedBatch batch;
-  batch.map_id = "map";
   batch.count = 10;
   for (batch.revision = 1; batch.revision <= 3; ++batch.revision) {
     batch.operation = batch.revision == 2 ? GaussianBatch::UPSERT : GaussianBatch::REPLACE;
-    batch.fill(random);
+    fill(batch, random);
     queue.push(EditQueue::node(apply(map, batch), map.state()));
   }
   EXPECT_EQ(queue.size(), 1u);

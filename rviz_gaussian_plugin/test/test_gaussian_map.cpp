@@ -9,6 +9,7 @@
 
 #include "map/gaussian_map.hpp"
 #include "map/slot_pages.hpp"
+#include "owned_batch.hpp"
 
 using namespace rosplat;
 
@@ -33,17 +34,11 @@ void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 
 namespace {
 
-// A batch with arrays of its own; splat i sits at (i, 0, 0).
-struct Batch : GaussianBatch {
-  std::vector<std::uint32_t> slot_list, group_list;
-  std::vector<float> position, orientation, scale, opacity, harmonics;
-
+// Splat i sits at (i, 0, 0).
+struct Batch : OwnedBatch {
   Batch(std::uint64_t revision, Operation what, std::uint32_t first, std::uint32_t n,
-        std::uint8_t degree = 0) {
-    map_id = "map";
-    this->revision = revision;
-    operation = what;
-    first_slot = first;
+        std::uint8_t degree = 0)
+      : OwnedBatch(revision, what, first) {
     count = n;
     sh_degree = degree;
     if (what == REPLACE || what == UPSERT) {
@@ -55,16 +50,6 @@ struct Batch : GaussianBatch {
       for (std::uint32_t i = 0; i < n; ++i) position[3 * i] = float(i);
     }
     look();
-  }
-
-  void look() {
-    slots = {slot_list.data(), slot_list.size()};
-    groups = {group_list.data(), group_list.size()};
-    positions = {position.data(), position.size()};
-    orientations = {orientation.data(), orientation.size()};
-    scales = {scale.data(), scale.size()};
-    opacities = {opacity.data(), opacity.size()};
-    sh = {harmonics.data(), harmonics.size()};
   }
 };
 

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "map/hard_regimes.hpp"
+#include "owned_batch.hpp"
 
 namespace rosplat {
 
@@ -130,27 +131,14 @@ TEST(MapSample, keepsEvenlySpacedSlotsOfLargeMaps) {
 TEST(MapSample, followsTheMap) {
   GaussianMap map;
   BatchReport report;
-  const std::array<float, 6> positions{1, 2, 3, 4, 5, 6};
-  const std::array<float, 8> orientations{0, 0, 0, 1, 0, 0, 0, 0};  // the second means nothing
-  const std::array<float, 6> scales{0.1f, 0.3f, 0.2f, 1, 1, 1}, sh{};
-  const std::array<float, 2> opacities{0.5f, 0.5f};
-  GaussianBatch batch;
-  batch.map_id = "map";
-  batch.revision = 1;
-  batch.count = 2;
-  batch.positions = {positions.data(), 6};
-  batch.orientations = {orientations.data(), 8};
-  batch.scales = {scales.data(), 6};
-  batch.opacities = {opacities.data(), 2};
-  batch.sh = {sh.data(), 6};
-  map.apply(batch, report);
+  OwnedBatch batch(1);
+  batch.add({1, 2, 3}, {0.1f, 0.3f, 0.2f}, 0.5f);
+  batch.add({4, 5, 6}, {1, 1, 1}, 0.5f, {0, 0, 0}, {0, 0, 0, 0});  // that means nothing
+  map.apply(batch.look(), report);
   ASSERT_EQ(map.sample().splats().size(), 1u);
   EXPECT_EQ(map.sample().splats().at(0).size, 0.3f);
   EXPECT_EQ(map.sample().splats().at(0).position[2], 3.0f);
-  GaussianBatch empty;
-  empty.map_id = "map";
-  empty.revision = 2;
-  empty.operation = GaussianBatch::DELETE;
+  OwnedBatch empty(2, GaussianBatch::DELETE);
   empty.count = 1;
   map.apply(empty, report);
   EXPECT_TRUE(map.sample().splats().empty());

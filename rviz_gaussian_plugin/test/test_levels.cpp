@@ -13,6 +13,7 @@
 
 #include "cpu/cpu_rasterizer.hpp"
 #include "map/levels.hpp"
+#include "owned_batch.hpp"
 
 namespace rosplat {
 namespace {
@@ -27,38 +28,26 @@ struct Scene {
 
   void write(std::uint32_t slot, std::array<float, 3> position, std::array<float, 3> scale,
              float opacity = 0.8f, std::array<float, 4> orientation = {0, 0, 0, 1}) {
-    positions.insert(positions.end(), position.begin(), position.end());
-    orientations.insert(orientations.end(), orientation.begin(), orientation.end());
-    scales.insert(scales.end(), scale.begin(), scale.end());
-    opacities.push_back(opacity);
-    numbers.push_back(slot);
-    // Of degree 1, each its own.
-    for (int k = 0; k < 12; ++k) sh.push_back(std::sin(float(slot) + float(k)));
+    std::vector<float> sh(12);  // of degree 1, each its own
+    for (int k = 0; k < 12; ++k) sh[std::size_t(k)] = std::sin(float(slot) + float(k));
+    batch.slot_list.push_back(slot);
+    batch.add(position, scale, opacity, sh, orientation);
   }
   void send(std::uint8_t operation = GaussianBatch::UPSERT) {
-    GaussianBatch batch;
-    batch.map_id = "map";
     batch.revision = map.state().revision + 1;
     batch.operation = operation;
-    batch.count = static_cast<std::uint32_t>(numbers.size());
-    batch.slots = {numbers.data(), numbers.size()};
     batch.sh_degree = 1;
     batch.group = group;
-    batch.positions = {positions.data(), positions.size()};
-    batch.orientations = {orientations.data(), orientations.size()};
-    batch.scales = {scales.data(), scales.size()};
-    batch.opacities = {opacities.data(), opacities.size()};
-    batch.sh = {sh.data(), sh.size()};
     BatchReport report;
-    const auto edit = map.apply(batch, report);
+    const auto edit = map.apply(batch.look(), report);
     if (edit->clear) levels.clear();
     slots.apply(*edit, 0);
     levels.mark(slots, edit->runs);
-    positions.clear(), orientations.clear(), scales.clear(), opacities.clear(), sh.clear();
-    numbers.clear();
+    batch = OwnedBatch();
   }
   void remove(std::vector<std::uint32_t> slots_to_empty) {
-    numbers = std::move(slots_to_empty);
+    batch.slot_list = std::move(slots_to_empty);
+    batch.count = static_cast<std::uint32_t>(batch.slot_list.size());
     send(GaussianBatch::DELETE);
   }
 
@@ -66,8 +55,7 @@ struct Scene {
   GaussianMap map;
   HostSlots slots;
   Levels levels;
-  std::vector<float> positions, orientations, scales, opacities, sh;
-  std::vector<std::uint32_t> numbers;
+  OwnedBatch batch;  // to be sent
 };
 
 struct Content {

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "order/order_book.hpp"
+#include "owned_batch.hpp"
 #include "rosplat_sorter/order_slots.hpp"
 
 using namespace rosplat;
@@ -29,28 +30,13 @@ class OrderBookTest : public testing::Test {
   // The map's next batch, or that revision once more; the first replaces the map.
   void upsert(std::uint32_t first, const std::vector<float>& depths, double now,
               std::uint64_t revision = 0, const std::vector<std::uint32_t>& listed = {}) {
-    std::vector<float> position, orientation, scale, opacity, sh;
-    for (float depth : depths) {
-      position.insert(position.end(), {0.0f, 0.0f, depth});
-      orientation.insert(orientation.end(), {0.0f, 0.0f, 0.0f, 1.0f});
-      scale.insert(scale.end(), 3, 0.01f);
-      opacity.push_back(1.0f);
-      sh.insert(sh.end(), 3, 0.0f);
-    }
-    GaussianBatch batch;
-    batch.map_id = "map";
-    batch.revision = revision ? revision : map.state().revision + 1;
-    batch.operation = batch.revision == 1 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
-    batch.first_slot = first;
-    batch.slots = {listed.data(), listed.size()};
-    batch.count = static_cast<std::uint32_t>(depths.size());
-    batch.positions = {position.data(), position.size()};
-    batch.orientations = {orientation.data(), orientation.size()};
-    batch.scales = {scale.data(), scale.size()};
-    batch.opacities = {opacity.data(), opacity.size()};
-    batch.sh = {sh.data(), sh.size()};
+    if (revision == 0) revision = map.state().revision + 1;
+    OwnedBatch batch(revision, revision == 1 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT,
+                     first);
+    batch.slot_list = listed;
+    for (float depth : depths) batch.add({0, 0, depth}, {0.01f, 0.01f, 0.01f}, 1);
     BatchReport report;
-    const auto edit = map.apply(batch, report);
+    const auto edit = map.apply(batch.look(), report);
     sorter.apply(EditQueue::node(edit, map.state()));
     book.mapChanged(map.state(), now);
   }

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "cpu/painter.hpp"
+#include "owned_batch.hpp"
 
 namespace rosplat {
 namespace {
@@ -32,25 +33,12 @@ struct Studio {
   void write(std::uint32_t count, std::uint8_t operation, std::uint32_t first_slot = 0) {
     std::mt19937 random(first_slot);
     std::uniform_real_distribution<float> unit(-1, 1);
-    std::vector<float> positions, orientations, scales(3 * count, 0.03f), opacities(count, 0.9f),
-        sh(3 * count);
+    OwnedBatch batch(map.state().revision + 1, operation, first_slot);
     for (std::uint32_t i = 0; i < count; ++i) {
-      positions.insert(positions.end(), {3 * unit(random), 3 * unit(random), 6});
-      orientations.insert(orientations.end(), {0, 0, 0, 1});
+      batch.add({3 * unit(random), 3 * unit(random), 6}, {0.03f, 0.03f, 0.03f}, 0.9f);
     }
-    GaussianBatch batch;
-    batch.map_id = "map";
-    batch.revision = map.state().revision + 1;
-    batch.operation = operation;
-    batch.first_slot = first_slot;
-    batch.count = count;
-    batch.positions = {positions.data(), positions.size()};
-    batch.orientations = {orientations.data(), orientations.size()};
-    batch.scales = {scales.data(), scales.size()};
-    batch.opacities = {opacities.data(), opacities.size()};
-    batch.sh = {sh.data(), sh.size()};
     BatchReport report;
-    const auto edit = map.apply(batch, report);
+    const auto edit = map.apply(batch.look(), report);
     const std::lock_guard lock(mutex);
     edits.emplace_back(edit, map.state());
   }

@@ -15,6 +15,7 @@
 #include <thread>
 #include <vector>
 
+#include "owned_batch.hpp"
 #include "software_renderer.hpp"
 
 using namespace rosplat;
@@ -98,30 +99,15 @@ class Source {
  public:
   // Splats 5 to 15 m away, all over the picture.
   void add(std::uint32_t count) {
-    std::vector<float> positions, orientations, scales, opacities, sh;
+    OwnedBatch batch(map.state().revision + 1, GaussianBatch::UPSERT, map.state().capacity);
     for (std::uint32_t i = 0; i < count; ++i) {
       const auto part = [i](double step) { return static_cast<float>(std::fmod(step * i, 1.0)); };
       const float z = 5 + 10 * part(0.6180339887);
-      positions.insert(positions.end(), {1.4f * z * (part(0.7548776662) - 0.5f),
-                                         1.1f * z * (part(0.5698402909) - 0.5f), z});
-      orientations.insert(orientations.end(), {0, 0, 0, 1});
-      scales.insert(scales.end(), 3, 0.4f);
-      opacities.push_back(0.7f);
-      sh.insert(sh.end(), {3 * part(0.8191725134), 3 * part(0.6710436067), 0});
+      batch.add({1.4f * z * (part(0.7548776662) - 0.5f), 1.1f * z * (part(0.5698402909) - 0.5f), z},
+                {0.4f, 0.4f, 0.4f}, 0.7f, {3 * part(0.8191725134), 3 * part(0.6710436067), 0});
     }
-    GaussianBatch batch;
-    batch.map_id = "map";
-    batch.revision = map.state().revision + 1;
-    batch.operation = GaussianBatch::UPSERT;
-    batch.first_slot = map.state().capacity;
-    batch.count = count;
-    batch.positions = {positions.data(), positions.size()};
-    batch.orientations = {orientations.data(), orientations.size()};
-    batch.scales = {scales.data(), scales.size()};
-    batch.opacities = {opacities.data(), opacities.size()};
-    batch.sh = {sh.data(), sh.size()};
     BatchReport report;
-    const auto edit = map.apply(batch, report);
+    const auto edit = map.apply(batch.look(), report);
     const std::lock_guard lock(mutex_);
     waiting_.push_back({edit, map.state()});
   }

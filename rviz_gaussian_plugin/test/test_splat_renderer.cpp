@@ -19,6 +19,7 @@
 #include <utility>
 #include <vector>
 
+#include "owned_batch.hpp"
 #include "splat_scene.hpp"
 
 using namespace rosplat;
@@ -112,34 +113,23 @@ float windowDepth(double z) {
   return static_cast<float>(0.5 + 0.5 * (camera().ndc_scale + camera().ndc_offset / z));
 }
 
-// Many coloured splats 5 to 15 m away: the values of a map's slots.
+// Coloured splats of one size.
 struct Splats {
-  std::vector<float> positions, orientations, scales, opacities, sh;
-
-  std::uint32_t count() const { return static_cast<std::uint32_t>(opacities.size()); }
-
-  void add(const std::array<float, 3>& position, const std::array<float, 3>& colour) {
-    positions.insert(positions.end(), position.begin(), position.end());
-    orientations.insert(orientations.end(), {0, 0, 0, 1});
-    scales.insert(scales.end(), 3, 0.3f);
-    opacities.push_back(0.6f);
-    sh.insert(sh.end(), colour.begin(), colour.end());
+  void add(const std::array<float, 3>& position, const std::array<float, 3>& colour,
+           float size = 0.3f) {
+    splats.add(position, {size, size, size}, 0.6f, {colour.begin(), colour.end()});
   }
 
-  GaussianBatch batch(std::uint64_t revision, const std::vector<std::uint32_t>& slots) const {
-    GaussianBatch batch;
-    batch.map_id = "map";
+  OwnedBatch batch(std::uint64_t revision, const std::vector<std::uint32_t>& slots) const {
+    OwnedBatch batch = splats;
     batch.revision = revision;
     batch.operation = revision == 1 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
-    batch.count = count();
-    batch.slots = {slots.data(), slots.size()};
-    batch.positions = {positions.data(), positions.size()};
-    batch.orientations = {orientations.data(), orientations.size()};
-    batch.scales = {scales.data(), scales.size()};
-    batch.opacities = {opacities.data(), opacities.size()};
-    batch.sh = {sh.data(), sh.size()};
+    batch.slot_list = slots;
+    batch.look();
     return batch;
   }
+
+  OwnedBatch splats;
 };
 
 // In no order.
@@ -624,8 +614,10 @@ TEST_F(SplatRendererTest, DrawsTheSameFromSparseSlotsThatComeBackwards) {
     Splats some;
     std::vector<std::uint32_t> slots;
     for (std::uint32_t i = end - kBatch; i < end; ++i) {
-      some.add({all.positions[3 * i], all.positions[3 * i + 1], all.positions[3 * i + 2]},
-               {all.sh[3 * i], all.sh[3 * i + 1], all.sh[3 * i + 2]});
+      some.add({all.splats.position[3 * i], all.splats.position[3 * i + 1],
+                all.splats.position[3 * i + 2]},
+               {all.splats.harmonics[3 * i], all.splats.harmonics[3 * i + 1],
+                all.splats.harmonics[3 * i + 2]});
       slots.push_back(kApart * i);
     }
     sparse.apply(some.batch(++revision, slots));
@@ -639,9 +631,9 @@ TEST_F(SplatRendererTest, DrawsTheSameFromSparseSlotsThatComeBackwards) {
   for (std::uint32_t& slot : picks) slot *= slot == kNoSlot ? 1 : kApart;
   EXPECT_EQ(picked(sparse), picks);
   const auto values = sparse.readSlots({kApart * 7, 1, kApart * 4999});
-  EXPECT_FLOAT_EQ(float(values[0].position[0]), all.positions[3 * 7]);
+  EXPECT_FLOAT_EQ(float(values[0].position[0]), all.splats.position[3 * 7]);
   EXPECT_EQ(values[1].opacity, 0);
-  EXPECT_FLOAT_EQ(float(values[2].position[2]), all.positions[3 * 4999 + 2]);
+  EXPECT_FLOAT_EQ(float(values[2].position[2]), all.splats.position[3 * 4999 + 2]);
 }
 
 TEST_F(SplatRendererTest, LosesNothingWithThePagesThatAreOutsideOfThePicture) {
@@ -698,7 +690,7 @@ TEST_F(SplatRendererTest, NeedsMemoryForThePagesOfSlotsAlone) {
   EXPECT_EQ(scene.report("view").splats, 33u);
   EXPECT_LE(scene.mapBytes(), 33 * kPageBytes * 5 / 4);
   const std::vector<std::uint32_t> first{0};
-  GaussianBatch cleared = one.batch(3, first);
+  OwnedBatch cleared = one.batch(3, first);
   cleared.operation = GaussianBatch::REPLACE;
   scene.apply(cleared);
   picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
@@ -885,8 +877,7 @@ void addWall(Splats& splats, std::uint32_t count, std::uint32_t seed) {
   for (std::uint32_t i = 0; i < count; ++i) {
     splats.add(
         {12 * part(0.7548776662, i) - 6, 12 * part(0.5698402909, i) - 6, 8 + part(0.6180339887, i)},
-        {4 * part(0.8191725134, i) - 2, 4 * part(0.6710436067, i) - 2, 1});
-    std::fill(splats.scales.end() - 3, splats.scales.end(), 0.1f);
+        {4 * part(0.8191725134, i) - 2, 4 * part(0.6710436067, i) - 2, 1}, 0.1f);
   }
 }
 

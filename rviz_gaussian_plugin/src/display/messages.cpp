@@ -19,15 +19,6 @@ static_assert(rosplat_sorter::kMostSlots == kMaxSlots);
 static_assert(rosplat_sorter::OrderReader::kPacked == rosplat_msgs::msg::SplatOrder::PACKED);
 static_assert(rosplat_sorter::OrderReader::kShared == rosplat_msgs::msg::SplatOrder::SHARED);
 
-namespace {
-
-template <typename Array>
-auto view(const Array& array) {
-  return ArrayView<typename Array::value_type>{array.data(), array.size()};
-}
-
-}  // namespace
-
 GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   GaussianBatch batch;
   batch.map_id = message.map_id;
@@ -36,9 +27,9 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   batch.expected_slots = message.expected_slots;
   batch.first_slot = message.first_slot;
   batch.count = message.count;
-  batch.slots = view(message.slots);
+  batch.slots = message.slots;
   batch.group = message.group;
-  batch.groups = view(message.groups);
+  batch.groups = message.groups;
   for (const geometry_msgs::msg::Pose& pose : message.poses) {
     const auto& p = pose.position;
     const auto& q = pose.orientation;
@@ -46,16 +37,16 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   }
   batch.sh_degree = message.sh_degree;
   batch.format = message.format;
-  batch.payload = view(message.payload);
+  batch.payload = message.payload;
   batch.antialiased = message.antialiased;
   batch.origin = {message.origin.x, message.origin.y, message.origin.z};
-  batch.positions = view(message.positions);
-  batch.orientations = view(message.orientations);
-  batch.scales = view(message.scales);
-  batch.opacities = view(message.opacities);
-  batch.sh = view(message.sh);
+  batch.positions = message.positions;
+  batch.orientations = message.orientations;
+  batch.scales = message.scales;
+  batch.opacities = message.opacities;
+  batch.sh = message.sh;
   batch.channel_names = message.channel_names;
-  batch.channels = view(message.channels);
+  batch.channels = message.channels;
   return batch;
 }
 

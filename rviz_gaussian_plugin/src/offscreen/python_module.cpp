@@ -23,11 +23,6 @@ template <typename T>
 using Array = py::array_t<T, py::array::c_style>;
 
 template <typename T>
-ArrayView<T> view(const Array<T>& array) {
-  return {array.data(), static_cast<std::size_t>(array.size())};
-}
-
-template <typename T>
 Array<T> toArray(std::vector<T> values, std::vector<py::ssize_t> shape) {
   auto* owner = new std::vector<T>(std::move(values));
   const py::capsule capsule(owner, [](void* p) { delete static_cast<std::vector<T>*>(p); });
@@ -58,7 +53,7 @@ py::dict decodePayload(const Array<std::uint8_t>& payload, std::uint32_t count,
   batch.count = count;
   batch.sh_degree = sh_degree;
   batch.format = kPayloadFormat;
-  batch.payload = view(payload);
+  batch.payload = payload;
   if (batch.payload.size != payloadBytes(count, sh_degree)) {
     throw BatchError("payload has the wrong size");
   }
@@ -101,7 +96,7 @@ BatchReport take(CpuRenderer& renderer, const GaussianBatch& batch) {
 
 // 7 a group: position [m], quaternion x y z w.
 std::vector<Pose> posesOf(const Array<double>& values) {
-  const ArrayView<double> numbers = view(values);
+  const ArrayView<double> numbers = values;
   if (numbers.size % 7 != 0) throw BatchError("poses are of 7 numbers each");
   std::vector<Pose> poses(numbers.size / 7);
   for (std::size_t i = 0; i < poses.size(); ++i) {
@@ -145,26 +140,26 @@ py::dict apply(Target& target, std::uint8_t operation, std::uint32_t first_slot,
   batch.operation = operation;
   batch.first_slot = first_slot;
   batch.count = count;
-  batch.slots = view(slots);
+  batch.slots = slots;
   batch.sh_degree = sh_degree;
   batch.antialiased = antialiased;
   batch.origin = origin;
-  batch.positions = view(positions);
-  batch.orientations = view(orientations);
-  batch.scales = view(scales);
-  batch.opacities = view(opacities);
-  batch.sh = view(sh);
+  batch.positions = positions;
+  batch.orientations = orientations;
+  batch.scales = scales;
+  batch.opacities = opacities;
+  batch.sh = sh;
   batch.map_id = map_id;
   batch.revision = revision;
   batch.expected_slots = expected_slots;
   batch.format = format;
-  batch.payload = view(payload);
+  batch.payload = payload;
   batch.arrival = arrival;
   batch.group = group;
-  batch.groups = view(groups);
+  batch.groups = groups;
   batch.poses = posesOf(poses);
   batch.channel_names = channel_names;
-  batch.channels = view(channels);
+  batch.channels = channels;
   BatchReport report;
   {
     const py::gil_scoped_release release;
@@ -223,7 +218,7 @@ void offer(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_
 void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
               const std::string& map_id, std::uint64_t revision, const std::string& source,
               double sort_time, const Array<std::uint32_t>& slots) {
-  const ArrayView<std::uint32_t> given = view(slots);
+  const ArrayView<std::uint32_t> given = slots;
   offer(renderer, view_id, sequence, map_id, revision, source, sort_time, [&](Order& order) {
     rosplat_sorter::checkCount(given.size, renderer.scene().mostSlots(map_id, revision));
     order.slots.assign(given.data, given.data + given.size);
@@ -298,9 +293,9 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
                          const std::optional<Array<std::uint32_t>>& order) {
   PictureRequest request;
   request.layers.push_back(layerOf(renderer, camera));
-  if (scene_depth) request.scene_depth = view(*scene_depth);
-  if (translucent_depth) request.translucent_depth = view(*translucent_depth);
-  if (order) request.order = view(*order);
+  if (scene_depth) request.scene_depth = *scene_depth;
+  if (translucent_depth) request.translucent_depth = *translucent_depth;
+  if (order) request.order = *order;
   return request;
 }
 

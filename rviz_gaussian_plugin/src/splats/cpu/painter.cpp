@@ -22,11 +22,6 @@ double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-template <typename T>
-ArrayView<T> viewOf(const std::vector<T>& values) {
-  return {values.data(), values.size()};
-}
-
 // As bytes. What is brighter than white stays white when it is laid over something.
 PaintedLayer<std::uint8_t> colourLayer(const std::vector<float>& rgba, int width, int height) {
   PaintedLayer<std::uint8_t> layer;
@@ -274,8 +269,8 @@ PictureRequest Painter::pictureOf(const PaintRequest& asked) const {
     drawn.settings = layer.settings;
   }
   request.now = clock();
-  request.scene_depth = viewOf(asked.scene_depth);
-  request.translucent_depth = viewOf(asked.translucent_depth);
+  request.scene_depth = asked.scene_depth;
+  request.translucent_depth = asked.translucent_depth;
   return request;
 }
 
@@ -306,7 +301,7 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiti
   try {
     PictureRequest request = pictureOf(asked);
     const PaintLayer& first = asked.layers.front();
-    if (first.order) request.order = viewOf(first.order->slots);
+    if (first.order) request.order = first.order->slots;
     request.mean_depth = true;
     request.cancelled = &cancelled_;
     chooseDetail(view_id, request, *painting);
@@ -315,7 +310,7 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiti
       std::vector<std::uint32_t> all;
       if (first.unsorted) {
         all = first.map->slots().index().slots(maps.states().front().capacity);
-        request.order = viewOf(all);
+        request.order = all;
       }
       for (std::size_t i = 0; i < maps.states().size(); ++i) {
         painting->maps[i].map = maps.states()[i];

@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
+#include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "map/groups.hpp"
@@ -13,6 +15,12 @@ namespace rosplat {
 // A contiguous array owned by someone else.
 template <typename T>
 struct ArrayView {
+  ArrayView() = default;
+  template <typename Array, typename = std::enable_if_t<std::is_convertible_v<
+                                decltype(std::declval<const Array&>().data()), const T*>>>
+  ArrayView(const Array& array)
+      : data(array.data()), size(static_cast<std::size_t>(array.size())) {}
+
   const T* data = nullptr;
   std::size_t size = 0;
 

@@ -136,11 +136,11 @@ GaussianBatch DecodedPayload::decode(const GaussianBatch& batch) {
     }
   }
   GaussianBatch decoded = batch;
-  decoded.positions = {positions_.data(), positions_.size()};
-  decoded.orientations = {orientations_.data(), orientations_.size()};
-  decoded.scales = {scales_.data(), scales_.size()};
-  decoded.opacities = {opacities_.data(), opacities_.size()};
-  decoded.sh = {sh_.data(), sh_.size()};
+  decoded.positions = positions_;
+  decoded.orientations = orientations_;
+  decoded.scales = scales_;
+  decoded.opacities = opacities_;
+  decoded.sh = sh_;
   return decoded;
 }
 
