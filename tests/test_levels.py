@@ -9,7 +9,7 @@ from drawing import CAMERAS, decibels, draw
 from rosplat_lab import reference
 from rosplat_lab.bench.embedded import insert_all
 from rosplat_lab.reference import levels
-from rosplat_lab.reference.projection import rotation_matrices
+from rosplat_tools.quaternions import to_matrices
 from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin.offscreen import CpuRenderer
 
@@ -57,7 +57,7 @@ def test_nodes_are_those_of_the_twin(renderer: CpuRenderer, merged: list[levels.
         # What packing rounds, level by level: scales by 3e-4, harmonics by 1e-3 of the largest.
         away = np.abs(nodes["positions"] - expected.means).max(axis=1)
         assert (away <= 2e-3 * expected.size).all()
-        axes = rotation_matrices(nodes["orientations"].astype(np.float64))
+        axes = to_matrices(nodes["orientations"])
         axes *= nodes["scales"][:, None, :]
         covariances = axes @ axes.transpose(0, 2, 1)
         widths = np.trace(expected.covariances, axis1=1, axis2=2)

@@ -6,15 +6,15 @@ import numpy as np
 
 from rosplat_lab.bench import scenes
 from rosplat_lab.reference import render
-from rosplat_lab.reference.projection import rotation_matrices
 from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.generate import generate
+from rosplat_tools.quaternions import to_matrices
 
 
 def test_the_ground_is_flat_and_closed() -> None:
     splats = generate(30_000)
     sand = splats[np.abs(splats.positions[:, 2]) < 0.014]
-    normals = rotation_matrices(sand.orientations.astype(np.float64))[:, 2, 2]
+    normals = to_matrices(sand.orientations)[:, 2, 2]
     assert np.median(np.abs(normals)) > 0.8
     below = Camera(0, 64, 64, 90, 90, 32, 32, look_at((0.3, -1.2, -3), (0.3, -1.2, 0), (0, 1, 0)))
     alpha = render(replace(sand), below, crop=(20, 20, 44, 44)).rgba[..., 3]

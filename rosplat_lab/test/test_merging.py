@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rosplat_lab.reference.projection import rotation_matrices
 from rosplat_lab.simplify.merging import MOST, Contributions, areas, combine, find_pairs, merge
+from rosplat_tools.quaternions import to_matrices
 from rosplat_tools.splats import Splats
 
 Make = Callable[..., Splats]
@@ -18,7 +18,7 @@ PIXEL = 0.001  # [m]
 
 
 def covariances(splats: Splats) -> np.ndarray:
-    axes = rotation_matrices(splats.orientations.astype(float)) * splats.scales[:, None, :]
+    axes = to_matrices(splats.orientations) * splats.scales[:, None, :]
     return axes @ axes.transpose(0, 2, 1)
 
 

@@ -9,9 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from rosplat_lab.reference import render, renderer
-from rosplat_lab.reference.projection import project, rotation_matrices
+from rosplat_lab.reference.projection import project
 from rosplat_tools import harmonics
 from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.quaternions import to_matrices
 from rosplat_tools.splats import Splats, concatenate
 
 Make = Callable[..., Splats]
@@ -169,7 +170,7 @@ def test_the_covariance_follows_the_projection(random_splats: Make) -> None:
     rng = np.random.default_rng(0)
     for i, slot in enumerate(projected.slots):
         offsets = rng.normal(size=(200_000, 3)) * splats.scales[slot]
-        rotation = rotation_matrices(splats.orientations[slot : slot + 1].astype(np.float64))[0]
+        rotation = to_matrices(splats.orientations[slot : slot + 1])[0]
         world = splats.positions[slot] + offsets @ rotation.T
         x, y, z = view.world_to_camera[:3, :3] @ world.T + view.world_to_camera[:3, 3:]
         spread = np.cov(view.fx * x / z, view.fy * y / z)

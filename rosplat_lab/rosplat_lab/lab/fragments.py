@@ -20,9 +20,9 @@ from rosplat_lab.reference.projection import (
     Array,
     Projected,
     project,
-    rotation_matrices,
 )
 from rosplat_tools.cameras import Camera
+from rosplat_tools.quaternions import to_matrices
 from rosplat_tools.splats import Splats
 
 MAX_ALPHA = 0.99
@@ -242,7 +242,7 @@ class _RayDepths:
         scales = splats.scales.astype(np.float64)
         # A disc without thickness has no precision matrix: a thousandth of its size will do.
         scales = np.maximum(scales, 1e-3 * scales.max(axis=1, keepdims=True))
-        axes = turn @ rotation_matrices(splats.orientations.astype(np.float64)) / scales[:, None, :]
+        axes = turn @ to_matrices(splats.orientations) / scales[:, None, :]
         precisions = axes @ axes.transpose(0, 2, 1)
         self._targets = np.einsum("nij,nj->ni", precisions, means)
         upper = np.triu_indices(3)

@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from rosplat_lab.lab.fragments import MAX_ALPHA
-from rosplat_lab.reference.projection import MIN_ALPHA, Array, rotation_matrices
+from rosplat_lab.reference.projection import MIN_ALPHA, Array
 from rosplat_tools import harmonics
 from rosplat_tools.cameras import Camera
+from rosplat_tools.quaternions import to_matrices
 from rosplat_tools.splats import Splats
 
 
@@ -34,7 +35,7 @@ def picture(splats: Splats, camera: Camera) -> Array:
     rays = rays @ camera.world_to_camera[:3, :3]
     rgb = np.zeros((camera.height, camera.width, 3))
     through = np.ones((camera.height, camera.width, 1))
-    axes = rotation_matrices(splats.orientations[seen].astype(np.float64))
+    axes = to_matrices(splats.orientations[seen])
     axes /= splats.scales[seen].astype(np.float64)[:, None, :]
     for index, slot in enumerate(seen):
         origin = (camera.position - world[slot]) @ axes[index]

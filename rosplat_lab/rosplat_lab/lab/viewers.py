@@ -21,10 +21,10 @@ from rosplat_lab.reference.projection import (
     Projected,
     jacobians,
     project,
-    rotation_matrices,
 )
 from rosplat_tools import harmonics
 from rosplat_tools.cameras import Camera
+from rosplat_tools.quaternions import to_matrices
 from rosplat_tools.splats import Splats
 
 GAMMA = 2.2
@@ -49,7 +49,7 @@ def _rvizsplat(splats: Splats, camera: Camera) -> Projected:
     kept = np.flatnonzero((means[:, 2] > camera.near) & (reach < 1.2) & (opacities >= 0.4))
 
     splats, means, opacities = splats[kept], means[kept], opacities[kept]
-    axes = rotation_matrices(splats.orientations.astype(np.float64))
+    axes = to_matrices(splats.orientations)
     axes *= splats.scales.astype(np.float64)[:, None, :]
     covariances = (axes @ axes.transpose(0, 2, 1)).astype(np.float16).astype(np.float64)
     half = jacobians(means, camera) @ rotation

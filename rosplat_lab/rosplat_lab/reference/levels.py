@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_lab.reference.projection import MIN_ALPHA, Array, rotation_matrices
+from rosplat_lab.reference.projection import MIN_ALPHA, Array
 from rosplat_tools.cameras import Camera
-from rosplat_tools.quaternions import from_matrices
+from rosplat_tools.quaternions import from_matrices, to_matrices
 from rosplat_tools.splats import Splats, concatenate
 
 LEVELS = 28
@@ -70,7 +70,7 @@ def merge(splats: Splats) -> list[Nodes]:
     """The nodes of each level, the finest first."""
     seen = splats.opacities >= MIN_ALPHA
     entries = np.where(seen, entry_levels(splats), LEVELS)
-    axes = rotation_matrices(splats.orientations.astype(np.float64))
+    axes = to_matrices(splats.orientations)
     axes *= splats.scales.astype(np.float64)[:, None, :]
     covariances = axes @ axes.transpose(0, 2, 1)
     levels: list[Nodes] = []

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rosplat_tools import harmonics
 from rosplat_tools.cameras import Camera
+from rosplat_tools.quaternions import to_matrices
 from rosplat_tools.splats import Splats
 
 Array = NDArray[np.float64]
@@ -90,21 +91,9 @@ def project(splats: Splats, camera: Camera, shares: Array | None = None) -> Proj
     )
 
 
-def rotation_matrices(quaternions: Array) -> Array:
-    """(n, 3, 3) rotations of quaternions (n, 4) x, y, z, w."""
-    unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-    x, y, z, w = unit.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
-
-
 def _covariances_2d(splats: Splats, means: Array, camera: Camera) -> Array:
     """(n, 2, 2) covariances in the picture, J W R S S^T R^T W^T J^T. [px^2]"""
-    axes = rotation_matrices(splats.orientations.astype(np.float64))
+    axes = to_matrices(splats.orientations)
     axes *= splats.scales.astype(np.float64)[:, None, :]
     half = jacobians(means, camera) @ camera.world_to_camera[:3, :3] @ axes
     product: Array = half @ half.transpose(0, 2, 1)

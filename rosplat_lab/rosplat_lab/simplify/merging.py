@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from rosplat_lab.reference.projection import LOW_PASS, rotation_matrices
+from rosplat_lab.reference.projection import LOW_PASS
 from rosplat_tools.harmonics import C0
+from rosplat_tools.quaternions import to_matrices
 from rosplat_tools.splats import Splats
 
 Array = NDArray[np.floating[Any]]
@@ -272,7 +273,7 @@ _PLANES = ((0, 1, 3), (0, 2, 4), (1, 2, 5))  # two axes, and where their mixed t
 
 def _covariances(splats: Splats) -> Array:
     """(n, 6) covariances. [m^2]"""
-    axes = rotation_matrices(splats.orientations.astype(np.float64)) * splats.scales[:, None, :]
+    axes = to_matrices(splats.orientations) * splats.scales[:, None, :]
     covariances: Array = np.einsum("nik,nik->ni", axes[:, _ROWS], axes[:, _COLUMNS])
     return covariances
 

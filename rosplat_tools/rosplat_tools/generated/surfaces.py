@@ -10,6 +10,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from rosplat_tools import harmonics
+from rosplat_tools.quaternions import from_matrices
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -53,22 +54,9 @@ def unit(vectors: Array) -> Array:
 
 
 def quaternions(tangents: Array, normals: Array) -> Array:
-    """(n, 4) x, y, z, w of rotations that take x to the tangent and z to the normal.
-
-    Shepperd 1978: of four formulas, the one that divides by the largest component.
-    """
+    """(n, 4) x, y, z, w of rotations that take x to the tangent and z to the normal."""
     x = unit(tangents - normals * (tangents * normals).sum(axis=1, keepdims=True))
-    r = np.stack([x, np.cross(normals, x), normals], axis=2)
-    trace = np.trace(r, axis1=1, axis2=2)
-    outer = np.empty((len(r), 4, 4))  # 4 q q^T
-    diagonal = r[:, [0, 1, 2], [0, 1, 2]]
-    outer[:, [0, 1, 2], [0, 1, 2]] = 1 + 2 * diagonal - trace[:, None]
-    outer[:, 3, 3] = 1 + trace
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        outer[:, i, j] = outer[:, j, i] = r[:, i, j] + r[:, j, i]
-        outer[:, i, 3] = outer[:, 3, i] = r[:, k, j] - r[:, j, k]
-    largest = outer[:, range(4), range(4)].argmax(axis=1)
-    return unit(outer[np.arange(len(r)), largest])
+    return from_matrices(np.stack([x, np.cross(normals, x), normals], axis=2))
 
 
 def constant(color: Array) -> Array:

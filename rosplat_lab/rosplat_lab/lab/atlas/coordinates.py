@@ -12,9 +12,9 @@ from rosplat_lab.lab import motion
 from rosplat_lab.lab.atlas.case import Cases, Curves
 from rosplat_lab.lab.atlas.stage import ahead, cloud, decibels, floats, outside, shown, some, truth
 from rosplat_lab.lab.bench import Bench
-from rosplat_lab.reference.projection import rotation_matrices
 from rosplat_tools import harmonics
 from rosplat_tools.cameras import Camera, look_at
+from rosplat_tools.quaternions import to_matrices
 from rosplat_tools.splats import Splats
 
 CASES = Cases()
@@ -93,7 +93,7 @@ def sheared(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
 
 def _reshaped(splats: Splats, change: NDArray[np.float64]) -> Splats:
     """With the covariances M C M^T of a linear change (3, 3), as orientations and scales again."""
-    axes = rotation_matrices(splats.orientations.astype(np.float64))
+    axes = to_matrices(splats.orientations)
     roots = change @ axes * splats.scales.astype(np.float64)[:, None, :]
     axes, scales, _ = np.linalg.svd(roots)
     axes *= np.linalg.det(axes)[:, None, None]
