@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter import backends, camera, depth, edits, view
 from rosplat_sorter.map import SplatMap
+from rosplat_sorter.slot_pages import Rows
 from rosplat_tools import formats
 from rosplat_tools.cameras import load_cameras
 from rosplat_tools.messages import encode
 from rosplat_tools.view_messages import view_camera
 
 
-@pytest.mark.parametrize("name", backends.BACKENDS)
-@pytest.mark.parametrize(("scene", "file"), [("wolf", "wolf.spz"), ("playbot", "playbot")])
-def test_order_equals_the_stable_argsort(
-    data_folder: Path, reference_folder: Path, scene: str, file: str, name: str
-) -> None:
-    try:
-        backend = backends.open_backend(name)
-    except backends.Unavailable as error:
-        pytest.skip(f"{name}: {error}")
+@dataclass(frozen=True)
+class Scene:
+    """A trained scene, and the slots that each of its cameras sees, back to front."""
+
+    map: SplatMap
+    changed: Rows
+    orders: list[tuple[view.View, NDArray[np.integer]]]
+
+
+@pytest.fixture(
+    scope="module",
+    params=[("wolf", "wolf.spz"), ("playbot", "playbot")],
+    ids=lambda names: names[0],
+)
+def scene(request: pytest.FixtureRequest, data_folder: Path, reference_folder: Path) -> Scene:
+    name, file = request.param
     splats = formats.load(data_folder / file)
     message = encode(
         splats, range(len(splats)), header=Header(frame_id="map"), map_id="test", revision=1,
@@ -33,11 +43,22 @@ def test_order_equals_the_stable_argsort(
     )  # fmt: skip
     scene_map = SplatMap()
     changed = scene_map.apply(edits.decode(message))
-    backend.update(scene_map, changed)
-    for which in load_cameras(reference_folder / scene / "cameras.json"):
+    orders = []
+    for which in load_cameras(reference_folder / name / "cameras.json"):
         seen = view.View.of(camera.decode(view_camera(which)), scene_map.frames)
         depths = depth.transform(seen, scene_map.positions, 2)
         visible = np.flatnonzero(depth.visible(seen, scene_map.positions, scene_map.extents))
-        expected = visible[np.argsort(depths[visible], kind="stable")][::-1]
+        assert len(visible) > len(splats) / 2
+        orders.append((seen, visible[np.argsort(depths[visible], kind="stable")][::-1]))
+    return Scene(scene_map, changed, orders)
+
+
+@pytest.mark.parametrize("name", backends.BACKENDS)
+def test_order_equals_the_stable_argsort(scene: Scene, name: str) -> None:
+    try:
+        backend = backends.open_backend(name)
+    except backends.Unavailable as error:
+        pytest.skip(f"{name}: {error}")
+    backend.update(scene.map, scene.changed)
+    for seen, expected in scene.orders:
         np.testing.assert_array_equal(backend.order(seen), expected)
-        assert len(expected) > len(splats) / 2
