@@ -100,14 +100,14 @@ def test_trained_scenes_match_gsplat(
 def test_contributions_are_those_of_the_twin(renderer: CpuRenderer, view: str) -> None:
     splats = cloud()[:60]
     insert_all(renderer, splats)
-    found = renderer.contribute(offscreen.Camera(*pose(CAMERAS[view])))
+    found = offscreen.Contributions()
+    for _ in range(2):
+        renderer.contribute(offscreen.Camera(*pose(CAMERAS[view])), found)
     weights, energies, errors = reference.contributions(splats, CAMERAS[view])
     assert errors.max() > 1  # there was something to see
-    np.testing.assert_allclose(found["weight"], weights, rtol=2e-3, atol=0.02)
-    np.testing.assert_allclose(found["energy"], energies, rtol=4e-3, atol=1e-3)
-    np.testing.assert_allclose(found["error"], errors, rtol=5e-3, atol=1e-3)
-    drawn = draw(renderer, CAMERAS[view])["colour"]
-    np.testing.assert_array_equal(found["colour"], drawn)
+    np.testing.assert_allclose(found.weight / 2, weights, rtol=2e-3, atol=0.02)
+    np.testing.assert_allclose(found.energy / 2, energies, rtol=4e-3, atol=1e-3)
+    np.testing.assert_allclose(found.error / 2, errors, rtol=5e-3, atol=1e-3)
 
 
 def test_contributions_of_slices_of_depth_add_up() -> None:
@@ -116,8 +116,10 @@ def test_contributions_of_slices_of_depth_add_up() -> None:
     camera = camera_at((5.0, 1.0, 2.0))
     renderer = CpuRenderer(threads=2)
     insert_all(renderer, splats)
-    found = renderer.contribute(offscreen.Camera(*pose(camera)))
-    assert found["weight"].sum() == pytest.approx(found["colour"][..., 3].sum(), rel=1e-4)
+    found = offscreen.Contributions()
+    renderer.contribute(offscreen.Camera(*pose(camera)), found)
+    alpha = draw(renderer, camera)["colour"][..., 3].sum()
+    assert 0.99 * alpha < found.weight.sum() <= 1.0001 * alpha
 
 
 def test_a_map_far_from_its_origin_is_as_sharp(renderer: CpuRenderer) -> None:

@@ -19,6 +19,7 @@ BatchError = _offscreen.BatchError
 Camera = _offscreen.Camera
 ChannelColours = _offscreen.ChannelColours
 ClipBox = _offscreen.ClipBox
+Contributions = _offscreen.Contributions
 CpuRenderer = _offscreen.CpuRenderer
 DrawMode = _offscreen.DrawMode
 GaussianMap = _offscreen.GaussianMap

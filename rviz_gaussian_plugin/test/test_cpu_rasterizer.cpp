@@ -326,7 +326,7 @@ TEST(CpuRasterizer, gives_up_when_it_is_told_to) {
   EXPECT_FALSE(with.draw(wanted, picture));
   EXPECT_TRUE(with.pick(wanted).empty());
   Contributions contributions;
-  EXPECT_FALSE(with.contribute(wanted, picture, contributions));
+  EXPECT_FALSE(with.contribute(wanted, contributions));
   cancelled = false;
   EXPECT_TRUE(with.draw(wanted, picture));
 }

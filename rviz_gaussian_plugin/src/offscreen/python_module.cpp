@@ -336,20 +336,11 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
   return drawn;
 }
 
-py::dict contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
-                         const std::optional<Array<float>>& scene_depth) {
+void contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera, Contributions& sums,
+                     const std::optional<Array<float>>& scene_depth) {
   const PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
-  SplatPicture& picture = renderer.picture;
-  Contributions found;
-  {
-    const py::gil_scoped_release release;
-    renderer.rasterizer.contribute(request, picture, found);
-  }
-  const auto slots = static_cast<py::ssize_t>(found.weight.size());
-  return py::dict("colour"_a = toArray(picture.colour, {picture.height, picture.width, 4}),
-                  "weight"_a = toArray(std::move(found.weight), {slots}),
-                  "energy"_a = toArray(std::move(found.energy), {slots}),
-                  "error"_a = toArray(std::move(found.error), {slots}));
+  const py::gil_scoped_release release;
+  renderer.rasterizer.contribute(request, sums);
 }
 
 Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
@@ -594,6 +585,14 @@ PYBIND11_MODULE(_offscreen, module) {
       .value("AVX2", CpuRasterizer::Instructions::kAvx2)
       .value("AVX512", CpuRasterizer::Instructions::kAvx512)
       .value("BEST", CpuRasterizer::Instructions::kBest);
+  const auto sums_of = [](const std::vector<float>& values) {
+    return Array<float>(static_cast<py::ssize_t>(values.size()), values.data());
+  };
+  py::class_<Contributions>(module, "Contributions")
+      .def(py::init<>())
+      .def_property_readonly("weight", [=](const Contributions& c) { return sums_of(c.weight); })
+      .def_property_readonly("energy", [=](const Contributions& c) { return sums_of(c.energy); })
+      .def_property_readonly("error", [=](const Contributions& c) { return sums_of(c.error); });
   py::class_<CpuRenderer> cpu_renderer(module, "CpuRenderer");
   defineApply(cpu_renderer);
   cpu_renderer
@@ -608,7 +607,7 @@ PYBIND11_MODULE(_offscreen, module) {
       .def("nodes", &nodesOf, "level"_a, "group"_a = 0)
       .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })
       .def("pick", &pickOnCpu, "camera"_a, "scene_depth"_a = py::none())
-      .def("contribute", &contributeOnCpu, "camera"_a, "scene_depth"_a = py::none())
+      .def("contribute", &contributeOnCpu, "camera"_a, "sums"_a, "scene_depth"_a = py::none())
       .def_property_readonly("map_bytes", [](CpuRenderer& r) { return r.slots.bytes(); })
       .def_property_readonly("instructions",
                              [](CpuRenderer& r) { return r.rasterizer.instructions(); });

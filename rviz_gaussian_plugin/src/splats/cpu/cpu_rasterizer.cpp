@@ -19,6 +19,9 @@ namespace {
 
 constexpr int kLongestSide = 16384;  // [px], as makeCamera() has it
 
+// Transmittance at which tiles end: 106 dB and more against blending all; gsplat ends there, too.
+constexpr float kTransparent = 1e-4f;
+
 const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
 #if defined(__x86_64__) && defined(__GNUC__)
   using Instructions = CpuRasterizer::Instructions;
@@ -72,13 +75,15 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
                          " pixels do not fit a picture of " + std::to_string(pixels));
     }
   }
+  ends_at = wanted.contributions ? kLeastSeen : kTransparent;
   if (wanted.contributions) {
     remaining.resize(4 * pixels);
     const std::size_t capacity = request.layers.front().map->capacity;
-    wanted.contributions->weight.assign(capacity, 0);
-    wanted.contributions->energy.assign(capacity, 0);
-    wanted.contributions->error.assign(capacity, 0);
-  } else if (picture) {
+    wanted.contributions->weight.resize(capacity);
+    wanted.contributions->energy.resize(capacity);
+    wanted.contributions->error.resize(capacity);
+  }
+  if (picture) {
     picture->width = camera.width;
     picture->height = camera.height;
     picture->colour.resize(4 * pixels);
@@ -121,7 +126,8 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   openTiles(request);
   findDepthRanges();
   std::vector<SplatPicture::OfLayer> of_layers(layers.size());
-  bool first = true;
+  const bool blends = picture && !wanted.drawn;
+  bool first = true, contributes = false;
   while (!waiting.empty()) {
     const Slice slice = waiting.back();
     waiting.pop_back();
@@ -135,19 +141,18 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     }
     list();
     lap("list");
-    if (wanted.contributions) of_listed.reserve(total_pairs);
+    // What is behind a splat is known once all slices are drawn.
+    contributes = wanted.contributions && (wanted.drawn || (first && waiting.empty()));
+    if (contributes) of_listed.reserve(total_pairs);
     std::atomic<std::size_t> next{0};
     team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
       Member& member = members[number];
       try {
         for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
-          if (wanted.contributions) {
-            contribute(request, *picture, first, tile, member);
-          } else if (picture) {
-            blend(request, *picture, first, tile, member);
-          } else {
-            pick(request, *wanted.picked, first, tile, member);
-          }
+          sortTile(tile, member);
+          if (!picture) pick(request, *wanted.picked, first, tile, member);
+          if (blends) blend(request, *picture, first, tile, member);
+          if (contributes) contribute(request, *picture, first, tile, member);
         }
       } catch (const std::bad_alloc&) {
         out_of_memory = true;
@@ -155,7 +160,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     });
     if (out_of_memory) throw std::bad_alloc();
     if (cancelled()) return false;
-    if (wanted.contributions) addUp(*wanted.contributions);
+    if (contributes) addUp(*wanted.contributions);
     lap("blend");
     for (const Part& part : parts) {
       for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].drawn += part.of_layers[i];
@@ -164,7 +169,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     hides = hides || std::find(open.begin(), open.begin() + std::ptrdiff_t(tiles), kEnded) !=
                          open.begin() + std::ptrdiff_t(tiles);
   }
-  if (picture && !wanted.contributions) {
+  if (blends) {
     inParts(picture->depth.size(), 1 << 14, [&](const Part& part, Member&) {
       for (std::size_t i = part.begin; i < part.end; ++i) {
         const float alpha = picture->colour[4 * i + 3];
@@ -175,6 +180,9 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].error = layers[i].error;
     picture->layers = std::move(of_layers);
     picture->profile = profile;
+  }
+  if (wanted.contributions && !contributes && !first) {
+    return run(request, {picture, nullptr, wanted.contributions, true});
   }
   return true;
 }
@@ -201,14 +209,12 @@ std::vector<PickedSplat> CpuRasterizer::pick(const PictureRequest& request) {
   return picked;
 }
 
-bool CpuRasterizer::contribute(const PictureRequest& request, SplatPicture& picture,
-                               Contributions& contributions) {
+bool CpuRasterizer::contribute(const PictureRequest& request, Contributions& contributions) {
   PictureRequest in_colour = request;
   in_colour.layers.front().settings.mode = DrawMode::kColor;
   in_colour.translucent_depth = {};
-  return draw(in_colour, picture) && orSay(request.layers.front().camera, [&] {
-           return work_->run(in_colour, {&picture, nullptr, &contributions});
-         });
+  return orSay(request.layers.front().camera,
+               [&] { return work_->run(in_colour, {&work_->seen, nullptr, &contributions}); });
 }
 
 const char* CpuRasterizer::instructions() const { return work_->kernels.name; }

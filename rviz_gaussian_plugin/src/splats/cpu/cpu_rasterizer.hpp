@@ -74,6 +74,9 @@ struct SplatPicture {
 // What a splat contributes to a pixel at least that is picked there; less nobody sees.
 constexpr float kLeastPicked = 0.05f;
 
+// Transmittance below which splats may count as hidden where contributions are found.
+constexpr float kLeastSeen = 0.01f;
+
 // A splat that a pixel shows.
 struct PickedSplat {
   std::uint32_t layer = 0, slot = kNoSlot;
@@ -81,7 +84,7 @@ struct PickedSplat {
   bool operator==(const PickedSplat& o) const { return layer == o.layer && slot == o.slot; }
 };
 
-// What the splats of the one layer are to a picture, by slot: sums over its pixels.
+// What the splats of the one layer are to pictures, by slot: sums over their pixels.
 struct Contributions {
   std::vector<float> weight;  // of alpha x transmittance: of how many pixels a splat is the colour
   std::vector<float> energy;  // of the squares of these
@@ -116,10 +119,10 @@ class CpuRasterizer {
   // where it was cancelled. Throws PictureError.
   std::vector<PickedSplat> pick(const PictureRequest& request);
 
-  // Draws one layer, in colour and without translucent objects, and finds what each slot
-  // contributes. False where it was cancelled. Throws PictureError.
-  bool contribute(const PictureRequest& request, SplatPicture& picture,
-                  Contributions& contributions);
+  // Adds what each slot of one layer contributes to a picture in colour, without translucent
+  // objects; nothing where less than kLeastSeen of it is. False where it was cancelled. Throws
+  // PictureError.
+  bool contribute(const PictureRequest& request, Contributions& contributions);
 
   const char* instructions() const;  // in use
   std::size_t bytes() const;         // of the workspace

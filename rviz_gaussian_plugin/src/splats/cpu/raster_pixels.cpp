@@ -9,9 +9,6 @@ namespace rosplat {
 
 namespace {
 
-// 106 dB and more against blending all; gsplat ends there, too
-constexpr float kTransparent = 1e-4f;
-
 // Copies a tile of some depths, far where there is no pixel; null where there are none.
 const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, float* copy) {
   if (depths.empty()) return nullptr;
@@ -27,7 +24,7 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   const TileRect rect(number, across, picture.width, picture.height);
   const bool divided = !request.translucent_depth.empty();
   BlendTile tile;
-  tile.count = inTile(number, member);
+  tile.count = inTile(number);
   if (tile.count == 0 && !first) return;
   // What was blended so far is in the picture.
   const auto read = [&](TilePixels& pixels, const std::vector<float>& colour) {
@@ -53,7 +50,7 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   tile.records = records.get();
   tile.left = rect.left;
   tile.top = rect.top;
-  tile.ends_at = kTransparent;
+  tile.ends_at = ends_at;
   tile.pixels = &member.pixels;
   tile.behind = divided ? &member.behind : nullptr;
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
@@ -87,7 +84,7 @@ void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::u
   const SplatCamera& camera = request.layers.front().camera;
   const TileRect rect(number, across, camera.width, camera.height);
   PickTile tile;
-  tile.count = inTile(number, member);
+  tile.count = inTile(number);
   if (tile.count == 0 && !first) return;
   tile.listed = listed.get() + begins[number];
   tile.records = records.get();
@@ -116,13 +113,13 @@ void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatP
                                      bool first, std::size_t number, Member& member) {
   const TileRect rect(number, across, picture.width, picture.height);
   ContributeTile tile;
-  tile.count = inTile(number, member);
+  tile.count = inTile(number);
   if (tile.count == 0 && !first) return;
   tile.listed = listed.get() + begins[number];
   tile.records = records.get();
   tile.left = rect.left;
   tile.top = rect.top;
-  tile.ends_at = kTransparent;
+  tile.ends_at = ends_at;
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
   tile.pixels = &member.pixels;
   tile.splats = of_listed.get() + begins[number];
@@ -141,12 +138,21 @@ void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatP
 }
 
 // Tile by tile, so that sums are the same for any number of threads.
-void CpuRasterizer::Work::addUp(Contributions& contributions) const {
+void CpuRasterizer::Work::addUp(Contributions& contributions) {
+  of_records.assign(parts.back().end, {});
   for (std::size_t i = 0; i < total_pairs; ++i) {
-    const std::uint32_t slot = splatOf(records[listed[i].record].index).slot;
-    contributions.weight[slot] += of_listed[i].weight;
-    contributions.energy[slot] += of_listed[i].energy;
-    contributions.error[slot] += of_listed[i].error;
+    Contribution& sum = of_records[listed[i].record];
+    sum.weight += of_listed[i].weight;
+    sum.energy += of_listed[i].energy;
+    sum.error += of_listed[i].error;
+  }
+  for (const Part& part : parts) {
+    for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
+      const std::uint32_t slot = splatOf(records[i].index).slot;
+      contributions.weight[slot] += of_records[i].weight;
+      contributions.energy[slot] += of_records[i].energy;
+      contributions.error[slot] += of_records[i].error;
+    }
   }
 }
 

@@ -197,11 +197,10 @@ void CpuRasterizer::Work::list() {
   });
 }
 
-// Sorts a tile's splats, nearest first; returns how many there are.
-std::size_t CpuRasterizer::Work::inTile(std::size_t tile, Member& member) {
-  const std::size_t count = begins[tile + 1] - begins[tile];
+// Nearest first.
+void CpuRasterizer::Work::sortTile(std::size_t tile, Member& member) {
+  const std::size_t count = inTile(tile);
   sortByKey(listed.get() + begins[tile], count, member.spare.reserve(count));
-  return count;
 }
 
 }  // namespace rosplat

@@ -147,11 +147,12 @@ struct CpuRasterizer::Work {
     std::vector<Footprint> footprints;
   };
 
-  // Draws, or picks, or finds what contributes to a picture that was drawn.
+  // Draws, or picks, or draws and finds what contributes.
   struct Wanted {
     SplatPicture* picture = nullptr;
     std::vector<std::uint32_t>* picked = nullptr;  // Record::index, kNoSlot where there is none
     Contributions* contributions = nullptr;
+    bool drawn = false;  // the picture is
   };
 
   bool run(const PictureRequest& request, const Wanted& wanted);
@@ -175,8 +176,9 @@ struct CpuRasterizer::Work {
             std::size_t tile, Member& member);
   void contribute(const PictureRequest& request, const SplatPicture& picture, bool first,
                   std::size_t tile, Member& member);
-  void addUp(Contributions& contributions) const;
-  std::size_t inTile(std::size_t tile, Member& member);
+  void addUp(Contributions& contributions);
+  void sortTile(std::size_t tile, Member& member);
+  std::size_t inTile(std::size_t tile) const { return begins[tile + 1] - begins[tile]; }
   void findDepthRanges();
 
   // Does step(part, member) for parts of [0, count), side by side.
@@ -204,8 +206,11 @@ struct CpuRasterizer::Work {
   std::vector<Slice> waiting;    // the nearest one last
   std::vector<float> open;       // the pyramid's
   std::vector<float> picking;    // transmittance and the most contributed so far, by pixel
+  float ends_at = 0;             // transmittance that counts as none
+  SplatPicture seen;             // that contributions were found in
   std::vector<float> remaining;  // transmittance and what is still to come of the colour, by pixel
   Room<Contribution> of_listed;
+  std::vector<Contribution> of_records;
   Pyramid pyramid;
   int levels = 0;
   bool hides = false;  // some tile isn't open
