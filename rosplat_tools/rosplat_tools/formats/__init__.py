@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -114,7 +115,8 @@ def load(
 def check_output(path: str | Path, overwrite: bool = False) -> None:
     """Raises SceneError, before there is anything to write, where save would fail.
 
-    For an ending that can't be written, a folder that isn't there, and a file that would be lost.
+    For an ending that can't be written, a folder that isn't there or that nothing can be written
+    to, and a file that would be lost.
     """
     path = Path(path)
     _writer(path)
@@ -122,6 +124,10 @@ def check_output(path: str | Path, overwrite: bool = False) -> None:
         exists = path.exists()
     if not path.parent.is_dir():
         raise SceneError(f"{path}: {path.parent} is no folder")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise SceneError(f"{path}: nothing can be written to {path.parent}")
+    if path.is_dir():
+        raise SceneError(f"{path}: is a folder")
     if exists and not overwrite:
         raise SceneError(f"{path}: exists already (--overwrite replaces it)")
 
