@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 
 from rosplat_lab.simplify.command import main
-from rosplat_lab.simplify.search import Judge, Simplification, contributions
+from rosplat_lab.simplify.merging import find_pairs, merge
+from rosplat_lab.simplify.search import Judge, Simplification, Trial, contributions
 from rosplat_lab.simplify.views import views
 from rosplat_tools.formats import load, save
 from rosplat_tools.generate import generate
+from rosplat_tools.space_order import put_in_space_order
 from rosplat_tools.splats import Splats
 
 GARDEN = "procedural:3000"
@@ -25,7 +27,10 @@ GARDEN = "procedural:3000"
 
 @pytest.fixture(scope="module")
 def garden() -> Splats:
-    return generate(3000)
+    """As `simplify` puts it."""
+    splats = generate(3000)
+    put_in_space_order(splats)
+    return splats
 
 
 @pytest.fixture
@@ -52,10 +57,25 @@ def test_what_no_view_sees_counts_for_little(garden: Splats) -> None:
             for name in ("positions", "orientations", "scales", "opacities", "sh")
         )
     )
-    found = contributions(splats, cameras, lambda what, part: None)
+    found = contributions(Trial(splats), cameras, lambda what, part: None)
     assert 0 < found.weight[-1] < 0.1 * found.weight[0]
     assert 0 < found.energy[-1] < 0.1 * found.energy[0]
     assert found.error[-1] > 0
+
+
+def test_a_trial_shows_what_merging_makes(garden: Splats) -> None:
+    """Whether more of the pairs are merged than before, or fewer."""
+    cameras = views(garden, 4, 0, 320, 180)
+    trial = Trial(garden)
+    found = contributions(trial, cameras, lambda what, part: None)
+    pairs = find_pairs(garden, found, 0.01)
+    judge = Judge(trial, cameras)
+    for count in (100, 700, 300, 0):
+        trial.merge(pairs, count)
+        merged, _ = merge(garden, found, pairs, count)
+        expected = judge.errors(Trial(merged))
+        np.testing.assert_allclose(judge.errors(trial), expected, rtol=1e-3)
+        assert (expected > 0).all() == (count > 0)
 
 
 def test_fewer_splats_that_keep_the_bound(garden: Splats, out: Path, tmp_path: Path) -> None:
@@ -175,7 +195,8 @@ def test_refusals_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[
     scene, empty = tmp_path / "scene.ply", tmp_path / "empty.ply"
     save(scene, generate(10))
     save(empty, generate(10)[:0])
-    out = tmp_path / "out.ply"
+    out, folder = tmp_path / "out.ply", tmp_path / "folder.ply"
+    folder.mkdir()
     for arguments, error in {
         (GARDEN, str(out)): "Give --psnr, --max-splats or --max-bytes",
         (str(scene), str(scene), "--psnr", "50", "--overwrite"): f"{scene}: is the scene itself",
@@ -183,6 +204,7 @@ def test_refusals_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[
         (GARDEN, str(tmp_path / "no" / "a.ply"), "--psnr", "50"): "is no folder",
         (GARDEN, str(out), "--psnr", "50", "--report", "no/a.json"): "no/a.json: no is no folder",
         (GARDEN, str(tmp_path / "a.obj"), "--psnr", "50"): "can't write this ending",
+        (GARDEN, str(folder), "--psnr", "50", "--overwrite"): f"{folder}: is a folder",
         (str(empty), str(out), "--psnr", "50"): f"{empty}: holds no splats",
         (str(tmp_path / "none.ply"), str(out), "--psnr", "50"): "none.ply",
     }.items():
@@ -207,7 +229,7 @@ def test_interrupted_it_leaves_nothing(tmp_path: Path) -> None:
 
 def test_a_judge_tells_what_differs(garden: Splats) -> None:
     cameras = views(garden, 3, 5, 160, 90)
-    judge = Judge(garden, cameras)
+    judge = Judge(Trial(garden), cameras)
     assert judge(garden).psnr == judge(garden).worst == 150
     darker = replace(garden, sh=garden.sh * np.float32(0.9))
     assert 10 < judge(darker).worst <= judge(darker).psnr < 60

@@ -16,7 +16,7 @@ from rosplat_tools.splats import Splats
 if TYPE_CHECKING:
     from rviz_gaussian_plugin.offscreen import Renderer
 
-REPLACE, UPSERT = 0, 1
+REPLACE, UPSERT, DELETE = 0, 1, 2
 CHUNK = 8_000_000  # as the publisher sends [bytes]
 MAP = "bench"
 
@@ -91,10 +91,24 @@ def insert(renderer: Renderer, splats: Splats, part: slice, revision: int) -> No
     )  # fmt: skip
 
 
-def insert_all(renderer: Renderer, splats: Splats) -> None:
-    """Gives the renderer a map, batch by batch."""
+def insert_all(renderer: Renderer, splats: Splats) -> int:
+    """Gives the renderer a map, batch by batch; returns the last one's revision."""
+    revision = 0
     for revision, part in enumerate(batches(splats), 1):
         insert(renderer, splats, part, revision)
+    return revision
+
+
+def edit(
+    renderer: Renderer, operation: int, slots: NDArray[np.integer], splats: Splats, revision: int
+) -> None:
+    """UPSERT: writes splats to these slots. DELETE: empties them; of no splats."""
+    renderer.apply(
+        operation, 0, len(slots), slots.astype(np.uint32),
+        splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),
+        splats.positions.ravel(), splats.orientations.ravel(),
+        splats.scales.ravel(), splats.opacities, splats.sh.ravel(), MAP, revision,
+    )  # fmt: skip
 
 
 _NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)

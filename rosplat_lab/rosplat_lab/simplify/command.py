@@ -28,6 +28,7 @@ from rosplat_tools.program.files import write_text
 from rosplat_tools.program.output import say
 from rosplat_tools.program.progress import bar, watched
 from rosplat_tools.scenes import NAMES, load_scene
+from rosplat_tools.space_order import put_in_space_order
 from rosplat_tools.splats import SceneError, Splats
 
 TRIES = 8  # to come below a number of bytes, or to make up for what a format loses
@@ -41,6 +42,19 @@ class Written:
 
     splats: Splats
     bytes: int
+
+
+@dataclass(frozen=True)
+class Output:
+    """A file that appears when all is done; until then it is a draft beside it."""
+
+    path: Path
+    draft: Path
+
+    def write(self, splats: Splats) -> Written:
+        """Writes a draft, in place of the one before, and reads it back."""
+        save(self.draft, splats)
+        return Written(load(self.draft, warn=lambda _: None), self.draft.stat().st_size)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -109,12 +123,14 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     began = time.monotonic()
     with watched("reading") as progress:
         splats = load_scene(options.input, progress, _warn)
+        put_in_space_order(splats)
     read, processor = time.monotonic(), time.process_time()
-    with _shown() as tell:
-        work = Simplification(splats, tell)
-        written, quality = _within(work, out, *bounds)
-        tell("writing", 0.0)
-        save(out, work.splats)
+    with tempfile.TemporaryDirectory(prefix=".simplify-", dir=out.parent) as folder:
+        output = Output(out, Path(folder) / out.name)
+        with _shown() as tell:
+            work = Simplification(splats, tell)
+            written, quality = _within(work, output, *bounds)
+        output.draft.replace(out)
     seconds = time.monotonic() - read
     if work.steps:
         say(f"{'splats':>12} {'of all':>7} {'PSNR':>6} {'worst view':>10}")
@@ -150,7 +166,7 @@ def _row(count: int, of: int, quality: Quality) -> str:
 
 def _within(
     work: Simplification,
-    out: Path,
+    output: Output,
     psnr: float | None,
     max_splats: int | None,
     max_bytes: int | None,
@@ -158,61 +174,63 @@ def _within(
     """Brings a map within its bounds; what its file will hold. Raises SceneError where none is."""
     splats, size = max_splats or len(work.splats), max_bytes or sys.maxsize
     if psnr is None:
-        written = _as_small_as(work, out, splats, size)
+        written = _as_small_as(work, output, splats, size)
         return written, work.judge(written.splats)
-    written, quality = _as_good_as(work, out, psnr)
+    written, quality = _as_good_as(work, output, psnr)
     if len(written.splats) <= splats and written.bytes <= size:
         return written, quality
     needed = f"{psnr:g} dB take {len(written.splats):,} splats in {written.bytes:,} bytes"
-    written = _as_small_as(work, out, splats, size)
+    written = _as_small_as(work, output, splats, size)
     less = work.judge(written.splats).psnr
-    raise SceneError(f"{out}: {needed}; {len(written.splats):,} splats have {less:.1f} dB")
+    raise SceneError(f"{output.path}: {needed}; {len(written.splats):,} splats have {less:.1f} dB")
 
 
-def _as_good_as(work: Simplification, out: Path, psnr: float) -> tuple[Written, Quality]:
+def _as_good_as(work: Simplification, output: Output, psnr: float) -> tuple[Written, Quality]:
     """Few splats of a PSNR. Raises SceneError where no fewer have it than there are."""
-    count = len(work.splats)
-    whole_map = work.judge(_written(out, work.splats).splats).psnr
-    if whole_map < psnr:
-        raise SceneError(
-            f"{out}: {psnr:g} dB can't be had: its format keeps {whole_map:.1f} dB of the whole map"
-        )
-    # Errors of merging and of the format add up, about.
-    bound = -10 * math.log10(max(10 ** (-psnr / 10) - 10 ** (-whole_map / 10), 1e-15))
+    every, bound = work.splats, psnr
+    of_all: float | None = None  # PSNR of the whole map in this format [dB]
     for _ in range(TRIES):
         work.shrink(bound)
-        if len(work.splats) == count:
+        short = 0.0
+        if len(work.splats) < len(every):
+            written = output.write(work.splats)
+            quality = work.judge(written.splats)
+            if quality.psnr >= psnr:
+                return written, quality
+            short = psnr - quality.psnr
+        if of_all is None:
+            of_all = work.judge(output.write(every).splats).psnr
+        if of_all < psnr:
+            raise SceneError(
+                f"{output.path}: {psnr:g} dB can't be had: "
+                f"its format keeps {of_all:.1f} dB of the whole map"
+            )
+        if len(work.splats) == len(every):
             break
-        written = _written(out, work.splats)
-        quality = work.judge(written.splats)
-        if quality.psnr >= psnr:
-            return written, quality
-        bound += psnr - quality.psnr + MARGIN
+        # Errors of merging and of the format add up, about.
+        left = max(10 ** (-psnr / 10) - 10 ** (-of_all / 10), 1e-15)
+        bound = max(bound + short + MARGIN, -10 * math.log10(left))
     tried = max(work.steps, key=lambda step: step.splats, default=None)
     could = f": {tried.splats:,} have {tried.quality.psnr:.1f} dB" if tried else ""
-    raise SceneError(f"{out}: none of {count:,} splats can be spared at {psnr:g} dB{could}")
+    raise SceneError(
+        f"{output.path}: none of {len(every):,} splats can be spared at {psnr:g} dB{could}"
+    )
 
 
-def _as_small_as(work: Simplification, out: Path, splats: int, size: int) -> Written:
+def _as_small_as(work: Simplification, output: Output, splats: int, size: int) -> Written:
     """At most so many splats, whose file is of at most so many bytes. Raises SceneError."""
     work.reduce(splats)
     for _ in range(TRIES):
-        written = _written(out, work.splats)
+        written = output.write(work.splats)
         if written.bytes <= size:
             return written
         if len(work.splats) == 1:
             break
         work.reduce(max(1, int((1 - SPARE) * len(work.splats) * size / written.bytes)))
     raise SceneError(
-        f"{out}: {len(work.splats):,} splats take {written.bytes:,} bytes, more than {size:,}"
+        f"{output.path}: {len(work.splats):,} splats take {written.bytes:,} bytes, "
+        f"more than {size:,}"
     )
-
-
-def _written(out: Path, splats: Splats) -> Written:
-    with tempfile.TemporaryDirectory(prefix="simplify-") as folder:
-        path = Path(folder) / out.name
-        save(path, splats)
-        return Written(load(path, warn=lambda _: None), path.stat().st_size)
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from rosplat_lab.reference.projection import LOW_PASS
 from rosplat_tools.harmonics import C0
 from rosplat_tools.quaternions import to_matrices
-from rosplat_tools.splats import Splats
+from rosplat_tools.splats import Splats, concatenate
 
 Array = NDArray[np.floating[Any]]
 Indices = NDArray[np.intp]
@@ -29,7 +29,8 @@ Indices = NDArray[np.intp]
 NEIGHBOURS = 4  # that a splat may be merged with; 16 gain 0.3 dB
 MOST = 0.25  # of the splats that go before neighbours are looked for again
 INEXACT = 0.1  # part of what leaving one of a pair out costs that merging it costs at least
-CHUNK = 1 << 16  # pairs, or splats, whose arrays stay in the cache
+CHUNK = 1 << 15  # pairs, or splats, whose arrays stay in the cache
+BLOCK = 1 << 13  # pairs that are merged at a time
 LARGEST = 1e15  # variance whose square a 32-bit float holds [px^2]
 LEAST = 1e-12  # of areas and weights that are divided by
 
@@ -45,9 +46,19 @@ class Contributions:
     error: NDArray[np.float64]
     """Of the squares by which red, green and blue change without it."""
 
-    def __getitem__(self, index: Indices | NDArray[np.bool_]) -> Contributions:
-        """Those of the splats that an index array or a mask picks."""
+    def __getitem__(self, index: slice | Indices | NDArray[np.bool_]) -> Contributions:
+        """Those of the splats that a slice, an index array or a mask picks."""
         return Contributions(self.weight[index], self.energy[index], self.error[index])
+
+    @classmethod
+    def concatenate(cls, parts: list[Contributions]) -> Contributions:
+        """Those of some splats after those of others."""
+        none = np.zeros(0)
+        return cls(
+            np.concatenate([none, *(part.weight for part in parts)]),
+            np.concatenate([none, *(part.energy for part in parts)]),
+            np.concatenate([none, *(part.error for part in parts)]),
+        )
 
     def contrast(self) -> NDArray[np.float64]:
         """(n,) mean square by which a splat differs from what is behind it."""
@@ -55,23 +66,56 @@ class Contributions:
         return contrast
 
 
-@dataclass(frozen=True)
 class Pairs:
     """Splats to be merged, no splat in two pairs, those first that are missed least.
 
-    What is its own partner is to be left out.
+    What is its own partner is to be left out. What takes the place of the others is worked out when
+    it is asked for: most of it never is.
     """
 
-    first: Indices
-    second: Indices
-    costs: Array
-    """About the sum of the squares by which pictures change."""
-    merged: Splats
-    """What takes the place of both."""
-    contributions: Contributions
+    def __init__(
+        self,
+        splats: Splats,
+        contributions: Contributions,
+        first: Indices,
+        second: Indices,
+        costs: Array,
+        pixel: float,
+    ) -> None:
+        self.first, self.second = first, second
+        self.costs = costs
+        """About the sum of the squares by which pictures change."""
+        self._splats, self._contributions, self._pixel = splats, contributions, pixel
+        self._two = np.flatnonzero(first != second)
+        self._blocks: list[tuple[Splats, Contributions]] = []
 
     def __len__(self) -> int:
         return len(self.first)
+
+    def merged(self, begin: int, end: int) -> tuple[Indices, Splats, Contributions]:
+        """What pairs of a range become: the first splat of each, and what takes its place."""
+        begin, end = np.searchsorted(self._two, [begin, end])
+        blocks = range(len(self._blocks), -(-end // BLOCK))
+        with ThreadPoolExecutor() as pool:
+            self._blocks.extend(pool.map(self._block, blocks))
+        parts = []
+        for start, (splats, contributions) in zip(range(0, end, BLOCK), self._blocks, strict=False):
+            if start + BLOCK > begin:
+                rows = slice(max(begin - start, 0), end - start)
+                parts.append((splats[rows], contributions[rows]))
+        return (
+            self.first[self._two[begin:end]],
+            concatenate([splats for splats, _ in parts] or [self._splats[:0]]),
+            Contributions.concatenate([contributions for _, contributions in parts]),
+        )
+
+    def _block(self, number: int) -> tuple[Splats, Contributions]:
+        pairs = self._two[BLOCK * number : BLOCK * (number + 1)]
+        one, other = self.first[pairs], self.second[pairs]
+        return combine(
+            self._splats[one], self._splats[other],
+            self._contributions[one], self._contributions[other], self._pixel,
+        )  # fmt: skip
 
 
 def areas(splats: Splats) -> NDArray[np.float64]:
@@ -95,51 +139,34 @@ def find_pairs(
     count = len(splats)
     if count < 2:
         none = np.zeros(0, np.intp)
-        return Pairs(none, none, np.zeros(0), splats[none], contributions[none])
+        return Pairs(splats, contributions, none, none, np.zeros(0), pixel)
     low, high = _neighbours(splats.positions)
-    progress(0.2)
+    progress(0.4)
     field = _Field.of(splats, contributions, pixel)
-    chunks = [slice(start, start + CHUNK) for start in range(0, len(low), CHUNK)]
-    costs = np.empty(len(low), np.float32)
-
-    def cost(chunk: slice) -> None:
-        costs[chunk] = field.cost(low[chunk], high[chunk])
-
-    with ThreadPoolExecutor() as pool:
-        for done, _ in enumerate(pool.map(cost, chunks)):
-            progress(0.2 + 0.7 * done / len(chunks))
+    progress(0.6)
+    costs = np.concatenate(_in_chunks(len(low), lambda part: field.cost(low[part], high[part])))
+    progress(0.8)
     alone = np.arange(count)
     low, high = np.concatenate([low, alone]), np.concatenate([high, alone])
     costs = np.concatenate([costs, field.errors])
     chosen = _disjoint(low, high, costs, count, max(1, int(MOST * count)))
-    low, high = low[chosen], high[chosen]
-    merged = combine(splats[low], splats[high], contributions[low], contributions[high], pixel)
-    return Pairs(low, high, costs[chosen], *merged)
+    return Pairs(splats, contributions, low[chosen], high[chosen], costs[chosen], pixel)
 
 
 def merge(
     splats: Splats, contributions: Contributions, pairs: Pairs, count: int
 ) -> tuple[Splats, Contributions]:
     """A map in which the first count pairs are merged or left out, and what it contributes."""
-    first, second = pairs.first[:count], pairs.second[:count]
     kept = np.ones(len(splats), bool)
-    kept[second] = False
-    return (
-        _with(splats, _OF_SPLATS, first, pairs.merged, count)[kept],
-        _with(contributions, _SUMS, first, pairs.contributions, count)[kept],
-    )
-
-
-_OF_SPLATS = ("positions", "orientations", "scales", "opacities", "sh")
-_SUMS = ("weight", "energy", "error")
-
-
-def _with(arrays: Any, names: tuple[str, ...], where: Indices, values: Any, count: int) -> Any:
-    """Splats, or contributions, some of which are the first count of others."""
-    out = replace(arrays, **{name: getattr(arrays, name).copy() for name in names})
-    for name in names:
-        getattr(out, name)[where] = getattr(values, name)[:count]
-    return out
+    kept[pairs.second[:count]] = False
+    first, merged, found = pairs.merged(0, count)
+    where = (np.cumsum(kept) - 1)[first]
+    splats, contributions = splats[kept], contributions[kept]
+    for name in ("positions", "orientations", "scales", "opacities", "sh"):
+        getattr(splats, name)[where] = getattr(merged, name)
+    for name in ("weight", "energy", "error"):
+        getattr(contributions, name)[where] = getattr(found, name)
+    return splats, contributions
 
 
 def combine(
@@ -175,17 +202,29 @@ def _neighbours(positions: NDArray[np.float32]) -> tuple[Indices, Indices]:
     """Each splat and the nearest to it, by number the lower and the higher, no pair twice."""
     count = len(positions)
     tree = cKDTree(positions, balanced_tree=False)
-    parts = [positions[start : start + CHUNK] for start in range(0, count, CHUNK)]
-    # In threads that an interrupt waits for: SciPy's own would go on in a tree that is gone.
+    most = min(NEIGHBOURS + 1, count)
+    found = _in_chunks(count, lambda part: tree.query(positions[part], most)[1].astype(np.int32))
+    nearest = np.concatenate(found)
+
+    def pairs(part: slice) -> NDArray[np.int32]:
+        one = np.arange(part.start, part.stop, dtype=np.int32)[:, None]
+        other = nearest[part]
+        mutual = (nearest[other] == one[..., None]).any(axis=2)
+        once = (one < other) | ((one > other) & ~mutual)
+        return np.stack([np.minimum(one, other)[once], np.maximum(one, other)[once]])
+
+    low, high = np.concatenate(_in_chunks(count, pairs), axis=1).astype(np.intp)
+    return low, high
+
+
+def _in_chunks(count: int, work: Callable[[slice], Any]) -> list[Any]:
+    """What work gives for each part of count things, in order, in as many threads as cores.
+
+    An interrupt waits for them, where libraries' own would go on with memory that is gone.
+    """
+    chunks = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
     with ThreadPoolExecutor() as pool:
-        found = pool.map(lambda part: tree.query(part, min(NEIGHBOURS + 1, count))[1], parts)
-        nearest = np.concatenate(list(found))
-    one = np.repeat(np.arange(count), nearest.shape[1])
-    other = nearest.ravel()
-    mutual = (nearest[other] == one[:, None]).any(axis=1)
-    once = (one < other) | ((one > other) & ~mutual)
-    one, other = one[once], other[once]
-    return np.minimum(one, other), np.maximum(one, other)
+        return list(pool.map(work, chunks))
 
 
 @dataclass(frozen=True)
@@ -204,19 +243,25 @@ class _Field:
     @classmethod
     def of(cls, splats: Splats, contributions: Contributions, pixel: float) -> _Field:
         # In pixels from the middle: areas in metres may be beyond 32-bit floats.
-        covariances = _blurred(_covariances(splats), pixel)
-        positions = (splats.positions - splats.positions.mean(axis=0)) / np.float32(pixel)
-        alone = _alone(covariances)
-        return cls(
-            positions,
-            covariances,
-            contributions.weight.astype(np.float32),
-            np.sqrt(contributions.energy / alone).astype(np.float32),
-            contributions.contrast().astype(np.float32),
-            contributions.error.astype(np.float32),
-            np.float32(C0) * splats.sh[:, 0],
-            alone,
-        )
+        middle = splats.positions.mean(axis=0)
+
+        def part_of(part: slice) -> tuple[Array, ...]:
+            some, found = splats[part], contributions[part]
+            covariances = _blurred(_covariances(some), pixel)
+            alone = _alone(covariances)
+            return (
+                (some.positions - middle) / np.float32(pixel),
+                covariances,
+                found.weight.astype(np.float32),
+                np.sqrt(found.energy / alone).astype(np.float32),
+                found.contrast().astype(np.float32),
+                found.error.astype(np.float32),
+                np.float32(C0) * some.sh[:, 0],
+                alone,
+            )
+
+        parts = _in_chunks(len(splats), part_of)
+        return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
     def cost(self, i: Indices, j: Indices) -> Array:
         """(m,) squared errors of merging splats i (m,) with splats j (m,)."""
@@ -246,23 +291,35 @@ class _Field:
 
 def _disjoint(low: Indices, high: Indices, costs: Array, count: int, most: int) -> Indices:
     """Takes the cheapest pair of all that are left, again and again; returns which, in order."""
-    order = np.argsort(costs, kind="stable")
-    low, high, rank = low[order], high[order], np.arange(len(order))
-    taken = [rank[:0]]
-    number = 0
+    enough = count  # of the cheapest, among which there may be most
+    while True:
+        if enough < len(costs):
+            cheap = np.flatnonzero(costs <= np.partition(costs, enough)[enough])
+        else:
+            cheap = np.arange(len(costs))
+        order = cheap[np.argsort(costs[cheap], kind="stable")]
+        taken = _first_disjoint(low[order], high[order], count)
+        if len(taken) >= most or len(order) == len(costs):
+            chosen: Indices = order[taken[:most]]
+            return chosen
+        enough *= 2
+
+
+def _first_disjoint(low: Indices, high: Indices, count: int) -> Indices:
+    """Pairs that share no splat with one before that is taken: which, in order."""
+    rank = np.arange(len(low))
+    taken = []
     free = np.ones(count, bool)
-    while len(rank) and number < most:
-        best = np.full(count, len(order))
-        np.minimum.at(best, low, rank)
-        np.minimum.at(best, high, rank)
-        ours = (best[low] == rank) & (best[high] == rank)  # nobody has a cheaper one
+    best = np.empty(count, np.intp)
+    while len(rank):
+        # Of values that are written to one place the last stays: the first pair of each splat.
+        best[np.stack([low, high], axis=1)[::-1].ravel()] = np.repeat(rank[::-1], 2)
+        ours = (best[low] == rank) & (best[high] == rank)
         taken.append(rank[ours])
-        number += int(ours.sum())
         free[low[ours]] = free[high[ours]] = False
         left = free[low] & free[high]
         low, high, rank = low[left], high[left], rank[left]
-    chosen: Indices = order[np.sort(np.concatenate(taken))[:most]]
-    return chosen
+    return np.sort(np.concatenate(taken))
 
 
 # Symmetric matrices are kept as xx, yy, zz, xy, xz, yz.
@@ -274,7 +331,10 @@ _PLANES = ((0, 1, 3), (0, 2, 4), (1, 2, 5))  # two axes, and where their mixed t
 def _covariances(splats: Splats) -> Array:
     """(n, 6) covariances. [m^2]"""
     axes = to_matrices(splats.orientations) * splats.scales[:, None, :]
-    covariances: Array = np.einsum("nik,nik->ni", axes[:, _ROWS], axes[:, _COLUMNS])
+    rows = np.ascontiguousarray(axes.transpose(1, 2, 0))
+    covariances: Array = np.stack(
+        [(rows[i] * rows[j]).sum(axis=0) for i, j in zip(_ROWS, _COLUMNS, strict=True)], axis=1
+    )
     return covariances
 
 
@@ -295,7 +355,11 @@ def _blurred(covariances: Array, pixel: float) -> Array:
 
 def _alone(covariances: Array) -> Array:
     """(n,) integrals of the squares of Gaussians of unit mass, seen along three axes."""
-    return _overlap(np.zeros((len(covariances), 3), np.float32), 2 * covariances)
+    sums = np.zeros(len(covariances), np.float32)
+    for x, y, mixed in _PLANES:
+        xx, yy, xy = covariances[:, x], covariances[:, y], covariances[:, mixed]
+        sums += 0.5 / np.sqrt(np.maximum(xx * yy - xy * xy, np.float32(LOW_PASS**2)))
+    return sums
 
 
 def _overlap(apart: Array, covariances: Array) -> Array:
