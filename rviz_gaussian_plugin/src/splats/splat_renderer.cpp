@@ -199,7 +199,8 @@ void SplatRenderer::divide(ViewState& view) const {
 
 void SplatRenderer::draw(const std::string& view_id, const SplatCamera& camera, const MapState& map,
                          const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
-                         const std::function<void()>& translucent, Cutting cutting) {
+                         const Surroundings& around, Cutting cutting) {
+  const std::function<void()>& translucent = around.translucent;
   gl::deleteAbandoned();
   gl::Stopwatch stopwatch(settings.profile);
   View& of = this->view(view_id);
@@ -215,18 +216,24 @@ void SplatRenderer::draw(const std::string& view_id, const SplatCamera& camera, 
                         sorts();
   Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
   if (levels_ && !order) frame.error = cutting.error;
-  view.color.become(settings.float_blending ? GL_RGBA32F : GL_RGBA16F, camera.width, camera.height,
-                    window.targetDepth());
+  const bool fresh = view.color.become(settings.float_blending ? GL_RGBA32F : GL_RGBA16F,
+                                       camera.width, camera.height, window.targetDepth());
   of.timer.begin();
   const bool anew = view.prepare(frame);
   glFlush();  // the graphics card begins while the rest is submitted
   const gl::DrawScope scope(view.color);
-  copyDepth(window, view.color);
+  if (around.opaque) {
+    copyDepth(window, view.color);
+  } else if (fresh || !view.open) {
+    clearDepth();
+  }
+  view.open = !around.opaque && !translucent;
   if (translucent) {
     divide(view);
     stopwatch.lap("divide");
   }
   view.blend(frame, scope, in_tiles, bool(translucent));
+  glFlush();
   // All is submitted: the graphics card goes on while this waits for what it counted first.
   while (!view.hasRoom(frame) || coarsen(frame, view.splats().count(), cutting.most)) {
     view.prepare(frame);

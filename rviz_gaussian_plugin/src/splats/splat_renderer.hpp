@@ -71,7 +71,7 @@ class SplatRenderer {
   // the memory.
   void draw(const std::string& view_id, const SplatCamera& camera, const MapState& map,
             const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
-            const std::function<void()>& translucent = nullptr, Cutting cutting = {});
+            const Surroundings& around = {}, Cutting cutting = {});
   void forget(const std::string& view_id);
   // Lets the splats that a divided draw() has laid over hide what is translucent and farther, where
   // they are more opaque than not.

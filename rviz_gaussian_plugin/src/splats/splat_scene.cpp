@@ -312,8 +312,8 @@ const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSett
   }
   FrameReport report;
   const Cutting cutting = cut(view_id, settings, report);
-  renderer_->draw(view_id, cameras_.at(view_id), drawn_map_, settings, choice.order, canvas,
-                  around.translucent, cutting);
+  renderer_->draw(view_id, cameras_.at(view_id), drawn_map_, settings, choice.order, canvas, around,
+                  cutting);
   report.error = renderer_->error();
   report.rasterizer = renderer_->rasterizer();
   report.profile = renderer_->profile();

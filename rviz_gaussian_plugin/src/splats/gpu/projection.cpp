@@ -64,6 +64,7 @@ void Projection::run(const Frame& frame, const gl::Buffer& keys) {
   for (const SeenGroup& group : groups) views.push_back(group.floats);
   groups_.upload(views);
   cull();
+  glFlush();  // the graphics card begins while the rest is submitted
   project(frame, keys);
 }
 

@@ -47,6 +47,7 @@ class ViewState {
 
   gl::Target color, behind;      // of the splats before and behind what divides them
   gl::SampledDepth translucent;  // of the nearest translucent objects
+  bool open = false;             // the depth of `color` hides nothing
 
  private:
   void ask();
