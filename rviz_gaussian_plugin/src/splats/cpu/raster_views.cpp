@@ -104,7 +104,7 @@ void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t n
     cuts.emplace_back(groups[group].camera, slots.index().groups()[group].originOrZero(), error,
                       balls);
   }
-  const auto mayShow = [&](const SlotPage& page, double own, double parent) {
+  const auto mayShow = [&](const SlotPage& page, float own, float parent) {
     return groups[page.group].pages.mayShow(page) && cuts[page.group].mayShow(page, own, parent);
   };
   const Cut cut(layer.camera, {}, error, balls);

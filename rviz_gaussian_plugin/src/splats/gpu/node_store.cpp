@@ -28,16 +28,17 @@ void NodeStore::replace(const std::vector<Levels::Nodes>& groups, int sh_degree)
   for (std::size_t group = 0; group < groups.size(); ++group) {
     const bool known = group < groups_.size();
     for (std::size_t level = 0; level < groups[group].size(); ++level) {
-      replace((known ? pages_[group] : kNoNodes)[level], (known ? groups_[group] : kNone)[level],
-              groups[group][level], next_groups_[group][level]);
+      replace(int(level), (known ? pages_[group] : kNoNodes)[level],
+              (known ? groups_[group] : kNone)[level], groups[group][level],
+              next_groups_[group][level]);
     }
   }
   arenas_.makeRoom(places_);
 }
 
-// Of a level. Both ascend by their cells.
-void NodeStore::replace(const Levels::Pages& before, const Level& held, const Levels::Pages& pages,
-                        Level& next) {
+// Both ascend by their cells.
+void NodeStore::replace(int level, const Levels::Pages& before, const Level& held,
+                        const Levels::Pages& pages, Level& next) {
   const auto free = [this] {
     if (free_.empty()) return places_++;
     const std::uint32_t place = free_.back();
@@ -59,7 +60,7 @@ void NodeStore::replace(const Levels::Pages& before, const Level& held, const Le
     new_.push_back({page, next.pages.back().place});
   }
   for (; old < before.size(); ++old) leaving_.push_back(held.pages[old].place);
-  next.shelves = shelve(next.pages);
+  next.shelves = shelve(next.pages, [level](const SlotPage&) { return cellSize(level + 1); });
 }
 
 bool NodeStore::upload(std::size_t& bytes) {

@@ -48,8 +48,8 @@ class NodeStore {
     std::uint32_t place;
   };
 
-  void replace(const Levels::Pages& before, const Level& held, const Levels::Pages& pages,
-               Level& next);
+  void replace(int level, const Levels::Pages& before, const Level& held,
+               const Levels::Pages& pages, Level& next);
   void write(const NodePage& page, std::uint32_t place);
 
   SlotArenas arenas_;

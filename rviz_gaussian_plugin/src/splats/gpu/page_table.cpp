@@ -10,6 +10,14 @@ namespace {
 
 constexpr std::uint32_t kOfSlots = 0xffffffffu;  // in place of a level
 
+// take(i): of those among the shelf's pages that are shown.
+template <typename Shown, typename Take>
+void forEach(const Shown& shown, const PageShelf& shelf, const Take& take) {
+  for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
+    if (shown[i - shelf.begin]) take(i);
+  }
+}
+
 }  // namespace
 
 void PageTable::keep(const Frame& frame, const std::vector<SeenGroup>& groups) {
@@ -29,30 +37,33 @@ void PageTable::keep(const Frame& frame, const std::vector<SeenGroup>& groups) {
   for (std::size_t group = 0; frame.cuts() && group < groups.size(); ++group) {
     cuts.push_back(frame.cut(groups[group].camera, store.pages().groups()[group].originOrZero()));
   }
-  const auto mayShow = [&](const SlotPage& page, double own, double parent) {
-    return (!frame.cuts() || cuts[page.group].mayShow(page, own, parent)) &&
-           groups[page.group].pages.mayShow(page);
+  // own: of nodes' cells, 0 of slots. [m]
+  const auto forEachShown = [&](const PageShelf& shelf, float own, const auto& take) {
+    const PageView& view = groups[shelf.bounds.group].pages;
+    if (!view.mayShow(shelf.bounds)) return;
+    if (!frame.cuts()) return forEach(view.mayShow(shelf.pages), shelf, take);
+    const Cut& cut = cuts[shelf.bounds.group];
+    if (!cut.mayShow(shelf.bounds, own, shelf.widest_parent)) return;
+    const auto in_cut = cut.mayShow(shelf.pages, own, shelf.parents);
+    auto shown = view.mayShow(shelf.pages);
+    for (std::size_t i = 0; i < shown.size(); ++i) shown[i] &= in_cut[i];
+    forEach(shown, shelf, take);
   };
   for (const PageShelf& shelf : store.shelves()) {
-    if (!mayShow(shelf.bounds, 0, shelf.widest_parent)) continue;
-    for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
+    forEachShown(shelf, 0, [&](std::size_t i) {
       const SlotPage& page = store.pages().pages()[i];
-      if (!store.holds(page) || !mayShow(page, 0, store.widestParent(page))) continue;
-      keep(page, store.placeOf(page), kOfSlots);
-    }
+      if (store.holds(page)) keep(page, store.placeOf(page), kOfSlots);
+    });
   }
   for (int number = 0; frame.cuts() && number < kLevels; ++number) {
-    const double own = cellSize(number), parent = cellSize(number + 1);
     for (const NodeStore::OfGroup& nodes : frame.nodes->groups()) {
       const NodeStore::Level& level = nodes[std::size_t(number)];
       for (const PageShelf& shelf : level.shelves) {
-        if (!mayShow(shelf.bounds, own, parent)) continue;
-        for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
-          if (!mayShow(level.pages[i], own, parent)) continue;
+        forEachShown(shelf, cellSize(number), [&](std::size_t i) {
           SlotArenas::Place place = frame.nodes->placeOf(level.pages[i]);
           place.arena += static_cast<std::uint32_t>(slot_arenas);
           keep(level.pages[i], place, static_cast<std::uint32_t>(number));
-        }
+        });
       }
     }
   }

@@ -142,13 +142,7 @@ PackedRun SlotStore::read(std::size_t first, std::size_t most) const {
 
 const std::vector<PageShelf>& SlotStore::shelves() const {
   if (shelved_ != edits_) {
-    shelves_ = shelve(pages_.pages());
-    for (PageShelf& shelf : shelves_) {
-      shelf.widest_parent = 0;
-      for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
-        shelf.widest_parent = std::max(shelf.widest_parent, widestParent(pages_.pages()[i]));
-      }
-    }
+    shelves_ = shelve(pages_.pages(), [this](const SlotPage& page) { return widestParent(page); });
     shelved_ = edits_;
   }
   return shelves_;

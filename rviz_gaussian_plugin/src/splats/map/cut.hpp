@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <array>
 #include <cstddef>
+#include <cstdint>
 
+#include "map/page_bounds.hpp"
 #include "map/slot_pages.hpp"
 #include "map/splat_camera.hpp"
 
@@ -30,7 +32,11 @@ struct Cut {
                                      float size) const;
   // Whether anything of a page may have a share. own: of its nodes' cells, 0 of splats; parent: of
   // the widest of their parents. [m]
-  bool mayShow(const SlotPage& page, double own, double parent) const;
+  bool mayShow(const SlotPage& page, float own, float parent) const;
+  // Of each of several: 1 or 0.
+  template <std::size_t N>
+  std::array<std::uint32_t, N> mayShow(const PageBounds<N>& pages, float own,
+                                       const std::array<float, N>& parents) const;
 };
 
 template <std::size_t N>
@@ -51,6 +57,39 @@ std::array<float, N> Cut::squaredErrors(const std::array<std::array<float, N>, 3
     error = width * width / (orthographic ? 1.0f : std::max(error, kNearest));
   }
   return errors;
+}
+
+template <std::size_t N>
+std::array<std::uint32_t, N> Cut::mayShow(const PageBounds<N>& pages, float own,
+                                          const std::array<float, N>& parents) const {
+  constexpr double kRounding = 1.001;
+  std::array<float, N> nearest{}, farthest{};  // squared
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    for (std::size_t i = 0; i < N; ++i) {
+      const float least = static_cast<float>(pages.least[axis][i] - eye[axis]);
+      const float most = static_cast<float>(pages.most[axis][i] - eye[axis]);
+      const float outside = std::max(std::max(least, -most) - parents[i], 0.0f);
+      const float across = std::max(most, -least);
+      nearest[i] += outside * outside;
+      farthest[i] += across * across;
+    }
+  }
+  if (orthographic) {
+    nearest.fill(1);
+    farthest.fill(1);
+  }
+  // Squares of errors times distances: maps have tens of thousands of pages.
+  const float wide = static_cast<float>(kRounding * focal);
+  const float narrow = static_cast<float>(focal / kRounding) * own;
+  const float from_squared = static_cast<float>(from * from);
+  const float to_squared = static_cast<float>(to * to);
+  std::array<std::uint32_t, N> shows;
+  for (std::size_t i = 0; i < N; ++i) {
+    const float width = wide * parents[i];
+    shows[i] = std::uint32_t(width * width > from_squared * nearest[i]) &
+               std::uint32_t(narrow * narrow <= to_squared * farthest[i]);
+  }
+  return shows;
 }
 
 }  // namespace rosplat

@@ -1,21 +1,29 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
+#include <functional>
 #include <vector>
 
-#include "map/lattice.hpp"
+#include "map/page_bounds.hpp"
 #include "map/slot_pages.hpp"
 
 namespace rosplat {
 
 // Some neighbouring pages of a group. What a view can't show by the bounds of all of them, it needs
-// not test page by page.
+// not test page by page; and the others are tested side by side.
 struct PageShelf {
-  std::size_t begin, end;            // among all pages
-  SlotPage bounds;                   // as if they were one
-  float widest_parent = kBoundless;  // of their slots, as SlotStore has it [m]
+  static constexpr std::size_t kPages = 32;
+
+  std::size_t begin, end;             // among all pages
+  SlotPage bounds;                    // as if they were one
+  float widest_parent;                // of the cells whose nodes stand for their slots [m]
+  PageBounds<kPages> pages;           // each page's
+  std::array<float, kPages> parents;  // the same
 };
 
-std::vector<PageShelf> shelve(const std::vector<SlotPage>& pages);
+// widest_parent: of a page.
+std::vector<PageShelf> shelve(const std::vector<SlotPage>& pages,
+                              const std::function<float(const SlotPage&)>& widest_parent);
 
 }  // namespace rosplat

@@ -6,8 +6,6 @@ namespace rosplat {
 
 namespace {
 
-// Of what float32 rounds, relative to all that is summed up: some 8 operations.
-constexpr double kRounding = 1e-6;
 // An extent as the graphics card unpacks it may be larger than the map's.
 constexpr double kPacked = 1.02;
 
@@ -41,43 +39,24 @@ PageView::PageView(const rosplat_sorter::View& view, const GroupView& group, con
   for (int i = 0; i < 3; ++i) {
     const float* const row = group.to_box[i];
     const double half = 0.5 * box.size[i];
-    slabs_[i] = {{row[0], row[1], row[2]}, row[3], half + kRounding * (std::fabs(row[3]) + half)};
+    slabs_[i] = {
+        {row[0], row[1], row[2]}, row[3], half + kPageRounding * (std::fabs(row[3]) + half)};
   }
 }
 
 void PageView::add(const std::array<double, 4>& side, const std::array<double, 4>& terms,
                    double slope) {
-  planes_[count_++] = {{side[0], side[1], side[2]},
-                       {kRounding * terms[0], kRounding * terms[1], kRounding * terms[2]},
-                       side[3] - kRounding * terms[3],
-                       kPacked * slope};
+  planes_[count_++] = {
+      {side[0], side[1], side[2]},
+      {kPageRounding * terms[0], kPageRounding * terms[1], kPageRounding * terms[2]},
+      side[3] - kPageRounding * terms[3],
+      kPacked * slope};
 }
 
 bool PageView::mayShow(const SlotPage& page) const {
-  if (page.extent < 0) return false;
-  std::array<double, 3> centre{}, half{};
-  for (int i = 0; i < 3; ++i) {
-    centre[i] = 0.5 * (double(page.least[i]) + page.most[i]);
-    half[i] = 0.5 * (double(page.most[i]) - page.least[i]);
-  }
-  for (const Slab& slab : slabs_) {
-    if (!clips_) break;
-    double middle = slab.offset, reach = slab.half;
-    for (int i = 0; i < 3; ++i) {
-      middle += slab.axis[i] * centre[i];
-      reach += std::fabs(slab.axis[i]) * (half[i] + kRounding * (std::fabs(centre[i]) + half[i]));
-    }
-    if (std::fabs(middle) > reach) return false;
-  }
-  for (const Plane& plane : planes_) {
-    double least = plane.offset;
-    for (int i = 0; i < 3; ++i) {
-      least += plane.normal[i] * centre[i] - std::fabs(plane.normal[i]) * half[i] -
-               plane.rounding[i] * (std::fabs(centre[i]) + half[i]);
-    }
-    if (least > plane.slope * page.extent) return false;
-  }
-  return true;
+  PageBounds<1> bounds;
+  bounds.put(0, page);
+  return mayShow(bounds)[0];
 }
 
 }  // namespace rosplat

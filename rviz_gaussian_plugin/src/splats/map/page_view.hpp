@@ -6,11 +6,16 @@
 #include <cstdint>
 
 #include "map/group_view.hpp"
+#include "map/page_bounds.hpp"
 #include "map/render_settings.hpp"
 #include "map/slot_pages.hpp"
 #include "rosplat_sorter/depth_order.hpp"
 
 namespace rosplat {
+
+// Of what float32 rounds here and in shaders, relative to all that is summed up: some 8 operations
+// each.
+constexpr double kPageRounding = 2e-6;
 
 // Which pages of a group a view may show: those of which a splat could pass the sorters' test of
 // single splats (depth_order.hpp's visible(), splat_cull.comp), by their bounds alone.
@@ -20,6 +25,9 @@ class PageView {
   PageView(const rosplat_sorter::View& view, const GroupView& group, const ClipBox& box);
 
   bool mayShow(const SlotPage& page) const;
+  // Of each of several: 1 or 0.
+  template <std::size_t N>
+  std::array<std::uint32_t, N> mayShow(const PageBounds<N>& pages) const;
   // Nearly the same of single splats, side by side: 1 or 0.
   template <std::size_t N>
   std::array<std::uint32_t, N> mayShow(const std::array<std::array<float, N>, 3>& means,
@@ -66,6 +74,48 @@ std::array<std::uint32_t, N> PageView::mayShow(const std::array<std::array<float
     for (std::size_t i = 0; i < N; ++i) {
       shows[i] &= std::fabs(along(slab.axis, slab.offset, i)) <= half;
     }
+  }
+  return shows;
+}
+
+template <std::size_t N>
+std::array<std::uint32_t, N> PageView::mayShow(const PageBounds<N>& pages) const {
+  std::array<std::array<float, N>, 3> centre, half, size;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    for (std::size_t i = 0; i < N; ++i) {
+      centre[axis][i] = 0.5f * (pages.least[axis][i] + pages.most[axis][i]);
+      half[axis][i] = 0.5f * (pages.most[axis][i] - pages.least[axis][i]);
+      size[axis][i] = std::fabs(centre[axis][i]) + half[axis][i];
+    }
+  }
+  std::array<std::uint32_t, N> shows;
+  for (std::size_t i = 0; i < N; ++i) shows[i] = pages.extent[i] >= 0;
+  for (const Slab& slab : slabs_) {
+    if (!clips_) break;
+    std::array<float, N> middle, reach;
+    middle.fill(static_cast<float>(slab.offset));
+    reach.fill(static_cast<float>(slab.half));
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const float along = static_cast<float>(slab.axis[axis]), length = std::fabs(along);
+      for (std::size_t i = 0; i < N; ++i) {
+        middle[i] += along * centre[axis][i];
+        reach[i] += length * (half[axis][i] + float(kPageRounding) * size[axis][i]);
+      }
+    }
+    for (std::size_t i = 0; i < N; ++i) shows[i] &= std::fabs(middle[i]) <= reach[i];
+  }
+  for (const Plane& plane : planes_) {
+    std::array<float, N> least;
+    least.fill(static_cast<float>(plane.offset));
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const float normal = static_cast<float>(plane.normal[axis]), length = std::fabs(normal);
+      const float rounding = static_cast<float>(plane.rounding[axis]);
+      for (std::size_t i = 0; i < N; ++i) {
+        least[i] += normal * centre[axis][i] - length * half[axis][i] - rounding * size[axis][i];
+      }
+    }
+    const float slope = static_cast<float>(plane.slope);
+    for (std::size_t i = 0; i < N; ++i) shows[i] &= least[i] <= slope * pages.extent[i];
   }
   return shows;
 }
