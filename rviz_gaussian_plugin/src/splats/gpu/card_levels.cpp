@@ -36,6 +36,7 @@ void CardLevels::apply(const SlotStore& store, const std::shared_ptr<const Gauss
   if (edit->clear) {
     cleared_ = number;
     copied_ = kNoSlot;
+    builder_.expectMore(false);
     written_.clear();
     update_.reset();
     nodes_ = {};
@@ -48,12 +49,15 @@ void CardLevels::apply(const SlotStore& store, const std::shared_ptr<const Gauss
 void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages) {
   const auto& pages = store.pages().pages();
   if (copied_ == 0) {
+    builder_.expectMore(true);
     builder_.apply(std::make_shared<const GaussianEdit>(store.pages().moves()), now);
   }
   const auto from = std::lower_bound(
       pages.begin(), pages.end(), copied_,
       [](const SlotPage& of, std::uint32_t first_slot) { return of.first_slot < first_slot; });
-  for (auto i = std::size_t(from - pages.begin()); i < pages.size() && most_pages > 0;) {
+  auto i = std::size_t(from - pages.begin());
+  if (copied_ > 0 && i == pages.size()) return;
+  while (i < pages.size() && most_pages > 0) {
     std::size_t count = 1;
     if (store.holds(pages[i])) {
       PackedRun run = store.read(i, std::min(most_pages, kPagesAtOnce));
@@ -64,6 +68,7 @@ void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages
     most_pages -= count;
     copied_ = pages[i - 1].first_slot + 1;
   }
+  if (i == pages.size()) builder_.expectMore(false);
 }
 
 void CardLevels::advance(SlotStore& store, double now, bool all) {
@@ -76,7 +81,7 @@ void CardLevels::advance(SlotStore& store, double now, bool all) {
       if (!update_) return;
       nodes_.replace(update_->groups, store.shDegree());
     }
-    if (!nodes_.upload(budget)) return;
+    if (!nodes_.upload(budget, all ? team_.get() : nullptr)) return;
     finish(store);
   } while (all);
 }

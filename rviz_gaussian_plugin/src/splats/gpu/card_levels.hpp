@@ -9,6 +9,7 @@
 #include "gpu/node_store.hpp"
 #include "gpu/slot_store.hpp"
 #include "map/level_builder.hpp"
+#include "rosplat_sorter/thread_team.hpp"
 
 namespace rosplat {
 
@@ -38,6 +39,7 @@ class CardLevels {
   void copy(const SlotStore& store, double now, std::size_t most_pages);
   void finish(SlotStore& store);
 
+  std::shared_ptr<rosplat_sorter::ThreadTeam> team_ = rosplat_sorter::ThreadTeam::ofViewers();
   LevelBuilder builder_;
   NodeStore nodes_;
   std::unique_ptr<LevelsUpdate> update_;  // that is being uploaded

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "map/in_parts.hpp"
+
 namespace rosplat {
 
 namespace {
@@ -22,6 +24,7 @@ void NodeStore::replace(const std::vector<Levels::Nodes>& groups, int sh_degree)
   next_pages_ = groups;
   next_groups_.assign(groups.size(), {});
   new_.clear();
+  uploaded_ = 0;
   leaving_.clear();
   static const Levels::Nodes kNoNodes;
   static const OfGroup kNone;
@@ -63,23 +66,36 @@ void NodeStore::replace(int level, const Levels::Pages& before, const Level& hel
   next.shelves = shelve(next.pages, [level](const SlotPage&) { return cellSize(level + 1); });
 }
 
-bool NodeStore::upload(std::size_t& bytes) {
+bool NodeStore::upload(std::size_t& bytes, rosplat_sorter::ThreadTeam* team) {
+  constexpr std::size_t kMostAtOnce = 64;
   const std::size_t of_page = pageBytes(arenas_.shDegree());
-  for (; !new_.empty() && bytes > 0; new_.pop_back()) {
-    write(*new_.back().page, new_.back().place);
-    bytes -= std::min(bytes, of_page);
+  while (uploaded_ < new_.size() && bytes > 0) {
+    // Neighbours go together.
+    const New* const first = &new_[uploaded_];
+    const SlotArenas::Place at = arenas_.placeOf(first->place);
+    const std::size_t most = std::min({kMostAtOnce, new_.size() - uploaded_, bytes / of_page + 1});
+    std::size_t count = 1;
+    while (count < most && first[count].place == first->place + count &&
+           arenas_.placeOf(first[count].place).arena == at.arena) {
+      ++count;
+    }
+    write(first, count, team);
+    uploaded_ += count;
+    bytes -= std::min(bytes, count * of_page);
   }
-  return new_.empty();
+  return uploaded_ == new_.size();
 }
 
-void NodeStore::write(const NodePage& page, std::uint32_t place) {
-  const SlotArenas::Place at = arenas_.placeOf(place);
+void NodeStore::write(const New* pages, std::size_t count, rosplat_sorter::ThreadTeam* team) {
+  const SlotArenas::Place at = arenas_.placeOf(pages->place);
   SlotArenas::Arena& arena = arenas_[at.arena];
   const auto put = [&](gl::Buffer& buffer, int band, std::size_t words) {
-    staged_.resize(kSlots * words);
-    page.slots.interleave(band, staged_.data());
-    const std::size_t size = staged_.size() * sizeof(std::uint32_t);
-    buffer.write(at.page * size, staged_.data(), size);
+    staged_.resize(count * kSlots * words);
+    inParts(team, count, [&](std::size_t i) {
+      pages[i].page->slots.interleave(band, &staged_[i * kSlots * words]);
+    });
+    buffer.write(at.page * kSlots * words * sizeof(std::uint32_t), staged_.data(),
+                 staged_.size() * sizeof(std::uint32_t));
   };
   put(arena.slots, 0, kSlotWords);
   for (int band = 1; band <= arenas_.shDegree(); ++band) {
@@ -90,6 +106,8 @@ void NodeStore::write(const NodePage& page, std::uint32_t place) {
 void NodeStore::show() {
   pages_ = std::exchange(next_pages_, {});
   groups_ = std::exchange(next_groups_, {});
+  new_.clear();
+  uploaded_ = 0;
   free_.insert(free_.end(), leaving_.begin(), leaving_.end());
   leaving_.clear();
 }

@@ -9,6 +9,7 @@
 #include "gpu/slot_arenas.hpp"
 #include "map/levels.hpp"
 #include "map/page_shelf.hpp"
+#include "rosplat_sorter/thread_team.hpp"
 
 namespace rosplat {
 
@@ -27,8 +28,8 @@ class NodeStore {
   // Has these take the place of what is shown, as soon as they are uploaded.
   void replace(const std::vector<Levels::Nodes>& groups, int sh_degree);
   // Uploads of them what a number of bytes allows, which it makes less; whether all are there.
-  // Throws gl::Error when the driver has no memory left.
-  bool upload(std::size_t& bytes);
+  // team: helps. Throws gl::Error when the driver has no memory left.
+  bool upload(std::size_t& bytes, rosplat_sorter::ThreadTeam* team = nullptr);
   // Shows them.
   void show();
 
@@ -50,14 +51,15 @@ class NodeStore {
 
   void replace(int level, const Levels::Pages& before, const Level& held,
                const Levels::Pages& pages, Level& next);
-  void write(const NodePage& page, std::uint32_t place);
+  void write(const New* pages, std::size_t count, rosplat_sorter::ThreadTeam* team);
 
   SlotArenas arenas_;
   std::vector<std::uint32_t> free_;  // places
   std::uint32_t places_ = 0;         // so far
   std::vector<Levels::Nodes> pages_, next_pages_;
   std::vector<OfGroup> groups_, next_groups_;
-  std::vector<New> new_;                // to be uploaded, the last first
+  std::vector<New> new_;                // to be uploaded
+  std::size_t uploaded_ = 0;            // of these
   std::vector<std::uint32_t> leaving_;  // places of what is not among the next
   std::vector<std::uint32_t> staged_;
 };

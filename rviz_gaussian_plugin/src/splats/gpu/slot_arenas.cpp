@@ -6,11 +6,14 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::uint32_t kMostArenaPages = 2048;  // 72 MiB of slots
+constexpr std::size_t kMostArenaPages = 2048;  // 72 MiB of slots
+// In the card's memory from the first: NVIDIA's driver (580) has what is GL_DYNAMIC_DRAW in the
+// processor's for some pictures.
+constexpr GLenum kUsage = GL_DYNAMIC_COPY;
 
 // A buffer of a size, which begins with what was in another.
 gl::Buffer grown(const gl::Buffer& buffer, std::size_t bytes) {
-  gl::Buffer larger(bytes, GL_DYNAMIC_DRAW);
+  gl::Buffer larger(bytes, kUsage);
   if (buffer.id()) larger.copy(buffer, 0, buffer.bytes());
   return larger;
 }
@@ -26,9 +29,11 @@ void writeZeros(gl::Buffer& buffer, std::size_t offset, std::size_t bytes) {
   buffer.write(offset, zeros.data(), bytes);
 }
 
-SlotArenas::SlotArenas()
-    : arena_pages_(static_cast<std::uint32_t>(std::clamp<std::size_t>(
-          gl::largestStorageBuffer() / (SlotPage::kSlots * kSlotBytes), 1, kMostArenaPages))) {}
+SlotArenas::SlotArenas() {
+  const std::size_t pages =
+      std::min(gl::largestStorageBuffer() / (SlotPage::kSlots * kSlotBytes), kMostArenaPages);
+  while (2u << arena_bits_ <= pages) ++arena_bits_;
+}
 
 void SlotArenas::clear() {
   arenas_.clear();
@@ -40,7 +45,7 @@ void SlotArenas::clear() {
 void SlotArenas::addBands(int degree) {
   for (Arena& arena : arenas_) {
     for (int band = sh_degree_ + 1; band <= degree; ++band) {
-      arena.bands[band] = gl::Buffer(slotsOf(arena) * bandBytes(band), GL_DYNAMIC_DRAW);
+      arena.bands[band] = gl::Buffer(slotsOf(arena) * bandBytes(band), kUsage);
       writeZeros(arena.bands[band], 0, arena.bands[band].bytes());
     }
   }
@@ -51,7 +56,7 @@ void SlotArenas::addChannels(std::size_t count) {
   for (Arena& arena : arenas_) {
     const std::vector<float> none(count > channels_ ? slotsOf(arena) : 0, kNoValue);
     for (std::size_t channel = channels_; channel < count; ++channel) {
-      arena.channels[channel] = gl::Buffer(none.size() * sizeof(float), GL_DYNAMIC_DRAW);
+      arena.channels[channel] = gl::Buffer(none.size() * sizeof(float), kUsage);
       arena.channels[channel].write(0, none.data(), arena.channels[channel].bytes());
     }
   }
@@ -63,7 +68,7 @@ void SlotArenas::addLevels() {
   for (Arena& arena : arenas_) {
     if (arena.levels.id()) continue;
     const std::vector<std::uint8_t> none(slotsOf(arena), 0xff);
-    arena.levels = gl::Buffer(none.size(), GL_DYNAMIC_DRAW);
+    arena.levels = gl::Buffer(none.size(), kUsage);
     arena.levels.write(0, none.data(), none.size());
   }
 }
@@ -75,13 +80,13 @@ void SlotArenas::dropLevels() {
 
 // The last arena grows by a quarter at least, so that what is copied stays in proportion.
 void SlotArenas::makeRoom(std::uint32_t pages) {
-  for (std::uint32_t first = 0; first < pages; first += arena_pages_) {
-    if (first / arena_pages_ == arenas_.size()) arenas_.emplace_back();
-    Arena& arena = arenas_[first / arena_pages_];
-    const std::uint32_t wanted = std::min(pages - first, arena_pages_);
+  for (std::uint32_t first = 0; first < pages; first += arenaPages()) {
+    if (placeOf(first).arena == arenas_.size()) arenas_.emplace_back();
+    Arena& arena = arenas_[placeOf(first).arena];
+    const std::uint32_t wanted = std::min(pages - first, arenaPages());
     if (wanted <= arena.pages) continue;
     Arena larger;
-    larger.pages = std::clamp(arena.pages + arena.pages / 4, wanted, arena_pages_);
+    larger.pages = std::clamp(arena.pages + arena.pages / 4, wanted, arenaPages());
     const std::size_t slots = slotsOf(larger);
     larger.slots = grown(arena.slots, slots * kSlotBytes);
     for (int band = 1; band <= sh_degree_; ++band) {

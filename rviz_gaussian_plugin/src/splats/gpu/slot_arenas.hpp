@@ -38,7 +38,9 @@ class SlotArenas {
   void addLevels();
   void dropLevels();
 
-  Place placeOf(std::uint32_t place) const { return {place / arena_pages_, place % arena_pages_}; }
+  Place placeOf(std::uint32_t place) const {
+    return {place >> arena_bits_, place & (arenaPages() - 1)};
+  }
   const std::vector<Arena>& arenas() const { return arenas_; }
   Arena& operator[](std::uint32_t arena) { return arenas_[arena]; }
   int shDegree() const { return sh_degree_; }
@@ -46,7 +48,9 @@ class SlotArenas {
   std::size_t bytes() const;
 
  private:
-  std::uint32_t arena_pages_;
+  std::uint32_t arenaPages() const { return 1u << arena_bits_; }
+
+  unsigned arena_bits_ = 0;  // of the number of a page in an arena
   std::vector<Arena> arenas_;
   int sh_degree_ = 0;
   std::size_t channels_ = 0;

@@ -117,9 +117,7 @@ double errorForSplats(const std::vector<Levels::Nodes>& levels, const SplatCamer
     const auto shown = view.mayShow(samples.position, samples.extent);
     const Bins own = binsOf(cut.squaredErrors(samples.corner, size));
     const Bins parents = binsOf(cut.squaredErrors(samples.parent_corner, 2 * size));
-    weight /= double(NodeSamples::kCount);
-    const double nodes = weight * double(page.cells.size());
-    const double members = weight * double(page.members());
+    const double nodes = weight * samples.nodes, members = weight * samples.members;
     for (std::size_t i = 0; i < NodeSamples::kCount; ++i) {
       if (!shown[i]) continue;
       // Splats are drawn below the end of the rise of their parent's share, half an octave up;

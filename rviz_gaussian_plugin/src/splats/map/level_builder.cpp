@@ -47,6 +47,15 @@ std::uint64_t LevelBuilder::apply(PackedRun run, double now) {
   return push({nullptr, std::move(run), now, 0});
 }
 
+void LevelBuilder::expectMore(bool more) {
+  {
+    const std::lock_guard lock(mutex_);
+    more_ = more;
+    complete_ = !more;
+  }
+  wake_.notify_one();
+}
+
 std::uint64_t LevelBuilder::push(Waiting&& edit) {
   std::uint64_t number;
   {
@@ -61,7 +70,7 @@ std::uint64_t LevelBuilder::push(Waiting&& edit) {
 
 std::unique_ptr<LevelsUpdate> LevelBuilder::take(bool wait) {
   std::unique_lock lock(mutex_);
-  if (wait) rests_.wait(lock, [this] { return waiting_.empty() && !busy_; });
+  if (wait) rests_.wait(lock, [this] { return waiting_.empty() && !complete_ && !busy_; });
   return std::move(update_);
 }
 
@@ -74,9 +83,10 @@ void LevelBuilder::run() {
   giveWay();
   std::unique_lock lock(mutex_);
   while (true) {
-    wake_.wait(lock, [this] { return stop_ || !waiting_.empty(); });
+    wake_.wait(lock, [this] { return stop_ || complete_ || !waiting_.empty(); });
     if (stop_) return;
     busy_ = true;
+    complete_ = false;
     lock.unlock();
     std::string error;
     try {
@@ -128,6 +138,10 @@ void LevelBuilder::build() {
       levels_.mark(slots_, of.edit->runs);
       of.edit.reset();
     }
+  }
+  {
+    const std::lock_guard lock(mutex_);
+    if (more_) return;
   }
   levels_.advance(
       slots_,

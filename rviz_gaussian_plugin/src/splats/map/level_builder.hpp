@@ -48,6 +48,8 @@ class LevelBuilder {
   // `change` in packed_slot.hpp.
   std::uint64_t apply(std::shared_ptr<const GaussianEdit> edit, double now);
   std::uint64_t apply(PackedRun run, double now);
+  // Whether more of the map is to come, before which nodes aren't worth the work.
+  void expectMore(bool more);
   // What has changed since it was asked last; null where nothing has. wait: until the nodes hold
   // all that was applied.
   std::unique_ptr<LevelsUpdate> take(bool wait);
@@ -72,6 +74,7 @@ class LevelBuilder {
   mutable std::mutex mutex_;  // what follows
   std::condition_variable wake_, rests_;
   bool stop_ = false, busy_ = false;
+  bool more_ = false, complete_ = false;  // complete: since nodes were made last
   std::deque<Waiting> waiting_;
   std::uint64_t applied_ = 0;
   std::unique_ptr<LevelsUpdate> update_;

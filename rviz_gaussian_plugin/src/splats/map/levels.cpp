@@ -112,6 +112,8 @@ void NodePage::sample() {
     }
     samples.extent[k] = slots.extent[i];
   }
+  samples.nodes = float(cells.size()) / float(NodeSamples::kCount);
+  samples.members = float(members()) / float(NodeSamples::kCount);
 }
 
 std::pair<const std::uint32_t*, std::size_t> NodePage::membersOf(std::size_t i) const {
@@ -149,7 +151,11 @@ void Levels::mark(const HostSlots& slots, const SlotRuns& runs) {
       }
       if (known->marked.none()) marked_[known->group].push_back(page->first_slot);
       if (known->group != page->group) known->marked.set();
-      for (; slot < next; ++slot) known->marked.set(slot % kSlots);
+      if (next - slot == kSlots) {
+        known->marked.set();
+      } else {
+        for (; slot < next; ++slot) known->marked.set(slot % kSlots);
+      }
     }
   }
 }
@@ -195,8 +201,10 @@ void Levels::begin(const HostSlots& slots) {
   job->group = group;
   std::vector<std::vector<Change>> parts(4 * std::size_t(team_->size()));
   inParts(team_.get(), parts.size(), [&](std::size_t number) {
+    const std::size_t first = marked.size() * number / parts.size();
     const std::size_t end = marked.size() * (number + 1) / parts.size();
-    for (std::size_t i = marked.size() * number / parts.size(); i < end; ++i) {
+    parts[number].reserve((end - first) * kSlots);
+    for (std::size_t i = first; i < end; ++i) {
       findChanges(slots, *slots.index().find(marked[i]), parts[number]);
     }
   });

@@ -34,6 +34,7 @@ struct NodeSamples {
 
   std::array<Each<float>, 3> position, corner, parent_corner;  // [m]
   Each<float> extent;
+  float nodes, members;  // of the page that each stands for
 };
 
 // Nodes of one level, neighbours in space. Never changed, once it is filled.
