@@ -7,7 +7,6 @@
 #include <random>
 #include <thread>
 #include <utility>
-#include <vector>
 
 #include "cpu/painter.hpp"
 #include "owned_batch.hpp"

@@ -14,7 +14,6 @@
 #include <OgreViewport.h>
 #include <epoxy/gl.h>
 
-#include <algorithm>
 #include <stdexcept>
 #include <tuple>
 

@@ -2,7 +2,6 @@
 // may show.
 
 #include <algorithm>
-#include <cmath>
 
 #include "cpu/raster_work.hpp"
 #include "map/cut.hpp"
