@@ -131,15 +131,15 @@ class Rviz(DrivenRviz):
     # --- The screen -------------------------------------------------------------------------------
 
     def screen(self) -> np.ndarray:
-        """(height, width, 3) the whole screen, 0 to 255."""
+        """(height, width, 3) the whole screen, as bytes."""
         from PIL import ImageGrab
 
-        return np.asarray(ImageGrab.grab(xdisplay=self.screen_name).convert("RGB")).astype(int)
+        return np.asarray(ImageGrab.grab(xdisplay=self.screen_name).convert("RGB"))
 
     def picture(self, of: str = "view") -> np.ndarray:
-        """(height, width, 3) what rviz's view shows, or a panel by its title."""
+        """(height, width, 3) what rviz's view shows, or a panel by its title, 0 to 255."""
         x, y, width, height = self.ask("places")[of]
-        return self.screen()[y : y + height, x : x + width]
+        return self.screen()[y : y + height, x : x + width].astype(np.int32)
 
     def until(
         self, found: Callable[[np.ndarray], object], of: str = "view", seconds: float = 60.0
@@ -163,7 +163,7 @@ class Rviz(DrivenRviz):
         """Writes the screen into the folder of the logs, to look at."""
         from PIL import Image
 
-        Image.fromarray(self.screen().astype(np.uint8)).save(self.folder / name)
+        Image.fromarray(self.screen()).save(self.folder / name)
 
     def click(self, row: int, column: int) -> None:
         """Clicks into rviz's view."""
