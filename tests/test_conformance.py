@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from conformance import CASES, Case, Receiver
 
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.edits import EMPTY, decode
+from rosplat_sorter.edits import EMPTY, decode, pose_values
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.map_pull import Arrival
+from rosplat_tools import _published_map as cpp
 from rosplat_tools import messages
 from rosplat_tools.slot_map import SlotMap
 from rviz_gaussian_plugin.from_messages import apply
@@ -125,14 +128,109 @@ class Publisher:
         return self.map.snapshot()[1].antialiased
 
 
-RECEIVERS = (Display, Sorter, Publisher)
+class CppPublisher:
+    """That of one in C++, whose calls take what batches say."""
+
+    revision = missed = None
+
+    def __init__(self) -> None:
+        self._left_out = 0
+        self.map = cpp.PublishedMap(
+            "map", 10**6, "none", lambda _: None, lambda: (0, 0), self._on_warning
+        )
+
+    def _on_warning(self, text: str) -> None:
+        self._left_out = int(text.split()[0])
+
+    def take(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> int:
+        assert arrival is Arrival.HEARD
+        self._left_out = 0
+        slots = message.slots.tolist()
+        if message.operation == GaussianArray.MOVE:
+            poses = {
+                group: (*position, *orientation)
+                for group, (position, orientation) in zip(
+                    message.groups, map(pose_values, message.poses), strict=True
+                )
+            }
+            self.map.move(poses, None)
+        elif message.operation == GaussianArray.DELETE and slots:
+            self.map.erase(slots, None)
+        elif message.operation == GaussianArray.DELETE:
+            self.map.erase_from(message.first_slot, message.count, None)
+        else:
+            splats = self._splats(message)
+            if message.operation == GaussianArray.REPLACE:
+                self.map.replace(cpp.Splats([], [], [], [], [], [0, 0, 0], False, []), None, None)
+            if slots:
+                self.map.upsert(slots, splats, message.group, None)
+            else:
+                self.map.upsert_from(message.first_slot, splats, message.group, None)
+        return self._left_out
+
+    def _splats(self, message: GaussianArray) -> Any:
+        of = vars(messages.decode(message)[1]) if message.format else None
+        names = ("positions", "orientations", "scales", "opacities", "sh")
+        arrays = [np.ravel(of[name] if of else getattr(message, name)) for name in names]
+        values = np.array_split(message.channels, len(message.channel_names) or 1)
+        origin = message.origin
+        return cpp.Splats(
+            *arrays,
+            [origin.x, origin.y, origin.z],
+            message.antialiased,
+            list(zip(message.channel_names, values, strict=False)),
+        )
+
+    def in_use(self, slot: int) -> bool:
+        return any(slot in slots for _, slots, _ in self.map.groups())
+
+    def place(self, group: int) -> tuple[float, float, float]:
+        x, y, z = self.map.poses().get(group, [0.0, 0.0, 0.0])[:3]
+        return x, y, z
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        origins = {group: splats.origin for group, _, splats in self.map.groups()}
+        x, y, z = origins.get(0, (0.0, 0.0, 0.0))
+        return x, y, z
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return tuple(self.map.groups()[0][2].arrays["channels"])
+
+    @property
+    def antialiased(self) -> bool:
+        return bool(self.map.groups()[0][2].antialiased)
+
+
+RECEIVERS = (Display, Sorter, Publisher, CppPublisher)
+
+
+# What no call can say, by the field that is refused, or by the case.
+NOT_ARGUMENTS = {
+    "revision", "operation", "format", "payload", "sh_degree", "sh", "groups", "count",
+}  # fmt: skip
+NOT_CALLS = {
+    "a slot listed twice holds the last",  # it is refused
+    "refused: a count beyond the arrays",
+    "refused: channels without names",
+    "refused: fewer poses than groups",
+    "refused: a delete with positions",
+    "refused: a delete with channels",
+    "refused: a move with slots",
+}
 
 
 def concerns(case: Case, receiver: type[Receiver]) -> bool:
     """A publisher misses none of its own batches, and mixes no filters."""
+    if receiver not in (Publisher, CppPublisher):
+        return True
     whose = {"revision", "map_id"}
     numbered = all(batch.refused or not whose & batch.fields.keys() for batch in case.batches)
-    return receiver is not Publisher or (numbered and "antialiasing" not in case.name)
+    called = case.name not in NOT_CALLS and all(
+        batch.refused not in NOT_ARGUMENTS for batch in case.batches
+    )
+    return numbered and "antialiasing" not in case.name and (called or receiver is Publisher)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cpp_publisher import CppMapPublisher
 from numpy.typing import NDArray
 
 from rosplat_msgs.msg import GaussianArray
@@ -105,6 +106,9 @@ class Wire:
 
     def resolve_topic_name(self, name: str) -> str:
         return name
+
+    def count_publishers(self, _: str) -> int:
+        return 1
 
     def get_clock(self) -> Any:
         return self
@@ -206,13 +210,17 @@ def assert_same(points: Points, expected: Points) -> None:
 @pytest.mark.parametrize("kind", PULLS)
 @pytest.mark.parametrize("losses", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("chunk_bytes", [200, 2000, 10**6])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("make", "seed"),
+    [(MapPublisher, 0), (MapPublisher, 1), (CppMapPublisher, 0)],
+    ids=["python-0", "python-1", "c++-0"],
+)
 def test_whatever_is_lost_all_end_with_the_map(
-    kind: str, losses: float, chunk_bytes: int, seed: int
+    make: Callable[..., MapPublisher], kind: str, losses: float, chunk_bytes: int, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
     wire, model = Wire(), Model()
-    publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)  # type: ignore[arg-type]
+    publisher = make(wire, chunk_bytes=chunk_bytes)
     receivers = [Receiver(kind, random)]
     known: dict[tuple[str, int], Points] = {}
 
@@ -244,7 +252,7 @@ def test_whatever_is_lost_all_end_with_the_map(
         if action == "join":
             receivers = [*receivers[-2:], Receiver(kind, random)]
         elif action == "restart":
-            publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)  # type: ignore[arg-type]
+            publisher = make(wire, chunk_bytes=chunk_bytes)
             model = Model()
         elif action == "upsert" and model.mixes(slots, group):
             with pytest.raises(ValueError, match="hold splats of group"):

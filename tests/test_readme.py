@@ -1,11 +1,20 @@
-"""The README's Python is what it says: it runs, block after block, as a newcomer would paste it."""
+"""The README's code is what it says: it runs, block after block, as a newcomer would paste it."""
 
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_packages_with_prefixes
+from rclpy.node import Node
+
+from rosplat_msgs.msg import GaussianArray
+from rosplat_msgs.srv import PullMap, RepeatMap
+from rosplat_tools.testing import Listener
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 
@@ -22,8 +31,22 @@ print(len(publisher), slots[-1], *splats.channels)
 """
 
 
+CMAKE = """
+cmake_minimum_required(VERSION 3.16)
+project(slam LANGUAGES CXX)
+find_package(rosplat_tools REQUIRED)
+add_executable(slam slam.cpp)
+target_link_libraries(slam rosplat_tools::map_publisher)
+"""
+
+
+def blocks_of(language: str) -> list[str]:
+    text = README.read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
 def test_its_python_runs() -> None:
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    blocks = blocks_of("python")
     assert "rclpy.spin(node)" in blocks[0]
     script = OF_THE_READER + "\n".join(blocks).replace("rclpy.spin(node)", "pass") + SAYS
     run = subprocess.run(
@@ -31,3 +54,29 @@ def test_its_python_runs() -> None:
     )
     assert run.stderr == ""
     assert run.stdout == "2000 4071 label confidence\n"
+
+
+@pytest.mark.skipif("rclcpp" not in get_packages_with_prefixes(), reason="no rclcpp here")
+def test_its_cpp_publishes_a_map(tmp_path: Path, node: Node, listener: Listener) -> None:
+    (source,) = blocks_of("cpp")
+    assert CMAKE.splitlines()[-1] in README.read_text(encoding="utf-8")
+    (tmp_path / "slam.cpp").write_text(source)
+    (tmp_path / "CMakeLists.txt").write_text(CMAKE)
+    for command in (["cmake", "-S", ".", "-B", "."], ["cmake", "--build", "."]):
+        subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    arguments = ["--ros-args", "-r", f"__ns:={node.get_namespace()}"]
+    with subprocess.Popen([tmp_path / "slam", *arguments]) as slam:
+        try:
+            listener.wait_for(1997)
+            heard = len(listener.batches)
+            request = {"map_id": listener.batches[0].map_id}
+            answer = listener.call(PullMap, "gaussians/pull", **request)
+            assert [batch.operation for batch in answer.batches] == [
+                GaussianArray.REPLACE, GaussianArray.UPSERT,
+            ]  # fmt: skip
+            assert listener.call(RepeatMap, "gaussians/repeat").splats == 1997
+            listener.wait(lambda: len(listener.batches) > heard)
+            assert listener.batches[-1].operation == GaussianArray.REPLACE
+        finally:
+            slam.send_signal(signal.SIGINT)
+    assert slam.returncode == 0

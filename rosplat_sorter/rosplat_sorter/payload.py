@@ -11,7 +11,7 @@ Little-endian:
 A position is lower + code * (upper - lower) / (2^24 - 1), and alike the others with their bits. Of
 scales, code 0 is zero and the greatest code a splat that means nothing; those between go from
 bound to bound. The quaternion's largest component is left out, and positive; the others go from
--sqrt(1/2) to sqrt(1/2). Decoded twice, here and in C++ (the plugin's payload.cpp).
+-sqrt(1/2) to sqrt(1/2). payload.hpp is the same for C++.
 """
 
 from __future__ import annotations

@@ -332,6 +332,12 @@ class MapPublisher:
     # --- Services ---------------------------------------------------------------------------------
 
     def _on_pull(self, request: PullMap.Request, response: PullMap.Response) -> PullMap.Response:
+        if request.map_id != self._map_id and self._node.count_publishers(self._topic) > 1:
+            self._node.get_logger().warning(
+                f"{self._topic}: is published by others, too, and receivers see one map in place "
+                "of the other: end all publishers but one",
+                throttle_duration_sec=5.0,
+            )
         try:
             with self._lock:
                 if request.map_id == self._map_id and self._revision:

@@ -7,17 +7,21 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Pose, Quaternion
+from builtin_interfaces.msg import Time
+from cpp_publisher import CppMapPublisher
+from geometry_msgs.msg import Point, Pose, Quaternion
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
+from rosplat_sorter import payload
 from rosplat_sorter.qos import MAP_VOLATILE
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.messages import chunks
@@ -26,8 +30,15 @@ from rosplat_tools.splats import Splats
 from rosplat_tools.testing import Listener
 
 Maker = Callable[..., Splats]
+Make = Callable[..., MapPublisher]
 Received = dict[str, np.ndarray]
 RECEIVER = Path(__file__).with_name("receive_map.py")
+
+
+@pytest.fixture(params=[MapPublisher, CppMapPublisher], ids=["python", "c++"])
+def make_publisher(request: pytest.FixtureRequest) -> Make:
+    """Those that tests hold alike."""
+    return request.param  # type: ignore[no-any-return]
 
 
 @contextmanager
@@ -93,9 +104,9 @@ def edit(publisher: MapPublisher, random_splats: Maker, times: int) -> None:
 
 
 def test_subscribers_of_any_time_rebuild_the_map(
-    node: Node, random_splats: Maker, tmp_path: Path
+    node: Node, random_splats: Maker, tmp_path: Path, make_publisher: Make
 ) -> None:
-    publisher = MapPublisher(node, chunk_bytes=50_000)
+    publisher = make_publisher(node, chunk_bytes=50_000)
     last = 1 + 8 + 3 * 10  # an empty REPLACE, 1500 splats in chunks, edits
     with receiver(node, last, tmp_path / "early.npz") as early:
         publisher.replace(random_splats(0))
@@ -110,9 +121,9 @@ def test_subscribers_of_any_time_rebuild_the_map(
 
 
 def test_groups_are_placed_and_moved_without_their_splats(
-    node: Node, random_splats: Maker, listener: Listener
+    node: Node, random_splats: Maker, listener: Listener, make_publisher: Make
 ) -> None:
-    publisher = MapPublisher(node)
+    publisher = make_publisher(node)
     publisher.upsert(range(5), random_splats(5))
     publisher.upsert(range(1024, 1030), random_splats(6, 3), group=3)
     far = np.eye(4)
@@ -148,10 +159,10 @@ def test_numbers_may_be_of_numpy_s_kinds(
 
 @pytest.mark.parametrize("first", ["replace", "upsert", "delete", "move"])
 def test_a_map_begins_with_a_replace(
-    node: Node, random_splats: Maker, listener: Listener, first: str
+    node: Node, random_splats: Maker, listener: Listener, first: str, make_publisher: Make
 ) -> None:
     """A bag that loops plays it into the map of the round before."""
-    publisher = MapPublisher(node)
+    publisher = make_publisher(node)
     if first == "replace":
         publisher.replace(random_splats(3))
     elif first == "upsert":
@@ -171,20 +182,37 @@ def test_a_map_begins_with_a_replace(
         ({0: np.eye(3)}, r"poses\[0\]: expected a Pose or a matrix"),
         ({5: 2 * np.eye(4)}, r"poses\[5\]: expected a rotation"),
         ({1: np.diag([1, 1, -1, 1])}, r"poses\[1\]: expected a rotation"),
-        ({1: Pose(orientation=Quaternion(w=0.0))}, r"poses\[1\]: not finite, or a quaternion"),
-        ({32768: np.eye(4)}, "group: a number from 0 to 32767, got 32768"),
         ({-1: np.eye(4)}, "group"),
     ],
 )
-def test_a_pose_that_is_none_is_refused(node: Node, poses: Any, named: str) -> None:
+def test_a_matrix_that_is_no_pose_is_refused(node: Node, poses: Any, named: str) -> None:
     publisher = MapPublisher(node)
     with pytest.raises(ValueError, match=named):
         publisher.move(poses)
     assert publisher.revision == 0
 
 
-def test_what_groups_don_t_allow_is_refused_and_not_sent(node: Node, random_splats: Maker) -> None:
-    publisher = MapPublisher(node)
+@pytest.mark.parametrize(
+    ("poses", "named"),
+    [
+        ({1: Pose(orientation=Quaternion(w=0.0))}, r"poses\[1\]: not finite, or a quaternion"),
+        ({2: Pose(position=Point(y=float("nan")))}, r"poses\[2\]: not finite"),
+        ({32768: Pose()}, "group: a number from 0 to 32767, got 32768"),
+    ],
+)
+def test_a_pose_that_is_none_is_refused(
+    node: Node, poses: Any, named: str, make_publisher: Make
+) -> None:
+    publisher = make_publisher(node)
+    with pytest.raises(ValueError, match=named):
+        publisher.move(poses)
+    assert publisher.revision == 0
+
+
+def test_what_groups_don_t_allow_is_refused_and_not_sent(
+    node: Node, random_splats: Maker, make_publisher: Make
+) -> None:
+    publisher = make_publisher(node)
     publisher.upsert(range(3), random_splats(3))
     with pytest.raises(ValueError, match="slots 0 to 1023 hold splats of group 0, this batch is"):
         publisher.upsert(range(5, 6), random_splats(1), group=2)
@@ -192,9 +220,11 @@ def test_what_groups_don_t_allow_is_refused_and_not_sent(node: Node, random_spla
     assert (publisher.revision, len(publisher)) == (2, 4)
 
 
-def test_who_joins_late_pulls_the_map(node: Node, random_splats: Maker, tmp_path: Path) -> None:
+def test_who_joins_late_pulls_the_map(
+    node: Node, random_splats: Maker, tmp_path: Path, make_publisher: Make
+) -> None:
     """In several answers, all of one revision."""
-    publisher = MapPublisher(node, chunk_bytes=300_000)
+    publisher = make_publisher(node, chunk_bytes=300_000)
     publisher.replace(random_splats(3000))
     edit(publisher, random_splats, 10)
     publisher.move({0: np.eye(4)})
@@ -209,9 +239,13 @@ def test_who_joins_late_pulls_the_map(node: Node, random_splats: Maker, tmp_path
 
 
 def test_who_misses_batches_pulls_what_they_changed(
-    node: Node, random_splats: Maker, listener: Listener, monkeypatch: pytest.MonkeyPatch
+    node: Node,
+    random_splats: Maker,
+    listener: Listener,
+    monkeypatch: pytest.MonkeyPatch,
+    make_publisher: Make,
 ) -> None:
-    publisher = MapPublisher(node)
+    publisher = make_publisher(node)
     publisher.replace(random_splats(5000))
     listener.wait_for(5000)
     with monkeypatch.context() as lost:
@@ -249,10 +283,15 @@ def test_who_misses_batches_pulls_what_they_changed(
     ],
 )
 def test_requests_of_any_kind_are_answered(
-    node: Node, random_splats: Maker, listener: Listener, asked: dict[str, Any], answered: list[int]
+    node: Node,
+    random_splats: Maker,
+    listener: Listener,
+    asked: dict[str, Any],
+    answered: list[int],
+    make_publisher: Make,
 ) -> None:
     """By the operations of batches."""
-    publisher = MapPublisher(node)
+    publisher = make_publisher(node)
     publisher.replace(random_splats(5))
     publisher.delete([3])
     request = {"map_id": publisher.map_id} | asked
@@ -262,16 +301,36 @@ def test_requests_of_any_kind_are_answered(
     assert all(batch.expected_slots == 5 for batch in response.batches)
 
 
-def test_a_map_without_a_batch_is_not_pulled(node: Node, listener: Listener) -> None:
-    publisher = MapPublisher(node)
+def test_a_map_without_a_batch_is_not_pulled(
+    node: Node, listener: Listener, make_publisher: Make
+) -> None:
+    publisher = make_publisher(node)
     response = listener.call(PullMap, "gaussians/pull", map_id=publisher.map_id)
     assert not response.batches
 
 
-def test_who_only_listens_hears_the_map_when_it_is_repeated(
-    node: Node, random_splats: Maker, listener: Listener
+def test_two_publishers_of_a_topic_are_told(
+    node: Node, random_splats: Maker, listener: Listener, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    publisher = MapPublisher(node)
+    for _ in range(2):
+        publisher = MapPublisher(node)
+        publisher.replace(random_splats(1))
+    # Both answer, and a client takes whichever answer comes first.
+    listener.call(PullMap, "gaussians/pull", map_id=publisher.map_id)
+    told = ""
+
+    def is_told() -> bool:
+        nonlocal told
+        told += capfd.readouterr().err
+        return "is published by others, too" in told
+
+    listener.wait(is_told)
+
+
+def test_who_only_listens_hears_the_map_when_it_is_repeated(
+    node: Node, random_splats: Maker, listener: Listener, make_publisher: Make
+) -> None:
+    publisher = make_publisher(node)
     publisher.replace(random_splats(3))
     publisher.upsert(range(1024, 1030), random_splats(6, 3), group=3)
     publisher.move({3: np.eye(4)})
@@ -285,9 +344,9 @@ def test_who_only_listens_hears_the_map_when_it_is_repeated(
 
 
 def test_a_slam_map_of_500_batches_reaches_a_latecomer(
-    node: Node, random_splats: Maker, tmp_path: Path
+    node: Node, random_splats: Maker, tmp_path: Path, make_publisher: Make
 ) -> None:
-    publisher = MapPublisher(node)
+    publisher = make_publisher(node)
     splats = random_splats(1000, 0)
     for first in range(0, 500_000, 1000):
         publisher.upsert(range(first, first + 1000), splats)
@@ -297,16 +356,117 @@ def test_a_slam_map_of_500_batches_reaches_a_latecomer(
     assert_same_map(late, publisher)
 
 
-def test_arguments_are_checked_before_anything_is_sent(node: Node, random_splats: Maker) -> None:
+@pytest.mark.parametrize(
+    ("slots", "named"),
+    [
+        ([1, 2, 1], "slots: each slot may be named once"),
+        ([0, 1, 2**25], "slots: a slot is a number from 0 to 33554431"),
+        (range(2**25 - 2, 2**25 + 1), "a slot is a number from 0 to 33554431"),
+        (range(5), "3 splats for 5 slots"),
+    ],
+)
+def test_slots_are_checked_before_anything_is_sent(
+    node: Node, random_splats: Maker, make_publisher: Make, slots: Any, named: str
+) -> None:
+    publisher = make_publisher(node)
+    publisher.replace(random_splats(10))
+    with pytest.raises(ValueError, match=named):
+        publisher.upsert(slots, random_splats(3))
+    if len(slots) == 3:
+        with pytest.raises(ValueError, match=named):
+            publisher.delete(slots)
+    assert (publisher.revision, len(publisher)) == (1, 10)
+
+
+def test_what_is_refused_changes_nothing(
+    node: Node, random_splats: Maker, make_publisher: Make
+) -> None:
+    publisher = make_publisher(node)
+    publisher.replace(random_splats(10))
+    with pytest.raises(ValueError, match="antialiased"):
+        publisher.upsert(range(3), random_splats(3, antialiased=True))
+    channels = {f"c{i}": np.zeros(3) for i in range(9)}
+    with pytest.raises(ValueError, match="channel_names: 9 in all"):
+        publisher.upsert(range(3), replace(random_splats(3), channels=channels))
+    with pytest.raises(ValueError, match="group: a number from 0 to 32767, got 32768"):
+        publisher.upsert(range(3), random_splats(3), group=32768)
+    most = GaussianArray.MAX_SLOTS
+    with pytest.raises(ValueError, match="expected_slots: a number from 0 to 33554432"):
+        publisher.replace(random_splats(3), expected_slots=most + 1)
+    with pytest.raises(ValueError, match="expected_slots"):
+        publisher.expect(most + 1)
+    assert (publisher.revision, len(publisher)) == (1, 10)
+    publisher.delete([])
+    stamp = Time(sec=12, nanosec=34)
+    publisher.delete([2, 3], stamp=stamp)
+    assert (publisher.revision, len(publisher)) == (3, 8)
+
+
+def test_options_are_checked(node: Node, make_publisher: Make) -> None:
+    with pytest.raises(ValueError, match="chunk_bytes: at least 1, got 0"):
+        make_publisher(node, chunk_bytes=0)
+    with pytest.raises(
+        ValueError, match="compression: expected one of none, quantised, got 'draco'"
+    ):
+        make_publisher(node, compression="draco")
+
+
+def test_what_means_nothing_is_left_out(
+    node: Node, random_splats: Maker, listener: Listener, make_publisher: Make
+) -> None:
+    publisher = make_publisher(node)
+    splats = random_splats(5)
+    splats.positions[1] = np.nan
+    splats.scales[2] = -1
+    splats.orientations[3] = 0
+    publisher.replace(splats)
+    listener.wait_for(2)
+    assert len(publisher) == 2
+    publisher.upsert(range(2), random_splats(2, seed=1))
+    listener.wait_for(3)
+
+
+@pytest.mark.parametrize("sh_degree", [0, 3])
+def test_splats_may_be_compressed(
+    node: Node, random_splats: Maker, listener: Listener, make_publisher: Make, sh_degree: int
+) -> None:
+    publisher = make_publisher(node, compression="quantised")
+    splats = random_splats(3000, sh_degree)
+    splats.opacities[17] = np.nan
+    publisher.replace(splats)
+    listener.wait_for(2999)
+    (batch,) = listener.batches
+    assert (batch.format, len(batch.positions)) == ("quantised", 0)
+    assert len(batch.payload) == payload.size(batch.count, sh_degree)
+    assert listener.map
+    _, got = listener.map.snapshot()
+    kept = np.delete(np.arange(3000), 17)
+    np.testing.assert_allclose(got.positions, splats.positions[kept], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(got.scales, splats.scales[kept], rtol=2e-3)
+    np.testing.assert_allclose(got.opacities, splats.opacities[kept], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(got.sh, splats.sh[kept], rtol=0, atol=0.025)
+    turn = np.abs(np.einsum("nk,nk->n", got.orientations, splats.orientations[kept]))
+    np.testing.assert_allclose(turn, 1, rtol=0, atol=1e-6)
+
+
+def test_a_stray_splat_is_not_compressed(
+    node: Node, random_splats: Maker, listener: Listener, make_publisher: Make
+) -> None:
+    publisher = make_publisher(node, compression="quantised")
+    splats = random_splats(3000, 0)
+    splats.positions[0] = 1e7
+    publisher.replace(splats)
+    listener.wait_for(3000)
+    (batch,) = listener.batches
+    assert (batch.format, len(batch.payload)) == ("", 0)
+
+
+def test_arguments_may_be_of_many_kinds_but_not_of_all(node: Node, random_splats: Maker) -> None:
     publisher = MapPublisher(node)
     publisher.replace(random_splats(10))
     for slots, match in (
-        (np.array([1, 2, 1]), "once"),
         (np.array([-1, 2, 3]), "0 to"),
         (range(-3, 0), "0 to"),
-        (np.array([0, 1, 2**25]), "0 to"),
-        (range(2**25 - 2, 2**25 + 1), "0 to"),
-        (range(5), "3 splats for 5 slots"),
         (range(0, 6, 2), "contiguous"),
         ([0.5, 1.0, 2.0], "float64"),
         (np.array([True, False, True]), "bool"),
@@ -321,15 +481,11 @@ def test_arguments_are_checked_before_anything_is_sent(node: Node, random_splats
         publisher.replace(Splats(**zeros, sh=np.zeros((n, 1, 3), np.float32)))
     with pytest.raises(ValueError, match="once"):
         publisher.delete(np.array([4, 4]))
-    with pytest.raises(ValueError, match="antialiased"):
-        publisher.upsert(range(3), random_splats(3, antialiased=True))
     for wrong in ("scene.ply", np.zeros((3, 3))):
         with pytest.raises(TypeError, match="expected Splats"):
             publisher.replace(wrong)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="expected_slots"):
         publisher.replace(random_splats(3), expected_slots=-1)
-    with pytest.raises(ValueError, match="expected_slots"):
-        publisher.expect(GaussianArray.MAX_SLOTS + 1)
     now = node.get_clock().now()
     for send in (
         lambda: publisher.replace(random_splats(3), stamp=now),
@@ -339,17 +495,14 @@ def test_arguments_are_checked_before_anything_is_sent(node: Node, random_splats
         with pytest.raises(TypeError, match="to_msg"):
             send()
     assert (publisher.revision, len(publisher)) == (1, 10)
-    publisher.delete([])
-    publisher.delete([2, 3], stamp=now.to_msg())
-    assert (publisher.revision, len(publisher)) == (3, 8)
 
 
 @pytest.mark.parametrize("error", [Cancelled, MemoryError])
 def test_a_replace_that_fails_leaves_the_map_as_it_was(
-    node: Node, random_splats: Maker, tmp_path: Path, error: type[Exception]
+    node: Node, random_splats: Maker, tmp_path: Path, error: type[Exception], make_publisher: Make
 ) -> None:
     """With those who have heard a part of the other, too, and for those who come late."""
-    publisher = MapPublisher(node, chunk_bytes=20_000)
+    publisher = make_publisher(node, chunk_bytes=20_000)
     publisher.replace(random_splats(300))
     told: list[int] = []
 
@@ -371,9 +524,13 @@ def test_a_replace_that_fails_leaves_the_map_as_it_was(
 
 
 def test_an_edit_that_was_not_sent_is_pulled(
-    node: Node, random_splats: Maker, listener: Listener, monkeypatch: pytest.MonkeyPatch
+    node: Node,
+    random_splats: Maker,
+    listener: Listener,
+    monkeypatch: pytest.MonkeyPatch,
+    make_publisher: Make,
 ) -> None:
-    publisher = MapPublisher(node, chunk_bytes=20_000)
+    publisher = make_publisher(node, chunk_bytes=20_000)
     publisher.replace(random_splats(300, 0))
     listener.wait_for(300)
     with monkeypatch.context() as failing:
@@ -389,9 +546,9 @@ def test_an_edit_that_was_not_sent_is_pulled(
 
 
 def test_calls_of_several_threads_take_turns(
-    node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch
+    node: Node, random_splats: Maker, monkeypatch: pytest.MonkeyPatch, make_publisher: Make
 ) -> None:
-    publisher = MapPublisher(node)
+    publisher = make_publisher(node)
     publisher.replace(random_splats(0))
     sent: list[int] = []
 

@@ -12,6 +12,7 @@
 #include "map/map_pull.hpp"
 #include "map/payload.hpp"
 #include "offscreen_renderer.hpp"
+#include "rosplat_sorter/payload.hpp"
 
 namespace py = pybind11;
 using namespace py::literals;
@@ -52,9 +53,9 @@ py::dict decodePayload(const Array<std::uint8_t>& payload, std::uint32_t count,
   batch.revision = 1;
   batch.count = count;
   batch.sh_degree = sh_degree;
-  batch.format = kPayloadFormat;
+  batch.format = payload::kFormat;
   batch.payload = payload;
-  if (batch.payload.size != payloadBytes(count, sh_degree)) {
+  if (batch.payload.size != payload::size(count, sh_degree)) {
     throw BatchError("payload has the wrong size");
   }
   DecodedPayload decoded;

@@ -5,19 +5,13 @@
 
 #include "map/gaussian_map.hpp"
 #include "map/render_settings.hpp"
+#include "rosplat_sorter/splat_arrays.hpp"
 
 namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kLongestName = 64;
 constexpr float kFarthest = 1e38f;  // ends of a gradient, so that its range is finite
-
-// Printable ASCII, without spaces.
-bool isName(const std::string& text) {
-  return !text.empty() && text.size() <= kLongestName &&
-         std::all_of(text.begin(), text.end(), [](char c) { return c >= '!' && c <= '~'; });
-}
 
 }  // namespace
 
@@ -30,7 +24,7 @@ void Channel::widen(float value) {
 
 std::vector<Channel> joined(std::vector<Channel> known, const std::vector<std::string>& names) {
   for (auto name = names.begin(); name != names.end(); ++name) {
-    if (!isName(*name)) {
+    if (!isChannelName(*name)) {
       throw BatchError("channel_names: number " + std::to_string(name - names.begin()) +
                        " is no name: 1 to 64 characters of ASCII, no spaces");
     }

@@ -8,6 +8,7 @@
 #include <string>
 
 #include "map/payload.hpp"
+#include "rosplat_sorter/payload.hpp"
 
 namespace rosplat {
 
@@ -68,7 +69,7 @@ void check(const GaussianBatch& batch) {
   if (batch.operation > GaussianBatch::MOVE) {
     throw BatchError("operation " + std::to_string(batch.operation) + " is unknown");
   }
-  if (!batch.format.empty() && batch.format != kPayloadFormat) {
+  if (!batch.format.empty() && batch.format != payload::kFormat) {
     throw BatchError("format '" + batch.format.substr(0, 40) + "' is unknown");
   }
   if (batch.sh_degree > kMaxShDegree) {
@@ -97,9 +98,9 @@ void check(const GaussianBatch& batch) {
   const bool values = writes(batch);
   const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
   if (!values && !batch.format.empty()) throw BatchError("format is for batches with splats");
-  const bool payload = !batch.format.empty();
-  checkLength("payload", batch.payload.size, payload ? payloadBytes(n, batch.sh_degree) : 0);
-  const std::size_t splats = values && !payload ? n : 0;  // in arrays
+  const bool packed = !batch.format.empty();
+  checkLength("payload", batch.payload.size, packed ? payload::size(n, batch.sh_degree) : 0);
+  const std::size_t splats = values && !packed ? n : 0;  // in arrays
   checkLength("positions", batch.positions.size, 3 * splats);
   checkLength("orientations", batch.orientations.size, 4 * splats);
   checkLength("scales", batch.scales.size, 3 * splats);
@@ -114,13 +115,6 @@ void check(const GaussianBatch& batch) {
                      " values, not count for each of the " +
                      std::to_string(batch.channel_names.size()) + " channel_names");
   }
-}
-
-bool allFinite(const float* values, std::size_t count) {
-  // A sum of zero times each value is NaN as soon as one value is not finite; it vectorises.
-  float sum = 0.0f;
-  for (std::size_t i = 0; i < count; ++i) sum += 0.0f * values[i];
-  return sum == 0.0f;
 }
 
 SlotRuns runsOf(const GaussianBatch& batch) {
@@ -152,12 +146,20 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
     edit.bands[band].resize(kBandWords[band] * n);
   }
   std::vector<bool> kept(n, false);
-  const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
+  const SplatArrays<const float> splats{
+      n,
+      batch.sh_degree,
+      batch.positions.data,
+      batch.orientations.data,
+      batch.scales.data,
+      batch.opacities.data,
+      batch.sh.data,
+  };
   const bool rebase = batch.origin != origin;
   for (std::size_t i = 0; i < n; ++i) {
     const float* q = &batch.orientations.data[4 * i];
     const float* scale = &batch.scales.data[3 * i];
-    const float* sh = batch.sh.data + coefficients * i;
+    const float* sh = batch.sh.data + splats.shStride() * i;
     float position[3];
     for (int k = 0; k < 3; ++k) {
       position[k] =
@@ -165,10 +167,7 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
               ? static_cast<float>(double(batch.positions[3 * i + k]) + batch.origin[k] - origin[k])
               : batch.positions[3 * i + k];
     }
-    const bool turned = q[0] != 0.0f || q[1] != 0.0f || q[2] != 0.0f || q[3] != 0.0f;
-    kept[i] = allFinite(position, 3) && allFinite(scale, 3) && allFinite(q, 4) && turned &&
-              scale[0] >= 0.0f && scale[1] >= 0.0f && scale[2] >= 0.0f &&
-              std::isfinite(batch.opacities[i]) && allFinite(sh, coefficients);
+    kept[i] = isUsable(splats, i, position);
     if (!kept[i]) continue;
     Splat splat;
     std::copy_n(position, 3, splat.position.begin());

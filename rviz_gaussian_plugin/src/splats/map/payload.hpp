@@ -1,18 +1,10 @@
 #pragma once
 
-#include <cstddef>
-#include <cstdint>
 #include <vector>
 
 #include "map/gaussian_batch.hpp"
 
 namespace rosplat {
-
-// The format of a payload that is known. rosplat_sorter/payload.py describes it, and encodes it.
-constexpr const char* kPayloadFormat = "quantised";
-
-// Bytes of the payload of so many splats.
-std::size_t payloadBytes(std::size_t count, int sh_degree);
 
 // The splats of a payload, as arrays.
 class DecodedPayload {

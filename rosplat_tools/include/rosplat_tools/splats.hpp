@@ -1,0 +1,32 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace rosplat {
+
+// A set of n 3D Gaussians with view-dependent colour (Kerbl et al. 2023), in the units and
+// conventions of rosplat_msgs/GaussianArray.
+struct Splats {
+  std::vector<float> positions;     // 3 n: means x y z, relative to the origin [m]
+  std::vector<float> orientations;  // 4 n: quaternions x y z w, of any length but zero
+  std::vector<float> scales;        // 3 n: standard deviations, not their logarithms [m]
+  std::vector<float> opacities;     // n: 0 to 1, not logits
+  // 3 (degree + 1)^2 n, for a degree of 0 to 3: spherical harmonics, coefficient-major, RGB
+  // interleaved. colour = max(0, 0.5 + 0.28209479 c0 + ...)
+  std::vector<float> sh;
+  std::array<double, 3> origin{};  // added to each position [m]
+  bool antialiased = false;        // trained with opacity compensation (Mip-Splatting)
+  // n each: named values beside what is drawn, "label" say; not finite where a splat has none.
+  std::vector<std::pair<std::string, std::vector<float>>> channels;
+
+  std::size_t size() const { return positions.size() / 3; }
+  // Highest band of spherical harmonics. Throws std::invalid_argument where an array isn't as long
+  // as positions ask for, or the origin or the name of a channel is none; it names the field.
+  int check() const;
+};
+
+}  // namespace rosplat
