@@ -75,22 +75,24 @@ class Splats:
         and 3DGS keep them (features_dc, features_rest); channels (n,) each. Raises ValueError for
         another shape.
         """
-        positions = _host(means)
-        quaternions = _host(quaternions_wxyz)
-        n = len(positions)
-        shape = np.shape(quaternions)
-        if shape != (n, 4):
-            raise ValueError(f"quaternions_wxyz: expected shape {(n, 4)}, got {shape}")
+        n = len(_host(means))
+        positions = _shaped("means", means, (n, 3))
+        quaternions = _shaped("quaternions_wxyz", quaternions_wxyz, (n, 4))
+        scales = _shaped("log_scales", log_scales, (n, 3), (n, 1))
+        opacities = _shaped("logits", logits, (n,), (n, 1)).reshape(n)
+        bands = [_shaped("sh0", sh0, (n, 1, 3))]
+        if shN is not None:
+            rests = [(n, sh_coefficients(degree) - 1, 3) for degree in range(MAX_SH_DEGREE + 1)]
+            bands.append(_shaped("shN", shN, *rests))
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
         with np.errstate(over="ignore"):  # a logit of -100 is an opacity of 0
-            scales = np.exp(_host(log_scales))
-            opacities = 1 / (1 + np.exp(-_host(logits)))
-        bands = [_host(sh0)] if shN is None else [_host(sh0), _host(shN)]
+            scales = np.exp(scales)
+            opacities = 1 / (1 + np.exp(-opacities))
         return cls(
             positions=positions,
             orientations=np.roll(quaternions / np.where(lengths > 0, lengths, 1), -1, axis=1),
-            scales=np.broadcast_to(scales, (n, 3)) if scales.shape == (n, 1) else scales,
-            opacities=opacities[:, 0] if opacities.shape == (n, 1) else opacities,
+            scales=np.broadcast_to(scales, (n, 3)),
+            opacities=opacities,
             sh=bands[0] if len(bands) == 1 else np.concatenate(bands, axis=1),
             antialiased=antialiased,
             channels={name: _host(values) for name, values in (channels or {}).items()},
@@ -202,6 +204,15 @@ class Splats:
             sh=harmonics.turned(self.sh, rotation),
             origin=rotation @ self.origin + pose[:3, 3],
         )
+
+
+def _shaped(name: str, array: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.floating[Any]]:
+    """As _host. Raises ValueError, naming the array, where it has none of the shapes."""
+    values = _host(array)
+    if values.shape not in shapes:
+        known = " or ".join(map(str, shapes))
+        raise ValueError(f"{name}: expected shape {known}, got {values.shape}")
+    return values
 
 
 def _host(array: ArrayLike) -> NDArray[np.floating[Any]]:

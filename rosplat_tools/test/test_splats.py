@@ -184,11 +184,28 @@ def test_what_a_trainer_drives_to_the_ends_is_taken_without_a_warning() -> None:
     np.testing.assert_array_equal(trained.scales[:, 0], [0, np.inf])
 
 
-def test_another_shape_of_a_trainer_s_array_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match="quaternions_wxyz"):
-        Splats.from_trained(
-            np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2), np.zeros((2, 1, 3))
-        )
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("means", (2, 4)),
+        ("quaternions_wxyz", (2, 3)),
+        ("log_scales", (2, 2)),
+        ("logits", (3,)),
+        ("sh0", (2, 3)),
+        ("shN", (2, 45)),
+        ("shN", (2, 5, 3)),
+    ],
+)
+def test_another_shape_of_a_trainer_s_array_is_refused_by_name(
+    name: str, shape: tuple[int, ...]
+) -> None:
+    shapes = {
+        "means": (2, 3), "quaternions_wxyz": (2, 4), "log_scales": (2, 3), "logits": (2,),
+        "sh0": (2, 1, 3), "shN": (2, 15, 3),
+    }  # fmt: skip
+    arrays = {key: np.ones(value) for key, value in (shapes | {name: shape}).items()}
+    with pytest.raises(ValueError, match=rf"^{name}: expected shape .*, got"):
+        Splats.from_trained(**arrays)
 
 
 def test_splats_move_with_all_that_is_seen_of_them() -> None:
