@@ -10,6 +10,8 @@ const float kCutoffAlpha = 1.0 / 255.0;
 const float kMaxSigmas = 4.08;  // where the most opaque node falls below the cutoff
 const float kMaxAlpha = 0.99;   // as in Kerbl et al. 2023; nothing is ever fully opaque
 const float kBallEdge = 0.22;   // of the peak: a ball ends at 1.74 sigma
+// Of a Gaussian that falls below the cutoff there, or a little beyond.
+const float kBallOpacity = 0.0179;
 const uint kNone = 0xffffffffu;
 
 #ifdef COMPUTE
@@ -39,26 +41,34 @@ Tally tallied(uint wanted, uint room) {
                uint[3](columns.y, rows.y, 1u), uint[4](4u, count, 0u, 0u));
 }
 
+// What a splat is blended as.
+const uint kGaussian = 0u;
+const uint kFlat = 1u, kShaded = 2u;  // solid balls, of which one is darker towards its rim
+const uint kByDepth = 3u;             // kGaussian, and coloured only once the depths of all are known
+
 // A splat in the picture.
 struct Ellipse {
   vec2 centre;    // [px]
   float depth;    // along the view's axis [m]
   vec2 major;     // half axis of one sigma [px]
   float minor;    // length of the other one, a quarter turn on [px]
-  vec3 colour;
-  float opacity;  // 0: not to be drawn; above 1 that of a node, up to 16
+  vec3 colour;    // not negative
+  float opacity;  // 0: not to be drawn; above 1 that of a node, up to 16; of a ball kBallOpacity
+  uint kind;
 };
 
 struct PackedEllipse { uvec4 a, b; };
 
-// The sign of the minor axis says whether the opacity counts in sixteenths.
+// The sign of the minor axis says whether the opacity counts in sixteenths, those of red and green
+// are the kind's bits.
 PackedEllipse packEllipse(Ellipse e) {
   if (e.opacity > 1.0) {
     e.opacity /= 16.0;
     e.minor = -e.minor;
   }
+  uint kind = (e.kind & 1u) << 15 | (e.kind >> 1) << 31;
   return PackedEllipse(
-      uvec4(floatBitsToUint(vec3(e.centre, e.depth)), packHalf2x16(e.colour.rg)),
+      uvec4(floatBitsToUint(vec3(e.centre, e.depth)), packHalf2x16(abs(e.colour.rg)) | kind),
       uvec4(floatBitsToUint(vec3(e.major, e.minor)),
             packHalf2x16(vec2(e.colour.b, 0.0)) | packUnorm2x16(vec2(0.0, e.opacity))));
 }
@@ -69,7 +79,8 @@ Ellipse unpackEllipse(PackedEllipse p) {
   e.depth = uintBitsToFloat(p.a.z);
   e.major = uintBitsToFloat(p.b.xy);
   e.minor = abs(uintBitsToFloat(p.b.z));
-  e.colour = vec3(unpackHalf2x16(p.a.w), unpackHalf2x16(p.b.w).x);
+  e.colour = vec3(unpackHalf2x16(p.a.w & 0x7fff7fffu), unpackHalf2x16(p.b.w).x);
+  e.kind = (p.a.w >> 15 & 1u) | p.a.w >> 31 << 1;
   e.opacity = unpackUnorm2x16(p.b.w).y * (uintBitsToFloat(p.b.z) < 0.0 ? 16.0 : 1.0);
   return e;
 }
@@ -94,17 +105,21 @@ float falloffAt(vec4 axes, vec2 offset) {
   return exp2(-dot(sigmas, sigmas));
 }
 
-bool isBall(int mode) { return mode == kFlatBall || mode == kGaussianBall; }
+// What pixels have to know of the kind: an opacity, or of a ball a number below 0.
+const float kFlatPeak = -1.0, kShadedPeak = -2.0;
 
-// How opaque a splat is at a falloff; less than kCutoffAlpha can't be seen.
-float alphaAt(float opacity, float falloff, int mode) {
-  if (isBall(mode)) return falloff < kBallEdge ? 0.0 : 1.0;
-  return min(kMaxAlpha, opacity * falloff);
+float peakOf(Ellipse e) {
+  return e.kind == kFlat ? kFlatPeak : e.kind == kShaded ? kShadedPeak : e.opacity;
 }
 
-// What is left of that where a share of a splat is drawn: see cut.hpp.
-float sharedAlpha(float alpha, float share, int mode) {
-  return share >= 1.0 || isBall(mode) ? alpha : 1.0 - exp2(share * log2(1.0 - alpha));
+// How opaque a splat is at a falloff; less than kCutoffAlpha can't be seen.
+float alphaAt(float peak, float falloff) {
+  return peak < 0.0 ? float(falloff >= kBallEdge) : min(kMaxAlpha, peak * falloff);
+}
+
+// What is left of that where a share of a splat is drawn: see cut.hpp. Balls are solid all the same.
+float sharedAlpha(float alpha, float share) {
+  return share >= 1.0 || alpha > kMaxAlpha ? alpha : 1.0 - exp2(share * log2(1.0 - alpha));
 }
 
 // What depths are sorted by: grows with them, over negative ones too.

@@ -7,17 +7,17 @@ shared uint words[8];
 
 bool mayBeSeen(Page page, uint slot) {
   float opacity = opacityUnit(page) * slotOpacity(slot);
-  if (!(opacity >= kCutoffAlpha) || !(view.opacity_modifier * opacity >= kCutoffAlpha)) return false;
+  if (!(opacity >= kCutoffAlpha) || !(map.opacity_modifier * opacity >= kCutoffAlpha)) return false;
   vec3 mean = slotPosition(slot);
-  if (view.clip_to_box) {
+  if (map.clip_to_box) {
     vec3 in_box = transformed(groups[page.group].to_box, mean);
-    if (any(greaterThan(abs(in_box), 0.5 * view.box_size))) return false;
+    if (any(greaterThan(abs(in_box), 0.5 * map.box_size))) return false;
   }
   vec3 scale = slotScale(slot);
   float extent = cutoffSigmas(opacity) * max(max(scale.x, scale.y), scale.z);
   vec3 p = transformed(groups[page.group].to_camera, mean);
   float w = view.orthographic ? 1.0 : p.z;
-  precise vec2 reach = view.half_size * w + view.slope * extent;
+  precise vec2 reach = view.half_size * w + map.slope * extent;
   precise vec2 along = abs(view.focal * p.xy + view.offset * w);
   return p.z > view.clip.x && p.z < view.clip.y && all(lessThanEqual(along, reach)) &&
          shareOf(page, slot, mean) > 0.0;

@@ -14,7 +14,7 @@ void main() {
   uint i = invocation();
   if (i >= drawn_tally.count) return;
   uint index = drawn[i];
-  bvec2 seen = bvec2(isBall(view.mode));  // balls end beyond the outline
+  bvec2 seen = bvec2(false);
   if (index != kNone) {
     Ellipse e = ellipse(index);
     float depth = windowDepth(e.depth);

@@ -1,4 +1,4 @@
-// What the view sees of the map's groups, by index; group_view.hpp has the same.
+// What the view sees of the maps' groups, map by map; group_view.hpp has the same.
 struct Group {
   vec4 to_camera[3];  // rows: x right, y down, z forward [m]
   vec4 eye;           // the camera; orthographic: its forward direction

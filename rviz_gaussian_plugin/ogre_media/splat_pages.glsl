@@ -2,7 +2,7 @@
 struct Page {
   uint number;  // among all that are kept, in the order of slots
   uint page;    // in the arena
-  uint group;   // of all its splats, by index
+  uint group;   // of all its splats, by index in `groups`
   uint level;   // of its nodes, or kNone: these are slots
 };
 layout(std430) readonly buffer Pages { Page pages[]; };

@@ -4,10 +4,9 @@
 
 layout(local_size_x = 16, local_size_y = 16) in;
 layout(std430) readonly buffer Splats { uint splat_of[]; };  // nearest first
-layout(std430) writeonly buffer Picked { uint picked[]; };   // slot, or kNone
+layout(std430) writeonly buffer Picked { uint picked[]; };   // as page_table.hpp numbers slots, or kNone
 layout(std430) readonly buffer Length { Tally drawn_tally; };
 layout(std430) readonly buffer Begins { uint begins[]; };
-layout(std430) readonly buffer FirstSlots { uint first_slots[]; };  // of pages
 layout(binding = 0) uniform sampler2D scene_depth;
 
 uniform bool listed;     // the splats are listed by tiles; else they are all that is drawn
@@ -18,11 +17,11 @@ const uint kBatch = 256u;
 
 shared uint searching;  // pixels that a farther splat may still win
 shared uint indices[kBatch];
-shared vec4 places[kBatch];  // centre [px], window depth, opacity
+shared vec4 places[kBatch];  // centre [px], window depth, peakOf()
 shared vec4 axes[kBatch];    // falloffAxes()
 
 float pixelAlpha(uint k, vec2 pixel) {
-  return alphaAt(places[k].w, falloffAt(axes[k], pixel - places[k].xy), view.mode);
+  return alphaAt(places[k].w, falloffAt(axes[k], pixel - places[k].xy));
 }
 
 void take(uint k, uint index) {
@@ -31,7 +30,7 @@ void take(uint k, uint index) {
   if (index == kNone) return;
   Ellipse e = ellipse(index);
   if (e.opacity == 0.0) return;
-  places[k] = vec4(e.centre, windowDepth(e.depth), e.opacity);
+  places[k] = vec4(e.centre, windowDepth(e.depth), peakOf(e));
   axes[k] = falloffAxes(e);
 }
 
@@ -73,7 +72,6 @@ void main() {
     barrier();
   }
   if (inside && winner != kNone) {
-    uint number = visibleNumber(winner, words);
-    picked[texel.y * view.picture.x + texel.x] = first_slots[number / kPageSlots] + number % kPageSlots;
+    picked[texel.y * view.picture.x + texel.x] = visibleNumber(winner, words);
   }
 }

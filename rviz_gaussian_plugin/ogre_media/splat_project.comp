@@ -12,7 +12,8 @@ layout(std430) readonly buffer Band3 { uint band3[]; };
 layout(std430) writeonly buffer Keys { uint keys[]; };
 // boxOf() the splats; and where nodes stand for some, from first_share on what share of each is drawn.
 layout(std430) writeonly buffer Boxes { uint boxes[]; };
-layout(std430) buffer DepthRange { uint nearest, farthest; };  // keys drawn
+// Keys drawn, and those of kByDepth.
+layout(std430) buffer DepthRange { uint nearest, farthest, nearest_coloured, farthest_coloured; };
 
 uniform uint room;  // for visible splats
 uniform uint first_share;
@@ -32,7 +33,7 @@ mat3 rotationMatrix(vec4 q) {
 // Never darker than black, but brighter than white may be; and no NaN or infinity in half floats.
 vec3 radiance(vec3 c) { return mix(vec3(0.0), min(c, vec3(65504.0)), greaterThan(c, vec3(0.0))); }
 
-bool bandWanted(int band) { return band <= view.sh_degree && (view.only_band < 0 || band == view.only_band); }
+bool bandWanted(int band) { return band <= map.sh_degree && (map.only_band < 0 || band == map.only_band); }
 
 // A coefficient of bands 1 to 3, as a fraction of the slot's unit.
 vec3 coefficient(uint word) {
@@ -87,22 +88,24 @@ vec3 categoryColour(int category) {
 }
 
 vec3 channelColour(uint slot) {
-  if (view.channel_colours == 0) return vec3(0.5);
+  if (map.channel_colours == 0) return vec3(0.5);
   uint bits = band1[slot];
   if ((bits & 0x7f800000u) == 0x7f800000u) return vec3(0.5);  // not finite: there is no value
   float value = uintBitsToFloat(bits);
-  if (view.channel_colours == 2) {
+  if (map.channel_colours == 2) {
     return categoryColour(int(floor(clamp(value, -1073741824.0, 1073741824.0) + 0.5)));
   }
-  float above = clamp(value, view.channel_least, view.channel_most) - view.channel_least;
-  return turbo(above * view.channel_per_range);
+  float above = clamp(value, map.channel_least, map.channel_most) - map.channel_least;
+  return turbo(above * map.channel_per_range);
 }
 
-vec3 colour(uint slot, uint group, vec3 direction, vec3 scale, mat3 orientation, float opacity) {
-  if (view.mode == kOpacity) return turbo(opacity);
-  if (view.mode == kAge) return turbo(1.0 - slotAge(slot, view.now) / view.age_range);
-  if (view.mode == kChannel) return channelColour(slot);
-  if (view.mode == kNormals) {
+vec3 colour(uint slot, uint group, float depth, vec3 direction, vec3 scale, mat3 orientation,
+            float opacity) {
+  if (map.mode == kDepth) return depthColour(depth, map.depth_range);
+  if (map.mode == kOpacity) return turbo(opacity);
+  if (map.mode == kAge) return turbo(1.0 - slotAge(slot, view.now) / map.age_range);
+  if (map.mode == kChannel) return channelColour(slot);
+  if (map.mode == kNormals) {
     int shortest = scale.x <= scale.y && scale.x <= scale.z ? 0 : scale.y <= scale.z ? 1 : 2;
     vec3 normal = orientation[shortest];
     mat3 in_map = rotationOf(groups[group].to_box);
@@ -113,10 +116,10 @@ vec3 colour(uint slot, uint group, vec3 direction, vec3 scale, mat3 orientation,
 
 // The ellipse of a slot, of opacity 0 where nothing of it is in the picture.
 Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
-  Ellipse e = Ellipse(vec2(0.0), p.z, vec2(0.0), 0.0, vec3(0.0), 0.0);
+  Ellipse e = Ellipse(vec2(0.0), p.z, vec2(0.0), 0.0, vec3(0.0), 0.0, map.kind);
   float trained_opacity = opacityUnit(page) * slotOpacity(slot);
-  float opacity = view.opacity_modifier * trained_opacity;
-  if (view.near_fade > 0.0) opacity *= min((p.z - view.clip.x) / view.near_fade, 1.0);
+  float opacity = map.opacity_modifier * trained_opacity;
+  if (map.near_fade > 0.0) opacity *= min((p.z - view.clip.x) / map.near_fade, 1.0);
 
   // Rows of the projection's Jacobian; the tangent is clamped as in training.
   vec3 jx, jy;
@@ -133,8 +136,8 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   }
 
   // Covariance in the picture: rows of J W R S times their transposes.
-  vec3 scale = view.scale_modifier * slotScale(slot);
-  if (view.mode == kBillboard) scale = vec3((scale.x + scale.y + scale.z) / 3.0);
+  vec3 scale = map.scale_modifier * slotScale(slot);
+  if (map.mode == kBillboard) scale = vec3((scale.x + scale.y + scale.z) / 3.0);
   mat3 orientation = rotationMatrix(slotRotation(slot));
   mat3 axes = rotationOf(groups[page.group].to_camera) * orientation;
   vec3 mx = (jx * axes) * scale;
@@ -144,10 +147,11 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   float det0 = dot(area, area);  // of M M^T by Cauchy-Binet: no cancellation for needles
   float a = a0 + kLowPass, c = c0 + kLowPass;
   float det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
-  if (view.antialiased) {
+  if (map.antialiased) {
     opacity *= sqrt(det0 / det);
   }
   if (!(opacity >= kCutoffAlpha)) return e;
+  if (map.kind == kFlat || map.kind == kShaded) opacity = kBallOpacity;
 
   float mid = 0.5 * (a + c), radius = length(vec2(0.5 * (a - c), b));
   float major = mid + radius;
@@ -166,7 +170,7 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   e.minor = sqrt(minor);
   vec3 eye = groups[page.group].eye.xyz;
   vec3 direction = view.orthographic ? eye : normalize(mean - eye);
-  e.colour = colour(slot, page.group, direction, scale, orientation, trained_opacity);
+  e.colour = colour(slot, page.group, p.z, direction, scale, orientation, trained_opacity);
   e.opacity = opacity;
   return e;
 }
@@ -204,5 +208,9 @@ void main() {
   if (gl_LocalInvocationIndex == 0u && group_nearest <= group_farthest) {
     atomicMin(nearest, group_nearest);
     atomicMax(farthest, group_farthest);
+    if (map.kind == kByDepth) {
+      atomicMin(nearest_coloured, group_nearest);
+      atomicMax(farthest_coloured, group_farthest);
+    }
   }
 }

@@ -1,6 +1,6 @@
 // A Gaussian's colour and alpha, premultiplied, to be blended back to front.
 
-flat in vec4 colour;  // rgb, opacity
+flat in vec4 colour;  // rgb, peakOf()
 flat in vec2 centre;
 flat in vec4 axes;
 flat in float share;
@@ -15,10 +15,10 @@ void main() {
   if (gl_FragCoord.z > texelFetch(scene_depth, ivec2(gl_FragCoord.xy), 0).r) discard;
 #endif
   float falloff = falloffAt(axes, gl_FragCoord.xy - centre);
-  float alpha = alphaAt(colour.a, falloff, view.mode);
+  float alpha = alphaAt(colour.a, falloff);
   if (alpha < kCutoffAlpha) discard;
-  alpha = sharedAlpha(alpha, share, view.mode);
-  vec3 rgb = colour.rgb * (view.mode == kGaussianBall ? falloff : 1.0);
+  alpha = sharedAlpha(alpha, share);
+  vec3 rgb = colour.rgb * (colour.a == kShadedPeak ? falloff : 1.0);
   blended = vec4(rgb * alpha, alpha);
 #ifdef BEHIND
   nearness = vec4((1.0 - gl_FragCoord.z) * alpha, alpha, 0.0, alpha);

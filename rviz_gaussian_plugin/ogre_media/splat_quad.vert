@@ -1,7 +1,6 @@
 // One quad for each splat drawn, as large as its 1/255 ellipse, the farthest first.
 
 layout(std430) readonly buffer Drawn { uint drawn[]; };  // nearest first
-layout(std430) readonly buffer DepthRange { uint nearest, farthest; };
 layout(std430) readonly buffer Length { Tally drawn_tally; };
 layout(std430) readonly buffer Shares { float shares[]; };  // of what is drawn, if not all
 
@@ -9,7 +8,7 @@ uniform bool raw_depth;  // blend depths [m] instead of colours
 
 // What a pixel needs to find its falloff itself: corners lie on a grid, as fine as the driver has it,
 // and what is interpolated between them is as coarse.
-flat out vec4 colour;  // rgb, opacity
+flat out vec4 colour;  // rgb, peakOf()
 flat out vec2 centre;  // in the target [px]
 flat out vec4 axes;    // falloffAxes(), there
 flat out float share;
@@ -28,15 +27,8 @@ void main() {
     share = 0.0;
     return;
   }
-  colour = vec4(e.colour, e.opacity);
+  colour = vec4(raw_depth ? vec3(e.depth) : colourOf(e), peakOf(e));
   share = view.cut ? shares[index] : 1.0;
-  if (raw_depth) {
-    colour.rgb = vec3(e.depth);
-  } else if (view.mode == kDepth) {
-    colour.rgb = depthColour(e.depth, view.depth_range.y > view.depth_range.x
-                                          ? view.depth_range
-                                          : vec2(keyDepth(nearest), keyDepth(farthest)));
-  }
   vec2 corner = vec2((gl_VertexID & 1) * 2 - 1, (gl_VertexID >> 1) * 2 - 1);
   vec2 sigmas = corner * (cutoffSigmas(e.opacity) + kGrid / vec2(length(e.major), e.minor));
   vec2 pixel = e.centre + sigmas.x * e.major + sigmas.y * minorAxis(e);

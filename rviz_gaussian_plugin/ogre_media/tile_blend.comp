@@ -3,7 +3,6 @@
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Splats { uint splat_of[]; };
 layout(std430) readonly buffer Begins { uint begins[]; };
-layout(std430) readonly buffer DepthRange { uint nearest, farthest; };
 layout(binding = 0) uniform sampler2D scene_depth;
 layout(binding = 0) writeonly uniform image2D blended;
 #ifdef BEHIND
@@ -20,7 +19,7 @@ const uint kParts = 8u;
 // What is still to come can't change a pixel by more than this, of a white splat.
 const float kTransparent = 1e-5;
 
-shared vec4 places[kBatch];  // centre [px], window depth, opacity
+shared vec4 places[kBatch];  // centre [px], window depth, peakOf()
 shared vec4 axes[kBatch];    // falloffAxes()
 shared vec3 colours[kBatch];
 #ifdef SHARES
@@ -35,13 +34,10 @@ void mark(uint k, Ellipse e, ivec2 tile) {
   outline.centre -= vec2(tile * kTile);
   ivec2 rows = cellsIn(outline.centre.y + vec2(-outline.reach.y, outline.reach.y), float(kPart.y),
                        kTile / kPart.y);
-  bool ball = isBall(view.mode);  // which may end beyond the outline
-  if (ball) rows = ivec2(0, kTile / kPart.y);
   for (int row = rows.x; row < rows.y; ++row) {
     float top = float(kPart.y * row) + 0.5;
     ivec2 columns = cellsIn(across(outline, top, top + float(kPart.y - 1)), float(kPart.x),
                             kTile / kPart.x);
-    if (ball) columns = ivec2(0, kTile / kPart.x);
     for (int column = columns.x; column < columns.y; ++column) {
       atomicOr(reaching[row * (kTile / kPart.x) + column][k / 32u], 1u << (k % 32u));
     }
@@ -59,7 +55,6 @@ void main() {
   bool inside = all(lessThan(pixel, view.picture));
   bool done = !inside;
   float hidden_from = inside ? texelFetch(scene_depth, texel, 0).r : 0.0;
-  vec2 range = view.depth_range.y > view.depth_range.x ? view.depth_range : vec2(keyDepth(nearest), keyDepth(farthest));
   vec3 colour = vec3(0.0);
   float transmittance = 1.0;
 #ifdef BEHIND
@@ -79,9 +74,9 @@ void main() {
     if (first + local < end) {
       uint splat = splat_of[first + local];
       Ellipse e = ellipse(splat);
-      places[local] = vec4(e.centre, windowDepth(e.depth), e.opacity);
+      places[local] = vec4(e.centre, windowDepth(e.depth), peakOf(e));
       axes[local] = falloffAxes(e);
-      colours[local] = view.mode == kDepth ? depthColour(e.depth, range) : e.colour;
+      colours[local] = colourOf(e);
 #ifdef SHARES
       shares_of[local] = shares[splat];
 #endif
@@ -94,12 +89,12 @@ void main() {
         vec4 place = places[k];
         float falloff = falloffAt(axes[k], vec2(pixel) + 0.5 - place.xy);
         vec3 splat = colours[k];
-        float alpha = alphaAt(place.w, falloff, view.mode);
+        float alpha = alphaAt(place.w, falloff);
         if (alpha < kCutoffAlpha) continue;
 #ifdef SHARES
-        alpha = sharedAlpha(alpha, shares_of[k], view.mode);
+        alpha = sharedAlpha(alpha, shares_of[k]);
 #endif
-        if (view.mode == kGaussianBall) splat *= falloff;
+        if (place.w == kShadedPeak) splat *= falloff;
 #ifdef BEHIND
         if (place.z > hidden_from && place.z <= behind_until) {
           colour_behind += transmittance_behind * alpha * splat;

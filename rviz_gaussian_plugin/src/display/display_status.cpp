@@ -180,10 +180,14 @@ StatusLine channelStatus(const MapState& map, const RenderSettings& settings) {
   return line(StatusProperty::Ok, text.str());
 }
 
-StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes, std::size_t shared_bytes) {
-  std::string text = concat("GPU ", gpu_bytes >> 20, " MiB, host ", host_bytes >> 20, " MiB");
-  if (shared_bytes > 0) text += concat(" and ", shared_bytes >> 20, " MiB that all maps share");
-  return {StatusProperty::Ok, "Memory", text};
+StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes, std::size_t shared_gpu_bytes,
+                        std::size_t shared_host_bytes) {
+  const auto text = [](std::size_t gpu, std::size_t host) {
+    return concat("GPU ", gpu >> 20, " MiB, host ", host >> 20, " MiB");
+  };
+  return {StatusProperty::Ok, "Memory",
+          concat(text(gpu_bytes, host_bytes), "; all maps share ",
+                 text(shared_gpu_bytes, shared_host_bytes))};
 }
 
 }  // namespace rosplat

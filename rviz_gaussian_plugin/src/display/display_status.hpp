@@ -39,7 +39,8 @@ StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::siz
                         const std::string& view);
 // Which channel is drawn, and how.
 StatusLine channelStatus(const MapState& map, const RenderSettings& settings);
-// shared_bytes: of the host's, by what all maps share.
-StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes, std::size_t shared_bytes);
+// shared: by what all maps are drawn with.
+StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes, std::size_t shared_gpu_bytes,
+                        std::size_t shared_host_bytes);
 
 }  // namespace rosplat

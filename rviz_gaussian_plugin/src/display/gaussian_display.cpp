@@ -332,7 +332,8 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
   }
   const auto regimes = scene.hardRegimes(cloud_->settings(), cameras);
   if (!regimes.empty()) lines.push_back(accuracyStatus(regimes));
-  lines.push_back(memoryStatus(scene.gpuBytes(), scene.hostBytes(), scene.sharedBytes()));
+  lines.push_back(memoryStatus(scene.gpuBytes() - scene.sharedGpuBytes(), scene.hostBytes(),
+                               scene.sharedGpuBytes(), scene.sharedHostBytes()));
   return lines;
 }
 

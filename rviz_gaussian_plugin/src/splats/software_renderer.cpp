@@ -40,13 +40,6 @@ void putNumber(std::uint8_t* rgba, std::uint32_t number) {
 
 }  // namespace
 
-std::shared_ptr<SoftwareRenderer> SoftwareRenderer::ofProcess(const ShaderSource& source) {
-  static std::weak_ptr<SoftwareRenderer> shared;
-  std::shared_ptr<SoftwareRenderer> renderer = shared.lock();
-  if (!renderer) shared = renderer = std::make_shared<SoftwareRenderer>(source);
-  return renderer;
-}
-
 PaintRequest SoftwareRenderer::requestOf(const std::vector<ViewedMap>& maps) const {
   PaintRequest request;
   for (const ViewedMap& map : maps) {
@@ -64,18 +57,9 @@ PaintRequest SoftwareRenderer::requestOf(const std::vector<ViewedMap>& maps) con
 }
 
 const std::string& SoftwareRenderer::join(const std::vector<ViewedMap>& maps) {
-  std::string name = maps.front().view_id;
-  for (const ViewedMap& map : maps) {
-    const auto found = names_.find(map.view_id);
-    if (found == names_.end()) continue;
-    name = found->second;
-    break;
-  }
-  for (const ViewedMap& map : maps) {
-    const std::string before = std::exchange(names_[map.view_id], name);
-    if (before != name) drop(before);
-  }
-  return names_[maps.front().view_id];
+  std::vector<std::string> view_ids;
+  for (const ViewedMap& map : maps) view_ids.push_back(map.view_id);
+  return names_.join(view_ids, [this](const std::string& name) { drop(name); });
 }
 
 void SoftwareRenderer::ask(const std::string& name, PaintRequestPtr request,
@@ -198,8 +182,8 @@ std::vector<double> SoftwareRenderer::depthsShown(const std::string& view_id, co
                                                   const SplatCamera& camera,
                                                   const std::vector<float>& scene_depth,
                                                   float least_alpha) const {
-  const auto name = names_.find(view_id);
-  const auto view = name == names_.end() ? views_.end() : views_.find(name->second);
+  const std::string* const name = names_.of(view_id);
+  const auto view = name ? views_.find(*name) : views_.end();
   if (view == views_.end() || !view->second.shown) return {};
   const Painting& shown = *view->second.shown;
   if (!shown.request->of(map)) return {};
@@ -274,17 +258,10 @@ const std::vector<float>& SoftwareRenderer::readDepth() const {
 }
 
 void SoftwareRenderer::forget(const std::string& view_id) {
-  const auto found = names_.find(view_id);
-  if (found == names_.end()) return;
-  const std::string name = found->second;
-  names_.erase(found);
-  drop(name);
+  names_.forget(view_id, [this](const std::string& name) { drop(name); });
 }
 
 void SoftwareRenderer::drop(const std::string& name) {
-  for (const auto& [view_id, shown_as] : names_) {
-    if (shown_as == name) return;
-  }
   painter_.forget(name);
   const auto found = views_.find(name);
   if (found == views_.end()) return;

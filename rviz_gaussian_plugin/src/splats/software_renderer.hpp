@@ -13,18 +13,12 @@
 #include "map/gaussian_map.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
+#include "view_names.hpp"
+#include "viewed_map.hpp"
 
 namespace rosplat {
 
-// A map in a view.
-struct ViewedMap {
-  std::string view_id;  // its display's name for it
-  PaintedMapPtr map;
-  SplatCamera camera;  // in the map's frame
-  RenderSettings settings;
-  OrderPtr order;  // null: by depth; of a map that is alone
-  MapState state;  // with all that waits
-};
+using ViewedMap = Viewed<PaintedMap>;
 
 // Draws maps where no graphics card does: a painter makes their pictures, and OpenGL only lays them
 // over the window. Maps of one view are in one picture, by depth. Knows no Ogre; runs in the render
@@ -33,8 +27,6 @@ class SoftwareRenderer {
  public:
   // Throws gl::Error where the driver can't do it.
   explicit SoftwareRenderer(const ShaderSource& source) : overlay_(source) {}
-  // The one that the maps of a process share.
-  static std::shared_ptr<SoftwareRenderer> ofProcess(const ShaderSource& source);
 
   // Who takes the maps' edits.
   Painter& painter() { return painter_; }
@@ -80,7 +72,7 @@ class SoftwareRenderer {
   };
 
   PaintRequest requestOf(const std::vector<ViewedMap>& maps) const;
-  // The one that displays' views are, by name; they have another one together if they were apart.
+  // The name of the view that maps are in.
   const std::string& join(const std::vector<ViewedMap>& maps);
   // Whether a picture of these maps as they are now is what was asked for last.
   static bool asked(const View& view, const PaintRequest& request,
@@ -95,13 +87,12 @@ class SoftwareRenderer {
   // Writes numbers of 24 bits by pixel, top row first; nothing where one is 0.
   void drawNumbers(const CanvasScope& window, const SplatCamera& camera,
                    const std::vector<std::uint32_t>& numbers);
-  // What nobody shows any more.
   void drop(const std::string& name);
 
   Overlay overlay_;
   Painter painter_;
-  std::map<std::string, std::string> names_;  // of what is shown, by a display's view
-  std::map<std::string, View> views_;         // by name
+  ViewNames names_;
+  std::map<std::string, View> views_;  // by name
   OverlayTexture bytes_;
   PaintRequest picked_;  // what drawPick() has marked last
 

@@ -121,11 +121,12 @@ SplatCloud::SplatCloud(const std::string& name, const std::string& resource_grou
                        ViewCallback on_view)
     : Ogre::MovableObject(name),
       number_(++made),
-      scene_(std::make_unique<SplatScene>([resource_group](const std::string& shader) {
-        return Ogre::ResourceGroupManager::getSingleton()
-            .openResource(shader, resource_group)
-            ->getAsString();
-      })),
+      scene_(std::make_unique<SplatScene>(
+          Renderers::ofProcess([resource_group](const std::string& shader) {
+            return Ogre::ResourceGroupManager::getSingleton()
+                .openResource(shader, resource_group)
+                ->getAsString();
+          }))),
       on_view_(std::move(on_view)),
       material_(layerMaterial()) {
   setRenderQueueGroup(kRenderQueue);
@@ -148,7 +149,8 @@ void SplatCloud::_notifyCurrentCamera(Ogre::Camera* camera) {
 }
 
 void SplatCloud::_updateRenderQueue(Ogre::RenderQueue* queue) {
-  drawn_ = divided_ = false;
+  drawn_ = false;
+  divided_.clear();
   auto& [behind, hide, before] = layers_;
   queue->addRenderable(&behind, Ogre::RENDER_QUEUE_MAIN, mRenderQueuePriority);
   queue->addRenderable(&hide, Ogre::RENDER_QUEUE_MAIN, mRenderQueuePriority);
@@ -260,13 +262,12 @@ void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
   if (seen) return drawSeen(turn, manager, canvas);
   if (turn != Turn::kBefore) return;
   try {
-    const auto mine = touched(viewport);
-    if (!mine) return;
-    if (surface) return scene_->drawSurface(*mine, canvas, camera_->getFarClipDistance());
+    if (!touched(viewport)) return;
     std::vector<SplatScene::Touched> all;
     for (SplatCloud* cloud : cloudsIn(manager)) {
       if (auto other = cloud->touched(viewport)) all.push_back(std::move(*other));
     }
+    if (surface) return scene_->drawSurface(all, canvas, camera_->getFarClipDistance());
     const bool first = scheme == "Pick";
     if (first) pick_ticket_ = pick_ticket_ % kMostTickets + 1;
     scene_->drawPick(all, canvas, first ? pick_handle_ : pick_ticket_);
@@ -303,8 +304,9 @@ std::optional<SplatScene::Touched> SplatCloud::touched(Ogre::Viewport* viewport)
 
 void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas) {
   if (drawn_) {
-    if (divided_ && turn == Turn::kHide) scene_->hideFarther();
-    if (divided_ && turn == Turn::kBefore) scene_->drawBefore();
+    if (divided_.empty()) return;
+    if (turn == Turn::kHide) scene_->hideFarther(divided_);
+    if (turn == Turn::kBefore) scene_->drawBefore(divided_);
     return;
   }
   Surroundings around;
@@ -332,7 +334,11 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas)
       if (!part) continue;
       part->scene->prepare(part->settings);
       std::size_t group = 0;
-      while (group < parts.size() && !SplatScene::together(parts[group].front(), *part)) ++group;
+      while (group < parts.size() &&
+             !SplatScene::together(*parts[group].front().scene, *part->scene)) {
+        ++group;
+      }
+
       if (group == parts.size()) {
         groups.emplace_back();
         parts.emplace_back();
@@ -346,7 +352,7 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas)
   for (std::size_t group = 0; group < groups.size(); ++group) {
     try {
       SplatScene::draw(parts[group], canvas, sort_now_, around);
-      groups[group].front()->divided_ = bool(around.translucent);
+      if (around.translucent) groups[group].front()->divided_ = parts[group].front().view_id;
       for (SplatCloud* cloud : groups[group]) cloud->error_.clear();
     } catch (const std::exception& error) {
       for (SplatCloud* cloud : groups[group]) cloud->fail(error);

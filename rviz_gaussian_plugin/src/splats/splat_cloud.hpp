@@ -105,8 +105,10 @@ class SplatCloud : public Ogre::MovableObject {
   Placement place_;
   bool sort_now_ = false;
   std::uint32_t pick_handle_ = 0, pick_ticket_ = 0;
-  bool drawn_ = false;    // in this frame
-  bool divided_ = false;  // at the translucent objects, so that kHide and kBefore have to follow
+  bool drawn_ = false;  // in this frame
+  // The view that was drawn, if it was divided at the translucent objects: kHide and kBefore
+  // follow.
+  std::string divided_;
   std::string error_;
   std::chrono::steady_clock::time_point error_ends_;
   Ogre::MaterialPtr material_;

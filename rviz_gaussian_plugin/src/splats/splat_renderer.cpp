@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <new>
+#include <utility>
 
 #include "map/detail.hpp"
 
@@ -20,11 +20,17 @@ const ShaderSource& checked(const ShaderSource& source) {
   return source;
 }
 
-// Whether more than may be is drawn, and there is a larger error to be tried.
-bool coarsen(Frame& frame, std::size_t drawn, std::size_t most) {
-  if (!frame.nodes || frame.order || drawn <= most || frame.error > kCoarsestError) return false;
-  frame.error = coarserError(frame.error, drawn, most);
-  return true;
+// Whether of any map more than may be is drawn, and there is a larger error to be tried.
+bool coarsen(Frame& frame, const std::vector<std::size_t>& drawn,
+             const std::vector<CardMap::Chosen>& chosen) {
+  bool coarser = false;
+  for (std::size_t i = 0; i < frame.layers.size() && !frame.order; ++i) {
+    FrameLayer& layer = frame.layers[i];
+    if (!layer.nodes || drawn[i] <= chosen[i].most || layer.error > kCoarsestError) continue;
+    layer.error = coarserError(layer.error, drawn[i], chosen[i].most);
+    coarser = true;
+  }
+  return coarser;
 }
 
 }  // namespace
@@ -40,44 +46,6 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       hide_(shaders_.draw({"splat_composite.vert"}, {"splat_hide.frag"})),
       surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})) {
   const ViewState compiled(shaders_, sort_);  // what all views draw with
-}
-
-void SplatRenderer::apply(const std::shared_ptr<const GaussianEdit>& edit) {
-  store_.apply(*edit, clock());
-  if (levels_) levels_->apply(store_, edit, clock());
-  gl::deleteAbandoned();
-}
-
-void SplatRenderer::advanceLevels(bool all) {
-  if (!levels_error_.empty()) return;
-  try {
-    if (!levels_) levels_.emplace();
-    levels_->advance(store_, clock(), all);
-    levels_error_ = levels_->error();
-  } catch (const gl::Error& error) {
-    levels_error_ = error.what();
-  } catch (const std::bad_alloc&) {
-    levels_error_ = "there is no memory for levels of detail";
-  }
-  if (!levels_error_.empty()) endLevels();
-}
-
-void SplatRenderer::dropLevels() {
-  levels_error_.clear();
-  endLevels();
-}
-
-void SplatRenderer::endLevels() {
-  if (!levels_) return;
-  levels_.reset();
-  store_.dropLevels();
-}
-
-void SplatRenderer::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
-  take(pages().moves());
-  for (std::size_t i = 0; i < pages().pages().size(); ++i) {
-    if (store_.holds(pages().pages()[i])) take(editOf(store_.read(i, 1)));
-  }
 }
 
 double SplatRenderer::clock() const {
@@ -107,8 +75,14 @@ std::string SplatRenderer::warning() const {
   return text;
 }
 
-SplatRenderer::View& SplatRenderer::view(const std::string& view_id) {
-  auto found = views_.find(view_id);
+const std::string& SplatRenderer::join(const std::vector<CardView>& maps) {
+  std::vector<std::string> view_ids;
+  for (const CardView& map : maps) view_ids.push_back(map.view_id);
+  return names_.join(view_ids, [this](const std::string& name) { drop(name); });
+}
+
+SplatRenderer::View& SplatRenderer::view(const std::string& name) {
+  auto found = views_.find(name);
   if (found == views_.end()) {
     std::size_t bytes = 0;
     auto oldest = views_.begin();
@@ -118,31 +92,41 @@ SplatRenderer::View& SplatRenderer::view(const std::string& view_id) {
     }
     if (bytes > kMostViewBytes) {
       auto node = views_.extract(oldest);
-      node.key() = view_id;
+      node.key() = name;
       found = views_.insert(std::move(node)).position;
     } else {
-      found = views_.emplace(view_id, std::make_unique<ViewState>(shaders_, sort_)).first;
+      found = views_.emplace(name, std::make_unique<ViewState>(shaders_, sort_)).first;
     }
   }
   found->second.used = ++used_;
   return found->second;
 }
 
+const ViewState* SplatRenderer::stateOf(const std::string& view_id) const {
+  const std::string* const name = names_.of(view_id);
+  const auto found = name ? views_.find(*name) : views_.end();
+  return found == views_.end() ? nullptr : found->second.state.get();
+}
+
 void SplatRenderer::forget(const std::string& view_id) {
-  const auto found = views_.find(view_id);
+  names_.forget(view_id, [this](const std::string& name) { drop(name); });
+}
+
+void SplatRenderer::drop(const std::string& name) {
+  const auto found = views_.find(name);
   if (found == views_.end()) return;
   if (found->second.state.get() == drawn_) drawn_ = nullptr;
   views_.erase(found);
 }
 
-Frame SplatRenderer::frame(const SplatCamera& camera, const MapState& map,
-                           const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
+Frame SplatRenderer::frame(const std::vector<CardView>& maps, Canvas canvas,
                            gl::Stopwatch& stopwatch) const {
-  return {store_,   levels_ ? &levels_->nodes() : nullptr,
-          camera,   map,
-          settings, 0,
-          order,    canvas != Canvas::kWindow,
-          clock(),  stopwatch};
+  Frame frame{{}, maps.front().order, canvas != Canvas::kWindow, clock(), stopwatch};
+  for (const CardView& map : maps) {
+    frame.layers.push_back(
+        {map.map->store(), map.map->nodes(), map.camera, map.state, map.settings});
+  }
+  return frame;
 }
 
 void SplatRenderer::copyDepth(const CanvasScope& window, const gl::Target& target) {
@@ -197,15 +181,29 @@ void SplatRenderer::divide(ViewState& view) const {
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
 }
 
-void SplatRenderer::draw(const std::string& view_id, const SplatCamera& camera, const MapState& map,
-                         const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
-                         const Surroundings& around, Cutting cutting) {
+std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView>& maps,
+                                                      Canvas canvas, const Surroundings& around) {
   const std::function<void()>& translucent = around.translucent;
   gl::deleteAbandoned();
+  const RenderSettings& settings = maps.front().settings;
+  View& of = this->view(join(maps));
+  if (const std::optional<double> seconds = of.timer.take()) {
+    for (const CardView& map : maps) {
+      for (const Timed& timed : of.timed) {
+        if (timed.map == map.map.get()) {
+          map.map->took(map.view_id, timed.error, timed.in_time, *seconds);
+        }
+      }
+    }
+  }
+  std::vector<CardMap::Chosen> chosen;
+  for (const CardView& map : maps) {
+    chosen.push_back(map.map->chooseDetail(map.view_id, map.settings, map.camera, clock()));
+  }
   gl::Stopwatch stopwatch(settings.profile);
-  View& of = this->view(view_id);
   ViewState& view = *of.state;
   drawn_ = &view;
+  const SplatCamera& camera = maps.front().camera;
   if (translucent) {
     keepTranslucent(view, camera, translucent);
     stopwatch.lap("translucent");
@@ -214,8 +212,10 @@ void SplatRenderer::draw(const std::string& view_id, const SplatCamera& camera, 
   const bool in_tiles = (settings.rasterizer == Rasterizer::kTiles ||
                          (settings.rasterizer == Rasterizer::kAuto && accelerated_)) &&
                         sorts();
-  Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
-  if (levels_ && !order) frame.error = cutting.error;
+  Frame frame = this->frame(maps, canvas, stopwatch);
+  for (std::size_t i = 0; i < maps.size() && !frame.order; ++i) {
+    frame.layers[i].error = chosen[i].error;
+  }
   const bool fresh = view.color.become(settings.float_blending ? GL_RGBA32F : GL_RGBA16F,
                                        camera.width, camera.height, window.targetDepth());
   of.timer.begin();
@@ -235,62 +235,59 @@ void SplatRenderer::draw(const std::string& view_id, const SplatCamera& camera, 
   view.blend(frame, scope, in_tiles, bool(translucent));
   glFlush();
   // All is submitted: the graphics card goes on while this waits for what it counted first.
-  while (!view.hasRoom(frame) || coarsen(frame, view.splats().count(), cutting.most)) {
+  while (!view.hasRoom(frame) || coarsen(frame, view.splats().countsOfLayers(), chosen)) {
     view.prepare(frame);
     view.blend(frame, scope, in_tiles, bool(translucent));
   }
-  drawn_error_ = frame.cuts() ? frame.error : 0;
   if (canvas != Canvas::kNone) {
     blendOver();
     glDisable(GL_DEPTH_TEST);
     window.layOver(composite_, translucent ? view.behind : view.color);
     stopwatch.lap("composite");
   }
-  if (anew && of.timer.end()) {
-    of.timed_error = drawn_error_;
-    of.timed_in_time = cutting.in_time;
+  std::vector<OfMap> drawn;
+  std::vector<Timed> timed;
+  for (std::size_t i = 0; i < maps.size(); ++i) {
+    const double error = frame.layers[i].cuts() ? frame.layers[i].error : 0;
+    drawn.push_back({view.splats().countsOfLayers()[i], error, chosen[i].problem});
+    timed.push_back({maps[i].map.get(), error, chosen[i].in_time});
   }
+  if (anew && of.timer.end()) of.timed = std::move(timed);
   profile_ = stopwatch.laps();
+  return drawn;
 }
 
-std::optional<SplatRenderer::Timed> SplatRenderer::timed(const std::string& view_id) {
-  const auto found = views_.find(view_id);
-  if (found == views_.end()) return {};
-  const std::optional<double> seconds = found->second.timer.take();
-  if (!seconds) return {};
-  return Timed{found->second.timed_error, *seconds, found->second.timed_in_time};
-}
-
-void SplatRenderer::hideFarther() const {
-  if (!drawn_) return;
+void SplatRenderer::hideFarther(const std::string& view_id) const {
+  const ViewState* const view = stateOf(view_id);
+  if (!view) return;
   const CanvasScope window(Canvas::kWindow);
-  const gl::DrawScope scope(drawn_->behind);
+  const gl::DrawScope scope(view->behind);
   glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
   glEnable(GL_DEPTH_TEST);
   glDepthFunc(GL_LESS);
   glDepthMask(GL_TRUE);
-  window.layOver(hide_, drawn_->behind);
+  window.layOver(hide_, view->behind);
 }
 
-void SplatRenderer::drawBefore() const {
-  if (!drawn_) return;
+void SplatRenderer::drawBefore(const std::string& view_id) const {
+  const ViewState* const view = stateOf(view_id);
+  if (!view) return;
   const CanvasScope window(Canvas::kWindow);
-  const gl::DrawScope scope(drawn_->color);
+  const gl::DrawScope scope(view->color);
   blendOver();
   glDisable(GL_DEPTH_TEST);
-  window.layOver(composite_, drawn_->color);
+  window.layOver(composite_, view->color);
 }
 
-void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
-                                const RenderSettings& settings, const OrderPtr& order,
-                                Canvas canvas, double far_clip) {
+void SplatRenderer::drawSurface(const std::vector<CardView>& maps, Canvas canvas, double far_clip) {
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;
-  const Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
+  const Frame frame = this->frame(maps, canvas, stopwatch);
   do {
     view.prepare(frame);
   } while (!view.hasRoom(frame));
+  const SplatCamera& camera = frame.camera();
   surface_depth_.become(GL_RGBA32F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(surface_depth_);
   copyDepth(window, surface_depth_);
@@ -302,29 +299,41 @@ void SplatRenderer::drawSurface(const SplatCamera& camera, const MapState& map,
   window.layOver(surface_, surface_depth_);
 }
 
-void SplatRenderer::drawPick(const SplatCamera& camera, const MapState& map,
-                             const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
+void SplatRenderer::drawPick(const std::vector<CardView>& maps, const CardMap& of, Canvas canvas,
                              std::uint32_t number) {
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;
-  const Frame frame = this->frame(camera, map, settings, order, canvas, stopwatch);
+  const Frame frame = this->frame(maps, canvas, stopwatch);
   const bool in_tiles = sorts();
   bool listed = false;
   do {
     view.prepare(frame);
     listed = in_tiles && view.list(frame);
   } while (!view.hasRoom(frame));
+  const SplatCamera& camera = frame.camera();
   pick_depth_.become(GL_RGBA16F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(pick_depth_);
   copyDepth(window, pick_depth_);
   picker_.pick(view.splats(), listed ? &view.tiles() : nullptr, pick_depth_, view.topFirst());
-  if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, number);
+  picked_.clear();
+  for (const CardView& map : maps) picked_.push_back(map.map.get());
+  if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, pickedLayer(of), number);
 }
 
-std::vector<SplatValues> SplatRenderer::readSlots(const std::vector<std::uint32_t>& slots) const {
+std::size_t SplatRenderer::pickedLayer(const CardMap& map) const {
+  return static_cast<std::size_t>(std::find(picked_.begin(), picked_.end(), &map) -
+                                  picked_.begin());
+}
+
+std::vector<std::uint32_t> SplatRenderer::readPick(const CardMap& of) const {
+  return picker_.read(pickedLayer(of));
+}
+
+std::vector<SplatValues> SplatRenderer::readSlots(const CardMap& map,
+                                                  const std::vector<std::uint32_t>& slots) const {
   const gl::StateGuard guard;
-  return reader_.read(store_, slots);
+  return reader_.read(map.store(), slots);
 }
 
 std::vector<float> SplatRenderer::readColor() const {
@@ -371,8 +380,7 @@ std::vector<float> SplatRenderer::readDepth() {
 }
 
 std::size_t SplatRenderer::gpuBytes() const {
-  std::size_t bytes = store_.bytes() + (levels_ ? levels_->gpuBytes() : 0) + sort_.bytes() +
-                      picker_.bytes() + depth_.bytes() + surface_depth_.bytes() +
+  std::size_t bytes = sort_.bytes() + picker_.bytes() + depth_.bytes() + surface_depth_.bytes() +
                       pick_depth_.bytes();
   for (const auto& [id, view] : views_) bytes += view.state->bytes();
   return bytes;

@@ -5,7 +5,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
-#include <limits>
 #include <map>
 #include <memory>
 #include <optional>
@@ -15,86 +14,69 @@
 #include "gl/canvas.hpp"
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
-#include "gpu/card_levels.hpp"
+#include "gpu/card_map.hpp"
 #include "gpu/frame.hpp"
 #include "gpu/radix_sort.hpp"
 #include "gpu/slot_reader.hpp"
-#include "gpu/slot_store.hpp"
 #include "gpu/splat_picker.hpp"
 #include "gpu/view_state.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
-#include "order/order.hpp"
+#include "view_names.hpp"
+#include "viewed_map.hpp"
 
 namespace rosplat {
 
-// What a picture draws where there are levels, and no order is given: nodes that are no wider than
-// an error in place of splats, 0 for none [px]; and no more of all than that.
-struct Cutting {
-  double error = 0;
-  std::size_t most = std::numeric_limits<std::size_t>::max();
-  bool in_time = false;  // it is to take a certain time
-};
+using CardView = Viewed<CardMap>;
 
-// Draws a map with OpenGL 4.4: what is visible is projected once a frame, then blended in a given
-// order or in one found here, as quads or in tiles. Knows no Ogre; runs in the render thread only.
+// Draws maps with OpenGL 4.4: what is visible is projected once a frame, then blended in a given
+// order or in one found here, as quads or in tiles. Maps of one view are in one picture, by depth,
+// for which the settings of the first decide what doesn't concern a map alone: the rasterizer, its
+// precision, the profile. Knows no Ogre; runs in the render thread only.
 class SplatRenderer {
  public:
   // Throws gl::Error where the driver can't do it.
   explicit SplatRenderer(const ShaderSource& source);
 
-  // Uploads what the edit changes; its slots are new from now on. Throws gl::Error when the driver
-  // has no memory left.
-  void apply(const std::shared_ptr<const GaussianEdit>& edit);
+  double clock() const;  // of `change` in packed_slot.hpp
 
-  const SlotPages& pages() const { return store_.pages(); }
-  // What writes the map elsewhere: where its groups are, then a page of it at a time.
-  void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
-
-  // Has levels of detail made of the map, some of them or, if that is waited for, all. They stay
-  // until they are dropped, and want to be advanced as long as there are edits.
-  void advanceLevels(bool all);
-  void dropLevels();
-  bool hasLevels() const { return levels_.has_value(); }
-  // Why there are none although they were to be made.
-  const std::string& levelsError() const { return levels_error_; }
-  // Those that are drawn by now.
-  const std::vector<Levels::Nodes>& levels() const { return levels_->nodes().pages(); }
-  std::size_t levelsBytes() const { return levels_ ? levels_->bytes() : 0; }
-
+  // What draw() drew of each map.
+  struct OfMap {
+    std::size_t drawn = 0;     // splats, and nodes that stand for some
+    double error = 0;          // to which they do, 0 in full [px]
+    std::string detail_error;  // why it is not in the detail that was asked for
+  };
   // Blends the splats, in an order or, without one, by the sorters' depth and with their ties,
   // hidden where the current framebuffer and viewport have something nearer, into a target of the
   // view's; then over that viewport, which has the camera's size. Where the scene has translucent
   // objects, which come next, the splats are divided at the nearest of them in each pixel, and only
   // those behind it are laid over. What a view sees is kept until it is forgotten, or others need
   // the memory.
-  void draw(const std::string& view_id, const SplatCamera& camera, const MapState& map,
-            const RenderSettings& settings, const OrderPtr& order, Canvas canvas,
-            const Surroundings& around = {}, Cutting cutting = {});
+  std::vector<OfMap> draw(const std::vector<CardView>& maps, Canvas canvas,
+                          const Surroundings& around = {});
   void forget(const std::string& view_id);
-  // Lets the splats that a divided draw() has laid over hide what is translucent and farther, where
-  // they are more opaque than not.
-  void hideFarther() const;
-  // Lays over the splats that a divided draw() has kept back, once the translucent objects are
-  // drawn.
-  void drawBefore() const;
+  // Lets the splats that a divided draw() of a view has laid over hide what is translucent and
+  // farther, where they are more opaque than not.
+  void hideFarther(const std::string& view_id) const;
+  // Lays over the splats that it has kept back, once the translucent objects are drawn.
+  void drawBefore(const std::string& view_id) const;
 
   // Writes where the splats' surface is, for rviz's mouse tools, into the current framebuffer and
   // viewport: mean depth / far_clip as 24-bit colour, lowest byte in blue.
-  void drawSurface(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-                   const OrderPtr& order, Canvas canvas, double far_clip);
+  void drawSurface(const std::vector<CardView>& maps, Canvas canvas, double far_clip);
 
   // Finds the splat that contributes most to each pixel, at least a twentieth of its colour, among
   // those that the current framebuffer and viewport don't hide; then writes there a number, for
-  // rviz's selection, as 24-bit colour.
-  void drawPick(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-                const OrderPtr& order, Canvas canvas, std::uint32_t number);
-  // What drawPick() found: width * height slots, top row first; kNoSlot where there is none.
-  std::vector<std::uint32_t> readPick() const { return picker_.read(); }
+  // rviz's selection, as 24-bit colour, where it is one of a certain map.
+  void drawPick(const std::vector<CardView>& maps, const CardMap& of, Canvas canvas,
+                std::uint32_t number);
+  // What it found of a map: width * height slots, top row first; kNoSlot where there is none.
+  std::vector<std::uint32_t> readPick(const CardMap& of) const;
 
   // The values of slots as they are drawn.
-  std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
+  std::vector<SplatValues> readSlots(const CardMap& map,
+                                     const std::vector<std::uint32_t>& slots) const;
 
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
   std::vector<float> readColor() const;
@@ -111,59 +93,55 @@ class SplatRenderer {
   // Whether a graphics card draws, not the processor.
   bool accelerated() const { return accelerated_; }
   // Of the last draw().
-  std::size_t drawn() const { return drawn_->splats().count(); }
-  double error() const { return drawn_error_; }  // [px]
   const char* rasterizer() const { return drawn_->rasterizer(); }
-  // How long the graphics card took for one of the last pictures of a view that were new, and its
-  // error; none is told twice.
-  struct Timed {
-    double error, seconds;
-    bool in_time;
-  };
-  std::optional<Timed> timed(const std::string& view_id);
   // Of the last draw(), by stage [s]; empty unless settings.profile asked for it.
   const std::map<std::string, double>& profile() const { return profile_; }
-  std::size_t mapBytes() const { return store_.bytes(); }
-  std::size_t gpuBytes() const;
+  std::size_t gpuBytes() const;  // beside the maps
 
  private:
+  // A map in the picture whose time is taken.
+  struct Timed {
+    const CardMap* map;
+    double error;
+    bool in_time;
+  };
   struct View {
     explicit View(std::unique_ptr<ViewState> of) : state(std::move(of)) {}
 
     std::unique_ptr<ViewState> state;
     std::uint64_t used = 0;  // the last time
     gl::Timer timer;
-    double timed_error = 0;
-    bool timed_in_time = false;
+    std::vector<Timed> timed;
   };
 
-  void endLevels();
+  std::size_t pickedLayer(const CardMap& map) const;
+  // The name of the view that maps are in.
+  const std::string& join(const std::vector<CardView>& maps);
   // What is kept of a view; where that were too much, another's, drawn longest ago, becomes its.
-  View& view(const std::string& view_id);
-  Frame frame(const SplatCamera& camera, const MapState& map, const RenderSettings& settings,
-              const OrderPtr& order, Canvas canvas, gl::Stopwatch& stopwatch) const;
+  View& view(const std::string& name);
+  // Null where there is nothing of a display's view.
+  const ViewState* stateOf(const std::string& view_id) const;
+  void drop(const std::string& name);
+  Frame frame(const std::vector<CardView>& maps, Canvas canvas, gl::Stopwatch& stopwatch) const;
   // As the window's own, where the driver can.
   void copyDepth(const CanvasScope& window, const gl::Target& target);
   static void keepTranslucent(ViewState& view, const SplatCamera& camera,
                               const std::function<void()>& draw);
   void divide(ViewState& view) const;
-  double clock() const;  // of `change` in packed_slot.hpp
 
   bool accelerated_;
   Shaders shaders_;
-  SlotStore store_;
-  std::optional<CardLevels> levels_;
-  std::string levels_error_;
   SlotReader reader_;
   RadixSort sort_;
   std::optional<bool> sorts_;
   SplatPicker picker_;
   const gl::Program &divide_, &composite_, &hide_, &surface_;
 
-  std::map<std::string, View> views_;
-  std::uint64_t used_ = 0;      // views so far
-  ViewState* drawn_ = nullptr;  // last
-  double drawn_error_ = 0;
+  ViewNames names_;
+  std::map<std::string, View> views_;   // by name
+  std::uint64_t used_ = 0;              // views so far
+  ViewState* drawn_ = nullptr;          // last
+  std::vector<const CardMap*> picked_;  // by layer
   gl::Target depth_, surface_depth_, pick_depth_;
   GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver did, or wouldn't copy
   std::map<std::string, double> profile_;

@@ -48,7 +48,10 @@ SplatScene::Trim::~Trim() {
 #endif
 }
 
-SplatScene::~SplatScene() { leavePainter(); }
+SplatScene::~SplatScene() {
+  leavePainter();
+  leaveCard();
+}
 
 BatchReport SplatScene::apply(const GaussianBatch& batch) {
   BatchReport report;
@@ -110,25 +113,25 @@ bool SplatScene::prefersSoftware(const RenderSettings& settings) {
 
 void SplatScene::prepare(const RenderSettings& settings) {
   const bool software = prefersSoftware(settings);
-  if (software ? bool(software_) : renderer_.has_value()) return;
+  if (software ? bool(software_) : bool(renderer_)) return;
   try {
     if (software) {
-      auto software = SoftwareRenderer::ofProcess(shaders_);
+      auto software = renderers_->onProcessor();
       auto fresh = std::make_shared<PaintedMap>(
           [this](auto& edit, MapState& state) { return nextEdit(edit, state); });
       if (renderer_) {
         const double clock = software->painter().clock();
-        renderer_->forEachPage([&](const GaussianEdit& page) { fresh->hold(page, clock); });
+        card_->forEachPage([&](const GaussianEdit& page) { fresh->hold(page, clock); });
         fresh->hold(drawn_map_);
-        renderer_.reset();
-        cut_views_.clear();
+        leaveCard();
         sorter_.rest();
       }
       software->painter().add(fresh);
       painted_ = std::move(fresh);
       software_ = std::move(software);
     } else {
-      renderer_.emplace(shaders_);
+      renderer_ = renderers_->onCard();
+      card_ = std::make_shared<CardMap>();
       if (software_) moveToCard();
     }
   } catch (...) {
@@ -142,12 +145,12 @@ void SplatScene::prepare(const RenderSettings& settings) {
 void SplatScene::moveToCard() {
   painted_->leave();
   painted_->forEachPage([this](const GaussianEdit& page) {
-    renderer_->apply(std::make_shared<const GaussianEdit>(page));
+    card_->apply(std::make_shared<const GaussianEdit>(page), renderer_->clock());
   });
   drawn_map_ = painted_->state();
   leavePainter();
   std::shared_ptr<const GaussianEdit> edit;
-  while (nextEdit(edit, drawn_map_)) renderer_->apply(edit);
+  while (nextEdit(edit, drawn_map_)) card_->apply(edit, renderer_->clock());
   book(drawn_map_);
 }
 
@@ -158,6 +161,13 @@ void SplatScene::leavePainter() {
   for (const auto& [view_id, camera] : cameras_) software_->forget(view_id);
   painted_.reset();
   software_.reset();
+}
+
+void SplatScene::leaveCard() {
+  if (!renderer_) return;
+  for (const auto& [view_id, camera] : cameras_) renderer_->forget(view_id);
+  card_.reset();
+  renderer_.reset();
 }
 
 bool SplatScene::nextEdit(std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
@@ -192,7 +202,7 @@ void SplatScene::takeArrivals(std::size_t budget) {
     }
     try {
       sorter_.apply(EditQueue::node(arrival.edit, arrival.state));
-      renderer_->apply(arrival.edit);
+      card_->apply(arrival.edit, renderer_->clock());
     } catch (const gl::Error& error) {  // the rest of the map is still worth seeing
       upload_error_ = error.what();
     } catch (const std::bad_alloc&) {
@@ -202,7 +212,7 @@ void SplatScene::takeArrivals(std::size_t budget) {
     drawn_map_ = std::move(arrival.state);
     book(drawn_map_);
   }
-  if (renderer_->hasLevels()) renderer_->advanceLevels(false);  // even if none is drawn now
+  card_->advanceLevels(renderer_->clock());
   takeOrders();
 }
 
@@ -221,11 +231,11 @@ void SplatScene::feedSorter() {
   GaussianEdit nothing;
   nothing.clear = true;
   give(std::move(nothing));
-  renderer_->forEachPage([&give](const GaussianEdit& page) { give(GaussianEdit(page)); });
+  card_->forEachPage([&give](const GaussianEdit& page) { give(GaussianEdit(page)); });
 }
 
 OrderPtr SplatScene::unsorted() {
-  const SlotPages& pages = renderer_->pages();
+  const SlotPages& pages = card_->pages();
   const std::array<std::uint64_t, 3> of{drawn_map_.round, drawn_map_.capacity,
                                         pages.pages().size()};
   if (unsorted_ && unsorted_of_ == of) return unsorted_;
@@ -294,81 +304,67 @@ OrderPtr SplatScene::sortNow(const SplatCamera& camera) {
 const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
                                     Canvas canvas, bool sort_now, const Surroundings& around) {
   prepare(settings);
-  if (software_) {
-    drawSoftware({{this, view_id, settings}}, canvas, sort_now, around);
-    return reports_[view_id];
-  }
-  const double start = now();
-  const OrderSource source = sourceOf(settings, sort_now);
-  takeArrivals(sort_now ? kEverything : kUploadBytesPerFrame);
-  const bool on_gpu = sortsOnGpu(source);
-  OrderBook::Choice choice;
-  if (!on_gpu) {
-    const bool ours_to_sort = source != OrderSource::kSidecar;
-    choice = source == OrderSource::kOff ? OrderBook::Choice{unsorted(), false, 0}
-             : ours_to_sort && sort_now  ? book_.sortNow(view_id)
-                                         : book_.choose(view_id, start, source);
-    if (!choice.order && !renderer_->sorts()) choice.order = kNoOrder;
-  }
-  FrameReport report;
-  const Cutting cutting = cut(view_id, settings, report);
-  renderer_->draw(view_id, cameras_.at(view_id), drawn_map_, settings, choice.order, canvas, around,
-                  cutting);
-  report.error = renderer_->error();
-  report.rasterizer = renderer_->rasterizer();
-  report.profile = renderer_->profile();
-  if (on_gpu) {
-    report.splats = renderer_->drawn();
-    report.order_source = "gpu";
-    report.order_fresh = true;
-    if (const auto sort = report.profile.find("sort"); sort != report.profile.end()) {
-      report.sort_time = sort->second;
-    }
-  } else if (choice.order) {
-    report.splats = choice.order->slots.size();
-    report.order_source = choice.order->source;
-    report.order_fresh = choice.fresh;
-    report.order_age = choice.age;
-    report.sort_time = choice.order->sort_time;
-  }
-  report.draw_time = now() - start;
-  report.map = drawn_map_;
-  keepPace(view_id, report);
-  return reports_[view_id] = std::move(report);
+  draw({{this, view_id, settings}}, canvas, sort_now, around);
+  return reports_[view_id];
 }
 
-// Goes on with levels of detail while any view wants some.
-Cutting SplatScene::cut(const std::string& view_id, const RenderSettings& settings,
-                        FrameReport& report) {
-  const Detail detail = settings.drawnDetail();
-  if (detail == Detail{}) {
-    cut_views_.erase(view_id);
-    if (cut_views_.empty()) renderer_->dropLevels();
-    return {};
+// The order that is drawn of a map that is alone where the graphics card doesn't sort.
+OrderBook::Choice SplatScene::choose(const std::string& view_id, OrderSource source,
+                                     bool sort_now) {
+  const bool ours_to_sort = source != OrderSource::kSidecar;
+  OrderBook::Choice choice = source == OrderSource::kOff ? OrderBook::Choice{unsorted(), false, 0}
+                             : ours_to_sort && sort_now  ? book_.sortNow(view_id)
+                                                         : book_.choose(view_id, now(), source);
+  if (!choice.order && !renderer_->sorts()) choice.order = kNoOrder;
+  return choice;
+}
+
+void SplatScene::drawOnCard(const std::vector<Part>& parts, Canvas canvas, bool sort_now,
+                            const Surroundings& around) {
+  const double start = now();
+  const std::shared_ptr<SplatRenderer> renderer = parts.front().scene->renderer_;
+  std::vector<CardView> maps;
+  bool on_gpu = true;
+  OrderBook::Choice choice;
+  for (const Part& part : parts) {
+    SplatScene& scene = *part.scene;
+    scene.takeArrivals(sort_now ? kEverything : kUploadBytesPerFrame);
+    if (parts.size() == 1) {
+      const OrderSource source = sourceOf(part.settings, sort_now);
+      on_gpu = scene.sortsOnGpu(source);
+      if (!on_gpu) choice = scene.choose(part.view_id, source, sort_now);
+    }
+    maps.push_back({part.view_id, scene.card_, scene.cameras_.at(part.view_id), part.settings,
+                    choice.order, scene.drawn_map_});
   }
-  CutView& view = cut_views_[view_id];
-  DetailControl& control = view.control;
-  if (const auto timed = renderer_->timed(view_id)) {
-    if (timed->in_time) control.took(timed->error, timed->seconds);
-    if (timed->error == 0) control.drewAll(timed->seconds);
+  const auto drawn = renderer->draw(maps, canvas, around);
+  const double took = now() - start;
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    SplatScene& scene = *parts[i].scene;
+    FrameReport report;
+    report.map = scene.drawn_map_;
+    report.maps = parts.size();
+    report.error = drawn[i].error;
+    report.detail_error = drawn[i].detail_error;
+    report.rasterizer = renderer->rasterizer();
+    report.profile = renderer->profile();
+    report.draw_time = took;
+    if (on_gpu) {
+      report.splats = drawn[i].drawn;
+      report.order_source = "gpu";
+      report.order_fresh = true;
+      const auto sort = report.profile.find("sort");
+      if (sort != report.profile.end()) report.sort_time = sort->second;
+    } else if (choice.order) {
+      report.splats = choice.order->slots.size();
+      report.order_source = choice.order->source;
+      report.order_fresh = choice.fresh;
+      report.order_age = choice.age;
+      report.sort_time = choice.order->sort_time;
+    }
+    scene.keepPace(parts[i].view_id, report);
+    scene.reports_[parts[i].view_id] = std::move(report);
   }
-  const SplatCamera& camera = cameras_.at(view_id);
-  const bool at_once = !settings.asynchronous, rests = camera == view.camera;
-  view.camera = camera;
-  Cutting cutting;
-  cutting.in_time = detail.kind == Detail::Kind::kTime;
-  // A frame time is for what moves; and may have room for all.
-  if (!control.needsLevels(detail) || (cutting.in_time && (at_once || rests))) return {};
-  if (at_once || !renderer_->hasLevels()) renderer_->advanceLevels(at_once);
-  report.detail_error = renderer_->levelsError();
-  if (!report.detail_error.empty()) return {};
-  cutting.error = control.choose(detail, at_once, renderer_->levels(), camera,
-                                 renderer_->pages().groups(), settings.clip_box);
-  if (at_once && detail.kind == Detail::Kind::kSplats) {
-    cutting.most = static_cast<std::size_t>(detail.amount);
-  }
-  control.drew(cutting.error);
-  return cutting;
 }
 
 void SplatScene::takeMap() {
@@ -379,15 +375,16 @@ void SplatScene::takeMap() {
   takeOrders();
 }
 
-bool SplatScene::together(const Part& one, const Part& other) {
-  return one.scene->software_ && other.scene->software_;
+bool SplatScene::together(const SplatScene& one, const SplatScene& other) {
+  if (one.software_) return one.software_ == other.software_;
+  return one.renderer_ == other.renderer_ && one.renderer_->sorts();
 }
 
 void SplatScene::draw(const std::vector<Part>& parts, Canvas canvas, bool sort_now,
                       const Surroundings& around) {
-  const Part& first = parts.front();
-  if (parts.size() > 1) return drawSoftware(parts, canvas, sort_now, around);
-  first.scene->draw(first.view_id, first.settings, canvas, sort_now, around);
+  const bool software = bool(parts.front().scene->software_);
+  return software ? drawSoftware(parts, canvas, sort_now, around)
+                  : drawOnCard(parts, canvas, sort_now, around);
 }
 
 // A sidecar's order is drawn instead of the processor's own, if asked for, of a map that is alone.
@@ -484,44 +481,64 @@ void SplatScene::keepPace(const std::string& view_id, FrameReport& report) {
 }
 
 std::size_t SplatScene::gpuBytes() const {
+  return (card_ ? card_->gpuBytes() : 0) + sharedGpuBytes();
+}
+
+std::size_t SplatScene::sharedGpuBytes() const {
   return software_ ? software_->gpuBytes() : renderer_ ? renderer_->gpuBytes() : 0;
 }
 
 std::size_t SplatScene::mapBytes() const {
-  return software_ ? painted_->bytes() : renderer_ ? renderer_->mapBytes() : 0;
+  return software_ ? painted_->bytes() : card_ ? card_->bytes() : 0;
 }
 
 std::size_t SplatScene::levelsBytes() const {
-  return software_ ? painted_->levelsBytes() : renderer_ ? renderer_->levelsBytes() : 0;
+  return software_ ? painted_->levelsBytes() : card_ ? card_->levelsBytes() : 0;
 }
 
 std::size_t SplatScene::hostBytes() const {
   return sorter_.bytes() + (software_ ? painted_->bytes() + painted_->levelsBytes() : 0);
 }
 
-std::size_t SplatScene::sharedBytes() const { return software_ ? software_->hostBytes() : 0; }
+std::size_t SplatScene::sharedHostBytes() const { return software_ ? software_->hostBytes() : 0; }
 
 FrameReport SplatScene::report(const std::string& view_id) const {
   const auto found = reports_.find(view_id);
   return found == reports_.end() ? FrameReport{} : found->second;
 }
 
-void SplatScene::drawSurface(const Touched& mine, Canvas canvas, double far_clip) {
+const SplatScene::Touched& SplatScene::own(const std::vector<Touched>& all) const {
+  return *std::find_if(all.begin(), all.end(),
+                       [this](const Touched& touched) { return touched.scene == this; });
+}
+
+std::vector<CardView> SplatScene::touchedOnCard(const std::vector<Touched>& all) {
+  std::vector<CardView> maps;
+  for (const Touched& touched : all) {
+    SplatScene& scene = *touched.scene;
+    if (&scene != this && !together(*this, scene)) continue;
+    maps.push_back({touched.view_id, scene.card_, touched.camera, inFull(touched.settings), nullptr,
+                    scene.drawn_map_});
+  }
+  if (maps.size() == 1) maps.front().order = sortNow(maps.front().camera);
+  return maps;
+}
+
+void SplatScene::drawSurface(const std::vector<Touched>& all, Canvas canvas, double far_clip) {
+  const Touched& mine = own(all);
   prepare(mine.settings);
   if (software_) {
     return software_->drawSurface(mine.view_id, *painted_, mine.camera, canvas, far_clip);
   }
-  renderer_->drawSurface(mine.camera, drawn_map_, inFull(mine.settings), sortNow(mine.camera),
-                         canvas, far_clip);
+  const std::vector<CardView> maps = touchedOnCard(all);
+  if (maps.front().map == card_) renderer_->drawSurface(maps, canvas, far_clip);  // for all of them
 }
 
 void SplatScene::drawPick(const std::vector<Touched>& all, Canvas canvas, std::uint32_t number) {
-  const Touched& mine = *std::find_if(
-      all.begin(), all.end(), [this](const Touched& touched) { return touched.scene == this; });
-  prepare(mine.settings);
+  prepare(own(all).settings);
   if (!software_) {
-    return renderer_->drawPick(mine.camera, drawn_map_, inFull(mine.settings), sortNow(mine.camera),
-                               canvas, number);
+    const std::vector<CardView> maps = touchedOnCard(all);
+    return renderer_->drawPick(maps, *card_, canvas, number);
   }
   std::vector<ViewedMap> maps;
   std::size_t of = 0;
@@ -538,7 +555,7 @@ void SplatScene::drawPick(const std::vector<Touched>& all, Canvas canvas, std::u
 
 std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {
   if (software_) return painted_->read(slots);
-  return renderer_ ? renderer_->readSlots(slots) : std::vector<SplatValues>{};
+  return card_ ? renderer_->readSlots(*card_, slots) : std::vector<SplatValues>{};
 }
 
 void SplatScene::forget(const std::string& view_id) {
@@ -547,11 +564,9 @@ void SplatScene::forget(const std::string& view_id) {
   paces_.erase(view_id);
   book_.forget(view_id);
   if (software_) software_->forget(view_id);
-  cut_views_.erase(view_id);
-  if (renderer_) {
-    renderer_->forget(view_id);
-    if (cut_views_.empty()) renderer_->dropLevels();
-  }
+  if (!renderer_) return;
+  renderer_->forget(view_id);
+  card_->forget(view_id);
 }
 
 }  // namespace rosplat

@@ -12,15 +12,13 @@
 #include <utility>
 #include <vector>
 
-#include "map/detail.hpp"
 #include "map/edit_queue.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/splat_camera.hpp"
 #include "order/built_in_sorter.hpp"
 #include "order/order.hpp"
 #include "order/order_book.hpp"
-#include "software_renderer.hpp"
-#include "splat_renderer.hpp"
+#include "renderers.hpp"
 
 namespace rosplat {
 
@@ -53,7 +51,10 @@ struct Backlog {
 // touches OpenGL happens in the render thread, in draw() and the reads.
 class SplatScene {
  public:
-  explicit SplatScene(ShaderSource shaders) : shaders_(std::move(shaders)) {}
+  explicit SplatScene(std::shared_ptr<Renderers> renderers) : renderers_(std::move(renderers)) {}
+  // Drawn together with no other.
+  explicit SplatScene(ShaderSource shaders)
+      : SplatScene(std::make_shared<Renderers>(std::move(shaders))) {}
   ~SplatScene();
 
   // Any thread: checks a batch and queues it for the next frame. Throws BatchError.
@@ -99,11 +100,16 @@ class SplatScene {
   };
   static void draw(const std::vector<Part>& parts, Canvas canvas, bool sort_now,
                    const Surroundings& around);
-  // Render thread: whether maps are drawn by the same, and so in one picture.
-  static bool together(const Part& one, const Part& other);
-  // Render thread: after a draw() with translucent objects; see SplatRenderer.
-  void hideFarther() const { software_ ? software_->hideFarther() : renderer_->hideFarther(); }
-  void drawBefore() const { software_ ? software_->drawBefore() : renderer_->drawBefore(); }
+  // Render thread: whether maps that are prepared are drawn by the same, and so in one picture. A
+  // graphics card has to sort for it.
+  static bool together(const SplatScene& one, const SplatScene& other);
+  // Render thread: after a draw() of a view with translucent objects; see SplatRenderer.
+  void hideFarther(const std::string& view_id) const {
+    software_ ? software_->hideFarther() : renderer_->hideFarther(view_id);
+  }
+  void drawBefore(const std::string& view_id) const {
+    software_ ? software_->drawBefore() : renderer_->drawBefore(view_id);
+  }
   // Render thread: what draw() drew last of a view; of no order source before.
   FrameReport report(const std::string& view_id) const;
   // A map where rviz's mouse tools look at a view, or a part of it.
@@ -113,16 +119,17 @@ class SplatScene {
     SplatCamera camera;
     RenderSettings settings;
   };
-  // Render thread: writes where the surface is that a view shows; see SplatRenderer. A graphics
-  // card draws it anew, in the order that it waits for.
-  void drawSurface(const Touched& mine, Canvas canvas, double far_clip);
-  // Render thread: writes a number where splats of this map are seen, among all of the view, as
+  // Render thread: writes where the surface is that a view shows, of all maps that are drawn
+  // together with this one; see SplatRenderer. A graphics card draws it anew, in the order that it
+  // waits for.
+  void drawSurface(const std::vector<Touched>& all, Canvas canvas, double far_clip);
+  // Render thread: writes a number where splats of this map are seen, among all of these, as
   // pick() finds them; see SplatRenderer. A graphics card sorts for it; without one it is where a
   // view shows some.
   void drawPick(const std::vector<Touched>& all, Canvas canvas, std::uint32_t number);
   // Render thread, after drawPick(): which they are. Without a graphics card, they are found
   // beside.
-  Pick pick() { return software_ ? software_->pick(painted_) : Pick(renderer_->readPick()); }
+  Pick pick() { return software_ ? software_->pick(painted_) : Pick(renderer_->readPick(*card_)); }
   // Render thread: the values of slots as they are drawn, in the map's frame.
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
   // Render thread: the map as it is drawn.
@@ -150,7 +157,9 @@ class SplatScene {
   std::size_t mapBytes() const;
   std::size_t levelsBytes() const;  // of what draws the map
   std::size_t hostBytes() const;
-  std::size_t sharedBytes() const;  // of the host, by what draws this and other maps
+  // By what draws this and other maps: of gpuBytes(), and beside hostBytes().
+  std::size_t sharedGpuBytes() const;
+  std::size_t sharedHostBytes() const;
 
  private:
   // What was drawn of a view lately.
@@ -166,15 +175,21 @@ class SplatScene {
   void takeOrders();
   void takeMap();  // as the painter has it by now
   void leavePainter();
-  Cutting cut(const std::string& view_id, const RenderSettings& settings, FrameReport& report);
+  void leaveCard();
+  OrderBook::Choice choose(const std::string& view_id, OrderSource source, bool sort_now);
   ViewedMap viewed(const std::string& view_id, const RenderSettings& settings, bool sort_now,
                    bool alone);
+  static void drawOnCard(const std::vector<Part>& parts, Canvas canvas, bool sort_now,
+                         const Surroundings& around);
   static void drawSoftware(const std::vector<Part>& parts, Canvas canvas, bool sort_now,
                            const Surroundings& around);
   void describe(const Painting& painting, bool exact, const Part& part, FrameReport& report) const;
   void keepPace(const std::string& view_id, FrameReport& report);
   bool sortsOnGpu(OrderSource source);
   OrderPtr sortNow(const SplatCamera& camera);  // for the mouse tools; null: on the graphics card
+  const Touched& own(const std::vector<Touched>& all) const;
+  // Of these, what is drawn together with this one, and that, for the mouse tools.
+  std::vector<CardView> touchedOnCard(const std::vector<Touched>& all);
   void takeArrivals(std::size_t budget);
   void feedSorter();
   OrderPtr unsorted();
@@ -194,20 +209,15 @@ class SplatScene {
   std::atomic<bool> unusable_{false};
 
   // Render thread only.
-  ShaderSource shaders_;
+  std::shared_ptr<Renderers> renderers_;
   std::string upload_error_;
-  std::optional<SplatRenderer> renderer_;
+  std::shared_ptr<SplatRenderer> renderer_;
+  std::shared_ptr<CardMap> card_;
   BuiltInSorter sorter_{pool_, [this] { feedSorter(); }};
   OrderBook book_{sorter_};
   std::map<std::string, SplatCamera> cameras_;
   std::map<std::string, FrameReport> reports_;
   std::map<std::string, Pace> paces_;
-  // Of views that aren't drawn in full, on a card.
-  struct CutView {
-    DetailControl control;
-    SplatCamera camera;  // of the last picture
-  };
-  std::map<std::string, CutView> cut_views_;
   MapState drawn_map_, booked_;
   std::optional<bool> auto_is_software_;
   std::uint64_t surface_sequence_ = 0;

@@ -72,8 +72,7 @@ class LockedMaps {
 bool PaintLayer::operator==(const PaintLayer& o) const {
   return map == o.map && camera == o.camera && camera.ndc_scale == o.camera.ndc_scale &&
          camera.ndc_offset == o.camera.ndc_offset && settings.projectsAs(o.settings) &&
-         settings.depth_range == o.settings.depth_range && order == o.order &&
-         unsorted == o.unsorted && age_tick == o.age_tick;
+         order == o.order && unsorted == o.unsorted && age_tick == o.age_tick;
 }
 
 const PaintLayer* PaintRequest::of(const PaintedMap& map) const {

@@ -152,7 +152,7 @@ bool CpuRasterizer::Work::project(const Slice& slice) {
   return pairs <= kMostPairs;
 }
 
-// Of layers of mode kDepth without a range: that of all that is in the picture of each.
+// Of layers of mode kDepth without a range: that of all that is in the picture of them.
 void CpuRasterizer::Work::findDepthRanges() {
   const auto wants = [](const SeenLayer& layer) {
     const ProjectView& view = layer.project;
@@ -161,18 +161,18 @@ void CpuRasterizer::Work::findDepthRanges() {
   };
   if (std::none_of(layers.begin(), layers.end(), wants)) return;
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
-  std::vector<std::array<float, 2>> ranges(layers.size(), {kInfinity, -kInfinity});
+  std::array<float, 2> range{kInfinity, -kInfinity};
   for (const Slice& slice : waiting) {
     project(slice);
     for (const Part& part : parts) {
       for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
-        std::array<float, 2>& range = ranges[pages[records[i].index / kSlots].layer];
+        if (!wants(layers[pages[records[i].index / kSlots].layer])) continue;
         range = {std::min(range[0], records[i].depth), std::max(range[1], records[i].depth)};
       }
     }
   }
-  for (std::size_t i = 0; i < layers.size(); ++i) {
-    if (wants(layers[i])) std::copy_n(ranges[i].begin(), 2, layers[i].project.depth_range);
+  for (SeenLayer& layer : layers) {
+    if (wants(layer)) std::copy_n(range.begin(), 2, layer.project.depth_range);
   }
 }
 

@@ -56,11 +56,11 @@ void Buffer::zero() {
   glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
 }
 
-void Buffer::copy(const Buffer& from, std::size_t offset, std::size_t bytes) {
+void Buffer::copy(const Buffer& from, std::size_t offset, std::size_t bytes, std::size_t to) {
   glBindBuffer(GL_COPY_READ_BUFFER, from.id());
   glBindBuffer(GL_COPY_WRITE_BUFFER, id());
-  glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset), 0,
-                      static_cast<GLsizeiptr>(bytes));
+  glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
+                      static_cast<GLintptr>(to), static_cast<GLsizeiptr>(bytes));
 }
 
 std::size_t largestStorageBuffer() {
@@ -510,7 +510,7 @@ StateGuard::~StateGuard() {
   glUseProgram(static_cast<GLuint>(program_));
   if (epoxy_gl_version() < 44) return;  // nor was any of the rest bound
   glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, kStorageBindings, nullptr);
-  glBindBufferBase(GL_UNIFORM_BUFFER, 0, 0);
+  for (const GLuint block : {0, 1}) glBindBufferBase(GL_UNIFORM_BUFFER, block, 0);
   glBindImageTextures(0, kImageUnits, nullptr);
   for (const GLenum target :
        {GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, GL_DISPATCH_INDIRECT_BUFFER}) {

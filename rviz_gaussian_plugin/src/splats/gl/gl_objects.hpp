@@ -35,8 +35,8 @@ class Buffer {
   // Waits for the graphics card.
   void read(std::size_t offset, void* data, std::size_t bytes) const;
   void zero();
-  // Begins with a part of another.
-  void copy(const Buffer& from, std::size_t offset, std::size_t bytes);
+  // Has a part of another from a place on.
+  void copy(const Buffer& from, std::size_t offset, std::size_t bytes, std::size_t to = 0);
   // Makes room for so many bytes; what was in it is lost if it grows.
   void reserve(std::size_t bytes);
   // Gives its memory back.

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <vector>
 
 #include "gl/gl_objects.hpp"
 #include "gpu/node_store.hpp"
@@ -13,23 +15,37 @@
 
 namespace rosplat {
 
-// What is drawn, and how.
-struct Frame {
+// A map in a frame, and how it is drawn there.
+struct FrameLayer {
   const SlotStore& store;
-  const NodeStore* nodes;  // of levels of detail; null where there are none
-  const SplatCamera& camera;
+  const NodeStore* nodes;     // of levels of detail; null where there are none
+  const SplatCamera& camera;  // in the map's frame
   const MapState& map;
   const RenderSettings& settings;
-  double error;    // to which nodes stand for splats, 0: all is drawn in full [px]
-  OrderPtr order;  // null: by the sorters' depth and with their ties
-  bool top_first;  // the target's first row is the picture's top
-  double now;      // the clock of `change` in packed_slot.hpp
-  gl::Stopwatch& stopwatch;
+  double error = 0;  // to which nodes stand for splats, 0: all is drawn in full [px]
 
   bool cuts() const { return nodes && error > 0; }
   // seen_from: the camera in the frame of a group, of which this is the origin.
   Cut cut(const SplatCamera& seen_from, const std::array<double, 3>& origin) const {
     return {seen_from, origin, error, drawsBalls(settings.mode)};
+  }
+};
+
+// What is drawn, and how.
+struct Frame {
+  // At least one. Their cameras are one camera: all that differs is the frame that it is in, and
+  // how large splats are. Splats of the same depth come in the order of the layers.
+  std::vector<FrameLayer> layers;
+  OrderPtr order;  // of the one layer that there is then; null: by the sorters' depth and with
+                   // their ties
+  bool top_first;  // the target's first row is the picture's top
+  double now;      // the clock of `change` in packed_slot.hpp
+  gl::Stopwatch& stopwatch;
+
+  const SplatCamera& camera() const { return layers.front().camera; }
+  bool cuts() const {
+    return std::any_of(layers.begin(), layers.end(),
+                       [](const auto& layer) { return layer.cuts(); });
   }
 };
 

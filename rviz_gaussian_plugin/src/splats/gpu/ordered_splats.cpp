@@ -19,23 +19,32 @@ OrderedSplats::OrderedSplats(Shaders& shaders, RadixSort& sort, const Tallies& t
       order_length_(tallies.of(Tallies::kOrder)) {}
 
 bool OrderedSplats::answers(const Frame& frame) const {
-  return kept_ && prepared_.camera == frame.camera &&
-         prepared_.settings.projectsAs(frame.settings) &&
-         prepared_.antialiased == frame.map.antialiased && prepared_.edits == frame.store.edits() &&
-         prepared_.error == frame.error && order_ == frame.order &&
-         frame.settings.mode != DrawMode::kAge;  // which changes with time
+  const auto same = [](const Prepared& prepared, const FrameLayer& layer) {
+    return prepared.camera == layer.camera && prepared.settings.projectsAs(layer.settings) &&
+           prepared.antialiased == layer.map.antialiased &&
+           prepared.version == layer.store.version() && prepared.error == layer.error &&
+           layer.settings.mode != DrawMode::kAge;  // which changes with time
+  };
+  return kept_ && order_ == frame.order &&
+         std::equal(prepared_.begin(), prepared_.end(), frame.layers.begin(), frame.layers.end(),
+                    same);
 }
 
 void OrderedSplats::prepare(const Frame& frame) {
-  prepared_ = {frame.camera, frame.settings, frame.map.antialiased, frame.store.edits(),
-               frame.error};
   kept_ = false;
+  prepared_.clear();
+  std::size_t slots = 0;
+  for (const FrameLayer& layer : frame.layers) {
+    prepared_.push_back(
+        {layer.camera, layer.settings, layer.map.antialiased, layer.store.version(), layer.error});
+    slots += layer.store.slots();
+  }
   if (order_ != frame.order) takeOrder(frame.order);
-  projection_.reserve(std::min(frame.store.slots(), kLeastRoom));
+  projection_.reserve(std::min(slots, kLeastRoom));
   sort_.reserve(projection_.room());
   projection_.run(frame, sort_.keys());
   frame.stopwatch.lap("project");
-  putInOrder(frame.store.capacity());
+  putInOrder(frame.layers.front().store.capacity());
   frame.stopwatch.lap("sort");
 }
 
@@ -73,6 +82,7 @@ bool OrderedSplats::checkRoom(std::size_t most, double growth) {
                nearest = tallies_.wait(Tallies::kDepthRange, 0),
                farthest = tallies_.wait(Tallies::kDepthRange, 1);
   count_ = order_ ? order_->slots.size() : visible;
+  counts_ = projection_.visibleOf(count_);
   bool enough = true;
   if (visible > projection_.room()) {
     projection_.reserve(std::min(withSlack(visible, growth), most));

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
@@ -13,8 +14,8 @@
 
 namespace rosplat {
 
-// What a camera sees of a map, projected, and in the order in which it is drawn: a given one, or
-// one that is found here. It stays while camera, map, settings and order do.
+// What a camera sees of maps, projected, and in the order in which it is drawn: a given one, or
+// one that is found here. It stays while camera, maps, settings and order do.
 class OrderedSplats {
  public:
   // The sort may be one that others use too.
@@ -34,17 +35,18 @@ class OrderedSplats {
   // How many: what the graphics card knows, what was counted last, and at most.
   const Tally& tally() const { return order_ ? order_length_ : projection_.visible(); }
   std::size_t count() const { return count_; }
+  const std::vector<std::size_t>& countsOfLayers() const { return counts_; }
   std::size_t most() const { return order_ ? order_->slots.size() : projection_.room(); }
   std::size_t bytes() const;
 
  private:
-  // What the projected, ordered splats answer.
+  // What the projected, ordered splats answer, of a layer.
   struct Prepared {
     SplatCamera camera;
     RenderSettings settings;
-    bool antialiased = false;
-    std::uint64_t edits = 0;  // of the store
-    double error = 0;
+    bool antialiased;
+    std::uint64_t version;  // of the store
+    double error;
   };
 
   void takeOrder(const OrderPtr& order);
@@ -57,10 +59,11 @@ class OrderedSplats {
   OrderPtr order_;      // farthest first; null: what is visible is sorted here
   gl::Buffer slots_;    // of the order
   Tally order_length_;  // the same
-  Prepared prepared_;
+  std::vector<Prepared> prepared_;
   bool kept_ = false;  // prepared_ is whole
   gl::Buffer page_numbers_, drawn_;
   std::size_t count_ = 0;
+  std::vector<std::size_t> counts_;
   int key_bits_ = 32;       // by which depths are sorted
   int fewer_bits_for_ = 0;  // frames for which fewer would have done
 };

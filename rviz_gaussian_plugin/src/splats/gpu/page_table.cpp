@@ -1,6 +1,6 @@
 #include "gpu/page_table.hpp"
 
-#include <utility>
+#include <algorithm>
 
 #include "map/cut.hpp"
 
@@ -20,28 +20,66 @@ void forEach(const Shown& shown, const PageShelf& shelf, const Take& take) {
 
 }  // namespace
 
-void PageTable::keep(const Frame& frame, const std::vector<SeenGroup>& groups) {
-  const SlotStore& store = frame.store;
-  const std::size_t slot_arenas = store.arenas().size();
-  const auto arenaOf = [&](std::size_t arena) {
-    return arena < slot_arenas ? &store.arenas()[arena]
-                               : &frame.nodes->arenas()[arena - slot_arenas];
-  };
+void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup>>& groups) {
   first_slots_.clear();
   kept_.clear();
-  const auto keep = [this](const SlotPage& page, SlotArenas::Place place, std::uint32_t level) {
+  ranges_.clear();
+  layer_begins_.clear();
+  std::size_t first_group = 0;
+  for (std::size_t layer = 0; layer < frame.layers.size(); ++layer) {
+    const auto add = [&](const std::vector<SlotArenas::Arena>& arenas) {
+      for (const SlotArenas::Arena& arena : arenas) ranges_.push_back({&arena, layer, 0, 0});
+    };
+    layer_begins_.push_back(kept_.size());
+    const std::size_t first_arena = ranges_.size();
+    add(frame.layers[layer].store.arenas());
+    if (frame.layers[layer].cuts()) add(frame.layers[layer].nodes->arenas());
+    keep(frame.layers[layer], groups[layer], first_arena, first_group);
+    first_group += groups[layer].size();
+  }
+  layer_begins_.push_back(kept_.size());
+
+  // By arena: how many, then where the next one goes.
+  for (const Kept& page : kept_) ++ranges_[page.place.arena].count;
+  std::vector<std::size_t> next;
+  std::size_t first = 0;
+  for (Range& range : ranges_) {
+    range.first = first;
+    next.push_back(first);
+    first += range.count;
+  }
+  entries_.resize(kept_.size());
+  for (std::size_t number = 0; number < kept_.size(); ++number) {
+    const Kept& page = kept_[number];
+    entries_[next[page.place.arena]++] = {static_cast<std::uint32_t>(number), page.place.page,
+                                          page.group, page.level};
+  }
+  ranges_.erase(std::remove_if(ranges_.begin(), ranges_.end(),
+                               [](const Range& range) { return range.count == 0; }),
+                ranges_.end());
+  if (entries_ == uploaded_ || entries_.empty()) return;
+  table_.upload(entries_);
+  uploaded_ = entries_;
+}
+
+void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& groups,
+                     std::size_t first_arena, std::size_t first_group) {
+  const SlotStore& store = layer.store;
+  const auto keep = [&](const SlotPage& page, SlotArenas::Place place, std::size_t arenas,
+                        std::uint32_t level) {
+    place.arena += static_cast<std::uint32_t>(arenas);
     first_slots_.push_back(page.first_slot);
-    kept_.push_back({place, page.group, level});
+    kept_.push_back({place, static_cast<std::uint32_t>(first_group + page.group), level});
   };
   std::vector<Cut> cuts;
-  for (std::size_t group = 0; frame.cuts() && group < groups.size(); ++group) {
-    cuts.push_back(frame.cut(groups[group].camera, store.pages().groups()[group].originOrZero()));
+  for (std::size_t group = 0; layer.cuts() && group < groups.size(); ++group) {
+    cuts.push_back(layer.cut(groups[group].camera, store.pages().groups()[group].originOrZero()));
   }
   // own: of nodes' cells, 0 of slots. [m]
   const auto forEachShown = [&](const PageShelf& shelf, float own, const auto& take) {
     const PageView& view = groups[shelf.bounds.group].pages;
     if (!view.mayShow(shelf.bounds)) return;
-    if (!frame.cuts()) return forEach(view.mayShow(shelf.pages), shelf, take);
+    if (!layer.cuts()) return forEach(view.mayShow(shelf.pages), shelf, take);
     const Cut& cut = cuts[shelf.bounds.group];
     if (!cut.mayShow(shelf.bounds, own, shelf.widest_parent)) return;
     const auto in_cut = cut.mayShow(shelf.pages, own, shelf.parents);
@@ -52,41 +90,21 @@ void PageTable::keep(const Frame& frame, const std::vector<SeenGroup>& groups) {
   for (const PageShelf& shelf : store.shelves()) {
     forEachShown(shelf, 0, [&](std::size_t i) {
       const SlotPage& page = store.pages().pages()[i];
-      if (store.holds(page)) keep(page, store.placeOf(page), kOfSlots);
+      if (store.holds(page)) keep(page, store.placeOf(page), first_arena, kOfSlots);
     });
   }
-  for (int number = 0; frame.cuts() && number < kLevels; ++number) {
-    for (const NodeStore::OfGroup& nodes : frame.nodes->groups()) {
+  const std::size_t first_of_nodes = first_arena + store.arenas().size();
+  for (int number = 0; layer.cuts() && number < kLevels; ++number) {
+    for (const NodeStore::OfGroup& nodes : layer.nodes->groups()) {
       const NodeStore::Level& level = nodes[std::size_t(number)];
       for (const PageShelf& shelf : level.shelves) {
         forEachShown(shelf, cellSize(number), [&](std::size_t i) {
-          SlotArenas::Place place = frame.nodes->placeOf(level.pages[i]);
-          place.arena += static_cast<std::uint32_t>(slot_arenas);
-          keep(level.pages[i], place, static_cast<std::uint32_t>(number));
+          keep(level.pages[i], layer.nodes->placeOf(level.pages[i]), first_of_nodes,
+               static_cast<std::uint32_t>(number));
         });
       }
     }
   }
-
-  // By arena: how many, then where the next one goes.
-  std::vector<std::size_t> next(slot_arenas + (frame.cuts() ? frame.nodes->arenas().size() : 0));
-  for (const Kept& page : kept_) ++next[page.place.arena];
-  ranges_.clear();
-  std::size_t first = 0;
-  for (std::size_t arena = 0; arena < next.size(); ++arena) {
-    const std::size_t count = std::exchange(next[arena], first);
-    if (count > 0) ranges_.push_back({arenaOf(arena), first, count});
-    first += count;
-  }
-  entries_.resize(kept_.size());
-  for (std::size_t number = 0; number < kept_.size(); ++number) {
-    const Kept& page = kept_[number];
-    entries_[next[page.place.arena]++] = {static_cast<std::uint32_t>(number), page.place.page,
-                                          page.group, page.level};
-  }
-  if (entries_ == uploaded_ || entries_.empty()) return;
-  table_.upload(entries_);
-  uploaded_ = entries_;
 }
 
 std::vector<std::uint32_t> PageTable::numbers(std::uint32_t capacity) const {

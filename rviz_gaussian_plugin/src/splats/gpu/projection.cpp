@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "gpu/view_block.hpp"
 #include "map/seen_group.hpp"
 
 namespace rosplat {
@@ -23,11 +24,12 @@ void bindLevels(const gl::Program& program, const SlotArenas::Arena& arena) {
 }  // namespace
 
 Projection::Projection(Shaders& shaders, const Tallies& tallies)
-    : cull_(shaders.compute({"splat_slot.glsl", "splat_groups.glsl", "splat_pages.glsl",
-                             "splat_cut.glsl", "splat_visible.glsl", "splat_cull.comp"})),
-      project_(shaders.compute({"splat_slot.glsl", "splat_groups.glsl", "splat_pages.glsl",
-                                "splat_cut.glsl", "splat_visible.glsl", "splat_ellipses.glsl",
-                                "splat_tiles.glsl", "splat_project.comp"})),
+    : cull_(shaders.compute({"splat_map.glsl", "splat_slot.glsl", "splat_groups.glsl",
+                             "splat_pages.glsl", "splat_cut.glsl", "splat_visible.glsl",
+                             "splat_cull.comp"})),
+      project_(shaders.compute({"splat_map.glsl", "splat_slot.glsl", "splat_groups.glsl",
+                                "splat_pages.glsl", "splat_cut.glsl", "splat_visible.glsl",
+                                "splat_ellipses.glsl", "splat_tiles.glsl", "splat_project.comp"})),
       prefix_sum_(shaders),
       part_size_(shaders.partSize()),
       words_(tallies.of(Tallies::kSlotWords)),
@@ -51,19 +53,26 @@ void Projection::reserve(std::size_t count) {
 }
 
 void Projection::run(const Frame& frame, const gl::Buffer& keys) {
-  const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> no_range{~0u};
+  const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> no_range{~0u, 0, ~0u, 0};
   depth_range_.write(no_range.data());
-  const std::vector<SeenGroup> groups =
-      seenGroups(frame.camera, frame.store.pages().groups(), frame.settings.clip_box);
+  std::vector<std::vector<SeenGroup>> groups;
+  std::vector<GroupView> views;
+  std::vector<MapBlock> maps;
+  for (const FrameLayer& layer : frame.layers) {
+    groups.push_back(
+        seenGroups(layer.camera, layer.store.pages().groups(), layer.settings.clip_box));
+    for (const SeenGroup& group : groups.back()) views.push_back(group.floats);
+    maps.emplace_back(layer);
+  }
   pages_.keep(frame, groups);
   if (pages_.count() == 0) {
     visible_count_.set(0);
     return;
   }
-  std::vector<GroupView> views;
-  for (const SeenGroup& group : groups) views.push_back(group.floats);
   groups_.upload(views);
+  maps_.upload(maps);
   cull();
+  if (frame.layers.size() > 1) askForLayers();
   glFlush();  // the graphics card begins while the rest is submitted
   project(frame, keys);
 }
@@ -79,6 +88,7 @@ void Projection::cull() {
   cull_.bind("Groups", groups_);
   cull_.bind("Pages", pages_.table());
   for (const PageTable::Range& range : pages_.ranges()) {
+    bindMap(range);
     cull_.bind("Slots", range.arena->slots);
     bindLevels(cull_, *range.arena);
     cull_.set("first_entry", static_cast<GLuint>(range.first));
@@ -87,6 +97,42 @@ void Projection::cull() {
   gl::storageBarrier();
   visible_count_.forget();
   prefix_sum_.run(before_, words_, visible_count_, room_);
+}
+
+// As soon as they are known, so that nobody waits for what comes next.
+void Projection::askForLayers() {
+  const std::vector<std::size_t>& begins = pages_.layerBegins();
+  const std::size_t layers = begins.size() - 1;
+  if (visible_before_.bytes() != layers * sizeof(GLuint)) {
+    visible_before_ = gl::Buffer(layers * sizeof(GLuint), GL_DYNAMIC_COPY);
+    visible_before_copy_.emplace(layers);
+  }
+  constexpr std::size_t kPageWords = SlotPage::kSlots / 32;
+  for (std::size_t layer = 0; layer < layers && begins[layer] < begins.back(); ++layer) {
+    visible_before_.copy(before_, begins[layer] * kPageWords * sizeof(GLuint), sizeof(GLuint),
+                         layer * sizeof(GLuint));
+  }
+  visible_before_copy_->ask(visible_before_);
+}
+
+std::vector<std::size_t> Projection::visibleOf(std::size_t visible) const {
+  const std::vector<std::size_t>& begins = pages_.layerBegins();
+  std::vector<std::size_t> counts(begins.size() - 1);
+  const bool several = counts.size() > 1 && pages_.count() > 0;
+  const GLuint* const before = several ? visible_before_copy_->wait() : nullptr;
+  // From the last: what comes after it is all.
+  for (std::size_t layer = counts.size(), end = visible; layer-- > 0;) {
+    const bool any = begins[layer] < begins.back();
+    const std::size_t begin = !any ? end : several ? before[layer] : 0;
+    counts[layer] = end - begin;
+    end = begin;
+  }
+  return counts;
+}
+
+void Projection::bindMap(const PageTable::Range& range) const {
+  glBindBufferRange(GL_UNIFORM_BUFFER, 1, maps_.id(),
+                    static_cast<GLintptr>(range.layer * sizeof(MapBlock)), sizeof(MapBlock));
 }
 
 void Projection::project(const Frame& frame, const gl::Buffer& keys) {
@@ -103,20 +149,21 @@ void Projection::project(const Frame& frame, const gl::Buffer& keys) {
   project_.bind("Boxes", boxes_);
   project_.bind("Groups", groups_);
   project_.bind("Pages", pages_.table());
-  const RenderSettings& settings = frame.settings;
-  const std::size_t channel = settings.mode == DrawMode::kChannel
-                                  ? colouringOf(frame.map.channels, settings).channel
-                                  : kMostChannels;
   for (const PageTable::Range& range : pages_.ranges()) {
+    const FrameLayer& layer = frame.layers[range.layer];
+    bindMap(range);
     project_.bind("Slots", range.arena->slots);
     bindLevels(project_, *range.arena);
     for (int band = 1; band <= kMaxShDegree; ++band) {
       // What isn't there isn't read, but something must be bound.
       project_.bind(kBands[band],
-                    band <= frame.store.shDegree() ? range.arena->bands[band] : range.arena->slots);
+                    band <= layer.store.shDegree() ? range.arena->bands[band] : range.arena->slots);
     }
-    if (channel < frame.store.channels()) {
-      project_.bind(kBands[1], range.arena->channels[channel]);
+    if (layer.settings.mode == DrawMode::kChannel) {
+      const std::size_t channel = colouringOf(layer.map.channels, layer.settings).channel;
+      if (channel < layer.store.channels()) {
+        project_.bind(kBands[1], range.arena->channels[channel]);
+      }
     }
     project_.set("first_entry", static_cast<GLuint>(range.first));
     gl::dispatchInvocations(range.count * SlotPage::kSlots);
@@ -136,8 +183,8 @@ void Projection::bindVisible(const gl::Program& program) const {
 }
 
 std::size_t Projection::bytes() const {
-  std::size_t bytes = pages_.bytes() + groups_.bytes() + visible_.bytes() + before_.bytes() +
-                      boxes_.bytes() + prefix_sum_.bytes();
+  std::size_t bytes = pages_.bytes() + groups_.bytes() + maps_.bytes() + visible_.bytes() +
+                      before_.bytes() + boxes_.bytes() + prefix_sum_.bytes();
   for (const gl::Buffer& part : ellipses_) bytes += part.bytes();
   return bytes;
 }

@@ -2,6 +2,8 @@
 
 #include <array>
 #include <cstddef>
+#include <optional>
+#include <vector>
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
@@ -12,9 +14,9 @@
 
 namespace rosplat {
 
-// What the camera sees of a map: the slots that may be visible are found, counted and projected to
-// ellipses that lie one after the other, in the order of their slots. Only the graphics card knows
-// how many; of more than there is room for, the last are left out.
+// What the camera sees of maps: the slots that may be visible are found, counted and projected to
+// ellipses that lie one after the other, map by map in the order of their slots. Only the graphics
+// card knows how many; of more than there is room for, the last are left out.
 class Projection {
  public:
   Projection(Shaders& shaders, const Tallies& tallies);
@@ -27,6 +29,8 @@ class Projection {
   void run(const Frame& frame, const gl::Buffer& keys);
 
   const Tally& visible() const { return visible_count_; }
+  // How many of all that are visible, and what of several layers, each shows: waits for them.
+  std::vector<std::size_t> visibleOf(std::size_t visible) const;
   // As splat_ellipses.glsl and splat_visible.glsl have them.
   void bindEllipses(const gl::Program& program) const;
   void bindVisible(const gl::Program& program) const;
@@ -43,15 +47,20 @@ class Projection {
 
  private:
   void cull();
+  void askForLayers();
   void project(const Frame& frame, const gl::Buffer& keys);
+  void bindMap(const PageTable::Range& range) const;
 
   PageTable pages_;
   const gl::Program &cull_, &project_;
   PrefixSum prefix_sum_;
   std::size_t part_size_;
-  gl::Buffer groups_;  // as splat_groups.glsl has them
+  gl::Buffer groups_, maps_;  // as splat_groups.glsl and splat_map.glsl have them
   gl::Buffer visible_, before_;
   Tally words_, visible_count_;
+  // Of several layers: how many splats are visible before each.
+  gl::Buffer visible_before_;
+  std::optional<gl::Readback> visible_before_copy_;
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
   gl::Buffer boxes_;
   std::size_t shares_begin_ = 0;  // in these [bytes]

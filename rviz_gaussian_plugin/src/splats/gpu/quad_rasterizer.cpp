@@ -7,10 +7,12 @@
 namespace rosplat {
 
 QuadRasterizer::QuadRasterizer(Shaders& shaders)
-    : quads_(shaders.draw({"splat_ellipses.glsl", "splat_depth.glsl", "splat_quad.vert"},
-                          {"splat_quad.frag"})),
-      quads_behind_(shaders.draw({"splat_ellipses.glsl", "splat_depth.glsl", "splat_quad.vert"},
-                                 {"splat_behind.glsl", "splat_quad.frag"})),
+    : quads_(shaders.draw(
+          {"splat_ellipses.glsl", "splat_depth.glsl", "splat_colour.glsl", "splat_quad.vert"},
+          {"splat_quad.frag"})),
+      quads_behind_(shaders.draw(
+          {"splat_ellipses.glsl", "splat_depth.glsl", "splat_colour.glsl", "splat_quad.vert"},
+          {"splat_behind.glsl", "splat_quad.frag"})),
       tile_depth_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_depth.comp"})),
       divide_(shaders.compute(
           {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "splat_divide.comp"})) {}

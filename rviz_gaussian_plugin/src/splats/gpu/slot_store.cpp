@@ -1,6 +1,7 @@
 #include "gpu/slot_store.hpp"
 
 #include <algorithm>
+#include <atomic>
 
 namespace rosplat {
 
@@ -10,8 +11,13 @@ constexpr std::size_t kWord = sizeof(std::uint32_t);
 
 }  // namespace
 
+void SlotStore::change() {
+  static std::atomic<std::uint64_t> versions{0};
+  version_ = ++versions;
+}
+
 void SlotStore::apply(const GaussianEdit& edit, double now) {
-  ++edits_;
+  change();
   if (edit.clear) {
     arenas_.clear();
     held_.clear();
@@ -141,9 +147,9 @@ PackedRun SlotStore::read(std::size_t first, std::size_t most) const {
 }
 
 const std::vector<PageShelf>& SlotStore::shelves() const {
-  if (shelved_ != edits_) {
+  if (shelved_ != version_) {
     shelves_ = shelve(pages_.pages(), [this](const SlotPage& page) { return widestParent(page); });
-    shelved_ = edits_;
+    shelved_ = version_;
   }
   return shelves_;
 }
@@ -151,7 +157,7 @@ const std::vector<PageShelf>& SlotStore::shelves() const {
 void SlotStore::setLevels(std::uint32_t first_slot, const EntryLevels& levels) {
   const SlotPage* const page = pages_.find(first_slot);
   if (!page || !holds(*page)) return;
-  ++edits_;
+  change();
   arenas_.addLevels();
   coarsest_.resize(pages_.pages().size(), kNoLevel);
   coarsest_[page->place] = *std::max_element(levels.begin(), levels.end());
@@ -161,7 +167,7 @@ void SlotStore::setLevels(std::uint32_t first_slot, const EntryLevels& levels) {
 }
 
 void SlotStore::dropLevels() {
-  ++edits_;
+  change();
   arenas_.dropLevels();
   coarsest_.clear();
 }

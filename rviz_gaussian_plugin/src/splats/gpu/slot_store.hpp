@@ -53,7 +53,8 @@ class SlotStore {
   }
   int shDegree() const { return arenas_.shDegree(); }
   std::size_t channels() const { return arenas_.channels(); }  // that there are values of
-  std::uint64_t edits() const { return edits_; }               // so far
+  // Of what is in it: no two stores ever have the same, unless they are empty.
+  std::uint64_t version() const { return version_; }
   std::size_t bytes() const { return arenas_.bytes(); }
 
  private:
@@ -63,6 +64,7 @@ class SlotStore {
     std::size_t first, source, count;
   };
 
+  void change();
   void empty(const SlotPage& page);
   std::vector<Piece> pieces(const GaussianEdit& edit);
   void write(const GaussianEdit& edit, const Piece& piece, std::uint32_t change);
@@ -72,8 +74,8 @@ class SlotStore {
   std::vector<bool> held_;              // by a page's place
   std::vector<std::uint8_t> coarsest_;  // the highest level of a page's slots, if there are any
   std::uint32_t capacity_ = 0;
-  std::uint64_t edits_ = 0;
-  mutable std::vector<PageShelf> shelves_;  // after so many edits:
+  std::uint64_t version_ = 0;
+  mutable std::vector<PageShelf> shelves_;  // of the version:
   mutable std::uint64_t shelved_ = 0;
   std::vector<std::uint32_t> staged_;
 };

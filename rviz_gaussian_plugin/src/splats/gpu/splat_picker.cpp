@@ -16,14 +16,14 @@ void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
   height_ = static_cast<std::size_t>(target.height());
   top_first_ = top_first;
   const std::vector<std::uint32_t> nothing(width_ * height_, kNoSlot);
+  first_slots_ = splats.projection().pages().firstSlots();
+  layer_begins_ = splats.projection().pages().layerBegins();
   picked_.reserve(nothing.size() * sizeof(std::uint32_t));
   picked_.write(0, nothing.data(), nothing.size() * sizeof(std::uint32_t));
   if (splats.count() == 0) return;
   pick_.use();
   splats.projection().bindEllipses(pick_);
   splats.projection().bindVisible(pick_);
-  first_slots_.upload(splats.projection().pages().firstSlots());
-  pick_.bind("FirstSlots", first_slots_);
   pick_.set("words", static_cast<GLuint>(splats.projection().slotWords()));
   pick_.set("listed", int(lists != nullptr));
   pick_.bind("Splats", lists ? lists->splats() : splats.drawn());
@@ -36,23 +36,39 @@ void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
   gl::storageBarrier();
 }
 
-void SplatPicker::draw(const CanvasScope& canvas, const gl::Target& target,
+std::array<std::uint32_t, 2> SplatPicker::numbersOf(std::size_t layer) const {
+  if (layer + 1 >= layer_begins_.size()) return {0, 0};
+  const auto number = [this](std::size_t page) {
+    return static_cast<std::uint32_t>(page * SlotPage::kSlots);
+  };
+  return {number(layer_begins_[layer]), number(layer_begins_[layer + 1])};
+}
+
+void SplatPicker::draw(const CanvasScope& canvas, const gl::Target& target, std::size_t layer,
                        std::uint32_t number) const {
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   colour_.use();
   colour_.set("width", target.width());
+  const auto [first, end] = numbersOf(layer);
+  colour_.set("first_mine", first);
+  colour_.set("end_mine", end);
   colour_.set("number", number);
   colour_.bind("Picked", picked_);
   canvas.layOver(colour_, target);
 }
 
-std::vector<std::uint32_t> SplatPicker::read() const {
+std::vector<std::uint32_t> SplatPicker::read(std::size_t layer) const {
   std::vector<std::uint32_t> slots(width_ * height_);
   for (std::size_t i = 0; i < height_; ++i) {
     const std::size_t row = top_first_ ? i : height_ - 1 - i;
     picked_.read(row * width_ * sizeof(std::uint32_t), &slots[i * width_],
                  width_ * sizeof(std::uint32_t));
+  }
+  const auto [first, end] = numbersOf(layer);
+  for (std::uint32_t& slot : slots) {
+    const bool mine = slot >= first && slot < end;
+    slot = mine ? first_slots_[slot / SlotPage::kSlots] + slot % SlotPage::kSlots : kNoSlot;
   }
   return slots;
 }

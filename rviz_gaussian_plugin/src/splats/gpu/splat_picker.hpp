@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -21,17 +22,23 @@ class SplatPicker {
   // tiles: without, each tile walks all of them.
   void pick(const OrderedSplats& splats, const TileRasterizer* lists, const gl::Target& target,
             bool top_first);
-  // Writes a number as 24-bit colour wherever there is a splat.
-  void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t number) const;
-  // width * height slots, top row first; kNoSlot where there is none.
-  std::vector<std::uint32_t> read() const;
+  // Writes a number as 24-bit colour wherever there is a splat of a layer.
+  void draw(const CanvasScope& canvas, const gl::Target& target, std::size_t layer,
+            std::uint32_t number) const;
+  // width * height slots of a layer, top row first; kNoSlot where there is none.
+  std::vector<std::uint32_t> read(std::size_t layer) const;
 
-  std::size_t bytes() const { return picked_.bytes() + first_slots_.bytes(); }
+  std::size_t bytes() const { return picked_.bytes(); }
 
  private:
+  // Numbers of a layer's first slot, and one past its last.
+  std::array<std::uint32_t, 2> numbersOf(std::size_t layer) const;
+
   const gl::Program &pick_, &colour_;
-  gl::Buffer picked_;       // slots
-  gl::Buffer first_slots_;  // of the pages kept
+  gl::Buffer picked_;  // numbers of slots, as PageTable has them
+  // The same of that.
+  std::vector<std::uint32_t> first_slots_;
+  std::vector<std::size_t> layer_begins_;
   std::size_t width_ = 0, height_ = 0;
   bool top_first_ = false;
 };

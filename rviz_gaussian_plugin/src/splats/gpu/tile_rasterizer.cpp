@@ -21,15 +21,16 @@ TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies&
       list_(shaders.compute(
           {"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl", "tile_list.comp"})),
       ranges_(shaders.compute({"tile_ranges.comp"})),
-      blend_(shaders.compute(
-          {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "tile_blend.comp"})),
-      blend_divided_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
-                                      "splat_behind.glsl", "tile_blend.comp"})),
-      blend_shares_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
-                                     "splat_shares.glsl", "tile_blend.comp"})),
-      blend_shares_divided_(
+      blend_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
+                              "splat_colour.glsl", "tile_blend.comp"})),
+      blend_divided_(
           shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
-                           "splat_shares.glsl", "splat_behind.glsl", "tile_blend.comp"})),
+                           "splat_colour.glsl", "splat_behind.glsl", "tile_blend.comp"})),
+      blend_shares_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
+                                     "splat_colour.glsl", "splat_shares.glsl", "tile_blend.comp"})),
+      blend_shares_divided_(shaders.compute(
+          {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "splat_colour.glsl",
+           "splat_shares.glsl", "splat_behind.glsl", "tile_blend.comp"})),
       prefix_sum_(shaders),
       sort_(sort),
       pair_count_(tallies.of(Tallies::kPairs)),

@@ -13,50 +13,64 @@ std::array<float, 2> floats(double x, double y) {
   return {static_cast<float>(x), static_cast<float>(y)};
 }
 
+// What splats are blended as, as splat_common.glsl numbers it.
+std::uint32_t kindOf(const RenderSettings& settings) {
+  constexpr std::uint32_t kGaussian = 0, kFlat = 1, kShaded = 2, kByDepth = 3;
+  if (settings.mode == DrawMode::kFlatBall) return kFlat;
+  if (settings.mode == DrawMode::kGaussianBall) return kShaded;
+  const bool ranges = settings.depth_range[1] > settings.depth_range[0];
+  return settings.mode == DrawMode::kDepth && !ranges ? kByDepth : kGaussian;
+}
+
 }  // namespace
 
 ViewBlock::ViewBlock(const Frame& frame) {
-  const SplatCamera& camera = frame.camera;
-  const RenderSettings& settings = frame.settings;
-  const MapState& map = frame.map;
+  const SplatCamera& camera = frame.camera();
   const rosplat_sorter::View view = sorterView(camera, {}, 1.0);  // where groups are is their own
-  orthographic = view.orthographic;
   clip = {view.near_clip, view.far_clip};
   focal = {view.fx, view.fy};
   offset = {view.offset_x, view.offset_y};
   half_size = {view.half_width, view.half_height};
-  slope = {view.slope_x, view.slope_y};
-  clip_to_box = settings.clip_box.enabled;
-  box_size = settings.clip_box.size;
   principal_point = floats(camera.cx, camera.cy);
   const SplatCamera::Whole whole = camera.whole();
   whole_principal_point = floats(whole.cx, whole.cy);
   whole_picture = floats(whole.width, whole.height);
+  ndc_depth = floats(camera.ndc_scale, camera.ndc_offset);
   picture = {camera.width, camera.height};
   tiles = {tilesIn(camera.width), tilesIn(camera.height)};
-  ndc_depth = floats(camera.ndc_scale, camera.ndc_offset);
-  mode = static_cast<int>(settings.mode);
+  orthographic = view.orthographic;
+  top_first = frame.top_first;
+  cut = frame.cuts();
+  now = static_cast<float>(frame.now);
+}
+
+MapBlock::MapBlock(const FrameLayer& layer) {
+  const RenderSettings& settings = layer.settings;
+  const rosplat_sorter::View view = sorterView(layer.camera, {}, 1.0);
+  box_size = settings.clip_box.size;
+  clip_to_box = settings.clip_box.enabled;
+  slope = {view.slope_x, view.slope_y};
   depth_range = settings.depth_range;
+  mode = static_cast<int>(settings.mode);
+  kind = kindOf(settings);
+  near_fade = settings.near_fade;
   scale_modifier = settings.scale;
   opacity_modifier = settings.opacity;
-  near_fade = settings.near_fade;
-  sh_degree = std::min(frame.store.shDegree(), settings.max_sh_degree);
+  sh_degree = std::min(layer.store.shDegree(), settings.max_sh_degree);
   only_band = settings.only_band;
   antialiased = settings.antialiasing == Antialiasing::kAsTrained
-                    ? map.antialiased
+                    ? layer.map.antialiased
                     : settings.antialiasing == Antialiasing::kOn;
-  top_first = frame.top_first;
-  now = static_cast<float>(frame.now);
   age_range = settings.age_range;
-  const ChannelColouring channel = colouringOf(map.channels, settings);
+  const Cut shares = layer.cut(layer.camera, {});
+  cut = layer.cuts();
+  cut_focal = static_cast<float>(shares.focal);
+  rise = floats(shares.from, layer.cuts() ? 1 / (shares.to - shares.from) : 0);
+  const ChannelColouring channel = colouringOf(layer.map.channels, settings);
   channel_least = channel.least;
   channel_most = channel.most;
   channel_per_range = channel.per_range;
-  channel_colours = channel.channel < frame.store.channels() ? channel.kind : 0;
-  const Cut shares = frame.cut(camera, {});
-  cut = frame.cuts();
-  cut_focal = static_cast<float>(shares.focal);
-  rise = floats(shares.from, frame.cuts() ? 1 / (shares.to - shares.from) : 0);
+  channel_colours = channel.channel < layer.store.channels() ? channel.kind : 0;
 }
 
 }  // namespace rosplat

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 
+#include "gl/gl_objects.hpp"
 #include "gpu/frame.hpp"
 
 namespace rosplat {
@@ -13,22 +14,31 @@ struct ViewBlock {
 
   using Flag = std::uint32_t;
 
+  std::array<float, 2> clip, focal, offset, half_size, principal_point;
+  std::array<float, 2> whole_principal_point, whole_picture, ndc_depth;
+  std::array<std::int32_t, 2> picture, tiles;
+  Flag orthographic, top_first, cut;
+  float now;
+};
+
+// What those of a map share, as splat_map.glsl has it (std140).
+struct alignas(gl::Slice::kAlignment) MapBlock {
+  explicit MapBlock(const FrameLayer& layer);
+
+  using Flag = std::uint32_t;
+
   std::array<float, 3> box_size;
   Flag clip_to_box;
-  Flag orthographic;
+  std::array<float, 2> slope, depth_range, rise;
   std::int32_t mode;
+  std::uint32_t kind;
   float near_fade;
-  float unused = 0;
-  std::array<float, 2> clip, focal, offset, half_size, slope, principal_point;
-  std::array<float, 2> whole_principal_point, whole_picture;
-  std::array<std::int32_t, 2> picture, tiles;
-  std::array<float, 2> ndc_depth, depth_range, rise;
   float scale_modifier, opacity_modifier;
   std::int32_t sh_degree, only_band;
-  Flag antialiased, top_first;
-  float now, age_range;
-  float cut_focal;
+  Flag antialiased;
+  float age_range;
   Flag cut;
+  float cut_focal;
   float channel_least, channel_most, channel_per_range;
   std::int32_t channel_colours;
 };

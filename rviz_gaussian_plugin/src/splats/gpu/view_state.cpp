@@ -27,7 +27,7 @@ bool ViewState::prepare(const Frame& frame) {
 }
 
 bool ViewState::list(const Frame& frame) {
-  const int width = frame.camera.width, height = frame.camera.height;
+  const int width = frame.camera().width, height = frame.camera().height;
   if (tiles_.refused(width, height)) return false;
   if (tiles_.listed(width, height)) return true;
   if (!tiles_.count(splats_, width, height)) return false;
@@ -68,12 +68,16 @@ bool ViewState::hasRoom(const Frame& frame) {
   if (!asked_) return true;
   asked_ = false;
   // What is still to come will be as visible as what is there; but not all comes that is announced.
-  const std::size_t expected = frame.map.expected, capacity = frame.store.capacity();
+  std::size_t expected = 0, capacity = 0, most = 0;
+  for (const FrameLayer& layer : frame.layers) {
+    const auto announced = std::min<std::size_t>(layer.map.expected, kMaxSlots);
+    expected += announced;
+    capacity += layer.store.capacity();
+    most += std::max(layer.store.slots(), announced) + (layer.cuts() ? layer.nodes->slots() : 0);
+  }
   const double growth =
       std::clamp(double(expected) / double(std::max<std::size_t>(1, capacity)), 1.0, 4.0);
-  const std::size_t slots =
-      std::max<std::size_t>(frame.store.slots(), std::min<std::size_t>(expected, kMaxSlots));
-  bool enough = splats_.checkRoom(slots + (frame.cuts() ? frame.nodes->slots() : 0), growth);
+  bool enough = splats_.checkRoom(most, growth);
   if (listed_) {
     const std::size_t pairs = tallies_.wait(Tallies::kPairs, Tally::kWanted);
     enough = tiles_.checkRoom(pairs, growth) && enough;

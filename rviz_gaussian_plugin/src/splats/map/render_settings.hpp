@@ -91,7 +91,7 @@ struct RenderSettings {
   Detail detail;
   ClipBox clip_box;
   float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
-  std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest drawn
+  std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest so drawn
   float age_range = 10;                // of kAge [s]
   std::string channel;                 // of kChannel; empty: the map's first
   ChannelColours channel_colours = ChannelColours::kAuto;
@@ -102,8 +102,9 @@ struct RenderSettings {
     return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
            scale == o.scale && opacity == o.opacity && antialiasing == o.antialiasing &&
            clip_box == o.clip_box && near_fade == o.near_fade && age_range == o.age_range &&
-           channel == o.channel && channel_colours == o.channel_colours &&
-           channel_range == o.channel_range && detail == o.detail;
+           depth_range == o.depth_range && channel == o.channel &&
+           channel_colours == o.channel_colours && channel_range == o.channel_range &&
+           detail == o.detail;
   }
 
   // Nodes have no values of channels: these are drawn in full.

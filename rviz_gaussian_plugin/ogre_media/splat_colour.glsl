@@ -1,0 +1,10 @@
+// What colour splats are blended in.
+layout(std430) readonly buffer DepthRange {
+  uint nearest, farthest;                    // keys of the depths of all
+  uint nearest_coloured, farthest_coloured;  // and of what is kByDepth
+};
+
+vec3 colourOf(Ellipse e) {
+  if (e.kind != kByDepth) return e.colour;
+  return depthColour(e.depth, vec2(keyDepth(nearest_coloured), keyDepth(farthest_coloured)));
+}

@@ -1,0 +1,88 @@
+#include "gpu/card_map.hpp"
+
+#include <new>
+
+namespace rosplat {
+
+void CardMap::apply(const std::shared_ptr<const GaussianEdit>& edit, double now) {
+  store_.apply(*edit, now);
+  if (levels_) levels_->apply(store_, edit, now);
+  gl::deleteAbandoned();
+}
+
+void CardMap::advanceLevels(double now) {
+  if (levels_) makeLevels(now, false);
+}
+
+// Some of them or, if that is waited for, all.
+void CardMap::makeLevels(double now, bool all) {
+  if (!levels_error_.empty()) return;
+  try {
+    if (!levels_) levels_.emplace();
+    levels_->advance(store_, now, all);
+    levels_error_ = levels_->error();
+  } catch (const gl::Error& error) {
+    levels_error_ = error.what();
+  } catch (const std::bad_alloc&) {
+    levels_error_ = "there is no memory for levels of detail";
+  }
+  if (!levels_error_.empty()) endLevels();
+}
+
+void CardMap::dropLevels() {
+  levels_error_.clear();
+  endLevels();
+}
+
+void CardMap::endLevels() {
+  if (!levels_) return;
+  levels_.reset();
+  store_.dropLevels();
+}
+
+void CardMap::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
+  take(pages().moves());
+  for (std::size_t i = 0; i < pages().pages().size(); ++i) {
+    if (store_.holds(pages().pages()[i])) take(editOf(store_.read(i, 1)));
+  }
+}
+
+CardMap::Chosen CardMap::chooseDetail(const std::string& view_id, const RenderSettings& settings,
+                                      const SplatCamera& camera, double now) {
+  const Detail detail = settings.drawnDetail();
+  if (detail == Detail{}) {
+    forget(view_id);
+    return {};
+  }
+  View& view = views_[view_id];
+  DetailControl& control = view.control;
+  const bool at_once = !settings.asynchronous, rests = camera == view.camera;
+  view.camera = camera;
+  Chosen chosen;
+  chosen.in_time = detail.kind == Detail::Kind::kTime;
+  // A frame time is for what moves; and may have room for all.
+  if (!control.needsLevels(detail) || (chosen.in_time && (at_once || rests))) return {};
+  if (at_once || !levels_) makeLevels(now, at_once);
+  if (!levels_) return {0, chosen.most, false, levels_error_};
+  chosen.error = control.choose(detail, at_once, levels_->nodes().pages(), camera, pages().groups(),
+                                settings.clip_box);
+  if (at_once && detail.kind == Detail::Kind::kSplats) {
+    chosen.most = static_cast<std::size_t>(detail.amount);
+  }
+  control.drew(chosen.error);
+  return chosen;
+}
+
+void CardMap::took(const std::string& view_id, double error, bool in_time, double seconds) {
+  const auto found = views_.find(view_id);
+  if (found == views_.end()) return;
+  if (in_time) found->second.control.took(error, seconds);
+  if (error == 0) found->second.control.drewAll(seconds);
+}
+
+void CardMap::forget(const std::string& view_id) {
+  views_.erase(view_id);
+  if (views_.empty()) dropLevels();
+}
+
+}  // namespace rosplat

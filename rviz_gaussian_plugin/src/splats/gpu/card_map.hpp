@@ -1,0 +1,72 @@
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <limits>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "gpu/card_levels.hpp"
+#include "gpu/slot_store.hpp"
+#include "map/detail.hpp"
+#include "map/gaussian_map.hpp"
+#include "map/render_settings.hpp"
+#include "map/splat_camera.hpp"
+
+namespace rosplat {
+
+// A map in the graphics card's memory, to be drawn, with levels of detail while some view wants
+// any. now: the clock of `change` in packed_slot.hpp.
+class CardMap {
+ public:
+  // Uploads what the edit changes; its slots are new from now on. Throws gl::Error when the driver
+  // has no memory left.
+  void apply(const std::shared_ptr<const GaussianEdit>& edit, double now);
+  // Goes on with levels of detail, if there are some: even if none is drawn now.
+  void advanceLevels(double now);
+
+  const SlotStore& store() const { return store_; }
+  const SlotPages& pages() const { return store_.pages(); }
+  // Those of levels of detail that are drawn by now; null where there are none.
+  const NodeStore* nodes() const { return levels_ ? &levels_->nodes() : nullptr; }
+  // What writes the map elsewhere: where its groups are, then a page of it at a time.
+  void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
+
+  // What a view's next picture draws where no order is given: nodes that are no wider than an error
+  // in place of splats, 0 for none [px]; and no more of all than that.
+  struct Chosen {
+    double error = 0;
+    std::size_t most = std::numeric_limits<std::size_t>::max();
+    bool in_time = false;  // it is to take a certain time
+    std::string problem;   // why that isn't the detail that was asked for
+  };
+  Chosen chooseDetail(const std::string& view_id, const RenderSettings& settings,
+                      const SplatCamera& camera, double now);
+  // How long a picture took that was drawn to an error.
+  void took(const std::string& view_id, double error, bool in_time, double seconds);
+  void forget(const std::string& view_id);
+
+  std::size_t bytes() const { return store_.bytes(); }
+  std::size_t levelsBytes() const { return levels_ ? levels_->bytes() : 0; }
+  std::size_t gpuBytes() const { return store_.bytes() + (levels_ ? levels_->gpuBytes() : 0); }
+
+ private:
+  // Of a view that isn't drawn in full.
+  struct View {
+    DetailControl control;
+    SplatCamera camera;  // of the last picture
+  };
+
+  void makeLevels(double now, bool all);
+  void dropLevels();
+  void endLevels();
+
+  SlotStore store_;
+  std::optional<CardLevels> levels_;
+  std::string levels_error_;  // why there are none although they were to be made
+  std::map<std::string, View> views_;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,25 @@
+#include "renderers.hpp"
+
+namespace rosplat {
+
+namespace {
+
+template <typename Renderer>
+std::shared_ptr<Renderer> shared(std::weak_ptr<Renderer>& known, const ShaderSource& shaders) {
+  std::shared_ptr<Renderer> renderer = known.lock();
+  if (!renderer) known = renderer = std::make_shared<Renderer>(shaders);
+  return renderer;
+}
+
+}  // namespace
+
+std::shared_ptr<Renderers> Renderers::ofProcess(const ShaderSource& shaders) {
+  static std::weak_ptr<Renderers> known;
+  return shared(known, shaders);
+}
+
+std::shared_ptr<SplatRenderer> Renderers::onCard() { return shared(card_, shaders_); }
+
+std::shared_ptr<SoftwareRenderer> Renderers::onProcessor() { return shared(processor_, shaders_); }
+
+}  // namespace rosplat
