@@ -26,6 +26,12 @@ from rviz_harness import (
 
 pytestmark = needs_rviz
 
+# How displays have that draw which the Status names.
+BY: dict[str, dict[str, object]] = {
+    "processor": {"Rasterizer": "Processor"},
+    "gpu": {"Rasterizer": "Tiles", "Order Source": "GPU"},
+}
+
 
 @pytest.fixture
 def other(world: World) -> Iterator[World]:
@@ -40,9 +46,12 @@ def both(**properties: object) -> str:
     return map_display(**properties) + map_display("Other", "/other/gaussians", **properties)
 
 
-def test_each_splat_is_where_it_is_whosever_it_is(rviz: Rviz, world: World, other: World) -> None:
+@pytest.mark.parametrize("by", BY)
+def test_each_splat_is_where_it_is_whosever_it_is(
+    rviz: Rviz, world: World, other: World, by: str
+) -> None:
     """Seen from above: red over green over blue, of which the green one is another map's."""
-    rviz.load(configuration(both()))
+    rviz.load(configuration(both(**BY[by])))
 
     def seen(red: float, green: float, blue: float) -> None:
         def found(picture: np.ndarray) -> bool:
@@ -58,7 +67,7 @@ def test_each_splat_is_where_it_is_whosever_it_is(rviz: Rviz, world: World, othe
     world.map.replace(concatenate([disc((1, 0, 0), z=2.0, opacity=0.6), below]))
     other.map.replace(disc((0, 1, 0), z=1.0, opacity=0.6))
     seen(0.6, 0.24, 0.096)
-    rviz.until_status("Other", "Order", "Ok", "1 splats by processor", "in one order with 1 other")
+    rviz.until_status("Other", "Order", "Ok", f"1 splats by {by}", "in one order with 1 other")
     other.place(z=2.0)
     seen(0.24, 0.6, 0.096)
     world.place(z=-4.0)
@@ -76,16 +85,18 @@ def test_each_splat_is_where_it_is_whosever_it_is(rviz: Rviz, world: World, othe
     seen(1, 0, 0)
 
 
+@pytest.mark.parametrize("by", BY)
 def test_two_maps_look_like_the_map_of_all_their_splats(
-    rviz: Rviz, world: World, other: World
+    rviz: Rviz, world: World, other: World, by: str
 ) -> None:
-    rviz.load(configuration(both(), view="{Class: rviz_default_plugins/Orbit, Distance: 3}"))
+    view = "{Class: rviz_default_plugins/Orbit, Distance: 3}"
+    rviz.load(configuration(both(**BY[by]), view=view))
     splats = generate(20000)
     half = np.arange(len(splats)) % 2 == 0
     world.place()
     other.place()
     world.map.replace(splats)
-    rviz.until_status("Map", "Order", "Ok", "by processor, fresh")
+    rviz.until_status("Map", "Order", "Ok", f"by {by}, fresh")
     whole = rviz.until(lambda s: s.max() > 100)
     while (whole != (whole := rviz.picture())).any():
         time.sleep(1)
@@ -98,12 +109,13 @@ def test_two_maps_look_like_the_map_of_all_their_splats(
 
 
 @pytest.mark.skipif(not shutil.which("xdotool"), reason="no xdotool to click with")
+@pytest.mark.parametrize("by", BY)
 def test_a_click_selects_what_is_seen_whosever_it_is(
-    rviz: Rviz, world: World, other: World
+    rviz: Rviz, world: World, other: World, by: str
 ) -> None:
     from rosplat_msgs.msg import Gaussian
 
-    rviz.load(configuration(both(), tools="{Class: rviz_default_plugins/Select}"))
+    rviz.load(configuration(both(**BY[by]), tools="{Class: rviz_default_plugins/Select}"))
     picked: list[tuple[str, int]] = []
     for topic in ("/gaussians/picked", "/other/gaussians/picked"):
         world.node.create_subscription(

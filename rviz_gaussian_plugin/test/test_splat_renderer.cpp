@@ -11,6 +11,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <fstream>
+#include <functional>
 #include <map>
 #include <memory>
 #include <numeric>
@@ -1097,7 +1098,7 @@ TEST_F(SplatRendererTest, DrawsMapsInOneOrder) {
   }
 }
 
-TEST_F(SplatRendererTest, PicksWhatIsSeenWhosesoeverItIs) {
+TEST_F(SplatRendererTest, ShowsTheMouseWhatIsSeenWhosesoeverItIs) {
   Union maps;
   RenderSettings settings;
   settings.rasterizer = Rasterizer::kTiles;
@@ -1118,6 +1119,27 @@ TEST_F(SplatRendererTest, PicksWhatIsSeenWhosesoeverItIs) {
   }
   EXPECT_GT(found[0], 100u);
   EXPECT_GT(found[1], 100u);
+
+  // What is left of the window: numbers where the picks of a map are, the surface of all at once.
+  const auto left = [](const std::vector<std::function<void()>>& draws) {
+    const Framebuffer window(GL_DEPTH24_STENCIL8, 0, 1);
+    for (const auto& draw : draws) draw();
+    return gl::readPixels(kSize, kSize);
+  };
+  const auto numbered = left({[&] { maps.second.drawPick(all, Canvas::kWindow, 0xff0000); },
+                              [&] { maps.first.drawPick(all, Canvas::kWindow, 0xff); }});
+  for (int i = 0; i < kSize * kSize; ++i) {
+    const std::size_t at = 4 * std::size_t(kSize * (kSize - 1 - i / kSize) + i % kSize);
+    ASSERT_EQ(numbered[at + 2], of_first[std::size_t(i)] != kNoSlot);
+    ASSERT_EQ(numbered[at], of_second[std::size_t(i)] != kNoSlot);
+  }
+  const auto surface = left({[&] { maps.first.drawSurface(all, Canvas::kWindow, 100); },
+                             [&] { maps.second.drawSurface(all, Canvas::kWindow, 100); }});
+  EXPECT_GT(*std::max_element(surface.begin(), surface.end()), 0);
+  EXPECT_EQ(surface, left({[&] {
+              maps.both.drawSurface({{&maps.both, "view", camera(), settings}}, Canvas::kWindow,
+                                    100);
+            }}));
 }
 
 // Beside the processor, which draws them by another program.

@@ -338,7 +338,6 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas)
              !SplatScene::together(*parts[group].front().scene, *part->scene)) {
         ++group;
       }
-
       if (group == parts.size()) {
         groups.emplace_back();
         parts.emplace_back();
