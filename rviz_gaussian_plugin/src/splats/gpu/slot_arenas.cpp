@@ -14,7 +14,10 @@ constexpr GLenum kUsage = GL_DYNAMIC_COPY;
 // A buffer of a size, which begins with what was in another.
 gl::Buffer grown(const gl::Buffer& buffer, std::size_t bytes) {
   gl::Buffer larger(bytes, kUsage);
-  if (buffer.id()) larger.copy(buffer, 0, buffer.bytes());
+  if (!buffer.id()) return larger;
+  larger.copy(buffer, 0, buffer.bytes());
+  // NVIDIA's driver (580) clears memory that another program had, and sometimes after the copy.
+  glFinish();
   return larger;
 }
 
