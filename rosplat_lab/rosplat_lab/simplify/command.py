@@ -120,16 +120,16 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         raise SceneError(f"{out}: is the scene itself")
     if options.report and not options.report.parent.is_dir():
         raise SceneError(f"{options.report}: {options.report.parent} is no folder")
+    with _draft(out):
+        pass  # or it would be refused when all is done
     began = time.monotonic()
     with watched("reading") as progress:
         splats = load_scene(options.input, progress, _warn)
         put_in_space_order(splats)
     read, processor = time.monotonic(), time.process_time()
-    with tempfile.TemporaryDirectory(prefix=".simplify-", dir=out.parent) as folder:
-        output = Output(out, Path(folder) / out.name)
-        with _shown() as tell:
-            work = Simplification(splats, tell)
-            written, quality = _within(work, output, *bounds)
+    with _draft(out) as output, _shown() as tell:
+        work = Simplification(splats, tell)
+        written, quality = _within(work, output, *bounds)
         output.draft.replace(out)
     seconds = time.monotonic() - read
     if work.steps:
@@ -231,6 +231,19 @@ def _as_small_as(work: Simplification, output: Output, splats: int, size: int) -
         f"{output.path}: {len(work.splats):,} splats take {written.bytes:,} bytes, "
         f"more than {size:,}"
     )
+
+
+@contextmanager
+def _draft(out: Path) -> Iterator[Output]:
+    """A place for a draft, as long as it is needed. Raises SceneError where there is none."""
+    try:
+        folder = tempfile.TemporaryDirectory(prefix=".simplify-", dir=out.parent)
+    except OSError as error:
+        raise SceneError(
+            f"{out}: nothing can be written to {out.parent}: {error.strerror}"
+        ) from error
+    with folder as name:
+        yield Output(out, Path(name) / out.name)
 
 
 @contextmanager

@@ -297,12 +297,23 @@ def _disjoint(low: Indices, high: Indices, costs: Array, count: int, most: int) 
             cheap = np.flatnonzero(costs <= np.partition(costs, enough)[enough])
         else:
             cheap = np.arange(len(costs))
-        order = cheap[np.argsort(costs[cheap], kind="stable")]
+        order = cheap[_ascending(costs[cheap])]
         taken = _first_disjoint(low[order], high[order], count)
         if len(taken) >= most or len(order) == len(costs):
             chosen: Indices = order[taken[:most]]
             return chosen
         enough *= 2
+
+
+def _ascending(values: NDArray[np.float32]) -> Indices:
+    """Which come in what order, of values that aren't negative; equal ones by their places.
+
+    Bits of such floats are ordered as they are, and numbers are sorted faster than places.
+    """
+    keys = (values + np.float32(0)).view(np.uint32).astype(np.uint64) << np.uint64(32)
+    keys |= np.arange(len(values), dtype=np.uint64)
+    keys.sort()
+    return (keys & np.uint64(0xFFFFFFFF)).astype(np.intp)
 
 
 def _first_disjoint(low: Indices, high: Indices, count: int) -> Indices:
@@ -312,8 +323,9 @@ def _first_disjoint(low: Indices, high: Indices, count: int) -> Indices:
     free = np.ones(count, bool)
     best = np.empty(count, np.intp)
     while len(rank):
-        # Of values that are written to one place the last stays: the first pair of each splat.
-        best[np.stack([low, high], axis=1)[::-1].ravel()] = np.repeat(rank[::-1], 2)
+        best[low] = best[high] = rank[-1]
+        np.minimum.at(best, low, rank)
+        np.minimum.at(best, high, rank)
         ours = (best[low] == rank) & (best[high] == rank)
         taken.append(rank[ours])
         free[low[ours]] = free[high[ours]] = False

@@ -143,7 +143,7 @@ class Simplification:
         self.splats = splats
         self.steps: list[Step] = []
         self._progress = progress
-        self._trial = Trial(splats)
+        self._trial: Trial | None = Trial(splats)
         self._pixel = whereabouts(splats).radius / FOCAL  # [m]
         learnt = views(splats, LEARNT, SEEDS[0], WIDTH // 2, HEIGHT // 2)
         self._values = 3 * sum(camera.width * camera.height for camera in learnt)
@@ -158,6 +158,7 @@ class Simplification:
 
     def reduce(self, count: int) -> None:
         """To count splats, or a few fewer."""
+        self._trial = None  # with its memory
         for pairs in self._rounds():
             if len(self.splats) <= count:
                 return
@@ -169,6 +170,7 @@ class Simplification:
         before = 0.0  # mean square of errors
         for pairs in self._rounds():
             count, before = self._most(pairs, bound, before)
+            self._trial = None  # with its memory
             self._merge(pairs, count)
             if count < len(pairs):
                 return
@@ -204,12 +206,11 @@ class Simplification:
         """
         left = len(self.splats) - count
         self._progress(f"checking {left:,} splats", 0.0)
-        if self._trial.splats is not self.splats:
-            self._trial = Trial(self.splats)
-        self._trial.merge(pairs, count)
+        trial = self._trial = self._trial or Trial(self.splats)
+        trial.merge(pairs, count)
         if self.steps and abs(self.steps[-1].quality.psnr - bound) < ALIKE:
-            return self._others * float(self.judge.errors(self._trial, self._telling).mean())
-        errors = self.judge.errors(self._trial)
+            return self._others * float(self.judge.errors(trial, self._telling).mean())
+        errors = self.judge.errors(trial)
         self.steps.append(Step(left, Quality.of(errors)))
         self._telling = np.argsort(-errors)[:TELLING]
         error = float(errors.mean())
