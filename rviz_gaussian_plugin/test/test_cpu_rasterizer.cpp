@@ -426,14 +426,12 @@ TEST(CpuRasterizer, draws_more_pairs_of_splat_and_tile_than_there_is_room_for) {
   }
 }
 
-TEST(CpuRasterizer, rounds_to_half_floats) {
-  std::vector<float> values = {0, 1, -2.5f, 0x1p-24f, 0x1.8p-24f, -0x1.004p0f, 0x1.006p0f, 1e9f};
+TEST(CpuRasterizer, rounds_to_bytes) {
+  std::vector<float> values = {0, 1, -0.5f, 1e9f, 0.5f / 255, 0.49f / 255, 254.4f / 255, 0.6f};
   values.insert(values.end(), 9, 0.1f);  // more than a vector, and some
-  std::vector<std::uint16_t> halves;
-  toHalves(values, halves);
-  std::vector<std::uint16_t> expected = {0, 0x3c00, 0xc100, 0x0001, 0x0002, 0xbc01, 0x3c02, 0x7bff};
-  expected.insert(expected.end(), 9, 0x2e66);
-  EXPECT_EQ(halves, expected);
+  std::vector<std::uint8_t> expected = {0, 255, 0, 255, 1, 0, 254, 153};
+  expected.insert(expected.end(), 9, 26);
+  EXPECT_EQ(toBytes(values), expected);
 }
 
 TEST(HostSlots, hold_what_was_written_last) {

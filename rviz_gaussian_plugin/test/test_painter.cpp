@@ -168,5 +168,27 @@ TEST(Painter, KeepsAFrameTimeWhereTheCameraMovesAndPaintsAllWhereItRests) {
   EXPECT_TRUE(resting->settled);
 }
 
+TEST(Painter, PaintsWhatACameraThatMovesIsThoughtToSee) {
+  Studio studio;
+  studio.write(20000, GaussianBatch::REPLACE);
+  const PaintingPtr before = studio.painted(studio.request("full", true));
+  ASSERT_TRUE(before);
+  EXPECT_EQ(before->due, before->asked);
+  const auto moving = std::make_shared<PaintRequest>(*studio.request("full", true, 1));
+  moving->motion.shift = {-0.5, 0, 0};
+  studio.painter.ask("view", moving);
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+  PaintingPtr ahead = before;
+  while (ahead == before && std::chrono::steady_clock::now() < deadline) {
+    ahead = studio.painter.newest("view");
+  }
+  EXPECT_GT(ahead->due, ahead->asked + before->took);
+  const double x = -ahead->request->camera().translation[0];
+  EXPECT_NEAR(x, 1 + 0.5 * (ahead->due - ahead->asked), 1e-9);
+  EXPECT_TRUE(ahead->request->motion.none());
+  const auto resting = studio.request("full", true, 1);
+  EXPECT_TRUE(studio.painted(resting));
+}
+
 }  // namespace
 }  // namespace rosplat

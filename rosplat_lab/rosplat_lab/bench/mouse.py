@@ -25,7 +25,7 @@ GRID = {"Class": "rviz_default_plugins/Grid", "Name": "Grid", "Enabled": False, 
 
 
 def measure(rviz: DrivenRviz, budget: Budget, labels: dict[str, Any]) -> Iterator[Measurement]:
-    """Of a view: frames, the age of the map's picture, processor time.
+    """Of a view: frames, how old the map's picture is and how far its camera off, processor time.
 
     With and without the display that the labels name, with and without the GRID beside it.
     """
@@ -35,18 +35,23 @@ def measure(rviz: DrivenRviz, budget: Budget, labels: dict[str, Any]) -> Iterato
         _switch(rviz, display, shown)
         with drag(rviz):
             time.sleep(OF_LATE)
-            before, ages = processor_times(rviz.process.pid), []
+            before, ages, offs = processor_times(rviz.process.pid), [], []
             rviz.ask("start watch", turn=0.0)
             began = time.monotonic()
             while time.monotonic() < began + budget.seconds or rviz.ask("frames") <= budget.least:
                 time.sleep(0.5)
-                ages += _ages(rviz, display) if shown else []
+                if shown:
+                    text = rviz.status(display).get("Frame", ("", ""))[1]
+                    ages += _found(r"at most ([\d.]+) ms old", text)
+                    offs += _found(r"at most ([\d.]+) ms off", text)
             seen = rviz.ask("stop watch")
             after = processor_times(rviz.process.pid)
         case = labels | {"map": shown, "grid": grid}
         yield Measurement.of("frame by mouse", "ms", seen["frame"], **case)
         if ages:
             yield Measurement.of("age by mouse", "ms", ages, **case)
+        if offs:
+            yield Measurement.of("camera off by mouse", "ms", offs, **case)
         for threads in sorted(after):
             spent = after[threads] - before.get(threads, 0)
             per_frame = 1e3 * spent / (len(seen["frame"]) + 1)
@@ -94,10 +99,9 @@ def processor_times(pid: int) -> dict[str, float]:
     return found
 
 
-def _ages(rviz: DrivenRviz, display: str) -> list[float]:
-    """How old the map's picture was of late at most; empty for displays that don't say so. [ms]"""
-    text = rviz.status(display).get("Frame", ("", ""))[1]
-    return [float(age) for age in re.findall(r"at most ([\d.]+) ms old", text)]
+def _found(pattern: str, status: str) -> list[float]:
+    """What a display says of the map's picture; empty for those that don't say so. [ms]"""
+    return [float(number) for number in re.findall(pattern, status)]
 
 
 def _switch(rviz: DrivenRviz, display: str, on: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -22,10 +23,12 @@ if TYPE_CHECKING:
 SIZES, QUICK_SIZES = (500_000,), (20_000,)
 PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
 AGES = (1, 2, 3, 4, 6, 8, 12)  # of the picture, in degrees that the camera has turned since
-VIEWS = ("overview", "inside")
+VIEWS = {"overview": scenes.overview, "inside": scenes.inside}
 
 DETAILS, QUICK_DETAILS = ("full", "50ms", "100ms", "200ms"), ("100ms",)
 SPEED = 20  # of a camera in motion [degrees/s]
+SWEEP = 40  # there, and back again [degrees]
+STEP = 0.05  # [degrees]
 INTERVAL = 1 / 30  # of frames [s]
 SECONDS, QUICK_SECONDS = 4.0, 0.5
 LEAST_FRAMES = 4
@@ -70,7 +73,7 @@ def _carried(name: str, picture: tuple[int, int]) -> Iterator[Event]:
         view = embedded.View(renderer)
 
         for motion in VIEWS:
-            cameras = scenes.VIEWS[motion](splats, *picture, max(AGES) + 1)
+            cameras = VIEWS[motion](splats, *picture, max(AGES) + 1)
             stale = _shown(renderer, view, cameras[0])
             for age in AGES:
                 exact = _shown(renderer, view, cameras[age])
@@ -92,7 +95,7 @@ def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Eve
 
     splats = scenes.load(name)
     size, seconds = (QUICK_PICTURE, QUICK_SECONDS) if quick else (PICTURE, SECONDS)
-    cameras = scenes.VIEWS[motion](splats, *size, 360)  # a degree from one to the next
+    cameras = VIEWS[motion](splats, *size, round(SWEEP / STEP) + 1, math.radians(STEP))
     with ensure_display():
         renderer = embedded.open_renderer()
         renderer.settings.rasterizer = Rasterizer.PROCESSOR
@@ -105,7 +108,8 @@ def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Eve
         frames = []
         began = time.monotonic()
         while (now := time.monotonic() - began) < seconds or len(frames) < LEAST_FRAMES:
-            camera = cameras[int(SPEED * now) % len(cameras)]
+            turned = SPEED * now % (2 * SWEEP)
+            camera = cameras[int(min(turned, 2 * SWEEP - turned) / STEP)]
             view.look(camera)
             report = view.draw()
             frames.append((camera, renderer.read_color8() / 255, report))

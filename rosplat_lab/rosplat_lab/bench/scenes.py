@@ -56,14 +56,16 @@ def all_of_it(splats: Splats, width: int, height: int, count: int) -> list[Camer
     return orbit(bounds, turns, width=width, height=height)[:count]
 
 
-def overview(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
+def overview(
+    splats: Splats, width: int, height: int, count: int, step: float = STEP
+) -> list[Camera]:
     """The bulk of the scene fills the picture, as the embedded viewer begins."""
-    return _around(place(splats), 2.5, 0.35, 45, width, height, count)
+    return _around(place(splats), 2.5, 0.35, 45, width, height, count, step)
 
 
-def inside(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
+def inside(splats: Splats, width: int, height: int, count: int, step: float = STEP) -> list[Camera]:
     """From within the scene, where much of it is beside or behind the camera."""
-    return _around(place(splats), 0.6, 0.3, 60, width, height, count)
+    return _around(place(splats), 0.6, 0.3, 60, width, height, count, step)
 
 
 def room(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
@@ -115,13 +117,14 @@ def _turning(
 
 
 def _around(
-    here: Place, distance: float, elevation: float, fov: float, width: int, height: int, count: int
-) -> list[Camera]:
+    here: Place, distance: float, elevation: float, fov: float,
+    width: int, height: int, count: int, step: float,
+) -> list[Camera]:  # fmt: skip
     """Cameras at a distance in radii, looking at the centre; fov: height of the picture [deg]."""
     focal = 0.5 * height / math.tan(math.radians(fov / 2))
     cameras = []
     for index in range(count):
-        turn = 0.6 + index * STEP
+        turn = 0.6 + index * step
         outward = np.array(
             [
                 math.cos(elevation) * math.cos(turn),

@@ -134,7 +134,10 @@ StatusLine frameStatus(const FrameReport& frame, const std::string& view) {
   std::string text;
   if (frame.paint_time > 0) {
     text = concat(frame.paint_time * 1e3, " ms to paint by the ", frame.rasterizer, ", ");
-    if (frame.picture_age > 0) text += concat("at most ", frame.picture_age * 1e3, " ms old, ");
+    if (frame.picture_age > 0) {
+      text += concat("at most ", frame.picture_age * 1e3, " ms old, of a camera at most ",
+                     frame.camera_off * 1e3, " ms off, ");
+    }
     text += concat(frame.draw_time * 1e3, " ms to show");
   } else {
     text = concat(frame.draw_time * 1e3, " ms to draw in ", frame.rasterizer);

@@ -251,10 +251,10 @@ py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort
       "order_source"_a = report.order_source, "order_fresh"_a = report.order_fresh,
       "order_age"_a = report.order_age, "sort_time"_a = report.sort_time,
       "draw_time"_a = report.draw_time, "paint_time"_a = report.paint_time,
-      "picture_age"_a = report.picture_age, "rasterizer"_a = report.rasterizer,
-      "profile"_a = report.profile, "map_id"_a = report.map.id, "revision"_a = report.map.revision,
-      "map_complete"_a = report.map.complete(), "gpu_bytes"_a = renderer.scene().gpuBytes(),
-      "map_bytes"_a = renderer.scene().mapBytes(),
+      "picture_age"_a = report.picture_age, "camera_off"_a = report.camera_off,
+      "rasterizer"_a = report.rasterizer, "profile"_a = report.profile, "map_id"_a = report.map.id,
+      "revision"_a = report.map.revision, "map_complete"_a = report.map.complete(),
+      "gpu_bytes"_a = renderer.scene().gpuBytes(), "map_bytes"_a = renderer.scene().mapBytes(),
       "levels_bytes"_a = renderer.scene().levelsBytes());
 }
 

@@ -1,6 +1,7 @@
 #include "software_renderer.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -10,6 +11,11 @@ namespace rosplat {
 namespace {
 
 constexpr float kSurfaceAlpha = 0.5f;  // more splats than void
+constexpr double kFreshEnough = 0.05;  // that was asked for a camera that moves [s]
+
+double now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
 
 bool same(const MapState& a, const MapState& b) { return a.edits == b.edits; }
 
@@ -98,13 +104,17 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   auto request = std::make_shared<PaintRequest>(requestOf(maps));
   const SplatCamera& camera = request->camera();
   request->window = canvas != Canvas::kNone;
-  if (around.translucent) {
+  View& view = views_[name];
+  if (asynchronous && request->window) request->motion = view.motion.follow(camera, now());
+  // A camera that moves is thought ahead: for that, depths needn't be read anew in each frame.
+  const bool thought_ahead = view.asked && !view.asked->motion.none() && !request->motion.none();
+  const bool asks = !thought_ahead || !painter_.waits(name, kFreshEnough);
+  if (asks && around.translucent) {
     request->translucent_depth = depthsOf(canvas, camera.width, camera.height, around.translucent);
   }
   const CanvasScope window(canvas);
-  if (around.opaque) request->scene_depth = window.readDepth(camera.width, camera.height);
+  if (asks && around.opaque) request->scene_depth = window.readDepth(camera.width, camera.height);
 
-  View& view = views_[name];
   drawn_ = nullptr;
   PaintingPtr painting = painter_.newest(name);
   exact_ = painting && shows(*painting, *request, maps);
@@ -120,7 +130,7 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   } else if (!exact_ && asked(view, *request, maps)) {
     painter_.hurry(name);  // the camera rests
   } else if (!exact_) {
-    ask(name, request, maps);
+    if (asks) ask(name, request, maps);
   } else if (asynchronous && !painting->settled && painting->request == view.asked) {
     request->rests = true;
     ask(name, request, maps);
@@ -139,7 +149,6 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   }
   mesh_ = painting->mesh.seenBy(inFirst(*painting->request, *in_picture->map, in_picture->camera));
   show(view, painting);
-  blendOver();
   glDisable(GL_DEPTH_TEST);
   overlay_.draw(window, view.behind, mesh_, painting->behind.cells);
   const bool divided = !painting->behind.values.empty();
@@ -173,7 +182,6 @@ void SoftwareRenderer::hideFarther() const {
 void SoftwareRenderer::drawBefore() const {
   if (!drawn_ || drawn_->shown->behind.values.empty()) return;
   const CanvasScope window(canvas_);
-  blendOver();
   glDisable(GL_DEPTH_TEST);
   overlay_.draw(window, drawn_->colour, mesh_, drawn_->shown->colour.cells);
 }
@@ -205,7 +213,6 @@ void SoftwareRenderer::drawNumbers(const CanvasScope& window, const SplatCamera&
     if (numbers[i]) putNumber(&rgba[4 * i], numbers[i]);
   }
   bytes_.write(camera.width, camera.height, rgba);
-  glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   overlay_.draw(window, bytes_);
 }

@@ -10,6 +10,7 @@
 #include "gl/canvas.hpp"
 #include "gl/overlay.hpp"
 #include "gl/shaders.hpp"
+#include "map/camera_motion.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
@@ -67,6 +68,7 @@ class SoftwareRenderer {
   struct View {
     PaintRequestPtr asked;
     std::vector<MapState> asked_of;
+    MotionTracker motion;  // of the camera
     PaintingPtr shown;
     OverlayTexture colour, behind, hiding;
   };

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
+#include <cmath>
 #include <limits>
 #include <new>
 
@@ -442,7 +443,10 @@ void SplatScene::describe(const Painting& painting, bool exact, const Part& part
   report.detail_error = of.detail_error;
   report.paint_time = painting.took;
   if (part.settings.profile) report.profile = painting.profile;
-  if (!exact) report.picture_age = now() - painting.asked;
+  if (!exact) {
+    report.picture_age = now() - painting.asked;
+    report.camera_off = std::fabs(now() - painting.due);
+  }
   if (layer->order) {
     const OrderBook::Choice choice = book_.received(part.view_id, now());
     report.splats = layer->order->slots.size();
@@ -464,14 +468,17 @@ void SplatScene::describe(const Painting& painting, bool exact, const Part& part
 
 void SplatScene::keepPace(const std::string& view_id, FrameReport& report) {
   constexpr double kOfLate = 2;  // [s]
-  auto& [times, ages] = paces_[view_id];
+  auto& [times, ages, offs] = paces_[view_id];
   times.push_back(now());
   ages.push_back(report.picture_age);
+  offs.push_back(report.camera_off);
   while (times.front() < times.back() - kOfLate) {
     times.pop_front();
     ages.pop_front();
+    offs.pop_front();
   }
   report.picture_age = *std::max_element(ages.begin(), ages.end());
+  report.camera_off = *std::max_element(offs.begin(), offs.end());
   if (times.size() < 2) return;
   std::vector<double> intervals;
   for (std::size_t i = 1; i < times.size(); ++i) intervals.push_back(times[i] - times[i - 1]);

@@ -36,6 +36,7 @@ struct FrameReport {
   double paint_time = 0;                  // of the processor beside it, if that rasterises [s]
   double frame_interval = 0;              // 19 of 20 frames of late follow within this [s]
   double picture_age = 0;                 // of late at most, 0 where it is of the very camera [s]
+  double camera_off = 0;                  // how far its camera was from this one then at most [s]
   std::string rasterizer;                 // "quads", "tiles" or "processor"
   std::map<std::string, double> profile;  // by stage, if asked for [s]
   MapState map;                           // as it was drawn
@@ -164,7 +165,8 @@ class SplatScene {
  private:
   // What was drawn of a view lately.
   struct Pace {
-    std::deque<double> times, ages;  // of the frames, and of their pictures [s]
+    // Of the frames; of their pictures, and of these pictures' cameras. [s]
+    std::deque<double> times, ages, offs;
   };
 
   bool prefersSoftware(const RenderSettings& settings);

@@ -231,10 +231,11 @@ std::size_t CpuRasterizer::bytes() const {
   return bytes;
 }
 
-void toHalves(const std::vector<float>& values, std::vector<std::uint16_t>& halves) {
-  halves.resize(values.size());
+std::vector<std::uint8_t> toBytes(const std::vector<float>& values) {
+  std::vector<std::uint8_t> bytes(values.size());
   kernelsFor(CpuRasterizer::Instructions::kBest)
-      .toHalves(values.data(), values.size(), halves.data());
+      .toBytes(values.data(), values.size(), bytes.data());
+  return bytes;
 }
 
 }  // namespace rosplat

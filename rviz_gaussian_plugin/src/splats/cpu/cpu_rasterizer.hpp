@@ -133,7 +133,7 @@ class CpuRasterizer {
   std::unique_ptr<Work> work_;
 };
 
-// Floats as half floats, as the GPU rounds them: for an upload.
-void toHalves(const std::vector<float>& values, std::vector<std::uint16_t>& halves);
+// Values of 0 to 1 as bytes, rounded; what is beyond is clamped.
+std::vector<std::uint8_t> toBytes(const std::vector<float>& values);
 
 }  // namespace rosplat

@@ -714,20 +714,13 @@ bool contribute(const ContributeTile& tile) {
   return has_ended;
 }
 
-// To the nearest, ties to even; beyond the largest, the largest.
-void toHalves(const float* from, std::size_t count, std::uint16_t* halves) {
+void toBytes(const float* from, std::size_t count, std::uint8_t* bytes) {
   const auto each = [](Floats v) {
-    const Words sign = (Words)v >> 16 & 0x8000u;
-    const Floats magnitude = min(abs(v), all(65504.0f));
-    const Words bits = (Words)magnitude;
-    const Words normal = (bits + 0xfffu + (bits >> 13 & 1u) - 0x38000000u) >> 13;
-    // Adding 0.5 shifts the mantissa to where it belongs.
-    const Words subnormal = (Words)(magnitude + 0.5f) - 0x3f000000u;
-    return __builtin_convertvector(sign | (bits < 0x38800000u ? subnormal : normal), Halves);
+    return __builtin_convertvector(toInts(clamp(v, all(0.0f), all(1.0f)) * 255.0f + 0.5f), Bytes);
   };
   std::size_t i = 0;
-  for (; i + kLanes <= count; i += kLanes) store(halves + i, each(load(from + i)));
-  for (; i < count; ++i) halves[i] = each(all(from[i]))[0];
+  for (; i + kLanes <= count; i += kLanes) store(bytes + i, each(load(from + i)));
+  for (; i < count; ++i) bytes[i] = each(all(from[i]))[0];
 }
 
 }  // namespace
@@ -735,6 +728,6 @@ void toHalves(const float* from, std::size_t count, std::uint16_t* halves) {
 #define ROSPLAT_QUOTE(name) #name
 #define ROSPLAT_NAME(name) ROSPLAT_QUOTE(name)
 const Kernels kKernels = {
-    ROSPLAT_NAME(ROSPLAT_TARGET), cull, hide, project, blend, pick, contribute, toHalves};
+    ROSPLAT_NAME(ROSPLAT_TARGET), cull, hide, project, blend, pick, contribute, toBytes};
 
 }  // namespace rosplat::cpu::ROSPLAT_TARGET

@@ -177,7 +177,8 @@ struct Kernels {
   bool (*blend)(const BlendTile& tile, bool with_depth);
   bool (*pick)(const PickTile& tile);
   bool (*contribute)(const ContributeTile& tile);
-  void (*toHalves)(const float* from, std::size_t count, std::uint16_t* halves);
+  // Of 0 to 1, rounded; what is beyond is clamped.
+  void (*toBytes)(const float* from, std::size_t count, std::uint8_t* bytes);
 };
 
 namespace plain {

@@ -8,6 +8,7 @@
 #include <set>
 #include <utility>
 
+#include "cpu/depth_warp.hpp"
 #include "map/give_way.hpp"
 
 namespace rosplat {
@@ -16,6 +17,7 @@ namespace {
 
 // So much of a map that streams in is taken before what there is of it is shown.
 constexpr std::size_t kEditBytesPerPicture = std::size_t{256} << 20;
+constexpr double kFarthestAhead = 0.5;  // that a camera is thought to go on as it moves [s]
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 double now() {
@@ -26,13 +28,9 @@ double now() {
 PaintedLayer<std::uint8_t> colourLayer(const std::vector<float>& rgba, int width, int height) {
   PaintedLayer<std::uint8_t> layer;
   if (rgba.empty()) return layer;
-  std::vector<std::uint8_t>& bytes = layer.values;
-  bytes.resize(rgba.size());
-  for (std::size_t i = 0; i < rgba.size(); ++i) {
-    bytes[i] = static_cast<std::uint8_t>(std::min(std::max(rgba[i], 0.0f), 1.0f) * 255.0f + 0.5f);
-  }
+  layer.values = toBytes(rgba);
   layer.cells = PictureMesh::cells(
-      width, height, [&bytes](std::size_t pixel) { return bytes[4 * pixel + 3] > 0; });
+      width, height, [&bytes = layer.values](std::size_t pixel) { return bytes[4 * pixel + 3]; });
   return layer;
 }
 
@@ -45,8 +43,8 @@ PaintedLayer<float> hidingLayer(const std::vector<float>& nearness, int width, i
   for (std::size_t i = 0; i < depths.size(); ++i) {
     if (nearness[2 * i + 1] >= 0.5f) depths[i] = 1.0f - nearness[2 * i] / nearness[2 * i + 1];
   }
-  layer.cells =
-      PictureMesh::cells(width, height, [&depths](std::size_t pixel) { return depths[pixel] < 1; });
+  layer.cells = PictureMesh::cells(
+      width, height, [&depths](std::size_t pixel) { return depths[pixel] < 1 ? 1 : 0; });
   return layer;
 }
 
@@ -83,8 +81,8 @@ const PaintLayer* PaintRequest::of(const PaintedMap& map) const {
 }
 
 bool PaintRequest::operator==(const PaintRequest& o) const {
-  return layers == o.layers && window == o.window && scene_depth == o.scene_depth &&
-         translucent_depth == o.translucent_depth;
+  return layers == o.layers && motion == o.motion && window == o.window &&
+         scene_depth == o.scene_depth && translucent_depth == o.translucent_depth;
 }
 
 Painter::Painter() : start_(now()), thread_([this] { run(); }) {}
@@ -136,6 +134,13 @@ std::uint64_t Painter::enqueue(const std::string& view_id, PaintRequestPtr&& req
 void Painter::ask(const std::string& view_id, PaintRequestPtr request) {
   const std::lock_guard lock(mutex_);
   enqueue(view_id, std::move(request));
+}
+
+bool Painter::waits(const std::string& view_id, double seconds) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = views_.find(view_id);
+  if (found == views_.end() || !found->second.waiting) return false;
+  return now() - found->second.waiting->asked <= seconds;
 }
 
 void Painter::hurry(const std::string& view_id) {
@@ -206,7 +211,9 @@ void Painter::run() {
     }
     const std::string view_id = std::move(queue_.front());
     queue_.pop_front();
-    Waiting job = *std::exchange(views_[view_id].waiting, std::nullopt);
+    View& view = views_[view_id];
+    Waiting job = *std::exchange(view.waiting, std::nullopt);
+    if (view.newest) job.takes = view.newest->took;
     const std::uint64_t number = job.number;
     painting_ = view_id;
     refining_ = job.request->rests;
@@ -290,14 +297,34 @@ void Painter::chooseDetail(const std::string& view_id, PictureRequest& request,
   }
 }
 
+// A request of the camera that its own will be by then, and depths as that sees them.
+PaintRequestPtr Painter::movedOn(const PaintRequest& request, double seconds) {
+  auto later = std::make_shared<PaintRequest>();
+  later->layers = request.layers;
+  later->window = request.window;
+  for (PaintLayer& layer : later->layers) {
+    layer.camera = moved(layer.camera, request.motion, seconds);
+  }
+  const SplatCamera &camera = request.camera(), &there = later->camera();
+  later->scene_depth = warpDepths(request.scene_depth, camera, there);
+  later->translucent_depth = warpDepths(request.translucent_depth, camera, there);
+  return later;
+}
+
 std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiting& job) {
   const double start = now();
   auto painting = std::make_shared<Painting>();
-  painting->asked = job.asked;
   painting->request = job.request;
-  const PaintRequest& asked = *painting->request;
-  painting->maps.resize(asked.layers.size());
+  painting->maps.resize(job.request->layers.size());
+  painting->asked = painting->due = job.asked;
   try {
+    if (job.takes > 0 && !job.request->motion.none()) {
+      // It will be shown from when it is painted until the next one is.
+      const double ahead = std::min(start - job.asked + 1.5 * job.takes, kFarthestAhead);
+      painting->request = movedOn(*job.request, ahead);
+      painting->due += ahead;
+    }
+    const PaintRequest& asked = *painting->request;
     PictureRequest request = pictureOf(asked);
     const PaintLayer& first = asked.layers.front();
     if (first.order) request.order = first.order->slots;
@@ -336,9 +363,9 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiti
   } catch (const PictureError& error) {
     painting->error = error.what();
   } catch (const std::bad_alloc&) {
-    painting->error = "there is no memory for a picture of " +
-                      std::to_string(asked.camera().width) + "x" +
-                      std::to_string(asked.camera().height) + " pixels";
+    const SplatCamera& camera = job.request->camera();
+    painting->error = "there is no memory for a picture of " + std::to_string(camera.width) + "x" +
+                      std::to_string(camera.height) + " pixels";
   }
   workspace_ = rasterizer_.bytes();
   painting->took = now() - start;

@@ -19,6 +19,7 @@
 #include "cpu/painted_map.hpp"
 #include "cpu/painted_surface.hpp"
 #include "cpu/picture_mesh.hpp"
+#include "map/camera_motion.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/pick.hpp"
 #include "map/render_settings.hpp"
@@ -43,8 +44,11 @@ struct PaintLayer {
 struct PaintRequest {
   std::vector<PaintLayer> layers;                     // at least one
   std::vector<float> scene_depth, translucent_depth;  // as PictureRequest has them
-  bool window = false;                                // it goes on a window
-  bool rests = false;  // what is shown is of this camera and map already, in less detail
+  // How its camera moves: if it goes on like that, what is painted is what is seen in the middle of
+  // the time in which that is shown.
+  CameraMotion motion;
+  bool window = false;  // it goes on a window
+  bool rests = false;   // what is shown is of this camera and map already, in less detail
 
   const SplatCamera& camera() const { return layers.front().camera; }
   bool asynchronous() const { return layers.front().settings.asynchronous; }
@@ -72,9 +76,10 @@ struct Painting {
     std::string detail_error;  // why it is not in the detail that was asked for
   };
 
-  PaintRequestPtr request;
+  PaintRequestPtr request;     // as it was asked for, or of a camera that has moved on
   std::vector<OfMap> maps;     // by layer
   double asked = 0, took = 0;  // when, of a monotonic clock, and how long [s]
+  double due = 0;              // when its camera is there, if it goes on as it moves [s]
   std::string error;           // why it failed; empty if it is good
   bool settled = true;         // another picture would be the same
   std::map<std::string, double> profile;
@@ -105,6 +110,8 @@ class Painter {
   void wake();
   // Has a view painted; in the place of what waits for it.
   void ask(const std::string& view_id, PaintRequestPtr request);
+  // Whether a request of a view waits, and not for longer than that. [s]
+  bool waits(const std::string& view_id, double seconds) const;
   // Has what is being painted of a view given up, for something that is asked for already; not
   // twice in a row.
   void hurry(const std::string& view_id);
@@ -128,6 +135,7 @@ class Painter {
     std::uint64_t number = 0;
     PaintRequestPtr request;
     double asked = 0;
+    double takes = 0;  // probably [s]
   };
   struct PickJob {
     PaintRequest asked;
@@ -150,6 +158,7 @@ class Painter {
   void keepViews(const std::vector<PaintedMapPtr>& maps, const std::string& view_id,
                  const std::vector<PaintLayer>& layers);
   void chooseDetail(const std::string& view_id, PictureRequest& request, Painting& painting) const;
+  static PaintRequestPtr movedOn(const PaintRequest& request, double seconds);
   std::shared_ptr<Painting> paint(const std::string& view_id, const Waiting& job);
   void find(PickJob& job);
   std::uint64_t enqueue(const std::string& view_id, PaintRequestPtr&& request);

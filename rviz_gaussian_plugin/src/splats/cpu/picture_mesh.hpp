@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 #include "cpu/cpu_rasterizer.hpp"
@@ -27,17 +28,18 @@ class PictureMesh {
     std::vector<Corner> corners;
     bool moved;  // not the picture's own camera
   };
-  // Which cells have something in them, row by row. Those beyond the picture are like the nearest
-  // in it.
-  using Cells = std::vector<bool>;
+  // How much of a cell, and of what is beside it, hides what is behind.
+  enum class Cover : std::uint8_t { kNothing, kSome, kAll };
+  // Of the cells, row by row. Those beyond the picture are like the nearest in it.
+  using Cells = std::vector<Cover>;
 
   PictureMesh() = default;
   // Of a picture with its mean depth, and the camera that sees it.
   PictureMesh(const SplatCamera& camera, const SplatPicture& picture);
 
-  // Of a picture, given by what pixels are filled.
-  template <typename Filled>
-  static Cells cells(int width, int height, const Filled& filled);
+  // Of a picture, given by how opaque a pixel is: from 0 to 255.
+  template <typename Opacity>
+  static Cells cells(int width, int height, const Opacity& opacity);
 
   // As a camera of the same map sees it.
   View seenBy(const SplatCamera& camera) const;
@@ -48,22 +50,34 @@ class PictureMesh {
   std::vector<float> depths_;   // of corners [m]; of perspective cameras one over it
 };
 
-template <typename Filled>
-PictureMesh::Cells PictureMesh::cells(int width, int height, const Filled& filled) {
+template <typename Opacity>
+PictureMesh::Cells PictureMesh::cells(int width, int height, const Opacity& opacity) {
+  // One pixel more around it, which a cell that has moved blends with its own.
+  const auto coverOf = [&](int left, int top) {
+    bool some = false, all = true;
+    for (int y = std::max(top - 1, 0); y < std::min(top + kCell + 1, height); ++y) {
+      for (int x = std::max(left - 1, 0); x < std::min(left + kCell + 1, width); ++x) {
+        const int is = opacity(static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
+                               static_cast<std::size_t>(x));
+        some = some || is > 0;
+        all = all && is == 255;
+      }
+      if (some && !all) break;
+    }
+    return all ? Cover::kAll : some ? Cover::kSome : Cover::kNothing;
+  };
   const int columns = (width + kCell - 1) / kCell, rows = (height + kCell - 1) / kCell;
+  std::vector<Cover> inside;
+  for (int row = 0; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      inside.push_back(coverOf(kCell * column, kCell * row));
+    }
+  }
   Cells cells;
   for (int row = -1; row <= rows; ++row) {
     for (int column = -1; column <= columns; ++column) {
-      const int left = kCell * std::clamp(column, 0, columns - 1);
-      const int top = kCell * std::clamp(row, 0, rows - 1);
-      bool any = false;
-      for (int y = top; !any && y < std::min(top + kCell, height); ++y) {
-        for (int x = left; !any && x < std::min(left + kCell, width); ++x) {
-          any = filled(static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
-                       static_cast<std::size_t>(x));
-        }
-      }
-      cells.push_back(any);
+      cells.push_back(inside[static_cast<std::size_t>(std::clamp(row, 0, rows - 1) * columns +
+                                                      std::clamp(column, 0, columns - 1))]);
     }
   }
   return cells;

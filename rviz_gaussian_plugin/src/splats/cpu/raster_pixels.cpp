@@ -9,12 +9,16 @@ namespace rosplat {
 
 namespace {
 
-// Copies a tile of some depths, far where there is no pixel; null where there are none.
+// Copies a tile of some depths, far where there is no pixel; null where nothing is.
 const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, float* copy) {
   if (depths.empty()) return nullptr;
   std::fill_n(copy, kTilePixels, 1.0f);
-  rect.forEach([&](std::size_t i, std::size_t pixel) { copy[i] = depths[pixel]; });
-  return copy;
+  float nearest = 1;
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    copy[i] = depths[pixel];
+    nearest = std::min(nearest, copy[i]);
+  });
+  return nearest < 1 ? copy : nullptr;
 }
 
 }  // namespace
@@ -22,10 +26,17 @@ const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, floa
 void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& picture, bool first,
                                 std::size_t number, Member& member) {
   const TileRect rect(number, across, picture.width, picture.height);
-  const bool divided = !request.translucent_depth.empty();
   BlendTile tile;
   tile.count = inTile(number);
   if (tile.count == 0 && !first) return;
+  tile.divided = depthsOf(request.translucent_depth, rect, member.divided);
+  const bool divided = tile.divided != nullptr;
+  if (first && !divided && !picture.behind.empty()) {
+    rect.forEach([&](std::size_t, std::size_t pixel) {
+      std::fill_n(&picture.behind[4 * pixel], 4, 0.0f);
+      std::fill_n(&picture.nearness[2 * pixel], 2, 0.0f);
+    });
+  }
   // What was blended so far is in the picture.
   const auto read = [&](TilePixels& pixels, const std::vector<float>& colour) {
     std::memset(&pixels, 0, sizeof(pixels));
@@ -54,7 +65,6 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   tile.pixels = &member.pixels;
   tile.behind = divided ? &member.behind : nullptr;
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
-  tile.divided = depthsOf(request.translucent_depth, rect, member.divided);
   const bool ended = kernels.blend(tile, request.mean_depth);
   if (ended) open[number] = kEnded;
 

@@ -16,9 +16,12 @@ gl::Program programOf(const ShaderSource& source, const char* fragment) {
   return program;
 }
 
-// Without arrays: these would be as whoever drew before has left them.
+using Cover = PictureMesh::Cover;
+
+// The cells of which so much is covered. Without arrays: these would be as whoever drew before has
+// left them.
 void draw(const CanvasScope& canvas, const OverlayTexture& texture, const PictureMesh::View& mesh,
-          const PictureMesh::Cells& cells) {
+          const PictureMesh::Cells& cells, Cover cover) {
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, texture.id());
   // Pixel on pixel there is nothing to smooth.
@@ -35,9 +38,9 @@ void draw(const CanvasScope& canvas, const OverlayTexture& texture, const Pictur
     const auto first = cells.begin() + static_cast<std::ptrdiff_t>(columns * row);
     const auto last = first + static_cast<std::ptrdiff_t>(columns);
     const PictureMesh::Corner* const corners = &mesh.corners[mesh.columns * row];
-    for (auto begin = std::find(first, last, true), end = begin; begin != last;
-         begin = std::find(end, last, true)) {
-      end = std::find(begin, last, false);
+    for (auto begin = std::find(first, last, cover), end = begin; begin != last;
+         begin = std::find(end, last, cover)) {
+      end = std::find_if(begin, last, [cover](Cover of) { return of != cover; });
       // Where nothing has moved, the corners between lie on a line.
       const auto step = mesh.moved ? 1 : end - begin;
       glBegin(GL_TRIANGLE_STRIP);
@@ -98,19 +101,22 @@ void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture,
   // All samples of a pixel are alike: in software, that saves a fifth. Depths that a shader writes
   // need each.
   glDisable(GL_MULTISAMPLE);
-  rosplat::draw(canvas, texture, mesh, cells);
+  glDisable(GL_BLEND);  // which takes software a third of the time, and hides all the same
+  rosplat::draw(canvas, texture, mesh, cells, Cover::kAll);
+  blendOver();
+  rosplat::draw(canvas, texture, mesh, cells, Cover::kSome);
 }
 
 void Overlay::drawDepth(const CanvasScope& canvas, const OverlayTexture& texture,
                         const PictureMesh::View& mesh, const PictureMesh::Cells& cells) const {
   depth_.use();
-  rosplat::draw(canvas, texture, mesh, cells);
+  rosplat::draw(canvas, texture, mesh, cells, Cover::kSome);
 }
 
 void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture) const {
   static const PictureMesh::View whole{
       2, {{-1, 1, 1, 0, 0}, {1, 1, 1, 1, 0}, {-1, -1, 1, 0, 1}, {1, -1, 1, 1, 1}}, false};
-  draw(canvas, texture, whole, {true});
+  draw(canvas, texture, whole, {Cover::kAll});
 }
 
 }  // namespace rosplat

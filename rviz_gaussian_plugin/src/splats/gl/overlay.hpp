@@ -36,14 +36,14 @@ class Overlay {
   // Throws gl::Error.
   explicit Overlay(const ShaderSource& source);
 
-  // A texture on the cells of a mesh that are listed, with the blending and depth test that are
-  // set.
+  // A texture on the cells of a mesh where there is something, blended over what is there, with the
+  // depth test that is set.
   void draw(const CanvasScope& canvas, const OverlayTexture& texture, const PictureMesh::View& mesh,
             const PictureMesh::Cells& cells) const;
-  // The same of its depths alone.
+  // Its depths alone, with the depth test that is set.
   void drawDepth(const CanvasScope& canvas, const OverlayTexture& texture,
                  const PictureMesh::View& mesh, const PictureMesh::Cells& cells) const;
-  // One as large as the canvas, all of it.
+  // One as large as the canvas, all of it, in the place of what is there.
   void draw(const CanvasScope& canvas, const OverlayTexture& texture) const;
 
  private:
