@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from rosplat_lab.metrics import psnr
+from rosplat_msgs.msg import ViewCamera
+from rosplat_sorter.qos import VIEW
 from rosplat_tools.generate import generate
 from rosplat_tools.splats import concatenate
 from rviz_harness import (
@@ -144,3 +146,21 @@ def test_a_click_selects_what_is_seen_whosever_it_is(
     rviz.drag((spots[1][0] - 30, spots[1][1] - 30), (spots[0][0] + 30, spots[0][1] + 30))
     world.spin_until(lambda: len(picked) == 2)
     assert set(picked) == {(other.frame, 2), (world.frame, 1)}
+
+
+def test_sorters_are_asked_for_orders_of_a_map_that_is_alone(
+    rviz: Rviz, world: World, other: World
+) -> None:
+    asked: list[int] = []
+    world.node.create_subscription(
+        ViewCamera, "/gaussians/view", lambda view: asked.append(view.sequence), VIEW
+    )
+    rviz.load(configuration(both(**{"Order Source": "Sidecar"})))
+    for each in (world, other):
+        each.place()
+        each.map.replace(disc((1, 0, 0)))
+    rviz.until(lambda _: asked and asked[-1] == 0)
+    rviz.set("Other", value=False)
+    rviz.until(lambda _: asked[-1] > 0)
+    rviz.set("Other", value=True)
+    rviz.until(lambda _: asked[-1] == 0)

@@ -30,7 +30,8 @@ View& DrawnViews::draw(const Ogre::Viewport* viewport, const SplatCamera& camera
   drawn.time = std::chrono::steady_clock::now();
   drawn.updates = 0;
   drawn.view.setPosePublished(main && publish_pose);
-  drawn.view.setOrdersWanted(orders_wanted);
+  // A sidecar's order is of one map: no sorter works for a picture of several.
+  drawn.view.setOrdersWanted(orders_wanted && scene_.report(drawn.view.id()).maps == 1);
   drawn.view.look(camera);
   return drawn.view;
 }
