@@ -159,8 +159,8 @@ def test_sorters_are_asked_for_orders_of_a_map_that_is_alone(
     for each in (world, other):
         each.place()
         each.map.replace(disc((1, 0, 0)))
-    rviz.until(lambda _: asked and asked[-1] == 0)
+    world.spin_until(lambda: bool(asked) and asked[-1] == 0)
     rviz.set("Other", value=False)
-    rviz.until(lambda _: asked[-1] > 0)
+    world.spin_until(lambda: asked[-1] > 0)
     rviz.set("Other", value=True)
-    rviz.until(lambda _: asked[-1] == 0)
+    world.spin_until(lambda: asked[-1] == 0)
