@@ -11,7 +11,6 @@ namespace rosplat {
 namespace {
 
 constexpr float kSurfaceAlpha = 0.5f;  // more splats than void
-constexpr double kFreshEnough = 0.05;  // that was asked for a camera that moves [s]
 
 double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -106,14 +105,11 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   request->window = canvas != Canvas::kNone;
   View& view = views_[name];
   if (asynchronous && request->window) request->motion = view.motion.follow(camera, now());
-  // A camera that moves is thought ahead: for that, depths needn't be read anew in each frame.
-  const bool thought_ahead = view.asked && !view.asked->motion.none() && !request->motion.none();
-  const bool asks = !thought_ahead || !painter_.waits(name, kFreshEnough);
-  if (asks && around.translucent) {
+  if (around.translucent) {
     request->translucent_depth = depthsOf(canvas, camera.width, camera.height, around.translucent);
   }
   const CanvasScope window(canvas);
-  if (asks && around.opaque) request->scene_depth = window.readDepth(camera.width, camera.height);
+  if (around.opaque) request->scene_depth = window.readDepth(camera.width, camera.height);
 
   drawn_ = nullptr;
   PaintingPtr painting = painter_.newest(name);
@@ -130,7 +126,7 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   } else if (!exact_ && asked(view, *request, maps)) {
     painter_.hurry(name);  // the camera rests
   } else if (!exact_) {
-    if (asks) ask(name, request, maps);
+    ask(name, request, maps);
   } else if (asynchronous && !painting->settled && painting->request == view.asked) {
     request->rests = true;
     ask(name, request, maps);

@@ -136,13 +136,6 @@ void Painter::ask(const std::string& view_id, PaintRequestPtr request) {
   enqueue(view_id, std::move(request));
 }
 
-bool Painter::waits(const std::string& view_id, double seconds) const {
-  const std::lock_guard lock(mutex_);
-  const auto found = views_.find(view_id);
-  if (found == views_.end() || !found->second.waiting) return false;
-  return now() - found->second.waiting->asked <= seconds;
-}
-
 void Painter::hurry(const std::string& view_id) {
   const std::lock_guard lock(mutex_);
   const auto found = views_.find(view_id);

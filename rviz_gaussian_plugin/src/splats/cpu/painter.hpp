@@ -110,8 +110,6 @@ class Painter {
   void wake();
   // Has a view painted; in the place of what waits for it.
   void ask(const std::string& view_id, PaintRequestPtr request);
-  // Whether a request of a view waits, and not for longer than that. [s]
-  bool waits(const std::string& view_id, double seconds) const;
   // Has what is being painted of a view given up, for something that is asked for already; not
   // twice in a row.
   void hurry(const std::string& view_id);
