@@ -33,7 +33,6 @@ struct Scene {
     BatchReport report;
     const auto edit = map.apply(next.look(), report);
     slots.apply(*edit, 0);
-    weights.forget(slots.index(), *edit);
   }
   // Writes the splats from a slot on and forgets them.
   void write(std::uint32_t first_slot = 0) {
@@ -49,8 +48,7 @@ struct Scene {
 
   GaussianMap map;
   HostSlots slots;
-  ViewWeights weights;  // of a view of it
-  OwnedBatch batch;     // to be written
+  OwnedBatch batch;  // to be written
 };
 
 // 3000 splats of all sizes and opacities around the point that the camera looks at.
@@ -316,85 +314,6 @@ TEST(CpuRasterizer, draws_each_map_by_its_own_settings) {
       ASSERT_EQ(picture.colour[i], left.colour[i] + right.colour[i]) << "mode " << int(mode);
     }
   }
-}
-
-TEST(CpuRasterizer, leaves_out_what_hardly_showed) {
-  const Scene scene = cloud();
-  PictureRequest wanted = request(scene);
-  Contributions contributions;
-  SplatPicture picture;
-  ASSERT_TRUE(rasterizer().contribute(wanted, contributions));
-  ASSERT_TRUE(rasterizer().draw(wanted, picture));
-  const std::vector<float> full = picture.colour;
-  constexpr float kLeast = 0.5f;
-  const std::vector<float>& weights = contributions.weight;
-  const auto shown = std::size_t(
-      std::count_if(weights.begin(), weights.end(), [](float weight) { return weight >= kLeast; }));
-  ASSERT_LT(shown, 1500u);
-
-  std::vector<std::vector<float>> expected;
-  for (const unsigned threads : {1u, 3u}) {
-    ViewWeights memory;
-    wanted.layers[0].weights = &memory;
-    wanted.layers[0].least_weight = kLeast;
-    CpuRasterizer with = rasterizer(threads);
-    for (std::size_t number = 0; number < 3; ++number) {
-      ASSERT_TRUE(with.draw(wanted, picture));
-      const std::size_t drawn = picture.layers[0].drawn;
-      if (number == 0) {  // nothing is known yet
-        EXPECT_EQ(picture.colour, full);
-        EXPECT_GT(drawn, 2000u);
-      } else {
-        EXPECT_GE(drawn, shown);
-        EXPECT_LT(drawn, shown + (weights.size() - shown) / 8);  // some take turns
-        double squares = 0;
-        for (std::size_t i = 0; i < full.size(); ++i) {
-          squares += std::pow(picture.colour[i] - full[i], 2);
-        }
-        EXPECT_LT(squares / double(full.size()), 1e-4);  // 40 dB
-      }
-      if (threads == 1) expected.push_back(picture.colour);
-      EXPECT_EQ(picture.colour, expected[number]) << threads << " threads";
-    }
-    wanted.layers[0].least_weight = 0;
-    ASSERT_TRUE(with.draw(wanted, picture));
-    EXPECT_EQ(picture.colour, full);
-  }
-}
-
-TEST(CpuRasterizer, draws_what_was_left_out_once_it_shows) {
-  Scene scene;
-  for (int i = 0; i < 8; ++i) scene.add({0, 0, 3 + 0.1f * float(i)}, 0.5f, 1, {1, 1, 1});
-  scene.write();
-  scene.add({0, 0, 6}, 0.05f, 1, {1, 0, 0});
-  scene.write(8);
-  PictureRequest wanted = request(64, 64, scene);
-  wanted.layers[0].weights = &scene.weights;
-  wanted.layers[0].least_weight = 0.5f;
-  CpuRasterizer with = rasterizer();
-  SplatPicture picture;
-  const auto draws = [&] {
-    EXPECT_TRUE(with.draw(wanted, picture));
-    return picture.layers[0].drawn;
-  };
-  EXPECT_EQ(draws(), 9u);
-  const std::size_t before = draws();
-  EXPECT_LT(before, 9u);
-  scene.add({0, 0, 2}, 0.05f, 1, {1, 0, 0});
-  scene.write(8);
-  draws();
-  const std::size_t middle = 4 * (64 * 32 + 32);
-  EXPECT_LT(picture.colour[middle + 1], 0.1f);  // red before white
-
-  // What hid the others goes, and nobody says so.
-  scene.remove(8, 1);
-  scene.remove(0, 2);
-  for (int i = 0; i < 17; ++i) draws();
-  const std::vector<float> found = picture.colour;
-  ViewWeights none;
-  wanted.layers[0].weights = &none;
-  draws();
-  for (std::size_t i = 0; i < found.size(); ++i) EXPECT_NEAR(found[i], picture.colour[i], 0.02f);
 }
 
 TEST(CpuRasterizer, gives_up_when_it_is_told_to) {

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -32,12 +31,6 @@ EDITED = 10_000  # splats, of an edit
 SUPERSAMPLED = 4  # pixels of the truth in one, along an axis
 PATH, QUICK_PATH = 30, 4  # pictures
 POPPING = ("2px", "4px", "8px")
-SOME_LEFT_OUT = "some left out"  # in place of a detail
-LEFT_OUT = (1 / 64, 1 / 16, 1 / 4, 1)  # of what was the colour of fewer pixels lately
-WEIGHT_OF_TIME = LEFT_OUT[0]  # that pictures which keep a time leave out
-TURNS = (1, 5)  # from picture to picture, while a mouse turns the view [deg]
-ASIDE = 0.02  # meanwhile, a degree [m]
-TURNED, QUICK_TURNED = 12, 3  # pictures
 STEPS = 8  # cameras that take turns
 STEP, TURN = 0.005, math.radians(0.1)  # from one to the next [m], [rad]
 NEAR = 0.5  # away, to what the camera comes nearer by STEP [m]
@@ -80,13 +73,6 @@ class Processor:
 
     def colour(self) -> Array:
         return self._drawn["colour"][..., :3].astype(np.float64)
-
-    def draw_moving(self, camera: Camera, least_weight: float) -> dict[str, Any]:
-        """As draw, but leaves out what was the colour of fewer pixels in the pictures before."""
-        self._drawn = self.renderer.draw(
-            self._pose(camera), mean_depth=True, least_weight=least_weight
-        )
-        return self._drawn
 
 
 class Card:
@@ -189,20 +175,6 @@ def _scene(
             colour = np.clip(drawer.colour(), 0, 1)
             yield of("PSNR", "dB", _psnr(colour, full), **shown)
             yield of("PSNR against the truth", "dB", _psnr(colour, truth), **shown)
-        if isinstance(drawer, Processor):
-            pictures = QUICK_TURNED if length == QUICK_PATH else TURNED
-            for turn, least in itertools.product(TURNS, LEFT_OUT):
-                moving = _in_motion(drawer, list(_turns(camera, turn, pictures)), least)
-                labels = {
-                    "view": view,
-                    "turn": f"{turn} degrees",
-                    "least": f"1/{round(1 / least)} px",
-                }
-                labels["share"] = float(np.mean([picture.share for picture in moving]))
-                psnrs = [picture.psnr for picture in moving]
-                yield of("PSNR in motion, some left out", "dB", psnrs, **labels)
-                times = [picture.milliseconds for picture in moving]
-                yield of("frame in motion, some left out", "ms", times, **labels)
     camera = scenes.inside(splats, *picture, 1)[0]
     for detail, changes in _pops(drawer, camera, length).items():
         most = [np.quantile(change, 0.999) for change in changes]
@@ -214,50 +186,6 @@ def _scene(
         yield of("popping of a camera at rest, 99.9 % of pixels", "/255", most, detail=detail)
         worst = [change.max() for change in changes]
         yield of("popping of a camera at rest, worst pixel", "/255", worst, detail=detail)
-
-
-@dataclass(frozen=True)
-class _Moving:
-    """A picture while the camera moves."""
-
-    share: float
-    """Of the splats that full detail draws."""
-    psnr: float
-    """Against full detail. [dB]"""
-    milliseconds: float
-
-
-def _in_motion(drawer: Processor, cameras: Sequence[Camera], least: float) -> list[_Moving]:
-    """Pictures of one camera after the other, the first in full as of one that rested."""
-    whole, full = [], []
-    for camera in cameras:
-        drawer.renderer.settings.detail = "full"
-        whole.append(drawer.draw(camera)["splats"])
-        full.append(np.clip(drawer.colour(), 0, 1))
-    drawer.draw_moving(cameras[0], 0)
-    moving = []
-    for index, camera in enumerate(cameras[1:], 1):
-        began = time.perf_counter()
-        drawn = drawer.draw_moving(camera, least)["splats"]
-        took = 1e3 * (time.perf_counter() - began)
-        psnr = _psnr(np.clip(drawer.colour(), 0, 1), full[index])
-        moving.append(_Moving(drawn / max(whole[index], 1), psnr, took))
-    return moving
-
-
-def _turns(camera: Camera, turn: float, length: int) -> Iterator[Camera]:
-    """As a mouse turns a view: by so many degrees from picture to picture, and to the side."""
-    for index in range(length):
-        yield _moved(camera, index * math.radians(turn), (index * turn * ASIDE, 0, 0))
-
-
-def _moved(camera: Camera, turn: float, step: tuple[float, float, float]) -> Camera:
-    """A camera that has turned to the side by an angle [rad], and then moved what it sees [m]."""
-    cos, sin = math.cos(turn), math.sin(turn)
-    motion = np.eye(4)
-    motion[:3, :3] = [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
-    motion[:3, 3] = step
-    return replace(camera, world_to_camera=motion @ camera.world_to_camera)
 
 
 def _psnr(picture: Array, reference: Array) -> float:
@@ -298,7 +226,13 @@ def _truth(drawer: Drawer, camera: Camera) -> Array:
 def _path(camera: Camera, length: int) -> Iterator[Camera]:
     """A slow one, forwards and to the side."""
     for index in range(length):
-        yield _moved(camera, index * TURN, (0, 0, -index * STEP))
+        turn = index * TURN
+        step = np.eye(4)
+        step[:3, :3] = [
+            [math.cos(turn), 0, math.sin(turn)], [0, 1, 0], [-math.sin(turn), 0, math.cos(turn)],
+        ]  # fmt: skip
+        step[2, 3] = -index * STEP
+        yield replace(camera, world_to_camera=step @ camera.world_to_camera)
 
 
 def _fades(drawer: Drawer, camera: Camera, length: int) -> dict[str, list[Array]]:
@@ -319,16 +253,12 @@ def _fades(drawer: Drawer, camera: Camera, length: int) -> dict[str, list[Array]
 def _pops(drawer: Drawer, camera: Camera, length: int) -> dict[str, list[Array]]:
     """By how much pixels change from picture to picture, beyond those of the full map [/255]: what
     pops, and what of a coarser picture moves past pixels, whether anything pops or not."""
-    changes: dict[str, list[Array]] = {}
+    changes: dict[str, list[Array]] = {detail: [] for detail in POPPING}
     before: dict[str, Array] = {}
     for here in _path(camera, length):
         now = {detail: _picture(drawer, here, detail) for detail in ("full", *POPPING)}
-        if isinstance(drawer, Processor):
-            drawer.renderer.settings.detail = "full"
-            drawer.draw_moving(here, WEIGHT_OF_TIME if before else 0)
-            now[SOME_LEFT_OUT] = np.clip(drawer.colour(), 0, 1)
-        for detail in now.keys() - {"full"} if before else ():
+        for detail in POPPING if before else ():
             change = np.abs(now[detail] - before[detail]) - np.abs(now["full"] - before["full"])
-            changes.setdefault(detail, []).append(255 * np.maximum(change.max(axis=2), 0))
+            changes[detail].append(255 * np.maximum(change.max(axis=2), 0))
         before = now
     return changes

@@ -80,7 +80,6 @@ struct CpuRenderer {
   HostSlots slots;
   Levels levels;
   DetailControl detail;
-  ViewWeights weights;
   CpuRasterizer rasterizer;
   SplatPicture picture;
   RenderSettings settings;
@@ -92,7 +91,6 @@ BatchReport take(CpuRenderer& renderer, const GaussianBatch& batch) {
     if (edit->clear) renderer.levels.clear();
     renderer.slots.apply(*edit, 0);
     renderer.levels.mark(renderer.slots, edit->runs);
-    renderer.weights.forget(renderer.slots.index(), *edit);
   });
   return report;
 }
@@ -306,15 +304,11 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
                    const std::optional<Array<float>>& scene_depth,
                    const std::optional<Array<float>>& translucent_depth,
                    const std::optional<Array<std::uint32_t>>& order,
-                   const std::vector<CpuRenderer*>& beside, std::optional<float> least_weight) {
+                   const std::vector<CpuRenderer*>& beside) {
   if (order && !beside.empty()) throw std::invalid_argument("an order is of one map alone");
   PictureRequest request = requestOf(renderer, camera, scene_depth, translucent_depth, order);
   for (const CpuRenderer* other : beside) request.layers.push_back(layerOf(*other, camera));
   request.mean_depth = mean_depth;
-  if (least_weight) {
-    request.layers.front().weights = &renderer.weights;
-    request.layers.front().least_weight = *least_weight;
-  }
   SplatPicture& picture = renderer.picture;
   {
     const py::gil_scoped_release release;
@@ -608,10 +602,8 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("settings", &CpuRenderer::settings)
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "scene_depth"_a = py::none(),
            "translucent_depth"_a = py::none(), "order"_a = py::none(),
-           "beside"_a = std::vector<CpuRenderer*>(), "least_weight"_a = py::none(),
-           "Draws the map; and, in one order with it, those of other renderers in the same frame. "
-           "least_weight: takes note of what splats are to the picture, and leaves out those that "
-           "were the colour of fewer pixels lately.")
+           "beside"_a = std::vector<CpuRenderer*>(),
+           "Draws the map; and, in one order with it, those of other renderers in the same frame.")
       .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
       .def("nodes", &nodesOf, "level"_a, "group"_a = 0)
       .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })

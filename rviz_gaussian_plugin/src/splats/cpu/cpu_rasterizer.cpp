@@ -21,9 +21,6 @@ constexpr int kLongestSide = 16384;  // [px], as makeCamera() has it
 // Transmittance at which tiles end: 106 dB and more against blending all; gsplat ends there, too.
 constexpr float kTransparent = 1e-4f;
 
-// Pixels of whose colour so much was left out, as samples say: then the picture is drawn once more.
-constexpr double kMostLeftOut = 0.002;
-
 const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
 #if defined(__x86_64__) && defined(__GNUC__)
   using Instructions = CpuRasterizer::Instructions;
@@ -103,12 +100,6 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   for (std::size_t i = 0; i < layers.size(); ++i) {
     setView(request.layers[i], request.now, layers[i]);
   }
-  weighs = false;
-  for (SeenLayer& layer : layers) {
-    if (!layer.weights) continue;
-    layer.weights->beginPicture();
-    weighs = true;
-  }
   ordered = request.order.has_value();
   if (ordered) setOrder(*request.layers.front().slots, *request.order);
   bool fits = false;
@@ -152,7 +143,6 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     // What is behind a splat is known once all slices are drawn.
     contributes = wanted.contributions && (wanted.drawn || (first && waiting.empty()));
     if (contributes) of_listed.reserve(total_pairs);
-    if (weighs) weights_of_listed.reserve(total_pairs);
     std::atomic<std::size_t> next{0};
     team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
       Member& member = members[number];
@@ -171,24 +161,12 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     if (cancelled()) return false;
     if (contributes) addUp(*wanted.contributions);
     lap("blend");
-    if (weighs) addUpWeights();
-    lap("weigh");
     for (const Part& part : parts) {
       for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].drawn += part.of_layers[i];
     }
     first = false;
     hides = hides || std::find(open.begin(), open.begin() + std::ptrdiff_t(tiles), kEnded) !=
                          open.begin() + std::ptrdiff_t(tiles);
-  }
-  if (weighs) {
-    const double left_out = finishWeights();
-    lap("weigh");
-    // Now with what the samples have shown.
-    if (!wanted.again && left_out > kMostLeftOut * double(pixels)) {
-      Wanted again = wanted;
-      again.again = true;
-      return run(request, again);
-    }
   }
   if (blends) {
     inParts(picture->depth.size(), 1 << 14, [&](const Part& part, Member&) {
@@ -206,23 +184,6 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     return run(request, {picture, nullptr, wanted.contributions, true});
   }
   return true;
-}
-
-double CpuRasterizer::Work::finishWeights() {
-  inParts(pages.size(), 16, [&](Part& part, Member&) {
-    part.left_out = 0;
-    for (std::size_t i = part.begin; i < part.end; ++i) {
-      const SeenLayer& layer = layers[pages[i].layer];
-      if (!pages[i].weights) continue;
-      part.left_out += layer.weights->finish(*pages[i].weights, layer.least_weight);
-    }
-  });
-  for (const SeenLayer& layer : layers) {
-    if (layer.weights) layer.weights->endPicture();
-  }
-  double left_out = 0;
-  for (const Part& part : parts) left_out += part.left_out;
-  return left_out;
 }
 
 CpuRasterizer::CpuRasterizer(std::shared_ptr<rosplat_sorter::ThreadTeam> team,
@@ -259,9 +220,9 @@ const char* CpuRasterizer::instructions() const { return work_->kernels.name; }
 
 std::size_t CpuRasterizer::bytes() const {
   const Work& w = *work_;
-  std::size_t bytes = w.weights_of_listed.bytes() + w.ranks.bytes() + w.found.bytes() +
-                      w.dealt.bytes() + w.records.bytes() + w.keys.bytes() + w.listed.bytes() +
-                      w.of_listed.bytes() + w.begins.capacity() * sizeof(w.begins[0]) +
+  std::size_t bytes = w.ranks.bytes() + w.found.bytes() + w.dealt.bytes() + w.records.bytes() +
+                      w.keys.bytes() + w.listed.bytes() + w.of_listed.bytes() +
+                      w.begins.capacity() * sizeof(w.begins[0]) +
                       w.pages.capacity() * sizeof(w.pages[0]);
   for (const Part& part : w.parts) {
     bytes += part.counts.capacity() * sizeof(part.counts[0]) + part.pairs.room * sizeof(Pair);

@@ -12,7 +12,6 @@
 #include <string>
 #include <vector>
 
-#include "cpu/view_weights.hpp"
 #include "map/gaussian_batch.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/host_slots.hpp"
@@ -36,10 +35,6 @@ struct PictureLayer {
   // No more splats and nodes than that, but for those without a parent: for it, the error is
   // raised.
   std::size_t most_splats = std::numeric_limits<std::size_t>::max();
-  // Takes note of what splats are to the picture. What is known to have been the colour of fewer
-  // than so many pixels lately is left out of it. Not with an order, nor with most_splats.
-  ViewWeights* weights = nullptr;
-  float least_weight = 0;  // [px]
 };
 
 // What a picture shows. Arrays are the caller's, and by pixel, top row first.

@@ -594,17 +594,7 @@ bool walk(const Listed* listed, std::size_t count, const Record* records, int le
   return ended(transmittance, behind, ends_at);
 }
 
-// Of all lanes; one after the other would take longer than a splat's pixels.
-float sumOf(Floats v) {
-  typedef float Four __attribute__((vector_size(16)));
-  Four parts[kLanes / 4];
-  store(parts, v);
-  Four sum = parts[0];
-  for (int i = 1; i < kLanes / 4; ++i) sum += parts[i];
-  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-
-template <bool kDepth, bool kOpaque, bool kDivided, bool kWeights>
+template <bool kDepth, bool kOpaque, bool kDivided>
 bool blendAs(const BlendTile& tile) {
   // A vector of pixels under a splat.
   const auto blend = [](TilePixels& into, int pixel, Floats falloff, Ints where,
@@ -618,69 +608,39 @@ bool blendAs(const BlendTile& tile) {
     Floats weight = transmittance * alpha;
     store(into.transmittance + pixel, transmittance - weight);
     if (kDepth) store(into.depth + pixel, fma(weight, depth, load(into.depth + pixel)));
-    const Floats shown = weight;
     if (share == kGaussianBallShare) weight = where ? weight * falloff : Floats{};
     for (int i = 0; i < 3; ++i) {
       float* const channel = into.colour[i] + pixel;
       store(channel, fma(weight, colour[i], load(channel)));
     }
-    return shown;
-  };
-  float* next = tile.weights;
-  Floats sum = {};  // of the splat that is being walked over
-  const auto finish = [&] {
-    if (!kWeights || next == tile.weights) return;
-    next[-1] = sumOf(sum);
-    sum = Floats{};
   };
   TilePixels& pixels = *tile.pixels;
-  const bool has_ended =
-      walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
-           kDivided ? tile.behind->transmittance : nullptr, tile.ends_at, [&](const Record& e) {
-             if (kWeights) {
-               finish();
-               ++next;
-             }
-             const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
-             const Floats depth = all(e.depth), window_depth = all(e.window_depth);
-             const float share = e.share;
-             return [=, &pixels, &tile, &sum](int pixel, Floats exponent, Ints covered) {
-               const Floats falloff = falloffOf(exponent);
-               if (kOpaque) covered &= window_depth <= load(tile.opaque + pixel);
-               if (!kDivided) {
-                 const Floats shown = blend(pixels, pixel, falloff, covered, colour, depth, share);
-                 if (kWeights) sum += shown;
-                 return;
-               }
-               const Ints before = window_depth <= load(tile.divided + pixel);
-               const Floats shown =
-                   blend(pixels, pixel, falloff, covered & before, colour, depth, share) +
-                   blend(*tile.behind, pixel, falloff, covered & ~before, colour,
-                         1.0f - window_depth, share);
-               if (kWeights) sum += shown;
-             };
-           });
-  finish();
-  if (kWeights) {
-    while (next < tile.weights + tile.count) *next++ = 0;
-  }
-  return has_ended;
-}
-
-template <bool kDepth, bool kDivided, bool kWeights>
-bool blendBeside(const BlendTile& tile) {
-  return tile.opaque ? blendAs<kDepth, true, kDivided, kWeights>(tile)
-                     : blendAs<kDepth, false, kDivided, kWeights>(tile);
+  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
+              kDivided ? tile.behind->transmittance : nullptr, tile.ends_at, [&](const Record& e) {
+                const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
+                const Floats depth = all(e.depth), window_depth = all(e.window_depth);
+                const float share = e.share;
+                return [=, &pixels, &tile](int pixel, Floats exponent, Ints covered) {
+                  const Floats falloff = falloffOf(exponent);
+                  if (kOpaque) covered &= window_depth <= load(tile.opaque + pixel);
+                  if (!kDivided)
+                    return blend(pixels, pixel, falloff, covered, colour, depth, share);
+                  const Ints before = window_depth <= load(tile.divided + pixel);
+                  blend(pixels, pixel, falloff, covered & before, colour, depth, share);
+                  blend(*tile.behind, pixel, falloff, covered & ~before, colour,
+                        1.0f - window_depth, share);
+                };
+              });
 }
 
 bool blend(const BlendTile& tile, bool with_depth) {
   if (tile.divided) {
-    return tile.weights ? blendBeside<true, true, true>(tile)
-                        : blendBeside<true, true, false>(tile);
+    return tile.opaque ? blendAs<true, true, true>(tile) : blendAs<true, false, true>(tile);
   }
-  if (tile.weights) return blendBeside<true, false, true>(tile);
-  return with_depth ? blendBeside<true, false, false>(tile)
-                    : blendBeside<false, false, false>(tile);
+  if (with_depth) {
+    return tile.opaque ? blendAs<true, true, false>(tile) : blendAs<true, false, false>(tile);
+  }
+  return tile.opaque ? blendAs<false, true, false>(tile) : blendAs<false, false, false>(tile);
 }
 
 bool pick(const PickTile& tile) {
@@ -702,6 +662,16 @@ bool pick(const PickTile& tile) {
                   store(tile.transmittance + pixel, transmittance - weight);
                 };
               });
+}
+
+// Of all lanes; one after the other would take longer than a splat's pixels.
+float sumOf(Floats v) {
+  typedef float Four __attribute__((vector_size(16)));
+  Four parts[kLanes / 4];
+  store(parts, v);
+  Four sum = parts[0];
+  for (int i = 1; i < kLanes / 4; ++i) sum += parts[i];
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
 bool contribute(const ContributeTile& tile) {

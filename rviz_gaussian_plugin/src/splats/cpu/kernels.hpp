@@ -128,7 +128,6 @@ struct BlendTile {
   TilePixels* behind;    // of the others; its depth is 1 - window depth
   const float* opaque;   // window depth that hides what is farther; or null
   const float* divided;  // of translucent objects; or null
-  float* weights;        // sums of alpha x transmittance, of the listed, one for each; or null
 };
 
 struct PickTile {

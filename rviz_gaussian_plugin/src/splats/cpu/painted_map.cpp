@@ -13,9 +13,6 @@ namespace {
 constexpr double kLevelsPerPicture = 0.03;
 constexpr double kLevelsShare = 0.5;  // or for that part of the time that they take without
 
-// Of what pictures leave out that shall take no longer than a time. [px]
-constexpr float kLeastWeight = 1.0f / 64;
-
 }  // namespace
 
 PaintedMap::PaintedMap(NextEdit next_edit)
@@ -85,7 +82,6 @@ bool PaintedMap::takeEdits(std::size_t most_bytes, const std::atomic<bool>& stop
     } catch (const std::bad_alloc&) {  // the rest of the map is still worth seeing
       error = "there is no memory for all of the map";
     }
-    for (auto& [id, view] : views_) view.weights.forget(slots_.index(), *edit);
     taken += edit->slots.size() * sizeof(std::uint32_t);
     for (const auto& band : edit->bands) taken += band.size() * sizeof(std::uint32_t);
     for (const auto& channel : edit->channels) taken += channel.size() * sizeof(float);
@@ -102,10 +98,10 @@ bool PaintedMap::advanceLevels(const std::function<bool()>& stop) {
 }
 
 void PaintedMap::keepViews(const std::function<bool(const std::string& view_id)>& keep) {
-  for (auto view = views_.begin(); view != views_.end();) {
-    view = keep(view->first) ? std::next(view) : views_.erase(view);
+  for (auto control = controls_.begin(); control != controls_.end();) {
+    control = keep(control->first) ? std::next(control) : controls_.erase(control);
   }
-  if (views_.empty()) dropLevels();
+  if (controls_.empty()) dropLevels();
 }
 
 void PaintedMap::dropLevels() {
@@ -122,42 +118,36 @@ PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id, bool res
                                             PictureLayer& layer) {
   const RenderSettings& settings = layer.settings;
   const Detail detail = settings.drawnDetail();
-  OfView& view = views_[view_id];
-  DetailControl& control = view.control;
+  DetailControl& control = controls_[view_id];
   const bool in_time = detail.kind == Detail::Kind::kTime;
   const bool moves = settings.asynchronous && !rests;
-  if (!control.needsLevels(detail)) return {};
-  if (in_time && settings.asynchronous) {
-    layer.weights = &view.weights;
-    layer.least_weight = moves ? kLeastWeight : 0;
-  }
-  if (in_time && !moves) return {};
+  if (!control.needsLevels(detail) || (in_time && !moves)) return {};
   wants_levels_ = true;
   const double patience = std::max(kLevelsPerPicture, kLevelsShare * control.secondsInFull());
   try {
     const bool whole = advanceLevels([&] { return stop(patience); });
-    if (levels_.nodes() == 0) return {whole && !in_time, ""};  // splats are drawn until they stand
+    if (levels_.nodes() == 0) return {whole || in_time, ""};  // all is drawn until they stand
     layer.levels = &levels_;
     layer.error = control.choose(detail, !settings.asynchronous, levels_.groups(), layer.camera,
                                  slots_.index().groups(), settings.clip_box);
     if (detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
       layer.most_splats = static_cast<std::size_t>(detail.amount);
     }
-    return {whole && control.settled() && !in_time, ""};
+    return {in_time ? layer.error == 0 : whole && control.settled(), ""};
   } catch (const std::bad_alloc&) {
-    return {!in_time, "there is no memory for levels of detail"};
+    return {true, "there is no memory for levels of detail"};
   }
 }
 
 void PaintedMap::drew(const std::string& view_id, const PictureLayer& layer, double error,
                       double seconds) {
-  const auto found = views_.find(view_id);
-  if (found == views_.end()) return;
-  DetailControl& control = found->second.control;
+  const auto found = controls_.find(view_id);
+  if (found == controls_.end()) return;
+  DetailControl& control = found->second;
   if (layer.levels) {
     control.drew(error);
     control.took(error, seconds);
-  } else if (layer.least_weight == 0) {
+  } else {
     control.drewAll(seconds);
     wants_levels_ = wants_levels_ || control.needsLevels(layer.settings.drawnDetail());
   }

@@ -52,7 +52,7 @@ class PaintedMap {
 
   // Takes edits until they make up so many bytes, or until `stop` is set; whether none is left.
   bool takeEdits(std::size_t most_bytes, const std::atomic<bool>& stop, double now);
-  // What of a view's next picture is to be drawn by nodes, and left out.
+  // What of a view's next picture is to be drawn by nodes.
   struct Chosen {
     bool settled = true;  // another picture would be in the same detail
     std::string error;    // why it is not in the detail that was asked for
@@ -69,12 +69,6 @@ class PaintedMap {
   bool advanceLevels(const std::function<bool()>& stop);
 
  private:
-  // Of a view that isn't painted in full.
-  struct OfView {
-    DetailControl control;
-    ViewWeights weights;
-  };
-
   void setState(const MapState& map, const std::string& error);
   void dropLevels();
 
@@ -91,8 +85,8 @@ class PaintedMap {
   HostSlots slots_;
 
   Levels levels_;
-  std::map<std::string, OfView> views_;
-  bool wants_levels_ = false;  // some of these do
+  std::map<std::string, DetailControl> controls_;  // of views that aren't painted in full
+  bool wants_levels_ = false;                      // some of these do
   std::atomic<std::size_t> levels_bytes_{0};
 };
 using PaintedMapPtr = std::shared_ptr<PaintedMap>;

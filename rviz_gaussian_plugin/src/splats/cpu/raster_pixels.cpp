@@ -65,7 +65,6 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   tile.pixels = &member.pixels;
   tile.behind = divided ? &member.behind : nullptr;
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
-  tile.weights = weighs ? weights_of_listed.get() + begins[number] : nullptr;
   const bool ended = kernels.blend(tile, request.mean_depth);
   if (ended) open[number] = kEnded;
 
@@ -165,22 +164,6 @@ void CpuRasterizer::Work::addUp(Contributions& contributions) {
       contributions.error[slot] += of_records[i].error;
     }
   }
-}
-
-// Each thread those of its records, in the order of tiles: sums are the same for any number.
-void CpuRasterizer::Work::addUpWeights() const {
-  const std::size_t end = parts.back().begin + parts.back().drawn;
-  team->run(unsigned(members.size()), [&](unsigned number, unsigned) {
-    const std::size_t first = end * number / members.size();
-    const std::size_t last = end * (number + 1) / members.size();
-    for (std::size_t i = 0; i < total_pairs; ++i) {
-      const std::uint32_t record = listed[i].record;
-      if (weights_of_listed[i] == 0 || record < first || record >= last) continue;
-      const std::uint32_t index = records[record].index;
-      ViewWeights::Page* const page = pages[index / kSlots].weights;
-      if (page) page->next[index % kSlots] += weights_of_listed[i];
-    }
-  });
 }
 
 }  // namespace rosplat

@@ -26,7 +26,7 @@ void CpuRasterizer::Work::cull() {
       const std::size_t count = kernels.cull(layers[page.layer].cull, page.slots, out);
       part.of_layers[page.layer] += count;
       if (!ordered) {
-        out = page.weights ? leaveOut(page, out, out + count) : out + count;
+        out += count;
         continue;
       }
       const Candidate* const end = out + count;
@@ -45,23 +45,6 @@ void CpuRasterizer::Work::cull() {
     candidates += part.end - part.begin;
     for (std::size_t i = 0; i < layers.size(); ++i) layers[i].candidates += part.of_layers[i];
   }
-}
-
-// Leaves those candidates of a page that are to be drawn, by what they were lately; returns where
-// they end.
-Candidate* CpuRasterizer::Work::leaveOut(const SeenPage& page, Candidate* begin,
-                                         Candidate* end) const {
-  const SeenLayer& layer = layers[page.layer];
-  HostSlots::PerSlot<float>& next = page.weights->next;
-  next.fill(ViewWeights::kUnknown);
-  Candidate* out = begin;
-  for (const Candidate* c = begin; c < end; ++c) {
-    const std::size_t slot = c->index % kSlots;
-    const bool left_out = layer.weights->leavesOut(*page.weights, slot, layer.least_weight);
-    next[slot] = left_out ? -page.weights->last[slot] : 0;
-    if (!left_out) *out++ = *c;
-  }
-  return out;
 }
 
 // Deals what was found out to slices of depth, nearest first, in each in the order of slots.

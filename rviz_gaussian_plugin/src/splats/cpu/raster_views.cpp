@@ -15,8 +15,6 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLay
   const ClipBox& box = settings.clip_box;
   seen.groups = seenGroups(camera, layer.slots->index().groups(), box);
   seen.error = layer.levels ? layer.error : 0;
-  seen.weights = layer.weights;
-  seen.least_weight = layer.least_weight;
   // But for where groups are, they all are seen alike.
   const rosplat_sorter::View view = sorterView(camera, {}, 1.0);
   CullView& c = seen.cull;
@@ -95,9 +93,7 @@ void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t n
   const double error = seen.error;
   if (error == 0) {
     for (const SlotPage& page : slots.pages()) {
-      if (!groups[page.group].pages.mayShow(page)) continue;
-      choose(page, slots.at(page), number);
-      if (seen.weights) pages.back().weights = &seen.weights->page(page);
+      if (groups[page.group].pages.mayShow(page)) choose(page, slots.at(page), number);
     }
     return;
   }
@@ -122,7 +118,6 @@ void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t n
     if (!mayShow(page, 0, memory.widest_parent)) continue;
     choose(page, memory, number);
     if (memory.parents) pages.back().slots.parents = memory.parents->data();
-    if (seen.weights) pages.back().weights = &seen.weights->page(page);
   }
   for (int level = 0; level < kLevels; ++level) {
     const float own = cellSize(level), parent = cellSize(level + 1);
@@ -145,7 +140,7 @@ void CpuRasterizer::Work::choose(const SlotPage& page, const HostSlots::Page& me
                                  std::uint32_t layer) {
   static const std::vector<std::uint32_t> kZeros(std::size_t{7} * kSlots);
   const auto first_index = static_cast<std::uint32_t>(pages.size() * kSlots);
-  pages.push_back({{}, &page, layer, nullptr});
+  pages.push_back({{}, &page, layer});
   PageSlots& chosen = pages.back().slots;
   for (int i = 0; i < 3; ++i) chosen.position[i] = memory.position[i].data();
   chosen.extent = memory.extent.data();

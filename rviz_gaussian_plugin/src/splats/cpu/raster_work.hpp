@@ -85,8 +85,6 @@ struct SeenLayer {
   std::size_t channel = 0;     // of HostSlots::Page::channels
   double error = 0;            // [px]
   std::size_t candidates = 0;  // so far
-  ViewWeights* weights = nullptr;
-  float least_weight = 0;  // [px]
 };
 
 // A page that the picture may show.
@@ -94,7 +92,6 @@ struct SeenPage {
   PageSlots slots;
   const SlotPage* page;
   std::uint32_t layer;
-  ViewWeights::Page* weights;  // or null
 };
 
 // A share of a step, and what was found in it.
@@ -104,7 +101,6 @@ struct Part {
   std::vector<std::uint32_t> counts;  // pairs of each tile, then where the next one goes
   PairList pairs;
   std::size_t drawn = 0;
-  double left_out = 0;                 // ViewWeights::finish()
   std::vector<std::size_t> of_layers;  // what was found or drawn of each
 };
 
@@ -157,7 +153,6 @@ struct CpuRasterizer::Work {
     std::vector<std::uint32_t>* picked = nullptr;  // Record::index, kNoSlot where there is none
     Contributions* contributions = nullptr;
     bool drawn = false;  // the picture is
-    bool again = false;  // for too much was left out
   };
 
   bool run(const PictureRequest& request, const Wanted& wanted);
@@ -166,7 +161,6 @@ struct CpuRasterizer::Work {
   void choosePages(const PictureLayer& layer, std::uint32_t number);
   void choose(const SlotPage& page, const HostSlots::Page& memory, std::uint32_t layer);
   void cull();
-  Candidate* leaveOut(const SeenPage& page, Candidate* begin, Candidate* end) const;
   void deal();
   void halve(const Slice& slice);
   void openTiles(const PictureRequest& request);
@@ -185,8 +179,6 @@ struct CpuRasterizer::Work {
   void addUp(Contributions& contributions);
   void sortTile(std::size_t tile, Member& member);
   std::size_t inTile(std::size_t tile) const { return begins[tile + 1] - begins[tile]; }
-  void addUpWeights() const;
-  double finishWeights();  // returns of how many pixels the colour was left out
   void findDepthRanges();
 
   // Does step(part, member) for parts of [0, count), side by side.
@@ -219,8 +211,6 @@ struct CpuRasterizer::Work {
   std::vector<float> remaining;  // transmittance and what is still to come of the colour, by pixel
   Room<Contribution> of_listed;
   std::vector<Contribution> of_records;
-  Room<float> weights_of_listed;
-  bool weighs = false;  // some layer takes note of weights
   Pyramid pyramid;
   int levels = 0;
   bool hides = false;  // some tile isn't open
