@@ -33,12 +33,13 @@ def camera_at(
     return Camera(**(fields | overrides))
 
 
-CAMERAS = {
-    "outside": camera_at((2.0, 1.0, 0.7)),
-    "inside": camera_at((0.2, 0.1, 0.1)),
-    "off-centre": camera_at((-1.5, 1.5, 1.0), cx=20.3, cy=99.6, fx=210.0),
-    "orthographic": camera_at((1.0, -2.0, 1.0), orthographic=True, fx=60.0, fy=60.0),
+VIEWS: dict[str, dict[str, Any]] = {  # of camera_at()
+    "outside": {"eye": (2.0, 1.0, 0.7)},
+    "inside": {"eye": (0.2, 0.1, 0.1)},
+    "off-centre": {"eye": (-1.5, 1.5, 1.0), "cx": 20.3, "cy": 99.6, "fx": 210.0},
+    "orthographic": {"eye": (1.0, -2.0, 1.0), "orthographic": True, "fx": 60.0, "fy": 60.0},
 }
+CAMERAS = {name: camera_at(**view) for name, view in VIEWS.items()}
 
 
 def cloud(antialiased: bool = False) -> Splats:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import drawing
 from drawing import decibels
 from rosplat_lab import reference
 from rosplat_lab.bench.embedded import pose
@@ -132,18 +133,13 @@ def cloud(count: int, degree: int = 3, seed: int = 0, size: float = 0.15) -> Spl
 def camera_at(eye: tuple[float, float, float], **overrides: Any) -> Camera:
     """A camera that looks at the origin."""
     fields = {
-        "id": 0, "width": WIDTH, "height": HEIGHT, "fx": 150.0, "fy": 150.0,
-        "cx": WIDTH / 2, "cy": HEIGHT / 2, "world_to_camera": look_at(eye, (0, 0, 0)),
+        "width": WIDTH, "height": HEIGHT, "fx": 150.0, "fy": 150.0,
+        "cx": WIDTH / 2, "cy": HEIGHT / 2,
     }  # fmt: skip
-    return Camera(**(fields | overrides))
+    return drawing.camera_at(eye, **(fields | overrides))
 
 
-CAMERAS = {
-    "outside": camera_at((2.0, 1.0, 0.7)),
-    "inside": camera_at((0.2, 0.1, 0.1)),
-    "off-centre": camera_at((-1.5, 1.5, 1.0), cx=20.3, cy=99.6, fx=210.0),
-    "orthographic": camera_at((1.0, -2.0, 1.0), orthographic=True, fx=60.0, fy=60.0),
-}
+CAMERAS = {name: camera_at(**view) for name, view in drawing.VIEWS.items()}
 
 
 @pytest.mark.parametrize("view", CAMERAS)
