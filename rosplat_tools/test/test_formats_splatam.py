@@ -54,6 +54,12 @@ def test_other_archives_are_named(params: Params, tmp_path: Path) -> None:
     refused("log_scales: ", log_scales=np.zeros((50, 2), np.float32))
     refused("means3D: ", means3D=np.zeros((50, 3), np.int32))
     refused("means3D: ", means3D=np.array([{}], object))
+    np.savez(path, **params)
+    damaged = bytearray(path.read_bytes())
+    damaged[26:28] = b"\xff\x02"  # a name of 767 bytes, which zipfile quotes
+    path.write_bytes(damaged)
+    with pytest.raises(SceneError, match=r"params\.npz: damaged: .{1,200}$"):
+        formats.load(path)
     np.savez(path, means3D=params["means3D"])
     with pytest.raises(SceneError, match="no array rgb_colors"):
         formats.load(path)

@@ -56,7 +56,7 @@ class PlyFile:
         try:
             self._parse(lines)
         except (KeyError, ValueError, IndexError) as error:
-            raise SceneError(f"{path}: broken PLY: {error}") from error
+            raise SceneError(f"{path}: broken PLY: {shown(error)}") from error
         self._begin = match.end()
         self._lines = len(lines) - 1
         self._check_size(size)
@@ -136,7 +136,7 @@ class PlyFile:
                     max_rows=element.length, ndmin=1,
                 )  # fmt: skip
         except (ValueError, IndexError, OverflowError) as error:
-            raise SceneError(f"{self.path}: malformed row of element {name}: {error}") from error
+            raise SceneError(f"{self.path}: malformed row of element {name}: {shown(error)}") from error
         if len(rows) < element.length:
             raise self._truncated(name, element, len(rows))
         return rows

@@ -81,7 +81,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
     except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         if isinstance(error, SceneError):
             raise
-        raise SceneError(f"{path}: broken zip: {error}") from error
+        raise SceneError(f"{path}: broken zip: {shown(error)}") from error
 
 
 class Claims(NamedTuple):
@@ -272,7 +272,7 @@ class _Reader:
         except (ValueError, RecursionError) as error:  # JSON or its encoding
             if isinstance(error, SceneError):
                 raise
-            raise SceneError(f"{path}: broken {META}: {error}") from error
+            raise SceneError(f"{path}: broken {META}: {shown(error)}") from error
         if not isinstance(self._meta, dict):
             raise SceneError(f"{path}: {META} holds no fields")
         self._version = self._meta.get("version", 1)  # which version 1 had not
@@ -416,14 +416,14 @@ class _Reader:
             return Image.open(data, formats=("WEBP", "PNG"))
         except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
             reason = "no WebP or PNG" if isinstance(error, UnidentifiedImageError) else error
-            raise SceneError(f"{self._path}: {name} is no picture: {reason}") from error
+            raise SceneError(f"{self._path}: {name} is no picture: {shown(reason)}") from error
 
     def _decode(self, image: Image.Image, field: str, index: int) -> NDArray[np.uint8]:
         try:
             return np.asarray(image.convert("RGBA")).reshape(-1, 4)
         except (OSError, SyntaxError, ValueError, EOFError, zlib.error) as error:
             name = self._name(field, index)
-            raise SceneError(f"{self._path}: {name} is a damaged picture: {error}") from error
+            raise SceneError(f"{self._path}: {name} is a damaged picture: {shown(error)}") from error
 
     def _name(self, field: str, index: int) -> str:
         files = self._field(field, "files")

@@ -49,7 +49,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
                 arrays[name] = _array(path, archive, name)
                 progress(len(arrays) / (len(SHAPES) + 1))
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
-        raise SceneError(f"{path}: damaged: {error}") from error
+        raise SceneError(f"{path}: damaged: {shown(error)}") from error
     counts = {name: len(array) for name, array in arrays.items()}
     if len(set(counts.values())) > 1:
         raise SceneError(f"{path}: arrays of different lengths: {counts}")
@@ -86,4 +86,4 @@ def _array(path: Path, archive: zipfile.ZipFile, name: str) -> Floats:
         try:
             return np.lib.format.read_array(file, allow_pickle=False).astype(np.float32)
         except ValueError as error:
-            raise SceneError(f"{path}: {name}: cut off: {error}") from error
+            raise SceneError(f"{path}: {name}: cut off: {shown(error)}") from error

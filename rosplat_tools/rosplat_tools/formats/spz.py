@@ -28,6 +28,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_sorter.log_text import shown
 from rosplat_tools.formats.bounds import claim, size_of, unpackable
 from rosplat_tools.formats.decoded import Axes, Columns, Floats, Progress, Warn, blocks, decoded
 from rosplat_tools.formats.quantised import largest_restored, smallest_three, to_bytes
@@ -112,7 +113,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
             try:
                 header, packed = _read_gzip(path, stream, size, progress)
             except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-                raise SceneError(f"{path}: broken gzip stream: {error}") from error
+                raise SceneError(f"{path}: broken gzip stream: {shown(error)}") from error
             if header.flags & FLAG_EXTENSIONS:
                 warn(f"{path}: extensions left out; they may turn the axes")
     if header.degree > MAX_SH_DEGREE:
@@ -243,7 +244,7 @@ def _read_streams(
                     raise SceneError(f"{path}: {name}: its frame and the table disagree in size")
                 data = zstandard.ZstdDecompressor().decompress(frame, max_output_size=unpacked)
             except zstandard.ZstdError as error:
-                raise SceneError(f"{path}: {name}: broken Zstandard frame: {error}") from error
+                raise SceneError(f"{path}: {name}: broken Zstandard frame: {shown(error)}") from error
             if len(data) != unpacked:
                 raise SceneError(
                     f"{path}: {name}: {len(data):,} bytes unpacked, expected {unpacked:,}"
