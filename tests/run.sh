@@ -31,10 +31,21 @@ cross_tests() {
 }
 # Beside each other, each in a domain of its own: most wait for programs to meet, or for one thread.
 logs=$(mktemp -d)
-trap 'rm -rf "$logs"' EXIT
 runs=()
+end_all() {
+  for run in "${runs[@]}"; do kill -INT -- "-$run" 2>/dev/null || true; done
+  wait
+  rm -rf "$logs"
+}
+trap end_all EXIT
+trap 'exit 130' INT TERM
 beside() {
-  ROS_DOMAIN_ID=$(((ROS_DOMAIN_ID + ${#runs[@]}) % 100 + 1)) "$@" >"$logs/${#runs[@]}" 2>&1 &
+  set -m # a process group of its own; bash would have it ignore Ctrl-C else
+  (
+    trap 'exit 130' INT
+    ROS_DOMAIN_ID=$(((ROS_DOMAIN_ID + ${#runs[@]}) % 100 + 1)) "$@"
+  ) >"$logs/${#runs[@]}" 2>&1 &
+  set +m
   runs+=($!)
 }
 beside package_tests rviz_gaussian_plugin rosplat_lab rosplat_sorter rosplat_tools
