@@ -39,6 +39,17 @@ add_executable(slam slam.cpp)
 target_link_libraries(slam rosplat_tools::map_publisher)
 """
 
+# A lifecycle node in place of the plain one.
+LIFECYCLE = {
+    "rclcpp::Node": "rclcpp_lifecycle::LifecycleNode",
+    "spin(node)": "spin(node->get_node_base_interface())",
+    "#include <": "#include <rclcpp_lifecycle/lifecycle_node.hpp>\n#include <",
+}
+CMAKE_OF_LIFECYCLE = """
+find_package(rclcpp_lifecycle REQUIRED)
+target_link_libraries(slam rclcpp_lifecycle::rclcpp_lifecycle)
+"""
+
 
 def blocks_of(language: str) -> list[str]:
     text = README.read_text(encoding="utf-8")
@@ -56,12 +67,21 @@ def test_its_python_runs() -> None:
     assert run.stdout == "2000 4071 label confidence\n"
 
 
-@pytest.mark.skipif("rclcpp" not in get_packages_with_prefixes(), reason="no rclcpp here")
-def test_its_cpp_publishes_a_map(tmp_path: Path, node: Node, listener: Listener) -> None:
-    (source,) = blocks_of("cpp")
+@pytest.mark.parametrize("library", ["rclcpp", "rclcpp_lifecycle"])
+def test_its_cpp_publishes_a_map(
+    library: str, tmp_path: Path, node: Node, listener: Listener
+) -> None:
+    if library not in get_packages_with_prefixes():
+        pytest.skip(f"no {library} here")
+    (source,), cmake = blocks_of("cpp"), CMAKE
     assert CMAKE.splitlines()[-1] in README.read_text(encoding="utf-8")
+    if library == "rclcpp_lifecycle":
+        cmake += CMAKE_OF_LIFECYCLE
+        for plain, other in LIFECYCLE.items():
+            assert plain in source
+            source = source.replace(plain, other, 1)
     (tmp_path / "slam.cpp").write_text(source)
-    (tmp_path / "CMakeLists.txt").write_text(CMAKE)
+    (tmp_path / "CMakeLists.txt").write_text(cmake)
     for command in (["cmake", "-S", ".", "-B", "."], ["cmake", "--build", "."]):
         subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     arguments = ["--ros-args", "-r", f"__ns:={node.get_namespace()}"]

@@ -22,16 +22,16 @@ rclcpp::QoS serviceQos() { return rclcpp::ServicesQoS(); }
 rmw_qos_profile_t serviceQos() { return rmw_qos_profile_services_default; }
 #endif
 
-PublishedMap::Wire wireOf(rclcpp::Node& node, const std::string& topic) {
+}  // namespace
+
+PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const std::string& topic) {
   // A late joiner hears of the map by the last batch. The others are for readers that lag behind.
   const auto qos = rclcpp::QoS(8).reliable().transient_local();
-  const auto publisher = node.create_publisher<PublishedMap::Batch>(topic, qos);
-  const rclcpp::Logger logger = node.get_logger();
-  const rclcpp::Clock::SharedPtr clock = node.get_clock();
-  PublishedMap::Wire wire;
-  wire.send = [publisher](std::unique_ptr<PublishedMap::Batch> batch) {
-    publisher->publish(std::move(batch));
-  };
+  const auto publisher = rclcpp::create_publisher<Batch>(node.parameters, node.topics, topic, qos);
+  const rclcpp::Logger logger = node.logging->get_logger();
+  const rclcpp::Clock::SharedPtr clock = node.clock->get_clock();
+  Wire wire;
+  wire.send = [publisher](std::unique_ptr<Batch> batch) { publisher->publish(std::move(batch)); };
   wire.now = [clock] { return clock->now(); };
   wire.warn = [publisher, logger, clock](const std::string& text) {
     RCLCPP_WARN_THROTTLE(logger, *clock, kWarningPeriod, "%s: %s", publisher->get_topic_name(),
@@ -40,18 +40,17 @@ PublishedMap::Wire wireOf(rclcpp::Node& node, const std::string& topic) {
   return wire;
 }
 
-}  // namespace
-
 class MapPublisher::Services {
  public:
-  Services(rclcpp::Node& node, const std::string& topic, PublishedMap& map)
-      : group_(node.create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false)),
+  Services(const Interfaces& node, const std::string& topic, PublishedMap& map)
+      : group_(
+            node.base->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false)),
         executor_(optionsOf(node)) {
-    const rclcpp::Logger logger = node.get_logger();
-    const std::string name = node.get_node_topics_interface()->resolve_topic_name(topic);
-    pull_ = node.create_service<PullMap>(
-        name + "/pull",
-        [&map, logger, name, graph = node.get_node_graph_interface(), clock = node.get_clock()](
+    const rclcpp::Logger logger = node.logging->get_logger();
+    const std::string name = node.topics->resolve_topic_name(topic);
+    pull_ = rclcpp::create_service<PullMap>(
+        node.base, node.services, name + "/pull",
+        [&map, logger, name, graph = node.graph, clock = node.clock->get_clock()](
             const PullMap::Request::SharedPtr request,
             const PullMap::Response::SharedPtr response) {
           if (request->map_id != map.mapId() && graph->count_publishers(name) > 1) {
@@ -67,8 +66,8 @@ class MapPublisher::Services {
           }
         },
         serviceQos(), group_);
-    repeat_ = node.create_service<RepeatMap>(
-        name + "/repeat",
+    repeat_ = rclcpp::create_service<RepeatMap>(
+        node.base, node.services, name + "/repeat",
         [&map](const RepeatMap::Request::SharedPtr, const RepeatMap::Response::SharedPtr response) {
           try {
             map.repeat();
@@ -79,7 +78,7 @@ class MapPublisher::Services {
           }
         },
         serviceQos(), group_);
-    executor_.add_callback_group(group_, node.get_node_base_interface());
+    executor_.add_callback_group(group_, node.base);
     thread_ = std::thread(
         [this, ended = end_.get_future()] { executor_.spin_until_future_complete(ended); });
   }
@@ -92,9 +91,9 @@ class MapPublisher::Services {
   }
 
  private:
-  static rclcpp::ExecutorOptions optionsOf(rclcpp::Node& node) {
+  static rclcpp::ExecutorOptions optionsOf(const Interfaces& node) {
     rclcpp::ExecutorOptions options;
-    options.context = node.get_node_base_interface()->get_context();
+    options.context = node.base->get_context();
     return options;
   }
 
@@ -106,7 +105,7 @@ class MapPublisher::Services {
   std::thread thread_;
 };
 
-MapPublisher::MapPublisher(rclcpp::Node& node, const MapOptions& options)
+MapPublisher::MapPublisher(const Interfaces& node, const MapOptions& options)
     : PublishedMap(options, wireOf(node, options.topic)),
       services_(std::make_unique<Services>(node, options.topic, *this)) {}
 

@@ -62,8 +62,15 @@ void checkSlots(const PublishedMap::Slots& slots) {
   }
 }
 
+// Of so many slots from the first on.
+std::uint64_t checkedEnd(std::uint32_t first, std::size_t count) {
+  const std::uint64_t end = first + std::uint64_t{count};
+  if (count > 0) checkSlot("first_slot", end - 1);
+  return end;
+}
+
 PublishedMap::Slots neighbours(std::uint32_t first, std::size_t count) {
-  if (count > 0) checkSlot("first_slot", first + std::uint64_t{count} - 1);
+  checkedEnd(first, count);
   PublishedMap::Slots slots(count);
   std::iota(slots.begin(), slots.end(), first);
   return slots;
@@ -109,11 +116,8 @@ std::vector<std::string> namesOf(const Splats& splats) {
 // The channels of a map that had some, once it is written with others, too.
 std::vector<std::string> joined(std::vector<std::string> known,
                                 const std::vector<std::string>& names) {
-  for (auto name = names.begin(); name != names.end(); ++name) {
-    if (std::find(names.begin(), name, *name) != name) {
-      throw std::invalid_argument("channel_names: '" + *name + "' is there twice");
-    }
-    if (std::find(known.begin(), known.end(), *name) == known.end()) known.push_back(*name);
+  for (const std::string& name : names) {
+    if (std::find(known.begin(), known.end(), name) == known.end()) known.push_back(name);
   }
   if (known.size() > Batch::MAX_CHANNELS) {
     throw std::invalid_argument("channel_names: " + std::to_string(known.size()) +
@@ -276,17 +280,25 @@ void PublishedMap::erase(const Slots& slots, const Stamp& stamp) {
   const std::lock_guard lock(mutex_);
   for (const std::uint32_t slot : slots) {
     const auto found = map_.pages.find(slot / kPageSlots);
-    if (found == map_.pages.end()) continue;
-    Page& page = found->second;
-    map_.used -= page.used[slot % kPageSlots];
-    page.used[slot % kPageSlots] = false;
-    page.written = editRevision();
+    if (found != map_.pages.end()) empty(found->second, slot % kPageSlots);
   }
   sendEdit(deletion(slots, stamp));
 }
 
 void PublishedMap::erase(std::uint32_t first_slot, std::uint32_t count, const Stamp& stamp) {
-  erase(neighbours(first_slot, count), stamp);
+  const std::uint64_t end = checkedEnd(first_slot, count);
+  const std::lock_guard lock(mutex_);
+  const auto pages_end = map_.pages.lower_bound((end + kPageSlots - 1) / kPageSlots);
+  for (auto at = map_.pages.lower_bound(first_slot / kPageSlots); at != pages_end; ++at) {
+    for (std::uint32_t i = 0; i < kPageSlots; ++i) {
+      const std::uint32_t slot = kPageSlots * at->first + i;
+      if (slot >= first_slot && slot < end) empty(at->second, i);
+    }
+  }
+  auto erased = batch(Batch::DELETE, stamp);
+  erased->first_slot = first_slot;
+  erased->count = count;
+  sendEdit(std::move(erased));
 }
 
 void PublishedMap::move(const Poses& poses, const Stamp& stamp) {
@@ -387,6 +399,12 @@ std::size_t PublishedMap::write(const Slots& slots, const Splats& splats, int sh
     page->used[at] = usable;
   }
   return left_out;
+}
+
+void PublishedMap::empty(Page& page, std::uint32_t at) {
+  map_.used -= page.used[at];
+  page.used[at] = false;
+  page.written = editRevision();
 }
 
 void PublishedMap::warnOf(std::size_t left_out) {

@@ -119,6 +119,13 @@ PYBIND11_MODULE(_published_map, module) {
            }),
            "positions"_a, "orientations"_a, "scales"_a, "opacities"_a, "sh"_a, "origin"_a,
            "antialiased"_a, "channels"_a)
+      .def_static("from_trained",
+                  [](const Array& means, const Array& quaternions_wxyz, const Array& log_scales,
+                     const Array& logits, const Array& sh0, const Array& shN) {
+                    return rosplat::Splats::fromTrained(flat(means), flat(quaternions_wxyz),
+                                                        flat(log_scales), flat(logits), flat(sh0),
+                                                        flat(shN));
+                  })
       .def_readonly("origin", &rosplat::Splats::origin)
       .def_readonly("antialiased", &rosplat::Splats::antialiased)
       .def_property_readonly("arrays", [](const rosplat::Splats& splats) {

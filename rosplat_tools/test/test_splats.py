@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rosplat_sorter.view import frame_at, rotation_matrix
+from rosplat_tools import _published_map as cpp
 from rosplat_tools.splats import Splats, concatenate, rebase
 
 
@@ -161,6 +162,24 @@ def test_spheres_without_harmonics_and_far_away() -> None:
     np.testing.assert_allclose(np.diff(trained.positions[:, 0]), 1e-3, rtol=1e-3)
 
 
+@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize("axes", [1, 3])
+def test_trained_arrays_are_the_same_splats_in_cpp(degree: int, axes: int) -> None:
+    rng = np.random.default_rng(degree)
+    k = (degree + 1) ** 2
+    arrays = [
+        rng.normal(size=(7, *shape)).astype(np.float32)
+        for shape in ((3,), (4,), (axes,), (1,), (1, 3), (k - 1, 3))
+    ]
+    cpp_arrays = cpp.Splats.from_trained(*arrays).arrays
+    expected = Splats.from_trained(*arrays)
+    turned = cpp_arrays["orientations"].reshape(7, 4)
+    lengths = np.linalg.norm(turned, axis=1, keepdims=True)
+    np.testing.assert_allclose(turned / lengths, expected.orientations, rtol=1e-5)
+    for name in ("positions", "scales", "opacities", "sh"):
+        np.testing.assert_allclose(cpp_arrays[name], getattr(expected, name).ravel(), rtol=1e-6)
+
+
 def test_tensors_are_taken_as_they_are() -> None:
     torch = pytest.importorskip("torch")
     n = 3
@@ -206,6 +225,9 @@ def test_another_shape_of_a_trainer_s_array_is_refused_by_name(
     arrays = {key: np.ones(value) for key, value in (shapes | {name: shape}).items()}
     with pytest.raises(ValueError, match=rf"^{name}: expected shape .*, got"):
         Splats.from_trained(**arrays)
+    if name != "means" and np.prod(shape) != np.prod(shapes[name]):  # all that C++ knows
+        with pytest.raises(ValueError, match=rf"^{name}: expected .*, got"):
+            cpp.Splats.from_trained(*arrays.values())
 
 
 def test_splats_move_with_all_that_is_seen_of_them() -> None:

@@ -132,6 +132,7 @@ class PublishedMap {
 
   std::size_t write(const Slots& slots, const Splats& splats, int sh_degree, std::uint32_t group,
                     std::uint64_t revision);
+  void empty(Page& page, std::uint32_t at);
   void warnOf(std::size_t left_out);
 
   void sendMap(const Stamp& stamp);

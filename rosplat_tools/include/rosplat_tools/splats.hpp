@@ -23,6 +23,15 @@ struct Splats {
   // n each: named values beside what is drawn, "label" say; not finite where a splat has none.
   std::vector<std::pair<std::string, std::vector<float>>> channels;
 
+  // Splats from what trainers optimise: quaternions of any length, logarithms of scales (3 n, or n
+  // for spheres), logits of opacities, and harmonics as gsplat and 3DGS keep them: sh0
+  // (features_dc), 3 n, and shN (features_rest), as many as there are of further bands, coefficient
+  // by coefficient, RGB interleaved. Throws std::invalid_argument that names an array of another
+  // length.
+  static Splats fromTrained(std::vector<float> means, const std::vector<float>& quaternions_wxyz,
+                            const std::vector<float>& log_scales, const std::vector<float>& logits,
+                            const std::vector<float>& sh0, const std::vector<float>& shN = {});
+
   std::size_t size() const { return positions.size() / 3; }
   // Highest band of spherical harmonics. Throws std::invalid_argument where an array isn't as long
   // as positions ask for, or the origin or the name of a channel is none; it names the field.

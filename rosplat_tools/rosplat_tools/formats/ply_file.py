@@ -136,7 +136,9 @@ class PlyFile:
                     max_rows=element.length, ndmin=1,
                 )  # fmt: skip
         except (ValueError, IndexError, OverflowError) as error:
-            raise SceneError(f"{self.path}: malformed row of element {name}: {shown(error)}") from error
+            raise SceneError(
+                f"{self.path}: malformed row of element {name}: {shown(error)}"
+            ) from error
         if len(rows) < element.length:
             raise self._truncated(name, element, len(rows))
         return rows

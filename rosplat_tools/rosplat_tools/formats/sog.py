@@ -423,7 +423,9 @@ class _Reader:
             return np.asarray(image.convert("RGBA")).reshape(-1, 4)
         except (OSError, SyntaxError, ValueError, EOFError, zlib.error) as error:
             name = self._name(field, index)
-            raise SceneError(f"{self._path}: {name} is a damaged picture: {shown(error)}") from error
+            raise SceneError(
+                f"{self._path}: {name} is a damaged picture: {shown(error)}"
+            ) from error
 
     def _name(self, field: str, index: int) -> str:
         files = self._field(field, "files")

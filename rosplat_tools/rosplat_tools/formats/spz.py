@@ -244,7 +244,9 @@ def _read_streams(
                     raise SceneError(f"{path}: {name}: its frame and the table disagree in size")
                 data = zstandard.ZstdDecompressor().decompress(frame, max_output_size=unpacked)
             except zstandard.ZstdError as error:
-                raise SceneError(f"{path}: {name}: broken Zstandard frame: {shown(error)}") from error
+                raise SceneError(
+                    f"{path}: {name}: broken Zstandard frame: {shown(error)}"
+                ) from error
             if len(data) != unpacked:
                 raise SceneError(
                     f"{path}: {name}: {len(data):,} bytes unpacked, expected {unpacked:,}"
