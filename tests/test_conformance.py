@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from conformance import CASES, Case, Receiver
+from numpy.typing import NDArray
 
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.edits import EMPTY, decode, pose_values
@@ -72,6 +74,10 @@ class Sorter:
     def in_use(self, slot: int) -> bool:
         return bool((self.map.extents[self.map.slots == slot] != EMPTY).any())
 
+    def slots(self) -> NDArray[np.uint32]:
+        """Those in use, ascending."""
+        return np.unique(self.map.slots[self.map.extents != EMPTY])
+
     def place(self, group: int) -> tuple[float, float, float]:
         x, y, z = self.map.poses.get(group, np.eye(4))[:3, 3].tolist()
         return x, y, z
@@ -133,11 +139,10 @@ class CppPublisher:
 
     revision = missed = None
 
-    def __init__(self) -> None:
+    def __init__(self, send: Callable[[dict[str, Any]], None] = lambda fields: None) -> None:
+        """send: takes the fields of each batch that goes out."""
         self._left_out = 0
-        self.map = cpp.PublishedMap(
-            "map", 10**6, "none", lambda _: None, lambda: (0, 0), self._on_warning
-        )
+        self.map = cpp.PublishedMap("map", 10**6, "none", send, lambda: (0, 0), self._on_warning)
 
     def _on_warning(self, text: str) -> None:
         self._left_out = int(text.split()[0])
@@ -183,6 +188,10 @@ class CppPublisher:
 
     def in_use(self, slot: int) -> bool:
         return any(slot in slots for _, slots, _ in self.map.groups())
+
+    def slots(self) -> NDArray[np.uint32]:
+        """Those in use, ascending."""
+        return np.unique(np.concatenate([slots for _, slots, _ in self.map.groups()]))
 
     def place(self, group: int) -> tuple[float, float, float]:
         x, y, z = self.map.poses().get(group, [0.0, 0.0, 0.0])[:3]

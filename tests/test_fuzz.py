@@ -19,12 +19,14 @@ from typing import Any
 
 import fuzz
 import numpy as np
-from test_conformance import Display, Publisher, Sorter
+from cpp_publisher import as_message
+from test_conformance import CppPublisher, Display, Publisher, Sorter
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
 from rosplat_sorter import camera, depth
 from rosplat_sorter.backends import open_backend
+from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.qos import MAP, VIEW
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
@@ -32,7 +34,7 @@ from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
 from rosplat_sorter.view import View
 from rosplat_tools import formats
 from rosplat_tools.program.processes import Processes
-from rosplat_tools.splats import SceneError
+from rosplat_tools.splats import SceneError, splat_bytes
 from rosplat_tools.streaming import detail
 from rviz_gaussian_plugin.from_messages import apply, numbers
 from rviz_gaussian_plugin.offscreen import (
@@ -43,12 +45,17 @@ from rviz_gaussian_plugin.offscreen import (
     Renderer,
 )
 
-# Of a build of the C++ with sanitizers: what has to be loaded first; its Python modules are found
-# in ROSPLAT_FUZZ_PATH. They keep memory that was freed, so that claims mean nothing there.
+# Of a build of the C++ with sanitizers: what has to be loaded first, and where its libraries are;
+# its Python modules are found in ROSPLAT_FUZZ_PATH. They keep memory that was freed, so that claims
+# mean nothing there.
 SANITIZERS = os.environ.get("ROSPLAT_FUZZ_PRELOAD", "")
+LIBRARIES = os.environ.get("ROSPLAT_FUZZ_LIBRARIES", "")
 REPORT = os.environ.get("ROSPLAT_FUZZ_REPORT", "")
 
 FLOOR = 64 << 20  # what a process may take beyond the map [bytes]
+# Of a display that draws by the processor and a sorter; of a publisher. [bytes]
+PAGE = SLOTS_PER_PAGE * (36 + 4 * 15 + 16 + 1 + 4 * GaussianArray.MAX_CHANNELS)
+PUBLISHED_PAGE = SLOTS_PER_PAGE * (splat_bytes(3) + 4 * GaussianArray.MAX_CHANNELS)
 MOST_PIXELS = 1 << 14  # of a picture that is drawn; larger ones only take longer
 
 
@@ -95,6 +102,7 @@ def in_a_process(name: str, folder: Path) -> None:
     """Runs a check of this file elsewhere, where an abort is seen and memory is measured."""
     environment = os.environ | {
         "PYTHONPATH": os.environ.get("ROSPLAT_FUZZ_PATH", "") + os.pathsep.join(sys.path),
+        "LD_LIBRARY_PATH": LIBRARIES + os.environ.get("LD_LIBRARY_PATH", ""),
         "LD_PRELOAD": SANITIZERS,
         "ASAN_OPTIONS": "detect_leaks=0",  # Python's
         "UBSAN_OPTIONS": "print_stacktrace=1",
@@ -217,18 +225,14 @@ def size_of(message: Any) -> int:
     return size
 
 
-def _allowed(message: GaussianArray) -> int:
+def _allowed(message: GaussianArray, page: int = PAGE) -> int:
     """Ten times a batch's size, and pages of slots in all that hold a map. [bytes]"""
     slots = np.frombuffer(message.slots, np.uint32)
     splats = min(message.count, max(len(message.opacities), len(message.payload) // 24))
     ends = [message.first_slot, message.first_slot + splats]
     pages = len(np.unique(slots // SLOTS_PER_PAGE)) + ends[1] // SLOTS_PER_PAGE + 1
     pages -= ends[0] // SLOTS_PER_PAGE
-    return 10 * size_of(message) + pages * PAGE + (4 << 20)
-
-
-# Of a display that draws by the processor, and of a sorter. [bytes]
-PAGE = SLOTS_PER_PAGE * (36 + 4 * 15 + 16 + 1 + 4 * GaussianArray.MAX_CHANNELS)
+    return 10 * size_of(message) + pages * page + (4 << 20)
 
 
 def brief(message: GaussianArray) -> str:
@@ -239,6 +243,56 @@ def looked_at(rng: np.random.Generator, message: GaussianArray) -> list[int]:
     slots = [*message.slots[:5], message.first_slot, message.first_slot + message.count - 1]
     slots += [int(rng.integers(fuzz.MOST)), 0, 1024]
     return [slot for slot in slots if 0 <= slot < fuzz.MOST]
+
+
+# --- Publishers of maps ---------------------------------------------------------------------------
+
+
+def test_who_hears_a_publisher_has_its_map(tmp_path: Path) -> None:
+    in_a_process("publish", tmp_path)
+
+
+def publish() -> Claims:
+    """What the publisher in C++ sends, and is pulled from it, is its map, whatever is called."""
+    claims = Claims()
+
+    def check(case: int, rng: np.random.Generator) -> None:
+        sent: list[GaussianArray] = []
+        publisher = CppPublisher(lambda fields: sent.append(as_message(fields)))
+        heard, behind = Sorter(), Sorter()
+        for message in fuzz.batches(rng):
+            with (
+                claims.of(case, size_of(message), _allowed(message, PUBLISHED_PAGE)),
+                contextlib.suppress(ValueError, TypeError),
+            ):
+                publisher.take(message)
+            for batch in sent:
+                heard.take(batch)
+            sent.clear()
+            if rng.integers(2):
+                catch_up(behind, publisher)
+            after, block = fuzz.one_of(rng, fuzz.WHOLE), fuzz.one_of(rng, fuzz.WHOLE[:13])
+            publisher.map.pull(publisher.map.map_id, after, block)
+        catch_up(behind, publisher)
+        catch_up(late := Sorter(), publisher)
+        for receiver in (heard, behind, late):
+            np.testing.assert_array_equal(receiver.slots(), publisher.slots())
+            for group in range(8):
+                assert receiver.place(group) == publisher.place(group)
+
+    one_by_one("publish", fuzz.CASES, check)
+    return claims
+
+
+def catch_up(receiver: Sorter, publisher: CppPublisher) -> None:
+    """Pulls what a receiver lacks."""
+    after, block = receiver.revision or 0, 0
+    while True:
+        batches, block = publisher.map.pull(publisher.map.map_id, after, block)
+        for fields in batches:
+            receiver.take(as_message(fields), Arrival.PULLED)
+        if not block:
+            return
 
 
 # --- What draws -----------------------------------------------------------------------------------
@@ -403,7 +457,8 @@ def test_nodes_outlive_what_their_peers_send(tmp_path: Path, node: Any, listener
 
 
 def _run(name: str) -> None:
-    found = {"receive": receive, "draw": draw, "read": read}[name]().most
+    checks = {"receive": receive, "publish": publish, "draw": draw, "read": read}
+    found = checks[name]().most
     Path(f"{name}.json").write_text(json.dumps(found, indent=1))
 
 

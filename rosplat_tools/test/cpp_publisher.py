@@ -108,7 +108,7 @@ class CppMapPublisher:
         self._map.move(values, _stamp(stamp))
 
     def _send(self, fields: dict[str, Any]) -> None:
-        self._publisher.publish(_message(fields))
+        self._publisher.publish(as_message(fields))
         if self._progress and fields["count"]:
             progress, self._progress = self._progress, None  # what it raises ends the sending
             progress(fields["count"])
@@ -125,7 +125,7 @@ class CppMapPublisher:
         batches, response.next_block = self._map.pull(
             request.map_id, request.after_revision, request.first_block
         )
-        response.batches = [_message(fields) for fields in batches]
+        response.batches = [as_message(fields) for fields in batches]
         return response
 
     def _on_repeat(self, _: RepeatMap.Request, response: RepeatMap.Response) -> RepeatMap.Response:
@@ -155,7 +155,8 @@ def _from_cpp(held: Any) -> Splats:
     )
 
 
-def _message(fields: dict[str, Any]) -> GaussianArray:
+def as_message(fields: dict[str, Any]) -> GaussianArray:
+    """A batch as the C++ map hands it out."""
     fields = dict(fields)
     sec, nanosec = fields.pop("stamp")
     header = Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=fields.pop("frame_id"))
