@@ -142,6 +142,7 @@ def changed(**changes: Any) -> dict[str, Any]:
         (changed(bound={"min": [-1e308, 0, 0], "max": [1, 1, 1]}), "bound: a number"),
         (changed(lods={"0": {"file": 0, "offset": 11_999, "count": 9}}), "0_0/meta.json: holds 12"),
         ({"environment": "../env/meta.json"}, "'../env/meta.json' is not a file below"),
+        ({"environment": "a" * 300}, "'a{1,100}….? is not a file below"),
         ({"environment": "env/meta.json"}, "env/meta.json: can't read"),
         ({"environment": 5}, "broken lod-meta.json"),
     ],

@@ -205,7 +205,8 @@ def _part(path: Path, level: str, lods: Any, files: int) -> Part:
 def _inside(path: Path, name: Any) -> Path:
     """A file below lod-meta.json's folder."""
     relative = Path(name)
-    if relative.is_absolute() or ".." in relative.parts or "\0" in name:
+    outside = relative.is_absolute() or ".." in relative.parts
+    if outside or "\0" in name or len(name) > sog.LONGEST_NAME:
         raise SceneError(f"{path}: {shown(repr(name))} is not a file below {META}")
     return path.parent / relative
 
