@@ -38,21 +38,29 @@ struct Plain {
     layer.levels = &levels;
   }
 
-  SplatPicture draw(double error, std::size_t most_splats) {
+  SplatPicture draw(double error) {
     request.layers[0].error = error;
-    request.layers[0].most_splats = most_splats;
     CpuRasterizer rasterizer(std::make_shared<ThreadTeam>(2));
     SplatPicture picture;
     EXPECT_TRUE(rasterizer.draw(request, picture));
     return picture;
   }
-  double errorFor(double splats) const {
-    return errorForSplats(levels.groups(), request.layers[0].camera, slots.index().groups(), {},
-                          splats);
-  }
   double choose(DetailControl& control, const Detail& detail, bool at_once = false) const {
-    return control.choose(detail, at_once, levels.groups(), request.layers[0].camera,
+    return control.choose(detail, at_once, levels.samples(), request.layers[0].camera,
                           slots.index().groups(), {});
+  }
+  // At once; how many pictures it took, too.
+  SplatPicture draw(DetailControl& control, std::size_t most, int* pictures = nullptr) {
+    SplatPicture picture = draw(choose(control, {Kind::kSplats, double(most)}, true));
+    for (int i = 1;; ++i) {
+      if (pictures) *pictures = i;
+      const auto error = control.drew(picture.layers[0].error, picture.layers[0].drawn);
+      if (!error) return picture;
+      picture = draw(*error);
+    }
+  }
+  CutEstimate estimate() const {
+    return {levels.samples(), request.layers[0].camera, slots.index().groups(), {}};
   }
 
   GaussianMap map;
@@ -86,31 +94,62 @@ TEST(Detail, OfNothingOrOfNonsenseIsRefused) {
   }
 }
 
-TEST(Budget, IsKept) {
+TEST(CutEstimate, ComesCloseToWhatIsDrawn) {
   Plain plain(60000);
-  const std::size_t all = plain.draw(0, 1000000).layers[0].drawn;
+  const CutEstimate estimate = plain.estimate();
+  for (const double error : {0.0, 2.0, 5.0, 10.0, 30.0}) {
+    const auto drawn = double(plain.draw(error).layers[0].drawn);
+    EXPECT_NEAR(estimate.drawn(error), drawn, 0.15 * drawn) << error;
+  }
+  EXPECT_NEAR(estimate.errorFor(estimate.drawn(10)), 10, 0.1);
+  EXPECT_EQ(estimate.errorFor(1e6), 0);
+  EXPECT_EQ(estimate.errorFor(0.5), kCoarsestError);
+}
+
+TEST(Budget, IsKeptAndUsed) {
+  Plain plain(60000);
+  const std::size_t all = plain.draw(0).layers[0].drawn;
   for (const std::size_t most : {std::size_t{1000}, std::size_t{5000}, all / 2}) {
-    const double error = plain.errorFor(double(most));
-    EXPECT_GT(error, 0);
-    const SplatPicture picture = plain.draw(error, most);
-    EXPECT_LE(picture.layers[0].drawn, most);
-    EXPECT_GT(picture.layers[0].drawn, most / 4);
-    EXPECT_GE(picture.layers[0].error, error);
+    DetailControl control;
+    const std::size_t drawn = plain.draw(control, most).layers[0].drawn;
+    EXPECT_LE(drawn, most);
+    EXPECT_GE(drawn, 9 * most / 10);
+    // The next one knows.
+    int pictures = 0;
+    plain.draw(control, most, &pictures);
+    EXPECT_EQ(pictures, 1) << most;
   }
 }
 
 TEST(Budget, OfWhatThereIsDrawsAll) {
   Plain plain(60000);
-  const std::size_t all = plain.draw(0, 1000000).layers[0].drawn;
-  EXPECT_EQ(plain.errorFor(1e6), 0);
-  EXPECT_EQ(plain.errorFor(1.1 * double(all)), 0);
-  // Whatever the samples say.
-  EXPECT_LE(plain.draw(0, all / 2).layers[0].drawn, all / 2);
+  const std::size_t all = plain.draw(0).layers[0].drawn;
+  for (const std::size_t most : {std::size_t{1000000}, all + all / 10}) {
+    DetailControl control;
+    EXPECT_EQ(plain.draw(control, most).layers[0].error, 0);
+  }
+}
+
+// Half of what the cut leaves is hidden.
+TEST(Budget, CountsWhatIsDrawn) {
+  constexpr std::size_t kMost = 10000;
+  const Plain plain(60000);
+  const CutEstimate estimate = plain.estimate();
+  const auto drawn = [&](double error) { return std::size_t(0.5 * estimate.drawn(error)); };
+  DetailControl control;
+  const double error = plain.choose(control, {Kind::kSplats, kMost}, true);
+  EXPECT_LT(drawn(error), kMost / 2);
+  const auto next = control.drew(error, drawn(error));
+  ASSERT_TRUE(next);
+  EXPECT_NEAR(double(drawn(*next)), 0.95 * kMost, 0.01 * kMost);
+  EXPECT_FALSE(control.drew(*next, drawn(*next)));
+  EXPECT_NEAR(plain.choose(control, {Kind::kSplats, kMost}, true), *next, 0.01 * *next);
 }
 
 TEST(Budget, OfOneSplatEnds) {
   Plain plain(3000);
-  const SplatPicture picture = plain.draw(plain.errorFor(1), 1);
+  DetailControl control;
+  const SplatPicture picture = plain.draw(control, 1);
   EXPECT_LE(picture.layers[0].drawn, 8u);  // the coarsest nodes are the least that can be drawn
 }
 
@@ -119,7 +158,7 @@ TEST(DetailControl, DrawsAnErrorThatIsAskedForAtOnce) {
   DetailControl control;
   EXPECT_EQ(plain.choose(control, {}), 0);
   EXPECT_EQ(plain.choose(control, {Kind::kError, 2.5}), 2.5);
-  control.drew(2.5);
+  control.drew(2.5, 3000);
   EXPECT_EQ(plain.choose(control, {Kind::kError, 9}), 9);
   EXPECT_TRUE(control.settled());
 }
@@ -128,14 +167,18 @@ TEST(DetailControl, MovesABudgetSlowlyUnlessAtOnce) {
   const Plain plain(60000);
   DetailControl control;
   const double coarse = plain.choose(control, {Kind::kSplats, 1000});
-  EXPECT_EQ(coarse, plain.errorFor(1000));  // the first picture's, for nobody saw another
-  control.drew(coarse);
+  EXPECT_NEAR(plain.estimate().drawn(coarse), 950, 1);  // at once, for nobody saw another
+  const auto draw = [&](double error) {
+    control.drew(error, std::size_t(plain.estimate().drawn(error)));
+  };
+  draw(coarse);
   const double next = plain.choose(control, {Kind::kSplats, 20000});
   EXPECT_LT(next, coarse);
   EXPECT_GT(next, 0.8 * coarse);
   EXPECT_FALSE(control.settled());
-  EXPECT_EQ(plain.choose(control, {Kind::kSplats, 20000}, true), plain.errorFor(20000));
-  for (int i = 0; i < 100; ++i) control.drew(plain.choose(control, {Kind::kSplats, 20000}));
+  const double there = plain.choose(control, {Kind::kSplats, 20000}, true);
+  EXPECT_NEAR(plain.estimate().drawn(there), 19000, 20);
+  for (int i = 0; i < 100; ++i) draw(plain.choose(control, {Kind::kSplats, 20000}));
   EXPECT_TRUE(control.settled());
   EXPECT_EQ(plain.choose(control, {Kind::kSplats, 1e6}, true), 0);
 }
@@ -147,14 +190,14 @@ TEST(DetailControl, FindsTheErrorThatTakesATime) {
   double error = 0;
   for (int i = 0; i < 200; ++i) {
     error = plain.choose(control, {Kind::kTime, 0.1});
-    control.drew(error);
+    control.drew(error, 3000);
     if (i % 3 == 0) control.took(error, took(error));  // the others aren't known yet
   }
   EXPECT_NEAR(took(error), 0.1, 0.01);
   EXPECT_TRUE(control.settled());
   for (int i = 0; i < 200; ++i) {
     error = plain.choose(control, {Kind::kTime, 1e4});
-    control.drew(error);
+    control.drew(error, 3000);
     control.took(error, 0.01);
   }
   EXPECT_EQ(plain.choose(control, {Kind::kTime, 1e4}), 0);

@@ -26,7 +26,7 @@ SIZES, QUICK_SIZES = (5_000_000,), (20_000,)
 PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
 ERRORS = (1, 2, 3, 4, 6, 8, 12, 16)  # [px]
 SPLATS = 1_000_000  # that a budget allows
-VIEWS = ("overview", "inside")
+SHARES = (0.75, 0.5, 0.33, 0.25, 0.12)  # of the splats that full detail draws, as budgets
 EDITED = 10_000  # splats, of an edit
 SUPERSAMPLED = 4  # pixels of the truth in one, along an axis
 PATH, QUICK_PATH = 30, 4  # pictures
@@ -151,13 +151,16 @@ def _scene(
         yield of("nodes", "per splat", held["nodes"] / len(splats))
     yield of("memory", "bytes per splat", held["memory"] / len(splats))
     yield of("repair", "ms", [_repair(drawer, splats, part) for part in range(5)])
-    for view in VIEWS:
+    for view in scenes.views(name):
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
         camera = cameras[0]
         full = _picture(drawer, camera, "full")
+        whole = drawer.draw(camera)["splats"]
         truth = _truth(drawer, camera)
         yield of("PSNR against the truth", "dB", _psnr(full, truth), view=view, px=0.0)
-        for detail in ("full", f"{SPLATS}", *(f"{error}px" for error in ERRORS)):
+        budgets = (SPLATS, *(max(int(share * whole), 1) for share in SHARES))
+        errors = (f"{error}px" for error in ERRORS)
+        for detail in ("full", *(f"{budget}" for budget in budgets), *errors):
             _show(drawer, camera, detail)
 
             def frame(number: int, cameras: Sequence[Camera] = cameras) -> float:
@@ -169,7 +172,6 @@ def _scene(
             shown |= {"drawn": drawn["splats"]}
             yield of("frame", "ms", times, **shown)
             if detail == "full":
-                whole = drawn["splats"]
                 continue
             shown |= {"share": drawn["splats"] / max(whole, 1)}
             colour = np.clip(drawer.colour(), 0, 1)

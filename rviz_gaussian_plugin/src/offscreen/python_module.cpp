@@ -318,11 +318,18 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
       PictureLayer& layer = request.layers.front();
       layer.levels = &renderer.levels;
       layer.error =
-          renderer.detail.choose(detail, true, renderer.levels.groups(), camera,
+          renderer.detail.choose(detail, true, renderer.levels.samples(), camera,
                                  renderer.slots.index().groups(), layer.settings.clip_box);
-      if (detail.kind == Detail::Kind::kSplats) layer.most_splats = std::size_t(detail.amount);
     }
     renderer.rasterizer.draw(request, picture);
+    PictureLayer& layer = request.layers.front();
+    while (layer.levels) {
+      const SplatPicture::OfLayer& drawn = picture.layers.front();
+      const std::optional<double> error = renderer.detail.drew(drawn.error, drawn.drawn);
+      if (!error) break;
+      layer.error = *error;
+      renderer.rasterizer.draw(request, picture);
+    }
   }
   py::dict drawn("splats"_a = picture.layers.front().drawn,
                  "error"_a = picture.layers.front().error, "profile"_a = picture.profile,

@@ -5,8 +5,6 @@
 #include <limits>
 #include <utility>
 
-#include "map/detail.hpp"
-
 namespace rosplat {
 
 namespace {
@@ -20,17 +18,18 @@ const ShaderSource& checked(const ShaderSource& source) {
   return source;
 }
 
-// Whether of any map more than may be is drawn, and there is a larger error to be tried.
-bool coarsen(Frame& frame, const std::vector<std::size_t>& drawn,
-             const std::vector<CardMap::Chosen>& chosen) {
-  bool coarser = false;
-  for (std::size_t i = 0; i < frame.layers.size() && !frame.order; ++i) {
+// Whether of any map a budget was missed that can be kept with another error, which it has then.
+bool missesBudget(Frame& frame, const std::vector<std::size_t>& drawn,
+                  const std::vector<CardView>& maps) {
+  bool misses = false;
+  for (std::size_t i = 0; i < maps.size() && !frame.order; ++i) {
     FrameLayer& layer = frame.layers[i];
-    if (!layer.nodes || drawn[i] <= chosen[i].most || layer.error > kCoarsestError) continue;
-    layer.error = coarserError(layer.error, drawn[i], chosen[i].most);
-    coarser = true;
+    const double error = layer.cuts() ? layer.error : 0;
+    const auto next = maps[i].map->drew(maps[i].view_id, error, drawn[i]);
+    layer.error = next.value_or(layer.error);
+    misses = misses || next;
   }
-  return coarser;
+  return misses;
 }
 
 }  // namespace
@@ -235,7 +234,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
   view.blend(frame, scope, in_tiles, bool(translucent));
   glFlush();
   // All is submitted: the graphics card goes on while this waits for what it counted first.
-  while (!view.hasRoom(frame) || coarsen(frame, view.splats().countsOfLayers(), chosen)) {
+  while (!view.hasRoom(frame) || missesBudget(frame, view.splats().countsOfLayers(), maps)) {
     view.prepare(frame);
     view.blend(frame, scope, in_tiles, bool(translucent));
   }

@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "cpu/raster_work.hpp"
-#include "map/detail.hpp"
 
 namespace rosplat {
 
@@ -102,23 +101,11 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   }
   ordered = request.order.has_value();
   if (ordered) setOrder(*request.layers.front().slots, *request.order);
-  bool fits = false;
-  while (!fits) {
-    pages.clear();
-    for (std::size_t i = 0; i < layers.size(); ++i) {
-      choosePages(request.layers[i], static_cast<std::uint32_t>(i));
-    }
-    cull();
-    fits = true;
-    for (std::size_t i = 0; i < layers.size(); ++i) {
-      const PictureLayer& asked = request.layers[i];
-      SeenLayer& layer = layers[i];
-      if (!asked.levels || layer.candidates <= asked.most_splats) continue;
-      if (layer.error > kCoarsestError || cancelled()) continue;
-      layer.error = coarserError(layer.error, layer.candidates, asked.most_splats);
-      fits = false;
-    }
+  pages.clear();
+  for (std::size_t i = 0; i < layers.size(); ++i) {
+    choosePages(request.layers[i], static_cast<std::uint32_t>(i));
   }
+  cull();
   if (cancelled()) return false;
   deal();
   lap("cull");

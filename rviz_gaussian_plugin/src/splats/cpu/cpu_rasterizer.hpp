@@ -32,9 +32,6 @@ struct PictureLayer {
   // full, as it is where the order is given, and for picks.
   const Levels* levels = nullptr;
   double error = 0;  // [px]
-  // No more splats and nodes than that, but for those without a parent: for it, the error is
-  // raised.
-  std::size_t most_splats = std::numeric_limits<std::size_t>::max();
 };
 
 // What a picture shows. Arrays are the caller's, and by pixel, top row first.

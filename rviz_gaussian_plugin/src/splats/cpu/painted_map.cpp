@@ -128,29 +128,26 @@ PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id, bool res
     const bool whole = advanceLevels([&] { return stop(patience); });
     if (levels_.nodes() == 0) return {whole || in_time, ""};  // all is drawn until they stand
     layer.levels = &levels_;
-    layer.error = control.choose(detail, !settings.asynchronous, levels_.groups(), layer.camera,
+    layer.error = control.choose(detail, !settings.asynchronous, levels_.samples(), layer.camera,
                                  slots_.index().groups(), settings.clip_box);
-    if (detail.kind == Detail::Kind::kSplats && !settings.asynchronous) {
-      layer.most_splats = static_cast<std::size_t>(detail.amount);
-    }
     return {in_time ? layer.error == 0 : whole && control.settled(), ""};
   } catch (const std::bad_alloc&) {
     return {true, "there is no memory for levels of detail"};
   }
 }
 
-void PaintedMap::drew(const std::string& view_id, const PictureLayer& layer, double error,
-                      double seconds) {
+std::optional<double> PaintedMap::drew(const std::string& view_id, const PictureLayer& layer,
+                                       const SplatPicture::OfLayer& drawn, double seconds) {
   const auto found = controls_.find(view_id);
-  if (found == controls_.end()) return;
+  if (found == controls_.end()) return {};
   DetailControl& control = found->second;
   if (layer.levels) {
-    control.drew(error);
-    control.took(error, seconds);
-  } else {
-    control.drewAll(seconds);
-    wants_levels_ = wants_levels_ || control.needsLevels(layer.settings.drawnDetail());
+    control.took(drawn.error, seconds);
+    return control.drew(drawn.error, drawn.drawn);
   }
+  control.drewAll(seconds);
+  wants_levels_ = wants_levels_ || control.needsLevels(layer.settings.drawnDetail());
+  return {};
 }
 
 }  // namespace rosplat

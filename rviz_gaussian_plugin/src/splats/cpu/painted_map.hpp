@@ -6,6 +6,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <shared_mutex>
 #include <string>
 #include <vector>
@@ -60,8 +61,10 @@ class PaintedMap {
   // rests: the camera does. stop: levels aren't to be waited for any longer.
   Chosen chooseDetail(const std::string& view_id, bool rests,
                       const std::function<bool(double)>& stop, PictureLayer& layer);
-  // What became of it [s].
-  void drew(const std::string& view_id, const PictureLayer& layer, double error, double seconds);
+  // What became of it [s]. If that missed a budget that is to be kept at once: the error to which
+  // it has to be drawn again.
+  std::optional<double> drew(const std::string& view_id, const PictureLayer& layer,
+                             const SplatPicture::OfLayer& drawn, double seconds);
   // Views that there are none of any more, or that don't want levels.
   void keepViews(const std::function<bool(const std::string& view_id)>& keep);
   bool wantsLevels() const { return wants_levels_; }

@@ -334,14 +334,21 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiti
       for (std::size_t i = 0; i < maps.states().size(); ++i) {
         painting->maps[i].map = maps.states()[i];
       }
-      if (!rasterizer_.draw(request, picture_)) return nullptr;
+      bool again = true;
+      while (std::exchange(again, false)) {
+        if (!rasterizer_.draw(request, picture_)) return nullptr;
+        for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+          PictureLayer& layer = request.layers[i];
+          const auto& drawn = picture_.layers[i];
+          const auto error = asked.layers[i].map->drew(view_id, layer, drawn, now() - start);
+          layer.error = error.value_or(layer.error);
+          again = again || error;
+        }
+      }
     }
-    const double took = now() - start;
     for (std::size_t i = 0; i < asked.layers.size(); ++i) {
-      Painting::OfMap& of = painting->maps[i];
-      of.drawn = picture_.layers[i].drawn;
-      of.error = picture_.layers[i].error;
-      asked.layers[i].map->drew(view_id, request.layers[i], of.error, took);
+      painting->maps[i].drawn = picture_.layers[i].drawn;
+      painting->maps[i].error = picture_.layers[i].error;
     }
     painting->profile = picture_.profile;
     if (asked.window) {

@@ -17,14 +17,12 @@ constexpr std::size_t kMostSlices = 32;
 void CpuRasterizer::Work::cull() {
   found.reserve(pages.size() * kSlots + 1);
   inParts(pages.size(), 16, [&](Part& part, Member&) {
-    part.of_layers.assign(layers.size(), 0);
     Candidate* const begin = found.get() + part.begin * kSlots;
     Candidate* out = begin;
     for (std::size_t i = part.begin; i < part.end; ++i) {
       if (cancelled()) break;
       const SeenPage& page = pages[i];
       const std::size_t count = kernels.cull(layers[page.layer].cull, page.slots, out);
-      part.of_layers[page.layer] += count;
       if (!ordered) {
         out += count;
         continue;
@@ -40,11 +38,7 @@ void CpuRasterizer::Work::cull() {
     part.end = part.begin + std::size_t(out - begin);
   });
   candidates = 0;
-  for (SeenLayer& layer : layers) layer.candidates = 0;
-  for (const Part& part : parts) {
-    candidates += part.end - part.begin;
-    for (std::size_t i = 0; i < layers.size(); ++i) layers[i].candidates += part.of_layers[i];
-  }
+  for (const Part& part : parts) candidates += part.end - part.begin;
 }
 
 // Deals what was found out to slices of depth, nearest first, in each in the order of slots.

@@ -82,9 +82,8 @@ struct SeenLayer {
   std::vector<SeenGroup> groups;
   CullView cull;
   ProjectView project;
-  std::size_t channel = 0;     // of HostSlots::Page::channels
-  double error = 0;            // [px]
-  std::size_t candidates = 0;  // so far
+  std::size_t channel = 0;  // of HostSlots::Page::channels
+  double error = 0;         // [px]
 };
 
 // A page that the picture may show.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <utility>
 
 namespace rosplat {
 
@@ -40,6 +41,7 @@ void CardLevels::apply(const SlotStore& store, const std::shared_ptr<const Gauss
     written_.clear();
     update_.reset();
     nodes_ = {};
+    samples_.clear();
   }
   nodes_.addBands(store.shDegree());
   written_.push_back({number, edit});
@@ -92,6 +94,7 @@ void CardLevels::finish(SlotStore& store) {
   for (const Written& written : written_) leaveLevels(*written.edit, update_->entries);
   for (const auto& [first_slot, levels] : update_->entries) store.setLevels(first_slot, levels);
   nodes_.show();
+  samples_ = std::move(update_->samples);
   update_.reset();
 }
 

@@ -5,6 +5,7 @@
 #include <deque>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "gpu/node_store.hpp"
 #include "gpu/slot_store.hpp"
@@ -24,6 +25,7 @@ class CardLevels {
   void advance(SlotStore& store, double now, bool all);
 
   const NodeStore& nodes() const { return nodes_; }
+  const std::vector<LevelSamples>& samples() const { return samples_; }  // of these, by group
   // Why there are none; empty where nothing is wrong.
   std::string error() const { return builder_.error(); }
   std::size_t bytes() const { return nodes_.bytes() + builder_.bytes(); }
@@ -42,6 +44,7 @@ class CardLevels {
   std::shared_ptr<rosplat_sorter::ThreadTeam> team_ = rosplat_sorter::ThreadTeam::ofViewers();
   LevelBuilder builder_;
   NodeStore nodes_;
+  std::vector<LevelSamples> samples_;
   std::unique_ptr<LevelsUpdate> update_;  // that is being uploaded
   std::deque<Written> written_;
   std::uint64_t cleared_ = 0;  // number of the last edit that emptied the map

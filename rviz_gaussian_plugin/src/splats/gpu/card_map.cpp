@@ -58,19 +58,23 @@ CardMap::Chosen CardMap::chooseDetail(const std::string& view_id, const RenderSe
   DetailControl& control = view.control;
   const bool at_once = !settings.asynchronous, rests = camera == view.camera;
   view.camera = camera;
+  view.chooses = false;
   Chosen chosen;
   chosen.in_time = detail.kind == Detail::Kind::kTime;
   // A frame time is for what moves; and may have room for all.
   if (!control.needsLevels(detail) || (chosen.in_time && (at_once || rests))) return {};
   if (at_once || !levels_) makeLevels(now, at_once);
-  if (!levels_) return {0, chosen.most, false, levels_error_};
-  chosen.error = control.choose(detail, at_once, levels_->nodes().pages(), camera, pages().groups(),
+  if (!levels_) return {0, false, levels_error_};
+  chosen.error = control.choose(detail, at_once, levels_->samples(), camera, pages().groups(),
                                 settings.clip_box);
-  if (at_once && detail.kind == Detail::Kind::kSplats) {
-    chosen.most = static_cast<std::size_t>(detail.amount);
-  }
-  control.drew(chosen.error);
+  view.chooses = true;
   return chosen;
+}
+
+std::optional<double> CardMap::drew(const std::string& view_id, double error, std::size_t drawn) {
+  const auto found = views_.find(view_id);
+  if (found == views_.end() || !found->second.chooses) return {};
+  return found->second.control.drew(error, drawn);
 }
 
 void CardMap::took(const std::string& view_id, double error, bool in_time, double seconds) {

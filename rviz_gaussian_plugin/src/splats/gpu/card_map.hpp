@@ -2,7 +2,6 @@
 
 #include <cstddef>
 #include <functional>
-#include <limits>
 #include <map>
 #include <memory>
 #include <optional>
@@ -35,15 +34,17 @@ class CardMap {
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
 
   // What a view's next picture draws where no order is given: nodes that are no wider than an error
-  // in place of splats, 0 for none [px]; and no more of all than that.
+  // in place of splats, 0 for none [px].
   struct Chosen {
     double error = 0;
-    std::size_t most = std::numeric_limits<std::size_t>::max();
     bool in_time = false;  // it is to take a certain time
     std::string problem;   // why that isn't the detail that was asked for
   };
   Chosen chooseDetail(const std::string& view_id, const RenderSettings& settings,
                       const SplatCamera& camera, double now);
+  // How many of both it drew. If that missed a budget that is to be kept at once: the error to
+  // which it has to be drawn again.
+  std::optional<double> drew(const std::string& view_id, double error, std::size_t drawn);
   // How long a picture took that was drawn to an error.
   void took(const std::string& view_id, double error, bool in_time, double seconds);
   void forget(const std::string& view_id);
@@ -56,7 +57,8 @@ class CardMap {
   // Of a view that isn't drawn in full.
   struct View {
     DetailControl control;
-    SplatCamera camera;  // of the last picture
+    SplatCamera camera;    // of the last picture
+    bool chooses = false;  // how that is drawn is up to the control
   };
 
   void makeLevels(double now, bool all);

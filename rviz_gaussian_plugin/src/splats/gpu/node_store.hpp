@@ -34,7 +34,6 @@ class NodeStore {
   void show();
 
   // That are shown, by group.
-  const std::vector<Levels::Nodes>& pages() const { return pages_; }
   const std::vector<OfGroup>& groups() const { return groups_; }
   SlotArenas::Place placeOf(const SlotPage& page) const { return arenas_.placeOf(page.place); }
   const std::vector<SlotArenas::Arena>& arenas() const { return arenas_.arenas(); }

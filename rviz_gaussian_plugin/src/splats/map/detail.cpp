@@ -1,56 +1,26 @@
 #include "map/detail.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cctype>
 #include <cmath>
 #include <cstdint>
-#include <cstring>
 #include <locale>
-#include <numeric>
 #include <regex>
 #include <sstream>
 #include <stdexcept>
-
-#include "map/cut.hpp"
-#include "map/seen_group.hpp"
 
 namespace rosplat {
 
 namespace {
 
-constexpr double kAim = 0.95;         // of a most, where not all may be drawn: samples err
+constexpr double kAim = 0.95;         // of a budget, where not all may be drawn: estimates err
+constexpr double kClose = 0.9;        // of one is drawn at least, or all
+constexpr double kLeastStep = 1.02;   // of the error, from one that missed to the next
+constexpr int kMostNarrowed = 4;      // pictures that are only to come closer
 constexpr double kFirstSplats = 1e6;  // of a frame time, before any was measured
 constexpr double kMostStep = 1.1;     // of the error, from picture to picture
 constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
 constexpr double kNearTime = 0.1;     // of a frame time, which varies from frame to frame
-
-// Squared errors are counted by 16ths of their octave: by the first bits of floats, which grow with
-// them.
-constexpr int kOctaveBits = 4, kDropped = 23 - kOctaveBits;  // of a float's 23 bits
-constexpr int kOctave = 1 << kOctaveBits, kBins = 60 * kOctave;
-constexpr int kLeastBits = (127 - 12) * kOctave;  // of 2^-12
-
-using Bins = NodeSamples::Each<int>;
-
-Bins binsOf(const NodeSamples::Each<float>& squared) {
-  Bins bins;
-  for (std::size_t i = 0; i < bins.size(); ++i) {
-    std::int32_t bits;
-    std::memcpy(&bits, &squared[i], sizeof(bits));
-    // Room for half an octave of errors more.
-    bins[i] = std::clamp((bits >> kDropped) - kLeastBits, 0, kBins - 1 - kOctave);
-  }
-  return bins;
-}
-
-// The least error of a bin.
-double errorOf(int bin) {
-  const std::int32_t bits = (kLeastBits + bin) << kDropped;
-  float squared;
-  std::memcpy(&squared, &bits, sizeof(squared));
-  return std::sqrt(squared);
-}
 
 }  // namespace
 
@@ -102,65 +72,11 @@ std::string toText(const Detail& detail) {
   return text.str();
 }
 
-double errorForSplats(const std::vector<Levels::Nodes>& levels, const SplatCamera& camera,
-                      const std::vector<Group>& groups, const ClipBox& box, double splats) {
-  constexpr std::size_t kMostPages = 1 << 6;  // of a level; most levels have few
-  // How many more are drawn where the error that is allowed falls below a bin's.
-  std::array<double, kBins> more{};
-  // weight: of how many pages this is one.
-  const auto count = [&](const NodePage& page, int level, const PageView& view, const Cut& cut,
-                         double weight) {
-    if (!view.mayShow(page.bounds)) return;
-    const float size = cellSize(level);
-    const bool top = level + 1 == kLevels;
-    const NodeSamples& samples = page.samples;
-    const auto shown = view.mayShow(samples.position, samples.extent);
-    const Bins own = binsOf(cut.squaredErrors(samples.corner, size));
-    const Bins parents = binsOf(cut.squaredErrors(samples.parent_corner, 2 * size));
-    const double nodes = weight * samples.nodes, members = weight * samples.members;
-    for (std::size_t i = 0; i < NodeSamples::kCount; ++i) {
-      if (!shown[i]) continue;
-      // Splats are drawn below the end of the rise of their parent's share, half an octave up;
-      // nodes also above the beginning of their own.
-      more[std::size_t(own[i] + kOctave)] += members;
-      more[std::size_t(top ? kBins - 1 : parents[i] + kOctave)] += nodes;
-      more[std::size_t(own[i])] -= nodes;
-    }
-  };
-  for (std::size_t group = 0; group < levels.size(); ++group) {
-    const SeenGroup seen(camera, groups[group], box);
-    const Cut cut(seen.camera, groups[group].originOrZero(), 1, true);
-    for (int level = 0; level < kLevels; ++level) {
-      const Levels::Pages& pages = levels[group][std::size_t(level)];
-      const std::size_t step = (pages.size() + kMostPages - 1) / kMostPages;
-      for (std::size_t i = 0; i < pages.size(); i += step) {
-        count(*pages[i], level, seen.pages, cut, double(step));
-      }
-    }
-  }
-  // Where levels blend, more may be drawn than there are splats.
-  if (std::accumulate(more.begin(), more.end(), 0.0) <= splats) return 0;
-  double drawn = 0;
-  int bin = kBins;
-  while (bin > 0 && drawn + more[std::size_t(bin - 1)] <= kAim * splats) {
-    drawn += more[std::size_t(--bin)];
-  }
-  return errorOf(bin);
-}
-
-double coarserError(double error, std::size_t drawn, std::size_t most) {
-  // From within a scene hardly more than one in so many is left, not its square. A second picture
-  // costs more than what a tenth more of error does.
-  return std::max(error, kLeastError) * std::clamp(double(drawn) / double(most), 1.1, 2.0);
-}
-
 double DetailControl::choose(const Detail& detail, bool at_once,
-                             const std::vector<Levels::Nodes>& levels, const SplatCamera& camera,
+                             const std::vector<LevelSamples>& levels, const SplatCamera& camera,
                              const std::vector<Group>& groups, const ClipBox& box) {
-  const auto forSplats = [&](double splats) {
-    return errorForSplats(levels, camera, groups, box, splats);
-  };
   settled_ = true;
+  search_.reset();
   double wanted = 0;
   switch (detail.kind) {
     case Detail::Kind::kFull:
@@ -168,11 +84,14 @@ double DetailControl::choose(const Detail& detail, bool at_once,
     case Detail::Kind::kError:
       return detail.amount;
     case Detail::Kind::kSplats:
-      wanted = forSplats(detail.amount);
+      search_ = Search{{levels, camera, groups, box}, detail.amount, at_once};
+      wanted = errorForBudget();
       if (at_once) return wanted;
       break;
     case Detail::Kind::kTime: {
-      if (seconds_ == 0) return error_ ? *error_ : forSplats(kFirstSplats);
+      if (seconds_ == 0) {
+        return error_ ? *error_ : CutEstimate(levels, camera, groups, box).errorFor(kFirstSplats);
+      }
       const double part = seconds_ / detail.amount;
       if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) return timed_error_;
       // About as many are drawn as the square of the error leaves.
@@ -187,6 +106,35 @@ double DetailControl::choose(const Detail& detail, bool at_once,
   if (error < kLeastError && wanted == 0) error = 0;
   settled_ = std::fabs(error - wanted) <= 0.05 * wanted;
   return error;
+}
+
+double DetailControl::errorForBudget() const {
+  const double splats = search_->most / drawn_of_expected_;  // that are expected
+  const double all = search_->expected.errorFor(splats);
+  return all == 0 ? 0 : search_->expected.errorFor(kAim * splats);
+}
+
+std::optional<double> DetailControl::drew(double error, std::size_t drawn) {
+  error_ = error;
+  if (!search_) return {};
+  Search& of = *search_;
+  const double expected = of.expected.drawn(error);
+  if (drawn > 0 && expected > 0) drawn_of_expected_ = double(drawn) / expected;
+  const bool fits = double(drawn) <= of.most;
+  if (!of.at_once || (fits && (error == 0 || double(drawn) >= kClose * of.most))) return {};
+  if (!fits && error >= kCoarsestError) return {};
+
+  // Between the largest error at which too many were drawn and the least at which few enough.
+  (fits ? of.coarse : of.fine) = std::max(error, kLeastError);
+  const double next = errorForBudget();
+  if (next == 0 && of.fine == 0) return 0;
+  if (!of.coarse) {
+    const double too_many = double(drawn) / of.most;
+    return std::max(next, of.fine * std::clamp(std::sqrt(too_many), kLeastStep, 2.0));
+  }
+  const double least = kLeastStep * std::max(of.fine, kLeastError), most = *of.coarse / kLeastStep;
+  if (++of.narrowed > kMostNarrowed || least > most) return fits ? std::nullopt : of.coarse;
+  return least < next && next < most ? next : std::sqrt(least * most);
 }
 
 void DetailControl::took(double error, double seconds) {

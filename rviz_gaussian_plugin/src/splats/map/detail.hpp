@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "map/cut_estimate.hpp"
 #include "map/levels.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
@@ -17,26 +18,17 @@ Detail parseDetail(const std::string& text);
 
 std::string toText(const Detail& detail);
 
-// The least error [px] at which a view draws no more splats and nodes than that, by samples: 0
-// where it is all of them. groups: where those of the levels are, by index.
-double errorForSplats(const std::vector<Levels::Nodes>& levels, const SplatCamera& camera,
-                      const std::vector<Group>& groups, const ClipBox& box, double splats);
-
-// Where nothing is left to be merged. [px]
-constexpr double kCoarsestError = 1e15;
-
-// A larger error, where one has had more drawn than there may be.
-double coarserError(double error, std::size_t drawn, std::size_t most);
-
 // Chooses the error of a view's pictures, one after the other.
 class DetailControl {
  public:
   // For the next picture [px]; 0 has all drawn in full. at_once: whatever the last one had;
   // otherwise it moves towards what is asked for, so that nobody sees it move.
-  double choose(const Detail& detail, bool at_once, const std::vector<Levels::Nodes>& levels,
+  double choose(const Detail& detail, bool at_once, const std::vector<LevelSamples>& levels,
                 const SplatCamera& camera, const std::vector<Group>& groups, const ClipBox& box);
-  // What became of it; and the time that one took, which may be known later.
-  void drew(double error) { error_ = error; }
+  // What became of it: how many splats and nodes are in the picture. If that missed a budget that
+  // is to be kept at once: the error to which it has to be drawn again.
+  std::optional<double> drew(double error, std::size_t drawn);
+  // The time that one took, which may be known later.
   void took(double error, double seconds);
   // Of a picture of all splats, whatever was chosen. [s]
   void drewAll(double seconds) { seconds_in_full_ = seconds; }
@@ -50,6 +42,21 @@ class DetailControl {
   bool settled() const { return settled_; }
 
  private:
+  // Of an error that keeps a budget.
+  struct Search {
+    CutEstimate expected;
+    double most;  // splats
+    bool at_once;
+    double fine = 0;                 // so far the largest error at which too many were drawn
+    std::optional<double> coarse{};  // and the least at which few enough
+    int narrowed = 0;                // pictures that came between them
+  };
+
+  double errorForBudget() const;
+
+  std::optional<Search> search_;  // while a budget is to be kept
+  // What hides others is found by drawing, and estimates err: in the last picture.
+  double drawn_of_expected_ = 1;
   std::optional<double> error_;           // of the last picture [px]
   double timed_error_ = 0, seconds_ = 0;  // of the last one of which it is known
   double seconds_in_full_ = 0;

@@ -164,6 +164,7 @@ void LevelBuilder::handOver(const std::vector<std::uint32_t>& changed) {
   auto update = std::make_unique<LevelsUpdate>();
   update->edits = taken_;
   update->groups = levels_.groups();
+  update->samples = levels_.samples();
   update->entries.resize(pages.size());
   auto entries = update->entries.begin();
   for (const std::uint32_t first_slot : pages) (entries++)->first = first_slot;

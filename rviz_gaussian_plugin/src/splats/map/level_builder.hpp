@@ -33,6 +33,7 @@ inline std::uint8_t levelOfNew(const GaussianEdit& edit, std::size_t source) {
 struct LevelsUpdate {
   std::uint64_t edits = 0;
   std::vector<Levels::Nodes> groups;  // by index
+  std::vector<LevelSamples> samples;  // of these
   // Of pages where they have changed, which ascend, by the first slot.
   std::vector<std::pair<std::uint32_t, EntryLevels>> entries;
 };

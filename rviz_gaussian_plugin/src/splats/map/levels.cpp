@@ -12,6 +12,7 @@ namespace rosplat {
 namespace {
 
 constexpr std::uint32_t kSlots = SlotPage::kSlots;
+constexpr std::size_t kMostSamples = 1024;  // of a level
 
 // Goes through the nodes of a level as they ascend, from a cell on.
 class NodeCursor {
@@ -68,6 +69,47 @@ auto changesFrom(const Changes& changes, Cell from) {
                           [](const auto& change, Cell cell) { return change.cell < cell; });
 }
 
+// Of all nodes of a level, those in the middle of as many equal runs, each with what is in its run.
+std::vector<NodeSamples> sampledLevel(const Levels::Pages& pages) {
+  std::size_t nodes = 0;
+  for (const auto& page : pages) nodes += page->cells.size();
+  const std::size_t count = std::min(nodes, kMostSamples);
+  std::vector<NodeSamples> samples((count + NodeSamples::kCount - 1) / NodeSamples::kCount);
+  if (!samples.empty()) samples.back().extent.fill(-1);
+  auto page = pages.begin();
+  std::size_t before = 0, members_before = 0;  // in the pages before
+  const auto find = [&](std::size_t node) {    // as they ascend; the end is in the last page
+    while (node - before >= (*page)->cells.size() && page + 1 != pages.end()) {
+      before += (*page)->cells.size();
+      members_before += (*page)->membersBefore((*page)->cells.size());
+      ++page;
+    }
+    return node - before;
+  };
+  std::size_t begin = 0, members_begin = 0;  // of a run
+  for (std::size_t k = 0; k < count; ++k) {
+    NodeSamples& of = samples[k / NodeSamples::kCount];
+    const std::size_t at = k % NodeSamples::kCount, end = nodes * (k + 1) / count;
+    const std::size_t i = find((begin + end) / 2);
+    const Cell cell = (*page)->cells[i];
+    const auto corner = cornerOf(cell);
+    const auto parent = levelOf(cell) + 1 == kLevels ? corner : cornerOf(parentOf(cell));
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      of.position[axis][at] = (*page)->slots.position[axis][i];
+      of.corner[axis][at] = static_cast<float>(corner[axis]);
+      of.parent_corner[axis][at] = static_cast<float>(parent[axis]);
+    }
+    of.extent[at] = (*page)->slots.extent[i];
+    const std::size_t in_page = find(end);
+    const std::size_t members_end = members_before + (*page)->membersBefore(in_page);
+    of.nodes[at] = static_cast<float>(end - begin);
+    of.members[at] = static_cast<float>(members_end - members_begin);
+    begin = end;
+    members_begin = members_end;
+  }
+  return samples;
+}
+
 // Of neighbours that are alike, the first.
 void append(std::vector<Cell>& cells, Cell cell) {
   if (cells.empty() || cells.back() != cell) cells.push_back(cell);
@@ -100,24 +142,8 @@ void NodePage::add(Cell cell, const PackedSlot& packed, const std::uint32_t* mem
   ends_.push_back(static_cast<std::uint32_t>(members_.size()));
 }
 
-void NodePage::sample() {
-  const bool top = level() + 1 == kLevels;
-  for (std::size_t k = 0; k < NodeSamples::kCount; ++k) {
-    const std::size_t i = k * cells.size() / NodeSamples::kCount;
-    const auto corner = cornerOf(cells[i]), parent = top ? corner : cornerOf(parentOf(cells[i]));
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      samples.position[axis][k] = slots.position[axis][i];
-      samples.corner[axis][k] = static_cast<float>(corner[axis]);
-      samples.parent_corner[axis][k] = static_cast<float>(parent[axis]);
-    }
-    samples.extent[k] = slots.extent[i];
-  }
-  samples.nodes = float(cells.size()) / float(NodeSamples::kCount);
-  samples.members = float(members()) / float(NodeSamples::kCount);
-}
-
 std::pair<const std::uint32_t*, std::size_t> NodePage::membersOf(std::size_t i) const {
-  const std::uint32_t begin = i > 0 ? ends_[i - 1] : 0;
+  const std::size_t begin = membersBefore(i);
   return {members_.data() + begin, ends_[i] - begin};
 }
 
@@ -166,6 +192,7 @@ void Levels::clear() {
   marked_.clear();
   job_.reset();
   nodes_.clear();
+  samples_.clear();
 }
 
 bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
@@ -184,9 +211,11 @@ bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
       }
       make(slots, std::min(left, 4 * std::size_t(team_->size())));
     }
+    LevelSamples samples = sampled(job_->pages);
     publish(slots);
     const std::unique_ptr<Job> done = std::move(job_);
     nodes_[done->group] = std::move(done->pages);
+    samples_[done->group] = std::move(samples);
     if (stand) stand(done->marked);
   }
   return true;
@@ -197,6 +226,7 @@ void Levels::begin(const HostSlots& slots) {
   const std::uint32_t group = marked_.begin()->first;
   const std::vector<std::uint32_t>& marked = marked_.begin()->second;
   if (nodes_.size() <= group) nodes_.resize(group + 1);
+  samples_.resize(nodes_.size());
   auto job = std::make_unique<Job>();
   job->group = group;
   std::vector<std::vector<Change>> parts(4 * std::size_t(team_->size()));
@@ -477,7 +507,6 @@ void Levels::fill(Piece& piece, const std::vector<Made>& made, int sh_degree) co
                   part->ends[i] - first);
       }
     }
-    page->sample();
     piece.pages.push_back(std::move(page));
   }
 }
@@ -494,6 +523,13 @@ void Levels::publish(HostSlots& slots) const {
     }
     slots.setParents(of, sizes);
   });
+}
+
+LevelSamples Levels::sampled(const Nodes& nodes) const {
+  LevelSamples samples;
+  inParts(team_.get(), nodes.size(),
+          [&](std::size_t level) { samples[level] = sampledLevel(nodes[level]); });
+  return samples;
 }
 
 std::size_t Levels::nodes() const {

@@ -25,17 +25,20 @@ struct Node {
   std::vector<std::uint32_t> members;  // slots that enter the lattice here, ascending
 };
 
-// Some nodes of a page, spread evenly over it, with the corners of their cells and of their
-// parents': what a view shows of large maps is estimated by these alone, which lie side by side.
+// Some nodes of a level, neighbours in space, with the corners of their cells and of their
+// parents'.
 struct NodeSamples {
   static constexpr std::size_t kCount = 16;
   template <typename T>
   using Each = std::array<T, kCount>;
 
   std::array<Each<float>, 3> position, corner, parent_corner;  // [m]
-  Each<float> extent;
-  float nodes, members;  // of the page that each stands for
+  Each<float> extent;                                          // less than 0: there is none
+  Each<float> nodes, members;  // that each stands for: all of the level do for some
 };
+// Of each level of a group, spread evenly over its nodes, side by side in memory: what a view shows
+// of large maps is estimated by these alone.
+using LevelSamples = std::array<std::vector<NodeSamples>, kLevels>;
 
 // Nodes of one level, neighbours in space. Never changed, once it is filled.
 class NodePage {
@@ -43,11 +46,7 @@ class NodePage {
   NodePage(int sh_degree, std::uint32_t group);
   // In the order of their cells.
   void add(Cell cell, const PackedSlot& packed, const std::uint32_t* members, std::size_t count);
-  // Once all are there.
-  void sample();
-
-  SlotPage bounds;  // as if the nodes were slots
-  NodeSamples samples;
+  SlotPage bounds;          // as if the nodes were slots
   HostSlots::Page slots{};  // the nodes, in the order of their cells
   std::vector<Cell> cells;
 
@@ -55,7 +54,8 @@ class NodePage {
   Node node(std::size_t i, int sh_degree) const;
   // Of a node: from where, and how many.
   std::pair<const std::uint32_t*, std::size_t> membersOf(std::size_t i) const;
-  std::size_t members() const { return members_.size(); }  // of all its nodes
+  // Of all nodes before one, which may be the end.
+  std::size_t membersBefore(std::size_t i) const { return i > 0 ? ends_[i - 1] : 0; }
   std::size_t bytes() const;
 
  private:
@@ -89,6 +89,7 @@ class Levels {
                const std::function<void(const std::vector<std::uint32_t>&)>& stand = nullptr);
 
   const std::vector<Nodes>& groups() const { return nodes_; }  // by index, as far as there are any
+  const std::vector<LevelSamples>& samples() const { return samples_; }  // of them
   std::size_t nodes() const;
   std::size_t bytes() const;
 
@@ -150,13 +151,15 @@ class Levels {
                std::size_t end) const;
   void fill(Piece& piece, const std::vector<Made>& made, int sh_degree) const;
   void publish(HostSlots& slots) const;
+  LevelSamples sampled(const Nodes& nodes) const;
 
   std::shared_ptr<rosplat_sorter::ThreadTeam> team_;
   bool begun_ = false;
   std::vector<std::unique_ptr<Known>> known_;                   // by place
   std::map<std::uint32_t, std::vector<std::uint32_t>> marked_;  // first slots of pages, by group
   std::unique_ptr<Job> job_;
-  std::vector<Nodes> nodes_;  // by group
+  std::vector<Nodes> nodes_;           // by group
+  std::vector<LevelSamples> samples_;  // of these
 };
 
 }  // namespace rosplat
