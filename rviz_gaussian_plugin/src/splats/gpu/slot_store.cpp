@@ -32,9 +32,12 @@ void SlotStore::apply(const GaussianEdit& edit, double now) {
   }
   arenas_.makeRoom(static_cast<std::uint32_t>(pages_.pages().size()));
   for (const std::uint32_t first_slot : pages_.emptied()) empty(*pages_.find(first_slot));
-  for (const Piece& piece : pieces(edit)) {
-    write(edit, piece, static_cast<std::uint32_t>(now) << 16);
-  }
+  const std::vector<Piece> all = pieces(edit);
+  if (all.empty()) return;
+  // NVIDIA's driver (580) loses some of the writes of edits that follow each other without a pause.
+  glFinish();
+  for (const Piece& piece : all) write(edit, piece, static_cast<std::uint32_t>(now) << 16);
+  glFinish();
 }
 
 void SlotStore::empty(const SlotPage& page) {
