@@ -183,6 +183,7 @@ void SplatRenderer::divide(ViewState& view) const {
 std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView>& maps,
                                                       Canvas canvas, const Surroundings& around) {
   const std::function<void()>& translucent = around.translucent;
+  glFlush();  // the graphics card begins with what the scene has drawn so far
   gl::deleteAbandoned();
   const RenderSettings& settings = maps.front().settings;
   View& of = this->view(join(maps));
