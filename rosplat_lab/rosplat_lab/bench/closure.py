@@ -63,7 +63,7 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
             took.append(milliseconds(take))
             return took[-1] + milliseconds(draw)
 
-        frames = budget.spend(frame)
+        frames = budget.spend(frame, embedded.WARM_UP)
         closures = budget.spend(closure)
         common = {"scene": name, "splats": len(splats), "gpu": renderer.renderer_info}
         parameters = {"submaps": SUBMAPS, "width": picture[0], "height": picture[1]}

@@ -216,8 +216,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
-        help="of what frame draws: default, quads, tiles, 'float blending', translucent, or "
-        f"another renderer: {', '.join(RENDERERS)}",
+        help="of what frame draws: default, quads, tiles, 'float blending', translucent, 'four "
+        f"maps', or another renderer: {', '.join(RENDERERS)}",
     )  # fmt: skip
     parser.add_argument(
         "--displays", type=Path, nargs="+", default=[], metavar="FILE",

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 REPLACE, UPSERT, DELETE = 0, 1, 2
 CHUNK = 8_000_000  # as the publisher sends [bytes]
 MAP = "bench"
+WARM_UP = 0.4  # of drawing, until a graphics card that had nothing to do has its full clock [s]
 
 
 def open_renderer() -> Renderer:

@@ -39,10 +39,12 @@ SOFTWARE_VARIANTS = ("default", "translucent")  # where no GPU draws
 
 @dataclass(frozen=True)
 class Variant:
-    """What is drawn otherwise: settings, fields of RenderSettings; a translucent box."""
+    """What is drawn otherwise: settings, fields of RenderSettings; a translucent box; the scene as
+    several maps through each other."""
 
     settings: dict[str, Any] = field(default_factory=dict)
     translucent: bool = False
+    maps: int = 1
 
 
 def variants() -> dict[str, Variant]:
@@ -56,6 +58,7 @@ def variants() -> dict[str, Variant]:
         "float blending": Variant({"float_blending": True}),
         # A box amid the splats, before some, behind others.
         "translucent": Variant(translucent=True),
+        "four maps": Variant(maps=4),
     }
 
 
@@ -68,11 +71,12 @@ class Order:
     waits: bool = False
 
 
+ON_CARD = "sorted in the frame, GPU"
 ORDERS = {
     "given": Order({"order": "SIDECAR"}, given=True),  # what a frame costs beside sorting
     "sorted in the frame, CPU": Order({"order": "BUILT_IN"}, waits=True),
     "sorted beside it, CPU": Order({"order": "BUILT_IN"}),  # for a camera of some frames ago
-    "sorted in the frame, GPU": Order({"order": "GPU"}),
+    ON_CARD: Order({"order": "GPU"}),
 }
 
 
@@ -102,8 +106,9 @@ def measure(plan: Plan) -> Iterator[Event]:
             # Where walls hide much, beside the garden, where little does.
             rooms = () if plan.quick or plan.sizes else (f"{ROOMS}{max(sizes)}",)
             for name in scenes.names(plan.sizes or sizes, plan.scenes or rooms):
-                if ours:
-                    jobs.append(partial(isolated, _scene, plan, name, ours))
+                for maps in sorted({variants()[variant].maps for variant in ours}):
+                    alike = [variant for variant in ours if variants()[variant].maps == maps]
+                    jobs.append(partial(isolated, _scene, plan, name, alike, maps))
                 beside = [renderer for renderer in chosen if renderer in RENDERERS]
                 jobs += [partial(isolated, _beside, plan, name, renderer) for renderer in beside]
             if ours:
@@ -150,21 +155,26 @@ def _beside(plan: Plan, name: str, which: str) -> Iterator[Event]:
         def frame(number: int, cameras: list[Camera] = cameras) -> float:
             return milliseconds(partial(renderer.draw, cameras[number % STEPS]))
 
+        times = plan.budget.spend(frame, embedded.WARM_UP)
         yield Measurement.of(
-            "frame", "ms", plan.budget.spend(frame), name, len(splats), renderer.device,
+            "frame", "ms", times, name, len(splats), renderer.device,
             picture=size, view=view, variant=which, order="its own",
         )  # fmt: skip
 
 
-def _scene(plan: Plan, name: str, chosen: Sequence[str]) -> Iterator[Event]:
-    """All measurements of one scene by the display's renderer."""
+def _scene(plan: Plan, name: str, chosen: Sequence[str], maps: int) -> Iterator[Event]:
+    """All measurements of one scene, as so many maps, by the display's renderer."""
     yield Doing(f"{name}: loading", 0.0)
     renderer = embedded.open_renderer()
     bench = Bench(renderer)
     before = _trimmed_memory()
     splats = scenes.load(name)
     count = len(splats)
-    embedded.insert_all(renderer, splats)
+    for number in range(maps):
+        target = renderer.add_map() if number else renderer
+        embedded.insert_all(target, splats[number::maps])
+    # Whoever sorts without a graphics card sorts one map alone.
+    kinds = {kind: order for kind, order in ORDERS.items() if maps == 1 or kind == ON_CARD}
     looks = _looks(plan, name)
     for index, (picture, view) in enumerate(looks):
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
@@ -180,11 +190,13 @@ def _scene(plan: Plan, name: str, chosen: Sequence[str]) -> Iterator[Event]:
                 "scene": name, "splats": count, "gpu": renderer.renderer_info,
                 "picture": size, "view": view, "variant": variant,
             }  # fmt: skip
-            for kind, order in ORDERS.items():
+            for kind, order in kinds.items():
                 bench.use(drawn.settings | order.settings)
                 yield from bench.frames(
                     plan.budget, cameras, orders, order, labels | {"order": kind}
                 )
+    if maps > 1:
+        return  # the memory of one map is what is compared
     bench.put_box(None)
     report = bench.view.draw()
     del splats, orders
@@ -219,7 +231,7 @@ class Bench:
         if place:
             self._renderer.set_box(tuple(place.centre.tolist()), (place.radius,) * 3, 0.5)
         else:
-            self._renderer.set_box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)  # opaque, but nothing
+            self._renderer.set_box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def frames(
         self, budget: Budget, cameras: list[Camera], orders: list[NDArray[np.uint32]],
@@ -240,14 +252,14 @@ class Bench:
 
             return milliseconds(draw)
 
-        times = budget.spend(frame)
+        times = budget.spend(frame, embedded.WARM_UP)
         if order.given and not all(report["order_fresh"] for report in reports):
             raise RuntimeError("the renderer did not take the orders that it was given")
         if self._renderer.failed():
             raise RuntimeError("OpenGL reports an error")
         details = labels | {"drawn": int(reports[-1]["splats"])}
         yield Measurement.of("frame", "ms", times, **details)
-        submitting = [1e3 * report["draw_time"] for report in reports[1:]]
+        submitting = [1e3 * report["draw_time"] for report in reports[-len(times) :]]
         yield Measurement.of("render thread", "ms", submitting, **details)
         self._renderer.settings.profile = True
         reports.clear()

@@ -166,7 +166,7 @@ def _scene(
             def frame(number: int, cameras: Sequence[Camera] = cameras) -> float:
                 return milliseconds(lambda: drawer.draw(cameras[number % STEPS]))
 
-            times = budget.spend(frame)
+            times = budget.spend(frame, embedded.WARM_UP)
             drawn = drawer.draw(camera)
             shown = {"view": view, "detail": detail, "px": drawn["error"]}
             shown |= {"drawn": drawn["splats"]}

@@ -165,9 +165,12 @@ class Budget:
     most: int
     seconds: float
 
-    def spend(self, run: Callable[[int], float]) -> list[float]:
-        """What run(0), run(1), ... return, after one that doesn't count."""
-        run(0)
+    def spend(self, run: Callable[[int], float], warm_up: float = 0.0) -> list[float]:
+        """What run(0), run(1), ... return, after some that don't count: one, or those of a time."""
+        end, runs = perf_counter() + warm_up, 0
+        while not runs or perf_counter() < end:
+            run(runs)
+            runs += 1
         samples: list[float] = []
         end = perf_counter() + self.seconds
         while len(samples) < self.most and (len(samples) < self.least or perf_counter() < end):

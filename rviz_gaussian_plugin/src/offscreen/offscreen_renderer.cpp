@@ -44,18 +44,24 @@ OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string
   manager_ = root_->createSceneManager();
   camera_ = manager_->createCamera("camera");
   manager_->getRootSceneNode()->createChildSceneNode("camera")->attachObject(camera_);
-  cloud_ = std::make_unique<SplatCloud>(
-      "map", kResourceGroup, [this](Ogre::Viewport*, const SplatCamera&) { return view_id_; });
-  manager_->getRootSceneNode()->createChildSceneNode("map")->attachObject(cloud_.get());
+  addMap();
 }
 
 OffscreenRenderer::~OffscreenRenderer() {
-  if (cloud_) cloud_->detachFromParent();
-  cloud_.reset();  // while its context is there
+  for (const auto& cloud : clouds_) cloud->detachFromParent();
+  clouds_.clear();  // while their context is there
   if (texture_) {
     Ogre::TextureManager::getSingleton().remove(texture_);
     texture_.reset();
   }
+}
+
+SplatScene& OffscreenRenderer::addMap() {
+  const std::string name = "map " + std::to_string(clouds_.size());
+  clouds_.push_back(std::make_unique<SplatCloud>(
+      name, kResourceGroup, [this](Ogre::Viewport*, const SplatCamera&) { return view_id_; }));
+  manager_->getRootSceneNode()->createChildSceneNode(name)->attachObject(clouds_.back().get());
+  return clouds_.back()->scene();
 }
 
 void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequence,
@@ -64,7 +70,7 @@ void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequ
   mine.extent_scale = extentScale(settings);
   std::tie(mine.ndc_scale, mine.ndc_offset) = depthBuffer(
       camera.orthographic, camera.near_clip, depthRange(camera.near_clip, camera.far_clip));
-  cloud_->scene().setCamera(view_id, sequence, mine);
+  for (const auto& cloud : clouds_) cloud->scene().setCamera(view_id, sequence, mine);
 }
 
 const SplatCamera& OffscreenRenderer::cameraOf(const std::string& view_id) const {
@@ -75,7 +81,7 @@ const SplatCamera& OffscreenRenderer::cameraOf(const std::string& view_id) const
 
 SplatScene& OffscreenRenderer::drawn() {
   if (!drawn_) throw std::runtime_error("there is no picture: nothing was drawn, or it failed");
-  return cloud_->scene();
+  return scene();
 }
 
 std::vector<float> OffscreenRenderer::readDepth() {
@@ -107,8 +113,10 @@ FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now) {
   drawn_ = false;
   resize(camera.width, camera.height);
   view_id_ = view_id;
-  cloud_->setSortNow(sort_now);
-  cloud_->setSettings(settings);
+  for (const auto& cloud : clouds_) {
+    cloud->setSortNow(sort_now);
+    cloud->setSettings(settings);
+  }
 
   // Ogre's camera for the opaque objects; the splats are drawn with the exact one.
   Ogre::Matrix4 view = Ogre::Matrix4::IDENTITY, projection = Ogre::Matrix4::ZERO;
@@ -137,12 +145,17 @@ FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now) {
   camera_->setCustomViewMatrix(true, Ogre::Affine3(view));
   update();
   drawn_ = true;
-  return cloud_->scene().report(view_id);
+  FrameReport report = scene().report(view_id);
+  for (std::size_t i = 1; i < clouds_.size(); ++i) {
+    report.splats += clouds_[i]->scene().report(view_id).splats;
+  }
+  return report;
 }
 
 void OffscreenRenderer::setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size,
                                float opacity) {
   if (manager_->hasManualObject("box")) manager_->destroyManualObject("box");
+  if (size == std::array<float, 3>{}) return;
   Ogre::ManualObject* box = manager_->createManualObject("box");
   auto& materials = Ogre::MaterialManager::getSingleton();
   auto material = materials.getByName("box", kResourceGroup);
@@ -178,7 +191,7 @@ std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id, i
   const SplatCamera part = crop(cameraOf(view_id), left, top, width, height);
   if (width < 1 || height < 1) return {};
   picked_ = true;
-  SplatScene& scene = cloud_->scene();
+  SplatScene& scene = this->scene();
   scene.drawPick({{&scene, view_id, part, settings}}, Canvas::kNone, 0);
   return scene.pick().slots();
 }
@@ -200,11 +213,18 @@ bool OffscreenRenderer::failed() const { return glGetError() != GL_NO_ERROR; }
 
 void OffscreenRenderer::update() {
   picked_ = false;
-  cloud_->clearError();
+  for (const auto& cloud : clouds_) cloud->clearError();
+  Ogre::RenderTarget* target = texture_->getBuffer()->getRenderTarget();
+  // To clear depth takes a card without need for it as long as to lay the map over the picture.
+  const bool box = manager_->hasManualObject("box");
+  target->getViewport(0)->setClearEveryFrame(
+      true, box ? Ogre::FBT_COLOUR | Ogre::FBT_DEPTH : Ogre::FBT_COLOUR);
   root_->_fireFrameStarted();
-  texture_->getBuffer()->getRenderTarget()->update();
+  target->update();
   root_->_fireFrameEnded();
-  if (!cloud_->error().empty()) throw std::runtime_error(cloud_->error());
+  for (const auto& cloud : clouds_) {
+    if (!cloud->error().empty()) throw std::runtime_error(cloud->error());
+  }
 }
 
 }  // namespace rosplat

@@ -25,16 +25,20 @@ class OffscreenRenderer {
   OffscreenRenderer(const std::string& media, const std::string& plugins);
   ~OffscreenRenderer();
 
-  SplatScene& scene() { return cloud_->scene(); }
+  SplatScene& scene() { return clouds_.front()->scene(); }
+  // Another map, drawn together with that of scene() and as long as it.
+  SplatScene& addMap();
   RenderSettings settings;                   // of the next draw
   rosplat_sorter::OrderReader order_reader;  // for one thread at a time
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
   // Draws the scene as a view's camera sees it, sorted here if sort_now. Throws std::runtime_error,
-  // as do all that read what was drawn, where nothing was.
+  // as do all that read what was drawn, where nothing was. Reports on scene(), but the splats of
+  // all.
   FrameReport draw(const std::string& view_id, bool sort_now);
 
-  // A white box to hide splats behind and before, in the map's frame [m], or a veil of it.
+  // A white box to hide splats behind and before, in the map's frame [m], or a veil of it; of no
+  // size, none any more.
   void setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size, float opacity);
 
   std::vector<float> readColor() { return drawn().readColor(); }
@@ -65,7 +69,7 @@ class OffscreenRenderer {
   Ogre::Camera* camera_ = nullptr;
   Ogre::TexturePtr texture_;
   std::array<float, 3> background_{};
-  std::unique_ptr<SplatCloud> cloud_;
+  std::vector<std::unique_ptr<SplatCloud>> clouds_;  // a map each
   std::map<std::string, SplatCamera> cameras_;
   std::string view_id_;
   bool drawn_ = false;   // the last draw() succeeded

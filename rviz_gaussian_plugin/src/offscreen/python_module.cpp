@@ -40,6 +40,8 @@ Group groupOf(const GaussianMap& map, std::uint32_t number) {
   return group ? *group : Group{};
 }
 
+BatchReport take(SplatScene& scene, const GaussianBatch& batch) { return scene.apply(batch); }
+
 BatchReport take(GaussianMap& map, const GaussianBatch& batch) {
   BatchReport report;
   map.apply(batch, report);
@@ -522,9 +524,12 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_property_readonly("antialiased",
                              [](const GaussianMap& m) { return m.state().antialiased; });
   defineApply(map);
+  py::class_<SplatScene> beside(module, "MapBeside", "Another map of a Renderer.");
+  defineApply(beside);
   py::class_<OffscreenRenderer> renderer(module, "Renderer");
   defineApply(renderer);
   renderer.def(py::init<const std::string&, const std::string&>(), "media"_a, "plugins"_a)
+      .def("add_map", &OffscreenRenderer::addMap, py::return_value_policy::reference_internal)
       .def("set_camera", &setCamera, "view_id"_a, "sequence"_a, "position"_a, "orientation"_a,
            "projection"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "width"_a, "height"_a, "near"_a = 0.01,
            "far"_a = 1e10)
