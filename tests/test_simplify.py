@@ -213,7 +213,8 @@ def test_refusals_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert not out.exists()
 
 
-def test_interrupted_it_leaves_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_it_leaves_nothing(tmp_path: Path, number: int) -> None:
     folder = tmp_path / "out"
     folder.mkdir()
     command = [sys.executable, "-m", "rosplat_lab.simplify", "procedural:400000"]
@@ -221,7 +222,7 @@ def test_interrupted_it_leaves_nothing(tmp_path: Path) -> None:
         [*command, str(folder / "out.ply"), "--psnr", "40"], stderr=subprocess.PIPE, text=True
     ) as process:
         time.sleep(6)  # most of which it spends with views
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         assert process.stderr
         assert (process.wait(60), process.stderr.read()) == (130, "")
     assert not list(folder.iterdir())

@@ -14,8 +14,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 
 from rosplat_lab.arguments import whole
@@ -49,7 +50,12 @@ class Output:
     """A file that appears when all is done; until then it is a draft beside it."""
 
     path: Path
-    draft: Path
+    drafts: ExitStack
+
+    @cached_property
+    def draft(self) -> Path:
+        """Its folder is made late: what kills a program leaves nothing of the search."""
+        return self.drafts.enter_context(_folder_beside(self.path)) / self.path.name
 
     def write(self, splats: Splats) -> Written:
         """Writes a draft, in place of the one before, and reads it back."""
@@ -120,14 +126,15 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         raise SceneError(f"{out}: is the scene itself")
     if options.report and not options.report.parent.is_dir():
         raise SceneError(f"{options.report}: {options.report.parent} is no folder")
-    with _draft(out):
+    with _folder_beside(out):
         pass  # or it would be refused when all is done
     began = time.monotonic()
     with watched("reading") as progress:
         splats = load_scene(options.input, progress, _warn)
         put_in_space_order(splats)
     read, processor = time.monotonic(), time.process_time()
-    with _draft(out) as output, _shown() as tell:
+    with ExitStack() as drafts, _shown() as tell:
+        output = Output(out, drafts)
         work = Simplification(splats, tell)
         written, quality = _within(work, output, *bounds)
         output.draft.replace(out)
@@ -234,8 +241,8 @@ def _as_small_as(work: Simplification, output: Output, splats: int, size: int) -
 
 
 @contextmanager
-def _draft(out: Path) -> Iterator[Output]:
-    """A place for a draft, as long as it is needed. Raises SceneError where there is none."""
+def _folder_beside(out: Path) -> Iterator[Path]:
+    """A folder for a draft, as long as it is needed. Raises SceneError where there is none."""
     try:
         folder = tempfile.TemporaryDirectory(prefix=".simplify-", dir=out.parent)
     except OSError as error:
@@ -243,7 +250,7 @@ def _draft(out: Path) -> Iterator[Output]:
             f"{out}: nothing can be written to {out.parent}: {error.strerror}"
         ) from error
     with folder as name:
-        yield Output(out, Path(name) / out.name)
+        yield Path(name)
 
 
 @contextmanager
