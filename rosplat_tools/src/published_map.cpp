@@ -296,7 +296,7 @@ void PublishedMap::erase(std::uint32_t first_slot, std::uint32_t count, const St
     }
   }
   auto erased = batch(Batch::DELETE, stamp);
-  erased->first_slot = first_slot;
+  if (count > 0) erased->first_slot = first_slot;
   erased->count = count;
   sendEdit(std::move(erased));
 }
