@@ -21,6 +21,7 @@ from rosplat_sorter import qos
 from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_sorter.backends import AUTO, BACKENDS
 from rosplat_sorter.map_subscription import MapSubscription
+from rosplat_sorter.memory import give_back_large_blocks
 from rosplat_sorter.order_slots import pack
 from rosplat_sorter.worker import Answer, Worker
 
@@ -126,6 +127,7 @@ def _unknown(backend: str) -> str:
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     take_ros_arguments_only("sorter", __doc__)
+    give_back_large_blocks()
     # ROS's own handlers end it: a KeyboardInterrupt could come in the middle of an import.
     signal.signal(signal.SIGINT, lambda *_: None)
     try:

@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from rosplat_sorter.arguments import take_ros_arguments_only
+from rosplat_sorter.memory import give_back_large_blocks
 from rosplat_tools.program.processes import interrupt_by_signals, since_interrupt
 from rosplat_tools.splats import SceneError
 
@@ -40,6 +41,7 @@ def run(program: str, body: Callable[[], None]) -> None:
     A SceneError, RuntimeError or OSError ends the program with its text and exit code 1.
     """
     take_ros_arguments_only(program, sys.modules[body.__module__].__doc__)
+    give_back_large_blocks()
     # rclpy's own handlers shut ROS down under code that is just using it.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     interrupt_by_signals()
