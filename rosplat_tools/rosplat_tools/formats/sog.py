@@ -481,7 +481,8 @@ def _palette_width(degree: int) -> int:
 
 def _reason(error: Exception) -> str:
     """Why a file can't be read; an OSError's own text would name it once more."""
-    return getattr(error, "strerror", None) or str(error)
+    reason: str = shown(getattr(error, "strerror", None) or error)
+    return reason
 
 
 def _quaternions(rgba: NDArray[np.uint8]) -> NDArray[np.float32]:
