@@ -56,6 +56,7 @@ FLOOR = 64 << 20  # what a process may take beyond the map [bytes]
 # Of a display that draws by the processor and a sorter; of a publisher. [bytes]
 PAGE = SLOTS_PER_PAGE * (36 + 4 * 15 + 16 + 1 + 4 * GaussianArray.MAX_CHANNELS)
 PUBLISHED_PAGE = SLOTS_PER_PAGE * (splat_bytes(3) + 4 * GaussianArray.MAX_CHANNELS)
+PIXEL = 128  # colour and depth, as arrays and in messages on their way [bytes]
 MOST_PIXELS = 1 << 14  # of a picture that is drawn; larger ones only take longer
 
 
@@ -427,20 +428,23 @@ def test_nodes_outlive_what_their_peers_send(tmp_path: Path, node: Any, listener
         views = node.create_publisher(ViewCamera, "hostile/view", VIEW)
         listener.wait(lambda: maps.get_subscription_count() == 2)
 
-        def call(kind: Any, name: str, **request: object) -> None:
+        def call(kind: Any, name: str, **request: object) -> Any:
             """Calls a service, unless one of them ends."""
             answer = listener.request(kind, name, **request)
             listener.wait(lambda: processes.check() or answer.done())
+            return answer.result()
 
         listener.call(RenderView, "hostile/render")
         before = [_status("VmHWM", process.pid) for process in started]
+        pixels = 0
         for case in fuzz.cases(min(fuzz.CASES, 2000) // 20):
             rng = fuzz.random(case)
             for message in fuzz.batches(rng):
                 maps.publish(message)
             asked = fuzz.view_camera(rng)
             views.publish(asked)
-            call(RenderView, "hostile/render", camera=asked)
+            drawn = call(RenderView, "hostile/render", camera=asked).color
+            pixels = max(pixels, drawn.width * drawn.height)
             (tmp_path / "damaged").write_bytes(fuzz.damaged(rng, scene["scene.spz"]))
             path = fuzz.one_of(rng, paths)
             if case % 4 == 0:
@@ -450,7 +454,7 @@ def test_nodes_outlive_what_their_peers_send(tmp_path: Path, node: Any, listener
                 call(SaveMap, "ply_publisher/save", path=target)
             processes.check()
         for process, least in zip(started, before, strict=True):
-            assert _status("VmHWM", process.pid) - least < FLOOR
+            assert _status("VmHWM", process.pid) - least < FLOOR + PIXEL * pixels
         for name in ("sorter", "ply_publisher", "viewer"):
             assert "Traceback" not in processes.said(name)
             assert max(map(len, processes.said(name).splitlines())) < 2000
