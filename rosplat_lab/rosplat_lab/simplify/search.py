@@ -172,7 +172,7 @@ class Simplification:
             count, before = self._most(pairs, bound, before)
             self._trial = None  # with its memory
             self._merge(pairs, count)
-            if count < len(pairs):
+            if count < len(pairs) or _decibels(before) < bound + NEAR:
                 return
 
     def _most(self, pairs: Pairs, bound: float, before: float) -> tuple[int, float]:
