@@ -146,6 +146,22 @@ TEST(Budget, CountsWhatIsDrawn) {
   EXPECT_NEAR(plain.choose(control, {Kind::kSplats, kMost}, true), *next, 0.01 * *next);
 }
 
+// Where one error draws too many and the next too few, the coarser one is taken.
+TEST(Budget, IsKeptWhereNoErrorUsesIt) {
+  const Plain plain(60000);
+  DetailControl control;
+  double error = plain.choose(control, {Kind::kSplats, 10000}, true);
+  const double step = 1.1 * error;
+  const auto drawn = [&](double tried) { return std::size_t{tried < step ? 15000u : 4000u}; };
+  int pictures = 1;
+  for (; const auto next = control.drew(error, drawn(error)); ++pictures) {
+    error = *next;
+    ASSERT_LT(pictures, 20);
+  }
+  EXPECT_EQ(drawn(error), 4000u);
+  EXPECT_LE(pictures, 8);
+}
+
 TEST(Budget, OfOneSplatEnds) {
   Plain plain(3000);
   DetailControl control;

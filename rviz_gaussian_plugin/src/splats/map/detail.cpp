@@ -125,7 +125,13 @@ std::optional<double> DetailControl::drew(double error, std::size_t drawn) {
   if (!fits && error >= kCoarsestError) return {};
 
   // Between the largest error at which too many were drawn and the least at which few enough.
-  (fits ? of.coarse : of.fine) = std::max(error, kLeastError);
+  const double tried = std::max(error, kLeastError);
+  if (fits) {
+    of.coarse = tried;
+  } else {
+    of.fine = tried;
+    if (of.coarse <= tried) of.coarse.reset();  // another map of the picture hides less by now
+  }
   const double next = errorForBudget();
   if (next == 0 && of.fine == 0) return 0;
   if (!of.coarse) {
