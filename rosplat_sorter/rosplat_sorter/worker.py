@@ -123,6 +123,7 @@ class Worker:
     def __init__(self, host: Host, backend: str = AUTO, threads: int = 0) -> None:
         self._host = host
         self._map = SplatMap()
+        self._lacking = False  # what its revision has: the rest is being pulled
         self._viewers: dict[str, _Viewer] = {}  # the one seen longest ago first
         self._due: dict[str, None] = {}  # views to answer, in turn
         self._backend: Backend | None = None  # that has the whole map
@@ -238,6 +239,7 @@ class Worker:
         except (MemoryError, MixedGroupsError, ChannelError) as error:
             self._drop_batch(edit.map_id, edit.revision, error)
             return
+        self._lacking = edit.arrival is Arrival.PULLED
         if edit.map_id != known_map or edit.revision <= known_revision:
             if edit.arrival is Arrival.HEARD:
                 known_missed = 0
@@ -305,8 +307,8 @@ class Worker:
         del self._due[view_id]
         viewer = self._viewers[view_id]
         header, splats = viewer.message.header, self._map
-        if splats.revision == 0:
-            return  # answered when a map begins
+        if splats.revision == 0 or self._lacking:
+            return  # answered when a map begins, or all of it is there
         if header.frame_id not in ("", splats.frame_id):
             self._drop_view(
                 viewer.message,

@@ -199,15 +199,17 @@ def test_of_a_burst_of_maps_only_the_newest_waits(start, make_batch, make_look):
     assert not [line for line in host.lines if "missed" in line]
 
 
-def test_each_part_of_what_is_pulled_is_sorted(start, make_batch, make_look):
-    """They are all of one revision."""
+def test_what_is_pulled_is_sorted_once_it_is_all_there(start, make_batch, make_look):
+    """Its parts are all of one revision: viewers couldn't tell their orders from that of all."""
     worker, host = start()
     worker.edit(make_batch(operation=0, revision=5), Arrival.PULLED)
     worker.look(make_look(sequence=1))
-    assert len(host.answer(1).slots) == 3
-    worker.edit(make_batch(2, revision=5, first_slot=3), Arrival.LAST)
+    worker.edit(make_batch(1, revision=5, first_slot=3), Arrival.PULLED)
     worker.look(make_look(sequence=2))
-    assert len(host.answer(2).slots) == 5
+    worker.edit(make_batch(1, revision=5, first_slot=4), Arrival.LAST)
+    worker.look(make_look(sequence=3))
+    assert len(host.answer(3).slots) == 5
+    assert {len(answer.slots) for answer in host.answers} == {5}
     assert not [line for line in host.lines if "missed" in line]
 
 
