@@ -101,6 +101,8 @@ double DetailControl::choose(const Detail& detail, bool at_once,
     }
   }
   if (!error_) return wanted;  // nobody saw another
+  // A camera that rests keeps its picture, whatever the last bits of counts say.
+  if (std::fabs(wanted - *error_) <= (kLeastStep - 1) * *error_) return *error_;
   const double from = std::max(*error_, kLeastError);
   double error = std::clamp(wanted, from / kMostStep, from * kMostStep);
   if (error < kLeastError && wanted == 0) error = 0;
