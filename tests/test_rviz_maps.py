@@ -148,6 +148,39 @@ def test_a_click_selects_what_is_seen_whosever_it_is(
     assert set(picked) == {(other.frame, 2), (world.frame, 1)}
 
 
+@pytest.mark.skipif(not shutil.which("xdotool"), reason="no xdotool to click with")
+@pytest.mark.parametrize("by", BY)
+def test_what_is_selected_of_a_map_goes_with_its_display(
+    rviz: Rviz, world: World, other: World, by: str
+) -> None:
+    rviz.load(configuration(both(**BY[by]), tools="{Class: rviz_default_plugins/Select}"))
+    world.place()
+    other.place()
+    world.map.replace(disc((0, 1, 0), x=-1, sigma=0.2))
+    elsewhere = disc((1, 1, 1), x=50)
+    other.map.replace(concatenate([elsewhere, disc((1, 0, 0), x=1, sigma=0.2)]))
+
+    def selected(*slots: int) -> None:
+        def found() -> bool:
+            tree = rviz.ask("tree", path=[], root="selection")["children"]
+            return sorted(splat["name"] for splat in tree) == [f"Slot {slot}" for slot in slots]
+
+        world.spin_until(found)
+
+    picture = rviz.until(lambda s: red(s).sum() > 300 and green(s).sum() > 300)
+    left, right = (tuple(map(int, centre(colour(picture)))) for colour in (green, red))
+    rviz.drag((left[0] - 30, left[1] - 30), (right[0] + 30, right[1] + 30))
+    selected(0, 1)
+    rviz.drag(left, (left[0] + 1, left[1] + 1), hold="ctrl")
+    selected(1)
+    rviz.drag(left, (left[0] + 1, left[1] + 1), hold="shift")
+    selected(0, 1)
+    rviz.set("Other", value=False)
+    selected(0)
+    rviz.click(left[0] - 150, left[1])  # the void
+    selected()
+
+
 def test_sorters_are_asked_for_orders_of_a_map_that_is_alone(
     rviz: Rviz, world: World, other: World
 ) -> None:

@@ -247,7 +247,7 @@ TEST_F(SoftwareRendererTest, TheSurfaceIsThatOfTheNewestPictureWhileThePainterPa
   };
   const auto surface = [&](const Window& of, const SplatCamera& camera, double scene_depth = 1) {
     of.clear(scene_depth);
-    renderer_->drawSurface("view", *map_, camera, Canvas::kWindow, kFar);
+    renderer_->drawSurface({viewed(camera)}, Canvas::kWindow, kFar);
     const auto bytes = of.pixels();
     std::vector<float> depths;
     for (int row = camera.height - 1; row >= 0; --row) {  // a window's first row is its last
@@ -295,8 +295,8 @@ TEST_F(SoftwareRendererTest, PicksAreMarkedAtOnceAndFoundBeside) {
   const Window window(64, 48);
   const auto pick = [&](const SplatCamera& part) {
     window.clear();
-    renderer_->drawPick({viewed(part, false)}, 0, Canvas::kWindow, kNumber);
-    return renderer_->pick(map_);
+    renderer_->drawPick({viewed(part, false)}, Canvas::kWindow, kNumber);
+    return std::move(renderer_->pick().front());
   };
   const auto marked = [&](int row, int column) {  // the window's first row is the picture's last
     const auto pixels = window.pixels();
@@ -337,14 +337,53 @@ TEST_F(SoftwareRendererTest, PicksAreMarkedAtOnceAndFoundBeside) {
   EXPECT_EQ(window.pixels(), expected(window, camera(0.1)));
 }
 
+TEST_F(SoftwareRendererTest, PicksOfSeveralMapsAreFoundBeside) {
+  constexpr std::uint32_t kNumber = 0x123456;
+  const Window window(64, 48);
+  Source other;
+  const PaintedMapPtr other_map = addMap(other);
+  other.add(2500);
+  const auto both = [&] {
+    std::vector<ViewedMap> maps{viewed(camera(), false), viewed(camera(), false, "other's view")};
+    maps.back().map = other_map;
+    maps.back().state = other.map.state();
+    return maps;
+  };
+  renderer_->draw(both(), Canvas::kWindow);
+  const std::vector<float> colour = renderer_->readColor();
+  source_.hold();
+  draw(camera(0.1), true, "another view");
+  source_.waitUntilReached();  // and the painter is busy
+  window.clear();
+  renderer_->drawPick(both(), Canvas::kWindow, kNumber);
+  std::vector<Pick> picks = renderer_->pick();
+  const auto pixels = window.pixels();
+  ASSERT_EQ(picks.size(), 2u);
+  EXPECT_FALSE(picks[0].found() || picks[1].found());
+  source_.letGo();
+  const Pick::Slots slots[2] = {picks[0].slots(), picks[1].slots()};
+  std::size_t found[2] = {0, 0};
+  for (std::size_t i = 0; i < 64 * 48; ++i) {
+    const std::uint8_t* rgb = &pixels[4 * (64 * (47 - i / 64) + i % 64)];
+    const bool marked = std::uint32_t(rgb[0] << 16 | rgb[1] << 8 | rgb[2]) == kNumber;
+    ASSERT_EQ(marked, colour[4 * i + 3] >= kLeastPicked) << i;
+    ASSERT_TRUE(slots[0][i] == kNoSlot || slots[1][i] == kNoSlot) << i;
+    for (const int map : {0, 1}) found[map] += marked && slots[map][i] != kNoSlot;
+  }
+  EXPECT_GT(found[0], 200u);
+  EXPECT_GT(found[1], 200u);
+  EXPECT_TRUE(std::any_of(slots[1].begin(), slots[1].end(),
+                          [](std::uint32_t slot) { return slot != kNoSlot && slot >= 2000; }));
+}
+
 TEST_F(SoftwareRendererTest, APickThatCantBeFoundSaysWhy) {
   SplatCamera wide = camera();
   wide.width = wide.height = 1 << 20;
-  renderer_->drawPick({viewed(wide, false)}, 0, Canvas::kNone, 0);
-  EXPECT_THROW(renderer_->pick(map_).slots(), PictureError);
+  renderer_->drawPick({viewed(wide, false)}, Canvas::kNone, 0);
+  EXPECT_THROW(renderer_->pick().front().slots(), PictureError);
   source_.hold();
-  renderer_->drawPick({viewed(camera(), false)}, 0, Canvas::kNone, 0);
-  Pick left = renderer_->pick(map_);
+  renderer_->drawPick({viewed(camera(), false)}, Canvas::kNone, 0);
+  Pick left = std::move(renderer_->pick().front());
   source_.letGo();
   renderer_.reset();
   EXPECT_TRUE(left.found());

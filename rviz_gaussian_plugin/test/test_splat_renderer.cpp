@@ -162,8 +162,8 @@ std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, OrderSource
 std::vector<std::uint32_t> picked(SplatScene& scene) {
   RenderSettings settings;
   settings.rasterizer = Rasterizer::kTiles;
-  scene.drawPick({{&scene, "view", camera(), settings}}, Canvas::kNone, 0);
-  return scene.pick().slots();
+  SplatScene::drawPick({{&scene, "view", settings, camera()}}, Canvas::kNone, 0);
+  return scene.pick().front().slots();
 }
 
 float greatestDifference(const std::vector<float>& a, const std::vector<float>& b) {
@@ -718,8 +718,8 @@ TEST_F(SplatRendererTest, DrawsQuadsWhereTheListOfTilesFindsNoMemory) {
     const Framebuffer window(GL_DEPTH24_STENCIL8, 0, 1);
     RenderSettings settings;
     settings.rasterizer = Rasterizer::kTiles;
-    scene.drawSurface({{&scene, "view", camera(), settings}}, Canvas::kWindow,
-                      100);  // as picks project
+    SplatScene::drawSurface({{&scene, "view", settings, camera()}}, Canvas::kWindow,
+                            100);  // as picks project
   }
   // From now on, only the list asks for that much.
   epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
@@ -811,9 +811,9 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     scene.hideFarther("view");
     scene.drawBefore("view");
     EXPECT_EQ(changed(before), State());
-    scene.drawSurface({{&scene, "view", camera(), settings}}, Canvas::kWindow, 100);
+    SplatScene::drawSurface({{&scene, "view", settings, camera()}}, Canvas::kWindow, 100);
     EXPECT_EQ(changed(before), State());
-    scene.drawPick({{&scene, "view", camera(), settings}}, Canvas::kWindow, 0);
+    SplatScene::drawPick({{&scene, "view", settings, camera()}}, Canvas::kWindow, 0);
     scene.pick();
     scene.readSlots({1, 2, 3});
     EXPECT_EQ(changed(before), State());
@@ -1105,41 +1105,41 @@ TEST_F(SplatRendererTest, ShowsTheMouseWhatIsSeenWhosesoeverItIs) {
   pictureOf(maps.first, settings, maps.second, settings);
   picture(maps.both, Rasterizer::kTiles, OrderSource::kGpu);
   const std::vector<std::uint32_t> expected = picked(maps.both);
-  const std::vector<SplatScene::Touched> all{{&maps.first, "first's view", camera(), settings},
-                                             {&maps.second, "second's view", camera(), settings}};
-  maps.first.drawPick(all, Canvas::kNone, 0);
-  maps.second.drawPick(all, Canvas::kNone, 0);
-  const auto of_first = maps.first.pick().slots(), of_second = maps.second.pick().slots();
+  const std::vector<SplatScene::Touched> all{{&maps.first, "first's view", settings, camera()},
+                                             {&maps.second, "second's view", settings, camera()}};
+  constexpr std::uint32_t kNumber = 0x123456;
+  // What is left of the window: a number where there are picks, the surface.
+  const auto left = [](const std::function<void()>& draw) {
+    const Framebuffer window(GL_DEPTH24_STENCIL8, 0, 1);
+    draw();
+    return gl::readPixels(kSize, kSize);
+  };
+  const auto numbered = left([&] { SplatScene::drawPick(all, Canvas::kWindow, kNumber); });
+  std::vector<Pick> picks = maps.first.pick();
+  ASSERT_EQ(picks.size(), 2u);
+  const Pick::Slots of_first = picks[0].slots(), of_second = picks[1].slots();
   std::size_t found[2] = {0, 0};
-  for (std::size_t i = 0; i < expected.size(); ++i) {
-    const bool second = expected[i] != kNoSlot && expected[i] >= Union::kSecond;
-    ASSERT_EQ(of_first[i], second ? kNoSlot : expected[i]);
-    ASSERT_EQ(of_second[i], second ? expected[i] - Union::kSecond : kNoSlot);
-    found[second] += expected[i] != kNoSlot;
+  for (int i = 0; i < kSize * kSize; ++i) {
+    const std::uint32_t slot = expected[std::size_t(i)];
+    const bool second = slot != kNoSlot && slot >= Union::kSecond;
+    ASSERT_EQ(of_first[std::size_t(i)], second ? kNoSlot : slot);
+    ASSERT_EQ(of_second[std::size_t(i)], second ? slot - Union::kSecond : kNoSlot);
+    found[second] += slot != kNoSlot;
+    const std::size_t at = 4 * std::size_t(kSize * (kSize - 1 - i / kSize) + i % kSize);
+    const auto byte = [&](std::size_t k) {
+      return std::uint32_t(std::lround(255 * numbered[at + k]));
+    };
+    ASSERT_EQ(byte(0) << 16 | byte(1) << 8 | byte(2), slot == kNoSlot ? 0 : kNumber);
   }
   EXPECT_GT(found[0], 100u);
   EXPECT_GT(found[1], 100u);
 
-  // What is left of the window: numbers where the picks of a map are, the surface of all at once.
-  const auto left = [](const std::vector<std::function<void()>>& draws) {
-    const Framebuffer window(GL_DEPTH24_STENCIL8, 0, 1);
-    for (const auto& draw : draws) draw();
-    return gl::readPixels(kSize, kSize);
-  };
-  const auto numbered = left({[&] { maps.second.drawPick(all, Canvas::kWindow, 0xff0000); },
-                              [&] { maps.first.drawPick(all, Canvas::kWindow, 0xff); }});
-  for (int i = 0; i < kSize * kSize; ++i) {
-    const std::size_t at = 4 * std::size_t(kSize * (kSize - 1 - i / kSize) + i % kSize);
-    ASSERT_EQ(numbered[at + 2], of_first[std::size_t(i)] != kNoSlot);
-    ASSERT_EQ(numbered[at], of_second[std::size_t(i)] != kNoSlot);
-  }
-  const auto surface = left({[&] { maps.first.drawSurface(all, Canvas::kWindow, 100); },
-                             [&] { maps.second.drawSurface(all, Canvas::kWindow, 100); }});
+  const auto surface = left([&] { SplatScene::drawSurface(all, Canvas::kWindow, 100); });
   EXPECT_GT(*std::max_element(surface.begin(), surface.end()), 0);
-  EXPECT_EQ(surface, left({[&] {
-              maps.both.drawSurface({{&maps.both, "view", camera(), settings}}, Canvas::kWindow,
-                                    100);
-            }}));
+  EXPECT_EQ(surface, left([&] {
+              SplatScene::drawSurface({{&maps.both, "view", settings, camera()}}, Canvas::kWindow,
+                                      100);
+            }));
 }
 
 // Beside the processor, which draws them by another program.

@@ -92,6 +92,7 @@ GaussianDisplay::~GaussianDisplay() {
   views_.reset();
   client_.reset();  // no more messages into the cloud
   selection_.reset();
+  picks_.reset();
   if (cloud_ && cloud_->isAttached()) cloud_->detachFromParent();
 }
 
@@ -130,6 +131,7 @@ void GaussianDisplay::unsubscribe() {
   views_.reset();
   client_.reset();
   selection_.reset();
+  picks_.reset();
   handles_.reset();
   placed_ = false;
   if (cloud_ && cloud_->isAttached()) cloud_->detachFromParent();
@@ -154,10 +156,10 @@ void GaussianDisplay::subscribe() {
         return onView(viewport, camera);
       });
   scene_node_->attachObject(cloud_.get());
-  selection_ = rviz_common::interaction::createSelectionHandler<SplatSelection>(
-      context_, cloud_.get(), scene_node_,
-      [this](const std::vector<SplatValues>& splats) { publishPicked(splats); });
-  selection_->addTrackedObject(cloud_.get());
+  picks_ = SplatSelection::ofProcess(context_);
+  selection_ =
+      picks_->of(cloud_.get(), scene_node_,
+                 [this](const std::vector<SplatValues>& splats) { publishPicked(splats); });
   applySettings();
   try {
     const auto node = context_->getRosNodeAbstraction().lock()->get_raw_node();
@@ -232,7 +234,7 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   updateTransform();
   updateHandles();
   views_->update();
-  selection_->updateProperties();
+  picks_->updateProperties();
   if (render_service_) render_service_->refuseUnserved();
   if (const auto now = std::chrono::steady_clock::now(); now - status_time_ > kStatusPeriod) {
     status_time_ = now;
@@ -274,7 +276,7 @@ void GaussianDisplay::updateHandles() {
 
 std::string GaussianDisplay::onView(const Ogre::Viewport* viewport, const SplatCamera& camera) {
   if (render_service_) render_service_->serve();
-  selection_->refresh();
+  picks_->refresh();
   if (!placed_) return "";
   const bool main =
       viewport == context_->getViewManager()->getCurrent()->getCamera()->getViewport();

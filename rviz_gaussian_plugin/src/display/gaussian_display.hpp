@@ -79,7 +79,8 @@ class GaussianDisplay : public rviz_common::Display {
   std::unique_ptr<GaussianClient> client_;         // after cloud_: feeds it
   std::unique_ptr<DrawnViews> views_;              // after client_, as the next
   std::unique_ptr<RenderService> render_service_;  // if it serves
-  std::shared_ptr<SplatSelection> selection_;
+  std::shared_ptr<SplatSelection> picks_;          // of all displays
+  std::shared_ptr<MapSelection> selection_;        // of this one
   std::unique_ptr<SceneLoader> loader_;
   std::unique_ptr<SceneDrop> drop_;
   std::unique_ptr<ClipBoxHandles> handles_;

@@ -1,106 +1,65 @@
 #include "splat_selection.hpp"
 
-#include <OgreManualObject.h>
-#include <OgreMaterialManager.h>
-#include <OgreSceneManager.h>
-#include <OgreSceneNode.h>
-
-#include <QColor>
 #include <algorithm>
-#include <cmath>
-#include <iterator>
 #include <rviz_common/display_context.hpp>
 #include <rviz_common/interaction/handler_manager_iface.hpp>
-#include <rviz_common/properties/color_property.hpp>
-#include <rviz_rendering/material_manager.hpp>
+#include <rviz_common/properties/property.hpp>
 #include <utility>
 
-#include "splat_outline.hpp"
-
 namespace rosplat {
-
-namespace {
 
 using rviz_common::interaction::Picked;
 using rviz_common::properties::Property;
 
-constexpr std::chrono::milliseconds kRefreshPeriod{250};  // of a map that changes all the time
-constexpr float kOutlineSigmas = 2;  // where a splat still has an eighth of its opacity
-constexpr float kBand0 = 0.28209479f;
-
-// Rounded to a unit, which leaves whole coordinates of maps far from their frame's origin.
-template <typename Values>
-QString text(const Values& values, double unit) {
-  QStringList numbers;
-  for (const double value : values) {
-    numbers.append(QString::number(unit * std::round(value / unit), 'g', 12));
+std::shared_ptr<SplatSelection> SplatSelection::ofProcess(rviz_common::DisplayContext* context) {
+  static std::weak_ptr<SplatSelection> known;
+  std::shared_ptr<SplatSelection> selection = known.lock();
+  if (!selection) {
+    known = selection = rviz_common::interaction::createSelectionHandler<SplatSelection>(context);
   }
-  return numbers.join("; ");
+  return selection;
 }
 
-QColor baseColour(const SplatValues& splat) {
-  std::array<int, 3> rgb{};
-  for (std::size_t i = 0; i < 3; ++i) {
-    rgb[i] = std::clamp(int(255 * (0.5f + kBand0 * splat.sh[i]) + 0.5f), 0, 255);
+std::shared_ptr<MapSelection> SplatSelection::of(SplatCloud* cloud, Ogre::SceneNode* node,
+                                                 MapSelection::SelectCallback on_select) {
+  const auto self = std::static_pointer_cast<SplatSelection>(shared_from_this());
+  const std::shared_ptr<MapSelection> map(new MapSelection(cloud, node, std::move(on_select)),
+                                          [self](MapSelection* gone) {
+                                            self->leave(gone);
+                                            delete gone;
+                                          });
+  maps_.push_back(map.get());
+  addTrackedObject(cloud);
+  return map;
+}
+
+void SplatSelection::leave(MapSelection* map) {
+  SplatCloud* const cloud = &map->cloud();
+  removeTrackedObject(cloud);
+  maps_.erase(std::remove(maps_.begin(), maps_.end(), map), maps_.end());
+  for (auto& [picks, adds] : waiting_) {
+    const auto gone = [cloud](const auto& of) { return of.first == cloud; };
+    picks.erase(std::remove_if(picks.begin(), picks.end(), gone), picks.end());
   }
-  return {rgb[0], rgb[1], rgb[2]};
+  shown_ = false;
 }
 
-Property* describe(const SplatValues& splat, const std::vector<Channel>& channels) {
-  auto* parent = new Property(QString("Slot %1").arg(splat.slot));
-  const auto add = [parent](const QString& name, const QString& value, const char* description) {
-    (new Property(name, value, description, parent))->setReadOnly(true);
-  };
-  if (splat.opacity <= 0) {
-    parent->setValue("empty");
-  } else {
-    add("Position", text(splat.position, 1e-4), "Mean x; y; z in the map's frame. [m]");
-    add("Orientation", text(splat.orientation, 1e-3), "Of the principal axes: x; y; z; w.");
-    add("Scale", text(splat.scale, 1e-5), "Standard deviations along the principal axes. [m]");
-    add("Opacity", QString::number(splat.opacity, 'g', 4), "At the peak, 0 to 1.");
-    (new rviz_common::properties::ColorProperty(
-         "Base Color", baseColour(splat),
-         "Band 0 of the spherical harmonics: the mean over all directions.", parent))
-        ->setReadOnly(true);
-    for (std::size_t i = 0; i < std::min(channels.size(), splat.channels.size()); ++i) {
-      const float value = splat.channels[i];
-      add(QString::fromStdString(channels[i].name),
-          std::isfinite(value) ? QString::number(value, 'g', 9) : "none", "A channel of the map.");
-    }
-  }
-  parent->setReadOnly(true);
-  return parent;
-}
-
-}  // namespace
-
-SplatSelection::SplatSelection(rviz_common::DisplayContext* context, SplatCloud* cloud,
-                               Ogre::SceneNode* node, SelectCallback on_select)
-    : SelectionHandler(context), cloud_(*cloud), on_select_(std::move(on_select)) {
-  const std::string name = cloud_.getName() + "/selection";
-  material_ = rviz_rendering::MaterialManager::createMaterialWithNoLighting(name);
-  material_->setDepthCheckEnabled(false);  // what is selected is never hidden
-  material_->setDepthWriteEnabled(false);
-  outlines_ = std::make_unique<Ogre::ManualObject>(name);
-  outlines_->setRenderQueueGroup(static_cast<Ogre::uint8>(cloud_.getRenderQueueGroup() + 1));
-  outline_node_ = node->createChildSceneNode();
-  outline_node_->attachObject(outlines_.get());
-}
-
-SplatSelection::~SplatSelection() {
-  outline_node_->detachAllObjects();
-  outline_node_->getParentSceneNode()->removeAndDestroyChild(outline_node_);
-  outlines_.reset();
-  Ogre::MaterialManager::getSingleton().remove(material_);
+bool SplatSelection::Waiting::found() const {
+  return std::all_of(picks.begin(), picks.end(), [](const auto& of) { return of.second.found(); });
 }
 
 void SplatSelection::preRenderPass(std::uint32_t) {
-  outline_node_->setVisible(false);
   // While markers can be dragged, rviz picks at every move of the mouse, and only for them.
-  cloud_.setPickHandle(context_->getHandlerManager()->getInteractionEnabled() ? 0 : getHandle());
+  const bool drags = context_->getHandlerManager()->getInteractionEnabled();
+  for (MapSelection* map : maps_) {
+    map->setVisible(false);
+    map->cloud().setPickHandle(drags ? 0 : getHandle());
+  }
 }
 
-void SplatSelection::postRenderPass(std::uint32_t) { outline_node_->setVisible(true); }
+void SplatSelection::postRenderPass(std::uint32_t) {
+  for (MapSelection* map : maps_) map->setVisible(true);
+}
 
 void SplatSelection::onSelect(const Picked& picked) {
   if (picked.extra_handles.empty()) return;
@@ -115,99 +74,51 @@ void SplatSelection::onDeselect(const Picked& picked) {
   tickets_.clear();
   waiting_.clear();
   error_.clear();
-  slots_.clear();
-  splats_.clear();
+  for (MapSelection* map : maps_) map->clear();
   drawOutlines();
 }
 
 // Right after a pick: the context that it was drawn in is current.
 void SplatSelection::begin(bool adds) {
-  waiting_.push_back({cloud_.scene().pick(), adds});
+  Waiting& waiting = waiting_.emplace_back(Waiting{{}, adds});
+  for (MapSelection* map : maps_) {
+    for (auto& pick : map->cloud().pick()) waiting.picks.push_back(std::move(pick));
+  }
   if (take()) drawOutlines();
 }
 
 // What has been found, in the order in which it was asked for; whether there was any.
 bool SplatSelection::take() {
-  if (waiting_.empty() || !waiting_.front().pick.found()) return false;
-  std::vector<std::uint32_t> fresh;
-  for (; !waiting_.empty() && waiting_.front().pick.found(); waiting_.pop_front()) {
+  bool any = false;
+  for (; !waiting_.empty() && waiting_.front().found(); waiting_.pop_front()) {
+    any = true;
     error_.clear();
-    Pick::Slots found;
     try {
-      found = waiting_.front().pick.slots();
+      take(waiting_.front());
     } catch (const std::exception& error) {
       error_ = error.what();
     }
-    std::sort(found.begin(), found.end());
-    found.erase(std::unique(found.begin(), found.end()), found.end());
-    if (!found.empty() && found.back() == kNoSlot) found.pop_back();
-    const std::vector<std::uint32_t> before = std::exchange(slots_, {});
-    if (waiting_.front().adds) {
-      std::set_difference(found.begin(), found.end(), before.begin(), before.end(),
-                          std::back_inserter(fresh));
-      std::set_union(before.begin(), before.end(), found.begin(), found.end(),
-                     std::back_inserter(slots_));
-    } else {
-      std::set_difference(before.begin(), before.end(), found.begin(), found.end(),
-                          std::back_inserter(slots_));
-    }
   }
-  read();
-  fresh.resize(std::min(fresh.size(), kListed));
-  if (!fresh.empty()) on_select_(cloud_.scene().readSlots(fresh));
-  return true;
+  return any;
+}
+
+void SplatSelection::take(Waiting& found) {
+  for (auto& [cloud, pick] : found.picks) {
+    const auto map = std::find_if(maps_.begin(), maps_.end(), [of = cloud](MapSelection* other) {
+      return &other->cloud() == of;
+    });
+    found.adds ? (*map)->add(pick.slots()) : (*map)->remove(pick.slots());
+  }
 }
 
 void SplatSelection::refresh() {
-  const MapState& map = cloud_.scene().drawnMap();
-  const bool changed = map.id != read_map_ || map.revision != read_revision_;
-  const bool late = std::chrono::steady_clock::now() - read_at_ >= kRefreshPeriod;
-  if (!take()) {
-    if (slots_.empty() || !changed || !late) return;
-    read();
-  }
-  shown_ = false;  // nor may it be now: the outlines are being drawn
-}
-
-void SplatSelection::read() {
-  const MapState& map = cloud_.scene().drawnMap();
-  read_map_ = map.id;
-  read_revision_ = map.revision;
-  read_at_ = std::chrono::steady_clock::now();
-  const auto end = slots_.begin() + std::ptrdiff_t(std::min(slots_.size(), kOutlined));
-  splats_ = cloud_.scene().readSlots({slots_.begin(), end});
-  if (!splats_.empty()) origin_ = splats_.front().position;
-  follow();
-}
-
-void SplatSelection::follow() {
-  const Placement& map = cloud_.place();
-  const auto [x, y, z] = map(origin_);
-  outline_node_->setPosition(Ogre::Real(x), Ogre::Real(y), Ogre::Real(z));
-  Ogre::Matrix3 rotation;
-  for (int i = 0; i < 9; ++i) rotation[i / 3][i % 3] = Ogre::Real(map.rotation[i]);
-  outline_node_->setOrientation(Ogre::Quaternion(rotation));
-}
-
-SplatValues SplatSelection::outlined(const SplatValues& splat) const {
-  SplatValues relative = splat;
-  for (int i = 0; i < 3; ++i) relative.position[i] -= origin_[i];
-  return relative;
+  bool fresh = take();
+  for (MapSelection* map : maps_) fresh = map->refresh() || fresh;
+  if (fresh) shown_ = false;  // nor may it be now: the outlines are being drawn
 }
 
 void SplatSelection::drawOutlines() {
-  outlines_->clear();
-  if (splats_.empty()) return;
-  outlines_->begin(material_->getName(), Ogre::RenderOperation::OT_LINE_LIST,
-                   material_->getGroup());
-  for (const SplatValues& splat : splats_) {
-    if (splat.opacity <= 0) continue;
-    for (const Ogre::Vector3& end : outline(outlined(splat), kOutlineSigmas)) {
-      outlines_->position(end);
-      outlines_->colour(Ogre::ColourValue(0, 1, 1));
-    }
-  }
-  outlines_->end();
+  for (MapSelection* map : maps_) map->drawOutlines();
   context_->queueRender();
 }
 
@@ -224,11 +135,8 @@ void SplatSelection::updateProperties() {
 void SplatSelection::list(Property* parent) {
   qDeleteAll(properties_);
   properties_.clear();
-  for (std::size_t i = 0; i < std::min(splats_.size(), kListed); ++i) {
-    properties_.append(describe(splats_[i], cloud_.scene().drawnMap().channels));
-  }
-  if (slots_.size() > kListed) {
-    properties_.append(new Property(QString("... and %1 more").arg(slots_.size() - kListed)));
+  for (const MapSelection* map : maps_) {
+    for (Property* line : map->describe()) properties_.append(line);
   }
   if (!waiting_.empty()) properties_.append(new Property("Picking ..."));
   if (!error_.empty()) {
@@ -240,10 +148,9 @@ void SplatSelection::list(Property* parent) {
 }
 
 rviz_common::interaction::V_AABB SplatSelection::getAABBs(const Picked&) {
-  const Ogre::Affine3 map(outline_node_->_getFullTransform());
   rviz_common::interaction::V_AABB boxes;
-  for (const SplatValues& splat : splats_) {
-    boxes.push_back(boxAround(outlined(splat), kOutlineSigmas, map));
+  for (const MapSelection* map : maps_) {
+    for (const Ogre::AxisAlignedBox& box : map->boxes()) boxes.push_back(box);
   }
   return boxes;
 }

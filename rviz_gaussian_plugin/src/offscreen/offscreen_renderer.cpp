@@ -192,8 +192,9 @@ std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id, i
   if (width < 1 || height < 1) return {};
   picked_ = true;
   SplatScene& scene = this->scene();
-  scene.drawPick({{&scene, view_id, part, settings}}, Canvas::kNone, 0);
-  return scene.pick().slots();
+  scene.prepare(settings);
+  SplatScene::drawPick({{&scene, view_id, settings, part}}, Canvas::kNone, 0);
+  return scene.pick().front().slots();
 }
 
 std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float, 3>& background) {

@@ -27,6 +27,14 @@ bool shows(const Painting& painting, const PaintRequest& request,
          std::equal(painting.maps.begin(), painting.maps.end(), maps.begin(), maps.end(), as);
 }
 
+// The first of these maps that a picture shows; null where it shows none.
+const ViewedMap* oneIn(const PaintRequest& picture, const std::vector<ViewedMap>& maps) {
+  const auto found = std::find_if(maps.begin(), maps.end(), [&picture](const ViewedMap& map) {
+    return picture.of(*map.map) != nullptr;
+  });
+  return found == maps.end() ? nullptr : &*found;
+}
+
 // A camera in the frame of a map, as one in the frame of the first map of a picture that shows
 // both.
 SplatCamera inFirst(const PaintRequest& picture, const PaintedMap& map, const SplatCamera& camera) {
@@ -133,10 +141,8 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   }
   if (!painting || !painting->error.empty()) return nullptr;
   if (!painting->request->window && canvas != Canvas::kNone) return nullptr;
-  const auto in_picture = std::find_if(maps.begin(), maps.end(), [&painting](const ViewedMap& map) {
-    return painting->request->of(*map.map) != nullptr;
-  });
-  if (in_picture == maps.end()) return nullptr;
+  const ViewedMap* const in_picture = oneIn(*painting->request, maps);
+  if (!in_picture) return nullptr;
   drawn_ = &view;
   canvas_ = canvas;
   if (canvas == Canvas::kNone) {
@@ -182,16 +188,17 @@ void SoftwareRenderer::drawBefore() const {
   overlay_.draw(window, drawn_->colour, mesh_, drawn_->shown->colour.cells);
 }
 
-std::vector<double> SoftwareRenderer::depthsShown(const std::string& view_id, const PaintedMap& map,
-                                                  const SplatCamera& camera,
+std::vector<double> SoftwareRenderer::depthsShown(const std::vector<ViewedMap>& maps,
                                                   const std::vector<float>& scene_depth,
                                                   float least_alpha) const {
-  const std::string* const name = names_.of(view_id);
+  const std::string* const name = names_.of(maps.front().view_id);
   const auto view = name ? views_.find(*name) : views_.end();
   if (view == views_.end() || !view->second.shown) return {};
   const Painting& shown = *view->second.shown;
-  if (!shown.request->of(map)) return {};
-  const SplatCamera in_first = inFirst(*shown.request, map, camera);
+  const ViewedMap* const map = oneIn(*shown.request, maps);
+  if (!map) return {};
+  const SplatCamera& camera = map->camera;
+  const SplatCamera in_first = inFirst(*shown.request, *map->map, camera);
   std::vector<double> depths = shown.surface.seenBy(in_first, least_alpha);
   for (std::size_t i = 0; i < depths.size() && !scene_depth.empty(); ++i) {
     const double ndc =
@@ -213,37 +220,29 @@ void SoftwareRenderer::drawNumbers(const CanvasScope& window, const SplatCamera&
   overlay_.draw(window, bytes_);
 }
 
-void SoftwareRenderer::drawSurface(const std::string& view_id, const PaintedMap& map,
-                                   const SplatCamera& camera, Canvas canvas, double far_clip) {
+void SoftwareRenderer::drawSurface(const std::vector<ViewedMap>& maps, Canvas canvas,
+                                   double far_clip) {
   const CanvasScope window(canvas);
+  const SplatCamera& camera = maps.front().camera;
   const auto scene_depth = window.readDepth(camera.width, camera.height);
   std::vector<std::uint32_t> numbers;
-  for (const double depth : depthsShown(view_id, map, camera, scene_depth, kSurfaceAlpha)) {
+  for (const double depth : depthsShown(maps, scene_depth, kSurfaceAlpha)) {
     const double part = std::isnan(depth) ? 0 : std::clamp(depth / far_clip, 0.0, 1.0);
     numbers.push_back(static_cast<std::uint32_t>(16777215.0 * part));
   }
   drawNumbers(window, camera, numbers);
 }
 
-void SoftwareRenderer::drawPick(const std::vector<ViewedMap>& maps, std::size_t mine, Canvas canvas,
+void SoftwareRenderer::drawPick(const std::vector<ViewedMap>& maps, Canvas canvas,
                                 std::uint32_t number) {
   const CanvasScope window(canvas);
-  const ViewedMap& map = maps[mine];
-  const SplatCamera& camera = map.camera;
+  const SplatCamera& camera = maps.front().camera;
   picked_ = requestOf(maps);
   if (canvas == Canvas::kNone) return;
   picked_.scene_depth = window.readDepth(camera.width, camera.height);
   std::vector<std::uint32_t> numbers;
-  if (maps.size() > 1) {
-    for (const std::uint32_t slot : pick(map.map).slots()) {
-      numbers.push_back(slot == kNoSlot ? 0 : number);
-    }
-  } else {
-    const auto& scene_depth = picked_.scene_depth;
-    for (const double depth :
-         depthsShown(map.view_id, *map.map, camera, scene_depth, kLeastPicked)) {
-      numbers.push_back(std::isnan(depth) ? 0 : number);
-    }
+  for (const double depth : depthsShown(maps, picked_.scene_depth, kLeastPicked)) {
+    numbers.push_back(std::isnan(depth) ? 0 : number);
   }
   drawNumbers(window, camera, numbers);
 }

@@ -46,14 +46,11 @@ class SoftwareRenderer {
   void drawBefore() const;
 
   // See SplatRenderer. Where the surface is in what a view shows.
-  void drawSurface(const std::string& view_id, const PaintedMap& map, const SplatCamera& camera,
-                   Canvas canvas, double far_clip);
-  // See SplatRenderer. Where one of a view's maps is in what that shows; which splats, the painter
-  // finds. Which of several maps a pixel shows is waited for. Throws PictureError.
-  void drawPick(const std::vector<ViewedMap>& maps, std::size_t mine, Canvas canvas,
-                std::uint32_t number);
-  // Of a map, after its drawPick().
-  Pick pick(const PaintedMapPtr& of) { return painter_.pick(picked_, of); }
+  void drawSurface(const std::vector<ViewedMap>& maps, Canvas canvas, double far_clip);
+  // See SplatRenderer. Where maps are in what their view shows; which splats, the painter finds.
+  void drawPick(const std::vector<ViewedMap>& maps, Canvas canvas, std::uint32_t number);
+  // After drawPick(), of each of its maps.
+  std::vector<Pick> pick() { return painter_.pick(picked_); }
 
   // What draw() showed last; see SplatRenderer. Throw PictureError where it is asynchronous.
   const std::vector<float>& readColor() const;
@@ -81,11 +78,10 @@ class SoftwareRenderer {
                     const std::vector<ViewedMap>& maps);
   void ask(const std::string& name, PaintRequestPtr request, const std::vector<ViewedMap>& maps);
   void show(View& view, const PaintingPtr& painting);
-  // Of what a view shows, how deep it is for a camera of a map's frame, where it has so much of
+  // Of what the view of maps shows, how deep it is for their cameras, where it has so much of
   // splats before what is opaque [m]; NaN elsewhere, and none where it shows nothing.
-  std::vector<double> depthsShown(const std::string& view_id, const PaintedMap& map,
-                                  const SplatCamera& camera, const std::vector<float>& scene_depth,
-                                  float least_alpha) const;
+  std::vector<double> depthsShown(const std::vector<ViewedMap>& maps,
+                                  const std::vector<float>& scene_depth, float least_alpha) const;
   // Writes numbers of 24 bits by pixel, top row first; nothing where one is 0.
   void drawNumbers(const CanvasScope& window, const SplatCamera& camera,
                    const std::vector<std::uint32_t>& numbers);

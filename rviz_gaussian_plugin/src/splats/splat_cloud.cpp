@@ -252,28 +252,14 @@ void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
   // rviz's mouse tools draw the scene in schemes of their own.
   const std::string& scheme = viewport->getMaterialScheme();
   const bool seen = scheme == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
-  const bool surface = scheme == "Depth";
   const bool picked = pick_handle_ && (scheme == "Pick" || scheme == "Pick1");
-  if (!(seen || surface || picked) || !camera_) return;
+  if (!(seen || scheme == "Depth" || picked) || !camera_) return;
   // A narrow box of rviz's selection has none, once shrunk to its texture.
   if (viewport->getActualWidth() < 1 || viewport->getActualHeight() < 1) return;
   const Canvas canvas =
       viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
   if (seen) return drawSeen(turn, manager, canvas);
-  if (turn != Turn::kBefore) return;
-  try {
-    if (!touched(viewport)) return;
-    std::vector<SplatScene::Touched> all;
-    for (SplatCloud* cloud : cloudsIn(manager)) {
-      if (auto other = cloud->touched(viewport)) all.push_back(std::move(*other));
-    }
-    if (surface) return scene_->drawSurface(all, canvas, camera_->getFarClipDistance());
-    const bool first = scheme == "Pick";
-    if (first) pick_ticket_ = pick_ticket_ % kMostTickets + 1;
-    scene_->drawPick(all, canvas, first ? pick_handle_ : pick_ticket_);
-  } catch (const std::exception& error) {
-    fail(error);
-  }
+  if (turn == Turn::kBefore && !drawn_) drawTouched(manager, canvas);
 }
 
 std::optional<SplatScene::Part> SplatCloud::part(Ogre::Viewport* viewport) {
@@ -299,7 +285,37 @@ std::optional<SplatScene::Touched> SplatCloud::touched(Ogre::Viewport* viewport)
   auto view = seen_.begin();
   while (view != seen_.end() && !makePart(camera, view->second)) ++view;
   if (view == seen_.end()) view = seen_.begin();  // it has moved since
-  return SplatScene::Touched{scene_.get(), view->first, camera, settings_};
+  return SplatScene::Touched{scene_.get(), view->first, settings_, camera};
+}
+
+template <typename Part, typename Draw>
+void SplatCloud::drawAll(Ogre::SceneManager& manager,
+                         std::optional<Part> (SplatCloud::*part)(Ogre::Viewport*),
+                         const Draw& draw) {
+  std::vector<Group<Part>> groups;
+  for (SplatCloud* cloud : cloudsIn(manager)) {
+    cloud->drawn_ = true;
+    try {
+      const std::optional<Part> found = (cloud->*part)(manager.getCurrentViewport());
+      if (!found) continue;
+      found->scene->prepare(found->settings);
+      auto group = std::find_if(groups.begin(), groups.end(), [&found](const Group<Part>& other) {
+        return SplatScene::together(*other.parts.front().scene, *found->scene);
+      });
+      if (group == groups.end()) group = groups.insert(group, Group<Part>{});
+      group->clouds.push_back(cloud);
+      group->parts.push_back(*found);
+    } catch (const std::exception& error) {
+      cloud->fail(error);
+    }
+  }
+  for (const Group<Part>& group : groups) {
+    try {
+      draw(group);
+    } catch (const std::exception& error) {
+      for (SplatCloud* cloud : group.clouds) cloud->fail(error);
+    }
+  }
 }
 
 void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas) {
@@ -323,40 +339,34 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas)
     };
   }
   around.opaque = anyOpaque(manager);
+  drawAll(manager, &SplatCloud::part, [&](const Group<SplatScene::Part>& group) {
+    SplatScene::draw(group.parts, canvas, sort_now_, around);
+    if (around.translucent) group.clouds.front()->divided_ = group.parts.front().view_id;
+    for (SplatCloud* cloud : group.clouds) cloud->error_.clear();
+  });
+}
 
-  // Those that are drawn together, by the first of each.
-  std::vector<std::vector<SplatCloud*>> groups;
-  std::vector<std::vector<SplatScene::Part>> parts;
-  for (SplatCloud* cloud : cloudsIn(manager)) {
-    cloud->drawn_ = true;
-    try {
-      const auto part = cloud->part(manager.getCurrentViewport());
-      if (!part) continue;
-      part->scene->prepare(part->settings);
-      std::size_t group = 0;
-      while (group < parts.size() &&
-             !SplatScene::together(*parts[group].front().scene, *part->scene)) {
-        ++group;
-      }
-      if (group == parts.size()) {
-        groups.emplace_back();
-        parts.emplace_back();
-      }
-      groups[group].push_back(cloud);
-      parts[group].push_back(*part);
-    } catch (const std::exception& error) {
-      cloud->fail(error);
+void SplatCloud::drawTouched(Ogre::SceneManager& manager, Canvas canvas) {
+  static std::uint32_t ticket = 0;
+  const std::string& scheme = manager.getCurrentViewport()->getMaterialScheme();
+  if (scheme == "Pick") ticket = ticket % kMostTickets + 1;
+  drawAll(manager, &SplatCloud::touched, [&](const Group<SplatScene::Touched>& group) {
+    if (scheme == "Depth") {
+      return SplatScene::drawSurface(group.parts, canvas, camera_->getFarClipDistance());
     }
+    SplatScene::drawPick(group.parts, canvas, scheme == "Pick" ? pick_handle_ : ticket);
+    group.clouds.front()->picked_with_ = group.clouds;
+  });
+}
+
+std::vector<std::pair<SplatCloud*, Pick>> SplatCloud::pick() {
+  std::vector<std::pair<SplatCloud*, Pick>> picks;
+  if (picked_with_.empty()) return picks;
+  std::vector<Pick> found = scene_->pick();
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    picks.emplace_back(picked_with_[i], std::move(found[i]));
   }
-  for (std::size_t group = 0; group < groups.size(); ++group) {
-    try {
-      SplatScene::draw(parts[group], canvas, sort_now_, around);
-      if (around.translucent) groups[group].front()->divided_ = parts[group].front().view_id;
-      for (SplatCloud* cloud : groups[group]) cloud->error_.clear();
-    } catch (const std::exception& error) {
-      for (SplatCloud* cloud : groups[group]) cloud->fail(error);
-    }
-  }
+  return picks;
 }
 
 }  // namespace rosplat

@@ -11,6 +11,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "splat_scene.hpp"
@@ -40,9 +41,15 @@ class SplatCloud : public Ogre::MovableObject {
   // Sort in the next draws rather than take what order there is.
   void setSortNow(bool sort_now) { sort_now_ = sort_now; }
 
-  // What rviz's selection knows the map by, 24 bits; 0: it can't be selected. What is selected, it
+  // What rviz's selection knows clouds by, 24 bits; 0: they can't be selected. What is selected, it
   // knows by a ticket, another with each pick.
-  void setPickHandle(std::uint32_t handle) { pick_handle_ = handle; }
+  void setPickHandle(std::uint32_t handle) {
+    pick_handle_ = handle;
+    picked_with_.clear();
+  }
+  // Right after a pick: which splats that were, of this cloud and those that were drawn with it;
+  // none where another has drawn it.
+  std::vector<std::pair<SplatCloud*, Pick>> pick();
 
   // A sentence for the user; drawing pauses for a second, or until clearError().
   const std::string& error() const { return error_; }
@@ -81,13 +88,26 @@ class SplatCloud : public Ogre::MovableObject {
     Turn turn_;
   };
 
+  // Clouds that are drawn together, and what of each is.
+  template <typename Part>
+  struct Group {
+    std::vector<SplatCloud*> clouds;
+    std::vector<Part> parts;
+  };
+
   // That Ogre is drawing now, in the order in which they were made.
   static std::vector<SplatCloud*> cloudsIn(Ogre::SceneManager& manager);
   void draw(Turn turn, Ogre::SceneManager& manager);
   void drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas);
+  // For rviz's mouse tools.
+  void drawTouched(Ogre::SceneManager& manager, Canvas canvas);
+  // Draws all that Ogre is drawing now, what a method finds of each.
+  template <typename Part, typename Draw>
+  static void drawAll(Ogre::SceneManager& manager,
+                      std::optional<Part> (SplatCloud::*part)(Ogre::Viewport*), const Draw& draw);
   // What a viewport sees of the map, if it is to be drawn; after an error it isn't for a while.
   std::optional<SplatScene::Part> part(Ogre::Viewport* viewport);
-  // The same of a viewport of rviz's mouse tools, if the map was drawn.
+  // The same of a viewport of rviz's mouse tools, if the map was seen.
   std::optional<SplatScene::Touched> touched(Ogre::Viewport* viewport);
   SplatCamera cameraIn(const Ogre::Viewport& viewport) const;
   bool pauses() const;
@@ -104,8 +124,9 @@ class SplatCloud : public Ogre::MovableObject {
   RenderSettings settings_;
   Placement place_;
   bool sort_now_ = false;
-  std::uint32_t pick_handle_ = 0, pick_ticket_ = 0;
-  bool drawn_ = false;  // in this frame
+  std::uint32_t pick_handle_ = 0;
+  std::vector<SplatCloud*> picked_with_;  // those that it has drawn in the last pick, itself first
+  bool drawn_ = false;                    // in this frame
   // The view that was drawn, if it was divided at the translucent objects: kHide and kBefore
   // follow.
   std::string divided_;

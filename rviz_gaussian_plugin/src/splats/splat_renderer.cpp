@@ -299,7 +299,7 @@ void SplatRenderer::drawSurface(const std::vector<CardView>& maps, Canvas canvas
   window.layOver(surface_, surface_depth_);
 }
 
-void SplatRenderer::drawPick(const std::vector<CardView>& maps, const CardMap& of, Canvas canvas,
+void SplatRenderer::drawPick(const std::vector<CardView>& maps, Canvas canvas,
                              std::uint32_t number) {
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
@@ -316,18 +316,16 @@ void SplatRenderer::drawPick(const std::vector<CardView>& maps, const CardMap& o
   const gl::DrawScope scope(pick_depth_);
   copyDepth(window, pick_depth_);
   picker_.pick(view.splats(), listed ? &view.tiles() : nullptr, pick_depth_, view.topFirst());
-  picked_.clear();
-  for (const CardView& map : maps) picked_.push_back(map.map.get());
-  if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, pickedLayer(of), number);
+  picked_layers_ = maps.size();
+  if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, number);
 }
 
-std::size_t SplatRenderer::pickedLayer(const CardMap& map) const {
-  return static_cast<std::size_t>(std::find(picked_.begin(), picked_.end(), &map) -
-                                  picked_.begin());
-}
-
-std::vector<std::uint32_t> SplatRenderer::readPick(const CardMap& of) const {
-  return picker_.read(pickedLayer(of));
+std::vector<Pick> SplatRenderer::readPick() const {
+  std::vector<Pick> picks;
+  for (std::size_t layer = 0; layer < picked_layers_; ++layer) {
+    picks.emplace_back(picker_.read(layer));
+  }
+  return picks;
 }
 
 std::vector<SplatValues> SplatRenderer::readSlots(const CardMap& map,

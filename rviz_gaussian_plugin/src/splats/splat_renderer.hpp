@@ -21,6 +21,7 @@
 #include "gpu/splat_picker.hpp"
 #include "gpu/view_state.hpp"
 #include "map/gaussian_map.hpp"
+#include "map/pick.hpp"
 #include "map/render_settings.hpp"
 #include "map/splat_camera.hpp"
 #include "view_names.hpp"
@@ -68,11 +69,10 @@ class SplatRenderer {
 
   // Finds the splat that contributes most to each pixel, at least a twentieth of its colour, among
   // those that the current framebuffer and viewport don't hide; then writes there a number, for
-  // rviz's selection, as 24-bit colour, where it is one of a certain map.
-  void drawPick(const std::vector<CardView>& maps, const CardMap& of, Canvas canvas,
-                std::uint32_t number);
-  // What it found of a map: width * height slots, top row first; kNoSlot where there is none.
-  std::vector<std::uint32_t> readPick(const CardMap& of) const;
+  // rviz's selection, as 24-bit colour.
+  void drawPick(const std::vector<CardView>& maps, Canvas canvas, std::uint32_t number);
+  // What it found of each map: width * height slots, top row first; kNoSlot where there is none.
+  std::vector<Pick> readPick() const;
 
   // The values of slots as they are drawn.
   std::vector<SplatValues> readSlots(const CardMap& map,
@@ -114,7 +114,6 @@ class SplatRenderer {
     std::vector<Timed> timed;
   };
 
-  std::size_t pickedLayer(const CardMap& map) const;
   // The name of the view that maps are in.
   const std::string& join(const std::vector<CardView>& maps);
   // What is kept of a view; where that were too much, another's, drawn longest ago, becomes its.
@@ -138,10 +137,10 @@ class SplatRenderer {
   const gl::Program &divide_, &composite_, &hide_, &surface_;
 
   ViewNames names_;
-  std::map<std::string, View> views_;   // by name
-  std::uint64_t used_ = 0;              // views so far
-  ViewState* drawn_ = nullptr;          // last
-  std::vector<const CardMap*> picked_;  // by layer
+  std::map<std::string, View> views_;  // by name
+  std::uint64_t used_ = 0;             // views so far
+  ViewState* drawn_ = nullptr;         // last
+  std::size_t picked_layers_ = 0;
   gl::Target depth_, surface_depth_, pick_depth_;
   GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver did, or wouldn't copy
   std::map<std::string, double> profile_;

@@ -514,50 +514,38 @@ FrameReport SplatScene::report(const std::string& view_id) const {
   return found == reports_.end() ? FrameReport{} : found->second;
 }
 
-const SplatScene::Touched& SplatScene::own(const std::vector<Touched>& all) const {
-  return *std::find_if(all.begin(), all.end(),
-                       [this](const Touched& touched) { return touched.scene == this; });
-}
-
-std::vector<CardView> SplatScene::touchedOnCard(const std::vector<Touched>& all) {
+std::vector<CardView> SplatScene::touchedOnCard(const std::vector<Touched>& parts) {
   std::vector<CardView> maps;
-  for (const Touched& touched : all) {
-    SplatScene& scene = *touched.scene;
-    if (&scene != this && !together(*this, scene)) continue;
-    maps.push_back({touched.view_id, scene.card_, touched.camera, inFull(touched.settings), nullptr,
-                    scene.drawn_map_});
+  for (const Touched& part : parts) {
+    const SplatScene& scene = *part.scene;
+    maps.push_back(
+        {part.view_id, scene.card_, part.camera, inFull(part.settings), nullptr, scene.drawn_map_});
   }
-  if (maps.size() == 1) maps.front().order = sortNow(maps.front().camera);
+  if (maps.size() == 1) maps.front().order = parts.front().scene->sortNow(maps.front().camera);
   return maps;
 }
 
-void SplatScene::drawSurface(const std::vector<Touched>& all, Canvas canvas, double far_clip) {
-  const Touched& mine = own(all);
-  prepare(mine.settings);
-  if (software_) {
-    return software_->drawSurface(mine.view_id, *painted_, mine.camera, canvas, far_clip);
+std::vector<ViewedMap> SplatScene::touchedSoftware(const std::vector<Touched>& parts) {
+  std::vector<ViewedMap> maps;
+  for (const Touched& part : parts) {
+    RenderSettings settings = inFull(part.settings);
+    settings.order = OrderSource::kAuto;
+    maps.push_back({part.view_id, part.scene->painted_, part.camera, settings, nullptr, {}});
   }
-  const std::vector<CardView> maps = touchedOnCard(all);
-  if (maps.front().map == card_) renderer_->drawSurface(maps, canvas, far_clip);  // for all of them
+  return maps;
 }
 
-void SplatScene::drawPick(const std::vector<Touched>& all, Canvas canvas, std::uint32_t number) {
-  prepare(own(all).settings);
-  if (!software_) {
-    const std::vector<CardView> maps = touchedOnCard(all);
-    return renderer_->drawPick(maps, *card_, canvas, number);
-  }
-  std::vector<ViewedMap> maps;
-  std::size_t of = 0;
-  for (const Touched& touched : all) {
-    if (!touched.scene->software_) continue;
-    if (touched.scene == this) of = maps.size();
-    RenderSettings settings = inFull(touched.settings);
-    settings.order = OrderSource::kAuto;
-    maps.push_back(
-        {touched.view_id, touched.scene->painted_, touched.camera, settings, nullptr, {}});
-  }
-  software_->drawPick(maps, of, canvas, number);
+void SplatScene::drawSurface(const std::vector<Touched>& parts, Canvas canvas, double far_clip) {
+  const SplatScene& first = *parts.front().scene;
+  if (first.software_)
+    return first.software_->drawSurface(touchedSoftware(parts), canvas, far_clip);
+  first.renderer_->drawSurface(touchedOnCard(parts), canvas, far_clip);
+}
+
+void SplatScene::drawPick(const std::vector<Touched>& parts, Canvas canvas, std::uint32_t number) {
+  const SplatScene& first = *parts.front().scene;
+  if (first.software_) return first.software_->drawPick(touchedSoftware(parts), canvas, number);
+  first.renderer_->drawPick(touchedOnCard(parts), canvas, number);
 }
 
 std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {

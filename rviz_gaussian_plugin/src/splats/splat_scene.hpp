@@ -113,24 +113,22 @@ class SplatScene {
   }
   // Render thread: what draw() drew last of a view; of no order source before.
   FrameReport report(const std::string& view_id) const;
-  // A map where rviz's mouse tools look at a view, or a part of it.
+  // The same where rviz's mouse tools look at a view, or a part of it.
   struct Touched {
     SplatScene* scene;
     std::string view_id;
-    SplatCamera camera;
     RenderSettings settings;
+    SplatCamera camera;
   };
-  // Render thread: writes where the surface is that a view shows, of all maps that are drawn
-  // together with this one; see SplatRenderer. A graphics card draws it anew, in the order that it
-  // waits for.
-  void drawSurface(const std::vector<Touched>& all, Canvas canvas, double far_clip);
-  // Render thread: writes a number where splats of this map are seen, among all of these, as
-  // pick() finds them; see SplatRenderer. A graphics card sorts for it; without one it is where a
-  // view shows some.
-  void drawPick(const std::vector<Touched>& all, Canvas canvas, std::uint32_t number);
-  // Render thread, after drawPick(): which they are. Without a graphics card, they are found
-  // beside.
-  Pick pick() { return software_ ? software_->pick(painted_) : Pick(renderer_->readPick(*card_)); }
+  // Render thread: writes where the surface is that a view shows; see SplatRenderer. A graphics
+  // card draws it anew, in the order that it waits for.
+  static void drawSurface(const std::vector<Touched>& parts, Canvas canvas, double far_clip);
+  // Render thread: writes a number where splats are seen, as pick() finds them; see SplatRenderer.
+  // A graphics card sorts for it; without one it is where a view shows some.
+  static void drawPick(const std::vector<Touched>& parts, Canvas canvas, std::uint32_t number);
+  // Render thread, after drawPick(), of which this was a part: which they are, of each part.
+  // Without a graphics card, they are found beside.
+  std::vector<Pick> pick() { return software_ ? software_->pick() : renderer_->readPick(); }
   // Render thread: the values of slots as they are drawn, in the map's frame.
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
   // Render thread: the map as it is drawn.
@@ -189,9 +187,8 @@ class SplatScene {
   void keepPace(const std::string& view_id, FrameReport& report);
   bool sortsOnGpu(OrderSource source);
   OrderPtr sortNow(const SplatCamera& camera);  // for the mouse tools; null: on the graphics card
-  const Touched& own(const std::vector<Touched>& all) const;
-  // Of these, what is drawn together with this one, and that, for the mouse tools.
-  std::vector<CardView> touchedOnCard(const std::vector<Touched>& all);
+  static std::vector<CardView> touchedOnCard(const std::vector<Touched>& parts);
+  static std::vector<ViewedMap> touchedSoftware(const std::vector<Touched>& parts);
   void takeArrivals(std::size_t budget);
   void feedSorter();
   OrderPtr unsorted();

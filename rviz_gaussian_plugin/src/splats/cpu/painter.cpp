@@ -372,14 +372,17 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiti
   return painting;
 }
 
-Pick Painter::pick(PaintRequest asked, PaintedMapPtr of) {
+std::vector<Pick> Painter::pick(PaintRequest asked) {
   const std::lock_guard lock(mutex_);
   PickJob& job = picks_.emplace_back();
+  job.slots.resize(asked.layers.size());
   job.asked = std::move(asked);
-  job.of = std::move(of);
+  const std::shared_ptr<void> wanted(nullptr, [up = job.given_up](void*) { *up = true; });
+  std::vector<Pick> picks;
+  for (auto& slots : job.slots) picks.emplace_back(slots.get_future(), wanted);
   cancelled_ = true;  // what is being painted comes after
   wake_.notify_one();
-  return Pick(job.slots.get_future(), job.given_up);
+  return picks;
 }
 
 void Painter::find(PickJob& job) {
@@ -387,13 +390,17 @@ void Painter::find(PickJob& job) {
     PictureRequest request = pictureOf(job.asked);
     request.cancelled = job.given_up.get();
     const LockedMaps maps(job.asked, request);
-    Pick::Slots slots;
-    for (const PickedSplat& picked : rasterizer_.pick(request)) {
-      slots.push_back(job.asked.layers[picked.layer].map == job.of ? picked.slot : kNoSlot);
+    const std::vector<PickedSplat> picked = rasterizer_.pick(request);
+    for (std::size_t layer = 0; layer < job.slots.size(); ++layer) {
+      Pick::Slots slots;
+      slots.reserve(picked.size());
+      for (const PickedSplat& splat : picked) {
+        slots.push_back(splat.layer == layer ? splat.slot : kNoSlot);
+      }
+      job.slots[layer].set_value(std::move(slots));
     }
-    job.slots.set_value(std::move(slots));
   } catch (...) {
-    job.slots.set_exception(std::current_exception());
+    for (auto& slots : job.slots) slots.set_exception(std::current_exception());
   }
   workspace_ = rasterizer_.bytes();
 }

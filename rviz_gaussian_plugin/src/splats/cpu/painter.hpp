@@ -119,9 +119,9 @@ class Painter {
   PaintingPtr paintNow(const std::string& view_id, PaintRequestPtr request);
   void forget(const std::string& view_id);
 
-  // Has the splats of a map found that a picture shows among all others, before anything is
-  // painted; where that fails, by PictureError.
-  Pick pick(PaintRequest asked, PaintedMapPtr of);
+  // Has the splats found that a picture shows, before anything is painted; where that fails, by
+  // PictureError. Those of each layer.
+  std::vector<Pick> pick(PaintRequest asked);
   std::size_t bytes() const { return workspace_; }  // beside the maps
   const char* instructions() const { return rasterizer_.instructions(); }
 
@@ -135,11 +135,11 @@ class Painter {
     double asked = 0;
     double takes = 0;  // probably [s]
   };
+  using GivenUp = std::shared_ptr<std::atomic<bool>>;
   struct PickJob {
     PaintRequest asked;
-    PaintedMapPtr of;
-    std::promise<Pick::Slots> slots;
-    Pick::GivenUp given_up = std::make_shared<std::atomic<bool>>(false);
+    std::vector<std::promise<Pick::Slots>> slots;  // of each layer
+    GivenUp given_up = std::make_shared<std::atomic<bool>>(false);
   };
   struct View {
     std::optional<Waiting> waiting;
@@ -173,7 +173,7 @@ class Painter {
   std::string painting_;           // the view
   bool refining_ = false;          // it, for a camera that rests
   std::deque<PickJob> picks_;
-  Pick::GivenUp picking_;  // what is being found, if anything
+  GivenUp picking_;  // what is being found, if anything
   std::atomic<bool> cancelled_{false};
 
   // The painter's own.

@@ -36,23 +36,12 @@ void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
   gl::storageBarrier();
 }
 
-std::array<std::uint32_t, 2> SplatPicker::numbersOf(std::size_t layer) const {
-  if (layer + 1 >= layer_begins_.size()) return {0, 0};
-  const auto number = [this](std::size_t page) {
-    return static_cast<std::uint32_t>(page * SlotPage::kSlots);
-  };
-  return {number(layer_begins_[layer]), number(layer_begins_[layer + 1])};
-}
-
-void SplatPicker::draw(const CanvasScope& canvas, const gl::Target& target, std::size_t layer,
+void SplatPicker::draw(const CanvasScope& canvas, const gl::Target& target,
                        std::uint32_t number) const {
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   colour_.use();
   colour_.set("width", target.width());
-  const auto [first, end] = numbersOf(layer);
-  colour_.set("first_mine", first);
-  colour_.set("end_mine", end);
   colour_.set("number", number);
   colour_.bind("Picked", picked_);
   canvas.layOver(colour_, target);
@@ -65,10 +54,11 @@ std::vector<std::uint32_t> SplatPicker::read(std::size_t layer) const {
     picked_.read(row * width_ * sizeof(std::uint32_t), &slots[i * width_],
                  width_ * sizeof(std::uint32_t));
   }
-  const auto [first, end] = numbersOf(layer);
   for (std::uint32_t& slot : slots) {
-    const bool mine = slot >= first && slot < end;
-    slot = mine ? first_slots_[slot / SlotPage::kSlots] + slot % SlotPage::kSlots : kNoSlot;
+    if (slot == kNoSlot) continue;
+    const std::size_t page = slot / SlotPage::kSlots;
+    const bool mine = page >= layer_begins_[layer] && page < layer_begins_[layer + 1];
+    slot = mine ? first_slots_[page] + slot % SlotPage::kSlots : kNoSlot;
   }
   return slots;
 }

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -22,18 +21,14 @@ class SplatPicker {
   // tiles: without, each tile walks all of them.
   void pick(const OrderedSplats& splats, const TileRasterizer* lists, const gl::Target& target,
             bool top_first);
-  // Writes a number as 24-bit colour wherever there is a splat of a layer.
-  void draw(const CanvasScope& canvas, const gl::Target& target, std::size_t layer,
-            std::uint32_t number) const;
+  // Writes a number as 24-bit colour wherever there is a splat.
+  void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t number) const;
   // width * height slots of a layer, top row first; kNoSlot where there is none.
   std::vector<std::uint32_t> read(std::size_t layer) const;
 
   std::size_t bytes() const { return picked_.bytes(); }
 
  private:
-  // Numbers of a layer's first slot, and one past its last.
-  std::array<std::uint32_t, 2> numbersOf(std::size_t layer) const;
-
   const gl::Program &pick_, &colour_;
   gl::Buffer picked_;  // numbers of slots, as PageTable has them
   // The same of that.

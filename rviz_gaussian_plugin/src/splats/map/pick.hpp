@@ -1,6 +1,5 @@
 #pragma once
 
-#include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <future>
@@ -10,26 +9,21 @@
 
 namespace rosplat {
 
-// Which splats a part of a picture shows, once somebody has found them: slots by pixel, top row
-// first, kNoSlot where there is none. Who lets go of it before gives it up.
+// Which splats of a map a part of a picture shows, once somebody has found them: slots by pixel,
+// top row first, kNoSlot where there is none. Who lets go of all that are found at once gives them
+// up.
 class Pick {
  public:
   using Slots = std::vector<std::uint32_t>;
-  using GivenUp = std::shared_ptr<std::atomic<bool>>;
 
-  Pick(std::future<Slots> slots, GivenUp given_up)
-      : slots_(std::move(slots)), given_up_(std::move(given_up)) {}
+  Pick(std::future<Slots> slots, std::shared_ptr<void> wanted)
+      : slots_(std::move(slots)), wanted_(std::move(wanted)) {}
   // Found already.
   explicit Pick(Slots slots) {
     std::promise<Slots> promise;
     promise.set_value(std::move(slots));
     slots_ = promise.get_future();
   }
-  ~Pick() {
-    if (given_up_) *given_up_ = true;
-  }
-  Pick(Pick&&) = default;
-  Pick& operator=(Pick&&) = delete;
 
   bool found() const {
     return slots_.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
@@ -39,7 +33,7 @@ class Pick {
 
  private:
   std::future<Slots> slots_;
-  GivenUp given_up_;
+  std::shared_ptr<void> wanted_;
 };
 
 }  // namespace rosplat
