@@ -210,6 +210,26 @@ TEST(CpuRasterizer, divides_splats_at_translucent_objects) {
   expectColour(&picture.behind[4], {0, 0, 0, 0});
 }
 
+TEST(CpuRasterizer, nothing_is_left_behind_where_a_translucent_object_was) {
+  Scene scene;
+  scene.add({0, 0, 6}, 100, 0.5f, {0, 1, 0});
+  scene.write();
+  PictureRequest wanted = request(40, 20, scene);
+  const auto divided = [&](std::size_t pixel, SplatPicture& picture) {
+    std::vector<float> veil(40 * 20, 1.0f);
+    veil[pixel] = windowDepth(5);
+    wanted.translucent_depth = veil;
+    ASSERT_TRUE(rasterizer().draw(wanted, picture));
+  };
+  SplatPicture again, anew;
+  divided(0, again);
+  EXPECT_NEAR(again.behind[1], 0.5f, 1e-3);
+  divided(40 * 20 - 1, again);
+  divided(40 * 20 - 1, anew);
+  EXPECT_EQ(again.behind, anew.behind);
+  EXPECT_EQ(again.nearness, anew.nearness);
+}
+
 TEST(CpuRasterizer, draws_a_given_order_and_nothing_else) {
   Scene scene;
   scene.add({0, 0, 3}, 100, 0.5f, {1, 0, 0});

@@ -114,7 +114,8 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   View& view = views_[name];
   if (asynchronous && request->window) request->motion = view.motion.follow(camera, now());
   if (around.translucent) {
-    request->translucent_depth = depthsOf(canvas, camera.width, camera.height, around.translucent);
+    request->translucent_depth =
+        depthsOf(canvas, camera.width, camera.height, around.translucent_in, around.translucent);
   }
   const CanvasScope window(canvas);
   if (around.opaque) request->scene_depth = window.readDepth(camera.width, camera.height);

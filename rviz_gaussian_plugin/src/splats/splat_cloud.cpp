@@ -1,6 +1,7 @@
 #include "splat_cloud.hpp"
 
 #include <OgreCamera.h>
+#include <OgreEntity.h>
 #include <OgreFrameListener.h>
 #include <OgreMaterialManager.h>
 #include <OgreRenderQueue.h>
@@ -9,6 +10,7 @@
 #include <OgreRoot.h>
 #include <OgreSceneManager.h>
 #include <OgreSceneNode.h>
+#include <OgreSubEntity.h>
 #include <OgreTechnique.h>
 #include <OgreViewport.h>
 
@@ -62,6 +64,36 @@ struct Lister : Ogre::QueuedRenderableVisitor {
     for (auto* object : objects) found.emplace_back(object, const_cast<Ogre::Pass*>(pass));
   }
 };
+
+// The part of a camera's picture that holds what it sees of some objects at most: all of it where
+// their bounds aren't known, or reach behind the camera.
+PictureRect reachOf(const std::vector<Ogre::RenderablePass>& objects, const Ogre::Camera& camera,
+                    int width, int height) {
+  constexpr float kMargin = 2;  // [px]
+  const PictureRect all{0, 0, width, height};
+  const Ogre::Matrix4 projection = camera.getProjectionMatrix() * camera.getViewMatrix();
+  Ogre::AxisAlignedBox reach;  // x and y in pixels
+  for (const Ogre::RenderablePass& object : objects) {
+    const auto* part = dynamic_cast<const Ogre::SubEntity*>(object.renderable);
+    if (!part) return all;
+    const Ogre::AxisAlignedBox& bounds = part->getParent()->getWorldBoundingBox(true);
+    if (!bounds.isFinite()) return all;
+    for (const Ogre::Vector3& corner : bounds.getAllCorners()) {
+      const Ogre::Vector4 clip = projection * Ogre::Vector4(corner);
+      if (!(clip.w > 0)) return all;
+      reach.merge(Ogre::Vector3(0.5f * float(width) * (1 + clip.x / clip.w),
+                                0.5f * float(height) * (1 - clip.y / clip.w), 0));
+    }
+  }
+  if (reach.isNull()) return {};
+  const auto within = [](float place, int most) {
+    return static_cast<int>(std::clamp(place, 0.0f, static_cast<float>(most)));
+  };
+  return {within(std::floor(reach.getMinimum().x - kMargin), width),
+          within(std::floor(reach.getMinimum().y - kMargin), height),
+          within(std::ceil(reach.getMaximum().x + kMargin), width),
+          within(std::ceil(reach.getMaximum().y + kMargin), height)};
+}
 
 // Makes the rows of a rotation of 32-bit floats perpendicular, of unit length: by as little as it
 // lacks, it would turn a map that is 4,500 km away by a quarter of a metre.
@@ -337,6 +369,9 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas)
         pass->setDepthWriteEnabled(writes);
       }
     };
+    const Ogre::Viewport& viewport = *manager.getCurrentViewport();
+    around.translucent_in =
+        reachOf(objects, *camera_, viewport.getActualWidth(), viewport.getActualHeight());
   }
   around.opaque = anyOpaque(manager);
   drawAll(manager, &SplatCloud::part, [&](const Group<SplatScene::Part>& group) {

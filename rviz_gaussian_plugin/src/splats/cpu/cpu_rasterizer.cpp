@@ -81,20 +81,25 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     wanted.contributions->energy.resize(capacity);
     wanted.contributions->error.resize(capacity);
   }
+  across = (camera.width + kTile - 1) / kTile;
+  down = (camera.height + kTile - 1) / kTile;
+  tiles = std::size_t(across) * std::size_t(down);
   if (picture) {
+    const bool kept = picture->width == camera.width && picture->height == camera.height;
     picture->width = camera.width;
     picture->height = camera.height;
     picture->colour.resize(4 * pixels);
     picture->depth.resize(request.mean_depth ? pixels : 0);
-    picture->behind.resize(request.translucent_depth.empty() ? 0 : 4 * pixels);
-    picture->nearness.resize(request.translucent_depth.empty() ? 0 : 2 * pixels);
+    const std::size_t divided = request.translucent_depth.empty() ? 0 : pixels;
+    if (!kept || picture->behind.size() != 4 * divided) {
+      picture->behind.assign(4 * divided, 0.0f);
+      picture->nearness.assign(2 * divided, 0.0f);
+      picture->divided.assign(tiles, 0);
+    }
   } else {
     wanted.picked->resize(pixels);
     picking.resize(2 * pixels);
   }
-  across = (camera.width + kTile - 1) / kTile;
-  down = (camera.height + kTile - 1) / kTile;
-  tiles = std::size_t(across) * std::size_t(down);
   layers.resize(request.layers.size());
   for (std::size_t i = 0; i < layers.size(); ++i) {
     setView(request.layers[i], request.now, layers[i]);

@@ -59,7 +59,8 @@ struct SplatPicture {
   std::vector<float> colour;    // premultiplied RGBA
   std::vector<float> behind;    // the same behind translucent objects; colour is before them
   std::vector<float> nearness;  // of these: (1 - window depth) * alpha, alpha; as splat_hide.frag
-  std::vector<float> depth;     // weighted mean [m], NaN where nothing is
+  std::vector<std::uint8_t> divided;  // tiles that may have either; they are 0 in the others
+  std::vector<float> depth;           // weighted mean [m], NaN where nothing is
   struct OfLayer {
     std::size_t drawn = 0;  // splats in the picture, as far as it was looked
     double error = 0;       // that it was drawn to, 0 in full [px]

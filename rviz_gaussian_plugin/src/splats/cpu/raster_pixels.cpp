@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <utility>
 
 #include "cpu/raster_work.hpp"
 
@@ -31,11 +32,14 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   if (tile.count == 0 && !first) return;
   tile.divided = depthsOf(request.translucent_depth, rect, member.divided);
   const bool divided = tile.divided != nullptr;
-  if (first && !divided && !picture.behind.empty()) {
-    rect.forEach([&](std::size_t, std::size_t pixel) {
-      std::fill_n(&picture.behind[4 * pixel], 4, 0.0f);
-      std::fill_n(&picture.nearness[2 * pixel], 2, 0.0f);
-    });
+  if (first && !picture.behind.empty()) {
+    const bool was_divided = std::exchange(picture.divided[number], divided);
+    if (was_divided && !divided) {
+      rect.forEach([&](std::size_t, std::size_t pixel) {
+        std::fill_n(&picture.behind[4 * pixel], 4, 0.0f);
+        std::fill_n(&picture.nearness[2 * pixel], 2, 0.0f);
+      });
+    }
   }
   // What was blended so far is in the picture.
   const auto read = [&](TilePixels& pixels, const std::vector<float>& colour) {

@@ -91,17 +91,19 @@ void CanvasScope::layOver(const gl::Program& program, const gl::Target& target) 
   glDrawArrays(GL_TRIANGLES, 0, 3);
 }
 
-std::vector<float> depthsOf(Canvas canvas, int width, int height,
+std::vector<float> depthsOf(Canvas canvas, int width, int height, const PictureRect& part,
                             const std::function<void()>& draw) {
-  if (!gl::hasFramebuffers()) return {};
+  const int columns = part.right - part.left, rows = part.bottom - part.top;
+  if (columns < 1 || rows < 1 || !gl::hasFramebuffers()) return {};
   GLint drawn = 0, read = 0, samples = 0;
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_SAMPLES, &samples);
   glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &drawn);
   glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read);
   glGetIntegerv(GL_VIEWPORT, viewport.data());
-  const gl::DepthFramebuffer framebuffer(GL_DEPTH_COMPONENT24, width, height);
-  glViewport(0, 0, width, height);
+  const gl::DepthFramebuffer framebuffer(GL_DEPTH_COMPONENT24, columns, rows);
+  const bool top_first = canvas == Canvas::kTexture;
+  glViewport(-part.left, top_first ? -part.top : part.bottom - height, width, height);
   glPushAttrib(GL_DEPTH_BUFFER_BIT | GL_SCISSOR_BIT);
   glDisable(GL_SCISSOR_TEST);
   glDepthMask(GL_TRUE);
@@ -110,12 +112,18 @@ std::vector<float> depthsOf(Canvas canvas, int width, int height,
   glPopAttrib();
   draw();
   glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer.id());
-  const std::vector<float> depths = gl::readDepths(0, 0, width, height, canvas == Canvas::kTexture);
+  std::vector<float> depths = gl::readDepths(0, 0, columns, rows, top_first);
   glBindFramebuffer(GL_DRAW_FRAMEBUFFER, static_cast<GLuint>(drawn));
   glBindFramebuffer(GL_READ_FRAMEBUFFER, static_cast<GLuint>(read));
   glViewport(viewport[0], viewport[1], viewport[2], viewport[3]);
   if (std::all_of(depths.begin(), depths.end(), [](float depth) { return depth >= 1; })) return {};
-  return samples > 1 ? widened(depths, width, height) : depths;
+  if (samples > 1) depths = widened(depths, columns, rows);
+  std::vector<float> whole(static_cast<std::size_t>(width) * static_cast<std::size_t>(height), 1);
+  for (int row = 0; row < rows; ++row) {
+    std::copy_n(depths.begin() + std::ptrdiff_t{row} * columns, columns,
+                whole.begin() + std::ptrdiff_t{part.top + row} * width + part.left);
+  }
+  return whole;
 }
 
 void clearDepth() {

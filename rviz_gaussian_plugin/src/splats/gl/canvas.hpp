@@ -14,10 +14,16 @@ enum class Canvas {
   kNone,     // nothing: there is no opaque scene, and the picture is only read back
 };
 
+// A part of a picture, from its top left. [px]
+struct PictureRect {
+  int left = 0, top = 0, right = 0, bottom = 0;
+};
+
 // What else is seen on a canvas.
 struct Surroundings {
   bool opaque = true;                 // something that is may have been drawn there
   std::function<void()> translucent;  // draws what is, and comes next; null where nothing is
+  PictureRect translucent_in;         // where it is at most
 };
 
 // Draws into targets and, from there, over what was the current framebuffer and viewport when the
@@ -48,9 +54,10 @@ class CanvasScope {
   GLint x_ = 0, y_ = 0;  // of the viewport
 };
 
-// The window depths of what Ogre draws in a call, without anything else of its scene, the picture's
-// top row first; empty where nothing is in sight, or OpenGL has no framebuffer objects.
-std::vector<float> depthsOf(Canvas canvas, int width, int height,
+// The window depths of what Ogre draws in a call in a part of a picture, without anything else of
+// its scene, the picture's top row first; empty where nothing is in sight, or OpenGL has no
+// framebuffer objects.
+std::vector<float> depthsOf(Canvas canvas, int width, int height, const PictureRect& part,
                             const std::function<void()>& draw);
 
 // Makes a target as deep as can be: nothing hides what is drawn there.
