@@ -200,23 +200,29 @@ TEST(DetailControl, MovesABudgetSlowlyUnlessAtOnce) {
 }
 
 TEST(DetailControl, FindsTheErrorThatTakesATime) {
-  const Plain plain(3000);
+  const Plain plain(60000);
+  const CutEstimate estimate = plain.estimate();
+  const auto took = [&](double error) { return 0.02 + 1e-5 * estimate.drawn(error); };
   DetailControl control;
-  const auto took = [](double error) { return 1.6 / (error * error + 0.01); };
+  control.drewAll(took(0));
   double error = 0;
-  for (int i = 0; i < 200; ++i) {
-    error = plain.choose(control, {Kind::kTime, 0.1});
-    control.drew(error, 3000);
-    if (i % 3 == 0) control.took(error, took(error));  // the others aren't known yet
-  }
+  const auto draw = [&](double seconds, int pictures) {
+    for (int i = 0; i < pictures; ++i) {
+      error = plain.choose(control, {Kind::kTime, seconds});
+      control.drew(error, std::size_t(estimate.drawn(error)));
+      if (i % 3 == 2) control.took(error, took(error));  // the others aren't known yet
+    }
+  };
+  draw(0.1, 12);  // what comes late is mended at once,
+  EXPECT_LT(took(error), 0.15);
+  draw(0.1, 100);
   EXPECT_NEAR(took(error), 0.1, 0.01);
   EXPECT_TRUE(control.settled());
-  for (int i = 0; i < 200; ++i) {
-    error = plain.choose(control, {Kind::kTime, 1e4});
-    control.drew(error, 3000);
-    control.took(error, 0.01);
-  }
-  EXPECT_EQ(plain.choose(control, {Kind::kTime, 1e4}), 0);
+  const double coarse = error;
+  draw(1e4, 6);  // what comes early so that nobody sees it
+  EXPECT_GT(error, coarse / 2);
+  draw(1e4, 200);
+  EXPECT_EQ(error, 0);
 }
 
 }  // namespace

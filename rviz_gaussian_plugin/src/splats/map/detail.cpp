@@ -17,10 +17,11 @@ constexpr double kAim = 0.95;         // of a budget, where not all may be drawn
 constexpr double kClose = 0.9;        // of one is drawn at least, or all
 constexpr double kLeastStep = 1.02;   // of the error, from one that missed to the next
 constexpr int kMostNarrowed = 4;      // pictures that are only to come closer
-constexpr double kFirstSplats = 1e6;  // of a frame time, before any was measured
 constexpr double kMostStep = 1.1;     // of the error, from picture to picture
 constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
 constexpr double kNearTime = 0.1;     // of a frame time, which varies from frame to frame
+constexpr double kLate = 1.5;         // of one
+constexpr double kMostFewer = 4;      // splats in a picture than in one that came late
 
 }  // namespace
 
@@ -89,14 +90,13 @@ double DetailControl::choose(const Detail& detail, bool at_once,
       if (at_once) return wanted;
       break;
     case Detail::Kind::kTime: {
-      if (seconds_ == 0) {
-        return error_ ? *error_ : CutEstimate(levels, camera, groups, box).errorFor(kFirstSplats);
-      }
-      const double part = seconds_ / detail.amount;
+      // Of the last picture of which it is known; before any, of one of all.
+      const double seconds = seconds_ > 0 ? seconds_ : seconds_in_full_;
+      const double part = seconds / detail.amount;
       if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) return timed_error_;
-      // About as many are drawn as the square of the error leaves.
-      wanted = std::max(timed_error_, kLeastError) * std::sqrt(part);
-      if (wanted < kLeastError) wanted = 0;
+      const CutEstimate expected(levels, camera, groups, box);
+      wanted = expected.errorFor(expected.drawn(timed_error_) / std::min(part, kMostFewer));
+      if (part > kLate) return wanted;  // pictures that come so late are worse than a change seen
       break;
     }
   }
@@ -105,7 +105,7 @@ double DetailControl::choose(const Detail& detail, bool at_once,
   if (std::fabs(wanted - *error_) <= (kLeastStep - 1) * *error_) return *error_;
   const double from = std::max(*error_, kLeastError);
   double error = std::clamp(wanted, from / kMostStep, from * kMostStep);
-  if (error < kLeastError && wanted == 0) error = 0;
+  if (error < kLeastError && wanted < kLeastError) error = 0;
   settled_ = std::fabs(error - wanted) <= 0.05 * wanted;
   return error;
 }
