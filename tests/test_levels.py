@@ -88,7 +88,7 @@ def test_a_cut_is_that_of_the_twin(
 def test_a_budget_is_kept(renderer: CpuRenderer, most: int) -> None:
     renderer.settings.detail = str(most)
     drawn = draw(renderer, CAMERAS["outside"])
-    assert 0.9 * most <= drawn["splats"] <= most
+    assert 0.9 * most - 8 <= drawn["splats"] <= most  # a cell's splats come and go together
     assert drawn["error"] > 0
     renderer.settings.detail = "full"
     assert draw(renderer, CAMERAS["outside"])["error"] == 0
