@@ -34,6 +34,8 @@ from rosplat_tools.slot_map import Group, SlotMap
 from rosplat_tools.splats import Splats
 
 CHUNK_BYTES = 8_000_000
+# Of splats in an answer to a pull: each client, idle or not, keeps room for some of the largest.
+ANSWER_BYTES = 2_000_000
 
 Progress = Callable[[int], None]
 """Is told how many more splats have gone out; what it raises ends the sending."""
@@ -45,8 +47,8 @@ class MapPublisher:
     Batches go out as they are made, and nobody is waited for. Who joins late, or misses some,
     pulls what has changed since the last revision that it has, as it is now, from the service
     <topic>/pull. It is answered by the node's executor between its other callbacks; where that has
-    several threads, beside them. Only pages of splats that a client lacks are copied, chunk_bytes
-    for an answer at most. Who just listens to the topic, a bag say, hears the whole map from
+    several threads, beside them. Only pages of splats that a client lacks are copied, 2 MB for an
+    answer at most. Who just listens to the topic, a bag say, hears the whole map from
     `repeat` or the service <topic>/repeat.
 
     Splats may be written in groups, submaps say, and groups placed by `move`: what a loop closure
@@ -352,7 +354,8 @@ class MapPublisher:
         if not self._changes.begun <= after <= self._revision:
             # Who goes on with a map that was replaced meanwhile gets the new one in the next round.
             after, block = 0, 0 if after else block
-        changed = self._changes.since(after, block, self._map, self._chunk_bytes)
+        most = min(self._chunk_bytes, ANSWER_BYTES)
+        changed = self._changes.since(after, block, self._map, most)
         batches = response.batches
         if not block:
             if not after:

@@ -661,6 +661,7 @@ PublishedMap::PullMap::Response PublishedMap::pull(const PullMap::Request& reque
     if (!placed.empty()) answer(placement(placed, std::nullopt));
   }
   const std::size_t splat_bytes = splatBytes(map_.sh_degree, map_.channels.size());
+  const std::size_t most_bytes = std::min(options_.chunk_bytes, kAnswerBytes);
   std::vector<std::uint32_t> pages;
   Slots emptied;
   std::size_t bytes = 0;
@@ -669,7 +670,7 @@ PublishedMap::PullMap::Response PublishedMap::pull(const PullMap::Request& reque
     if (after > 0 ? page.written <= after : page.used.none()) continue;
     const std::size_t used = page.used.count();
     bytes += used * splat_bytes + (after > 0 ? sizeof(emptied[0]) * (kPageSlots - used) : 0);
-    if (!pages.empty() && bytes > options_.chunk_bytes) {
+    if (!pages.empty() && bytes > most_bytes) {
       response.next_block = number;
       break;
     }

@@ -22,8 +22,9 @@ from rclpy.node import Node
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_sorter import payload
+from rosplat_sorter.edits import array_bytes
 from rosplat_sorter.qos import MAP_VOLATILE
-from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.map_publisher import ANSWER_BYTES, MapPublisher
 from rosplat_tools.messages import chunks
 from rosplat_tools.program.running import Cancelled
 from rosplat_tools.splats import Splats
@@ -299,6 +300,23 @@ def test_requests_of_any_kind_are_answered(
     assert [batch.operation for batch in response.batches] == answered
     assert response.next_block == 0
     assert all(batch.expected_slots == 5 for batch in response.batches)
+
+
+def test_answers_to_pulls_stay_small(
+    node: Node, random_splats: Maker, listener: Listener, make_publisher: Make
+) -> None:
+    """Whatever the size of batches: middleware keeps several answers for each client."""
+    publisher = make_publisher(node, chunk_bytes=10**9)
+    publisher.replace(random_splats(50_000, 0))
+    sizes, block = [], 0
+    while block or not sizes:
+        response = listener.call(
+            PullMap, "gaussians/pull", map_id=publisher.map_id, first_block=block
+        )
+        sizes.append(sum(array_bytes(batch) for batch in response.batches))
+        block = response.next_block
+    assert len(sizes) == 2
+    assert max(sizes) <= ANSWER_BYTES
 
 
 def test_a_map_without_a_batch_is_not_pulled(

@@ -100,6 +100,8 @@ class PublishedMap {
 
  private:
   static constexpr std::uint32_t kPageSlots = Batch::SLOTS_PER_BLOCK;
+  // Of splats in an answer to a pull: each client, idle or not, keeps room for some of the largest.
+  static constexpr std::size_t kAnswerBytes = 2'000'000;
 
   // A block of slots of which one was written once; the arrays are as those of Splats.
   struct Page {
