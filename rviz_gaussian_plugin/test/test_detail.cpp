@@ -225,5 +225,34 @@ TEST(DetailControl, FindsTheErrorThatTakesATime) {
   EXPECT_EQ(error, 0);
 }
 
+// 20 ms go with pixels; of one splat in so many, the picture would be hardly faster, and coarse.
+TEST(DetailControl, StopsWhereFewerSplatsAreHardlyFaster) {
+  const Plain plain(60000);
+  const CutEstimate estimate = plain.estimate();
+  DetailControl control;
+  control.drewAll(0.02 + 1e-6 * estimate.drawn(0));
+  double drawn = 0;
+  for (int i = 0; i < 50; ++i) {
+    const double error = plain.choose(control, {Kind::kTime, 0.01});
+    drawn = estimate.drawn(error);
+    control.drew(error, std::size_t(drawn));
+    control.took(error, 0.02 + 1e-6 * drawn);
+  }
+  EXPECT_NEAR(1e-6 * drawn, 0.005, 0.001);
+}
+
+TEST(DetailControl, DrawsAllWhereFewerSplatsTakeAsLong) {
+  const Plain plain(60000);
+  DetailControl control;
+  control.drewAll(0.02);
+  double error = 0;
+  for (int i = 0; i < 100; ++i) {
+    error = plain.choose(control, {Kind::kTime, 0.01});
+    control.drew(error, std::size_t(plain.estimate().drawn(error)));
+    control.took(error, 0.02);
+  }
+  EXPECT_LT(error, 2);
+}
+
 }  // namespace
 }  // namespace rosplat

@@ -22,6 +22,8 @@ constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
 constexpr double kNearTime = 0.1;     // of a frame time, which varies from frame to frame
 constexpr double kLate = 1.5;         // of one
 constexpr double kMostFewer = 4;      // splats in a picture than in one that came late
+constexpr double kApart = 1.25;       // numbers of splats that tell what each takes
+constexpr double kWorth = 0.25;       // of all other time, that of the splats: less gains little
 
 }  // namespace
 
@@ -73,6 +75,24 @@ std::string toText(const Detail& detail) {
   return text.str();
 }
 
+void PictureTime::took(double drawn, double seconds) {
+  const auto apart = [](const Picture& a, const Picture& b) {
+    return a.drawn > kApart * b.drawn || b.drawn > kApart * a.drawn;
+  };
+  const Picture now{std::max(drawn, 1.0), seconds};
+  if (apart(now, last_)) before_ = last_;
+  last_ = now;
+  if (before_.drawn == 0 || !apart(now, before_)) return;
+  const double each = (now.seconds - before_.seconds) / (now.drawn - before_.drawn);
+  others_ = now.seconds - std::max(each, 0.0) * now.drawn;
+}
+
+double PictureTime::splatsIn(double seconds) const {
+  const double others = std::clamp(others_, 0.0, 0.999 * last_.seconds);  // loads differ, too
+  const double each = (last_.seconds - others) / last_.drawn;
+  return std::max({(seconds - others) / each, kWorth * others / each, last_.drawn / kMostFewer});
+}
+
 double DetailControl::choose(const Detail& detail, bool at_once,
                              const std::vector<LevelSamples>& levels, const SplatCamera& camera,
                              const std::vector<Group>& groups, const ClipBox& box) {
@@ -93,10 +113,12 @@ double DetailControl::choose(const Detail& detail, bool at_once,
       // Of the last picture of which it is known; before any, of one of all.
       const double seconds = seconds_ > 0 ? seconds_ : seconds_in_full_;
       const double part = seconds / detail.amount;
-      if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) return timed_error_;
       const CutEstimate expected(levels, camera, groups, box);
-      wanted = expected.errorFor(expected.drawn(timed_error_) / std::min(part, kMostFewer));
-      if (part > kLate) return wanted;  // pictures that come so late are worse than a change seen
+      time_.took(expected.drawn(timed_error_), seconds);
+      if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) return timed_error_;
+      wanted = expected.errorFor(time_.splatsIn(detail.amount));
+      // Pictures that come so late are worse than a change that is seen.
+      if (part > kLate && wanted > error_.value_or(0)) return wanted;
       break;
     }
   }

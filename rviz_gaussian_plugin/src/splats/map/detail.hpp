@@ -18,6 +18,23 @@ Detail parseDetail(const std::string& text);
 
 std::string toText(const Detail& detail);
 
+// What the time of pictures is made of: that of their splats, and what goes with pixels.
+class PictureTime {
+ public:
+  // Of the last picture.
+  void took(double drawn, double seconds);
+  // How many splats one may draw that takes so long; but not so few that fewer are hardly faster,
+  // and at least a quarter of the last one's.
+  double splatsIn(double seconds) const;
+
+ private:
+  struct Picture {
+    double drawn = 0, seconds = 0;
+  };
+  Picture last_, before_;  // the latter drew far more, or far fewer
+  double others_ = 0;      // what doesn't go with splats, as two pictures tell [s]
+};
+
 // Chooses the error of a view's pictures, one after the other.
 class DetailControl {
  public:
@@ -59,6 +76,7 @@ class DetailControl {
   double drawn_of_expected_ = 1;
   std::optional<double> error_;           // of the last picture [px]
   double timed_error_ = 0, seconds_ = 0;  // of the last one of which it is known
+  PictureTime time_;
   double seconds_in_full_ = 0;
   bool settled_ = true;
 };
