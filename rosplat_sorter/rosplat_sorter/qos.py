@@ -24,11 +24,18 @@ MAP_VOLATILE = _map_qos(1000, DurabilityPolicy.VOLATILE)
 # readers that lag behind.
 PULLED_MAP = _map_qos(8)
 
-# Cameras and orders: the newest of each view counts, and all views share the topics.
-VIEW = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=32,  # views
-)
-ORDER = VIEW
+
+def _view_qos(depth: int) -> QoSProfile:
+    return QoSProfile(
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+    )
+
+
+# Cameras and orders: the newest of each view counts, and all views share the topics. An order may
+# take megabytes, and once a reader has been slow, Fast DDS keeps room for as many: a view that
+# misses its own asks again.
+VIEW = _view_qos(32)
+ORDER = _view_qos(8)

@@ -15,8 +15,10 @@ namespace {
 
 using namespace std::chrono_literals;
 
-// The newest camera and order of each view matter: as deep as a sorter serves views.
-rclcpp::QoS viewQos() { return rclcpp::QoS(rclcpp::KeepLast(32)).reliable().durability_volatile(); }
+// As in rosplat_sorter's qos.py, which says why.
+rclcpp::QoS viewQos(std::size_t depth) {
+  return rclcpp::QoS(rclcpp::KeepLast(depth)).reliable().durability_volatile();
+}
 // All of what one box of the mouse picks.
 rclcpp::QoS pickedQos() {
   return rclcpp::QoS(rclcpp::KeepLast(100)).reliable().durability_volatile();
@@ -79,11 +81,11 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   map_ = subscribe(qos_);
   status_.topic = remapped_;
   orders_ = node_->create_subscription<SplatOrder>(
-      remapped_ + "/order", viewQos(),
+      remapped_ + "/order", viewQos(8),
       [this](std::unique_ptr<SplatOrder> message) { receive(*message); }, options);
   sidecar_ = std::make_unique<SidecarSwitch>(node_, remapped_ + "/order", group_);
   view_publisher_ =
-      node_->create_publisher<rosplat_msgs::msg::ViewCamera>(remapped_ + "/view", viewQos());
+      node_->create_publisher<rosplat_msgs::msg::ViewCamera>(remapped_ + "/view", viewQos(32));
   picked_publisher_ =
       node_->create_publisher<rosplat_msgs::msg::Gaussian>(remapped_ + "/picked", pickedQos());
   watch_ = node_->create_wall_timer(
