@@ -48,6 +48,12 @@ def both(**properties: object) -> str:
     return map_display(**properties) + map_display("Other", "/other/gaussians", **properties)
 
 
+def red_and_green(rviz: Rviz) -> Iterator[tuple[int, ...]]:
+    """Row and column of what is red, and of what is green, once both are seen."""
+    picture = rviz.until(lambda s: red(s).sum() > 300 and green(s).sum() > 300)
+    return (tuple(map(int, centre(colour(picture)))) for colour in (red, green))
+
+
 @pytest.mark.parametrize("by", BY)
 def test_each_splat_is_where_it_is_whosever_it_is(
     rviz: Rviz, world: World, other: World, by: str
@@ -130,20 +136,16 @@ def test_a_click_selects_what_is_seen_whosever_it_is(
     elsewhere = disc((1, 1, 1), x=50)
     other.map.replace(concatenate([elsewhere] * 2 + [disc((1, 0, 0), x=1, z=1, sigma=0.3)]))
 
-    def both_there(picture: np.ndarray) -> bool:
-        return red(picture).sum() > 300 and green(picture).sum() > 300
-
-    picture = rviz.until(both_there)
-    spots = [tuple(map(int, centre(colour(picture)))) for colour in (red, green)]
-    rviz.click(*spots[0])
+    of_red, of_green = red_and_green(rviz)
+    rviz.click(*of_red)
     world.spin_until(lambda: picked)
     assert picked == [(other.frame, 2)]
     picked.clear()
-    rviz.click(*spots[1])
+    rviz.click(*of_green)
     world.spin_until(lambda: picked)
     assert picked == [(world.frame, 1)]
     picked.clear()
-    rviz.drag((spots[1][0] - 30, spots[1][1] - 30), (spots[0][0] + 30, spots[0][1] + 30))
+    rviz.drag((of_green[0] - 30, of_green[1] - 30), (of_red[0] + 30, of_red[1] + 30))
     world.spin_until(lambda: len(picked) == 2)
     assert set(picked) == {(other.frame, 2), (world.frame, 1)}
 
@@ -167,8 +169,7 @@ def test_what_is_selected_of_a_map_goes_with_its_display(
 
         world.spin_until(found)
 
-    picture = rviz.until(lambda s: red(s).sum() > 300 and green(s).sum() > 300)
-    left, right = (tuple(map(int, centre(colour(picture)))) for colour in (green, red))
+    right, left = red_and_green(rviz)
     rviz.drag((left[0] - 30, left[1] - 30), (right[0] + 30, right[1] + 30))
     selected(0, 1)
     rviz.drag(left, (left[0] + 1, left[1] + 1), hold="ctrl")
