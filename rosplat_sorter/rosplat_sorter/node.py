@@ -12,7 +12,7 @@ import time
 import rclpy
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -132,9 +132,12 @@ def main() -> None:
     signal.signal(signal.SIGINT, lambda *_: None)
     try:
         rclpy.init()
+        # First: where ROS has ended, rclpy (up to Jazzy) prints a traceback in place of making one.
+        executor = SingleThreadedExecutor()
         node = SorterNode()
         try:
-            rclpy.spin(node)
+            executor.add_node(node)
+            executor.spin()
         finally:
             node.destroy_node()
     except ExternalShutdownException:

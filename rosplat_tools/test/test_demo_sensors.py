@@ -63,7 +63,7 @@ def spin_some(node: Node) -> Iterator[Callable[[], None]]:
     executor.shutdown()
 
 
-def until(spin_some: Callable[[], None], done: Callable[[], bool], seconds: float = 20) -> None:
+def until(spin_some: Callable[[], None], done: Callable[[], bool], seconds: float = 60) -> None:
     deadline = time.monotonic() + seconds
     while not done():
         assert time.monotonic() < deadline, "nothing came"
