@@ -451,7 +451,9 @@ TEST(CpuRasterizer, rounds_to_bytes) {
   values.insert(values.end(), 9, 0.1f);  // more than a vector, and some
   std::vector<std::uint8_t> expected = {0, 255, 0, 255, 1, 0, 254, 153};
   expected.insert(expected.end(), 9, 26);
-  EXPECT_EQ(toBytes(values), expected);
+  std::vector<std::uint8_t> bytes(values.size());
+  toBytes(values.data(), values.size(), bytes.data());
+  EXPECT_EQ(bytes, expected);
 }
 
 TEST(HostSlots, hold_what_was_written_last) {

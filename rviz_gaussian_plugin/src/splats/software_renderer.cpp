@@ -200,7 +200,7 @@ std::vector<double> SoftwareRenderer::depthsShown(const std::vector<ViewedMap>& 
   if (!map) return {};
   const SplatCamera& camera = map->camera;
   const SplatCamera in_first = inFirst(*shown.request, *map->map, camera);
-  std::vector<double> depths = shown.surface.seenBy(in_first, least_alpha);
+  std::vector<double> depths = shown.surface.seenBy(in_first, shown.colour.values, least_alpha);
   for (std::size_t i = 0; i < depths.size() && !scene_depth.empty(); ++i) {
     const double ndc =
         (camera.ndc_scale * depths[i] + camera.ndc_offset) / (camera.orthographic ? 1 : depths[i]);

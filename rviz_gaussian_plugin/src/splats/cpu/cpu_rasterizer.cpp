@@ -223,11 +223,8 @@ std::size_t CpuRasterizer::bytes() const {
   return bytes;
 }
 
-std::vector<std::uint8_t> toBytes(const std::vector<float>& values) {
-  std::vector<std::uint8_t> bytes(values.size());
-  kernelsFor(CpuRasterizer::Instructions::kBest)
-      .toBytes(values.data(), values.size(), bytes.data());
-  return bytes;
+void toBytes(const float* values, std::size_t count, std::uint8_t* bytes) {
+  kernelsFor(CpuRasterizer::Instructions::kBest).toBytes(values, count, bytes);
 }
 
 }  // namespace rosplat

@@ -132,6 +132,6 @@ class CpuRasterizer {
 };
 
 // Values of 0 to 1 as bytes, rounded; what is beyond is clamped.
-std::vector<std::uint8_t> toBytes(const std::vector<float>& values);
+void toBytes(const float* values, std::size_t count, std::uint8_t* bytes);
 
 }  // namespace rosplat

@@ -1,9 +1,9 @@
 #pragma once
 
-#include <array>
+#include <cstdint>
+#include <utility>
 #include <vector>
 
-#include "cpu/cpu_rasterizer.hpp"
 #include "map/splat_camera.hpp"
 
 namespace rosplat {
@@ -12,24 +12,19 @@ namespace rosplat {
 class PaintedSurface {
  public:
   PaintedSurface() = default;
-  // Of a picture with its mean depth, and the camera that sees it.
-  PaintedSurface(const SplatCamera& camera, const SplatPicture& picture);
+  // Of a picture's mean depths, and the camera that sees it.
+  PaintedSurface(const SplatCamera& camera, std::vector<float> depths)
+      : camera_(camera), depths_(std::move(depths)) {}
 
   // How deep they are in the middle of each pixel of a camera's picture, top row first [m]; NaN
-  // where they cover less than so much of it. Of the camera of the picture, or a part of that,
-  // exactly.
-  std::vector<double> seenBy(const SplatCamera& camera, float least_alpha) const;
+  // where they cover less than so much of it, by the picture as bytes. Of the camera of the
+  // picture, or a part of that, exactly.
+  std::vector<double> seenBy(const SplatCamera& camera, const std::vector<std::uint8_t>& rgba,
+                             float least_alpha) const;
 
  private:
-  struct Pixel {
-    float alpha, depth;  // [m]
-  };
-
-  // Of what hides a point, or is there.
-  double depthOf(const std::array<double, 3>& point, float least_alpha) const;
-
   SplatCamera camera_;
-  std::vector<Pixel> pixels_;
+  std::vector<float> depths_;
 };
 
 }  // namespace rosplat

@@ -1,8 +1,10 @@
 #include "cpu/painter.hpp"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <new>
 #include <set>
@@ -24,27 +26,78 @@ double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
+using Cover = PictureMesh::Cover;
+
+PictureMesh::Cells cellsOf(const std::vector<std::uint8_t>& rgba, int width, int height) {
+  return PictureMesh::cells(width, height, [&rgba](std::size_t first, std::size_t count) {
+    std::uint32_t all = ~0u, some = 0;
+    for (std::size_t i = first; i < first + count; ++i) {
+      std::uint32_t pixel;
+      std::memcpy(&pixel, &rgba[4 * i], sizeof(pixel));
+      all &= pixel;
+      some |= pixel;
+    }
+    std::array<std::uint8_t, 4> of_all, of_some;
+    std::memcpy(&of_all, &all, sizeof(all));
+    std::memcpy(&of_some, &some, sizeof(some));
+    return of_all[3] == 255 ? Cover::kAll : of_some[3] > 0 ? Cover::kSome : Cover::kNothing;
+  });
+}
+
 // As bytes. What is brighter than white stays white when it is laid over something.
-PaintedLayer<std::uint8_t> colourLayer(const std::vector<float>& rgba, int width, int height) {
+PaintedLayer<std::uint8_t> colourLayer(const SplatPicture& picture) {
   PaintedLayer<std::uint8_t> layer;
-  if (rgba.empty()) return layer;
-  layer.values = toBytes(rgba);
-  layer.cells = PictureMesh::cells(
-      width, height, [&bytes = layer.values](std::size_t pixel) { return bytes[4 * pixel + 3]; });
+  layer.values.resize(picture.colour.size());
+  toBytes(picture.colour.data(), picture.colour.size(), layer.values.data());
+  layer.cells = cellsOf(layer.values, picture.width, picture.height);
   return layer;
 }
 
-// The mean window depth of what is more opaque than not, 1 elsewhere.
-PaintedLayer<float> hidingLayer(const std::vector<float>& nearness, int width, int height) {
+// Calls each(first pixel, count) for the rows of pixels of each divided tile.
+template <typename Each>
+void forDivided(const SplatPicture& picture, const Each& each) {
+  constexpr int kTile = PictureMesh::kCell;
+  const int across = (picture.width + kTile - 1) / kTile;
+  for (std::size_t tile = 0; tile < picture.divided.size(); ++tile) {
+    if (!picture.divided[tile]) continue;
+    const int left = kTile * (int(tile) % across), top = kTile * (int(tile) / across);
+    const auto count = std::size_t(std::min(kTile, picture.width - left));
+    for (int y = top; y < std::min(top + kTile, picture.height); ++y) {
+      each(std::size_t(y) * std::size_t(picture.width) + std::size_t(left), count);
+    }
+  }
+}
+
+// What is behind translucent objects, as bytes.
+PaintedLayer<std::uint8_t> behindLayer(const SplatPicture& picture) {
+  PaintedLayer<std::uint8_t> layer;
+  if (picture.behind.empty()) return layer;
+  layer.values.resize(picture.behind.size());
+  forDivided(picture, [&](std::size_t first, std::size_t count) {
+    toBytes(&picture.behind[4 * first], 4 * count, &layer.values[4 * first]);
+  });
+  layer.cells = cellsOf(layer.values, picture.width, picture.height);
+  return layer;
+}
+
+// The mean window depth of what is more opaque than not there, 1 elsewhere.
+PaintedLayer<float> hidingLayer(const SplatPicture& picture) {
   PaintedLayer<float> layer;
+  const std::vector<float>& nearness = picture.nearness;
   if (nearness.empty()) return layer;
   std::vector<float>& depths = layer.values;
   depths.assign(nearness.size() / 2, 1.0f);
-  for (std::size_t i = 0; i < depths.size(); ++i) {
-    if (nearness[2 * i + 1] >= 0.5f) depths[i] = 1.0f - nearness[2 * i] / nearness[2 * i + 1];
-  }
+  forDivided(picture, [&](std::size_t first, std::size_t count) {
+    for (std::size_t i = first; i < first + count; ++i) {
+      if (nearness[2 * i + 1] >= 0.5f) depths[i] = 1.0f - nearness[2 * i] / nearness[2 * i + 1];
+    }
+  });
   layer.cells = PictureMesh::cells(
-      width, height, [&depths](std::size_t pixel) { return depths[pixel] < 1 ? 1 : 0; });
+      picture.width, picture.height, [&depths](std::size_t first, std::size_t count) {
+        const float* const in_row = &depths[first];
+        const bool some = std::count_if(in_row, in_row + count, [](float d) { return d < 1; }) > 0;
+        return some ? Cover::kSome : Cover::kNothing;
+      });
   return layer;
 }
 
@@ -352,12 +405,12 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiti
     }
     painting->profile = picture_.profile;
     if (asked.window) {
-      const int width = picture_.width, height = picture_.height;
       painting->mesh = PictureMesh(asked.camera(), picture_);
-      painting->surface = PaintedSurface(asked.camera(), picture_);
-      painting->colour = colourLayer(picture_.colour, width, height);
-      painting->behind = colourLayer(picture_.behind, width, height);
-      painting->hiding = hidingLayer(picture_.nearness, width, height);
+      painting->colour = colourLayer(picture_);
+      painting->behind = behindLayer(picture_);
+      painting->hiding = hidingLayer(picture_);
+      painting->surface = PaintedSurface(
+          asked.camera(), asked.asynchronous() ? std::move(picture_.depth) : picture_.depth);
     }
     if (!asked.asynchronous()) painting->picture = std::exchange(picture_, {});
   } catch (const PictureError& error) {

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <numeric>
 
 namespace rosplat {
 
@@ -56,20 +57,27 @@ PictureMesh::PictureMesh(const SplatCamera& camera, const SplatPicture& picture)
   std::vector<float> weights(corners, 0.0f);
   for (int row = 0; row + 1 < rows_; ++row) {
     for (int column = 0; column + 1 < columns_; ++column) {
-      float sum = 0, weight = 0;
+      const auto cell = static_cast<std::size_t>(row * (columns_ - 1) + column);
+      const bool divided = !picture.divided.empty() && picture.divided[cell];
+      const int across = std::min(kCell, camera.width - kCell * column);
+      std::array<float, kCell> alphas, sums{}, weights_of{};  // by column, for vectors of them
       for (int y = kCell * row; y < std::min(kCell * (row + 1), camera.height); ++y) {
-        for (int x = kCell * column; x < std::min(kCell * (column + 1), camera.width); ++x) {
-          const std::size_t pixel =
-              static_cast<std::size_t>(y) * static_cast<std::size_t>(camera.width) +
-              static_cast<std::size_t>(x);
-          float alpha = picture.colour[4 * pixel + 3];
-          if (!picture.behind.empty()) alpha += picture.behind[4 * pixel + 3];
-          const float depth = picture.depth[pixel];
-          if (!(alpha > 0) || std::isnan(depth)) continue;
-          sum += alpha * (camera.orthographic ? depth : 1 / depth);
-          weight += alpha;
+        const std::size_t first =
+            static_cast<std::size_t>(y) * static_cast<std::size_t>(camera.width) +
+            static_cast<std::size_t>(kCell * column);
+        const float* const depths = &picture.depth[first];
+        for (int x = 0; x < across; ++x) alphas[x] = picture.colour[4 * (first + x) + 3];
+        for (int x = 0; divided && x < across; ++x)
+          alphas[x] += picture.behind[4 * (first + x) + 3];
+        for (int x = 0; x < across; ++x) {
+          const float value = camera.orthographic ? depths[x] : 1 / depths[x];
+          const bool there = alphas[x] > 0 && !std::isnan(depths[x]);
+          sums[x] += there ? alphas[x] * value : 0;
+          weights_of[x] += there ? alphas[x] : 0;
         }
       }
+      const float sum = std::accumulate(sums.begin(), sums.end(), 0.0f);
+      const float weight = std::accumulate(weights_of.begin(), weights_of.end(), 0.0f);
       for (const int corner : {0, 1, columns_, columns_ + 1}) {
         const auto at = static_cast<std::size_t>(row * columns_ + column + corner);
         depths_[at] += sum;

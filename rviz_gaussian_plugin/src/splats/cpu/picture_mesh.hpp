@@ -37,9 +37,9 @@ class PictureMesh {
   // Of a picture with its mean depth, and the camera that sees it.
   PictureMesh(const SplatCamera& camera, const SplatPicture& picture);
 
-  // Of a picture, given by how opaque a pixel is: from 0 to 255.
-  template <typename Opacity>
-  static Cells cells(int width, int height, const Opacity& opacity);
+  // Of a picture, given by cover(first pixel, count) of pixels in a row.
+  template <typename CoverOf>
+  static Cells cells(int width, int height, const CoverOf& cover);
 
   // As a camera of the same map sees it.
   View seenBy(const SplatCamera& camera) const;
@@ -50,27 +50,28 @@ class PictureMesh {
   std::vector<float> depths_;   // of corners [m]; of perspective cameras one over it
 };
 
-template <typename Opacity>
-PictureMesh::Cells PictureMesh::cells(int width, int height, const Opacity& opacity) {
+template <typename CoverOf>
+PictureMesh::Cells PictureMesh::cells(int width, int height, const CoverOf& cover) {
   // One pixel more around it, which a cell that has moved blends with its own.
-  const auto coverOf = [&](int left, int top) {
-    bool some = false, all = true;
-    for (int y = std::max(top - 1, 0); y < std::min(top + kCell + 1, height); ++y) {
-      for (int x = std::max(left - 1, 0); x < std::min(left + kCell + 1, width); ++x) {
-        const int is = opacity(static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
-                               static_cast<std::size_t>(x));
-        some = some || is > 0;
-        all = all && is == 255;
-      }
-      if (some && !all) break;
+  const auto coverAt = [&](int left, int top) {
+    const int first = std::max(left - 1, 0), last = std::min(left + kCell + 1, width);
+    const auto inRow = [&](int y) {
+      return cover(static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
+                       static_cast<std::size_t>(first),
+                   static_cast<std::size_t>(last - first));
+    };
+    int y = std::max(top - 1, 0);
+    const Cover found = inRow(y);
+    for (++y; y < std::min(top + kCell + 1, height) && found != Cover::kSome; ++y) {
+      if (inRow(y) != found) return Cover::kSome;
     }
-    return all ? Cover::kAll : some ? Cover::kSome : Cover::kNothing;
+    return found;
   };
   const int columns = (width + kCell - 1) / kCell, rows = (height + kCell - 1) / kCell;
   std::vector<Cover> inside;
   for (int row = 0; row < rows; ++row) {
     for (int column = 0; column < columns; ++column) {
-      inside.push_back(coverOf(kCell * column, kCell * row));
+      inside.push_back(coverAt(kCell * column, kCell * row));
     }
   }
   Cells cells;
