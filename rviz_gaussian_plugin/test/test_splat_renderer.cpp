@@ -958,6 +958,26 @@ TEST_F(SplatRendererTest, KeepsABudgetOfAPictureThatIsWaitedFor) {
   EXPECT_EQ(scene.report("view").error, 0);
 }
 
+// What is drawn corrects what is wanted next: the error comes to rest all the same.
+TEST_F(SplatRendererTest, KeepsTheErrorOfABudgetAtRest) {
+  SplatScene scene(shaders());
+  Splats splats;
+  addWall(splats, 40000, 3);
+  scene.apply(splats.batch(1, {}));
+  cutPicture(scene, detailed("1px", Rasterizer::kTiles), "waited");  // for levels to be there
+  for (const char* most : {"1500", "5k", "10k"}) {
+    RenderSettings settings = detailed(most, Rasterizer::kTiles);
+    settings.asynchronous = true;
+    std::vector<double> errors;
+    for (int frame = 0; frame < 20; ++frame) {
+      cutPicture(scene, settings, most);
+      errors.push_back(scene.report(most).error);
+    }
+    EXPECT_GT(errors.back(), 0) << most;
+    EXPECT_EQ(std::count(errors.end() - 10, errors.end(), errors.back()), 10) << most;
+  }
+}
+
 TEST_F(SplatRendererTest, FindsTheErrorOfAFrameTime) {
   SplatScene scene(shaders());
   Splats splats;
