@@ -62,7 +62,7 @@ void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages
   while (i < pages.size() && most_pages > 0) {
     std::size_t count = 1;
     if (store.holds(pages[i])) {
-      PackedRun run = store.read(i, std::min(most_pages, kPagesAtOnce));
+      PackedRun run = store.read(i, std::min(most_pages, kPagesAtOnce), builder_.spare());
       count = run.slots.size() / (kSlotWords * SlotPage::kSlots);
       builder_.apply(std::move(run), now);
     }

@@ -117,7 +117,7 @@ void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_
   }
 }
 
-PackedRun SlotStore::read(std::size_t first, std::size_t most) const {
+PackedRun SlotStore::read(std::size_t first, std::size_t most, PackedRun run) const {
   const std::vector<SlotPage>& all = pages_.pages();
   const SlotPage& page = all[first];
   const Place place = placeOf(page);
@@ -138,7 +138,9 @@ PackedRun SlotStore::read(std::size_t first, std::size_t most) const {
     copy.copy(from, place.page * SlotPage::kSlots * of_slot * kWord, to.size() * kWord);
     copy.read(0, to.data(), to.size() * kWord);
   };
-  PackedRun run{pages_.groupOf(page), page.first_slot, shDegree(), {}, {}, {}};
+  run.group = pages_.groupOf(page);
+  run.first_slot = page.first_slot;
+  run.sh_degree = shDegree();
   values(arena.slots, kSlotWords, run.slots);
   for (int band = 1; band <= shDegree(); ++band) {
     values(arena.bands[band], static_cast<std::size_t>(kBandWords[band]), run.bands[band]);

@@ -30,8 +30,8 @@ class SlotStore {
   Place placeOf(const SlotPage& page) const { return arenas_.placeOf(page.place); }
   const std::vector<Arena>& arenas() const { return arenas_.arenas(); }
   // What is in pages()[first] and its neighbours in the same arena, so many of them at most. Waits
-  // for the graphics card.
-  PackedRun read(std::size_t first, std::size_t most) const;
+  // for the graphics card. run: memory to use again.
+  PackedRun read(std::size_t first, std::size_t most, PackedRun run = {}) const;
 
   // Says at which levels of detail the slots of a page enter these; what is written anew enters
   // none.

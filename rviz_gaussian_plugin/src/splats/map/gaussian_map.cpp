@@ -7,6 +7,7 @@
 #include <optional>
 #include <string>
 
+#include "map/in_parts.hpp"
 #include "map/payload.hpp"
 #include "rosplat_sorter/payload.hpp"
 
@@ -347,7 +348,7 @@ void GaussianMap::checkBlocks(const SlotSet& used, const SlotRuns& runs,
   }
 }
 
-GaussianEdit editOf(PackedRun run) {
+GaussianEdit editOf(PackedRun run, rosplat_sorter::ThreadTeam* team) {
   GaussianEdit edit;
   const std::size_t count = run.slots.size() / kSlotWords;
   edit.group = run.group.number;
@@ -359,13 +360,18 @@ GaussianEdit editOf(PackedRun run) {
   edit.channels = std::move(run.channels);
   edit.positions.resize(3 * count);
   edit.extents.resize(count);
-  for (std::size_t i = 0; i < count; ++i) {
-    std::uint32_t* const slot = &edit.slots[kSlotWords * i];
-    slot[kChangeWord] &= 0xffffu;
-    if (slot[3] & 0xffffu) edit.capacity = run.first_slot + static_cast<std::uint32_t>(i) + 1;
-    std::memcpy(&edit.positions[3 * i], slot, 3 * sizeof(float));
-    edit.extents[i] = extentOf(slotOpacity(slot), largestScale(slot));
-  }
+  constexpr std::size_t kPart = 4096;
+  inParts(team, (count + kPart - 1) / kPart, [&](std::size_t part) {
+    for (std::size_t i = kPart * part; i < std::min(count, kPart * (part + 1)); ++i) {
+      std::uint32_t* const slot = &edit.slots[kSlotWords * i];
+      slot[kChangeWord] &= 0xffffu;
+      std::memcpy(&edit.positions[3 * i], slot, 3 * sizeof(float));
+      edit.extents[i] = extentOf(slotOpacity(slot), largestScale(slot));
+    }
+  });
+  std::size_t used = count;  // up to the last that is
+  while (used > 0 && (edit.slots[kSlotWords * (used - 1) + 3] & 0xffffu) == 0) --used;
+  if (used > 0) edit.capacity = run.first_slot + static_cast<std::uint32_t>(used);
   return edit;
 }
 

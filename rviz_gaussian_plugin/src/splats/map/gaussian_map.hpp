@@ -16,6 +16,10 @@
 #include "map/packed_slot.hpp"
 #include "map/slot_set.hpp"
 
+namespace rosplat_sorter {
+class ThreadTeam;
+}
+
 namespace rosplat {
 
 constexpr std::uint32_t kMaxSlots = 1u << 25;  // as GaussianArray.MAX_SLOTS
@@ -51,8 +55,8 @@ struct PackedRun {
   std::array<std::vector<float>, kMostChannels> channels;          // the same
 };
 
-// An edit that writes them to a map that lacks them.
-GaussianEdit editOf(PackedRun run);
+// An edit that writes them to a map that lacks them. team: helps.
+GaussianEdit editOf(PackedRun run, rosplat_sorter::ThreadTeam* team = nullptr);
 // An edit that places groups where they are.
 GaussianEdit editOf(const Groups& groups);
 

@@ -47,11 +47,20 @@ std::uint64_t LevelBuilder::apply(PackedRun run, double now) {
   return push({nullptr, std::move(run), now, 0});
 }
 
+PackedRun LevelBuilder::spare() {
+  const std::lock_guard lock(mutex_);
+  if (spare_.empty()) return {};
+  PackedRun run = std::move(spare_.back());
+  spare_.pop_back();
+  return run;
+}
+
 void LevelBuilder::expectMore(bool more) {
   {
     const std::lock_guard lock(mutex_);
     more_ = more;
     complete_ = !more;
+    if (!more) spare_.clear();
   }
   wake_.notify_one();
 }
@@ -107,37 +116,39 @@ void LevelBuilder::run() {
   }
 }
 
-// Some of what waits, as edits.
-std::vector<LevelBuilder::Waiting> LevelBuilder::takeSome() {
-  std::vector<Waiting> some;
-  {
-    const std::lock_guard lock(mutex_);
-    const std::size_t count = stop_ ? 0 : std::min<std::size_t>(waiting_.size(), team_->size());
-    for (std::size_t i = 0; i < count; ++i) {
-      some.push_back(std::move(waiting_.front()));
-      waiting_.pop_front();
-      if (some.back().edit && some.back().edit->clear) update_.reset();
-    }
-  }
-  inParts(team_.get(), some.size(), [&some](std::size_t i) {
-    Waiting& of = some[i];
-    if (!of.edit) of.edit = std::make_shared<const GaussianEdit>(editOf(std::move(of.run)));
-  });
-  return some;
+// Of what waits.
+std::optional<LevelBuilder::Waiting> LevelBuilder::takeNext() {
+  const std::lock_guard lock(mutex_);
+  if (stop_ || waiting_.empty()) return {};
+  Waiting next = std::move(waiting_.front());
+  waiting_.pop_front();
+  if (next.edit && next.edit->clear) update_.reset();
+  return next;
 }
 
-// Takes what waits into the slots, and that into the nodes, until more waits.
+// Into the slots.
+void LevelBuilder::take(const GaussianEdit& edit, const Waiting& as) {
+  if (edit.clear) levels_.clear();
+  taken_ = as.number;
+  slots_.apply(edit, as.now, team_.get());
+  levels_.mark(slots_, edit.runs);
+}
+
+// Takes what waits, and that into the nodes, until more waits.
 void LevelBuilder::build() {
-  while (true) {
-    std::vector<Waiting> some = takeSome();
-    if (some.empty()) break;
-    for (Waiting& of : some) {
-      if (of.edit->clear) levels_.clear();
-      taken_ = of.number;
-      slots_.apply(*of.edit, of.now, team_.get());
-      levels_.mark(slots_, of.edit->runs);
-      of.edit.reset();
+  while (std::optional<Waiting> next = takeNext()) {
+    if (next->edit) {
+      take(*next->edit, *next);
+      continue;
     }
+    GaussianEdit edit = editOf(std::move(next->run), team_.get());
+    take(edit, *next);
+    const std::lock_guard lock(mutex_);
+    if (!more_) continue;
+    spare_.emplace_back();
+    spare_.back().slots = std::move(edit.slots);
+    spare_.back().bands = std::move(edit.bands);
+    spare_.back().channels = std::move(edit.channels);
   }
   {
     const std::lock_guard lock(mutex_);

@@ -8,6 +8,7 @@
 #include <deque>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <utility>
@@ -49,6 +50,8 @@ class LevelBuilder {
   // `change` in packed_slot.hpp.
   std::uint64_t apply(std::shared_ptr<const GaussianEdit> edit, double now);
   std::uint64_t apply(PackedRun run, double now);
+  // Memory for the next run: that of one that was taken, if there is any.
+  PackedRun spare();
   // Whether more of the map is to come, before which nodes aren't worth the work.
   void expectMore(bool more);
   // What has changed since it was asked last; null where nothing has. wait: until the nodes hold
@@ -69,7 +72,8 @@ class LevelBuilder {
   std::uint64_t push(Waiting&& edit);
   void run();
   void build();
-  std::vector<Waiting> takeSome();
+  std::optional<Waiting> takeNext();
+  void take(const GaussianEdit& edit, const Waiting& as);
   void handOver(const std::vector<std::uint32_t>& changed);
 
   mutable std::mutex mutex_;  // what follows
@@ -77,6 +81,7 @@ class LevelBuilder {
   bool stop_ = false, busy_ = false;
   bool more_ = false, complete_ = false;  // complete: since nodes were made last
   std::deque<Waiting> waiting_;
+  std::vector<PackedRun> spare_;  // while more of the map is to come
   std::uint64_t applied_ = 0;
   std::unique_ptr<LevelsUpdate> update_;
   std::string error_;

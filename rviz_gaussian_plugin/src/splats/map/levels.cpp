@@ -345,8 +345,7 @@ void Levels::nextLevel() {
   for (const Piece& piece : job.pieces) {
     Pages& pages = job.pages[std::size_t(job.level)];
     pages.insert(pages.end(), piece.pages.begin(), piece.pages.end());
-    if (job.level + 1 == kLevels) continue;
-    for (const Cell cell : piece.touched) append(touched, parentOf(cell));
+    touched.insert(touched.end(), piece.parents.begin(), piece.parents.end());
   }
   job.pieces.clear();
   job.touched.clear();
@@ -375,7 +374,7 @@ void Levels::nextLevel() {
   for (std::size_t i = 0; i + 1 < begins.size(); ++i) {
     const auto from = next;
     while (next != touched.end() && *next < begins[i + 1]) ++next;
-    job.pieces.push_back({begins[i], begins[i + 1], {from, next}, {}});
+    job.pieces.push_back({begins[i], begins[i + 1], {from, next}, {}, {}});
     const bool whole = page != old.end() && (*page)->cells.front() == begins[i];
     if (from != next || (whole && (*page)->cells.back() >= begins[i + 1])) {
       job.touched.push_back(i);
@@ -410,6 +409,9 @@ void Levels::make(const HostSlots& slots, std::size_t count) {
   inParts(team_.get(), count, [&](std::size_t i) {
     fill(piece(i), made[i], slots.shDegree());
     made[i] = {};
+    piece(i).parents.clear();
+    if (job.level + 1 == kLevels) return;
+    for (const Cell cell : piece(i).touched) append(piece(i).parents, parentOf(cell));
   });
   job.done += count;
 }
@@ -426,6 +428,9 @@ Levels::Made Levels::nodesOf(const HostSlots& slots, const Piece& piece, std::si
   auto change = changesFrom(job_->changes, first);
   SlotFinder found(slots);
   Made made;
+  made.cells.reserve(end - begin);
+  made.packed.reserve(end - begin);
+  made.ends.reserve(end - begin);
   for (std::size_t i = begin; i < end; ++i) {
     const Cell cell = piece.touched[i];
     const std::size_t before = made.members.size();

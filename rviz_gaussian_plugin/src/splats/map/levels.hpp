@@ -118,7 +118,8 @@ class Levels {
   struct Piece {
     Cell begin, end;
     std::vector<Cell> touched;
-    Pages pages;  // what it becomes
+    Pages pages;                // what it becomes
+    std::vector<Cell> parents;  // of what is touched
   };
   // Nodes of some touched cells.
   struct Made {
