@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.slot_pages import PAGES, SLOTS_PER_PAGE, slots_of
-from rosplat_tools.slot_map import Group, SlotMap
+from rosplat_sorter.slot_pages import PAGES, SLOTS_PER_PAGE, SlotPages
+from rosplat_tools.slot_map import Group, SlotMap, as_index
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,29 +24,33 @@ class Changed:
 
 
 class MapChanges:
-    """The revision of the last change to each page of slots, and to each group's pose.
+    """The revision of the last change to each slot, and to each group's pose.
 
     Knows a map since a REPLACE, whose revision is `begun`: older clients need all of it.
     """
 
     def __init__(self, begun: int = 0) -> None:
         self.begun = begun
-        self._written = np.zeros(PAGES, np.uint64)
+        self._pages = SlotPages()
+        self._changed = np.zeros(0, np.uint32)  # of each row; no map sees 2^32 edits
         self._regrouped = np.zeros(PAGES, np.uint64)
         self._groups = np.full(PAGES, -1, np.int32)  # of each page, -1 before any
         self._placed: dict[int, int] = {}
 
     def write(self, slots: range | NDArray[np.integer], revision: int, group: int) -> None:
         """Notes that splats of a group were written."""
-        pages = _pages(slots)
+        pages = self._pages.touched(as_index(slots))
+        self._pages.add(pages, 0)
+        if self._pages.rows > len(self._changed):
+            self._changed.resize(max(self._pages.rows, len(self._changed) * 9 // 8), refcheck=False)
         others = (self._groups[pages] >= 0) & (self._groups[pages] != group)
         self._regrouped[pages[others]] = revision
         self._groups[pages] = group
-        self._written[pages] = revision
+        self.clear(slots, revision)
 
     def clear(self, slots: range | NDArray[np.integer], revision: int) -> None:
         """Notes that slots were emptied."""
-        self._written[_pages(slots)] = revision
+        self._changed[self._pages.find(as_index(slots))] = revision
 
     def place(self, groups: list[int], revision: int) -> None:
         """Notes that groups were placed."""
@@ -62,25 +66,25 @@ class MapChanges:
         As many pages as take most_bytes, but one at least. For a client that has nothing, after 0,
         no slots are emptied.
         """
-        used = slot_map.used_by_page()
-        wanted = (used >= 0) & (self._written > after) if after else used > 0
-        pages = np.flatnonzero(wanted[first_page:]) + first_page
-        sizes = used[pages] * slot_map.splat_bytes
-        if after:
-            sizes += 4 * (SLOTS_PER_PAGE - used[pages])
-        some = max(1, int(np.searchsorted(np.cumsum(sizes), most_bytes, "right")))
-        next_page = int(pages[some]) if some < len(pages) else 0
-        pages = pages[:some]
-        emptied = np.zeros(0, np.uint32)
-        if after:
-            regrouped = slots_of(pages[self._regrouped[pages] > after])
-            emptied = np.union1d(slot_map.unused(pages), regrouped).astype(np.uint32)
-        return Changed(emptied, slot_map.groups(pages), next_page)
+        newest = self._changed[: self._pages.rows].reshape(-1, SLOTS_PER_PAGE).max(axis=1)
+        pages = np.sort(self._pages.first_slots[newest > after]) // SLOTS_PER_PAGE
+        emptied, filled = [_NO_SLOTS], [_NO_SLOTS]
+        size = next_page = 0
+        for page in pages[pages >= first_page].tolist():
+            slots = np.arange(page * SLOTS_PER_PAGE, (page + 1) * SLOTS_PER_PAGE, dtype=np.uint32)
+            changed = self._changed[self._pages.find(slots)] > after
+            in_use = slot_map.used(slots)
+            to_fill = slots[changed & in_use]
+            to_empty = slots[(changed & ~in_use) | (self._regrouped[page] > after)]
+            size += len(to_fill) * slot_map.splat_bytes
+            size += to_empty.nbytes if after else 0
+            if size > most_bytes and len(filled) > 1:
+                next_page = page
+                break
+            filled.append(to_fill)
+            emptied.append(to_empty)
+        groups = slot_map.groups(np.concatenate(filled))
+        return Changed(np.concatenate(emptied if after else [_NO_SLOTS]), groups, next_page)
 
 
-def _pages(slots: range | NDArray[np.integer]) -> NDArray[np.intp]:
-    if not len(slots):
-        return np.zeros(0, np.intp)
-    if isinstance(slots, range):
-        return np.arange(slots.start // SLOTS_PER_PAGE, (slots.stop - 1) // SLOTS_PER_PAGE + 1)
-    return np.flatnonzero(np.bincount(slots // SLOTS_PER_PAGE))
+_NO_SLOTS = np.zeros(0, np.uint32)

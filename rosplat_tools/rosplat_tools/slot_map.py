@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rosplat_sorter.channels import joined
 from rosplat_sorter.edits import is_usable
 from rosplat_sorter.payload import Arrays
-from rosplat_sorter.slot_pages import PAGES, SLOTS_PER_PAGE, SlotPages, slots_of
+from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, SlotPages
 from rosplat_tools.splats import Splats, concatenate, sh_coefficients
 
 
@@ -60,18 +60,10 @@ class SlotMap:
         """Memory that a splat takes. [bytes]"""
         return self._arrays.nbytes // max(1, len(self._used))
 
-    def used_by_page(self) -> NDArray[np.int64]:
-        """How many slots are in use of each page, -1 where none ever was, int64 (PAGES,)."""
-        counts = np.full(PAGES, -1)
-        used = self._used[: self._pages.rows].reshape(-1, SLOTS_PER_PAGE)
-        counts[self._pages.first_slots // SLOTS_PER_PAGE] = np.count_nonzero(used, axis=1)
-        return counts
-
-    def unused(self, pages: NDArray[np.integer]) -> NDArray[np.integer]:
-        """The slots that are not in use of some pages that were written once."""
-        slots = slots_of(pages)
-        unused: NDArray[np.integer] = slots[~self._used[self._pages.find(slots)]]
-        return unused
+    def used(self, slots: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Which of some slots, of pages that were written once, are in use."""
+        used: NDArray[np.bool_] = self._used[self._pages.find(slots)]
+        return used
 
     def write(self, slots: range | NDArray[np.integer], splats: Splats, group: int = 0) -> int:
         """Puts the i-th splat into the i-th slot, in use or not; returns how many are left out.
@@ -85,7 +77,7 @@ class SlotMap:
         begins = not len(self._pages)
         if not begins and splats.antialiased != self._arrays.antialiased:
             raise ValueError("can't mix antialiased splats with others: they are drawn differently")
-        into = _index(slots)
+        into = as_index(slots)
         pages = self._pages.touched(into)
         self._pages.check(pages, group, lambda rows: self._used[rows].any())
         channels = joined(tuple(self._arrays.channels), tuple(splats.channels))
@@ -118,18 +110,18 @@ class SlotMap:
 
     def clear(self, slots: range | NDArray[np.integer]) -> None:
         """Empties slots; those beyond the map are empty already."""
-        self._used[self._pages.find(_index(slots))] = False
+        self._used[self._pages.find(as_index(slots))] = False
 
-    def groups(self, pages: NDArray[np.integer] | None = None) -> list[Group]:
+    def groups(self, slots: NDArray[np.integer] | None = None) -> list[Group]:
         """A copy of the slots in use, ascending in each group, and of what is in them.
 
-        Of some pages, if given. In the groups' own frames. There is always a first group, empty
+        Of some slots, if given. In the groups' own frames. There is always a first group, empty
         where there are no splats.
         """
-        if pages is None:
+        if slots is None:
             rows = np.flatnonzero(self._used)
         else:
-            rows = self._pages.find(slots_of(pages))
+            rows = self._pages.find(slots)
             rows = rows[self._used[rows]]
         slots = self._pages.slots(rows)
         of = self._pages.groups_of(rows)
@@ -198,5 +190,6 @@ def _in_short(slots: NDArray[np.uint32]) -> range | NDArray[np.uint32]:
     return range(first, end) if end - first == len(slots) else slots
 
 
-def _index(slots: range | NDArray[np.integer]) -> slice | NDArray[np.integer]:
+def as_index(slots: range | NDArray[np.integer]) -> slice | NDArray[np.integer]:
+    """Slots as arrays are indexed by them."""
     return slice(slots.start, slots.stop) if isinstance(slots, range) else slots

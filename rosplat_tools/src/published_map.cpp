@@ -397,6 +397,7 @@ std::size_t PublishedMap::write(const Slots& slots, const Splats& splats, int sh
     map_.used += usable;
     map_.used -= page->used[at];
     page->used[at] = usable;
+    page->changed[at] = revision;
   }
   return left_out;
 }
@@ -404,7 +405,7 @@ std::size_t PublishedMap::write(const Slots& slots, const Splats& splats, int sh
 void PublishedMap::empty(Page& page, std::uint32_t at) {
   map_.used -= page.used[at];
   page.used[at] = false;
-  page.written = editRevision();
+  page.written = page.changed[at] = editRevision();
 }
 
 void PublishedMap::warnOf(std::size_t left_out) {
@@ -425,13 +426,16 @@ void PublishedMap::sendMap(const Stamp& stamp) {
   const Poses poses = placedAfter(0);
   const std::size_t before = poses.empty() ? 0 : 2;
   begun_ = revision_ + 1;
-  for (auto& [number, page] : map_.pages) page.written = page.regrouped = 0;
+  for (auto& [number, page] : map_.pages) {
+    page.written = page.regrouped = 0;
+    page.changed.fill(0);
+  }
   for (std::size_t i = 0; i < parts.size(); ++i) {
     std::uint32_t number = Batch::MAX_SLOTS;
+    Page* page = nullptr;
     for (const std::uint32_t slot : parts[i].slots) {
-      if (number == slot / kPageSlots) continue;
-      number = slot / kPageSlots;
-      map_.pages[number].written = begun_ + before + i;
+      if (number != slot / kPageSlots) page = &map_.pages[number = slot / kPageSlots];
+      page->written = page->changed[slot % kPageSlots] = begun_ + before + i;
     }
   }
   for (const auto& [group, pose] : poses) map_.groups[group].placed = begun_ + 1;
@@ -468,18 +472,20 @@ std::vector<std::uint32_t> PublishedMap::allPages() const {
   return pages;
 }
 
-// The slots in use of some pages, by group. There is always a first group, empty where there are no
-// splats.
-std::vector<PublishedMap::Part> PublishedMap::usedOf(
-    const std::vector<std::uint32_t>& pages) const {
+// The slots in use of some pages that were written since a revision, by group. There is always a
+// first group, empty where there are no splats.
+std::vector<PublishedMap::Part> PublishedMap::usedOf(const std::vector<std::uint32_t>& pages,
+                                                     std::uint64_t since) const {
   std::map<std::uint32_t, Slots> by_group;
   for (const std::uint32_t number : pages) {
     const Page& page = map_.pages.at(number);
-    if (page.used.none()) continue;
-    Slots& slots = by_group[page.group];
+    Slots slots;
     for (std::uint32_t i = 0; i < kPageSlots; ++i) {
-      if (page.used[i]) slots.push_back(number * kPageSlots + i);
+      if (page.used[i] && page.changed[i] >= since) slots.push_back(number * kPageSlots + i);
     }
+    if (slots.empty()) continue;
+    Slots& group = by_group[page.group];
+    group.insert(group.end(), slots.begin(), slots.end());
   }
   std::vector<Part> parts;
   for (auto& [group, slots] : by_group) parts.push_back({group, std::move(slots)});
@@ -667,20 +673,25 @@ PublishedMap::PullMap::Response PublishedMap::pull(const PullMap::Request& reque
   std::size_t bytes = 0;
   for (auto at = map_.pages.lower_bound(block); at != map_.pages.end(); ++at) {
     const auto& [number, page] = *at;
-    if (after > 0 ? page.written <= after : page.used.none()) continue;
-    const std::size_t used = page.used.count();
-    bytes += used * splat_bytes + (after > 0 ? sizeof(emptied[0]) * (kPageSlots - used) : 0);
+    if (page.written <= after) continue;
+    Slots to_empty;
+    for (std::uint32_t i = 0; i < kPageSlots; ++i) {
+      const bool changed = page.changed[i] > after;
+      if (changed && page.used[i]) bytes += splat_bytes;
+      if (after > 0 && (page.regrouped > after || (changed && !page.used[i]))) {
+        to_empty.push_back(number * kPageSlots + i);
+      }
+    }
+    bytes += sizeof(to_empty[0]) * to_empty.size();
     if (!pages.empty() && bytes > most_bytes) {
       response.next_block = number;
       break;
     }
     pages.push_back(number);
-    for (std::uint32_t i = 0; after > 0 && i < kPageSlots; ++i) {
-      if (page.regrouped > after || !page.used[i]) emptied.push_back(number * kPageSlots + i);
-    }
+    emptied.insert(emptied.end(), to_empty.begin(), to_empty.end());
   }
   if (!emptied.empty()) answer(deletion(emptied, std::nullopt));
-  for (const Part& part : usedOf(pages)) {
+  for (const Part& part : usedOf(pages, after + 1)) {
     if (!part.slots.empty() || response.batches.empty()) {
       answer(writing(Batch::UPSERT, part, map_.channels, std::nullopt));
     }

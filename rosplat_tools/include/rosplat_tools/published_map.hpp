@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <bitset>
 #include <builtin_interfaces/msg/time.hpp>
 #include <cstddef>
@@ -108,8 +109,9 @@ class PublishedMap {
     std::uint32_t group = 0;
     std::bitset<kPageSlots> used;
     Splats splats;
-    int sh_degree = 0;                         // of the splats
-    std::uint64_t written = 0, regrouped = 0;  // revision of the last change
+    int sh_degree = 0;                                // of the splats
+    std::array<std::uint64_t, kPageSlots> changed{};  // revision of the last change of each slot
+    std::uint64_t written = 0, regrouped = 0;         // and of all of them
   };
   struct Frame {
     std::optional<std::array<double, 3>> origin;  // that the group's first splats had
@@ -143,7 +145,7 @@ class PublishedMap {
   void send(std::unique_ptr<Batch> batch);
 
   std::vector<std::uint32_t> allPages() const;
-  std::vector<Part> usedOf(const std::vector<std::uint32_t>& pages) const;
+  std::vector<Part> usedOf(const std::vector<std::uint32_t>& pages, std::uint64_t since = 0) const;
   std::vector<Part> cut(Part whole, int sh_degree, std::size_t channels) const;
   static std::size_t splatBytes(int sh_degree, std::size_t channels);
   Splats gathered(const Part& part, const std::vector<std::string>& channels) const;
