@@ -112,16 +112,16 @@ class SlotMap:
         """Empties slots; those beyond the map are empty already."""
         self._used[self._pages.find(as_index(slots))] = False
 
-    def groups(self, slots: NDArray[np.integer] | None = None) -> list[Group]:
+    def groups(self, among: NDArray[np.integer] | None = None) -> list[Group]:
         """A copy of the slots in use, ascending in each group, and of what is in them.
 
-        Of some slots, if given. In the groups' own frames. There is always a first group, empty
-        where there are no splats.
+        Of those `among` some, if given. In the groups' own frames. There is always a first group,
+        empty where there are no splats.
         """
-        if slots is None:
+        if among is None:
             rows = np.flatnonzero(self._used)
         else:
-            rows = self._pages.find(slots)
+            rows = self._pages.find(among)
             rows = rows[self._used[rows]]
         slots = self._pages.slots(rows)
         of = self._pages.groups_of(rows)
