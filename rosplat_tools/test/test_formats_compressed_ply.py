@@ -129,11 +129,12 @@ def test_flat_splats_and_lost_numbers(random_splats: Make, tmp_path: Path) -> No
         ("chunk", None, "no element chunk"),
         ("vertex", "packed_color", "no property uint packed_color of element vertex"),
         ("sh", "f_rest_4", "8 properties f_rest_"),
+        ("sh", {"f_rest_4": "f_rest_9"}, "not a Gaussian splat: no property f_rest_4"),
         ("sh", 599, "element sh: expected bytes, for 600 splats"),
     ],
 )
 def test_broken_layouts(
-    tmp_path: Path, element: str, change: str | int | None, reason: str
+    tmp_path: Path, element: str, change: str | dict[str, str] | int | None, reason: str
 ) -> None:
     path = tmp_path / "a.ply"
     ply = random_file(path, 600, 3)
@@ -143,9 +144,12 @@ def test_broken_layouts(
         if part.name == element:
             if change is None:
                 continue
-            rows = (
-                structured.drop_fields(rows, change) if isinstance(change, str) else rows[:change]
-            )
+            if isinstance(change, str):
+                rows = structured.drop_fields(rows, change)
+            elif isinstance(change, dict):
+                rows = structured.rename_fields(rows, change)
+            else:
+                rows = rows[:change]
         elements.append(PlyElement.describe(np.array(rows), part.name))
     PlyData(elements, byte_order="<").write(path)
     with pytest.raises(SceneError, match=rf"a\.ply: {reason}"):

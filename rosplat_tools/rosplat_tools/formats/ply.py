@@ -88,8 +88,7 @@ def from_rows(
     scale = SCALE if has_third_scale else SCALE[:2]
     rest = rest_names(path, rows)
     filters = [FILTER] if FILTER in (rows.dtype.names or ()) else []
-    names = [*POSITION, "opacity", *COLOR, *scale, *ROTATION, *rest, *filters]
-    _require_numbers(path, rows, names)
+    _require_numbers(path, rows, [*POSITION, "opacity", *COLOR, *scale, *ROTATION, *filters])
 
     n, k = len(rows), 1 + len(rest) // 3
     columns = Columns.empty(n, k)
@@ -177,12 +176,14 @@ def antialiased(comments: list[str]) -> bool:
 
 
 def rest_names(path: Path, rows: NDArray[np.void]) -> list[str]:
-    """Names of the f_rest properties in order of their number."""
+    """Names of the f_rest properties in order of their number. Raises SceneError for a gap."""
     count = sum(name.startswith("f_rest_") for name in rows.dtype.names or ())
     counts = [3 * (sh_coefficients(degree) - 1) for degree in range(MAX_SH_DEGREE + 1)]
     if count not in counts:
         raise SceneError(f"{path}: {count} properties f_rest_*, expected one of {counts}")
-    return [f"f_rest_{i}" for i in range(count)]
+    names = [f"f_rest_{i}" for i in range(count)]
+    _require_numbers(path, rows, names)
+    return names
 
 
 def _require_numbers(path: Path, rows: NDArray[np.void], names: list[str]) -> None:
