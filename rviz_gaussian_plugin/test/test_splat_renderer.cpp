@@ -983,6 +983,7 @@ TEST_F(SplatRendererTest, FindsTheErrorOfAFrameTime) {
   Splats splats;
   addWall(splats, 3000, 4);
   scene.apply(splats.batch(1, {}));
+  cutPicture(scene, detailed("1px", Rasterizer::kTiles), "waited");  // for levels to be there
   SplatCamera moving = camera();
   const auto errorOf = [&](const char* detail) {
     RenderSettings settings = detailed(detail, Rasterizer::kTiles);
