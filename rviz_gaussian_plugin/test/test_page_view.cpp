@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <bitset>
 #include <random>
 #include <vector>
 
@@ -123,19 +124,28 @@ TEST(PageShelf, LosesNoPageThatMayBeShown) {
     pages.push_back(Page(random, at, size(random), size(random)).bounds());
     pages.back().group = std::uint32_t(i / 700);
   }
-  std::size_t next = 0, skipped = 0;
+  std::size_t next = 0, skipped = 0, shelves = 0, across = 0;
   for (const PageShelf& shelf : shelve(pages, [](const SlotPage&) { return kBoundless; })) {
     ASSERT_EQ(shelf.begin, next);
     next = shelf.end;
     const bool shown = group.pages.mayShow(shelf.bounds);
+    const std::uint32_t sides = group.pages.sidesAcross(shelf.bounds);
+    const auto tested = group.pages.mayShow(shelf.pages, sides);
+    if (shown) {
+      ++shelves;
+      across += std::bitset<6>(sides).count();
+    }
     for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
       EXPECT_EQ(pages[i].group, shelf.bounds.group);
       EXPECT_TRUE(shown || !group.pages.mayShow(pages[i])) << i;
+      EXPECT_EQ(tested[i - shelf.begin] == 1, group.pages.mayShow(pages[i])) << i;
     }
     if (!shown) skipped += shelf.end - shelf.begin;
   }
   EXPECT_EQ(next, pages.size());
   EXPECT_GT(skipped, pages.size() / 4);
+  EXPECT_GT(across, shelves);
+  EXPECT_LT(across, 4 * shelves);  // of six
 }
 
 }  // namespace

@@ -35,7 +35,7 @@ class NodeStore {
 
   // That are shown, by group.
   const std::vector<OfGroup>& groups() const { return groups_; }
-  SlotArenas::Place placeOf(const SlotPage& page) const { return arenas_.placeOf(page.place); }
+  SlotArenas::Place placeOf(std::uint32_t place) const { return arenas_.placeOf(place); }
   const std::vector<SlotArenas::Arena>& arenas() const { return arenas_.arenas(); }
   void addBands(int degree) { arenas_.addBands(degree); }
   // How many nodes there may be.

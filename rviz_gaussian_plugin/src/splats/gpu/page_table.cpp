@@ -13,8 +13,8 @@ constexpr std::uint32_t kOfSlots = 0xffffffffu;  // in place of a level
 // take(i): of those among the shelf's pages that are shown.
 template <typename Shown, typename Take>
 void forEach(const Shown& shown, const PageShelf& shelf, const Take& take) {
-  for (std::size_t i = shelf.begin; i < shelf.end; ++i) {
-    if (shown[i - shelf.begin]) take(i);
+  for (std::size_t i = 0; i < shelf.end - shelf.begin; ++i) {
+    if (shown[i]) take(i);
   }
 }
 
@@ -65,11 +65,11 @@ void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup
 void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& groups,
                      std::size_t first_arena, std::size_t first_group) {
   const SlotStore& store = layer.store;
-  const auto keep = [&](const SlotPage& page, SlotArenas::Place place, std::size_t arenas,
-                        std::uint32_t level) {
+  const auto keep = [&](const PageShelf& shelf, std::size_t i, SlotArenas::Place place,
+                        std::size_t arenas, std::uint32_t level) {
     place.arena += static_cast<std::uint32_t>(arenas);
-    first_slots_.push_back(page.first_slot);
-    kept_.push_back({place, static_cast<std::uint32_t>(first_group + page.group), level});
+    first_slots_.push_back(shelf.first_slots[i]);
+    kept_.push_back({place, static_cast<std::uint32_t>(first_group + shelf.bounds.group), level});
   };
   std::vector<Cut> cuts;
   for (std::size_t group = 0; layer.cuts() && group < groups.size(); ++group) {
@@ -79,18 +79,19 @@ void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& grou
   const auto forEachShown = [&](const PageShelf& shelf, float own, const auto& take) {
     const PageView& view = groups[shelf.bounds.group].pages;
     if (!view.mayShow(shelf.bounds)) return;
-    if (!layer.cuts()) return forEach(view.mayShow(shelf.pages), shelf, take);
+    const std::uint32_t sides = view.sidesAcross(shelf.bounds);
+    if (!layer.cuts()) return forEach(view.mayShow(shelf.pages, sides), shelf, take);
     const Cut& cut = cuts[shelf.bounds.group];
     if (!cut.mayShow(shelf.bounds, own, shelf.widest_parent)) return;
     const auto in_cut = cut.mayShow(shelf.pages, own, shelf.parents);
-    auto shown = view.mayShow(shelf.pages);
+    auto shown = view.mayShow(shelf.pages, sides);
     for (std::size_t i = 0; i < shown.size(); ++i) shown[i] &= in_cut[i];
     forEach(shown, shelf, take);
   };
   for (const PageShelf& shelf : store.shelves()) {
     forEachShown(shelf, 0, [&](std::size_t i) {
-      const SlotPage& page = store.pages().pages()[i];
-      if (store.holds(page)) keep(page, store.placeOf(page), first_arena, kOfSlots);
+      const std::uint32_t place = shelf.places[i];
+      if (store.holds(place)) keep(shelf, i, store.placeOf(place), first_arena, kOfSlots);
     });
   }
   const std::size_t first_of_nodes = first_arena + store.arenas().size();
@@ -99,7 +100,7 @@ void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& grou
       const NodeStore::Level& level = nodes[std::size_t(number)];
       for (const PageShelf& shelf : level.shelves) {
         forEachShown(shelf, cellSize(number), [&](std::size_t i) {
-          keep(level.pages[i], layer.nodes->placeOf(level.pages[i]), first_of_nodes,
+          keep(shelf, i, layer.nodes->placeOf(shelf.places[i]), first_of_nodes,
                static_cast<std::uint32_t>(number));
         });
       }

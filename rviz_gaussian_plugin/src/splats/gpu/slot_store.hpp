@@ -26,8 +26,10 @@ class SlotStore {
 
   const SlotPages& pages() const { return pages_; }
   // Whether there was memory for a page.
-  bool holds(const SlotPage& page) const { return page.place < held_.size() && held_[page.place]; }
+  bool holds(const SlotPage& page) const { return holds(page.place); }
+  bool holds(std::uint32_t place) const { return place < held_.size() && held_[place]; }
   Place placeOf(const SlotPage& page) const { return arenas_.placeOf(page.place); }
+  Place placeOf(std::uint32_t place) const { return arenas_.placeOf(place); }
   const std::vector<Arena>& arenas() const { return arenas_.arenas(); }
   // What is in pages()[first] and its neighbours in the same arena, so many of them at most. Waits
   // for the graphics card. run: memory to use again.

@@ -65,9 +65,11 @@ std::array<std::uint32_t, N> Cut::mayShow(const PageBounds<N>& pages, float own,
   constexpr double kRounding = 1.001;
   std::array<float, N> nearest{}, farthest{};  // squared
   for (std::size_t axis = 0; axis < 3; ++axis) {
+    // In two floats the eye is as exact as it has to be, at half the cost of a double.
+    const float at = static_cast<float>(eye[axis]), rest = static_cast<float>(eye[axis] - at);
     for (std::size_t i = 0; i < N; ++i) {
-      const float least = static_cast<float>(pages.least[axis][i] - eye[axis]);
-      const float most = static_cast<float>(pages.most[axis][i] - eye[axis]);
+      const float least = pages.least[axis][i] - at - rest;
+      const float most = pages.most[axis][i] - at - rest;
       const float outside = std::max(std::max(least, -most) - parents[i], 0.0f);
       const float across = std::max(most, -least);
       nearest[i] += outside * outside;

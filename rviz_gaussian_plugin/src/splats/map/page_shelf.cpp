@@ -12,7 +12,7 @@ std::vector<PageShelf> shelve(const std::vector<SlotPage>& pages,
   for (std::size_t i = 0; i < pages.size(); ++i) {
     const SlotPage& page = pages[i];
     if (i % kPages == 0 || shelves.back().bounds.group != page.group) {
-      shelves.push_back({i, i, page, 0, {}, {}});
+      shelves.push_back({i, i, page, 0, {}, {}, {}, {}});
       shelves.back().pages.extent.fill(-1);
     }
     PageShelf& shelf = shelves.back();
@@ -20,6 +20,8 @@ std::vector<PageShelf> shelve(const std::vector<SlotPage>& pages,
     shelf.end = i + 1;
     shelf.pages.put(place, page);
     shelf.parents[place] = widest_parent(page);
+    shelf.first_slots[place] = page.first_slot;
+    shelf.places[place] = page.place;
     shelf.widest_parent = std::max(shelf.widest_parent, shelf.parents[place]);
     shelf.bounds.extent = std::max(shelf.bounds.extent, page.extent);
     for (std::size_t axis = 0; axis < 3; ++axis) {

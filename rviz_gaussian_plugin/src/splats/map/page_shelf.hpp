@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <vector>
 
@@ -20,6 +21,8 @@ struct PageShelf {
   float widest_parent;                // of the cells whose nodes stand for their slots [m]
   PageBounds<kPages> pages;           // each page's
   std::array<float, kPages> parents;  // the same
+  // The same, as SlotPage has them: to read these as well would take as long as the tests.
+  std::array<std::uint32_t, kPages> first_slots, places;
 };
 
 // widest_parent: of a page.

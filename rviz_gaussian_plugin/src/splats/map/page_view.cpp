@@ -59,4 +59,17 @@ bool PageView::mayShow(const SlotPage& page) const {
   return mayShow(bounds)[0];
 }
 
+std::uint32_t PageView::sidesAcross(const SlotPage& bounds) const {
+  std::uint32_t sides = 0;
+  for (std::size_t side = 0; side < count_; ++side) {
+    double most = planes_[side].offset;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const double normal = planes_[side].normal[axis];
+      most += normal * (normal > 0 ? bounds.most : bounds.least)[axis];
+    }
+    sides |= std::uint32_t(!(most <= 0)) << side;
+  }
+  return sides;
+}
+
 }  // namespace rosplat

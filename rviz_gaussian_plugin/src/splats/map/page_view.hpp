@@ -25,9 +25,13 @@ class PageView {
   PageView(const rosplat_sorter::View& view, const GroupView& group, const ClipBox& box);
 
   bool mayShow(const SlotPage& page) const;
-  // Of each of several: 1 or 0.
+  // Of each of several: 1 or 0. sides: those of the view to test, as bits.
   template <std::size_t N>
-  std::array<std::uint32_t, N> mayShow(const PageBounds<N>& pages) const;
+  std::array<std::uint32_t, N> mayShow(const PageBounds<N>& pages,
+                                       std::uint32_t sides = ~0u) const;
+  // The sides of the view, as bits, that don't have all within some bounds on their inner side:
+  // pages within them need no test against the others.
+  std::uint32_t sidesAcross(const SlotPage& bounds) const;
   // Nearly the same of single splats, side by side: 1 or 0.
   template <std::size_t N>
   std::array<std::uint32_t, N> mayShow(const std::array<std::array<float, N>, 3>& means,
@@ -79,7 +83,8 @@ std::array<std::uint32_t, N> PageView::mayShow(const std::array<std::array<float
 }
 
 template <std::size_t N>
-std::array<std::uint32_t, N> PageView::mayShow(const PageBounds<N>& pages) const {
+std::array<std::uint32_t, N> PageView::mayShow(const PageBounds<N>& pages,
+                                               std::uint32_t sides) const {
   std::array<std::array<float, N>, 3> centre, half, size;
   for (std::size_t axis = 0; axis < 3; ++axis) {
     for (std::size_t i = 0; i < N; ++i) {
@@ -104,7 +109,9 @@ std::array<std::uint32_t, N> PageView::mayShow(const PageBounds<N>& pages) const
     }
     for (std::size_t i = 0; i < N; ++i) shows[i] &= std::fabs(middle[i]) <= reach[i];
   }
-  for (const Plane& plane : planes_) {
+  for (std::size_t side = 0; side < count_; ++side) {
+    if ((sides >> side & 1u) == 0) continue;
+    const Plane& plane = planes_[side];
     std::array<float, N> least;
     least.fill(static_cast<float>(plane.offset));
     for (std::size_t axis = 0; axis < 3; ++axis) {
