@@ -27,8 +27,7 @@ class PageView {
   bool mayShow(const SlotPage& page) const;
   // Of each of several: 1 or 0. sides: those of the view to test, as bits.
   template <std::size_t N>
-  std::array<std::uint32_t, N> mayShow(const PageBounds<N>& pages,
-                                       std::uint32_t sides = ~0u) const;
+  std::array<std::uint32_t, N> mayShow(const PageBounds<N>& pages, std::uint32_t sides = ~0u) const;
   // The sides of the view, as bits, that don't have all within some bounds on their inner side:
   // pages within them need no test against the others.
   std::uint32_t sidesAcross(const SlotPage& bounds) const;
