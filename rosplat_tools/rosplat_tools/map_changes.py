@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.slot_pages import PAGES, SLOTS_PER_PAGE, SlotPages
+from rosplat_sorter.slot_pages import PAGES, SLOTS_PER_PAGE, SlotPages, slots_of
 from rosplat_tools.slot_map import Group, SlotMap, as_index
 
 
@@ -33,6 +33,7 @@ class MapChanges:
         self.begun = begun
         self._pages = SlotPages()
         self._changed = np.zeros(0, np.uint32)  # of each row; no map sees 2^32 edits
+        self._written = np.zeros(PAGES, np.uint32)  # the last of each page
         self._regrouped = np.zeros(PAGES, np.uint64)
         self._groups = np.full(PAGES, -1, np.int32)  # of each page, -1 before any
         self._placed: dict[int, int] = {}
@@ -51,6 +52,7 @@ class MapChanges:
     def clear(self, slots: range | NDArray[np.integer], revision: int) -> None:
         """Notes that slots were emptied."""
         self._changed[self._pages.find(as_index(slots))] = revision
+        self._written[self._pages.touched(as_index(slots))] = revision
 
     def place(self, groups: list[int], revision: int) -> None:
         """Notes that groups were placed."""
@@ -66,25 +68,21 @@ class MapChanges:
         As many pages as take most_bytes, but one at least. For a client that has nothing, after 0,
         no slots are emptied.
         """
-        newest = self._changed[: self._pages.rows].reshape(-1, SLOTS_PER_PAGE).max(axis=1)
-        pages = np.sort(self._pages.first_slots[newest > after]) // SLOTS_PER_PAGE
-        emptied, filled = [_NO_SLOTS], [_NO_SLOTS]
-        size = next_page = 0
-        for page in pages[pages >= first_page].tolist():
-            slots = np.arange(page * SLOTS_PER_PAGE, (page + 1) * SLOTS_PER_PAGE, dtype=np.uint32)
-            changed = self._changed[self._pages.find(slots)] > after
-            in_use = slot_map.used(slots)
-            to_fill = slots[changed & in_use]
-            to_empty = slots[(changed & ~in_use) | (self._regrouped[page] > after)]
-            size += len(to_fill) * slot_map.splat_bytes
-            size += to_empty.nbytes if after else 0
-            if size > most_bytes and len(filled) > 1:
+        size, next_page, changed = 0, 0, [np.zeros(0, np.int64)]
+        for page in (np.flatnonzero(self._written[first_page:] > after) + first_page).tolist():
+            first = page * SLOTS_PER_PAGE
+            rows = self._pages.find(slice(first, first + SLOTS_PER_PAGE))
+            within = np.flatnonzero(self._changed[rows] > after)
+            size += len(within) * slot_map.splat_bytes
+            if size > most_bytes and len(changed) > 1:
                 next_page = page
                 break
-            filled.append(to_fill)
-            emptied.append(to_empty)
-        groups = slot_map.groups(np.concatenate(filled))
-        return Changed(np.concatenate(emptied if after else [_NO_SLOTS]), groups, next_page)
-
-
-_NO_SLOTS = np.zeros(0, np.uint32)
+            changed.append(first + within)
+        slots = np.concatenate(changed)
+        used = slot_map.used(slots)
+        emptied = np.zeros(0, np.uint32)
+        if after:
+            pages = np.unique(slots // SLOTS_PER_PAGE)
+            regrouped = slots_of(pages[self._regrouped[pages] > after])
+            emptied = np.union1d(slots[~used], regrouped).astype(np.uint32)
+        return Changed(emptied, slot_map.groups(slots[used]), next_page)
