@@ -49,7 +49,7 @@ GROWING = 0.25  # of all the time
 LASTING = 0.75  # of it, no program is killed
 HOLD = 4.0  # how long a fault lasts, but in runs of seconds [s]
 PATIENCE = 90.0  # with the right picture after it [s]
-REPEAT = 1.0  # after which it is asked for a picture once more [s]
+REPEAT = 1.0  # after which it is asked for a picture once more, and twice as long from then on [s]
 ORDER_TIMEOUT = 0.3  # with the sorter, until the viewer sorts by itself [s]
 RIGHT = 45.0  # a picture is that of its revision from so many decibels on
 PICTURE = (160, 120)
@@ -264,8 +264,9 @@ class Soak:
         answers: list[Any] = []
 
         def answered() -> bool:
-            # Again and again: one that came before the new viewer knew this client is lost.
-            if time.monotonic() - asked > REPEAT * len(answers):
+            # Once more: one that came before the new viewer knew this client is lost. Seldom, as a
+            # viewer draws all that it was asked for.
+            if time.monotonic() - asked > REPEAT * (2 ** len(answers) - 1):
                 answers.append(client.call_async(request))
             return any(answer.done() for answer in answers)
 
