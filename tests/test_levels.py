@@ -84,6 +84,19 @@ def test_a_cut_is_that_of_the_twin(
     assert decibels(drawn["colour"], full.rgba) < 50  # nodes were drawn
 
 
+@pytest.mark.parametrize("most", [700, 2500])
+def test_a_budget_of_a_picture_that_is_waited_for_is_not_spent_on_blending(
+    renderer: CpuRenderer, splats: Splats, merged: list[levels.Nodes], most: int
+) -> None:
+    camera = CAMERAS["outside"]
+    renderer.settings.detail = str(most)
+    drawn = draw(renderer, camera)
+    some, shares = levels.cut(splats, merged, camera, drawn["error"], blends=False)
+    assert (shares == 1).all()
+    expected = reference.render(some, camera, shares=shares)
+    assert decibels(drawn["colour"], expected.rgba) >= 55
+
+
 @pytest.mark.parametrize("most", [50, 700, 2500])
 def test_a_budget_is_kept(renderer: CpuRenderer, most: int) -> None:
     renderer.settings.detail = str(most)

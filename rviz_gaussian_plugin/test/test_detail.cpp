@@ -46,12 +46,16 @@ struct Plain {
     return picture;
   }
   double choose(DetailControl& control, const Detail& detail, bool at_once = false) const {
-    return control.choose(detail, at_once, levels.samples(), request.layers[0].camera,
-                          slots.index().groups(), {});
+    RenderSettings settings;
+    settings.detail = detail;
+    settings.asynchronous = !at_once;
+    return control.choose(settings, levels.samples(), request.layers[0].camera,
+                          slots.index().groups());
   }
   // At once; how many pictures it took, too.
   SplatPicture draw(DetailControl& control, std::size_t most, int* pictures = nullptr) {
-    SplatPicture picture = draw(choose(control, {Kind::kSplats, double(most)}, true));
+    request.layers[0].settings.detail = {Kind::kSplats, double(most)};
+    SplatPicture picture = draw(choose(control, request.layers[0].settings.detail, true));
     for (int i = 1;; ++i) {
       if (pictures) *pictures = i;
       const auto error = control.drew(picture.layers[0].error, picture.layers[0].drawn);
@@ -59,8 +63,8 @@ struct Plain {
       picture = draw(*error);
     }
   }
-  CutEstimate estimate() const {
-    return {levels.samples(), request.layers[0].camera, slots.index().groups(), {}};
+  CutEstimate estimate(bool blends = true) const {
+    return {levels.samples(), request.layers[0].camera, slots.index().groups(), {}, blends};
   }
 
   GaussianMap map;
@@ -134,7 +138,7 @@ TEST(Budget, OfWhatThereIsDrawsAll) {
 TEST(Budget, CountsWhatIsDrawn) {
   constexpr std::size_t kMost = 10000;
   const Plain plain(60000);
-  const CutEstimate estimate = plain.estimate();
+  const CutEstimate estimate = plain.estimate(false);
   const auto drawn = [&](double error) { return std::size_t(0.5 * estimate.drawn(error)); };
   DetailControl control;
   const double error = plain.choose(control, {Kind::kSplats, kMost}, true);
@@ -193,7 +197,7 @@ TEST(DetailControl, MovesABudgetSlowlyUnlessAtOnce) {
   EXPECT_GT(next, 0.8 * coarse);
   EXPECT_FALSE(control.settled());
   const double there = plain.choose(control, {Kind::kSplats, 20000}, true);
-  EXPECT_NEAR(plain.estimate().drawn(there), 19000, 20);
+  EXPECT_NEAR(plain.estimate(false).drawn(there), 19000, 20);
   for (int i = 0; i < 100; ++i) draw(plain.choose(control, {Kind::kSplats, 20000}));
   EXPECT_TRUE(control.settled());
   EXPECT_EQ(plain.choose(control, {Kind::kSplats, 1e6}, true), 0);

@@ -140,13 +140,17 @@ def errors(means: Array, size: float, camera: Camera, origin: Array) -> Array:
     return focal * size / np.maximum(distances, 1e-6)
 
 
-def cut(splats: Splats, levels: list[Nodes], camera: Camera, error: float) -> tuple[Splats, Array]:
+def cut(
+    splats: Splats, levels: list[Nodes], camera: Camera, error: float, blends: bool = True
+) -> tuple[Splats, Array]:
     """What a view draws of a map, to an error [px]: splats and nodes, and (n,) the share of each.
 
     A share is what is left of a cell's error above that of its parent's; see cut.hpp.
     """
 
     def rise(errors: Array) -> Array:
+        if not blends:
+            return (errors >= error).astype(np.float64)
         t = np.clip((errors / error - np.sqrt(0.5)) / (1 - np.sqrt(0.5)), 0, 1)
         risen: Array = t * t * (3 - 2 * t)
         return risen

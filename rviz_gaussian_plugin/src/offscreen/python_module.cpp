@@ -314,14 +314,12 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
   SplatPicture& picture = renderer.picture;
   {
     const py::gil_scoped_release release;
-    const Detail detail = renderer.settings.drawnDetail();
-    if (!(detail == Detail{}) && !order) {
+    if (!(renderer.settings.drawnDetail() == Detail{}) && !order) {
       merge(renderer);
       PictureLayer& layer = request.layers.front();
       layer.levels = &renderer.levels;
-      layer.error =
-          renderer.detail.choose(detail, true, renderer.levels.samples(), camera,
-                                 renderer.slots.index().groups(), layer.settings.clip_box);
+      layer.error = renderer.detail.choose(layer.settings, renderer.levels.samples(), camera,
+                                           renderer.slots.index().groups());
     }
     renderer.rasterizer.draw(request, picture);
     PictureLayer& layer = request.layers.front();

@@ -128,8 +128,8 @@ PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id, bool res
     const bool whole = advanceLevels([&] { return stop(patience); });
     if (levels_.nodes() == 0) return {whole || in_time, ""};  // all is drawn until they stand
     layer.levels = &levels_;
-    layer.error = control.choose(detail, !settings.asynchronous, levels_.samples(), layer.camera,
-                                 slots_.index().groups(), settings.clip_box);
+    layer.error =
+        control.choose(settings, levels_.samples(), layer.camera, slots_.index().groups());
     return {in_time ? layer.error == 0 : whole && control.settled(), ""};
   } catch (const std::bad_alloc&) {
     return {true, "there is no memory for levels of detail"};

@@ -97,16 +97,16 @@ void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t n
     }
     return;
   }
-  const bool balls = drawsBalls(layer.settings.mode);
+  const bool blends = layer.settings.blendsLevels();
   std::vector<Cut> cuts;
   for (std::size_t group = 0; group < groups.size(); ++group) {
     cuts.emplace_back(groups[group].camera, slots.index().groups()[group].originOrZero(), error,
-                      balls);
+                      blends);
   }
   const auto mayShow = [&](const SlotPage& page, float own, float parent) {
     return groups[page.group].pages.mayShow(page) && cuts[page.group].mayShow(page, own, parent);
   };
-  const Cut cut(layer.camera, {}, error, balls);
+  const Cut cut(layer.camera, {}, error, blends);
   CutView& c = seen.cull.cut;
   c.focal = static_cast<float>(cut.focal);
   c.from = static_cast<float>(cut.from);

@@ -65,8 +65,7 @@ CardMap::Chosen CardMap::chooseDetail(const std::string& view_id, const RenderSe
   if (!control.needsLevels(detail) || (chosen.in_time && (at_once || rests))) return {};
   if (at_once || !levels_) makeLevels(now, at_once);
   if (!levels_) return {0, false, levels_error_};
-  chosen.error = control.choose(detail, at_once, levels_->samples(), camera, pages().groups(),
-                                settings.clip_box);
+  chosen.error = control.choose(settings, levels_->samples(), camera, pages().groups());
   view.chooses = true;
   return chosen;
 }

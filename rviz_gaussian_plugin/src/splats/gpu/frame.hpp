@@ -27,7 +27,7 @@ struct FrameLayer {
   bool cuts() const { return nodes && error > 0; }
   // seen_from: the camera in the frame of a group, of which this is the origin.
   Cut cut(const SplatCamera& seen_from, const std::array<double, 3>& origin) const {
-    return {seen_from, origin, error, drawsBalls(settings.mode)};
+    return {seen_from, origin, error, settings.blendsLevels()};
   }
 };
 

@@ -4,11 +4,11 @@
 
 namespace rosplat {
 
-Cut::Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool sharp)
+Cut::Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool blends)
     : eye(eyeOf(camera, origin)),
       focal(std::max(camera.fx, camera.fy)),
       orthographic(camera.orthographic),
-      from(error * (sharp ? 1 - 1e-5 : std::sqrt(0.5))),
+      from(error * (blends ? std::sqrt(0.5) : 1 - 1e-5)),
       to(error) {}
 
 bool Cut::mayShow(const SlotPage& page, float own, float parent) const {

@@ -23,8 +23,8 @@ struct Cut {
   double from = 0, to = 0;  // where s rises [px]
 
   Cut() = default;
-  // camera: in the group's frame; sharp: of solids, s is a step.
-  Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool sharp);
+  // camera: in the group's frame; blends: else s is a step.
+  Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool blends);
 
   // Squared, of cells of a size, by their corners [m]. [px2]
   template <std::size_t N>

@@ -34,7 +34,7 @@ double errorAt(double place) {
 }  // namespace
 
 CutEstimate::CutEstimate(const std::vector<LevelSamples>& levels, const SplatCamera& camera,
-                         const std::vector<Group>& groups, const ClipBox& box) {
+                         const std::vector<Group>& groups, const ClipBox& box, bool blends) {
   using Places = NodeSamples::Each<int>;
   const auto binsOf = [](const NodeSamples::Each<float>& squared) {
     Places bins;
@@ -45,11 +45,12 @@ CutEstimate::CutEstimate(const std::vector<LevelSamples>& levels, const SplatCam
     }
     return bins;
   };
+  const int rise = blends ? kOctave : 0;
   // In each bin, how many more are drawn where the error that is allowed falls below it.
   std::array<double, kBins + 1>& more = drawn_;
   for (std::size_t group = 0; group < levels.size(); ++group) {
     const SeenGroup seen(camera, groups[group], box);
-    const Cut cut(seen.camera, groups[group].originOrZero(), 1, true);
+    const Cut cut(seen.camera, groups[group].originOrZero(), 1, false);
     for (int level = 0; level < kLevels; ++level) {
       const float size = cellSize(level);
       const bool top = level + 1 == kLevels;
@@ -59,10 +60,10 @@ CutEstimate::CutEstimate(const std::vector<LevelSamples>& levels, const SplatCam
         const Places parents = binsOf(cut.squaredErrors(samples.parent_corner, 2 * size));
         for (std::size_t i = 0; i < NodeSamples::kCount; ++i) {
           if (!shown[i]) continue;
-          // Splats are drawn below the end of the rise of their parent's share, half an octave up;
-          // nodes also above the beginning of their own.
-          more[std::size_t(own[i] + kOctave)] += samples.members[i];
-          more[std::size_t(top ? kBins - 1 : parents[i] + kOctave)] += samples.nodes[i];
+          // Splats are drawn below the end of the rise of their parent's share, half an octave up
+          // where levels blend; nodes also above the beginning of their own.
+          more[std::size_t(own[i] + rise)] += samples.members[i];
+          more[std::size_t(top ? kBins - 1 : parents[i] + rise)] += samples.nodes[i];
           more[std::size_t(own[i])] -= samples.nodes[i];
         }
       }

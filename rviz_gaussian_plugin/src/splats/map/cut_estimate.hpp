@@ -17,9 +17,9 @@ constexpr double kCoarsestError = 1e15;
 class CutEstimate {
  public:
   CutEstimate() = default;
-  // groups: where those of the levels are, by index.
+  // groups: where those of the levels are, by index; blends: whether levels do.
   CutEstimate(const std::vector<LevelSamples>& levels, const SplatCamera& camera,
-              const std::vector<Group>& groups, const ClipBox& box);
+              const std::vector<Group>& groups, const ClipBox& box, bool blends);
 
   double drawn(double error) const;
   // The least error at which no more are drawn: 0 where it is all of them.

@@ -93,9 +93,14 @@ double PictureTime::splatsIn(double seconds) const {
   return std::max({(seconds - others) / each, kWorth * others / each, last_.drawn / kMostFewer});
 }
 
-double DetailControl::choose(const Detail& detail, bool at_once,
+double DetailControl::choose(const RenderSettings& settings,
                              const std::vector<LevelSamples>& levels, const SplatCamera& camera,
-                             const std::vector<Group>& groups, const ClipBox& box) {
+                             const std::vector<Group>& groups) {
+  const Detail detail = settings.drawnDetail();
+  const bool at_once = !settings.asynchronous;
+  const auto estimate = [&] {
+    return CutEstimate(levels, camera, groups, settings.clip_box, settings.blendsLevels());
+  };
   settled_ = true;
   search_.reset();
   double wanted = 0;
@@ -105,7 +110,7 @@ double DetailControl::choose(const Detail& detail, bool at_once,
     case Detail::Kind::kError:
       return detail.amount;
     case Detail::Kind::kSplats:
-      search_ = Search{{levels, camera, groups, box}, detail.amount, at_once};
+      search_ = Search{estimate(), detail.amount, at_once};
       wanted = errorForBudget();
       if (at_once) return wanted;
       break;
@@ -113,7 +118,7 @@ double DetailControl::choose(const Detail& detail, bool at_once,
       // Of the last picture of which it is known; before any, of one of all.
       const double seconds = seconds_ > 0 ? seconds_ : seconds_in_full_;
       const double part = seconds / detail.amount;
-      const CutEstimate expected(levels, camera, groups, box);
+      const CutEstimate expected = estimate();
       time_.took(expected.drawn(timed_error_), seconds);
       if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) return timed_error_;
       wanted = expected.errorFor(time_.splatsIn(detail.amount));

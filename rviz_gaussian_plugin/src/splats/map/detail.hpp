@@ -38,10 +38,10 @@ class PictureTime {
 // Chooses the error of a view's pictures, one after the other.
 class DetailControl {
  public:
-  // For the next picture [px]; 0 has all drawn in full. at_once: whatever the last one had;
-  // otherwise it moves towards what is asked for, so that nobody sees it move.
-  double choose(const Detail& detail, bool at_once, const std::vector<LevelSamples>& levels,
-                const SplatCamera& camera, const std::vector<Group>& groups, const ClipBox& box);
+  // For the next picture [px]; 0 has all drawn in full. Of one that is waited for, whatever the
+  // last one had; otherwise it moves towards what is asked for, so that nobody sees it move.
+  double choose(const RenderSettings& settings, const std::vector<LevelSamples>& levels,
+                const SplatCamera& camera, const std::vector<Group>& groups);
   // What became of it: how many splats and nodes are in the picture. If that missed a budget that
   // is to be kept at once: the error to which it has to be drawn again.
   std::optional<double> drew(double error, std::size_t drawn);

@@ -104,7 +104,13 @@ struct RenderSettings {
            clip_box == o.clip_box && near_fade == o.near_fade && age_range == o.age_range &&
            depth_range == o.depth_range && channel == o.channel &&
            channel_colours == o.channel_colours && channel_range == o.channel_range &&
-           detail == o.detail;
+           detail == o.detail && blendsLevels() == o.blendsLevels();
+  }
+
+  // Whether levels of detail blend into one another, lest they pop: solids can't, and the budget of
+  // a picture that is waited for has better uses.
+  bool blendsLevels() const {
+    return !drawsBalls(mode) && (asynchronous || detail.kind != Detail::Kind::kSplats);
   }
 
   // Nodes have no values of channels: these are drawn in full.
