@@ -74,7 +74,7 @@ def test_its_cpp_publishes_a_map(
     if library not in get_packages_with_prefixes():
         pytest.skip(f"no {library} here")
     (source,), cmake = blocks_of("cpp"), CMAKE
-    assert CMAKE.splitlines()[-1] in README.read_text(encoding="utf-8")
+    assert CMAKE.splitlines()[-1] in " ".join(README.read_text(encoding="utf-8").split())
     if library == "rclcpp_lifecycle":
         cmake += CMAKE_OF_LIFECYCLE
         for plain, other in LIFECYCLE.items():
