@@ -299,7 +299,7 @@ class Soak:
         if step is None or step < self._truth.step:
             return False
         picture = np.frombuffer(response.color.data, np.float32).reshape(*PICTURE[::-1], 4)
-        right = decibels(picture, self._truth.picture(step)) >= RIGHT
+        right = bool(decibels(picture, self._truth.picture(step)) >= RIGHT)  # not NumPy's: no JSON
         self.found.pictures += 1
         self.found.sorted_by[response.order_source] += 1
         self.found.wrong += not right
