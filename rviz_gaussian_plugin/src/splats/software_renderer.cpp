@@ -164,7 +164,7 @@ void SoftwareRenderer::show(View& view, const PaintingPtr& painting) {
   if (view.shown == painting) return;
   const SplatCamera& camera = painting->request->camera();
   const auto write = [&camera](OverlayTexture& texture, const auto& layer) {
-    if (!layer.values.empty()) texture.write(camera.width, camera.height, layer.values);
+    if (layer.shows()) texture.write(camera.width, camera.height, layer.values);
   };
   write(view.colour, painting->colour);
   write(view.behind, painting->behind);

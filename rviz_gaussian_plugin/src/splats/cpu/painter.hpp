@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <condition_variable>
 #include <cstdint>
@@ -64,6 +65,12 @@ template <typename T>
 struct PaintedLayer {
   std::vector<T> values;
   PictureMesh::Cells cells;
+
+  bool shows() const {
+    return std::any_of(cells.begin(), cells.end(), [](PictureMesh::Cover cover) {
+      return cover != PictureMesh::Cover::kNothing;
+    });
+  }
 };
 
 // A picture of a view.

@@ -9,28 +9,26 @@ namespace {
 
 // Where nothing is in the middle of a pixel, the nearest that is in one beside it: some of the
 // window's samples of that pixel may have it. To divide splats where nothing is changes nothing.
-std::vector<float> widened(const std::vector<float>& depths, int width, int height) {
+void widen(std::vector<float>& depths, int width, int height) {
   const auto columns = static_cast<std::size_t>(width), rows = static_cast<std::size_t>(height);
   const auto least = [](float a, float b, float c) { return std::min(std::min(a, b), c); };
-  std::vector<float> along(depths), wide(depths);  // along: the least of three in a row
+  std::vector<float> along(depths.size());  // the least of three in a row
   for (std::size_t row = 0; row < rows; ++row) {
     const float* const from = &depths[columns * row];
     float* const to = &along[columns * row];
     for (std::size_t x = 1; x + 1 < columns; ++x) to[x] = least(from[x - 1], from[x], from[x + 1]);
-    if (columns < 2) continue;
-    to[0] = std::min(from[0], from[1]);
-    to[columns - 1] = std::min(from[columns - 2], from[columns - 1]);
+    to[0] = std::min(from[0], from[columns > 1 ? 1 : 0]);
+    to[columns - 1] = std::min(from[columns > 1 ? columns - 2 : 0], from[columns - 1]);
   }
   for (std::size_t row = 0; row < rows; ++row) {
     const float* const here = &along[columns * row];
     const float* const above = row > 0 ? here - columns : here;
     const float* const below = row + 1 < rows ? here + columns : here;
-    float* const to = &wide[columns * row];
+    float* const to = &depths[columns * row];
     for (std::size_t x = 0; x < columns; ++x) {
       to[x] = to[x] < 1.0f ? to[x] : least(above[x], here[x], below[x]);
     }
   }
-  return wide;
 }
 
 }  // namespace
@@ -101,7 +99,11 @@ std::vector<float> depthsOf(Canvas canvas, int width, int height, const PictureR
   glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &drawn);
   glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read);
   glGetIntegerv(GL_VIEWPORT, viewport.data());
-  const gl::DepthFramebuffer framebuffer(GL_DEPTH_COMPONENT24, columns, rows);
+  // Floats as they are read: software clears and converts 24 bits value by value.
+  const bool floats =
+      epoxy_gl_version() >= 30 || epoxy_has_gl_extension("GL_ARB_depth_buffer_float");
+  const gl::DepthFramebuffer framebuffer(floats ? GL_DEPTH_COMPONENT32F : GL_DEPTH_COMPONENT24,
+                                         columns, rows);
   const bool top_first = canvas == Canvas::kTexture;
   glViewport(-part.left, top_first ? -part.top : part.bottom - height, width, height);
   glPushAttrib(GL_DEPTH_BUFFER_BIT | GL_SCISSOR_BIT);
@@ -117,7 +119,8 @@ std::vector<float> depthsOf(Canvas canvas, int width, int height, const PictureR
   glBindFramebuffer(GL_READ_FRAMEBUFFER, static_cast<GLuint>(read));
   glViewport(viewport[0], viewport[1], viewport[2], viewport[3]);
   if (std::all_of(depths.begin(), depths.end(), [](float depth) { return depth >= 1; })) return {};
-  if (samples > 1) depths = widened(depths, columns, rows);
+  if (samples > 1) widen(depths, columns, rows);
+  if (columns == width && rows == height) return depths;
   std::vector<float> whole(static_cast<std::size_t>(width) * static_cast<std::size_t>(height), 1);
   for (int row = 0; row < rows; ++row) {
     std::copy_n(depths.begin() + std::ptrdiff_t{row} * columns, columns,
