@@ -37,7 +37,7 @@ def test_the_map_grows_is_edited_and_ends_as_the_scene(
 
 
 def test_it_sends_at_its_rate(start: Start, listener: Any) -> None:
-    start("slam_emulator", path="procedural:9000", batch_size=100, rate=20.0, refine_fraction=0.0)
+    start("slam_emulator", path="procedural:30000", batch_size=100, rate=20.0, refine_fraction=0.0)
 
     def last() -> list[GaussianArray]:
         return listener.batches[-41:]

@@ -19,7 +19,7 @@ SplatValues unpack(std::uint32_t slot, const Group& group, const std::uint32_t* 
   const std::uint32_t* further = words + kSlotWords;
   for (int band = 1; band <= sh_degree; ++band) further += kBandWords[band];
   values.channels.resize(channels);
-  std::memcpy(values.channels.data(), further, channels * kWord);
+  if (channels > 0) std::memcpy(values.channels.data(), further, channels * kWord);
   return values;
 }
 

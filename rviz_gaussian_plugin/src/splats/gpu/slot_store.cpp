@@ -148,6 +148,11 @@ PackedRun SlotStore::read(std::size_t first, std::size_t most, PackedRun run) co
   for (std::size_t channel = 0; channel < channels(); ++channel) {
     values(arena.channels[channel], 1, run.channels[channel]);
   }
+  // What another map left there.
+  for (int band = shDegree() + 1; band <= kMaxShDegree; ++band) run.bands[band].clear();
+  for (std::size_t channel = channels(); channel < kMostChannels; ++channel) {
+    run.channels[channel].clear();
+  }
   return run;
 }
 
