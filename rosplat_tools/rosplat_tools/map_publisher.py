@@ -47,8 +47,8 @@ class MapPublisher:
     Batches go out as they are made, and nobody is waited for. Who joins late, or misses some,
     pulls what has changed since the last revision that it has, as it is now, from the service
     <topic>/pull. It is answered by the node's executor between its other callbacks; where that has
-    several threads, beside them. Only pages of splats that a client lacks are copied, 2 MB for an
-    answer at most. Who just listens to the topic, a bag say, hears the whole map from
+    several threads, beside them. Only splats that a client lacks are copied, 2 MB for an answer at
+    most. Who just listens to the topic, a bag say, hears the whole map from
     `repeat` or the service <topic>/repeat.
 
     Splats may be written in groups, submaps say, and groups placed by `move`: what a loop closure

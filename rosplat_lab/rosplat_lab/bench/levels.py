@@ -158,7 +158,8 @@ def _scene(
         whole = drawer.draw(camera)["splats"]
         truth = _truth(drawer, camera)
         yield of("PSNR against the truth", "dB", _psnr(full, truth), view=view, px=0.0)
-        budgets = (SPLATS, *(max(int(share * whole), 1) for share in SHARES))
+        # A share of one scene may be just as many.
+        budgets = dict.fromkeys((SPLATS, *(max(int(share * whole), 1) for share in SHARES)))
         errors = (f"{error}px" for error in ERRORS)
         for detail in ("full", *(f"{budget}" for budget in budgets), *errors):
             _show(drawer, camera, detail)
