@@ -882,6 +882,14 @@ void addWall(Splats& splats, std::uint32_t count, std::uint32_t seed) {
   }
 }
 
+// A map that is a wall, and its levels.
+void fillWithWall(SplatScene& scene, std::uint32_t count, std::uint32_t seed) {
+  Splats splats;
+  addWall(splats, count, seed);
+  scene.apply(splats.batch(1, {}));
+  cutPicture(scene, detailed("1px", Rasterizer::kTiles), "waited");
+}
+
 TEST_F(SplatRendererTest, DrawsTheCutOfTheProcessor) {
   SplatScene scene(shaders()), other(shaders());
   Splats splats = manySplats();
@@ -945,9 +953,7 @@ TEST_F(SplatRendererTest, HasLevelsWhileAViewWantsThem) {
 
 TEST_F(SplatRendererTest, KeepsABudgetOfAPictureThatIsWaitedFor) {
   SplatScene scene(shaders());
-  Splats splats;
-  addWall(splats, 40000, 3);
-  scene.apply(splats.batch(1, {}));
+  fillWithWall(scene, 40000, 3);
   for (const char* most : {"100", "1500", "10k"}) {
     cutPicture(scene, detailed(most, Rasterizer::kTiles));
     const auto amount = static_cast<std::size_t>(parseDetail(most).amount);
@@ -961,10 +967,7 @@ TEST_F(SplatRendererTest, KeepsABudgetOfAPictureThatIsWaitedFor) {
 // What is drawn corrects what is wanted next: the error comes to rest all the same.
 TEST_F(SplatRendererTest, KeepsTheErrorOfABudgetAtRest) {
   SplatScene scene(shaders());
-  Splats splats;
-  addWall(splats, 40000, 3);
-  scene.apply(splats.batch(1, {}));
-  cutPicture(scene, detailed("1px", Rasterizer::kTiles), "waited");  // for levels to be there
+  fillWithWall(scene, 40000, 3);
   for (const char* most : {"1500", "5k", "10k"}) {
     RenderSettings settings = detailed(most, Rasterizer::kTiles);
     settings.asynchronous = true;
@@ -980,10 +983,7 @@ TEST_F(SplatRendererTest, KeepsTheErrorOfABudgetAtRest) {
 
 TEST_F(SplatRendererTest, FindsTheErrorOfAFrameTime) {
   SplatScene scene(shaders());
-  Splats splats;
-  addWall(splats, 3000, 4);
-  scene.apply(splats.batch(1, {}));
-  cutPicture(scene, detailed("1px", Rasterizer::kTiles), "waited");  // for levels to be there
+  fillWithWall(scene, 3000, 4);
   SplatCamera moving = camera();
   const auto errorOf = [&](const char* detail) {
     RenderSettings settings = detailed(detail, Rasterizer::kTiles);

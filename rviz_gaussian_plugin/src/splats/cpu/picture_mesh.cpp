@@ -6,9 +6,13 @@
 #include <cstddef>
 #include <numeric>
 
+#include "cpu/kernels.hpp"
+
 namespace rosplat {
 
 namespace {
+
+static_assert(PictureMesh::kCell == cpu::kTile, "SplatPicture::divided is told by cell");
 
 int cellsIn(int pixels) { return (pixels + PictureMesh::kCell - 1) / PictureMesh::kCell; }
 
