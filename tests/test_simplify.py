@@ -19,7 +19,7 @@ from rosplat_lab.simplify.search import Judge, Simplification, Trial, contributi
 from rosplat_lab.simplify.views import views
 from rosplat_tools.formats import load, save
 from rosplat_tools.generate import generate
-from rosplat_tools.space_order import put_in_space_order
+from rosplat_tools.slot_order import put_in_slot_order
 from rosplat_tools.splats import Splats
 
 GARDEN = "procedural:3000"
@@ -29,7 +29,7 @@ GARDEN = "procedural:3000"
 def garden() -> Splats:
     """As `simplify` puts it."""
     splats = generate(3000)
-    put_in_space_order(splats)
+    put_in_slot_order(splats)
     return splats
 
 

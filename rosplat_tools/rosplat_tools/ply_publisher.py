@@ -19,7 +19,7 @@ from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.progress import bar
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
 from rosplat_tools.scenes import NAMES, is_generated, load_scene
-from rosplat_tools.space_order import put_in_space_order
+from rosplat_tools.slot_order import put_in_slot_order
 from rosplat_tools.splats import SceneError
 
 
@@ -81,7 +81,7 @@ class PlyPublisher(Node):
                         )
 
                 splats = load_scene(path, loaded, self.get_logger().warning)
-                put_in_space_order(splats)
+                put_in_slot_order(splats)
                 loaded(1.0)
             with bar("publishing", len(splats)) as drawn:
 

@@ -18,7 +18,7 @@ from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_tools import formats
 from rosplat_tools.ply_publisher import PlyPublisher
 from rosplat_tools.program.processes import quoted
-from rosplat_tools.space_order import put_in_space_order
+from rosplat_tools.slot_order import put_in_slot_order
 from rosplat_tools.splats import Splats
 
 Maker = Callable[..., Splats]
@@ -33,9 +33,9 @@ def ply(tmp_path: Path, random_splats: Maker) -> Path:
     return path
 
 
-def in_space_order(path: Path) -> Splats:
+def in_slot_order(path: Path) -> Splats:
     splats = formats.load(path)
-    put_in_space_order(splats)
+    put_in_slot_order(splats)
     return splats
 
 
@@ -45,7 +45,7 @@ def test_the_scene_of_the_parameter_is_published_whole(
     start("ply_publisher", path=ply, frame_id="scan", chunk_bytes=100_000)
     listener.wait_for(5000)
     _, splats = listener.map.snapshot()
-    scene = in_space_order(ply)
+    scene = in_slot_order(ply)
     for name in ("positions", "orientations", "scales", "opacities", "sh"):
         np.testing.assert_array_equal(getattr(splats, name), getattr(scene, name))
     assert len(listener.batches) > 1
@@ -66,7 +66,7 @@ def test_scenes_are_loaded_and_saved_while_it_runs(
     copy = tmp_path / "copy.ply"
     answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
     assert (answer.success, answer.splats) == (True, 5000)
-    saved, scene = formats.load(copy), in_space_order(ply)
+    saved, scene = formats.load(copy), in_slot_order(ply)
     np.testing.assert_allclose(saved.scales, scene.scales, rtol=1e-6)
     np.testing.assert_array_equal(saved.channels["label"], scene.channels["label"])
 

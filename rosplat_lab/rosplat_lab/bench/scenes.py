@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rosplat_tools.cameras import Camera, look_at, orbit
 from rosplat_tools.generated import rooms
 from rosplat_tools.scenes import PROCEDURAL, ROOMS, load_scene
-from rosplat_tools.space_order import put_in_space_order
+from rosplat_tools.slot_order import put_in_slot_order
 from rosplat_tools.splats import Splats
 
 GARDEN = 2.4  # radius of the procedural scene [m]
@@ -24,7 +24,7 @@ PICTURES = ((1280, 720), (1920, 1080))
 def load(name: str) -> Splats:
     """A scene by its name, as publishers send it. Raises SceneError."""
     splats = load_scene(name, lambda _: None, lambda _: None)
-    put_in_space_order(splats)
+    put_in_slot_order(splats)
     return splats
 
 

@@ -29,7 +29,7 @@ from rosplat_tools.program.files import write_text
 from rosplat_tools.program.output import say
 from rosplat_tools.program.progress import bar, watched
 from rosplat_tools.scenes import NAMES, load_scene
-from rosplat_tools.space_order import put_in_space_order
+from rosplat_tools.slot_order import put_in_slot_order
 from rosplat_tools.splats import SceneError, Splats
 
 TRIES = 8  # to come below a number of bytes, or to make up for what a format loses
@@ -131,7 +131,7 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     began = time.monotonic()
     with watched("reading") as progress:
         splats = load_scene(options.input, progress, _warn)
-        put_in_space_order(splats)
+        put_in_slot_order(splats)
     read, processor = time.monotonic(), time.process_time()
     with ExitStack() as drafts, _shown() as tell:
         output = Output(out, drafts)

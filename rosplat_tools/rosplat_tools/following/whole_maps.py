@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.space_order import space_order
+from rosplat_tools.slot_order import slot_order
 from rosplat_tools.splats import Splats
 
 
@@ -29,7 +29,7 @@ class WholeMaps:
 
     A splat keeps its slot for as long as its id is there; slots that are free are taken again. So
     arrays may shrink, grow and be put in another order from one map to the next. The first map is
-    put in space order.
+    put in slot order.
     """
 
     def __init__(self, publisher: MapPublisher) -> None:
@@ -55,7 +55,7 @@ class WholeMaps:
         return sent
 
     def _replace(self, splats: Splats, ids: NDArray[np.int64], rows: NDArray[np.intp]) -> int:
-        order = space_order(splats.positions)
+        order = slot_order(splats)
         self._publisher.replace(splats[order])
         slots = np.empty(len(order), np.intp)
         slots[order] = np.arange(len(order))
@@ -76,7 +76,7 @@ class WholeMaps:
         if np.count_nonzero(differs) > len(ids) // 2:
             return None
         new = np.delete(np.arange(len(ids)), same)
-        new = new[space_order(splats.positions[rows[new]])]
+        new = new[slot_order(splats[rows[new]])]
         gone = np.sort(np.delete(before.slots, old))
         used = np.zeros(before.slots.max(initial=-1) + 1 + len(new), bool)
         used[before.slots[old]] = True

@@ -28,7 +28,7 @@ from rosplat_tools.formats import (
 from rosplat_tools.formats.bounds import size_of
 from rosplat_tools.formats.decoded import Axes, Progress, Warn
 from rosplat_tools.program.files import replacing
-from rosplat_tools.space_order import space_order
+from rosplat_tools.slot_order import space_order
 from rosplat_tools.splats import SceneError, Splats
 
 __all__ = [

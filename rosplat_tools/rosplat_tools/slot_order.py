@@ -1,7 +1,8 @@
-"""Splats in an order in which neighbours in space are neighbours in the map.
+"""Splats in an order in which those that are drawn together are neighbours in the map.
 
-Whoever draws a map leaves out pages of consecutive slots that a picture can't show; these are small
-in space only where slots lie in space order.
+Whoever draws a map leaves out pages of consecutive slots that a picture can't show, which are small
+in space only where slots lie in space order. With levels of detail these are the pages, too, whose
+splats are all too fine, which one that is large among many keeps from being left out.
 """
 
 from __future__ import annotations
@@ -30,9 +31,21 @@ def space_order(positions: NDArray[np.float32]) -> NDArray[np.intp]:
     return np.argsort(codes)
 
 
-def put_in_space_order(splats: Splats) -> None:
-    """Reorders splats of finite positions where they are, an array at a time to spare memory."""
+def slot_order(splats: Splats) -> NDArray[np.intp]:
+    """Indices (n,) that put splats of finite positions in the order of a map's slots.
+
+    Large ones come first, those of a size (within a factor of four) in space order.
+    """
     order = space_order(splats.positions)
+    with np.errstate(divide="ignore"):
+        octaves = np.log2(splats.scales.max(axis=1, initial=0)[order])
+    halves = np.floor(np.nan_to_num(octaves, neginf=-200.0) / 2)
+    return order[np.argsort(-halves.astype(np.int8), kind="stable")]
+
+
+def put_in_slot_order(splats: Splats) -> None:
+    """Reorders splats of finite positions where they are, an array at a time to spare memory."""
+    order = slot_order(splats)
     for array in splats.arrays:
         array[:] = np.take(array, order, axis=0)
 

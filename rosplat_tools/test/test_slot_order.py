@@ -1,12 +1,13 @@
-"""Neighbours in space become neighbours in the map, and no splat is lost or mixed up."""
+"""Neighbours of a size become neighbours in the map, and no splat is lost or mixed up."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rosplat_tools.generate import generate
-from rosplat_tools.space_order import put_in_space_order, space_order
+from rosplat_tools.slot_order import put_in_slot_order, slot_order, space_order
 
 
 def test_order_is_that_of_a_plain_morton_code() -> None:
@@ -31,12 +32,24 @@ def test_any_finite_positions_have_an_order(positions: np.ndarray) -> None:
     np.testing.assert_array_equal(np.sort(order), np.arange(len(positions)))
 
 
+def test_large_splats_come_first_and_those_of_a_size_in_space_order() -> None:
+    splats = generate(2000)
+    splats = replace(splats, scales=splats.scales * np.geomspace(1e-3, 1e3, 2000)[:, None])
+    splats.scales[7] = 0
+    rank = np.argsort(space_order(splats.positions))
+
+    def place(i: int) -> tuple[float, int]:
+        size = float(splats.scales[i].max())
+        return (-math.floor(math.log2(size) / 2) if size else math.inf), rank[i]
+
+    np.testing.assert_array_equal(slot_order(splats), sorted(range(2000), key=place))
+
+
 def test_each_splat_stays_whole() -> None:
     splats = generate(2000)
     splats = replace(splats, channels={"label": np.arange(2000), "x": splats.positions[:, 0]})
-    order = space_order(splats.positions)
-    expected = splats[order]
-    put_in_space_order(splats)
+    expected = splats[slot_order(splats)]
+    put_in_slot_order(splats)
     for array, wanted in zip(splats.arrays, expected.arrays, strict=True):
         np.testing.assert_array_equal(array, wanted)
 
@@ -48,5 +61,5 @@ def test_pages_become_small() -> None:
 
     splats = generate(50_000)
     before = size_of_pages(splats.positions)
-    put_in_space_order(splats)
+    put_in_slot_order(splats)
     assert size_of_pages(splats.positions) < before / 2
