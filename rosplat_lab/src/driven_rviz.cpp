@@ -7,6 +7,7 @@
 #include <OgreRoot.h>
 #include <OgreViewport.h>
 #include <epoxy/gl.h>
+#include <malloc.h>
 
 #include <QAbstractItemModel>
 #include <QApplication>
@@ -138,6 +139,12 @@ QJsonObject places() {
     add(dock->windowTitle(), panel ? *static_cast<const QWidget*>(panel) : *dock);
   }
   return found;
+}
+
+// Memory that nobody has given back, whatever of it the system thinks is in use. [bytes]
+double allocated() {
+  const struct mallinfo2 heaps = mallinfo2();
+  return static_cast<double>(heaps.uordblks + heaps.hblkhd);
 }
 
 // The names in use, of each kind of OpenGL object that contexts share.
@@ -352,6 +359,7 @@ QJsonValue answer(const QJsonObject& request, Stopwatch& watch) {
   if (what == "options") return options(at(request));
   if (what == "places") return places();
   if (what == "gl") return glObjects();
+  if (what == "allocated") return allocated();
   if (what == "drop") return drop(request["file"].toString());
   if (what == "resize") return resize({request["width"].toInt(), request["height"].toInt()});
   if (what == "frames") return watch.frames();
