@@ -36,9 +36,15 @@ def share(record: Record) -> float:
     return float(record.parameters["share"])
 
 
-def by_error(record: Record) -> bool:
-    """Whether its levels of detail were asked for by an error in pixels."""
-    return str(record.parameters.get("detail", "")).endswith("px")
+def frame_time(record: Record) -> float:
+    """Of the pictures that an error was measured in. [ms]"""
+    return float(record.parameters["ms"])
+
+
+def by_bound(record: Record) -> str:
+    """The scene, and what its levels of detail were asked for by."""
+    by = "error" if str(record.parameters["detail"]).endswith("px") else "budget"
+    return f"{Path(record.scene).stem}, {by}"
 
 
 def splats(record: Record) -> float:
@@ -51,7 +57,7 @@ class Chart:
     """Records of one name as lines over the number of splats, or what else `over` says.
 
     only: of those, which. series: what makes a line; panel: what makes a chart beside it, all in
-    one by default. band: shade from there to the 95th percentile.
+    one by default. band: shade from there to the 95th percentile. top: of what the axis shows.
     """
 
     file: str
@@ -66,6 +72,7 @@ class Chart:
     only: Callable[[Record], bool] = lambda _: True
     log: bool = True
     band: bool = True
+    top: float | None = None
 
 
 CHARTS = (
@@ -101,14 +108,19 @@ CHARTS = (
     ),
     Chart(
         "levels-psnr", "levels", "PSNR", "Levels of detail", "PSNR against all splats [dB]",
-        lambda r: Path(r.scene).stem, parameter("view"), x="share of the splats drawn",
-        over=share, only=by_error, log=False, band=False,
+        by_bound, parameter("view"), x="share of the splats drawn",
+        over=share, log=False, band=False, top=100,
+    ),
+    Chart(
+        "levels-time", "levels", "PSNR", "Levels of detail", "PSNR against all splats [dB]",
+        by_bound, parameter("view"), x="frame [ms]",
+        over=frame_time, only=lambda r: "ms" in r.parameters, log=False, band=False, top=100,
     ),
     Chart(
         "levels-truth", "levels", "PSNR against the truth", "Levels of detail",
         "PSNR against the mean of 4x4 pixels [dB]",
-        lambda r: Path(r.scene).stem, parameter("view"), x="share of the splats drawn",
-        over=share, only=by_error, log=False, band=False,
+        by_bound, parameter("view"), x="share of the splats drawn",
+        over=share, only=lambda r: "share" in r.parameters, log=False, band=False, top=60,
     ),
     Chart(
         "levels-budget", "levels", "frame", "Frame of a million splats and nodes", "time [ms]",
@@ -256,7 +268,7 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
             ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
             ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
     if not chart.log:
-        axes[0].set_ylim(bottom=0)  # once all is drawn: the panels share it
+        axes[0].set_ylim(0, chart.top)  # once all is drawn: the panels share it
     axes[0].set_ylabel(chart.y)
     handles = {
         label: handle

@@ -174,7 +174,7 @@ def _scene(
             yield of("frame", "ms", times, **shown)
             if detail == "full":
                 continue
-            shown |= {"share": drawn["splats"] / max(whole, 1)}
+            shown |= {"share": drawn["splats"] / max(whole, 1), "ms": float(np.median(times))}
             colour = np.clip(drawer.colour(), 0, 1)
             yield of("PSNR", "dB", _psnr(colour, full), **shown)
             yield of("PSNR against the truth", "dB", _psnr(colour, truth), **shown)
