@@ -15,6 +15,8 @@ namespace {
 
 using namespace std::chrono_literals;
 
+constexpr double kWatchPeriod = 1;  // [s]
+
 // As in rosplat_sorter's qos.py, which says why.
 rclcpp::QoS viewQos(std::size_t depth) {
   return rclcpp::QoS(rclcpp::KeepLast(depth)).reliable().durability_volatile();
@@ -88,16 +90,9 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
       node_->create_publisher<rosplat_msgs::msg::ViewCamera>(remapped_ + "/view", viewQos(32));
   picked_publisher_ =
       node_->create_publisher<rosplat_msgs::msg::Gaussian>(remapped_ + "/picked", pickedQos());
-  watch_ = node_->create_wall_timer(
-      1s,
-      [this] {
-        watchPublishers();
-        sidecar_->tell();
-      },
-      group_);
   pull_tick_ =
       node_->create_wall_timer(100ms, [this] { act(pull_.tick(now(), served())); }, group_);
-  watchPublishers();
+  watch();
   executor_.add_callback_group(group_, node_->get_node_base_interface());
   thread_ = std::thread([this] {
     while (!stop_ && rclcpp::ok()) {
@@ -221,6 +216,18 @@ void GaussianClient::publish(rosplat_msgs::msg::ViewCamera view) {
 void GaussianClient::forget(const std::string& view_id) {
   const std::lock_guard lock(mutex_);
   views_.erase(view_id);
+}
+
+void GaussianClient::watch() {
+  if (now() - watched_ < kWatchPeriod) return;
+  watched_ = now();
+  try {
+    watchPublishers();
+    sidecar_->tell();
+  } catch (const std::exception& error) {  // once ROS has ended, say
+    RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: %s", topic_.c_str(),
+                          printable(error.what()).c_str());
+  }
 }
 
 void GaussianClient::watchPublishers() {

@@ -70,6 +70,9 @@ class GaussianClient {
                  const rclcpp::QoS& qos, SplatScene& scene);
   ~GaussianClient();
 
+  // Looks who publishes, once a second at most. To be called again and again, from the thread that
+  // made this: what a node has may be made and destroyed by one thread alone.
+  void watch();
   // Asks for an order of a view, or tells of one whose sequence is 0.
   void publish(rosplat_msgs::msg::ViewCamera view);
   // Whether views are heard by others than sorters: who publishes of a map what they show, say.
@@ -115,6 +118,7 @@ class GaussianClient {
   std::string remapped_;                         // as ROS has it; the others' names begin with it
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
+  double watched_ = 0;          // when, last [s]
   rclcpp::QoS qos_;             // that is asked for
   bool made_volatile_ = false;  // what is asked for instead
   rclcpp::Subscription<GaussianArray>::SharedPtr map_;
@@ -126,7 +130,7 @@ class GaussianClient {
   std::atomic<bool> views_followed_ = false;
   rclcpp::Publisher<rosplat_msgs::msg::Gaussian>::SharedPtr picked_publisher_;
   rclcpp::Service<RenderView>::SharedPtr render_service_;
-  rclcpp::TimerBase::SharedPtr watch_, pull_tick_;
+  rclcpp::TimerBase::SharedPtr pull_tick_;
   std::unique_ptr<CameraTrail> trail_;  // if poses are published
   std::unique_ptr<SidecarSwitch> sidecar_;
   rosplat_sorter::OrderReader reader_;

@@ -231,6 +231,7 @@ void GaussianDisplay::endService() {
 
 void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   if (!client_) return;
+  client_->watch();
   updateTransform();
   updateHandles();
   views_->update();

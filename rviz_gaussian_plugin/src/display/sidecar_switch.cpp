@@ -30,19 +30,18 @@ SidecarSwitch::Report SidecarSwitch::report() const {
 }
 
 void SidecarSwitch::tell() {
-  std::string backend;
-  {
-    const std::lock_guard lock(mutex_);
-    backend = backend_;
-  }
-  if (backend.empty()) return;
+  const std::lock_guard lock(mutex_);
+  if (backend_.empty()) return;
   const auto sorters = node_->get_publishers_info_by_topic(order_topic_);
-  forgetGone(sorters);
-  for (const auto& sorter : sorters) tell(sorter, backend);
-  note(backend);
+  // Whoever has a client last destroys it, the thread that hears answers, say. Nothing may be made
+  // meanwhile: who is new is told the next time.
+  const bool gone = forgetGone(sorters);
+  for (auto sorter = sorters.begin(); !gone && sorter != sorters.end(); ++sorter) tell(*sorter);
+  note();
 }
 
-void SidecarSwitch::forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters) {
+// Whether any is.
+bool SidecarSwitch::forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters) {
   const std::size_t before = sidecars_.size();
   for (auto sidecar = sidecars_.begin(); sidecar != sidecars_.end();) {
     const bool here = std::any_of(sorters.begin(), sorters.end(), [&](const auto& sorter) {
@@ -50,10 +49,12 @@ void SidecarSwitch::forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sor
     });
     sidecar = here ? std::next(sidecar) : sidecars_.erase(sidecar);
   }
-  if (sidecars_.size() < before) collectEntities(*group_);
+  if (sidecars_.size() == before) return false;
+  collectEntities(*group_);
+  return true;
 }
 
-void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter, const std::string& backend) {
+void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter) {
   const Gid gid = sorter.endpoint_gid();
   Sidecar& sidecar = sidecars_[gid];
   const std::string name = nodeOf(sorter);
@@ -66,13 +67,14 @@ void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter, const std::str
   if (!sidecar.parameters->service_is_ready()) return;
   // While the two get to know each other, question or answer may be lost.
   const auto now = std::chrono::steady_clock::now();
-  if (sidecar.told == backend && (sidecar.answer || now - sidecar.told_at < 3s)) return;
-  sidecar.told = backend;
+  if (sidecar.told == backend_ && (sidecar.answer || now - sidecar.told_at < 3s)) return;
+  sidecar.told = backend_;
   sidecar.told_at = now;
   sidecar.answer.reset();
   sidecar.parameters->set_parameters(
-      {rclcpp::Parameter("backend", backend)},
-      [this, gid, name, backend](std::shared_future<Results> future) {
+      {rclcpp::Parameter("backend", backend_)},
+      [this, gid, name, backend = backend_](std::shared_future<Results> future) {
+        const std::lock_guard lock(mutex_);
         const auto asked = sidecars_.find(gid);
         if (asked == sidecars_.end() || asked->second.told != backend) return;  // too late
         Report& answer = asked->second.answer.emplace();
@@ -85,22 +87,21 @@ void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter, const std::str
         } else {
           answer.text = name + " asked for backend " + backend;
         }
-        note(backend);
+        note();
       });
 }
 
-void SidecarSwitch::note(const std::string& backend) {
-  Report report;
+void SidecarSwitch::note() {
+  report_ = {};
+  if (backend_.empty()) return;
   if (sidecars_.empty()) {
-    report = {"no sidecar publishes " + order_topic_ + " that could switch to " + backend, true};
+    report_ = {"no sidecar publishes " + order_topic_ + " that could switch to " + backend_, true};
   }
   for (const auto& [gid, sidecar] : sidecars_) {
-    if (!sidecar.answer || sidecar.told != backend) continue;
-    report.text += (report.text.empty() ? "" : "; ") + sidecar.answer->text;
-    report.failed |= sidecar.answer->failed;
+    if (!sidecar.answer || sidecar.told != backend_) continue;
+    report_.text += (report_.text.empty() ? "" : "; ") + sidecar.answer->text;
+    report_.failed |= sidecar.answer->failed;
   }
-  const std::lock_guard lock(mutex_);
-  if (backend == backend_) report_ = report;  // else another one is asked for since
 }
 
 }  // namespace rosplat

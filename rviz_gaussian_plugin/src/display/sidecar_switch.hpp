@@ -22,14 +22,15 @@ class SidecarSwitch {
     bool failed = false;
   };
 
-  // What others answer is heard in the group.
+  // What others answer is heard in the group, by another thread.
   SidecarSwitch(rclcpp::Node::SharedPtr node, std::string order_topic,
                 rclcpp::CallbackGroup::SharedPtr group);
 
   // Empty: no more. From any thread, as report().
   void ask(const std::string& backend);
   Report report() const;
-  // Tells who is there and was not told. Now and then, from a callback of the group.
+  // Tells who is there and was not told. Now and then, from the thread that makes all that the node
+  // has.
   void tell();
 
  private:
@@ -43,17 +44,18 @@ class SidecarSwitch {
     std::optional<Report> answer;
   };
 
-  void forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters);
-  void tell(const rclcpp::TopicEndpointInfo& sorter, const std::string& backend);
-  void note(const std::string& backend);
+  // All with the mutex locked.
+  bool forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters);
+  void tell(const rclcpp::TopicEndpointInfo& sorter);
+  void note();
 
   rclcpp::Node::SharedPtr node_;
   std::string order_topic_;
   rclcpp::CallbackGroup::SharedPtr group_;
-  std::map<Gid, Sidecar> sidecars_;
 
-  mutable std::mutex mutex_;  // backend_, report_
-  std::string backend_;       // that is asked for
+  mutable std::mutex mutex_;  // what follows
+  std::map<Gid, Sidecar> sidecars_;
+  std::string backend_;  // that is asked for
   Report report_;
 };
 
