@@ -162,7 +162,7 @@ class Soak:
         self.hold = min(HOLD, 10 * minutes)
         self.found = Found()
         self.machines = Machines(stack)
-        self.clock = 1000.0  # that all programs go by [s]
+        self.clock = 1e6  # that all programs go by; each jump takes it back [s]
         self._trace = out / "trace.txt"
         self._trace.unlink(missing_ok=True)
         self._truth = Truth(self.size)
