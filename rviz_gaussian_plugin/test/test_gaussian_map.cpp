@@ -151,6 +151,7 @@ TEST_F(GaussianMapTest, IsCompleteOnceTheLastOfWhatIsPulledIsThere) {
   apply(Batch(7, GaussianBatch::UPSERT, 0, 1));
   const MapState before = map.state();
   EXPECT_EQ(before.missed, 6u);
+  EXPECT_FALSE(before.complete());
   pulled(Batch(7, GaussianBatch::UPSERT, 1, 1), Arrival::kPulled);
   EXPECT_FALSE(map.state().complete());
   pulled(Batch(7, GaussianBatch::UPSERT, 2, 1), Arrival::kLast);

@@ -91,7 +91,9 @@ struct MapState {
   std::uint64_t dropped = 0;      // splats, since the last clear
 
   // Whether all that its publisher announced is there.
-  bool complete() const { return !pulled && splats > 0 && splats + dropped >= expected; }
+  bool complete() const {
+    return !pulled && missed == 0 && splats > 0 && splats + dropped >= expected;
+  }
 };
 
 constexpr std::uint32_t kNoSlot = 0xffffffffu;
