@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -27,6 +28,14 @@ def test_it_runs_either_way(package: str, path: Path) -> None:
     for command in ([str(path)], [sys.executable, "-m", module]):
         helped = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True)
         assert helped.stdout.startswith(f"usage: {path.name} ")
+
+
+def test_bench_measures_in_processes_of_its_own(tmp_path: Path) -> None:
+    """Each of which runs the script once more."""
+    (bench,) = (path for _, path in COMMANDS if path.name == "bench")
+    arguments = ["frame", "--variants", "cpu", "--sizes", "1000", "--seconds", "0.01"]
+    subprocess.run([bench, *arguments, "--out", str(tmp_path)], check=True)
+    assert json.loads((tmp_path / "frame.json").read_text())
 
 
 @pytest.mark.parametrize(
