@@ -1,8 +1,8 @@
 """Splats in an order in which those that are drawn together are neighbours in the map.
 
 Whoever draws a map leaves out pages of consecutive slots that a picture can't show, which are small
-in space only where slots lie in space order. With levels of detail these are the pages, too, whose
-splats are all too fine, which one that is large among many keeps from being left out.
+in space only where slots lie in space order. With levels of detail, pages are left out whose splats
+are all too fine, too: a single large one keeps its page.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def slot_order(splats: Splats) -> NDArray[np.intp]:
     order = space_order(splats.positions)
     with np.errstate(divide="ignore"):
         octaves = np.log2(splats.scales.max(axis=1, initial=0)[order])
-    halves = np.floor(np.nan_to_num(octaves, neginf=-200.0) / 2)
-    return order[np.argsort(-halves.astype(np.int8), kind="stable")]
+    powers_of_four = np.floor(np.nan_to_num(octaves, neginf=-200.0) / 2)
+    return order[np.argsort(-powers_of_four.astype(np.int8), kind="stable")]
 
 
 def put_in_slot_order(splats: Splats) -> None:

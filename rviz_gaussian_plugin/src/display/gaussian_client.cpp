@@ -222,8 +222,8 @@ void GaussianClient::watch() {
   if (now() - watched_ < kWatchPeriod) return;
   watched_ = now();
   try {
-    watchPublishers();
     sidecar_->tell();
+    watchPublishers();  // last: a subscription that it replaces may be destroyed by who hears
   } catch (const std::exception& error) {  // once ROS has ended, say
     RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: %s", topic_.c_str(),
                           printable(error.what()).c_str());

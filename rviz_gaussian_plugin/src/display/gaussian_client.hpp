@@ -71,7 +71,7 @@ class GaussianClient {
   ~GaussianClient();
 
   // Looks who publishes, once a second at most. To be called again and again, from the thread that
-  // made this: what a node has may be made and destroyed by one thread alone.
+  // made this: what a node has must be made by one thread alone.
   void watch();
   // Asks for an order of a view, or tells of one whose sequence is 0.
   void publish(rosplat_msgs::msg::ViewCamera view);
