@@ -139,5 +139,11 @@ def test_a_robot_s_packages_need_nothing_that_draws_or_measures() -> None:
     assert not [name for name in needed | loaded if name.startswith(("rviz", "rosplat_lab"))]
 
 
+def test_no_module_is_called_like_one_of_python_s_own() -> None:
+    """Else it hides that one from all that runs with the module's folder on the path."""
+    modules = [path for package in OURS for path in (ROOT / package / package).rglob("*.py")]
+    assert not [path for path in modules if path.stem in sys.stdlib_module_names]
+
+
 def test_no_package_depends_on_one_that_depends_on_it() -> None:
     TopologicalSorter({package: named(package) & set(OURS) for package in OURS}).prepare()

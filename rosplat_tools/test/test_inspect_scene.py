@@ -9,7 +9,7 @@ import pytest
 from streamed_scene import write_scene
 
 from rosplat_tools.formats import save
-from rosplat_tools.inspect import describe, main
+from rosplat_tools.inspect_scene import describe, main
 from rosplat_tools.splats import Splats
 
 Make = Callable[..., Splats]
