@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -63,11 +64,49 @@ _interrupted_at: float | None = None  # of time.monotonic()
 
 
 def interrupt_by_signals() -> None:
-    """Makes SIGTERM end this program as Ctrl-C does: by KeyboardInterrupt, block by block."""
+    """Makes SIGTERM end this program as Ctrl-C does: by KeyboardInterrupt, block by block.
+
+    At once, wherever the main thread waits: see _Waker.
+    """
     global _interrupted_at
     _interrupted_at = None
     for number in ENDINGS:
         signal.signal(number, _interrupt)
+    if _Waker.running is None:
+        _Waker.running = _Waker()
+
+
+class _Waker:
+    """Has the main thread hear of a signal that lands just before it begins to wait.
+
+    Python runs handlers in the main thread, between two steps of a program. A system call that has
+    begun by then, or that another thread's signal doesn't interrupt, goes on to its end first. So a
+    thread, which each signal wakes, interrupts the main one until that has run its handlers.
+    """
+
+    running: _Waker | None = None
+    _POKE = signal.SIGURG  # nobody else sends it, and programs that are started ignore it
+    _PERIOD = 0.02  # [s]
+
+    def __init__(self) -> None:
+        self._main = threading.get_ident()
+        self._heard = False
+        self._signals, writing = os.pipe()
+        os.set_blocking(writing, False)
+        signal.signal(self._POKE, self._hear)
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))  # the pipe is ours
+        threading.Thread(target=self._watch, name="signals", daemon=True).start()
+
+    def _hear(self, _number: int, _frame: FrameType | None) -> None:
+        self._heard = True
+
+    def _watch(self) -> None:
+        while numbers := os.read(self._signals, 64):
+            self._heard = not set(numbers) - {self._POKE}
+            while not self._heard:
+                signal.pthread_kill(self._main, self._POKE)
+                time.sleep(self._PERIOD)
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
