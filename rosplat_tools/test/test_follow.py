@@ -10,6 +10,7 @@ from point_cloud import cloud
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
+from rosplat_msgs.srv import PullMap
 from rosplat_tools import formats
 from rosplat_tools.testing import random_splats
 
@@ -52,3 +53,24 @@ def test_a_cloud_is_shown_in_its_frame(start: Start, listener: Any, node: Node) 
     publisher.publish(message)
     listener.wait_for(300)
     assert listener.batches[-1].header.frame_id == "camera_init"
+    message.header.frame_id = "odom"  # the same splats elsewhere
+    publisher.publish(message)
+    listener.wait(lambda: listener.batches[-1].header.frame_id == "odom")
+    assert not listener.batches[-1].count
+
+
+def test_a_cloud_that_is_refused_moves_nothing(start: Start, listener: Any, node: Node) -> None:
+    process = start("follow")
+    publisher = node.create_publisher(PointCloud2, "cloud", 1)
+    message = cloud(random_splats(300, 0))
+    message.header.frame_id = "camera_init"
+    listener.wait(publisher.get_subscription_count)
+    publisher.publish(message)
+    listener.wait_for(300)
+    message.header.frame_id = "odom"
+    message.data = message.data[:-1]
+    publisher.publish(message)
+    assert process.stdout
+    assert any("the map stays" in line for line in process.stdout)
+    answer = listener.call(PullMap, "gaussians/pull", map_id=listener.batches[-1].map_id)
+    assert {batch.header.frame_id for batch in answer.batches} == {"camera_init"}

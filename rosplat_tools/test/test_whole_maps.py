@@ -9,6 +9,7 @@ from rclpy.node import Node
 
 from rosplat_tools.following.whole_maps import WholeMaps
 from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.slot_order import slot_order
 from rosplat_tools.splats import Splats, concatenate
 from rosplat_tools.testing import random_splats
 
@@ -53,6 +54,35 @@ def test_a_value_of_a_channel_is_a_difference(maps: WholeMaps, listener: Any) ->
     listener.wait(lambda: len(listener.batches) == 2)
     heard = listener.map.snapshot()[1].channels["label"]
     np.testing.assert_array_equal(np.sort(heard), np.sort(labels))
+
+
+def test_what_is_not_finite_is_sent_once(maps: WholeMaps, publisher: MapPublisher) -> None:
+    splats, ids = random_splats(100, 1), np.arange(100)
+    splats.positions[:60, 0] = np.nan
+    splats.scales[7] = np.inf
+    assert maps.show(splats, ids) == 100
+    slots, held = publisher.snapshot()
+    assert slots == range(40)
+    np.testing.assert_array_equal(slot_order(held), slots)
+    assert maps.show(splats, ids) == 0
+    splats.positions[3] = 0
+    assert maps.show(splats, ids) == 1
+    assert len(publisher) == 41
+    splats.positions[80] = np.nan
+    assert maps.show(splats, ids) == 1
+    assert len(publisher) == 40
+
+
+def test_a_frame_is_told_even_where_no_splat_differs(
+    maps: WholeMaps, publisher: MapPublisher, listener: Any
+) -> None:
+    splats = random_splats(100, 1)
+    for frame in ("map", "odom", "odom", "map"):
+        publisher.frame_id = frame
+        maps.show(splats)
+    listener.wait(lambda: listener.batches and listener.batches[-1].revision == 3)
+    assert [batch.header.frame_id for batch in listener.batches] == ["map", "odom", "map"]
+    assert len(listener.map) == 100
 
 
 def test_what_keeps_its_id_keeps_its_slot(

@@ -74,7 +74,7 @@ class Follow(Node):
             self._refuse(error)  # what is being written isn't whole
             return
         if self._file.is_still(version):
-            self._show(splats, str(version.path))
+            self._show(splats, "", str(version.path))
 
     def _go_on(self, _: float) -> None:
         if not self.context.ok():
@@ -88,17 +88,19 @@ class Follow(Node):
         self._take(frame, from_splat_array, message, "splat_array")
 
     def _take(self, frame_id: str, read: Any, message: Any, topic: str) -> None:
-        self._publisher.frame_id = self._frame_id or frame_id or "map"
         try:
             name = self.resolve_topic_name(topic)
-            self._show(read(message, name, self.get_logger().warning), name)
+            self._show(read(message, name, self.get_logger().warning), frame_id, name)
         except SceneError as error:
             self._refuse(error)
 
-    def _show(self, splats: Splats, source: str) -> None:
+    def _show(self, splats: Splats, frame_id: str, source: str) -> None:
+        before = self._publisher.frame_id
+        self._publisher.frame_id = self._frame_id or frame_id or "map"
         try:
             sent = self._maps.show(splats)
         except (ValueError, MemoryError) as error:
+            self._publisher.frame_id = before
             self._refuse(f"{source}: {error or 'too large for this machine'}")
             return
         self.get_logger().info(f"{shown(source)}: {len(splats):,} splats, {sent:,} of them sent")

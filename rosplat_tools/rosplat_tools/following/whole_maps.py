@@ -11,6 +11,8 @@ from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.slot_order import slot_order
 from rosplat_tools.splats import Splats
 
+_DRAWN = ("positions", "orientations", "scales", "opacities", "sh")
+
 
 @dataclass(frozen=True)
 class _Shown:
@@ -22,6 +24,7 @@ class _Shown:
     """(n,) ascending."""
     slots: NDArray[np.intp]
     """(n,) by id."""
+    frame_id: str
 
 
 class WholeMaps:
@@ -55,11 +58,11 @@ class WholeMaps:
         return sent
 
     def _replace(self, splats: Splats, ids: NDArray[np.int64], rows: NDArray[np.intp]) -> int:
-        order = slot_order(splats)
+        order = _order(splats)
         self._publisher.replace(splats[order])
         slots = np.empty(len(order), np.intp)
         slots[order] = np.arange(len(order))
-        self._shown = _Shown(splats[rows], ids, slots[rows])
+        self._shown = _Shown(splats[rows], ids, slots[rows], self._publisher.frame_id)
         return len(splats)
 
     def _edit(
@@ -76,20 +79,31 @@ class WholeMaps:
         if np.count_nonzero(differs) > len(ids) // 2:
             return None
         new = np.delete(np.arange(len(ids)), same)
-        new = new[slot_order(splats[rows[new]])]
+        new = new[_order(splats[rows[new]])]
         gone = np.sort(np.delete(before.slots, old))
         used = np.zeros(before.slots.max(initial=-1) + 1 + len(new), bool)
         used[before.slots[old]] = True
         free = np.flatnonzero(~used)[: len(new)]
         slots = np.empty(len(ids), np.intp)
         slots[same], slots[new] = before.slots[old], free
-        if len(emptied := np.setdiff1d(gone, free, assume_unique=True)):
-            self._publisher.delete(emptied)
+        emptied = np.setdiff1d(gone, free, assume_unique=True)
         changed = np.flatnonzero(differs)
+        moved = self._publisher.frame_id != before.frame_id
+        if len(emptied) or (moved and not len(changed)):  # any batch tells of the map's frame
+            self._publisher.delete(emptied)
         if len(changed):
             self._publisher.upsert(slots[changed], splats[rows[changed]])
-        self._shown = _Shown(splats[rows], ids, slots)
+        self._shown = _Shown(splats[rows], ids, slots, self._publisher.frame_id)
         return len(changed)
+
+
+def _order(splats: Splats) -> NDArray[np.intp]:
+    """The order of a map's slots, those last that have no place in it."""
+    placed = np.isfinite(splats.positions).all(axis=1) & np.isfinite(splats.scales).all(axis=1)
+    if placed.all():
+        return slot_order(splats)
+    rows = np.flatnonzero(placed)
+    return np.concatenate([rows[slot_order(splats[rows])], np.flatnonzero(~placed)])
 
 
 def _checked(ids: NDArray[np.generic], n: int) -> NDArray[np.int64]:
@@ -103,14 +117,17 @@ def _checked(ids: NDArray[np.generic], n: int) -> NDArray[np.int64]:
 def _differ(
     before: Splats, old: NDArray[np.intp], after: Splats, new: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """(n,) whether the i-th of some rows of one map differs from the i-th of another's."""
+    """(n,) whether the i-th of some rows of one map differs from the i-th of another's.
+
+    By their bits: NaN is what it was before.
+    """
     degree = max(before.sh_degree, after.sh_degree)
     a, b = before.with_sh_degree(degree), after.with_sh_degree(degree)
-    differs = a.opacities[old] != b.opacities[new]
-    for name in ("positions", "orientations", "scales", "sh"):
-        other = getattr(a, name)[old] != getattr(b, name)[new]
-        differs |= other.any(axis=tuple(range(1, other.ndim)))
-    for name in {*a.channels, *b.channels}:
-        one, other = a.channel(name)[old], b.channel(name)[new]
-        differs |= (one != other) & ~(np.isnan(one) & np.isnan(other))
+    names = {*a.channels, *b.channels}
+    pairs = [(getattr(a, name), getattr(b, name)) for name in _DRAWN]
+    pairs += [(a.channel(name), b.channel(name)) for name in names]
+    differs = np.zeros(len(old), bool)
+    for one, other in pairs:
+        unlike = one[old].view(np.uint32) != other[new].view(np.uint32)
+        differs |= unlike.any(axis=tuple(range(1, unlike.ndim)))
     return differs
