@@ -19,6 +19,7 @@ def errors(before: Splats, after: Splats) -> dict[str, NDArray[np.float64]]:
     found = {name: np.empty(len(before)) for name in names}
     for part in blocks(len(before)):
         old, new = before[part].with_sh_degree(degree), after[part].with_sh_degree(degree)
+        differ = np.abs(old.sh.astype(np.float64) - new.sh).max(axis=2)
         moved = old.positions.astype(np.float64) - new.positions + (old.origin - new.origin)
         found["position [m]"][part] = np.linalg.norm(moved, axis=1)
         least = np.finfo(np.float32).tiny  # of flat splats
@@ -26,9 +27,9 @@ def errors(before: Splats, after: Splats) -> dict[str, NDArray[np.float64]]:
         found["scale [%]"][part] = 100 * np.abs(ratios - 1).max(axis=1)
         found["rotation [deg]"][part] = np.degrees(_angles(old.orientations, new.orientations))
         found["opacity"][part] = np.abs(old.opacities - new.opacities)
-        found["color"][part] = SH_C0 * np.abs(old.sh[:, 0] - new.sh[:, 0]).max(axis=1)
+        found["color"][part] = SH_C0 * differ[:, 0]
         if degree:
-            found["harmonics"][part] = np.abs(old.sh[:, 1:] - new.sh[:, 1:]).max(axis=(1, 2))
+            found["harmonics"][part] = differ[:, 1:].max(axis=1)
     return found
 
 

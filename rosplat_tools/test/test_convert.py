@@ -66,6 +66,29 @@ def test_the_round_trips_error_is_told(
     assert ("take its axes for x right, y up" in err) == (ending == ".spz")
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("largest", [1e20, 3.4e38])
+@pytest.mark.parametrize("field", ["positions", "scales", "sh"])
+@pytest.mark.parametrize("ending", [".ply", ".compressed.ply", ".spz", ".sog", ".splat"])
+def test_numbers_at_the_end_of_float32_end_nothing(
+    random_splats: Callable[..., Splats],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    ending: str,
+    field: str,
+    largest: float,
+) -> None:
+    splats = random_splats(300, 1)
+    values = getattr(splats, field)
+    values *= 1 / np.abs(values).max()
+    values *= np.float32(largest)
+    save(tmp_path / "a.ply", splats)
+    if main([str(tmp_path / "a.ply"), str(tmp_path / f"b{ending}")]) == 0:
+        assert "nan" not in capsys.readouterr().out
+    else:
+        assert "too far" in capsys.readouterr().err.splitlines()[-1]
+
+
 def test_an_output_that_exists_is_kept(
     random_splats: Callable[..., Splats], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

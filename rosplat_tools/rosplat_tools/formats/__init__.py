@@ -152,7 +152,8 @@ def save(path: str | Path, splats: Splats) -> Splats:
             _require_finite(path, splats)
             splats = splats[space_order(splats.positions)]
         with replacing(path) as partial, partial.open("wb") as stream:
-            writer.write(stream, path, splats)
+            with np.errstate(over="ignore"):  # what is beyond a format's numbers becomes its largest
+                writer.write(stream, path, splats)
     return splats
 
 

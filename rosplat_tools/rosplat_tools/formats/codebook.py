@@ -12,6 +12,7 @@ VECTORS = 64  # that a palette is made from, for each of its own
 LEAF = 512  # vectors of a palette that k-means finds at a time, or
 GROUPS = 64  # groups that it makes of vectors where there are to be more
 ROUNDS = 8
+MOST_OCTAVES = 58  # of a vector's numbers: their squares' sum is beyond no float32
 # Multiplications of a matrix product that OpenBLAS leaves to one thread: waking others takes longer
 # than the many small products here.
 SMALL_PRODUCT = 1 << 18
@@ -45,7 +46,7 @@ def codebook(values: Floats, size: int = 256) -> NDArray[np.float32]:
 
 def nearest(values: Floats, book: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Index of the value in an ascending codebook of 256 that is next to each."""
-    return np.searchsorted((book[1:] + book[:-1]) / 2, values).astype(np.uint8)
+    return np.searchsorted(book[1:] / 2 + book[:-1] / 2, values).astype(np.uint8)
 
 
 def palette(vectors: NDArray[np.float32], size: int) -> tuple[NDArray[np.float32], _Labels]:
@@ -53,6 +54,10 @@ def palette(vectors: NDArray[np.float32], size: int) -> tuple[NDArray[np.float32
 
     k-means of groups of groups: a little worse than k-means of all, and far faster.
     """
+    # In a unit in which float32 holds sums of squares.
+    _, octaves = np.frexp(np.abs(vectors).max())
+    unit = np.float32(2.0 ** max(0, int(octaves) - MOST_OCTAVES))
+    vectors = vectors / unit
     rng = np.random.default_rng(0)
     labels = np.zeros(len(vectors), np.intp)
     books: list[NDArray[np.float32]] = []
@@ -76,7 +81,7 @@ def palette(vectors: NDArray[np.float32], size: int) -> tuple[NDArray[np.float32
             for group, part_share in zip(members, shares, strict=True)
             if len(group)
         ]
-    return np.concatenate(books), labels
+    return np.concatenate(books) * unit, labels
 
 
 def _k_means(

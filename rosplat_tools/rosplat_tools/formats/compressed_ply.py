@@ -206,8 +206,9 @@ def _ranges_of(values: Floats) -> tuple[Floats, Floats]:
     least = np.minimum.reduceat(values, starts)
     greatest = np.maximum.reduceat(values, starts)
     chunk = np.arange(len(values)) // CHUNK
-    span = np.maximum(greatest - least, np.finfo(np.float32).tiny)
-    fractions = (values - least[chunk]) / span[chunk]
+    # Differences may be beyond float32.
+    span = np.maximum(greatest.astype(np.float64) - least, np.finfo(np.float32).tiny)
+    fractions = (values.astype(np.float64) - least[chunk]) / span[chunk]
     return np.concatenate([least, greatest], axis=1), fractions
 
 
