@@ -37,7 +37,7 @@ def plain(
     """What choose does, by looking at all chunks for each step."""
     found, levels, done = errors(chunks, scale), [NOTHING] * len(held), set()
     while True:
-        best, which = 0.0, -1
+        best, which = -1.0, -1
         for chunk, counts in enumerate(chunks.counts):
             level = levels[chunk]
             if chunk in done or level + 1 == len(counts):
@@ -46,7 +46,7 @@ def plain(
             if level < held[chunk]:
                 worth = LOYALTY * error
             else:
-                worth = error if level == NOTHING or error > target else 0.0
+                worth = error if level == NOTHING or error > target else -1.0
             if worth > best:
                 best, which = worth, chunk
         if which < 0:
@@ -69,7 +69,7 @@ def test_levels_are_those_of_the_plain_twin_and_within_the_budget(data: st.DataO
     counts = st.lists(st.integers(1, 50_000), max_size=4).map(lambda found: tuple(sorted(found)))
     rng = np.random.default_rng(data.draw(st.integers(0, 99)))
     low = rng.normal(size=(n, 3))
-    chunks = Levels(low, low + rng.uniform(0, 3, (n, 3)), [data.draw(counts) for _ in range(n)])
+    chunks = Levels(low, low + rng.choice([0, 3], (n, 1)) * rng.uniform(size=(n, 3)), [data.draw(counts) for _ in range(n)])
     held = [data.draw(st.integers(NOTHING, len(counts) - 1)) for counts in chunks.counts]
     budget, target = data.draw(st.integers(0, 300_000)), data.draw(st.floats(0.001, 100))
     scale = rng.uniform(1, 1000, n)
@@ -117,6 +117,13 @@ def test_without_a_view_all_have_their_coarsest() -> None:
     chunks = row(3)
     scale = magnification(chunks, [])
     assert choose(chunks, scale, [NOTHING] * 3, 1 << 25, 1e-3) == [0, 0, 0]
+
+
+def test_a_chunk_that_is_a_point_is_held_as_well() -> None:
+    chunks = Levels(np.zeros((2, 3)), np.array([[0.0, 0, 0], [1, 1, 1]]), [(1, 2), (1, 2)])
+    scale = magnification(chunks, [camera((0, 0, -5))])
+    assert choose(chunks, scale, [NOTHING] * 2, 1 << 25, 1.0) == [0, 1]
+    assert choose(chunks, scale, [NOTHING] * 2, slots_for(1), 1.0) == [NOTHING, 1]
 
 
 def test_a_view_that_sways_has_nothing_fetched_and_dropped_in_turn() -> None:

@@ -108,13 +108,13 @@ def choose(chunks: Levels, scale: Array, held: ArrayLike, budget: int, target: f
     step = np.arange(table.shape[1])
     stays = step <= np.asarray(held)[:, None]  # as long as nothing else needs its place
     urgency = np.where(stays, LOYALTY * urgency, urgency)
-    urgency[(table == 0) | (~stays & (step > 0) & (urgency <= target))] = 0
+    urgency[(table == 0) | (~stays & (step > 0) & (urgency <= target))] = -1  # not wanted
     # A step comes after the one before it, and so is worth no more.
     urgency = np.minimum.accumulate(urgency, axis=1)
     more = np.diff(slots_for(table), axis=1, prepend=0)
 
     order = np.argsort(-urgency, axis=None, kind="stable")
-    order = order[: np.count_nonzero(urgency)]
+    order = order[: np.count_nonzero(urgency >= 0)]
     levels = [NOTHING] * len(table)
     full = set[int]()  # chunks whose next step the budget has no room for
     for chunk, level, cost in zip(
