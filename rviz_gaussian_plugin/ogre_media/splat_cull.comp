@@ -11,7 +11,7 @@ bool mayBeSeen(Page page, uint slot) {
   vec3 mean = slotPosition(slot);
   if (map.clip_to_box) {
     vec3 in_box = transformed(groups[page.group].to_box, mean);
-    if (any(greaterThan(abs(in_box), 0.5 * map.box_size))) return false;
+    if (!all(lessThanEqual(abs(in_box), 0.5 * map.box_size))) return false;
   }
   vec3 scale = slotScale(slot);
   float extent = cutoffSigmas(opacity) * max(max(scale.x, scale.y), scale.z);

@@ -210,6 +210,71 @@ TEST(CpuRasterizer, divides_splats_at_translucent_objects) {
   expectColour(&picture.behind[4], {0, 0, 0, 0});
 }
 
+TEST(CpuRasterizer, a_splat_beyond_all_bounds_hides_no_other) {
+  const std::vector<float> open(150 * 110, 1);  // behind which whole pages are looked for
+  for (const float far : {1e19f, 1e30f, 1e36f, 1e38f, 3.4e38f}) {
+    for (const std::array<float, 3>& at : {std::array<float, 3>{far, 0, 0}, {0, -far, 0},
+                                           {0, 0, far}, {-far, far, far}, {far, -far, -far}}) {
+      for (const bool clips : {false, true}) {
+        const Scene without = cloud();
+        Scene with = cloud();
+        const auto same = [&](const std::string& what) {
+          PictureRequest expected = request(without), wanted = request(with);
+          expected.scene_depth = wanted.scene_depth = open;
+          for (PictureRequest* of : {&expected, &wanted}) {
+            ClipBox& box = of->layers[0].settings.clip_box;
+            box.enabled = clips;
+            box.size = {10, 10, 100};
+            of->layers[0].camera.fx = 1e5;  // the products are the larger
+          }
+          EXPECT_EQ(draw(rasterizer(), wanted).colour, draw(rasterizer(), expected).colour)
+              << what << " at " << at[0] << " " << at[1] << " " << at[2];
+        };
+        with.add(at, 1, 1, {1, 1, 1});
+        with.write(3000);
+        same("a splat");
+        with.remove(3000, 1);
+        same("what is left of a splat");
+      }
+    }
+  }
+}
+
+TEST(CpuRasterizer, a_group_beyond_all_bounds_hides_no_other) {
+  const Scene without = cloud();
+  for (const double far : {1e20, 1e37, 3e38, -1e300, 1.7e308}) {
+    Scene with = cloud();
+    with.batch = OwnedBatch();
+    with.add({0, 0, 5}, 1, 1, {1, 1, 1});
+    with.batch.group = 1;
+    with.write(4096);
+    OwnedBatch move(0, GaussianBatch::MOVE);
+    move.group_list = {1};
+    move.poses.push_back({{far, far, -far}, {0, 0, 0, 1}});
+    with.apply(move);
+    EXPECT_EQ(draw(rasterizer(), request(with)).colour, draw(rasterizer(), request(without)).colour)
+        << far;
+  }
+}
+
+TEST(CpuRasterizer, a_splat_whose_reach_is_beyond_float32_is_hidden_by_none_of_the_tiles) {
+  Scene scene;
+  scene.add({-5e34f, 0, 1e37f}, 1e35f, 1, {1, 1, 1});  // 25 pixels from the left
+  scene.write();
+  PictureRequest wanted = request(scene);
+  wanted.layers[0].camera.fx = 1e4;
+  wanted.layers[0].camera.fy = 10;  // it is in one row of tiles
+  wanted.layers[0].camera.far_clip = 3e38;
+  std::vector<float> depth(150 * 110, 1);
+  for (int i = 0; i < 150 * 110; ++i) depth[std::size_t(i)] = i % 150 < 16 ? 0.0f : 1.0f;
+  const std::size_t drawn = draw(rasterizer(), wanted).layers[0].drawn;
+  EXPECT_EQ(drawn, 1u);
+  wanted.scene_depth = depth;
+  for (const auto with : {Instructions::kPlain, Instructions::kBest}) {
+    EXPECT_EQ(draw(rasterizer(1, with), wanted).layers[0].drawn, drawn);
+  }
+}
+
 TEST(CpuRasterizer, nothing_is_left_behind_where_a_translucent_object_was) {
   Scene scene;
   scene.add({0, 0, 6}, 100, 0.5f, {0, 1, 0});

@@ -358,6 +358,23 @@ TEST(Cut, LeavesNoHole) {
   EXPECT_LT(before, full.layers[0].drawn / 20);
 }
 
+TEST(Cut, IsTheSameBesideASplatBeyondAllBounds) {
+  CpuRasterizer rasterizer(std::make_shared<ThreadTeam>(1));
+  SplatPicture expected, picture;
+  for (const float far : {1e19f, 1e30f, 1e36f, 3.4e38f}) {
+    Scene without = wall(6), with = wall(6);
+    with.write(20000, {far, -far, far}, {0.05f, 0.05f, 0.05f});
+    with.send();
+    ASSERT_TRUE(without.levels.advance(without.slots, never));
+    ASSERT_TRUE(with.levels.advance(with.slots, never));
+    for (const double error : {1.0, 4.0}) {
+      rasterizer.draw(request(without, error), expected);
+      rasterizer.draw(request(with, error), picture);
+      EXPECT_EQ(picture.colour, expected.colour) << far << " m away, at " << error << " px";
+    }
+  }
+}
+
 TEST(Cut, SharesOfALoneSplatAndItsNodesSumToAll) {
   Scene scene;
   scene.write(0, {0.3f, 0.1f, 6}, {0.2f, 0.1f, 0.2f}, 0.95f);

@@ -41,6 +41,21 @@ SplatCamera camera(bool orthographic) {
                     orthographic ? 25 : 520, 300, 250, 640, 480, 0.1, 60);
 }
 
+// The sorters' test in double precision.
+bool isInPicture(const rosplat_sorter::View& view, const float* position, double extent) {
+  std::array<double, 3> p;
+  for (int i = 0; i < 3; ++i) {
+    p[i] = view.translation[i];
+    for (int k = 0; k < 3; ++k) p[i] += double(view.rotation[3 * i + k]) * position[k];
+  }
+  const double w = view.orthographic ? 1 : p[2];
+  return p[2] > view.near_clip && p[2] < view.far_clip &&
+         std::fabs(view.fx * p[0] + view.offset_x * w) <=
+             view.half_width * w + view.slope_x * extent &&
+         std::fabs(view.fy * p[1] + view.offset_y * w) <=
+             view.half_height * w + view.slope_y * extent;
+}
+
 TEST(PageView, LosesNoPageOfWhichASplatIsSeenAndMostOfTheOthers) {
   for (const bool orthographic : {false, true}) {
     const SeenGroup group(camera(orthographic), {}, {});
@@ -61,6 +76,48 @@ TEST(PageView, LosesNoPageOfWhichASplatIsSeenAndMostOfTheOthers) {
     EXPECT_GT(seen, 1000);
     EXPECT_LT(kept, 1.2 * seen);
   }
+}
+
+TEST(PageView, LosesNoPageWhoseBoundsAreBeyondFloat32) {
+  rosplat_sorter::DepthOrder sorter(1);
+  std::mt19937 random(5);
+  std::uniform_real_distribution<double> unit(-1, 1);
+  const auto anywhere = [&](double octaves) {
+    return std::copysign(std::exp2(octaves * (1 + unit(random)) / 2), unit(random));
+  };
+  int seen = 0;
+  for (int i = 0; i < 20000; ++i) {
+    const bool orthographic = i % 2;
+    SplatCamera from = camera(orthographic);
+    from.fx = from.fy = std::fabs(anywhere(24));
+    from.far_clip = std::fabs(anywhere(127)) + 100;
+    Group group;
+    group.origin = {anywhere(127), anywhere(127), anywhere(127)};
+    // Around the camera or the origin, and one splat of them anywhere.
+    std::array<float, 3> centre{};
+    const std::array<double, 3> eye = eyeOf(from, group.originOrZero());
+    for (std::size_t k = 0; i % 5 && k < 3; ++k) centre[k] = float(eye[k]);
+    Page page(random, centre, 10, 1);
+    GaussianEdit edit;
+    edit.sh_degree = 0;
+    edit.runs = {{kSplats, 1}};
+    for (int k = 0; k < 3; ++k) edit.positions.push_back(float(anywhere(127)));
+    edit.extents.push_back(std::fabs(float(anywhere(127))));
+    page.pages.apply(edit);
+    page.positions.insert(page.positions.end(), edit.positions.begin(), edit.positions.end());
+    page.extents.push_back(edit.extents[0]);
+
+    const SeenGroup of(from, group, {});
+    const auto& shown =
+        sorter.sort(of.view, page.positions.data(), page.extents.data(), kSplats + 1);
+    // The sorters show more than there is where both sides of their test are infinite.
+    const bool in_picture = std::any_of(shown.begin(), shown.end(), [&](std::uint32_t slot) {
+      return isInPicture(of.view, &page.positions[3 * slot], page.extents[slot]);
+    });
+    EXPECT_TRUE(!in_picture || of.pages.mayShow(page.bounds())) << i;
+    seen += in_picture;
+  }
+  EXPECT_GT(seen, 500);
 }
 
 TEST(PageView, LeavesOutWhatIsOutsideOfTheBox) {

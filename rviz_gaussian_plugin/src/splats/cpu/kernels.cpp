@@ -335,8 +335,9 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
       const Floats at = focal * transform(group.to_camera[axis], mean) * over_w + centre;
       const Floats reach = slope * extent * over_w + kMargin;
       const Floats last = all(float(tiles - 1));
-      return Span{toInts(clamp((at - reach) * (1.0f / kTile), Floats{}, last)),
-                  toInts(clamp((at + reach) * (1.0f / kTile), Floats{}, last))};
+      // Where they are NaN, beyond float32, the first tile and the last.
+      return Span{toInts(min(max((at - reach) * (1.0f / kTile), Floats{}), last)),
+                  toInts(max(min((at + reach) * (1.0f / kTile), last), Floats{}))};
     };
     const Span columns =
         tilesAlong(0, project_view.fx, project_view.cx, view.slope_x, pyramid.across);

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "cpu/raster_work.hpp"
+#include "map/page_bounds.hpp"
 
 namespace rosplat {
 
@@ -157,7 +158,8 @@ void CpuRasterizer::Work::raisePyramid() {
   }
 }
 
-// Whether all that a page may hold lies behind what tiles may still show.
+// Whether all that a page may hold lies behind what tiles may still show. Bounds beyond float32
+// hide nothing: see isBeyond().
 bool CpuRasterizer::Work::hidden(const SeenPage& seen) const {
   const SeenLayer& layer = layers[seen.layer];
   const SlotPage& page = *seen.page;
@@ -174,7 +176,7 @@ bool CpuRasterizer::Work::hidden(const SeenPage& seen) const {
     half[axis] += 1e-5f * (std::fabs(centre[axis]) + half[axis]);  // for rounding
   }
   const float nearest = centre[2] - half[2], farthest = centre[2] + half[2];
-  if (!v.orthographic && nearest <= v.near_clip) return false;
+  if (!v.orthographic && !(nearest > v.near_clip)) return false;
   const float ndc = (v.ndc_scale * nearest + v.ndc_offset) / (v.orthographic ? 1 : nearest);
   const float window_depth = 0.5f * std::min(ndc, 1.0f) + 0.5f;
   const auto tilesAlong = [&](int axis, float focal, float middle, float slope, int count) {
@@ -183,11 +185,11 @@ bool CpuRasterizer::Work::hidden(const SeenPage& seen) const {
     const float over_near = v.orthographic ? 1 : 1 / nearest;
     const float over_far = v.orthographic ? 1 : 1 / farthest;
     const float reach = slope * page.extent * over_near + kMargin;
-    const auto tile = [&](float pixel) {
-      return int(std::clamp(pixel / kTile, 0.0f, float(count - 1)));
-    };
-    return std::pair(tile(focal * std::min(least * over_near, least * over_far) + middle - reach),
-                     tile(focal * std::max(most * over_near, most * over_far) + middle + reach));
+    const float last = float(count - 1);
+    const float from = focal * std::min(least * over_near, least * over_far) + middle - reach;
+    const float to = focal * std::max(most * over_near, most * over_far) + middle + reach;
+    return std::pair(isBeyond(from, 0) ? int(std::min(from / kTile, last)) : 0,
+                     isBeyond(-to, -last * kTile) ? int(std::max(to / kTile, 0.0f)) : count - 1);
   };
   auto [left, right] = tilesAlong(0, v.fx, v.cx, layer.cull.slope_x, across);
   auto [top, bottom] = tilesAlong(1, v.fy, v.cy, layer.cull.slope_y, down);

@@ -88,8 +88,8 @@ std::array<std::uint32_t, N> Cut::mayShow(const PageBounds<N>& pages, float own,
   std::array<std::uint32_t, N> shows;
   for (std::size_t i = 0; i < N; ++i) {
     const float width = wide * parents[i];
-    shows[i] = std::uint32_t(width * width > from_squared * nearest[i]) &
-               std::uint32_t(narrow * narrow <= to_squared * farthest[i]);
+    shows[i] = !isBeyond(from_squared * nearest[i], width * width) &
+               !isBeyond(narrow * narrow, to_squared * farthest[i]);
   }
   return shows;
 }

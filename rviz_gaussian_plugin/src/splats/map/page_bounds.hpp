@@ -2,10 +2,17 @@
 
 #include <array>
 #include <cstddef>
+#include <limits>
 
 #include "map/slot_pages.hpp"
 
 namespace rosplat {
+
+// Whether a bound of a page shows that all of the page lies beyond a limit. A bound that float32
+// can't hold, infinite or NaN, shows nothing: the slots of such a page are tested one by one.
+inline bool isBeyond(float bound, float limit) {
+  return (bound > limit) & (bound <= std::numeric_limits<float>::max());
+}
 
 // Bounds of pages side by side, so that a processor tests several at once: as SlotPage has them.
 template <std::size_t N>

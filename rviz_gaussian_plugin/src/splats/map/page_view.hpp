@@ -31,7 +31,8 @@ class PageView {
   // The sides of the view, as bits, that don't have all within some bounds on their inner side:
   // pages within them need no test against the others.
   std::uint32_t sidesAcross(const SlotPage& bounds) const;
-  // Nearly the same of single splats, side by side: 1 or 0.
+  // Nearly the same of single splats, side by side: 1 or 0. What float32 can't hold isn't shown, as
+  // the sorters have it.
   template <std::size_t N>
   std::array<std::uint32_t, N> mayShow(const std::array<std::array<float, N>, 3>& means,
                                        const std::array<float, N>& extents) const;
@@ -106,7 +107,7 @@ std::array<std::uint32_t, N> PageView::mayShow(const PageBounds<N>& pages,
         reach[i] += length * (half[axis][i] + float(kPageRounding) * size[axis][i]);
       }
     }
-    for (std::size_t i = 0; i < N; ++i) shows[i] &= std::fabs(middle[i]) <= reach[i];
+    for (std::size_t i = 0; i < N; ++i) shows[i] &= !isBeyond(std::fabs(middle[i]), reach[i]);
   }
   for (std::size_t side = 0; side < count_; ++side) {
     if ((sides >> side & 1u) == 0) continue;
@@ -121,7 +122,7 @@ std::array<std::uint32_t, N> PageView::mayShow(const PageBounds<N>& pages,
       }
     }
     const float slope = static_cast<float>(plane.slope);
-    for (std::size_t i = 0; i < N; ++i) shows[i] &= least[i] <= slope * pages.extent[i];
+    for (std::size_t i = 0; i < N; ++i) shows[i] &= !isBeyond(least[i], slope * pages.extent[i]);
   }
   return shows;
 }
