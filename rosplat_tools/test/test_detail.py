@@ -69,7 +69,11 @@ def test_levels_are_those_of_the_plain_twin_and_within_the_budget(data: st.DataO
     counts = st.lists(st.integers(1, 50_000), max_size=4).map(lambda found: tuple(sorted(found)))
     rng = np.random.default_rng(data.draw(st.integers(0, 99)))
     low = rng.normal(size=(n, 3))
-    chunks = Levels(low, low + rng.choice([0, 3], (n, 1)) * rng.uniform(size=(n, 3)), [data.draw(counts) for _ in range(n)])
+    chunks = Levels(
+        low,
+        low + rng.choice([0, 3], (n, 1)) * rng.uniform(size=(n, 3)),
+        [data.draw(counts) for _ in range(n)],
+    )
     held = [data.draw(st.integers(NOTHING, len(counts) - 1)) for counts in chunks.counts]
     budget, target = data.draw(st.integers(0, 300_000)), data.draw(st.floats(0.001, 100))
     scale = rng.uniform(1, 1000, n)

@@ -151,9 +151,13 @@ def save(path: str | Path, splats: Splats) -> Splats:
         if getattr(writer, "IN_SPACE_ORDER", False):
             _require_finite(path, splats)
             splats = splats[space_order(splats.positions)]
-        with replacing(path) as partial, partial.open("wb") as stream:
-            with np.errstate(over="ignore"):  # what is beyond a format's numbers becomes its largest
-                writer.write(stream, path, splats)
+        # What a format has no number for becomes its largest.
+        with (
+            replacing(path) as partial,
+            partial.open("wb") as stream,
+            np.errstate(over="ignore"),
+        ):
+            writer.write(stream, path, splats)
     return splats
 
 
