@@ -51,14 +51,18 @@ class View:
 
         frames: rigid transforms from what each group's positions are relative to into the map's
         frame. Everything is float64 until the end, so that nothing is lost far from its origin.
-        Raises CameraError for what float32 can't hold.
+        A group whose translation is beyond float32 isn't visible: the translation is infinite.
+        Raises CameraError for a camera that float32 can't hold.
         """
         frames = np.asarray(frames, np.float64)
         rotation = rotation_matrix(*camera.orientation).T
         # Sums of three written out: NumPy's depend on how many groups there are.
-        with np.errstate(over="ignore", invalid="ignore"):  # checked below
+        with np.errstate(over="ignore", invalid="ignore"):
             x, y, z = (np.asarray(camera.position) - frames[:, :3, 3]).T[:, :, None]
             translations = -rotation[:, 0] * x - rotation[:, 1] * y - rotation[:, 2] * z
+            translations = translations.astype(np.float32)
+        # No depth that is infinite is nearer than far_clip.
+        translations[~np.isfinite(translations).all(axis=1)] = np.inf
 
         def slope(focal: float, centre: float, size: int) -> float:
             # A perspective footprint grows with the slope of its ray, which the renderer clamps so.
@@ -70,7 +74,7 @@ class View:
         with np.errstate(over="ignore"):  # checked below
             view = cls(
                 rotations=(rotation @ frames[:, :3, :3]).astype(np.float32),
-                translations=translations.astype(np.float32),
+                translations=translations,
                 fx=np.float32(camera.fx),
                 fy=np.float32(camera.fy),
                 offset_x=np.float32(camera.cx - camera.width / 2.0),
@@ -84,7 +88,7 @@ class View:
                 orthographic=camera.orthographic,
             )
         for name, value in vars(view).items():
-            if not np.isfinite(value).all():
+            if name != "translations" and not np.isfinite(value).all():
                 raise CameraError(f"{name} of the view is beyond float32")
         return view
 

@@ -167,6 +167,34 @@ def test_groups_of_splats_are_in_one_order(backend, make_camera, make_edit, grou
             assert_equal_to_reference(backend, splats, camera)
 
 
+@pytest.mark.parametrize("far", [1e20, 1e37, 3e38, -1e300, 1.7e308])
+def test_a_group_far_beyond_all_hides_no_other(backend, make_camera, make_edit, far):
+    random = np.random.default_rng(12)
+    splats, without = SplatMap(), SplatMap()
+    for group in range(3):
+        edit = make_edit(
+            random.normal(size=(3000, 3)) * 4,
+            slots=SLOTS_PER_PAGE * 4 * group + np.arange(3000),
+            revision=group + 1,
+            group=group,
+        )
+        splats.apply(edit)
+        if group != 1:
+            without.apply(edit)
+    away = {1: frame_at((far, -far, far))}
+    splats.apply(make_edit([], revision=4, operation=MOVE, poses=away))
+    backend.update(splats, slice(0, splats.pages.rows))
+    seen = 0
+    for camera in cameras(make_camera, random):
+        view = View.of(camera, without.frames)
+        expected = depth.order(
+            view, without.positions, without.extents, without.slots, without.groups
+        )
+        assert assert_equal_to_reference(backend, splats, camera) == len(expected)
+        seen += len(expected)
+    assert seen > 0
+
+
 def test_orders_in_shared_memory(backend, make_camera, make_edit):
     random = np.random.default_rng(10)
     count = 10_000

@@ -57,6 +57,23 @@ TEST(DepthOrder, IsBackToFrontWithTheHigherSlotFirstInTies) {
   EXPECT_EQ(Row({3, 1, 2, 1}).sort(lookAhead()), (Slots{0, 2, 3, 1}));
 }
 
+TEST(DepthOrder, SeesNothingOfWhatIsBeyondFloat32) {
+  Row row({1, 2, 3});
+  row.extents = {1, 1e30f, std::numeric_limits<float>::max()};
+  for (const bool orthographic : {false, true}) {
+    const double focal = orthographic ? 10 : 500;
+    for (const double far : {1e39, -1e300, std::numeric_limits<double>::infinity()}) {
+      for (int axis = 0; axis < 3; ++axis) {
+        double translation[3] = {};
+        translation[axis] = far;
+        EXPECT_EQ(row.sort(makeView(kIdentity, translation, focal, focal, 320, 240, 640, 480, 0.1,
+                                    std::numeric_limits<float>::max(), orthographic)),
+                  Slots());
+      }
+    }
+  }
+}
+
 TEST(DepthOrder, OrdersNegativeDepthsAndBothZerosOfOrthographicViews) {
   EXPECT_EQ(Row({-1, 2, -3, 0.0f, -0.0f}).sort(lookAhead(true, -10, 10)), (Slots{1, 4, 3, 0, 2}));
 }

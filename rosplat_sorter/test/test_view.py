@@ -102,8 +102,18 @@ def test_a_degenerate_camera_is_refused_by_its_field(make_camera, wrong):
 def test_a_camera_beyond_float32_is_refused(make_camera):
     with pytest.raises(CameraError, match="position"):
         make_camera(position=(1e300, 0.0, 0.0))
-    with pytest.raises(CameraError, match="translation"):
-        View.of(make_camera(position=(3e38, 0.0, 0.0)), unmoved((-3e38, 0.0, 0.0)))
+    with pytest.raises(CameraError, match="slope_x"):
+        View.of(make_camera(fx=3e38, extent_scale=3e38))
+
+
+@pytest.mark.parametrize("far", [1e39, -1e300, 1.7e308])
+def test_a_group_beyond_float32_is_infinitely_far_away_alone(make_camera, far):
+    camera = make_camera(position=(-3e38, 1.0, 2.0), orientation=(0.1, 0.2, -0.4, 0.9))
+    near = frame_at((-3e38, 4.0, 5.0))
+    alone = View.of(camera, [near])
+    together = View.of(camera, [frame_at((far, 0.0, far)), near, unmoved((3e38, 0.0, 0.0))[0]])
+    assert np.isposinf(together.translations[[0, 2]]).all()
+    np.testing.assert_array_equal(together.translations[1], alone.translations[0])
 
 
 def test_an_unknown_projection_is_refused(make_look):

@@ -213,8 +213,11 @@ TEST(CpuRasterizer, divides_splats_at_translucent_objects) {
 TEST(CpuRasterizer, a_splat_beyond_all_bounds_hides_no_other) {
   const std::vector<float> open(150 * 110, 1);  // behind which whole pages are looked for
   for (const float far : {1e19f, 1e30f, 1e36f, 1e38f, 3.4e38f}) {
-    for (const std::array<float, 3>& at : {std::array<float, 3>{far, 0, 0}, {0, -far, 0},
-                                           {0, 0, far}, {-far, far, far}, {far, -far, -far}}) {
+    for (const std::array<float, 3>& at : {std::array<float, 3>{far, 0, 0},
+                                           {0, -far, 0},
+                                           {0, 0, far},
+                                           {-far, far, far},
+                                           {far, -far, -far}}) {
       for (const bool clips : {false, true}) {
         const Scene without = cloud();
         Scene with = cloud();

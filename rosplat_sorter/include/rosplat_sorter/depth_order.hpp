@@ -14,6 +14,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <limits>
 #include <memory>
 #include <numeric>
 #include <utility>
@@ -59,7 +60,7 @@ constexpr double kOverscan = 1.25;
 
 // The View of a camera at rotation (map to camera optical frame, row-major) and translation (of the
 // positions' origin in the camera frame, [m]) with the intrinsics and the extent_scale of
-// ViewCamera.
+// ViewCamera. Where a translation is beyond float32, nothing is visible.
 inline View makeView(const double rotation[9], const double translation[3], double fx, double fy,
                      double cx, double cy, double width, double height, double near_clip,
                      double far_clip, bool orthographic, double extent_scale = 1.0,
@@ -72,7 +73,12 @@ inline View makeView(const double rotation[9], const double translation[3], doub
   };
   View view;
   std::copy(rotation, rotation + 9, view.rotation);
-  std::copy(translation, translation + 3, view.translation);
+  float* const t = view.translation;
+  std::copy(translation, translation + 3, t);
+  if (!(std::isfinite(t[0]) && std::isfinite(t[1]) && std::isfinite(t[2]))) {
+    // No depth that is infinite is nearer than far_clip.
+    std::fill(t, t + 3, std::numeric_limits<float>::infinity());
+  }
   view.fx = static_cast<float>(fx);
   view.fy = static_cast<float>(fy);
   view.offset_x = static_cast<float>(cx - width / 2.0);
@@ -237,7 +243,8 @@ class DepthOrder {
     return ((r[0] * p[0] + r[1] * p[1]) + r[2] * p[2]) + view.translation[axis];
   }
 
-  // Whether any of a splat's footprint can touch the picture. w: 1 if orthographic, else z.
+  // Whether any of a splat's footprint can touch the picture; not of one that is beyond float32,
+  // infinite or NaN. w: 1 if orthographic, else z.
   static bool visible(const View& view, float x, float y, float z, float w, float extent) {
     const bool in_depth = (extent >= 0.0f) & (z > view.near_clip) & (z < view.far_clip);
     const bool in_width =
