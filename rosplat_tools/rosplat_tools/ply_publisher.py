@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import threading
 import time
+from concurrent.futures import CancelledError, Future, InvalidStateError, ThreadPoolExecutor
 from pathlib import Path
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -20,7 +20,10 @@ from rosplat_tools.program.progress import bar
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
 from rosplat_tools.scenes import NAMES, is_generated, load_scene
 from rosplat_tools.slot_order import put_in_slot_order
-from rosplat_tools.splats import SceneError
+from rosplat_tools.splats import SceneError, Splats
+
+# Of callbacks: what is sent, what is read and what ends that, a save, a pull, parameters.
+THREADS = 6
 
 
 class PlyPublisher(Node):
@@ -47,10 +50,12 @@ class PlyPublisher(Node):
             chunk_bytes=chunk_bytes,
             compression=declare_compression(self),
         )
-        self._busy = threading.Lock()
-        self._requests = itertools.count(1)
-        self._newest = 0  # request
-        # Each of its own: what is being loaded can be ended.
+        # One at a time is read, beside the callbacks.
+        self._reader = ThreadPoolExecutor(1, "reader")
+        self._asking = threading.Lock()
+        self._answer: Future[str] = (
+            Future()
+        )  # to the newest request; can be cancelled while it reads
         self.create_service(
             LoadScene, "~/load", self._on_load, callback_group=ReentrantCallbackGroup()
         )
@@ -61,38 +66,54 @@ class PlyPublisher(Node):
     def load(self, path: str, root: str = "/") -> str:
         """Makes a scene, a file of a folder at any depth, the map; returns what was loaded.
 
-        A later call ends one that is still reading. Raises SceneError or Cancelled: the map stays.
+        A later call ends one that is still reading, at once. Raises SceneError or Cancelled: the
+        map stays.
         """
-        start = time.monotonic()
-        self._newest = mine = next(self._requests)
         if root != "/" and not is_generated(path):
             _check_below("scene_root", root, path)
-        with self._busy:
-            with bar("loading") as drawn:
+        answer = self._ask()
+        self._reader.submit(self._serve, answer, path)
+        try:
+            return answer.result()
+        except CancelledError:
+            raise Cancelled from None
 
-                def loaded(part: float) -> None:
-                    self._go_on()
-                    if self._newest != mine:
-                        raise Cancelled
-                    drawn.update(part - drawn.n)
-                    if drawn.disable:
-                        self.get_logger().info(
-                            f"reading {shown(path)}: {part:.0%}", throttle_duration_sec=0.5
-                        )
+    def destroy_node(self) -> None:
+        """Ends what is still being read, too."""
+        self._answer.cancel()
+        self._reader.shutdown()
+        super().destroy_node()
 
-                splats = load_scene(path, loaded, self.get_logger().warning)
-                put_in_slot_order(splats)
-                loaded(1.0)
-            with bar("publishing", len(splats)) as drawn:
+    def _ask(self) -> Future[str]:
+        """The answer to a new request, which ends an older one that is still reading."""
+        with self._asking:
+            self._answer.cancel()
+            self._answer = answer = Future()
+        return answer
 
-                def published(count: int) -> None:
-                    self._go_on()
-                    drawn.update(count)
+    def _serve(self, answer: Future[str], path: str) -> None:
+        try:
+            answer.set_result(self._load(answer, path))
+        except BaseException as error:
+            with contextlib.suppress(InvalidStateError):  # nobody waits for it any more
+                answer.set_exception(error)
 
-                try:
-                    self._map.replace(splats, progress=published)
-                except MemoryError as error:
-                    raise SceneError(f"{path}: too large for this machine's memory") from error
+    def _load(self, answer: Future[str], path: str) -> str:
+        start = time.monotonic()
+        self._go_on(answer)  # it may have waited
+        splats = self._read(answer, path)
+        if not answer.set_running_or_notify_cancel():
+            raise Cancelled
+        with bar("publishing", len(splats)) as drawn:
+
+            def published(count: int) -> None:
+                self._go_on(answer)
+                drawn.update(count)
+
+            try:
+                self._map.replace(splats, progress=published)
+            except MemoryError as error:
+                raise SceneError(f"{path}: too large for this machine's memory") from error
         text = (
             f"{path}: {len(splats):,} splats, SH degree {splats.without_empty_bands().sh_degree}, "
             f"loaded and sent in {time.monotonic() - start:.1f} s"
@@ -100,8 +121,23 @@ class PlyPublisher(Node):
         self.get_logger().info(shown(text, 500))
         return text
 
-    def _go_on(self) -> None:
-        if not self.context.ok():
+    def _read(self, answer: Future[str], path: str) -> Splats:
+        with bar("loading") as drawn:
+
+            def loaded(part: float) -> None:
+                self._go_on(answer)
+                drawn.update(part - drawn.n)
+                if drawn.disable:
+                    self.get_logger().info(
+                        f"reading {shown(path)}: {part:.0%}", throttle_duration_sec=0.5
+                    )
+
+            splats = load_scene(path, loaded, self.get_logger().warning)
+            put_in_slot_order(splats)
+            return splats
+
+    def _go_on(self, answer: Future[str]) -> None:
+        if answer.cancelled() or not self.context.ok():
             raise Cancelled
 
     def _on_load(
@@ -111,7 +147,7 @@ class PlyPublisher(Node):
             if request.path:
                 response.message = self.load(request.path, self._scene_root)
             else:
-                self._newest = next(self._requests)
+                self._ask()
                 response.message = "what was being loaded is not read any further"
             response.success = True
         except Cancelled:
@@ -157,7 +193,7 @@ def main() -> None:
 
 def _publish() -> None:
     node = PlyPublisher()
-    with spinning(node, threads=2):
+    with spinning(node, THREADS):
         if node.path:
             with contextlib.suppress(Cancelled):  # by ~/load, or by the end of ROS
                 node.load(node.path)

@@ -138,6 +138,26 @@ def test_text_and_byte_orders(random_splats: Make, tmp_path: Path, form: dict[st
     assert_same(load(tmp_path / "b.ply"), splats)
 
 
+def test_text_is_read_by_parts_and_may_be_given_up(
+    random_splats: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rosplat_tools.formats.ply_file.ROWS", 7)
+    splats = random_splats(50, 1)
+    save(tmp_path / "a.ply", splats)
+    write_rows(tmp_path / "b.ply", rows_of(tmp_path / "a.ply"), text=True)
+    told: list[float] = []
+    assert_same(load(tmp_path / "b.ply", told.append), splats)
+    assert told == sorted(told)
+    assert len(told) > 50 / 7
+
+    def end(part: float) -> None:
+        assert part < 0.5
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        load(tmp_path / "b.ply", end)
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=10)
 def test_any_order_of_properties_and_types(

@@ -3,6 +3,7 @@
 import lzma
 import signal
 import subprocess
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +15,15 @@ import rclpy
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 
-from rosplat_msgs.srv import LoadScene, SaveMap
+from rosplat_msgs.srv import LoadScene, PullMap, SaveMap
 from rosplat_tools import formats
-from rosplat_tools.ply_publisher import PlyPublisher
+from rosplat_tools.ply_publisher import THREADS, PlyPublisher
 from rosplat_tools.program.processes import quoted
+from rosplat_tools.program.running import spinning
 from rosplat_tools.slot_order import put_in_slot_order
 from rosplat_tools.splats import Splats
+
+PATIENCE = 90.0  # beyond that of the listener [s]
 
 Maker = Callable[..., Splats]
 Start = Callable[..., subprocess.Popen[str]]
@@ -167,24 +171,47 @@ def test_it_ends_quietly_in_the_middle_of_anything(
     assert "exception" not in output
 
 
-def test_a_request_ends_the_one_that_is_still_reading(
-    start: Start, listener: Any, tmp_path: Path, random_splats: Maker
+def test_what_is_read_holds_up_nobody_and_ends_by_a_newer_request(
+    node: Node, listener: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, random_splats: Maker
 ) -> None:
-    start("ply_publisher", path="procedural:1000")
-    listener.wait_for(1000)
-    large = tmp_path / "large.ply"
-    formats.save(large, random_splats(2_000_000, 2))
-    loading = listener.request(LoadScene, "ply_publisher/load", path=str(large))
-    assert listener.call(LoadScene, "ply_publisher/load", path="").success
-    listener.wait(loading.done)
-    answer = loading.result()
-    assert (answer.success, answer.splats) == (False, 1000)
-    assert answer.message == f"{large}: cancelled"
-    loading = listener.request(LoadScene, "ply_publisher/load", path=str(large))
-    assert listener.call(LoadScene, "ply_publisher/load", path="procedural:2000").success
-    listener.wait(loading.done)
-    assert not loading.result().success
-    listener.wait_for(2000)
+    """However long it tells no progress."""
+    go_on = threading.Event()
+
+    def slow(name: str, progress: formats.Progress, _: formats.Warn) -> Splats:
+        go_on.wait(PATIENCE)
+        progress(0.5)
+        return random_splats(int(name))
+
+    monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene", slow)
+    roots = ["-r", f"__ns:={node.get_namespace()}", "-p", f"save_root:={tmp_path}"]
+    rclpy.init(args=["--ros-args", *roots])
+    publisher = PlyPublisher()
+    publisher._map.replace(random_splats(7))
+
+    def load(path: str) -> Any:
+        return listener.request(LoadScene, "ply_publisher/load", path=path)
+
+    try:
+        with spinning(publisher, THREADS):
+            loads = [load(str(count)) for count in range(1, 7)]
+            map_id = publisher._map.map_id
+            assert listener.call(PullMap, "gaussians/pull", map_id=map_id).batches
+            path = str(tmp_path / "copy.ply")
+            assert listener.call(SaveMap, "ply_publisher/save", path=path).splats == 7
+            listener.wait(lambda: sum(load.done() for load in loads) == 5)
+            assert all(
+                load.result().message.endswith(": cancelled") for load in loads if load.done()
+            )
+            (newest,) = (load for load in loads if not load.done())
+            assert listener.call(LoadScene, "ply_publisher/load", path="").success
+            listener.wait(newest.done)
+            assert (newest.result().success, newest.result().splats) == (False, 7)
+            last = load("20")
+            go_on.set()
+            listener.wait(last.done)
+            assert (last.result().success, last.result().splats) == (True, 20)
+    finally:
+        rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize("error", [lzma.LZMAError("corrupt\n" * 10**6), MemoryError(), KeyError(3)])

@@ -43,6 +43,11 @@ def blocks(count: int, progress: Progress = lambda fraction: None) -> Iterator[s
         progress(min(start + BLOCK, count) / count)
 
 
+def share(progress: Progress, begin: float, end: float) -> Progress:
+    """The progress of what leads from one part of the whole to another."""
+    return lambda part: progress(begin + part * (end - begin))
+
+
 class Columns(NamedTuple):
     """The numbers of n splats as a file has them, in float32 but for positions."""
 

@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 
 from rosplat_sorter.log_text import shown
 from rosplat_tools.formats.bounds import size_of
+from rosplat_tools.formats.decoded import Progress
 from rosplat_tools.splats import SceneError
 
 LARGEST_HEADER = 1 << 16  # that of a trained scene takes 2,000 [bytes]
+
+ROWS = 1 << 12  # of text that are parsed at a time: all other threads wait for that
 
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 TYPES = {
@@ -61,8 +64,11 @@ class PlyFile:
         self._lines = len(lines) - 1
         self._check_size(size)
 
-    def rows(self, name: str) -> NDArray[np.void]:
-        """The rows of an element without lists, as the header lays them out."""
+    def rows(self, name: str, progress: Progress = lambda fraction: None) -> NDArray[np.void]:
+        """The rows of an element without lists, as the header lays them out.
+
+        progress is called with 0 to 1 while text is parsed; what it raises ends that.
+        """
         element = self.elements[name]
         if element.lists:
             names = ", ".join(element.lists)
@@ -70,8 +76,8 @@ class PlyFile:
         before = list(self.elements.values())[: list(self.elements).index(name)]
         if not element.length:
             return np.empty(0, element.dtype)
-        if self._text:
-            return self._parsed(name, element, sum(other.length for other in before))
+        if self.is_text:
+            return self._parsed(name, element, sum(other.length for other in before), progress)
         if any(other.lists for other in before):
             raise SceneError(f"{self.path}: an element with lists before element {name}")
         offset = self._begin + sum(other.length * other.dtype.itemsize for other in before)
@@ -90,7 +96,7 @@ class PlyFile:
                         f"{shown(line)}, expected one of {', '.join(ORDERS)}, version 1.0"
                     )
                 order = ORDERS[form]
-                self._text = form == "ascii"
+                self.is_text = form == "ascii"
             elif keyword == "comment":
                 self.comments.append(line.partition("comment")[2].strip())
             elif keyword in ("element", "end_header"):
@@ -120,27 +126,37 @@ class PlyFile:
         for name, element in self.elements.items():
             columns = len(element.dtype.names or ()) + len(element.lists)
             binary = element.dtype.itemsize + len(element.lists)
-            least = 2 * columns if self._text else binary  # a digit and what follows it
+            least = 2 * columns if self.is_text else binary  # a digit and what follows it
             if element.length and not columns:
                 raise SceneError(f"{self.path}: element {name} has rows, but no property")
-            if element.length * least > room + self._text:
+            if element.length * least > room + self.is_text:
                 raise self._truncated(name, element, room // least)
             room -= element.length * least
 
-    def _parsed(self, name: str, element: Element, before: int) -> NDArray[np.void]:
+    def _parsed(
+        self, name: str, element: Element, before: int, progress: Progress
+    ) -> NDArray[np.void]:
+        rows = np.empty(element.length, element.dtype)
+        held, skip = 0, self._lines + before
         try:
             with self.path.open(encoding="latin-1") as text, warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of no rows at all
-                rows: NDArray[np.void] = np.loadtxt(
-                    text, element.dtype, comments=None, skiprows=self._lines + before,
-                    max_rows=element.length, ndmin=1,
-                )  # fmt: skip
+                while held < len(rows):
+                    part = np.loadtxt(
+                        text, element.dtype, comments=None, skiprows=skip,
+                        max_rows=min(ROWS, len(rows) - held), ndmin=1,
+                    )  # fmt: skip
+                    if not len(part):
+                        raise self._truncated(name, element, held)
+                    rows[held : held + len(part)] = part
+                    held, skip = held + len(part), 0
+                    progress(held / len(rows))
+        except SceneError:
+            raise
         except (ValueError, IndexError, OverflowError) as error:
             raise SceneError(
                 f"{self.path}: malformed row of element {name}: {shown(error)}"
             ) from error
-        if len(rows) < element.length:
-            raise self._truncated(name, element, len(rows))
         return rows
 
     def _truncated(self, name: str, element: Element, held: int) -> SceneError:
