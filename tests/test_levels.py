@@ -69,7 +69,7 @@ def test_nodes_are_those_of_the_twin(renderer: CpuRenderer, merged: list[levels.
     assert len(merged[0]) < len(merged[8]) > len(merged[-1])  # there was something to merge
 
 
-@pytest.mark.parametrize("error", [20.0, 50.0, 120.0])
+@pytest.mark.parametrize("error", [50.0, 80.0, 120.0])
 @pytest.mark.parametrize("view", CAMERAS)
 def test_a_cut_is_that_of_the_twin(
     renderer: CpuRenderer, splats: Splats, merged: list[levels.Nodes], view: str, error: float
@@ -105,6 +105,22 @@ def test_a_budget_is_kept(renderer: CpuRenderer, most: int) -> None:
     assert drawn["error"] > 0
     renderer.settings.detail = "full"
     assert draw(renderer, CAMERAS["outside"])["error"] == 0
+
+
+def test_a_budget_that_is_less_than_the_coarsest_is_said(renderer: CpuRenderer) -> None:
+    renderer.settings.detail = "1"
+    drawn = draw(renderer, CAMERAS["outside"])
+    assert drawn["detail_error"] == f"no fewer than {drawn['splats']} splats can be drawn"
+    renderer.settings.detail = "50"
+    assert draw(renderer, CAMERAS["outside"])["detail_error"] == ""
+
+
+@pytest.mark.parametrize("error", [0.3, 1.0, 3.0, 10.0, 30.0])
+@pytest.mark.parametrize("view", CAMERAS)
+def test_no_error_draws_more_than_there_is(renderer: CpuRenderer, view: str, error: float) -> None:
+    full = draw(renderer, CAMERAS[view])
+    renderer.settings.detail = f"{error}px"
+    assert draw(renderer, CAMERAS[view])["splats"] <= full["splats"]
 
 
 def test_a_detail_that_is_none_is_refused(renderer: CpuRenderer) -> None:

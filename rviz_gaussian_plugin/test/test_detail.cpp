@@ -166,20 +166,60 @@ TEST(Budget, IsKeptWhereNoErrorUsesIt) {
   EXPECT_LE(pictures, 8);
 }
 
-TEST(Budget, OfOneSplatEnds) {
+TEST(Budget, OfOneSplatEndsAndSaysWhatTheLeastIs) {
   Plain plain(3000);
   DetailControl control;
   const SplatPicture picture = plain.draw(control, 1);
-  EXPECT_LE(picture.layers[0].drawn, 8u);  // the coarsest nodes are the least that can be drawn
+  const std::size_t drawn = picture.layers[0].drawn;
+  EXPECT_GT(drawn, 1u);
+  EXPECT_LE(drawn, 8u);  // the coarsest nodes are the least that can be drawn
+  EXPECT_EQ(control.problem(), "no fewer than " + std::to_string(drawn) + " splats can be drawn");
+  // A view that moves goes there at once.
+  DetailControl moving;
+  moving.drew(0, 3000);
+  const double error = plain.choose(moving, {Kind::kSplats, 1});
+  EXPECT_FALSE(moving.drew(error, plain.draw(error).layers[0].drawn));
+  EXPECT_EQ(moving.problem(), control.problem());
+  plain.draw(control, 1000);
+  EXPECT_EQ(control.problem(), "");
+}
+
+// Where levels blend, both a node and what it stands for are drawn.
+TEST(DetailControl, DrawsNoMoreThanThereIs) {
+  Plain plain(60000);
+  const double all = double(plain.draw(0).layers[0].drawn);
+  const auto drawn = [&](double error) { return double(plain.draw(error).layers[0].drawn); };
+  double most = 0;
+  DetailControl moving, coarsening;
+  moving.drew(30, std::size_t(drawn(30)));
+  coarsening.drew(0, std::size_t(all));
+  for (double error = 0.3; error < 30; error *= 1.3) {
+    most = std::max(most, drawn(error));
+    DetailControl control;
+    EXPECT_LE(drawn(plain.choose(control, {Kind::kError, error})), all) << error;
+  }
+  EXPECT_GT(most, 1.1 * all);
+  EXPECT_EQ(plain.choose(moving, {Kind::kError, 20}), 20);
+  const auto follow = [&](DetailControl& control, const Detail& detail) {
+    for (int i = 0; i < 200; ++i) {
+      const double error = plain.choose(control, detail), now = drawn(error);
+      EXPECT_LE(now, all) << error;
+      control.drew(error, std::size_t(now));
+      if (control.settled()) break;
+    }
+    EXPECT_TRUE(control.settled());
+  };
+  follow(moving, {Kind::kSplats, 1e6});
+  follow(coarsening, {Kind::kSplats, 1000});
 }
 
 TEST(DetailControl, DrawsAnErrorThatIsAskedForAtOnce) {
-  const Plain plain(3000);
+  const Plain plain(60000);
   DetailControl control;
   EXPECT_EQ(plain.choose(control, {}), 0);
-  EXPECT_EQ(plain.choose(control, {Kind::kError, 2.5}), 2.5);
-  control.drew(2.5, 3000);
-  EXPECT_EQ(plain.choose(control, {Kind::kError, 9}), 9);
+  EXPECT_EQ(plain.choose(control, {Kind::kError, 12.5}), 12.5);
+  control.drew(12.5, 3000);
+  EXPECT_EQ(plain.choose(control, {Kind::kError, 40}), 40);
   EXPECT_TRUE(control.settled());
 }
 

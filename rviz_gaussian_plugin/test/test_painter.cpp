@@ -95,6 +95,10 @@ TEST(Painter, PaintsADetailThatIsWaitedForAtOnceAndOfTheWholeMap) {
   EXPECT_EQ(more->maps[0].map.splats, 40000u);
   EXPECT_LE(more->maps[0].drawn, 2000u);
   studio.write(10, GaussianBatch::REPLACE);
+  EXPECT_EQ(more->maps[0].detail_error, "");
+  const PaintingPtr one = studio.painter.paintNow("view", studio.request("1"));
+  EXPECT_EQ(one->maps[0].detail_error,
+            "no fewer than " + std::to_string(one->maps[0].drawn) + " splats can be drawn");
   const PaintingPtr other = studio.painter.paintNow("view", studio.request("2000"));
   EXPECT_EQ(other->maps[0].map.splats, 10u);
   EXPECT_EQ(other->maps[0].error, 0);  // of so few, all are drawn

@@ -332,8 +332,9 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
     }
   }
   py::dict drawn("splats"_a = picture.layers.front().drawn,
-                 "error"_a = picture.layers.front().error, "profile"_a = picture.profile,
-                 "bytes"_a = renderer.rasterizer.bytes());
+                 "error"_a = picture.layers.front().error,
+                 "detail_error"_a = request.layers.front().levels ? renderer.detail.problem() : "",
+                 "profile"_a = picture.profile, "bytes"_a = renderer.rasterizer.bytes());
   const auto add = [&](const char* name, const std::vector<float>& values, int channels) {
     if (!values.empty()) drawn[name] = toArray(values, {picture.height, picture.width, channels});
   };

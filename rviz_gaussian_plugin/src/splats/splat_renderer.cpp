@@ -249,7 +249,9 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
   std::vector<Timed> timed;
   for (std::size_t i = 0; i < maps.size(); ++i) {
     const double error = frame.layers[i].cuts() ? frame.layers[i].error : 0;
-    drawn.push_back({view.splats().countsOfLayers()[i], error, chosen[i].problem});
+    std::string& problem = chosen[i].problem;
+    if (problem.empty() && !frame.order) problem = maps[i].map->detailProblem(maps[i].view_id);
+    drawn.push_back({view.splats().countsOfLayers()[i], error, std::move(problem)});
     timed.push_back({maps[i].map.get(), error, chosen[i].in_time});
   }
   if (anew && of.timer.end()) of.timed = std::move(timed);

@@ -136,6 +136,11 @@ PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id, bool res
   }
 }
 
+std::string PaintedMap::detailProblem(const std::string& view_id) const {
+  const auto found = controls_.find(view_id);
+  return found == controls_.end() ? "" : found->second.problem();
+}
+
 std::optional<double> PaintedMap::drew(const std::string& view_id, const PictureLayer& layer,
                                        const SplatPicture::OfLayer& drawn, double seconds) {
   const auto found = controls_.find(view_id);

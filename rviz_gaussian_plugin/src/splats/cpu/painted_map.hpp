@@ -65,6 +65,8 @@ class PaintedMap {
   // it has to be drawn again.
   std::optional<double> drew(const std::string& view_id, const PictureLayer& layer,
                              const SplatPicture::OfLayer& drawn, double seconds);
+  // Why a picture with levels isn't in the detail that was asked for; empty where it is.
+  std::string detailProblem(const std::string& view_id) const;
   // Views that there are none of any more, or that don't want levels.
   void keepViews(const std::function<bool(const std::string& view_id)>& keep);
   bool wantsLevels() const { return wants_levels_; }

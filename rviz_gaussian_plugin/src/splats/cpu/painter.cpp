@@ -402,6 +402,9 @@ std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiti
     for (std::size_t i = 0; i < asked.layers.size(); ++i) {
       painting->maps[i].drawn = picture_.layers[i].drawn;
       painting->maps[i].error = picture_.layers[i].error;
+      std::string& problem = painting->maps[i].detail_error;
+      if (!request.layers[i].levels || !problem.empty()) continue;
+      problem = asked.layers[i].map->detailProblem(view_id);
     }
     painting->profile = picture_.profile;
     if (asked.window) {

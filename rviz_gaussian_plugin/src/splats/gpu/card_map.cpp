@@ -76,6 +76,12 @@ std::optional<double> CardMap::drew(const std::string& view_id, double error, st
   return found->second.control.drew(error, drawn);
 }
 
+std::string CardMap::detailProblem(const std::string& view_id) const {
+  const auto found = views_.find(view_id);
+  const bool chooses = found != views_.end() && found->second.chooses;
+  return chooses ? found->second.control.problem() : "";
+}
+
 void CardMap::took(const std::string& view_id, double error, bool in_time, double seconds) {
   const auto found = views_.find(view_id);
   if (found == views_.end()) return;

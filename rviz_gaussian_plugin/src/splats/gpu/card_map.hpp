@@ -45,6 +45,8 @@ class CardMap {
   // How many of both it drew. If that missed a budget that is to be kept at once: the error to
   // which it has to be drawn again.
   std::optional<double> drew(const std::string& view_id, double error, std::size_t drawn);
+  // Why a picture with levels isn't in the detail that was asked for; empty where it is.
+  std::string detailProblem(const std::string& view_id) const;
   // How long a picture took that was drawn to an error.
   void took(const std::string& view_id, double error, bool in_time, double seconds);
   void forget(const std::string& view_id);

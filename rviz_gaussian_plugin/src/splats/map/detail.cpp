@@ -13,7 +13,7 @@ namespace rosplat {
 
 namespace {
 
-constexpr double kAim = 0.95;         // of a budget, where not all may be drawn: estimates err
+constexpr double kAim = 0.95;         // of a budget or of all, to draw fewer: estimates err
 constexpr double kClose = 0.9;        // of one is drawn at least, or all
 constexpr double kLeastStep = 1.02;   // of the error, from one that missed to the next
 constexpr int kMostNarrowed = 4;      // pictures that are only to come closer
@@ -24,6 +24,11 @@ constexpr double kLate = 1.5;         // of one
 constexpr double kMostFewer = 4;      // splats in a picture than in one that came late
 constexpr double kApart = 1.25;       // numbers of splats that tell what each takes
 constexpr double kWorth = 0.25;       // of all other time, that of the splats: less gains little
+
+// The finest that draws fewer splats than there are. [px]
+double finestOf(const CutEstimate& cut) {
+  return std::max(kLeastError, cut.errorFor(kAim * cut.drawn(0)));
+}
 
 }  // namespace
 
@@ -103,36 +108,43 @@ double DetailControl::choose(const RenderSettings& settings,
   };
   settled_ = true;
   search_.reset();
-  double wanted = 0;
+  problem_.clear();
+  double wanted = 0, finest = 0;
+  const auto drawable = [&finest](double error) { return error < finest ? 0 : error; };
   switch (detail.kind) {
     case Detail::Kind::kFull:
       return 0;
     case Detail::Kind::kError:
-      return detail.amount;
+      finest = finestOf(estimate());
+      return drawable(detail.amount);
     case Detail::Kind::kSplats:
       search_ = Search{estimate(), detail.amount, at_once};
       wanted = errorForBudget();
-      if (at_once) return wanted;
+      if (at_once || wanted >= kCoarsestError) return wanted;
+      finest = finestOf(search_->expected);
       break;
     case Detail::Kind::kTime: {
       // Of the last picture of which it is known; before any, of one of all.
       const double seconds = seconds_ > 0 ? seconds_ : seconds_in_full_;
       const double part = seconds / detail.amount;
       const CutEstimate expected = estimate();
+      finest = finestOf(expected);
       time_.took(expected.drawn(timed_error_), seconds);
-      if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) return timed_error_;
+      if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) {
+        return drawable(timed_error_);
+      }
       wanted = expected.errorFor(time_.splatsIn(detail.amount));
       // Pictures that come so late are worse than a change that is seen.
-      if (part > kLate && wanted > error_.value_or(0)) return wanted;
+      if (part > kLate && wanted > error_.value_or(0)) return drawable(wanted);
       break;
     }
   }
+  wanted = drawable(wanted);
   if (!error_) return wanted;  // nobody saw another
   // A camera that rests keeps its picture, whatever the last bits of counts say.
-  if (std::fabs(wanted - *error_) <= (kLeastStep - 1) * *error_) return *error_;
-  const double from = std::max(*error_, kLeastError);
-  double error = std::clamp(wanted, from / kMostStep, from * kMostStep);
-  if (error < kLeastError && wanted < kLeastError) error = 0;
+  if (std::fabs(wanted - *error_) <= (kLeastStep - 1) * *error_) return drawable(*error_);
+  const double from = std::max(*error_, finest);
+  const double error = drawable(std::clamp(wanted, from / kMostStep, from * kMostStep));
   settled_ = std::fabs(error - wanted) <= 0.05 * wanted;
   return error;
 }
@@ -150,8 +162,11 @@ std::optional<double> DetailControl::drew(double error, std::size_t drawn) {
   const double expected = of.expected.drawn(error);
   if (drawn > 0 && expected > 0) drawn_of_expected_ = double(drawn) / expected;
   const bool fits = double(drawn) <= of.most;
+  if (!fits && error >= kCoarsestError) {
+    problem_ = "no fewer than " + std::to_string(drawn) + " splats can be drawn";
+    return {};
+  }
   if (!of.at_once || (fits && (error == 0 || double(drawn) >= kClose * of.most))) return {};
-  if (!fits && error >= kCoarsestError) return {};
 
   // Between the largest error at which too many were drawn and the least at which few enough.
   const double tried = std::max(error, kLeastError);

@@ -38,8 +38,9 @@ class PictureTime {
 // Chooses the error of a view's pictures, one after the other.
 class DetailControl {
  public:
-  // For the next picture [px]; 0 has all drawn in full. Of one that is waited for, whatever the
-  // last one had; otherwise it moves towards what is asked for, so that nobody sees it move.
+  // For the next picture [px]; 0 has all drawn in full, as where an error draws about as many:
+  // levels that blend may be more. Of a picture that is waited for, whatever the last one had;
+  // otherwise it moves towards what is asked for, so that nobody sees it move.
   double choose(const RenderSettings& settings, const std::vector<LevelSamples>& levels,
                 const SplatCamera& camera, const std::vector<Group>& groups);
   // What became of it: how many splats and nodes are in the picture. If that missed a budget that
@@ -55,6 +56,9 @@ class DetailControl {
     if (detail.kind != Detail::Kind::kTime) return detail.kind != Detail::Kind::kFull;
     return seconds_ > 0 || seconds_in_full_ > detail.amount;
   }
+  // Why the last picture isn't in the detail that was asked for: a budget may be less than there is
+  // to be merged to. Empty where it is.
+  const std::string& problem() const { return problem_; }
   // Whether it is where it is going.
   bool settled() const { return settled_; }
 
@@ -79,6 +83,7 @@ class DetailControl {
   PictureTime time_;
   double seconds_in_full_ = 0;
   bool settled_ = true;
+  std::string problem_;
 };
 
 }  // namespace rosplat
