@@ -16,6 +16,7 @@ from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.camera import decode
 from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
 from rosplat_tools.cameras import Camera
@@ -222,6 +223,16 @@ def test_without_a_display_it_draws_a_still_and_a_turn(
     assert getattr(turn, "n_frames", 1) > 10
 
 
+def test_a_map_of_any_size_is_drawn(start: Start, node: Node, tmp_path: Path) -> None:
+    splats = discs((RED, 2.0), (GREEN, -1e15), (RED, 1e15))
+    publisher = MapPublisher(node)
+    publisher.replace(splats)
+    process = start("rviz_gaussian_plugin.viewer", output=tmp_path, order_timeout=0.0)
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, output
+    assert "3 splats" in output
+
+
 def project(camera: Camera, point: np.ndarray) -> np.ndarray:
     x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
     return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
@@ -252,6 +263,34 @@ def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
     np.testing.assert_allclose(
         project(orbit.camera(320, 240), target), [160 + 60, 120 - 30], atol=1e-6
     )
+
+
+@pytest.mark.parametrize("wide", [0.0, 1e-300, 1e12, 1e15, 1e30, 3e38])
+@pytest.mark.parametrize("far", [0.0, 1e17, 1e300])
+def test_every_map_is_framed_by_a_camera_that_can_be_drawn_from(wide: float, far: float) -> None:
+    from rviz_gaussian_plugin.from_messages import numbers
+    from rviz_gaussian_plugin.viewer.orbit import OrbitCamera, Sample
+
+    def look() -> None:
+        camera = orbit.camera(640, 480)
+        offscreen.Camera(*numbers(view_camera(camera)))
+        decode(view_camera(camera))
+
+    sample = Sample()
+    positions = wide * np.random.default_rng(0).uniform(-1, 1, (1000, 3))
+    sample.add(positions.astype(np.float32), np.array([far, 0, -far]))
+    frame = np.eye(4)
+    frame[:3, 3] = far
+    sample.place(0, frame)
+    centre, radius = sample.bounds()
+    orbit = OrbitCamera(centre, 2.5 * radius, np.array([0.0, 0, 1]))
+    look()
+    for zoom in (1.5, 0.5):
+        for _ in range(300):
+            orbit.zoom(zoom)
+            orbit.pan(1.0, -1.0)
+            orbit.turn(0.5, 0.1)
+        look()
 
 
 def test_a_map_that_grows_for_hours_is_framed_by_a_bounded_sample() -> None:
@@ -347,6 +386,7 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
 @pytest.mark.parametrize(
     ("name", "value"),
     [
+        ("up", []),
         ("up", [0.0, 0.0, 0.0]),
         ("up", [float("nan"), 0.0, 1.0]),
         ("order_source", "nobody"),

@@ -101,7 +101,7 @@ def show_window(viewer: Viewer) -> None:
                 if event.type == pygame.KEYDOWN and event.key == pygame.K_r:
                     orbit = _framed(viewer)
                 elif event.type == pygame.MOUSEWHEEL:
-                    orbit.distance *= 0.9**event.y
+                    orbit.zoom(0.9**event.y)
                 elif event.type == pygame.MOUSEMOTION:
                     right, down = (part / window.get_height() for part in event.rel)
                     if event.buttons[0]:

@@ -10,6 +10,12 @@ from numpy.typing import NDArray
 
 from rosplat_tools.cameras import Camera, look_at
 
+# What the renderer draws from: 32-bit floats hold the squares of coordinates, and a near plane of
+# 1e-9 to 1e9 m. A map may be larger, and what it is in the middle of farther away.
+NEAREST, FARTHEST = 1e-5, 1e17  # of the camera from its target; the latter of that from 0, too [m]
+NEAR_PLANE = 1e9  # at most [m]
+FAR_PLANE = 1e10  # at least [m]
+
 
 class Sample:
     """Some of a map's positions, however many batches come: the more recent, the more of them."""
@@ -40,14 +46,19 @@ class Sample:
         self._frames[group] = frame
 
     def bounds(self) -> tuple[NDArray[np.float64], float]:
-        """Centre and radius of the middle, which a few far splats don't change. [m]"""
-        if not len(self):
-            return np.zeros(3), 1.0
-        in_map = []
+        """Centre and radius of the middle, which a few far splats don't change. [m]
+
+        What is farther than FARTHEST counts as that far.
+        """
+        in_map = [np.zeros((0, 3))]
         for group, parts in self._parts.items():
             frame = self._frames.get(group, np.eye(4))
-            in_map += [part @ frame[:3, :3].T + frame[:3, 3] for part in parts]
-        positions = np.concatenate(in_map)
+            with np.errstate(over="ignore", invalid="ignore"):
+                in_map += [part @ frame[:3, :3].T + frame[:3, 3] for part in parts]
+        positions = np.clip(np.concatenate(in_map), -FARTHEST, FARTHEST)
+        positions = positions[~np.isnan(positions).any(axis=1)]
+        if not len(positions):
+            return np.zeros(3), 1.0
         low, high = np.quantile(positions, [0.01, 0.99], axis=0)
         return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 
@@ -62,6 +73,11 @@ class OrbitCamera:
     yaw: float = 0.6
     pitch: float = 0.35
 
+    def __post_init__(self) -> None:
+        """Keeps the camera where it can be drawn from, as whatever moves it does."""
+        self.target = np.clip(self.target, -FARTHEST, FARTHEST)
+        self.distance = float(np.clip(self.distance, NEAREST, FARTHEST))
+
     def camera(self, width: int, height: int) -> Camera:
         """For a picture of width x height [px], 45 degrees high."""
         up = self.up / np.linalg.norm(self.up)
@@ -69,13 +85,15 @@ class OrbitCamera:
         side /= np.linalg.norm(side)
         ahead = np.cross(side, up)
         around = math.cos(self.yaw) * ahead + math.sin(self.yaw) * side
-        eye = self.target + self.distance * (
-            math.cos(self.pitch) * around + math.sin(self.pitch) * up
-        )
+        outward = math.cos(self.pitch) * around + math.sin(self.pitch) * up
+        # By the direction alone: far from 0, an eye so close to its target may be the same point.
+        transform = look_at(outward, np.zeros(3), up)
+        transform[:3, 3] = -transform[:3, :3] @ (self.target + self.distance * outward)
         focal = 0.5 * height / math.tan(math.radians(22.5))
         return Camera(
             id=0, width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2,
-            world_to_camera=look_at(eye, self.target, up), near=0.001 * self.distance,
+            world_to_camera=transform, near=min(0.001 * self.distance, NEAR_PLANE),
+            far=max(1000 * self.distance, FAR_PLANE),
         )  # fmt: skip
 
     def turn(self, right: float, down: float) -> None:
@@ -83,8 +101,14 @@ class OrbitCamera:
         self.yaw -= right
         self.pitch = float(np.clip(self.pitch + down, -1.55, 1.55))
 
+    def zoom(self, factor: float) -> None:
+        """To so many times the distance."""
+        self.distance *= factor
+        self.__post_init__()
+
     def pan(self, right: float, down: float) -> None:
         """By parts of the picture's height."""
         step = 2 * self.distance * math.tan(math.radians(22.5))
         rotation = self.camera(64, 64).camera_to_world[:3, :3]
         self.target = self.target - step * (right * rotation[:, 0] + down * rotation[:, 1])
+        self.__post_init__()
