@@ -23,7 +23,7 @@ def declare(
 ) -> Any:
     """Declares a parameter that is set at the start only, from low to high; returns its value.
 
-    Raises SceneError for a value of another type or out of range.
+    Raises SceneError for no value, one of another type or one out of range.
     """
     descriptor = ParameterDescriptor(description=description, read_only=True)
     if low is not None and high is not None:
@@ -32,9 +32,12 @@ def declare(
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     try:
-        return node.declare_parameter(name, default, descriptor).value
+        value = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise SceneError(str(error)) from error
+    if value is None:  # which rclpy makes of an empty list, whatever the type is
+        raise SceneError(f"parameter {name}: has no value")
+    return value
 
 
 def declare_compression(node: Node) -> str:
