@@ -195,6 +195,9 @@ def test_refusals_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[
     scene, empty = tmp_path / "scene.ply", tmp_path / "empty.ply"
     save(scene, generate(10))
     save(empty, generate(10)[:0])
+    wide, remote = tmp_path / "wide.ply", tmp_path / "remote.ply"
+    save(wide, replace(generate(10), positions=1e30 * generate(10).positions))
+    save(remote, replace(generate(10), positions=generate(10).positions + 1e20))
     out, folder = tmp_path / "out.ply", tmp_path / "folder.ply"
     folder.mkdir()
     for arguments, error in {
@@ -206,6 +209,8 @@ def test_refusals_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[
         (GARDEN, str(tmp_path / "a.obj"), "--psnr", "50"): "can't write this ending",
         (GARDEN, str(folder), "--psnr", "50", "--overwrite"): f"{folder}: is a folder",
         (str(empty), str(out), "--psnr", "50"): f"{empty}: holds no splats",
+        (str(wide), str(out), "--psnr", "50"): "m wide: no camera can look at it",
+        (str(remote), str(out), "--psnr", "50"): f"{remote}: the scene is 0.002 m wide and 1e+20 m",
         (str(tmp_path / "none.ply"), str(out), "--psnr", "50"): "none.ply",
     }.items():
         assert main([*arguments]) == 1

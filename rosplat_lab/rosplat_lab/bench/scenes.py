@@ -44,7 +44,7 @@ class Place:
 def place(splats: Splats) -> Place:
     """Of the middle nine tenths along each axis: few stray splats don't move it."""
     sample = splats.positions[:: len(splats) // 1_000_000 + 1]
-    low, high = np.quantile(sample, [0.05, 0.95], axis=0)
+    low, high = np.quantile(sample.astype(np.float64), [0.05, 0.95], axis=0)
     centre = (low + high) / 2 + splats.origin
     return Place(centre, max(float(np.linalg.norm(high - low)) / 2, 1e-3))
 

@@ -23,7 +23,7 @@ from rosplat_lab.arguments import whole
 from rosplat_lab.machine import commit, machine
 from rosplat_lab.metrics import MOST_PSNR
 from rosplat_lab.simplify.search import CHECKED, LEARNT, Progress, Quality, Simplification
-from rosplat_lab.simplify.views import HEIGHT, WIDTH
+from rosplat_lab.simplify.views import HEIGHT, WIDTH, whereabouts
 from rosplat_tools.formats import SUFFIXES, check_output, load, save
 from rosplat_tools.program.files import write_text
 from rosplat_tools.program.output import say
@@ -132,6 +132,10 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     with watched("reading") as progress:
         splats = load_scene(options.input, progress, _warn)
         put_in_slot_order(splats)
+    try:
+        whereabouts(splats)
+    except SceneError as error:
+        raise SceneError(f"{options.input}: {error}") from error
     read, processor = time.monotonic(), time.process_time()
     with ExitStack() as drafts, _shown() as tell:
         output = Output(out, drafts)

@@ -9,21 +9,34 @@ from numpy.typing import NDArray
 
 from rosplat_lab.bench.scenes import Place, place
 from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.splats import Splats
+from rosplat_tools.splats import SceneError, Splats
 
 WIDTH, HEIGHT = 1280, 720  # [px]
 FOCAL = 0.5 * HEIGHT / math.tan(math.radians(30))  # 60 degrees from top to bottom [px]
 NEAREST, FARTHEST = 0.1, 2.5  # of cameras from the middle of the map, in its radii
+WIDEST = 1e9  # radius of a map, so that near planes are those of 32-bit floats [m]
+REMOTEST = 1e12  # of its radii, how far it is from zero: cameras are in 64-bit floats
 CELLS = 16  # of the grid that tells free places, in a radius
 OPAQUE = 0.3  # opacity of splats that no camera is put beside
 PATIENCE = 64  # tries to find a free place for a camera
 
 
 def whereabouts(splats: Splats) -> Place:
-    """Where the bulk of the splats is, as large as they are where they lie in one place."""
+    """Where the bulk of the splats is, as large as they are where they lie in one place.
+
+    Raises SceneError where it is too wide, or too far from zero, for a camera to look at.
+    """
     here = place(splats)
+    away = float(np.abs(here.centre).max())
+    if here.radius > WIDEST:
+        raise SceneError(f"the scene is {2 * here.radius:.1g} m wide: no camera can look at it")
+    if away > REMOTEST * here.radius:
+        raise SceneError(
+            f"the scene is {2 * here.radius:.1g} m wide and {away:.1g} m from zero: "
+            "no camera can look at it"
+        )
     largest = float(np.median(splats.scales.max(axis=1)))
-    return Place(here.centre, min(max(here.radius, 2 * largest), 1e9))
+    return Place(here.centre, min(max(here.radius, 2 * largest), WIDEST))
 
 
 def views(
