@@ -34,8 +34,8 @@ class SceneError(ValueError):
 class Splats:
     """A set of n 3D Gaussians with view-dependent colour (Kerbl et al. 2023).
 
-    Arrays of another dtype are converted; a wrong shape raises ValueError. Units and conventions
-    are those of rosplat_msgs/GaussianArray.
+    Arrays of another dtype are converted; a wrong shape, or an origin that is not finite, raises
+    ValueError. Units and conventions are those of rosplat_msgs/GaussianArray.
     """
 
     positions: NDArray[np.float32]
@@ -125,6 +125,8 @@ class Splats:
             if array.shape != shape:
                 raise ValueError(f"Splats.{name}: expected shape {shape}, got {array.shape}")
             object.__setattr__(self, name, array)
+        if not np.isfinite(self.origin).all():
+            raise ValueError(f"Splats.origin: not finite: {self.origin.tolist()}")
         joined((), tuple(self.channels))
         channels = {
             name: np.ascontiguousarray(values, np.float32) for name, values in self.channels.items()
@@ -242,7 +244,8 @@ def rebase(positions: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], N
     """
     origin = np.zeros(3)
     if np.fmax.reduce(np.abs(positions), axis=None, initial=0.0) > FAR_FROM_ZERO:
-        finite = positions[np.isfinite(positions).all(axis=1)]
+        # What float32 can't hold is left out, whatever the origin.
+        finite = positions[(np.abs(positions) <= np.finfo(np.float32).max).all(axis=1)]
         if len(finite):
             origin = 100 * np.round(np.median(finite, axis=0) / 100)
             positions = positions - origin

@@ -41,6 +41,25 @@ def test_a_wrong_shape_is_refused_by_name(name: str, shape: tuple[int, ...]) -> 
         splats(5, **wrong)
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_an_origin_that_is_not_finite_is_refused(wrong: float) -> None:
+    """Receivers refuse a batch with one: the publisher's map would be nowhere."""
+    with pytest.raises(ValueError, match="origin: not finite"):
+        splats(5, origin=np.array([0, wrong, 0]))
+    pose = np.eye(4)
+    pose[0, 3] = wrong
+    with pytest.raises(ValueError, match="origin: not finite"):
+        splats(5).moved(pose)
+
+
+@pytest.mark.filterwarnings("error")
+def test_positions_at_the_end_of_float64_have_an_origin() -> None:
+    positions = np.array([[1.7e308, 0, 0], [-1.7e308, 0, 0], [1.7e308, 1, 1], [5e6, 0, 0]])
+    some = splats(4, positions=positions)
+    np.testing.assert_array_equal(some.origin, [5e6, 0, 0])
+    assert not np.isfinite(some.positions[:3]).all(axis=1).any()
+
+
 def test_slices_masks_and_indices_pick_the_same_splats() -> None:
     some = splats(10)
     mask = np.zeros(10, bool)
