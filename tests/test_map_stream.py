@@ -319,7 +319,6 @@ def part(revision: int, map_id: str = "map", replaces: bool = False) -> tuple[La
 @pytest.mark.parametrize(
     ("batches", "next_block"),
     [
-        ([], 0),
         ([part(5, map_id="another")], 0),
         ([part(5), part(5, map_id="another")], 0),
         ([part(0)], 0),
@@ -343,12 +342,127 @@ def test_an_answer_that_is_none_counts_for_nothing(
 
 
 @pytest.mark.parametrize("kind", PULLS)
+def test_a_server_without_the_map_leaves_others_time_to_answer(kind: str) -> None:
+    pull, request = beginning(kind)  # at 1.0
+    assert pull.answer(request.number, [], 0, 1.1, True) == Step()
+    step = pull.answer(request.number, [part(5)], 0, 1.3, True)
+    assert step.batches == [("pulled 5", Arrival.LAST)]
+    assert not pull.pulling
+    pull, request = beginning(kind)
+    assert pull.answer(request.number, [], 0, 1.1, True) == Step()
+    assert pull.tick(1.5, True) == Step()
+    assert pull.tick(1.7, True) == Step([("five", Arrival.HEARD)])  # nobody else has it
+    assert pull.tick(2.8, True).request
+
+
+@pytest.mark.parametrize("kind", PULLS)
+@pytest.mark.parametrize("replaces", [False, True])
+def test_a_server_that_never_ends_is_asked_slowly_and_not_for_ever(
+    kind: str, replaces: bool
+) -> None:
+    """It answers at once, each time that there is more: of another revision, or from the first."""
+    pull, request = beginning(kind)
+    now, times = 1.0, [1.0]
+    while now < 10:
+        now += 0.01
+        if request:
+            revision = 5 if replaces else 5 + len(times)
+            more = 1 if replaces else len(times) % 2
+            answer = [part(revision, replaces=replaces)]
+            request = pull.answer(request.number, answer, more, now, True).request
+        else:
+            request = pull.tick(now, True).request
+        times += [now] * (request is not None)
+        if not pull.pulling:
+            break
+    assert not pull.pulling  # what was heard has its turn
+    assert 30 < len(times) < 80
+    assert times[-1] - times[0] > 0.05 * (len(times) - 1)
+
+
+@pytest.mark.parametrize("kind", PULLS)
+def test_large_answers_follow_each_other_without_a_pause(kind: str) -> None:
+    pull, request = beginning(kind)
+    for block in range(1, 100):
+        answer = (Label("map", 5, False, 2_000_000), "much")
+        request = pull.answer(request.number, [answer], block, 1.0 + 0.001 * block, True).request
+        assert request.first_block == block
+
+
+@pytest.mark.parametrize("kind", PULLS)
+@pytest.mark.parametrize("served", [True, False])
+def test_who_joins_late_asks_though_it_hears_nothing_and_knows_of_no_server(
+    kind: str, served: bool
+) -> None:
+    pull = PULLS[kind]()
+    request = pull.tick(0.0, served).request
+    assert (request.map_id, request.after_revision, request.first_block) == ("", 0, 0)
+    for now in np.arange(0.1, 1.0, 0.1):
+        assert pull.tick(now, served) == Step()
+    again = [now for now in np.arange(1.0, 5.0, 0.1) if pull.tick(now, served).request]
+    assert again
+    assert 0.9 < again[0] < 2.2  # it may have been lost
+    pull = PULLS[kind]()
+    request = pull.tick(0.0, served).request
+    step = pull.answer(request.number, [part(7)], 3, 0.2, served)
+    assert step.batches == [("pulled 7", Arrival.PULLED)]
+    request = pull.tick(0.4, served).request
+    assert (request.map_id, request.first_block) == ("map", 3)
+    step = pull.answer(request.number, [part(7)], 0, 0.5, served)
+    assert step.batches == [("pulled 7", Arrival.LAST)]
+    assert pull.hear(Label("map", 8, False), "eight", 0.6, served).batches == [
+        ("eight", Arrival.HEARD)
+    ]
+    assert not [now for now in np.arange(0.7, 20.0, 0.1) if pull.tick(now, served).request]
+
+
+@pytest.mark.parametrize("kind", PULLS)
+def test_batches_of_a_publisher_that_serves_no_pulls_do_not_wait(kind: str) -> None:
+    pull = PULLS[kind]()
+    pull.tick(0.0, False)
+    asked = []
+    for revision in range(5, 105):
+        step = pull.hear(Label("map", revision, False), revision, 0.1 * revision, False)
+        assert step.batches == [(revision, Arrival.HEARD)]
+        asked += [step.request, pull.tick(0.1 * revision, False).request]
+    assert 3 <= len([request for request in asked if request]) <= 6  # in ten seconds
+
+
+@pytest.mark.parametrize("kind", PULLS)
+def test_a_map_without_a_name_is_pulled_once(kind: str) -> None:
+    pull = PULLS[kind]()
+    request = pull.tick(0.0, True).request
+    step = pull.answer(request.number, [part(7, map_id="")], 0, 0.1, True)
+    assert step.batches == [("pulled 7", Arrival.LAST)]
+    assert not [now for now in np.arange(0.2, 5.0, 0.1) if pull.tick(now, True).request]
+
+
+def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
+    pull, request = beginning("sorter")
+    pull.held = True
+    pull.miss(Label("map", 6, False))
+    step = pull.answer(request.number, [part(5)], 0, 1.2, True)
+    assert step == Step([("pulled 5", Arrival.LAST)])
+    assert not pull.tick(2.0, True).request
+    pull.held = False
+    request = pull.tick(2.1, True).request
+    assert (request.after_revision, request.first_block) == (5, 0)
+    step = pull.answer(request.number, [part(6)], 0, 2.2, True)
+    assert step == Step([("pulled 6", Arrival.LAST)])
+    pull.miss(Label("another", 1, True))  # of a map that begins
+    request = pull.tick(3.0, True).request
+    assert (request.map_id, request.after_revision) == ("another", 0)
+
+
+@pytest.mark.parametrize("kind", PULLS)
 def test_answers_never_go_back_to_earlier_blocks(kind: str) -> None:
     pull, request = beginning(kind)
-    step = pull.answer(request.number, [part(5)], 7, 1.1, True)
-    assert step.batches == [("pulled 5", Arrival.PULLED)]
-    assert step.request.first_block == 7
-    assert not pull.answer(step.request.number, [part(5)], 7, 1.2, True).batches
+    assert pull.answer(request.number, [part(5)], 7, 1.1, True) == Step(
+        [("pulled 5", Arrival.PULLED)]
+    )
+    request = pull.tick(1.25, True).request
+    assert request.first_block == 7
+    assert not pull.answer(request.number, [part(5)], 7, 1.3, True).batches
     assert not pull.pulling
 
 

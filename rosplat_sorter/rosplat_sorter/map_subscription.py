@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from threading import RLock
+from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -18,7 +19,7 @@ from rosplat_msgs.srv import PullMap
 from rosplat_sorter.edits import array_bytes
 from rosplat_sorter.log_text import shown
 from rosplat_sorter.map_pull import Arrival, Label, MapPull, Request, Step
-from rosplat_sorter.qos import MAP, MAP_VOLATILE
+from rosplat_sorter.qos import MAP, MAP_VOLATILE, SERVED_MAP
 
 WATCH_PERIOD = 1.0  # [s]
 PULL_PERIOD = 0.1  # [s]
@@ -28,34 +29,52 @@ class MapSubscription:
     """Hears the publishers of a map's topic, and pulls what is missing from who serves that.
 
     A subscription that asks for what was sent before doesn't match a publisher that keeps nothing:
-    where there is no other, it asks for less. It never hears one batch twice, which would take the
-    map back to it.
+    where there is no other, it asks for less; and so it does where pulls are known to be served
+    when it begins. It never hears one batch twice, which would take the map back to it.
     """
 
     def __init__(
         self,
         node: Node,
-        on_batch: Callable[[GaussianArray, Arrival], None],
+        on_batch: Callable[[Any, Arrival], None],
         callback_group: CallbackGroup | None = None,
+        *,
+        keep: Callable[[GaussianArray], tuple[Any, int]] = lambda m: (m, array_bytes(m)),
+        busy: Callable[[], bool] = lambda: False,
     ) -> None:
         """Subscribes to `gaussians`. on_batch is called for one batch at a time, whatever threads
         the node has.
+
+        keep: what on_batch wants of a message, and the memory that it takes [bytes]; by default all
+        of it. busy: whether there is no room for batches: they are dropped then, and pulled later.
         """
         self._node, self._on_batch, self._group = node, on_batch, callback_group
+        self._keep, self._busy = keep, busy
         self.topic = node.resolve_topic_name("gaussians")
-        self._qos = MAP
-        self._mixed = False  # what publishers keep
+        self._closed = self._mixed = False  # what publishers keep
         self._maps = ("", "")  # of the last batch, and the one before that
-        self._pull: MapPull[GaussianArray] = MapPull()
+        self._pull: MapPull[Any] = MapPull()
         self._lock = RLock()  # the answers to requests come outside of the group
+        self._qos = SERVED_MAP if self._server_is_known() else MAP
         self._client = node.create_client(
             PullMap, f"{self.topic}/pull", callback_group=callback_group
         )
         self._answer: Future | None = None  # that is waited for
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        node.create_timer(WATCH_PERIOD, self._meet_publishers, callback_group, steady)
-        node.create_timer(PULL_PERIOD, self._tick, callback_group, steady)
+        self._timers = [
+            node.create_timer(WATCH_PERIOD, self._meet_publishers, callback_group, steady),
+            node.create_timer(PULL_PERIOD, self._tick, callback_group, steady),
+        ]
+
+    def destroy(self) -> None:
+        """Hears nothing more. To be called from the thread that spins the node."""
+        with self._lock:
+            self._closed = True
+            for timer in self._timers:
+                self._node.destroy_timer(timer)
+            self._node.destroy_subscription(self._subscription)
+            self._node.destroy_client(self._client)
 
     @property
     def pulling(self) -> bool:
@@ -77,20 +96,35 @@ class MapSubscription:
                     throttle_duration_sec=5.0,
                 )
         with self._lock:
-            self._do(self._pull.hear(label(message), message, time.monotonic(), self._served()))
+            self._pull.held = self._busy()
+            if self._pull.held:
+                self._pull.miss(label(message))
+            else:
+                batch = self._batch(message)
+                self._do(self._pull.hear(*batch, time.monotonic(), self._served()))
 
     def _tick(self) -> None:
         with self._lock:
+            self._pull.held = self._busy()
             self._do(self._pull.tick(time.monotonic(), self._served()))
+
+    def _batch(self, message: GaussianArray) -> tuple[Label, Any]:
+        batch, size = self._keep(message)
+        return label(message, size), batch
 
     def _served(self) -> bool:
         return bool(self._client.service_is_ready())
 
-    def _do(self, step: Step[GaussianArray]) -> None:
+    def _server_is_known(self) -> bool:
+        """Whether ROS has told of one at any time, ready or not."""
+        services = self._node.get_service_names_and_types()
+        return f"{self.topic}/pull" in (name for name, _ in services)
+
+    def _do(self, step: Step[Any]) -> None:
         if step.request:  # first, so that it is answered meanwhile
             self._send(step.request)
-        for message, arrival in step.batches:
-            self._on_batch(message, arrival)
+        for batch, arrival in step.batches:
+            self._on_batch(batch, arrival)
 
     def _send(self, request: Request) -> None:
         if not request.first_block:
@@ -108,12 +142,20 @@ class MapSubscription:
                 first_block=request.first_block,
             )
         )
-        self._answer.add_done_callback(lambda answer: self._take(request.number, answer))
+        pending = self._client._pending_requests  # all that tells of the number that ROS gave it
+        sequence = next((key for key, asked in pending.items() if asked is self._answer), 0)
+        self._answer.add_done_callback(lambda answer: self._take(request.number, sequence, answer))
 
-    def _take(self, number: int, answer: Future) -> None:
+    def _take(self, number: int, sequence: int, answer: Future) -> None:
         response: PullMap.Response = answer.result()
-        batches = [(label(message), message) for message in response.batches]
         with self._lock:
+            self._pull.held = self._busy()
+            if answer is not self._answer or self._closed:
+                return
+            if not response.batches:  # rclpy takes the first answer for the only one
+                self._answer = self._client._pending_requests[sequence] = Future()
+                self._answer.add_done_callback(lambda other: self._take(number, sequence, other))
+            batches = [self._batch(message) for message in response.batches]
             now, served = time.monotonic(), self._served()
             self._do(self._pull.answer(number, batches, response.next_block, now, served))
 
@@ -124,6 +166,8 @@ class MapSubscription:
         durabilities = {publisher.qos_profile.durability for publisher in publishers}
         qos = MAP if DurabilityPolicy.TRANSIENT_LOCAL in durabilities else MAP_VOLATILE
         mixed = len(durabilities) > 1
+        if self._qos is SERVED_MAP and self._server_is_known():
+            return  # it hears all of them
         if mixed and not self._mixed:
             self._node.get_logger().warning(
                 f"{self.topic}: a publisher is volatile beside one that is transient local, and "
@@ -136,11 +180,7 @@ class MapSubscription:
             self._subscription = self._subscribe()
 
 
-def label(message: GaussianArray) -> Label:
-    """What counts of a batch where others may be missing."""
-    return Label(
-        message.map_id,
-        message.revision,
-        message.operation == GaussianArray.REPLACE,
-        array_bytes(message) + 1000,  # and the rest of it
-    )
+def label(message: GaussianArray, size: int = 0) -> Label:
+    """What counts of a batch where others may be missing. size: of its arrays. [bytes]"""
+    replaces = message.operation == GaussianArray.REPLACE
+    return Label(message.map_id, message.revision, replaces, size + 1000)  # and the rest of it

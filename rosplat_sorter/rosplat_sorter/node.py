@@ -5,32 +5,53 @@ Topics and parameters, wired to the worker.
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 import time
 
 import rclpy
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.timer import Timer
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter import qos
 from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_sorter.backends import AUTO, BACKENDS
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_sorter.memory import give_back_large_blocks
+from rosplat_sorter.memory import give_back_large_blocks, give_back_the_rest
 from rosplat_sorter.order_slots import pack
-from rosplat_sorter.worker import Answer, Worker
+from rosplat_sorter.worker import Answer, Worker, read
 
 THROTTLE = 5.0  # least time between two lines of the log of one kind [s]
+FORGET_AFTER = 60.0  # the map, when no view has wanted an order [s]
+WATCH_PERIOD = 1.0  # whether one has [s]
 CHOICES = (AUTO, *BACKENDS)
 
 
+class _AtWork:
+    """What is there while views want orders: the map, who hears of it, and who sorts it."""
+
+    def __init__(self, node: SorterNode, backend: str, threads: int) -> None:
+        self.worker = worker = Worker(node, backend, threads)
+        self._map = MapSubscription(node, worker.edit, keep=read, busy=lambda: worker.busy)
+        self.wanted = time.monotonic()  # an order, the last time
+
+    def close(self) -> None:
+        self._map.destroy()
+        self.worker.close()
+
+
 class SorterNode(Node):
-    """Subscribes to `gaussians` and `gaussians/view`, publishes `gaussians/order`."""
+    """Hears `gaussians/view`; while views want orders, `gaussians`; publishes `gaussians/order`.
+
+    No callback waits for anything: parameters are answered at once.
+    """
 
     def __init__(self) -> None:
         super().__init__("sorter")
@@ -57,15 +78,39 @@ class SorterNode(Node):
         # Remapping the map's topic takes the others along.
         topic = self.resolve_topic_name("gaussians")
         self._order = self.create_publisher(SplatOrder, f"{topic}/order", qos.ORDER)
-        self._worker = Worker(self, backend, self.get_parameter("threads").value)
+        self._at_work: _AtWork | None = None
+        self._watch: Timer | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
-
-        MapSubscription(self, self._worker.edit)
-        self.create_subscription(ViewCamera, f"{topic}/view", self._worker.look, qos.VIEW)
+        self.create_subscription(ViewCamera, f"{topic}/view", self._look, qos.VIEW)
+        self.get_logger().info(f"waits for a view that wants an order, on {topic}/view")
 
     def destroy_node(self) -> None:
-        self._worker.close()
+        self._rest()
         super().destroy_node()
+
+    def _look(self, message: ViewCamera) -> None:
+        if not message.sequence:
+            return  # no order is wanted
+        if not self._at_work:
+            names = ("backend", "threads")
+            self._at_work = _AtWork(self, *(self.get_parameter(name).value for name in names))
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._watch = self.create_timer(WATCH_PERIOD, self._rest_when_unwanted, clock=steady)
+        self._at_work.wanted = time.monotonic()
+        self._at_work.worker.look(message)
+
+    def _rest_when_unwanted(self) -> None:
+        if self._at_work and time.monotonic() - self._at_work.wanted > FORGET_AFTER:
+            self.get_logger().info("no view wants an order: the map is forgotten")
+            self._rest()
+
+    def _rest(self) -> None:
+        if self._at_work:
+            self._at_work.close()
+            self._at_work = None
+            self.destroy_timer(self._watch)
+            gc.collect()
+            give_back_the_rest()
 
     # --- What the worker calls, from its own thread -----------------------------------------------
 
@@ -112,8 +157,8 @@ class SorterNode(Node):
         values = {parameter.name: parameter.value for parameter in parameters}
         if values.get("backend", AUTO) not in CHOICES:
             return SetParametersResult(successful=False, reason=_unknown(values["backend"]))
-        if values.keys() & {"backend", "threads"}:
-            self._worker.use(
+        if self._at_work and values.keys() & {"backend", "threads"}:
+            self._at_work.worker.use(
                 values.get("backend", self.get_parameter("backend").value),
                 values.get("threads", self.get_parameter("threads").value),
             )

@@ -24,6 +24,9 @@ MAP_VOLATILE = _map_qos(1000, DurabilityPolicy.VOLATILE)
 # readers that lag behind.
 PULLED_MAP = _map_qos(8)
 
+# Who knows that it can pull: of what it is too slow for, only the newest wait.
+SERVED_MAP = _map_qos(8, DurabilityPolicy.VOLATILE)
+
 
 def _view_qos(depth: int) -> QoSProfile:
     return QoSProfile(

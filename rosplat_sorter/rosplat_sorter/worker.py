@@ -36,7 +36,7 @@ MAX_VIEWS = 32
 
 MOST_SHOWN = 300  # characters of an error in a line of the log
 
-# Edits that wait for longer are waited for, and what their messages bring with them. [bytes]
+# Of edits that wait: while there are more, none is to be handed over. [bytes]
 MOST_WAITING = 1 << 25
 
 
@@ -70,6 +70,24 @@ class Host(Protocol):
         """May be called often, as warn may; to be throttled by subject."""
 
     def warn(self, subject: str, text: str) -> None: ...
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A batch that can't be applied, and why."""
+
+    map_id: str
+    revision: int
+    error: Exception
+
+
+def read(message: GaussianArray) -> tuple[Edit | Refused, int]:
+    """What sorting needs of a batch, and the memory that it takes [bytes]; never raises."""
+    try:
+        edit = edits.decode(message)
+        return edit, edit.nbytes
+    except Exception as error:  # no message may end the node
+        return Refused(message.map_id, message.revision, error), 0
 
 
 @dataclass
@@ -141,17 +159,19 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name="sorter", daemon=True)
         self._thread.start()
 
-    def edit(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> None:
-        """Takes an edit of the map; waits while too much lies there that isn't applied yet."""
-        try:
-            edit = edits.decode(message, arrival)
-        except Exception as error:  # no message may end the node
-            self._drop_batch(message.map_id, message.revision, error)
+    @property
+    def busy(self) -> bool:
+        """Whether too many edits wait."""
+        return self._inbox.edit_bytes > MOST_WAITING
+
+    def edit(self, batch: Edit | Refused, arrival: Arrival = Arrival.HEARD) -> None:
+        """Takes a batch of the map, as it was read. Waits for nothing."""
+        if isinstance(batch, Refused):
+            self._drop_batch(batch.map_id, batch.revision, batch.error)
             return
         with self._wake:
-            self._inbox.add(edit)
+            self._inbox.add(replace(batch, arrival=arrival))
             self._wake.notify_all()
-            self._wake.wait_for(lambda: self._closing or self._inbox.edit_bytes <= MOST_WAITING)
 
     def look(self, message: ViewCamera) -> None:
         """Takes a camera; one of the same view that still waits is forgotten.
@@ -171,13 +191,15 @@ class Worker:
             self._wake.notify_all()
 
     def close(self) -> None:
-        """Ends the thread after the sort it is at."""
+        """Ends the thread after the sort it is at, and gives back the memory of the map."""
         with self._wake:
             self._closing = True
             self._wake.notify_all()
         self._thread.join()
         if self._orders:
             self._orders.close()
+        self._map = SplatMap()
+        self._close_backend()
 
     def _run(self) -> None:
         while True:
@@ -190,7 +212,6 @@ class Worker:
                 if self._closing:
                     return
                 inbox, self._inbox = self._inbox, _Inbox()
-                self._wake.notify_all()
             if inbox.backend is not None:
                 self._attempt(self._use, inbox.backend)
             for edit in inbox.edits:
@@ -423,7 +444,7 @@ class Worker:
 
     def _open_backend(self) -> Backend:
         """Has the best of those left take over the map. Raises Unavailable where none does."""
-        self._backend = None  # whose memory others may need
+        self._close_backend()  # others may need its memory
         wanted, threads = self._wanted
         while self._backend is None:
             try:
@@ -451,7 +472,12 @@ class Worker:
         reason = str(error) or type(error).__name__
         self._host.warn(f"backend {backend.name}", f"backend '{backend.name}' failed: {reason}")
         self._failed |= {backend.name}
-        self._backend = None
+        self._close_backend()
+
+    def _close_backend(self) -> None:
+        backend, self._backend = self._backend, None
+        if backend:
+            backend.close()
 
 
 def _describe(backend: Backend) -> str:

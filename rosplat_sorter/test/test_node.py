@@ -14,6 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_msgs.srv import PullMap
 from rosplat_sorter import qos, shared_orders
 from rosplat_sorter.node import SorterNode
 from rosplat_sorter.order_slots import OrderError, OrderReader
@@ -48,15 +49,16 @@ class Peer:
             self._executor.spin_once(timeout_sec=0.05)
 
     def meet(self):
-        """Waits for the sorter."""
+        """Waits for the sorter, and has it hear the map."""
         self.wait(
             lambda: (
-                self._map.get_subscription_count()
-                and self._view.get_subscription_count()
+                self._view.get_subscription_count()
                 and self.node.count_publishers("gaussians/order")
             ),
             "no sorter",
         )
+        self.look(ViewCamera(view_id="wakes", sequence=1))  # of which no order can be made
+        self.wait(self._map.get_subscription_count, "no subscription")
 
     def order(self, sequence, revision=1):
         """The order that answers a sequence with a revision of the map."""
@@ -140,6 +142,56 @@ def test_a_map_is_ordered_as_it_changes(peer, make_batch, make_look):
     assert peer.reader.read(peer.orders[-1]).tolist() == [1, 0]
 
 
+def test_it_hears_the_map_only_while_views_want_orders(
+    sorter, peer, make_batch, make_look, monkeypatch, capfd
+):
+    def hears():
+        return peer.node.count_subscribers("gaussians")
+
+    peer.edit(make_batch(3, operation=GaussianArray.REPLACE))
+    for sequence in (1, 2):
+        peer.look(make_look(sequence=sequence))
+        assert peer.slots(sequence) == [2, 1, 0]
+        assert hears() == 1
+        with monkeypatch.context() as patch:
+            patch.setattr("rosplat_sorter.node.FORGET_AFTER", 0.1)
+            peer.wait(lambda: not (hears() or list(sorter.timers)), "it hears the map for ever")
+        assert not list(sorter.clients)
+        assert len(list(sorter.subscriptions)) == 1  # views
+        assert "forgotten" in capfd.readouterr().err
+        peer.look(make_look(sequence=0))  # no order is wanted
+        peer.listen(0.3)
+        assert hears() == 0
+    [result] = sorter.set_parameters([Parameter("backend", value="numpy-reference")])
+    assert result.successful  # of what sorts next
+    peer.look(make_look(sequence=3))
+    assert peer.order(3).backend == "numpy-reference"
+
+
+def test_the_map_is_pulled_though_nothing_is_heard(sorter, ros, make_batch, make_look):
+    """Of two servers: one has no map, and is the first to answer."""
+    peer, asked = Peer(qos.MAP_VOLATILE), []
+
+    def serve(request, response):
+        asked.append((request.map_id, request.after_revision, request.first_block))
+        time.sleep(0.2)
+        response.batches = [make_batch(3, revision=7, operation=GaussianArray.REPLACE)]
+        return response
+
+    other = Peer(qos.MAP_VOLATILE)
+    try:
+        peer.node.create_service(PullMap, "gaussians/pull", serve)
+        other.node.create_service(PullMap, "gaussians/pull", lambda _, response: response)
+        threading.Thread(target=other._executor.spin).start()
+        peer.meet()
+        peer.look(make_look())
+        assert peer.slots(1, revision=7) == [2, 1, 0]
+        assert asked == [("", 0, 0)]
+    finally:
+        other.close()
+        peer.close()
+
+
 def test_a_sorter_that_joins_late_gets_the_latched_map(ros, make_batch, make_look):
     peer = Peer()
     peer.edit(make_batch(2, operation=GaussianArray.REPLACE))
@@ -178,7 +230,7 @@ def test_it_ends_in_silence(ros, stop):
         text=True,
     )
     for line in process.stdout:
-        if "sorting with" in line:
+        if "waits for a view" in line:
             break
     process.send_signal(stop)
     output, _ = process.communicate(timeout=20)
@@ -326,12 +378,14 @@ def test_the_backend_is_a_parameter_that_can_change(sorter, peer, make_batch, ma
     assert not result.successful
 
 
-def test_remapping_the_map_takes_views_and_orders_along():
+def test_remapping_the_map_takes_views_and_orders_along(make_look):
     rclpy.init(args=["--ros-args", "-r", "gaussians:=/slam/map"])
     node = SorterNode()
     try:
-        heard = {subscription.topic_name for subscription in node.subscriptions}
-        assert {"/slam/map", "/slam/map/view"} <= heard
+        assert "/slam/map/view" in {heard.topic_name for heard in node.subscriptions}
+        node._look(make_look())
+        assert "/slam/map" in {heard.topic_name for heard in node.subscriptions}
+        assert "/slam/map/pull" in {client.srv_name for client in node.clients}
         assert "/slam/map/order" in {publisher.topic_name for publisher in node.publishers}
     finally:
         node.destroy_node()

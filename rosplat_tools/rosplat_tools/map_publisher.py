@@ -334,7 +334,10 @@ class MapPublisher:
     # --- Services ---------------------------------------------------------------------------------
 
     def _on_pull(self, request: PullMap.Request, response: PullMap.Response) -> PullMap.Response:
-        if request.map_id != self._map_id and self._node.count_publishers(self._topic) > 1:
+        if (
+            request.map_id not in ("", self._map_id)
+            and self._node.count_publishers(self._topic) > 1
+        ):
             self._node.get_logger().warning(
                 f"{self._topic}: is published by others, too, and receivers see one map in place "
                 "of the other: end all publishers but one",
@@ -342,7 +345,7 @@ class MapPublisher:
             )
         try:
             with self._lock:
-                if request.map_id == self._map_id and self._revision:
+                if request.map_id in ("", self._map_id) and self._revision:
                     self._fill(request, response)
         except MemoryError:  # no request may end the node
             self._node.get_logger().error(f"{self._topic}/pull: memory is lacking")

@@ -53,7 +53,8 @@ class MapPublisher::Services {
         [&map, logger, name, graph = node.graph, clock = node.clock->get_clock()](
             const PullMap::Request::SharedPtr request,
             const PullMap::Response::SharedPtr response) {
-          if (request->map_id != map.mapId() && graph->count_publishers(name) > 1) {
+          const bool other = !request->map_id.empty() && request->map_id != map.mapId();
+          if (other && graph->count_publishers(name) > 1) {
             RCLCPP_WARN_THROTTLE(logger, *clock, kWarningPeriod,
                                  "%s: is published by others, too, and receivers see one map in "
                                  "place of the other: end all publishers but one",

@@ -649,7 +649,8 @@ PublishedMap::Poses PublishedMap::placedAfter(std::uint64_t revision) const {
 PublishedMap::PullMap::Response PublishedMap::pull(const PullMap::Request& request) const {
   PullMap::Response response;
   const std::lock_guard lock(mutex_);
-  if (request.map_id != map_id_ || revision_ == 0) return response;
+  const bool meant = request.map_id.empty() || request.map_id == map_id_;
+  if (!meant || revision_ == 0) return response;
   std::uint64_t after = request.after_revision;
   std::uint32_t block = request.first_block;
   if (after < begun_ || after > revision_) {

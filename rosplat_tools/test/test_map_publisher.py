@@ -283,6 +283,7 @@ def test_who_misses_batches_pulls_what_they_changed(
         ({"after_revision": 2**64 - 1}, [0, 1]),
         ({"first_block": 1}, [1]),
         ({"first_block": 2**32 - 1}, [1]),
+        ({"map_id": ""}, [0, 1]),  # by who knows none
     ],
 )
 def test_requests_of_any_kind_are_answered(

@@ -49,6 +49,9 @@ class Backend(Protocol):
         A backend on the CPU may keep the map's arrays, they change only between calls.
         """
 
+    def close(self) -> None:
+        """Gives back its memory, on the device as well; it is not used again."""
+
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         """The visible slots back to front, uint32 (m,), exactly as depth.order.
 

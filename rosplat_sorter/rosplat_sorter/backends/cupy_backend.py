@@ -108,6 +108,11 @@ class CupyBackend:
         self._pages = cupy.asarray(splats.pages.table)
         self._count = count
 
+    def close(self) -> None:
+        self._reserve(0)
+        self._pages = cupy.empty((0, 3), cupy.uint32)
+        cupy.get_default_memory_pool().free_all_blocks()
+
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         slots = self.order_on_device(view)
         result = allocate(len(slots))

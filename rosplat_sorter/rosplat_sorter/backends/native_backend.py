@@ -25,6 +25,10 @@ class NativeBackend:
     def update(self, splats: SplatMap, changed: Rows) -> None:
         self._splats = splats
 
+    def close(self) -> None:
+        self._splats = SplatMap()
+        del self._sort
+
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         splats = self._splats
         return self._sort.sort(view, splats.positions, splats.extents, splats.pages.table, allocate)

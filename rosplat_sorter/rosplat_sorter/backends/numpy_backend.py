@@ -26,6 +26,9 @@ class NumpyReferenceBackend:
     def update(self, splats: SplatMap, changed: Rows) -> None:
         self._splats = splats
 
+    def close(self) -> None:
+        self._splats = SplatMap()
+
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         splats = self._splats
         order = depth.order(view, splats.positions, splats.extents, splats.slots, splats.groups)

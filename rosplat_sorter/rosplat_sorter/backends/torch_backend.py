@@ -57,6 +57,12 @@ class TorchBackend:
             self._extents[index] = self._upload(splats.extents[rows])
         self._count = count
 
+    def close(self) -> None:
+        self._reserve(0)
+        self._first_slots, self._groups = self._first_slots[:0].clone(), self._groups[:0].clone()
+        if self._device.type == "cuda":
+            torch.cuda.empty_cache()
+
     @torch.inference_mode()
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         order = self.order_on_device(view)

@@ -79,7 +79,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
   remapped_ = node_->get_node_topics_interface()->resolve_topic_name(topic_);
-  pull_client_ = node_->create_client<PullMap>(remapped_ + "/pull", serviceQos(), group_);
+  pull_client_ = PullClient::make(*node_, remapped_ + "/pull", group_);
   map_ = subscribe(qos_);
   status_.topic = remapped_;
   orders_ = node_->create_subscription<SplatOrder>(
@@ -138,21 +138,19 @@ void GaussianClient::act(Pull::Step step) {
 }
 
 void GaussianClient::send(const Pull::Request& request) {
-  if (asked_) pull_client_->remove_pending_request(*asked_);  // answered, or not waited for
-  auto asked = std::make_shared<PullMap::Request>();
+  auto asked = std::make_shared<PullClient::Request>();
   asked->map_id = request.map_id;
   asked->after_revision = request.after_revision;
   asked->first_block = request.first_block;
-  const auto answer = [this,
-                       number = request.number](rclcpp::Client<PullMap>::SharedFuture future) {
-    const std::shared_ptr<const PullMap::Response> response = future.get();
-    std::vector<Pull::Labelled> batches;
-    for (const GaussianArray& batch : response->batches) {
-      batches.push_back(labelled(std::shared_ptr<const GaussianArray>(response, &batch)));
-    }
-    act(pull_.answer(number, std::move(batches), response->next_block, now(), served()));
-  };
-  asked_ = pull_client_->async_send_request(std::move(asked), answer).request_id;
+  const auto answer =
+      [this, number = request.number](std::shared_ptr<const PullClient::Response> response) {
+        std::vector<Pull::Labelled> batches;
+        for (const GaussianArray& batch : response->batches) {
+          batches.push_back(labelled(std::shared_ptr<const GaussianArray>(response, &batch)));
+        }
+        act(pull_.answer(number, std::move(batches), response->next_block, now(), served()));
+      };
+  pull_client_->ask(std::move(asked), answer);
 }
 
 void GaussianClient::take(const GaussianArray& message, Arrival arrival) {

@@ -10,7 +10,6 @@
 #include <rosplat_msgs/msg/gaussian_array.hpp>
 #include <rosplat_msgs/msg/splat_order.hpp>
 #include <rosplat_msgs/msg/view_camera.hpp>
-#include <rosplat_msgs/srv/pull_map.hpp>
 #include <rosplat_msgs/srv/render_view.hpp>
 #include <set>
 #include <std_msgs/msg/header.hpp>
@@ -21,6 +20,7 @@
 #include "camera_trail.hpp"
 #include "fair_queue.hpp"
 #include "map/map_pull.hpp"
+#include "pull_client.hpp"
 #include "rosplat_sorter/order_slots.hpp"
 #include "sidecar_switch.hpp"
 #include "splat_scene.hpp"
@@ -96,7 +96,6 @@ class GaussianClient {
 
  private:
   using GaussianArray = rosplat_msgs::msg::GaussianArray;
-  using PullMap = rosplat_msgs::srv::PullMap;
   using SplatOrder = rosplat_msgs::msg::SplatOrder;
   using Pull = MapPull<std::shared_ptr<const GaussianArray>>;
   static constexpr std::size_t kMostRequests = 64;  // for pictures, that wait
@@ -123,8 +122,7 @@ class GaussianClient {
   bool made_volatile_ = false;  // what is asked for instead
   rclcpp::Subscription<GaussianArray>::SharedPtr map_;
   Pull pull_;
-  rclcpp::Client<PullMap>::SharedPtr pull_client_;
-  std::optional<std::int64_t> asked_;  // the request that was sent last
+  std::shared_ptr<PullClient> pull_client_;
   rclcpp::Subscription<SplatOrder>::SharedPtr orders_;
   rclcpp::Publisher<rosplat_msgs::msg::ViewCamera>::SharedPtr view_publisher_;
   std::atomic<bool> views_followed_ = false;
