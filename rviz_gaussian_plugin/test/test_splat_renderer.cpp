@@ -148,6 +148,24 @@ Splats manySplats() {
 
 void fill(SplatScene& scene) { scene.apply(manySplats().batch(1, {})); }
 
+// Splat i sits at (i, 0, 5).
+OwnedBatch splatsInARow(std::uint32_t count, std::uint8_t sh_degree) {
+  OwnedBatch batch;
+  batch.count = count;
+  batch.sh_degree = sh_degree;
+  batch.position.assign(3 * count, 5);
+  for (std::uint32_t i = 0; i < count; ++i) {
+    batch.position[3 * i] = float(i);
+    batch.position[3 * i + 1] = 0;
+  }
+  batch.orientation.assign(4 * count, 0.5f);
+  batch.scale.assign(3 * count, 0.1f);
+  batch.opacity.assign(count, 0.5f);
+  batch.harmonics.assign(3u * (sh_degree + 1u) * (sh_degree + 1u) * count, 0.1f);
+  batch.look();
+  return batch;
+}
+
 std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, OrderSource order,
                            Canvas canvas = Canvas::kNone) {
   RenderSettings settings;
@@ -370,6 +388,27 @@ class Disguise {
   static inline GLint subgroup_size_ = 0;
 };
 
+// Counts how often the graphics card is waited for.
+class Waits {
+ public:
+  Waits() {
+    waits = 0;
+    real_ = epoxy_glFinish;
+    epoxy_glFinish = [] {
+      ++waits;
+      real_();
+    };
+  }
+  ~Waits() { epoxy_glFinish = real_; }
+  Waits(const Waits&) = delete;
+  Waits& operator=(const Waits&) = delete;
+
+  static inline int waits = 0;
+
+ private:
+  static inline PFNGLFINISHPROC real_ = nullptr;
+};
+
 class SplatRendererTest : public testing::Test {
  protected:
   void SetUp() override {
@@ -554,9 +593,9 @@ TEST_F(SplatRendererTest, ListsTakeTheMemoryThatTheyNeedOfLate) {
     return scene.draw("view", settings, Canvas::kNone).rasterizer;
   };
   EXPECT_EQ(drawFrom(0), "tiles");
-  const std::size_t near = scene.gpuBytes();
+  const std::size_t near = scene.sharedGpuBytes();
   for (int frame = 0; frame < 3 * kPatience; ++frame) drawFrom(50);
-  EXPECT_LT(scene.gpuBytes(), near / 2);
+  EXPECT_LT(scene.sharedGpuBytes(), near / 2);
 
   epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
     reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"))(
@@ -635,6 +674,77 @@ TEST_F(SplatRendererTest, DrawsTheSameFromSparseSlotsThatComeBackwards) {
   EXPECT_FLOAT_EQ(float(values[0].position[0]), all.splats.position[3 * 7]);
   EXPECT_EQ(values[1].opacity, 0);
   EXPECT_FLOAT_EQ(float(values[2].position[2]), all.splats.position[3 * 4999 + 2]);
+}
+
+TEST_F(SplatRendererTest, UploadsEditsWithoutWaitingForTheCard) {
+  SplatScene scene(shaders());
+  fill(scene);
+  picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  const Waits counted;
+  Splats one;
+  one.add({0, 0, 5}, {1, 0, 0});
+  for (std::uint32_t edit = 0; edit < 20; ++edit) {
+    scene.apply(one.batch(2 + edit, {131 * edit}));
+    picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  }
+  EXPECT_EQ(Waits::waits, 0);
+}
+
+TEST_F(SplatRendererTest, AMapThatGrowsWaitsOnceForEachArenaThatGrows) {
+  constexpr std::uint32_t kBatch = 10 * SlotPage::kSlots;
+  SplatScene scene(shaders());
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  scene.prepare(settings);
+  const Waits counted;
+  std::size_t bytes = 0;
+  int grown = 0;
+  for (std::uint32_t i = 0; i < 8; ++i) {
+    OwnedBatch batch = splatsInARow(kBatch, 3);
+    batch.revision = i + 1;
+    batch.operation = i == 0 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
+    batch.first_slot = i * kBatch;
+    scene.apply(batch.look());
+    scene.upload(settings);
+    if (scene.mapBytes() != bytes) ++grown;
+    bytes = scene.mapBytes();
+  }
+  EXPECT_GT(grown, 3);
+  EXPECT_LE(Waits::waits, grown + 7);  // and for its own memory
+}
+
+// More than there is to upload from, some of it twice: what is written anew waits its turn.
+TEST_F(SplatRendererTest, KeepsWhatIsUploadedWhateverItsSize) {
+  constexpr std::uint32_t kMany = 400'000;
+  SplatScene scene(shaders());
+  OwnedBatch all = splatsInARow(kMany, 3);
+  all.revision = 1;
+  scene.apply(all.look());
+  OwnedBatch again = splatsInARow(kMany / 2, 1);
+  again.revision = 2;
+  again.operation = GaussianBatch::UPSERT;
+  again.first_slot = kMany / 4;
+  for (float& opacity : again.opacity) opacity = 0.25f;
+  scene.apply(again.look());
+  OwnedBatch none(3, GaussianBatch::DELETE, kMany / 2);
+  none.count = kMany / 8;
+  scene.apply(none);
+  picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  std::vector<std::uint32_t> slots(kMany / 7);
+  for (std::uint32_t i = 0; i < slots.size(); ++i) slots[i] = 7 * i;
+  std::size_t wrong = 0;
+  for (const SplatValues& splat : scene.readSlots(slots)) {
+    const bool gone = splat.slot >= kMany / 2 && splat.slot < kMany * 5 / 8;
+    const bool anew = splat.slot >= kMany / 4 && splat.slot < kMany * 3 / 4;
+    const float opacity = gone ? 0 : anew ? 0.25f : 0.5f;
+    const float place = float(anew ? splat.slot - kMany / 4 : splat.slot);
+    const float last = splat.sh[47];  // band 3
+    const bool right =
+        std::fabs(splat.opacity - opacity) < 1e-4f &&
+        (gone || (splat.position[0] == place && std::fabs(last - (anew ? 0 : 0.1f)) < 1e-3f));
+    wrong += !right;
+  }
+  EXPECT_EQ(wrong, 0u);
 }
 
 TEST_F(SplatRendererTest, LosesNothingWithThePagesThatAreOutsideOfThePicture) {

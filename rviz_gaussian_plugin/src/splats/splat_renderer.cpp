@@ -122,6 +122,7 @@ Frame SplatRenderer::frame(const std::vector<CardView>& maps, Canvas canvas,
                            gl::Stopwatch& stopwatch) const {
   Frame frame{{}, maps.front().order, canvas != Canvas::kWindow, clock(), stopwatch};
   for (const CardView& map : maps) {
+    map.map->await();
     frame.layers.push_back(
         {map.map->store(), map.map->nodes(), map.camera, map.state, map.settings});
   }
@@ -333,6 +334,7 @@ std::vector<Pick> SplatRenderer::readPick() const {
 std::vector<SplatValues> SplatRenderer::readSlots(const CardMap& map,
                                                   const std::vector<std::uint32_t>& slots) const {
   const gl::StateGuard guard;
+  map.await();
   return reader_.read(map.store(), slots);
 }
 

@@ -24,8 +24,6 @@ Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
     object_.release();
     throw Error("the graphics driver has no " + std::to_string(bytes >> 20) + " MiB left");
   }
-  // NVIDIA's driver (580) clears it, on its own and sometimes only after what follows has written.
-  glFinish();
 }
 
 void Buffer::write(std::size_t offset, const void* data, std::size_t bytes) {
@@ -44,6 +42,7 @@ void Buffer::reserve(std::size_t bytes) {
   if (bytes_ >= bytes) return;
   release();  // first, so that there is never room for both
   *this = Buffer(bytes, GL_DYNAMIC_COPY);
+  settle();
 }
 
 void Buffer::release() {
@@ -51,9 +50,10 @@ void Buffer::release() {
   bytes_ = 0;
 }
 
-void Buffer::zero() {
+void Buffer::zero(std::size_t offset, std::size_t bytes) {
   glBindBuffer(GL_COPY_WRITE_BUFFER, id());
-  glClearBufferData(GL_COPY_WRITE_BUFFER, GL_R32UI, GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
+  glClearBufferSubData(GL_COPY_WRITE_BUFFER, GL_R32UI, static_cast<GLintptr>(offset),
+                       static_cast<GLsizeiptr>(bytes), GL_RED_INTEGER, GL_UNSIGNED_INT, nullptr);
 }
 
 void Buffer::copy(const Buffer& from, std::size_t offset, std::size_t bytes, std::size_t to) {
@@ -62,6 +62,9 @@ void Buffer::copy(const Buffer& from, std::size_t offset, std::size_t bytes, std
   glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
                       static_cast<GLintptr>(to), static_cast<GLsizeiptr>(bytes));
 }
+
+// NVIDIA's driver (580) clears them, on its own and sometimes only after what follows has written.
+void settle() { glFinish(); }
 
 std::size_t largestStorageBuffer() {
   GLint64 bytes = 0;
@@ -73,6 +76,14 @@ void Slice::write(const void* data) const {
   glBindBuffer(GL_COPY_WRITE_BUFFER, buffer);
   glBufferSubData(GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
                   static_cast<GLsizeiptr>(bytes), data);
+}
+
+void waitFor(GLsync fence) {
+  constexpr GLuint64 kMinute = 60'000'000'000;  // that no frame takes, not even in software
+  const GLenum state = glClientWaitSync(fence, GL_SYNC_FLUSH_COMMANDS_BIT, kMinute);
+  if (state == GL_TIMEOUT_EXPIRED || state == GL_WAIT_FAILED) {
+    throw Error("the graphics card doesn't answer any more");
+  }
 }
 
 Readback::Readback(std::size_t words) {
@@ -97,14 +108,8 @@ void Readback::ask(const Buffer& buffer) {
 }
 
 const GLuint* Readback::wait() const {
-  constexpr GLuint64 kMinute = 60'000'000'000;  // that no frame takes, not even in software
-  switch (glClientWaitSync(copied_, GL_SYNC_FLUSH_COMMANDS_BIT, kMinute)) {
-    case GL_TIMEOUT_EXPIRED:
-    case GL_WAIT_FAILED:
-      throw Error("the graphics card doesn't answer any more");
-    default:
-      return mapped_;
-  }
+  waitFor(copied_);
+  return mapped_;
 }
 
 namespace {

@@ -26,7 +26,7 @@ struct Error : std::runtime_error {
 class Buffer {
  public:
   Buffer() = default;
-  // Throws Error where the driver has no memory for it.
+  // Not to be written before settle(). Throws Error where the driver has no memory for it.
   Buffer(std::size_t bytes, GLenum usage);
 
   GLuint id() const { return object_.id(); }
@@ -34,7 +34,8 @@ class Buffer {
   void write(std::size_t offset, const void* data, std::size_t bytes);
   // Waits for the graphics card.
   void read(std::size_t offset, void* data, std::size_t bytes) const;
-  void zero();
+  void zero() { zero(0, bytes_); }
+  void zero(std::size_t offset, std::size_t bytes);  // whole words
   // Has a part of another from a place on.
   void copy(const Buffer& from, std::size_t offset, std::size_t bytes, std::size_t to = 0);
   // Makes room for so many bytes; what was in it is lost if it grows.
@@ -53,6 +54,9 @@ class Buffer {
   std::size_t bytes_ = 0;
 };
 
+// Waits until buffers that were just made are there.
+void settle();
+
 // The largest buffer that a shader can read. [bytes]
 std::size_t largestStorageBuffer();
 
@@ -65,6 +69,9 @@ struct Slice {
 
   void write(const void* data) const;
 };
+
+// Waits until a fence is passed. Throws Error where the graphics card is gone.
+void waitFor(GLsync fence);
 
 // A copy of a small buffer, which the CPU waits for while the graphics card goes on.
 class Readback {

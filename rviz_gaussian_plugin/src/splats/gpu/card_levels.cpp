@@ -40,7 +40,7 @@ void CardLevels::apply(const SlotStore& store, const std::shared_ptr<const Gauss
     builder_.expectMore(false);
     written_.clear();
     update_.reset();
-    nodes_ = {};
+    nodes_ = NodeStore(ring_);
     samples_.clear();
   }
   nodes_.addBands(store.shDegree());

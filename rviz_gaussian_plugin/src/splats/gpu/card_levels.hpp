@@ -18,6 +18,9 @@ namespace rosplat {
 // to a builder beside the render thread, and its nodes come back to the card.
 class CardLevels {
  public:
+  // ring: to write with; stays.
+  explicit CardLevels(gl::UploadRing& ring) : ring_(ring), nodes_(ring) {}
+
   // The store, which has this edit by now; nodes of another map are gone.
   void apply(const SlotStore& store, const std::shared_ptr<const GaussianEdit>& edit, double now);
   // Goes on with what there is to do, in the store too; some of it, or all, which it waits for.
@@ -41,6 +44,7 @@ class CardLevels {
   void copy(const SlotStore& store, double now, std::size_t most_pages);
   void finish(SlotStore& store);
 
+  gl::UploadRing& ring_;
   std::shared_ptr<rosplat_sorter::ThreadTeam> team_ = rosplat_sorter::ThreadTeam::ofViewers();
   LevelBuilder builder_;
   NodeStore nodes_;

@@ -7,6 +7,7 @@ namespace rosplat {
 void CardMap::apply(const std::shared_ptr<const GaussianEdit>& edit, double now) {
   store_.apply(*edit, now);
   if (levels_) levels_->apply(store_, edit, now);
+  ring_.close();
   gl::deleteAbandoned();
 }
 
@@ -18,8 +19,9 @@ void CardMap::advanceLevels(double now) {
 void CardMap::makeLevels(double now, bool all) {
   if (!levels_error_.empty()) return;
   try {
-    if (!levels_) levels_.emplace();
+    if (!levels_) levels_.emplace(ring_);
     levels_->advance(store_, now, all);
+    ring_.close();
     levels_error_ = levels_->error();
   } catch (const gl::Error& error) {
     levels_error_ = error.what();

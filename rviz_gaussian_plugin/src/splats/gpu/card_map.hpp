@@ -26,6 +26,9 @@ class CardMap {
   // Goes on with levels of detail, if there are some: even if none is drawn now.
   void advanceLevels(double now);
 
+  // Has what is drawn from here on wait for what was uploaded, maybe in another context.
+  void await() const { ring_.await(); }
+
   const SlotStore& store() const { return store_; }
   const SlotPages& pages() const { return store_.pages(); }
   // Those of levels of detail that are drawn by now; null where there are none.
@@ -53,7 +56,9 @@ class CardMap {
 
   std::size_t bytes() const { return store_.bytes(); }
   std::size_t levelsBytes() const { return levels_ ? levels_->bytes() : 0; }
-  std::size_t gpuBytes() const { return store_.bytes() + (levels_ ? levels_->gpuBytes() : 0); }
+  std::size_t gpuBytes() const {
+    return store_.bytes() + ring_.bytes() + (levels_ ? levels_->gpuBytes() : 0);
+  }
 
  private:
   // Of a view that isn't drawn in full.
@@ -67,7 +72,8 @@ class CardMap {
   void dropLevels();
   void endLevels();
 
-  SlotStore store_;
+  gl::UploadRing ring_;
+  SlotStore store_{ring_};
   std::optional<CardLevels> levels_;
   std::string levels_error_;  // why there are none although they were to be made
   std::map<std::string, View> views_;

@@ -94,8 +94,7 @@ void NodeStore::write(const New* pages, std::size_t count, rosplat_sorter::Threa
     inParts(team, count, [&](std::size_t i) {
       pages[i].page->slots.interleave(band, &staged_[i * kSlots * words]);
     });
-    buffer.write(at.page * kSlots * words * sizeof(std::uint32_t), staged_.data(),
-                 staged_.size() * sizeof(std::uint32_t));
+    ring_->write(buffer, at.page * kSlots, count * kSlots, words, staged_.data());
   };
   put(arena.slots, 0, kSlotWords);
   for (int band = 1; band <= arenas_.shDegree(); ++band) {

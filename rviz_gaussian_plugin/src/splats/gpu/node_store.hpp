@@ -25,6 +25,9 @@ class NodeStore {
   };
   using OfGroup = std::array<Level, kLevels>;
 
+  // ring: to write with; stays.
+  explicit NodeStore(gl::UploadRing& ring) : ring_(&ring), arenas_(ring) {}
+
   // Has these take the place of what is shown, as soon as they are uploaded.
   void replace(const std::vector<Levels::Nodes>& groups, int sh_degree);
   // Uploads of them what a number of bytes allows, which it makes less; whether all are there.
@@ -52,6 +55,7 @@ class NodeStore {
                const Levels::Pages& pages, Level& next);
   void write(const New* pages, std::size_t count, rosplat_sorter::ThreadTeam* team);
 
+  gl::UploadRing* ring_;
   SlotArenas arenas_;
   std::vector<std::uint32_t> free_;  // places
   std::uint32_t places_ = 0;         // so far

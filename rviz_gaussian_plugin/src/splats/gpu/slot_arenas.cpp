@@ -1,6 +1,7 @@
 #include "gpu/slot_arenas.hpp"
 
 #include <algorithm>
+#include <utility>
 
 namespace rosplat {
 
@@ -11,28 +12,13 @@ constexpr std::size_t kMostArenaPages = 2048;  // 72 MiB of slots
 // processor's for some pictures.
 constexpr GLenum kUsage = GL_DYNAMIC_COPY;
 
-// A buffer of a size, which begins with what was in another.
-gl::Buffer grown(const gl::Buffer& buffer, std::size_t bytes) {
-  gl::Buffer larger(bytes, kUsage);
-  if (!buffer.id()) return larger;
-  larger.copy(buffer, 0, buffer.bytes());
-  // NVIDIA's driver (580) clears memory that another program had, and sometimes after the copy.
-  glFinish();
-  return larger;
-}
-
 std::size_t slotsOf(const SlotArenas::Arena& arena) {
   return std::size_t{arena.pages} * SlotPage::kSlots;
 }
 
 }  // namespace
 
-void writeZeros(gl::Buffer& buffer, std::size_t offset, std::size_t bytes) {
-  const std::vector<std::uint8_t> zeros(bytes);
-  buffer.write(offset, zeros.data(), bytes);
-}
-
-SlotArenas::SlotArenas() {
+SlotArenas::SlotArenas(gl::UploadRing& ring) : ring_(&ring) {
   const std::size_t pages =
       std::min(gl::largestStorageBuffer() / (SlotPage::kSlots * kSlotBytes), kMostArenaPages);
   while (2u << arena_bits_ <= pages) ++arena_bits_;
@@ -49,7 +35,8 @@ void SlotArenas::addBands(int degree) {
   for (Arena& arena : arenas_) {
     for (int band = sh_degree_ + 1; band <= degree; ++band) {
       arena.bands[band] = gl::Buffer(slotsOf(arena) * bandBytes(band), kUsage);
-      writeZeros(arena.bands[band], 0, arena.bands[band].bytes());
+      gl::settle();
+      arena.bands[band].zero();
     }
   }
   sh_degree_ = std::max(sh_degree_, degree);
@@ -57,10 +44,10 @@ void SlotArenas::addBands(int degree) {
 
 void SlotArenas::addChannels(std::size_t count) {
   for (Arena& arena : arenas_) {
-    const std::vector<float> none(count > channels_ ? slotsOf(arena) : 0, kNoValue);
     for (std::size_t channel = channels_; channel < count; ++channel) {
-      arena.channels[channel] = gl::Buffer(none.size() * sizeof(float), kUsage);
-      arena.channels[channel].write(0, none.data(), arena.channels[channel].bytes());
+      arena.channels[channel] = gl::Buffer(slotsOf(arena) * sizeof(float), kUsage);
+      gl::settle();
+      ring_->fill(arena.channels[channel], kNoValue);
     }
   }
   channels_ = std::max(channels_, count);
@@ -70,9 +57,9 @@ void SlotArenas::addLevels() {
   levels_ = true;
   for (Arena& arena : arenas_) {
     if (arena.levels.id()) continue;
-    const std::vector<std::uint8_t> none(slotsOf(arena), 0xff);
-    arena.levels = gl::Buffer(none.size(), kUsage);
-    arena.levels.write(0, none.data(), none.size());
+    arena.levels = gl::Buffer(slotsOf(arena), kUsage);
+    gl::settle();
+    ring_->fill(arena.levels, std::uint8_t{0xff});
   }
 }
 
@@ -90,15 +77,23 @@ void SlotArenas::makeRoom(std::uint32_t pages) {
     if (wanted <= arena.pages) continue;
     Arena larger;
     larger.pages = std::clamp(arena.pages + arena.pages / 4, wanted, arenaPages());
-    const std::size_t slots = slotsOf(larger);
-    larger.slots = grown(arena.slots, slots * kSlotBytes);
-    for (int band = 1; band <= sh_degree_; ++band) {
-      larger.bands[band] = grown(arena.bands[band], slots * bandBytes(band));
+    std::vector<std::pair<const gl::Buffer*, gl::Buffer*>> buffers;
+    const auto grow = [&](const gl::Buffer& from, gl::Buffer& to, std::size_t of_slot) {
+      to = gl::Buffer(slotsOf(larger) * of_slot, kUsage);
+      buffers.emplace_back(&from, &to);
+    };
+    grow(arena.slots, larger.slots, kSlotBytes);
+    for (std::size_t band = 1; band <= std::size_t(sh_degree_); ++band) {
+      grow(arena.bands[band], larger.bands[band], bandBytes(int(band)));
     }
     for (std::size_t channel = 0; channel < channels_; ++channel) {
-      larger.channels[channel] = grown(arena.channels[channel], slots * sizeof(float));
+      grow(arena.channels[channel], larger.channels[channel], sizeof(float));
     }
-    if (levels_) larger.levels = grown(arena.levels, slots);
+    if (levels_) grow(arena.levels, larger.levels, 1);
+    gl::settle();
+    for (const auto& [from, to] : buffers) {
+      if (from->id()) to->copy(*from, 0, from->bytes());
+    }
     arena = std::move(larger);
   }
 }

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "gl/gl_objects.hpp"
+#include "gl/upload_ring.hpp"
 #include "map/slot_pages.hpp"
 
 namespace rosplat {
@@ -26,7 +27,8 @@ class SlotArenas {
     std::uint32_t arena, page;
   };
 
-  SlotArenas();
+  // ring: to write with; stays.
+  explicit SlotArenas(gl::UploadRing& ring);
 
   void clear();
   // Makes room for so many pages, and for bands. Throw gl::Error when the driver has no memory
@@ -50,6 +52,7 @@ class SlotArenas {
  private:
   std::uint32_t arenaPages() const { return 1u << arena_bits_; }
 
+  gl::UploadRing* ring_;
   unsigned arena_bits_ = 0;  // of the number of a page in an arena
   std::vector<Arena> arenas_;
   int sh_degree_ = 0;
@@ -61,7 +64,4 @@ constexpr std::size_t kSlotBytes = kSlotWords * sizeof(std::uint32_t);
 constexpr std::size_t bandBytes(int band) {
   return static_cast<std::size_t>(kBandWords[std::size_t(band)]) * sizeof(std::uint32_t);
 }
-// Of empty slots: their opacity is 0.
-void writeZeros(gl::Buffer& buffer, std::size_t offset, std::size_t bytes);
-
 }  // namespace rosplat

@@ -32,18 +32,15 @@ void SlotStore::apply(const GaussianEdit& edit, double now) {
   }
   arenas_.makeRoom(static_cast<std::uint32_t>(pages_.pages().size()));
   for (const std::uint32_t first_slot : pages_.emptied()) empty(*pages_.find(first_slot));
-  const std::vector<Piece> all = pieces(edit);
-  if (all.empty()) return;
-  // NVIDIA's driver (580) loses some of the writes of edits that follow each other without a pause.
-  glFinish();
-  for (const Piece& piece : all) write(edit, piece, static_cast<std::uint32_t>(now) << 16);
-  glFinish();
+  for (const Piece& piece : pieces(edit)) {
+    write(edit, piece, static_cast<std::uint32_t>(now) << 16);
+  }
 }
 
 void SlotStore::empty(const SlotPage& page) {
   constexpr std::size_t kPageBytes = SlotPage::kSlots * kSlotBytes;
   const Place place = placeOf(page);
-  writeZeros(arenas_[place.arena].slots, place.page * kPageBytes, kPageBytes);
+  arenas_[place.arena].slots.zero(place.page * kPageBytes, kPageBytes);
 }
 
 std::vector<SlotStore::Piece> SlotStore::pieces(const GaussianEdit& edit) {
@@ -84,36 +81,44 @@ std::vector<SlotStore::Piece> SlotStore::pieces(const GaussianEdit& edit) {
 }
 
 void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_t change) {
-  if (edit.sh_degree < 0) {
-    return writeZeros(piece.arena->slots, piece.first * kSlotBytes, piece.count * kSlotBytes);
+  const auto& [arena, first, source, count] = piece;
+  if (edit.sh_degree < 0) return arena->slots.zero(first * kSlotBytes, count * kSlotBytes);
+  const std::uint32_t* const slots = &edit.slots[kSlotWords * source];
+  ring_.write<std::uint32_t>(arena->slots, first, count, kSlotWords,
+                             [&](std::uint32_t* words, std::size_t from, std::size_t n) {
+                               for (std::size_t i = from; i < from + n; ++i) {
+                                 for (std::size_t k = 0; k < kSlotWords; ++k) {
+                                   const std::uint32_t word = slots[kSlotWords * i + k];
+                                   *words++ = k == kChangeWord ? word | change : word;
+                                 }
+                               }
+                             });
+  if (arena->levels.id()) {
+    ring_.write<std::uint8_t>(arena->levels, first, count, 1,
+                              [&](std::uint8_t* levels, std::size_t from, std::size_t n) {
+                                for (std::size_t i = from; i < from + n; ++i) {
+                                  *levels++ = levelOfNew(edit, source + i);
+                                }
+                              });
   }
-  const auto begin = edit.slots.begin() + std::ptrdiff_t(kSlotWords * piece.source);
-  staged_.assign(begin, begin + std::ptrdiff_t(kSlotWords * piece.count));
-  for (std::size_t i = kChangeWord; i < staged_.size(); i += kSlotWords) staged_[i] |= change;
-  piece.arena->slots.write(piece.first * kSlotBytes, staged_.data(), piece.count * kSlotBytes);
-  if (piece.arena->levels.id()) {
-    std::vector<std::uint8_t> levels(piece.count);
-    for (std::size_t i = 0; i < piece.count; ++i) {
-      levels[i] = levelOfNew(edit, piece.source + i);
-    }
-    piece.arena->levels.write(piece.first, levels.data(), piece.count);
-  }
-  for (int band = 1; band <= shDegree(); ++band) {
-    gl::Buffer& target = piece.arena->bands[band];
-    const std::size_t offset = piece.first * bandBytes(band);
-    const std::size_t bytes = piece.count * bandBytes(band);
-    if (band <= edit.sh_degree) {
-      target.write(offset, &edit.bands[band][kBandWords[band] * piece.source], bytes);
+  for (std::size_t band = 1; band <= std::size_t(shDegree()); ++band) {
+    const auto words = static_cast<std::size_t>(kBandWords[band]);
+    if (int(band) <= edit.sh_degree) {
+      ring_.write(arena->bands[band], first, count, words, &edit.bands[band][words * source]);
     } else {
-      writeZeros(target, offset, bytes);
+      arena->bands[band].zero(first * words * kWord, count * words * kWord);
     }
   }
-  const std::vector<float> none(channels() > 0 ? piece.count : 0, kNoValue);
   for (std::size_t channel = 0; channel < channels(); ++channel) {
     const std::vector<float>& values = edit.channels[channel];
-    piece.arena->channels[channel].write(piece.first * sizeof(float),
-                                         values.empty() ? none.data() : &values[piece.source],
-                                         piece.count * sizeof(float));
+    ring_.write<float>(arena->channels[channel], first, count, 1,
+                       [&](float* to, std::size_t from, std::size_t n) {
+                         if (values.empty()) {
+                           std::fill_n(to, n, kNoValue);
+                         } else {
+                           std::copy_n(&values[source + from], n, to);
+                         }
+                       });
   }
 }
 
@@ -172,8 +177,8 @@ void SlotStore::setLevels(std::uint32_t first_slot, const EntryLevels& levels) {
   coarsest_.resize(pages_.pages().size(), kNoLevel);
   coarsest_[page->place] = *std::max_element(levels.begin(), levels.end());
   const Place place = placeOf(*page);
-  arenas_[place.arena].levels.write(std::size_t{place.page} * SlotPage::kSlots, levels.data(),
-                                    levels.size());
+  ring_.write(arenas_[place.arena].levels, std::size_t{place.page} * SlotPage::kSlots,
+              levels.size(), 1, levels.data());
 }
 
 void SlotStore::dropLevels() {

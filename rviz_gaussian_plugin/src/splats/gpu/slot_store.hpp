@@ -20,6 +20,11 @@ class SlotStore {
   using Arena = SlotArenas::Arena;
   using Place = SlotArenas::Place;
 
+  // ring: to write with; stays.
+  explicit SlotStore(gl::UploadRing& ring) : ring_(ring), arenas_(ring) {}
+  SlotStore(const SlotStore&) = delete;
+  SlotStore& operator=(const SlotStore&) = delete;
+
   // Uploads what an edit changes. now: the clock of `change` in packed_slot.hpp. Throws gl::Error
   // when the driver has no memory left.
   void apply(const GaussianEdit& edit, double now);
@@ -71,6 +76,7 @@ class SlotStore {
   std::vector<Piece> pieces(const GaussianEdit& edit);
   void write(const GaussianEdit& edit, const Piece& piece, std::uint32_t change);
 
+  gl::UploadRing& ring_;
   SlotPages pages_;
   SlotArenas arenas_;
   std::vector<bool> held_;              // by a page's place
@@ -79,7 +85,6 @@ class SlotStore {
   std::uint64_t version_ = 0;
   mutable std::vector<PageShelf> shelves_;  // of the version:
   mutable std::uint64_t shelved_ = 0;
-  std::vector<std::uint32_t> staged_;
 };
 
 }  // namespace rosplat

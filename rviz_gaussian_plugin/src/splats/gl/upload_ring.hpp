@@ -1,0 +1,85 @@
+#pragma once
+
+#include <epoxy/gl.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <deque>
+
+#include "gl/gl_objects.hpp"
+
+namespace rosplat::gl {
+
+// Writes to buffers without waiting for the graphics card: data are written once, to memory that
+// the card reads, and the card copies them to their buffers in the order of all other commands. A
+// part of that memory is written again once the card is through with it. (NVIDIA's driver, 580,
+// lost writes by glBufferSubData that followed each other without a glFinish.)
+class UploadRing {
+ public:
+  static constexpr std::size_t kLeastBytes = 512u << 10, kMostBytes = 32u << 20;
+
+  UploadRing() = default;
+  UploadRing(const UploadRing&) = delete;
+  UploadRing& operator=(const UploadRing&) = delete;
+
+  // Writes `count` items from the first-th of a buffer on, each of `width` values.
+  // fill(values, from, n) writes n of them, counted from 0, to memory that is slow to read. Throws
+  // Error where the driver has no memory left, or doesn't answer any more.
+  template <typename Value, typename Fill>
+  void write(const Buffer& to, std::size_t first, std::size_t count, std::size_t width,
+             const Fill& fill) {
+    const std::size_t bytes = width * sizeof(Value);
+    for (std::size_t done = 0, n; done < count; done += n) {
+      void* const memory = room(bytes);
+      n = std::min(count - done, (part_.bytes - used_) / bytes);
+      fill(static_cast<Value*>(memory), done, n);
+      copy(to, (first + done) * bytes, n * bytes);
+    }
+  }
+  // The same of items that lie in memory.
+  template <typename Value>
+  void write(const Buffer& to, std::size_t first, std::size_t count, std::size_t width,
+             const Value* items) {
+    write<Value>(to, first, count, width, [&](Value* values, std::size_t from, std::size_t n) {
+      std::memcpy(values, items + from * width, n * width * sizeof(Value));
+    });
+  }
+  // Writes one value everywhere.
+  template <typename Value>
+  void fill(const Buffer& to, Value value) {
+    write<Value>(
+        to, 0, to.bytes() / sizeof(Value), 1,
+        [value](Value* values, std::size_t, std::size_t n) { std::fill_n(values, n, value); });
+  }
+
+  // Writers end with close(); who reads what they wrote, maybe in another context, begins with
+  // await(). Only the graphics card waits.
+  void close();
+  void await() const;
+
+  std::size_t bytes() const { return bytes_; }
+
+ private:
+  struct Part {
+    Object buffer;
+    std::size_t bytes = 0;
+    std::uint8_t* memory = nullptr;
+    GLsync read = nullptr;  // left to its context in the end
+  };
+
+  Part makePart();
+  // Where to write at least so many bytes.
+  void* room(std::size_t bytes);
+  // Has what was written there copied.
+  void copy(const Buffer& to, std::size_t offset, std::size_t bytes);
+
+  Part part_;              // that is written to
+  std::size_t used_ = 0;   // of it
+  std::size_t bytes_ = 0;  // of all parts
+  std::deque<Part> busy_;  // parts that the card may still read, oldest first
+  GLsync closed_ = nullptr;
+};
+
+}  // namespace rosplat::gl
