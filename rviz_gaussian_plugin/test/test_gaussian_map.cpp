@@ -1,25 +1,31 @@
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <cmath>
 #include <cstdlib>
+#include <future>
 #include <limits>
 #include <new>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "map/gaussian_map.hpp"
 #include "map/slot_pages.hpp"
 #include "owned_batch.hpp"
+#include "rosplat_sorter/payload.hpp"
 
 using namespace rosplat;
 
 namespace {
 
 int allocations_left = -1;  // until memory runs out, once; never where negative
+thread_local void (*at_allocation)() = nullptr;  // called before each of this thread
 
 }  // namespace
 
 void* operator new(std::size_t size) {
+  if (at_allocation) std::exchange(at_allocation, nullptr)();
   if (allocations_left == 0) {
     allocations_left = -1;
     throw std::bad_alloc();
@@ -356,4 +362,58 @@ TEST_F(GaussianMapTest, IsUnchangedByABatchThatMemoryIsLackingFor) {
     }
     EXPECT_GT(failures, 8);  // the edit's arrays and what the map keeps
   }
+}
+
+namespace {
+
+// Has another thread look at a map, and waits for it, wherever apply() needs memory: of all that it
+// does, what is checked, decoded and packed needs most.
+struct Onlooker {
+  static inline const GaussianMap* map = nullptr;
+  static inline int looks = 0, late = 0;
+  static inline std::vector<std::uint64_t> revisions;
+
+  static void look() {
+    auto seen = std::async(std::launch::async, [] {
+      return map->look([](const MapState& state, const auto&...) { return state.revision; });
+    });
+    ++looks;
+    if (seen.wait_for(std::chrono::seconds(late ? 0 : 30)) != std::future_status::ready) {
+      ++late;
+      static std::vector<std::future<std::uint64_t>> left;  // as their end waits
+      left.push_back(std::move(seen));
+    } else {
+      revisions.push_back(seen.get());
+    }
+    at_allocation = look;
+  }
+};
+
+}  // namespace
+
+TEST_F(GaussianMapTest, WhoLooksAtItWaitsForNoBatch) {
+  apply(Batch(1, GaussianBatch::REPLACE, 0, 10));
+  Batch batch(2, GaussianBatch::UPSERT, 5, 2000, 3);
+  std::vector<std::uint8_t> bytes(payload::size(2000, 3));
+  SplatArrays<const float> splats{2000,
+                                  3,
+                                  batch.position.data(),
+                                  batch.orientation.data(),
+                                  batch.scale.data(),
+                                  batch.opacity.data(),
+                                  batch.harmonics.data()};
+  payload::encode(splats, std::vector<bool>(2000, true), bytes.data());
+  OwnedBatch packed(2, GaussianBatch::UPSERT, 5);
+  packed.count = 2000;
+  packed.sh_degree = 3;
+  packed.format = payload::kFormat;
+  packed.payload = bytes;
+  Onlooker::map = &map;
+  at_allocation = Onlooker::look;
+  apply(packed);
+  at_allocation = nullptr;
+  EXPECT_EQ(Onlooker::late, 0);
+  EXPECT_GT(Onlooker::looks, 10);
+  EXPECT_EQ(Onlooker::revisions, std::vector<std::uint64_t>(Onlooker::revisions.size(), 1));
+  EXPECT_EQ(map.state().revision, 2u);
 }

@@ -56,7 +56,6 @@ SplatScene::~SplatScene() {
 
 BatchReport SplatScene::apply(const GaussianBatch& batch) {
   BatchReport report;
-  const std::lock_guard lock(map_mutex_);
   map_.apply(batch, report, [this](const auto& edit, const MapState& state) {
     if (unusable_) return;
     auto arrival = EditQueue::node(edit, state);
@@ -81,15 +80,13 @@ MapState SplatScene::queued() const {
 }
 
 std::size_t SplatScene::mostSlots(const std::string& map_id, std::uint64_t revision) const {
-  const std::lock_guard lock(map_mutex_);
-  const MapState& map = map_.state();
+  const MapState map = state();
   const bool known = map.id == map_id && map.revision == revision;
   return known ? map.capacity : kMaxSlots;
 }
 
 MapState SplatScene::state() const {
-  const std::lock_guard lock(map_mutex_);
-  return map_.state();
+  return map_.look([](const MapState& state, const auto&...) { return state; });
 }
 
 Backlog SplatScene::backlog() const {
@@ -99,8 +96,9 @@ Backlog SplatScene::backlog() const {
 
 std::vector<std::string> SplatScene::hardRegimes(const RenderSettings& settings,
                                                  const std::vector<SplatCamera>& cameras) const {
-  const std::lock_guard lock(map_mutex_);
-  return rosplat::hardRegimes(map_.state(), map_.sample(), map_.groups(), settings, cameras);
+  return map_.look([&](const MapState& state, const MapSample& sample, const Groups& groups) {
+    return rosplat::hardRegimes(state, sample, groups, settings, cameras);
+  });
 }
 
 // The processor rasterises where no graphics card does, or none that can.

@@ -198,7 +198,6 @@ class SplatScene {
     ~Trim();
   } trim_;  // first, so that all else is gone by then
 
-  mutable std::mutex map_mutex_;    // map_
   mutable std::mutex queue_mutex_;  // arrivals_, queued_, orders_
   OrderPool pool_;
   GaussianMap map_;

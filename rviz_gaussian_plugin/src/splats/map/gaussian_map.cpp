@@ -206,6 +206,7 @@ void layOutChannels(const GaussianBatch& batch, const std::vector<bool>& kept,
 
 std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
                                                        BatchReport& report, const Keep& keep) {
+  const std::lock_guard one_by_one(locks_.applying);
   check(batch);
   std::vector<GroupMove> moves;
   if (batch.operation == GaussianBatch::MOVE) moves = movesOf(batch);
@@ -285,11 +286,22 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   next.missed += report.missed;
   next.dropped += report.dropped;
 
+  MapSample sample = edit->clear ? MapSample() : sample_;
   std::vector<bool> before(kept.size());
   std::size_t i = 0;
   forEachSlot(edit->runs, [&](std::uint32_t slot) {
     before[i] = used.set(slot, kept[i]);
     next.splats += int(kept[i]) - int(before[i]);
+    if (kept[i]) {
+      const float* position = &edit->positions[3 * i];
+      const float* scale = &splats.scales.data[3 * i];
+      sample.keep(slot, {{position[0], position[1], position[2]},
+                         std::max({scale[0], scale[1], scale[2]}),
+                         splats.opacities[i],
+                         group_index});
+    } else {
+      sample.drop(slot);
+    }
     ++i;
   });
   try {
@@ -300,12 +312,7 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     }
     throw;
   }
-  state_ = std::move(next);
-  if (edit->clear) {
-    used_ = std::move(fresh);
-    sample_.clear();
-  }
-  if (regrouped) groups_ = std::move(*regrouped);
+  if (edit->clear) used_ = std::move(fresh);
   if (values) {
     for (const auto& [first, count] : edit->runs) {
       for (std::uint32_t slot = first - first % SlotSet::kPage; slot < first + count;
@@ -314,20 +321,10 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
       }
     }
   }
-  i = 0;
-  forEachSlot(edit->runs, [&](std::uint32_t slot) {
-    if (kept[i]) {
-      const float* position = &edit->positions[3 * i];
-      const float* scale = &splats.scales.data[3 * i];
-      sample_.keep(slot, {{position[0], position[1], position[2]},
-                          std::max({scale[0], scale[1], scale[2]}),
-                          splats.opacities[i],
-                          group_index});
-    } else {
-      sample_.drop(slot);
-    }
-    ++i;
-  });
+  const std::lock_guard lock(locks_.exchanging);
+  state_ = std::move(next);
+  sample_ = std::move(sample);
+  if (regrouped) groups_ = std::move(*regrouped);
   return edit;
 }
 

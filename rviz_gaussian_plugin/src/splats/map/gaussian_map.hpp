@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -117,10 +118,12 @@ SplatValues valuesOf(std::uint32_t slot, const Group& group, const std::uint32_t
                      const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands);
 
 // Keeps the books of a map: which slots are in use, and of which groups, where these are, which
-// revision this is, what is still missing. Knows no GPU; holds no splats but a sample.
+// revision this is, what is still missing. Knows no GPU; holds no splats but a sample. Any thread
+// may apply batches, which are taken one after the other; who looks at the map doesn't wait for a
+// batch to be checked and packed.
 class GaussianMap {
  public:
-  // Gets an edit, and the state after it, before the map knows of it.
+  // Gets an edit, and the state after it, before the map knows of it, one after the other.
   using Keep = std::function<void(const std::shared_ptr<const GaussianEdit>&, const MapState&)>;
 
   // Checks a batch and turns it into an edit. Throws BatchError, or what `keep` throws, or
@@ -128,6 +131,13 @@ class GaussianMap {
   std::shared_ptr<const GaussianEdit> apply(const GaussianBatch& batch, BatchReport& report,
                                             const Keep& keep = nullptr);
 
+  // Any thread: what look(state, sample, groups) makes of the map before or after a batch.
+  template <typename Look>
+  auto look(const Look& look) const {
+    const std::lock_guard lock(locks_.exchanging);
+    return look(state_, sample_, groups_);
+  }
+  // Where no batch is applied meanwhile.
   const MapState& state() const { return state_; }
   const MapSample& sample() const { return sample_; }
   const Groups& groups() const { return groups_; }
@@ -136,11 +146,22 @@ class GaussianMap {
  private:
   void checkBlocks(const SlotSet& used, const SlotRuns& runs, std::uint32_t group) const;
 
+  // A copy of the map has its own.
+  struct Locks {
+    Locks() = default;
+    Locks(const Locks&) {}
+    Locks& operator=(const Locks&) { return *this; }
+
+    std::mutex applying;    // for all of a batch: only who has it writes anything
+    std::mutex exchanging;  // of state_, sample_ and groups_, once the batch is packed
+  };
+
+  mutable Locks locks_;
   MapState state_;
   MapSample sample_;
+  Groups groups_;
   SlotSet used_;
   std::vector<std::uint16_t> block_groups_;  // numbers, by SlotSet's block
-  Groups groups_;
 };
 
 }  // namespace rosplat

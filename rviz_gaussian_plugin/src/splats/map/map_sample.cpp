@@ -16,11 +16,6 @@ void MapSample::keep(std::uint32_t slot, const SampledSplat& splat) noexcept {
   if (i << k_ == slot) splats_[i] = splat;
 }
 
-void MapSample::clear() noexcept {
-  k_ = 0;
-  std::fill(splats_.begin(), splats_.end(), SampledSplat{});
-}
-
 std::vector<SampledSplat> MapSample::splats() const {
   std::vector<SampledSplat> splats;
   std::copy_if(splats_.begin(), splats_.end(), std::back_inserter(splats),

@@ -22,7 +22,6 @@ class MapSample {
 
   void keep(std::uint32_t slot, const SampledSplat& splat) noexcept;
   void drop(std::uint32_t slot) noexcept { keep(slot, {}); }
-  void clear() noexcept;
 
   // Those that aren't empty.
   std::vector<SampledSplat> splats() const;
