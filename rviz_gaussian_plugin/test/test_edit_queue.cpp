@@ -197,3 +197,43 @@ TEST(EditQueue, AClearDropsWhatWaits) {
   EXPECT_EQ(queue.size(), 1u);
   EXPECT_EQ(queue.pop().state.revision, 3u);
 }
+
+// Parts of all sizes are, in turn, the edits that they are of; and what is overwritten meanwhile is
+// left out of what is left.
+TEST(EditQueue, PartsAddUpToTheirEdit) {
+  for (unsigned seed = 0; seed < 20; ++seed) {
+    std::mt19937 random(seed);
+    const auto chance = [&](int in) { return std::uniform_int_distribution<>(1, in)(random) == 1; };
+    GaussianMap map;
+    EditQueue queue(20000);
+    Model one_by_one, drawn;
+    bool more = false;
+    std::size_t parts = 0;
+    const auto take = [&] {
+      const std::size_t most = std::uniform_int_distribution<std::size_t>(1, 5000)(random);
+      const EditQueue::Waiting taken = queue.pop(most);
+      EXPECT_LE(uploadBytes(*taken.edit), std::max<std::size_t>(most, 4 * 40));
+      EXPECT_TRUE(taken.state.pulled || !taken.more);
+      drawn.apply(*taken.edit);
+      more = taken.more;
+      parts += more;
+    };
+    for (std::uint64_t revision = 1; revision <= 100; ++revision) {
+      OwnedBatch batch = randomBatch(revision, random);
+      std::shared_ptr<const GaussianEdit> edit;
+      try {
+        edit = apply(map, batch);
+      } catch (const BatchError&) {  // another group's block
+        edit = apply(map, OwnedBatch(revision, GaussianBatch::DELETE));
+      }
+      one_by_one.apply(*edit);
+      queue.push(EditQueue::node(edit, map.state()));
+      while (!queue.empty() && !chance(5)) take();
+    }
+    while (!queue.empty()) take();
+    EXPECT_FALSE(more);
+    EXPECT_GT(parts, 20u);
+    EXPECT_EQ(queue.bytes(), 0u);
+    EXPECT_TRUE(drawn == one_by_one) << "seed " << seed;
+  }
+}

@@ -747,6 +747,56 @@ TEST_F(SplatRendererTest, KeepsWhatIsUploadedWhateverItsSize) {
   EXPECT_EQ(wrong, 0u);
 }
 
+TEST_F(SplatRendererTest, UploadsALargeBatchInPartsAndIsNotCompleteBefore) {
+  constexpr std::uint32_t kMany = 800'000;  // 73 MiB
+  SplatScene scene(shaders());
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  OwnedBatch all = splatsInARow(kMany, 3);
+  all.revision = 1;
+  scene.apply(all.look());
+  const auto opacityOf = [&](std::uint32_t slot) { return scene.readSlots({slot})[0].opacity; };
+  for (int frame = 0; frame < 2; ++frame) {
+    scene.upload(settings);
+    EXPECT_GT(opacityOf(0), 0);
+    EXPECT_EQ(opacityOf(kMany - 1), 0);
+    EXPECT_FALSE(scene.drawnMap().complete());
+    EXPECT_EQ(scene.backlog().edits, 1u);
+  }
+  scene.upload(settings);
+  EXPECT_GT(opacityOf(kMany - 1), 0);
+  EXPECT_TRUE(scene.drawnMap().complete());
+  EXPECT_EQ(scene.backlog().edits, 0u);
+}
+
+// What replaces a map shows when it is whole.
+TEST_F(SplatRendererTest, ShowsAMapUntilAllOfWhatReplacesItIsThere) {
+  constexpr std::uint32_t kMany = 400'000;  // 37 MiB
+  SplatScene scene(shaders());
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  settings.order = OrderSource::kGpu;
+  OwnedBatch other = splatsInARow(kMany, 3);
+  const auto replace = [&](std::uint64_t revision) {
+    other.revision = revision;
+    scene.apply(other.look());
+    scene.upload(settings);
+  };
+  fill(scene);
+  const auto first = picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  replace(2);
+  EXPECT_EQ(scene.drawnMap().revision, 1u);
+  scene.draw("view", settings, Canvas::kNone);
+  EXPECT_EQ(scene.drawnMap().revision, 2u);
+  EXPECT_TRUE(scene.drawnMap().complete());
+  EXPECT_EQ(scene.drawnMap().splats, kMany);
+  EXPECT_NEAR(scene.readSlots({kMany - 1})[0].opacity, 0.5f, 1e-3f);
+  replace(3);
+  fill(scene);  // before that is there
+  EXPECT_EQ(scene.drawnMap().revision, 2u);
+  EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kGpu), first);
+}
+
 TEST_F(SplatRendererTest, LosesNothingWithThePagesThatAreOutsideOfThePicture) {
   Splats splats;
   std::vector<std::array<float, 2>> places;  // by which they are in order: pages lie side by side

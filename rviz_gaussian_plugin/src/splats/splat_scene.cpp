@@ -21,18 +21,11 @@ constexpr std::size_t kMostOrders = 64;  // that wait, a view's newest each
 // The view of the mouse tools, which no sidecar hears of.
 constexpr const char* kSurfaceView = "surface";
 const OrderPtr kNoOrder = std::make_shared<const Order>();  // yet
+constexpr const char* kNoMemory = "a part of the map isn't drawn: memory is lacking";
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
-// What an edit uploads.
-std::size_t bytes(const GaussianEdit& edit) {
-  std::size_t words = kSlotWords * countSlots(edit.runs);
-  for (const auto& band : edit.bands) words += band.size();
-  for (const auto& channel : edit.channels) words += channel.size();
-  return words * sizeof(std::uint32_t);
 }
 
 // Who waited for a sidecar in vain takes what is best here.
@@ -166,6 +159,7 @@ void SplatScene::leaveCard() {
   if (!renderer_) return;
   for (const auto& [view_id, camera] : cameras_) renderer_->forget(view_id);
   card_.reset();
+  next_card_.reset();
   renderer_.reset();
 }
 
@@ -189,30 +183,47 @@ void SplatScene::upload(const RenderSettings& settings) {
 
 void SplatScene::takeArrivals(std::size_t budget) {
   std::size_t uploaded = 0;
-  while (uploaded < budget) {
+  while (true) {
     EditQueue::Waiting arrival;
-    {
+    try {
       const std::lock_guard lock(queue_mutex_);
       if (arrivals_.empty()) break;
-      arrival = arrivals_.pop();
+      const std::size_t bytes = uploadBytes(*arrivals_.front().edit);
+      if (uploaded > 0 && (uploaded >= budget || bytes > budget - uploaded)) break;
+      arrival = arrivals_.pop(budget);
+    } catch (const std::bad_alloc&) {  // of a part; it waits
+      upload_error_ = kNoMemory;
+      break;
     }
-    if (arrival.edit->clear) {
-      upload_error_.clear();
-    }
-    try {
-      sorter_.apply(EditQueue::node(arrival.edit, arrival.state));
-      card_->apply(arrival.edit, renderer_->clock());
-    } catch (const gl::Error& error) {  // the rest of the map is still worth seeing
-      upload_error_ = error.what();
-    } catch (const std::bad_alloc&) {
-      upload_error_ = "a part of the map isn't drawn: memory is lacking";
-    }
-    uploaded += bytes(*arrival.edit);
-    drawn_map_ = std::move(arrival.state);
-    book(drawn_map_);
+    uploaded += uploadBytes(*arrival.edit);
+    take(arrival);
   }
   card_->advanceLevels(renderer_->clock());
   takeOrders();
+}
+
+void SplatScene::take(const EditQueue::Waiting& arrival) {
+  if (arrival.edit->clear) {
+    upload_error_.clear();
+    // What replaces a map in parts doesn't show before it is whole.
+    const bool beside = arrival.more && drawn_map_.splats > 0;
+    next_card_ = beside ? std::make_shared<CardMap>() : nullptr;
+  }
+  try {
+    if (!next_card_) sorter_.apply(EditQueue::node(arrival.edit, arrival.state));
+    (next_card_ ? next_card_ : card_)->apply(arrival.edit, renderer_->clock());
+  } catch (const gl::Error& error) {  // the rest of the map is still worth seeing
+    upload_error_ = error.what();
+  } catch (const std::bad_alloc&) {
+    upload_error_ = kNoMemory;
+  }
+  if (next_card_ && arrival.more) return;
+  if (next_card_) {
+    card_ = std::exchange(next_card_, nullptr);
+    sorter_.rest();
+  }
+  drawn_map_ = arrival.state;
+  book(drawn_map_);
 }
 
 // Only what is uploaded; what waits will reach it as it is.
@@ -248,7 +259,7 @@ OrderPtr SplatScene::unsorted() {
 }
 
 void SplatScene::book(const MapState& map) {
-  if (map.edits == booked_.edits) return;
+  if (map.edits == booked_.edits && map.pulled == booked_.pulled) return;
   booked_ = map;
   book_.mapChanged(map, now());
 }

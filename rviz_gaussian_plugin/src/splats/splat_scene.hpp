@@ -190,6 +190,7 @@ class SplatScene {
   static std::vector<CardView> touchedOnCard(const std::vector<Touched>& parts);
   static std::vector<ViewedMap> touchedSoftware(const std::vector<Touched>& parts);
   void takeArrivals(std::size_t budget);
+  void take(const EditQueue::Waiting& arrival);
   void feedSorter();
   OrderPtr unsorted();
 
@@ -211,6 +212,7 @@ class SplatScene {
   std::string upload_error_;
   std::shared_ptr<SplatRenderer> renderer_;
   std::shared_ptr<CardMap> card_;
+  std::shared_ptr<CardMap> next_card_;  // what replaces it, until that is whole
   BuiltInSorter sorter_{pool_, [this] { feedSorter(); }};
   OrderBook book_{sorter_};
   std::map<std::string, SplatCamera> cameras_;

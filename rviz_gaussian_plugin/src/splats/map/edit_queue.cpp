@@ -41,18 +41,24 @@ std::vector<T> part(const std::vector<T>& values, std::size_t width, const std::
   return taken;
 }
 
-// An edit of fewer slots: `count` of them are kept.
-std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, const std::vector<bool>& kept,
-                                         std::size_t count) {
+// All of an edit but what it says of single slots; rest: of one whose first part is gone.
+std::shared_ptr<GaussianEdit> frame(const GaussianEdit& edit, bool rest) {
   auto taken = std::make_shared<GaussianEdit>();
-  taken->clear = edit.clear;
+  taken->clear = edit.clear && !rest;
   taken->round = edit.round;
   taken->revision = edit.revision;
   taken->capacity = edit.capacity;
   taken->sh_degree = edit.sh_degree;
   taken->group = edit.group;
   taken->origin = edit.origin;
-  taken->moves = edit.moves;
+  if (!rest) taken->moves = edit.moves;
+  return taken;
+}
+
+// An edit of fewer slots: `count` of them are kept.
+std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, bool rest,
+                                         const std::vector<bool>& kept, std::size_t count) {
+  const auto taken = frame(edit, rest);
   std::size_t i = 0;
   for (const auto& [first, length] : edit.runs) {
     bool goes_on = false;
@@ -78,6 +84,36 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, const std::ve
   return taken;
 }
 
+// `count` of its slots, from one on.
+std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, std::size_t from,
+                                         std::size_t count) {
+  const auto taken = frame(edit, from > 0);
+  std::size_t begin = 0;  // of a run
+  for (const auto& [first, length] : edit.runs) {
+    const std::size_t in_run = std::max(begin, from);
+    const std::size_t end = std::min(begin + length, from + count);
+    if (in_run < end) {
+      taken->runs.emplace_back(first + std::uint32_t(in_run - begin), std::uint32_t(end - in_run));
+    }
+    begin += length;
+  }
+  const auto of = [&](const auto& values, std::size_t width, auto& to) {
+    if (values.empty()) return;
+    const auto at = values.begin() + std::ptrdiff_t(width * from);
+    to.assign(at, at + std::ptrdiff_t(width * count));
+  };
+  of(edit.slots, kSlotWords, taken->slots);
+  of(edit.positions, 3, taken->positions);
+  of(edit.extents, 1, taken->extents);
+  for (std::size_t band = 1; band < edit.bands.size(); ++band) {
+    of(edit.bands[band], std::size_t(kBandWords[band]), taken->bands[band]);
+  }
+  for (std::size_t channel = 0; channel < edit.channels.size(); ++channel) {
+    of(edit.channels[channel], 1, taken->channels[channel]);
+  }
+  return taken;
+}
+
 // An edit that also moves the groups that it leaves where they are.
 std::shared_ptr<const GaussianEdit> withMoves(const GaussianEdit& edit,
                                               const std::vector<GroupMove>& moves) {
@@ -90,6 +126,13 @@ std::shared_ptr<const GaussianEdit> withMoves(const GaussianEdit& edit,
 }
 
 }  // namespace
+
+std::size_t uploadBytes(const GaussianEdit& edit) {
+  std::size_t words = kSlotWords * countSlots(edit.runs);
+  for (const auto& band : edit.bands) words += band.size();
+  for (const auto& channel : edit.channels) words += channel.size();
+  return words * sizeof(std::uint32_t);
+}
 
 void EditQueue::push(Node node) noexcept {
   if (node.front().edit->clear) clear();
@@ -111,6 +154,22 @@ EditQueue::Waiting EditQueue::pop() {
   return oldest;
 }
 
+EditQueue::Waiting EditQueue::pop(std::size_t most_bytes) {
+  Waiting& oldest = waiting_.front();
+  const std::size_t bytes = uploadBytes(*oldest.edit), slots = countSlots(oldest.edit->runs);
+  if (oldest.taken == 0 && bytes <= most_bytes) return pop();
+  const std::size_t count =
+      std::min(std::max<std::size_t>(most_bytes / (bytes / slots), 1), slots - oldest.taken);
+  Waiting taken{part(*oldest.edit, oldest.taken, count), oldest.state, oldest.now, 0, false};
+  oldest.taken += count;
+  if (oldest.taken == slots) {
+    pop();
+  } else {
+    taken.more = taken.state.pulled = true;
+  }
+  return taken;
+}
+
 void EditQueue::clear() {
   waiting_.clear();
   bytes_ = settled_ = 0;
@@ -125,16 +184,18 @@ void EditQueue::coalesce() {
     const auto waiting = std::prev(next);
     const GaussianEdit& edit = *waiting->edit;
     later.makeRoom(edit.runs);
+    const std::size_t taken = waiting->taken;
     std::vector<bool> kept(countSlots(edit.runs));
     std::size_t i = kept.size(), count = 0;
     // From the last on: of a slot that is listed twice, that one counts.
     for (auto run = edit.runs.rbegin(); run != edit.runs.rend(); ++run) {
       for (std::uint32_t k = run->second; k > 0; --k) {
-        kept[--i] = !later.set(run->first + k - 1, true);
+        --i;
+        kept[i] = !later.set(run->first + k - 1, true) && i >= taken;
         count += kept[i];
       }
     }
-    bool moves = !edit.moves.empty();
+    bool moves = !edit.moves.empty() && taken == 0;
     if (moves && next_move != waiting_.end() &&
         std::none_of(edit.moves.begin(), edit.moves.end(),
                      [&](const GroupMove& move) { return written.count(move.group) > 0; })) {
@@ -145,15 +206,17 @@ void EditQueue::coalesce() {
       moves = false;
     }
     const bool last = next == waiting_.end();
-    if (count == 0 && !moves && !edit.clear && !last) {
+    const bool clear = edit.clear && taken == 0;
+    if (count == 0 && !moves && !clear && !last) {
       bytes_ -= bytesOf(*waiting);
       waiting_.erase(waiting);
       continue;
     }
-    if (count < kept.size()) {
-      auto rest = part(edit, kept, count);
+    if (count < kept.size() - taken) {
+      auto rest = part(edit, taken > 0, kept, count);
       bytes_ -= bytesOf(*waiting);
       waiting->edit = std::move(rest);
+      waiting->taken = 0;
       bytes_ += bytesOf(*waiting);
     }
     if (moves) {

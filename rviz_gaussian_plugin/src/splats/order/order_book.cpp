@@ -26,10 +26,10 @@ void OrderBook::mapChanged(const MapState& map, double now) {
     if (view.sidecar && fresh(view, *view.sidecar)) view.waiting_since = now;
     if (begins) {
       view.sidecar = view.built_in = view.drawn = nullptr;
-      view.requested_edits = 0;
     }
   }
   map_ = map;
+  ++changes_;
   for (auto& [id, view] : views_) {
     if (view.early) offer(std::exchange(view.early, nullptr), now);
   }
@@ -63,12 +63,12 @@ bool OrderBook::answered(const std::string& view_id) const {
 }
 
 void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& base) {
-  if (view.requested_sequence == view.cameras.back().sequence &&
-      view.requested_edits == map_.edits && view.requested_base == base) {
+  if (view.requested_sequence == view.cameras.back().sequence && view.requested_at == changes_ &&
+      view.requested_base == base) {
     return;
   }
   view.requested_sequence = view.cameras.back().sequence;
-  view.requested_edits = map_.edits;
+  view.requested_at = changes_;
   view.requested_base = base;
   // A merge compares depths as the base was sorted: by the camera that it answers.
   const Camera* camera = &view.cameras.back();

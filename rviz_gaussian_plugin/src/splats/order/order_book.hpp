@@ -67,7 +67,7 @@ class OrderBook {
     OrderPtr sidecar, built_in, drawn;
     OrderPtr early;            // the sidecar's, of a revision that has not arrived here yet
     double waiting_since = 0;  // for the sidecar
-    std::uint64_t requested_sequence = 0, requested_edits = 0;
+    std::uint64_t requested_sequence = 0, requested_at = 0;
     OrderPtr requested_base;
   };
 
@@ -78,6 +78,7 @@ class OrderBook {
   BuiltInSorter& built_in_;
   std::map<std::string, View> views_;
   MapState map_;
+  std::uint64_t changes_ = 0;  // of it
 };
 
 }  // namespace rosplat
