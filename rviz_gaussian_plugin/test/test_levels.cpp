@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <map>
 #include <memory>
@@ -10,8 +11,9 @@
 #include <vector>
 
 #include "cpu/cpu_rasterizer.hpp"
+#include "map/level_builder.hpp"
 #include "map/levels.hpp"
-#include "owned_batch.hpp"
+#include "random_batches.hpp"
 
 namespace rosplat {
 namespace {
@@ -391,6 +393,51 @@ TEST(Cut, SharesOfALoneSplatAndItsNodesSumToAll) {
       ASSERT_NEAR(picture.colour[i], full.colour[i], 5e-3f) << "at " << error << " px";
     }
   }
+}
+
+TEST(Levels, GroupsTakeTurns) {
+  Scene scene;
+  const auto write = [&](std::uint32_t group) {
+    scene.group = group;
+    for (std::uint32_t i = 0; i < 100; ++i) {
+      scene.write(SlotPage::kSlots * group + i, {float(i), 0, 5}, {0.1f, 0.1f, 0.1f});
+    }
+    scene.send();
+  };
+  for (const std::uint32_t group : {0, 1, 2}) write(group);
+  for (int i = 0; i < 4; ++i) {
+    bool stands = false;
+    scene.levels.advance(scene.slots, [&] { return stands; }, [&](const auto&) { stands = true; });
+    write(0);
+  }
+  for (const std::size_t group : {0, 1, 2}) EXPECT_FALSE(nodesOf(scene.levels, group).empty());
+}
+
+// As of a map that is written anew again and again, faster than it can be merged.
+TEST(LevelBuilder, BuildsHoweverMuchComesAndKeepsLittleOfIt) {
+  constexpr std::uint32_t kSplats = 20'000;
+  std::mt19937 random(1);
+  OwnedBatch batch(1, GaussianBatch::UPSERT);
+  batch.count = kSplats;
+  batch.sh_degree = 3;
+  fill(batch, random);
+  GaussianMap map;
+  BatchReport report;
+  const auto edit = map.apply(batch, report);
+  LevelBuilder builder;
+  std::unique_ptr<LevelsUpdate> update;
+  std::size_t most = 0;
+  const auto begin = std::chrono::steady_clock::now();
+  while (!update && std::chrono::steady_clock::now() - begin < std::chrono::seconds(60)) {
+    builder.apply(std::make_shared<const GaussianEdit>(*edit), 0);
+    most = std::max(most, builder.bytes());
+    update = builder.take(false);
+  }
+  ASSERT_TRUE(update);
+  EXPECT_EQ(update->entries.size(), (kSplats + SlotPage::kSlots - 1) / SlotPage::kSlots);
+  EXPECT_LT(most, std::size_t{64} << 20);
+  builder.take(true);
+  EXPECT_EQ(builder.error(), "");
 }
 
 }  // namespace

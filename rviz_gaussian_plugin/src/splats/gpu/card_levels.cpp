@@ -1,6 +1,7 @@
 #include "gpu/card_levels.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <limits>
 #include <utility>
 
@@ -11,23 +12,6 @@ namespace {
 // What a frame reads back and uploads.
 constexpr std::size_t kPagesPerFrame = 64, kPagesAtOnce = 256, kBytesPerFrame = 32u << 20;
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
-
-// What is written anew is in no node.
-void leaveLevels(const GaussianEdit& edit,
-                 std::vector<std::pair<std::uint32_t, EntryLevels>>& entries) {
-  if (edit.sh_degree < 0) return;
-  std::size_t source = 0;
-  forEachSlot(edit.runs, [&](std::uint32_t slot) {
-    const std::uint32_t in_page = slot % SlotPage::kSlots;
-    const auto page = std::lower_bound(
-        entries.begin(), entries.end(), slot - in_page,
-        [](const auto& of, std::uint32_t first_slot) { return of.first < first_slot; });
-    if (page != entries.end() && page->first == slot - in_page) {
-      page->second[in_page] = levelOfNew(edit, source);
-    }
-    ++source;
-  });
-}
 
 }  // namespace
 
@@ -44,7 +28,25 @@ void CardLevels::apply(const SlotStore& store, const std::shared_ptr<const Gauss
     samples_.clear();
   }
   nodes_.addBands(store.shDegree());
-  written_.push_back({number, edit});
+  note(*edit, number);
+}
+
+void CardLevels::note(const GaussianEdit& edit, std::uint64_t number) {
+  if (edit.sh_degree < 0) return;
+  std::size_t source = 0;
+  std::uint32_t first_slot = kNoSlot;
+  Written* page = nullptr;
+  forEachSlot(edit.runs, [&](std::uint32_t slot) {
+    const std::uint32_t in_page = slot % SlotPage::kSlots;
+    if (slot - in_page != first_slot) {
+      first_slot = slot - in_page;
+      auto& held = written_[first_slot];
+      if (!held) held = std::make_unique<Written>();
+      page = held.get();
+    }
+    page->numbers[in_page] = number;
+    page->levels[in_page] = levelOfNew(edit, source++);
+  });
 }
 
 // Gives the builder what of the map it lacks.
@@ -90,8 +92,20 @@ void CardLevels::advance(SlotStore& store, double now, bool all) {
 
 // From here on the nodes are drawn, and what they hold is not.
 void CardLevels::finish(SlotStore& store) {
-  while (!written_.empty() && written_.front().number <= update_->edits) written_.pop_front();
-  for (const Written& written : written_) leaveLevels(*written.edit, update_->entries);
+  // What is written anew is in no node.
+  for (auto& [first_slot, levels] : update_->entries) {
+    const auto page = written_.find(first_slot);
+    if (page == written_.end()) continue;
+    auto& [numbers, of_new] = *page->second;
+    for (std::size_t i = 0; i < levels.size(); ++i) {
+      if (numbers[i] > update_->edits) levels[i] = of_new[i];
+    }
+  }
+  for (auto page = written_.begin(); page != written_.end();) {
+    const auto& numbers = page->second->numbers;
+    const bool done = *std::max_element(numbers.begin(), numbers.end()) <= update_->edits;
+    page = done ? written_.erase(page) : std::next(page);
+  }
   for (const auto& [first_slot, levels] : update_->entries) store.setLevels(first_slot, levels);
   nodes_.show();
   samples_ = std::move(update_->samples);

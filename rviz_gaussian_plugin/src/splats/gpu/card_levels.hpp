@@ -1,8 +1,9 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
-#include <deque>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -31,16 +32,20 @@ class CardLevels {
   const std::vector<LevelSamples>& samples() const { return samples_; }  // of these, by group
   // Why there are none; empty where nothing is wrong.
   std::string error() const { return builder_.error(); }
-  std::size_t bytes() const { return nodes_.bytes() + builder_.bytes(); }
+  std::size_t bytes() const {
+    return nodes_.bytes() + builder_.bytes() + written_.size() * sizeof(Written);
+  }
   std::size_t gpuBytes() const { return nodes_.bytes(); }
 
  private:
-  // An edit that the builder may not have yet.
+  // A page that edits have written to which the nodes may lack: which edit wrote each slot last,
+  // and at which level the slot enters until they have it.
   struct Written {
-    std::uint64_t number;
-    std::shared_ptr<const GaussianEdit> edit;
+    std::array<std::uint64_t, SlotPage::kSlots> numbers{};
+    EntryLevels levels;
   };
 
+  void note(const GaussianEdit& edit, std::uint64_t number);
   void copy(const SlotStore& store, double now, std::size_t most_pages);
   void finish(SlotStore& store);
 
@@ -49,8 +54,8 @@ class CardLevels {
   LevelBuilder builder_;
   NodeStore nodes_;
   std::vector<LevelSamples> samples_;
-  std::unique_ptr<LevelsUpdate> update_;  // that is being uploaded
-  std::deque<Written> written_;
+  std::unique_ptr<LevelsUpdate> update_;                       // that is being uploaded
+  std::map<std::uint32_t, std::unique_ptr<Written>> written_;  // by the page's first slot
   std::uint64_t cleared_ = 0;  // number of the last edit that emptied the map
   // Pages of the map before these slots were given to the builder, or come as edits.
   std::uint32_t copied_ = 0;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <new>
 #include <set>
 #include <utility>
@@ -12,6 +13,17 @@
 namespace rosplat {
 
 namespace {
+
+// Steps of a few milliseconds, for which building goes on whatever waits.
+constexpr int kLeastSteps = 16;
+constexpr std::uint64_t kNever = std::numeric_limits<std::uint64_t>::max();
+
+std::size_t bytesOf(const PackedRun& run) {
+  std::size_t words = run.slots.capacity();
+  for (const auto& band : run.bands) words += band.capacity();
+  for (const auto& channel : run.channels) words += channel.capacity();
+  return words * sizeof(std::uint32_t);
+}
 
 EntryLevels entriesOf(const HostSlots::Page& page) {
   EntryLevels levels;
@@ -40,11 +52,36 @@ LevelBuilder::~LevelBuilder() {
 }
 
 std::uint64_t LevelBuilder::apply(std::shared_ptr<const GaussianEdit> edit, double now) {
-  return push({std::move(edit), {}, now, 0});
+  MapState state;
+  EditQueue::Node node = EditQueue::node(std::move(edit), state, now);
+  std::uint64_t number;
+  {
+    const std::lock_guard lock(mutex_);
+    number = node.front().state.edits = ++applied_;
+    if (node.front().edit->clear) dropRuns();
+    if (error_.empty()) edits_.push(std::move(node));
+  }
+  wake_.notify_one();
+  return number;
 }
 
 std::uint64_t LevelBuilder::apply(PackedRun run, double now) {
-  return push({nullptr, std::move(run), now, 0});
+  std::uint64_t number;
+  {
+    const std::lock_guard lock(mutex_);
+    number = ++applied_;
+    if (error_.empty()) {
+      runs_bytes_ += bytesOf(run);
+      runs_.push_back({std::move(run), now, number});
+    }
+  }
+  wake_.notify_one();
+  return number;
+}
+
+void LevelBuilder::dropRuns() {
+  runs_.clear();
+  runs_bytes_ = 0;
 }
 
 PackedRun LevelBuilder::spare() {
@@ -65,22 +102,17 @@ void LevelBuilder::expectMore(bool more) {
   wake_.notify_one();
 }
 
-std::uint64_t LevelBuilder::push(Waiting&& edit) {
-  std::uint64_t number;
-  {
-    const std::lock_guard lock(mutex_);
-    number = edit.number = ++applied_;
-    if (edit.edit && edit.edit->clear) waiting_.clear();
-    if (error_.empty()) waiting_.push_back(std::move(edit));
-  }
-  wake_.notify_one();
-  return number;
-}
-
 std::unique_ptr<LevelsUpdate> LevelBuilder::take(bool wait) {
   std::unique_lock lock(mutex_);
-  if (wait) rests_.wait(lock, [this] { return waiting_.empty() && !complete_ && !busy_; });
+  if (wait) rests_.wait(lock, [this] { return !waits() && !complete_ && !busy_; });
   return std::move(update_);
+}
+
+std::size_t LevelBuilder::bytes() const {
+  const std::lock_guard lock(mutex_);
+  std::size_t spare = 0;
+  for (const PackedRun& run : spare_) spare += bytesOf(run);
+  return bytes_ + edits_.bytes() + runs_bytes_ + spare;
 }
 
 std::string LevelBuilder::error() const {
@@ -92,7 +124,7 @@ void LevelBuilder::run() {
   giveWay();
   std::unique_lock lock(mutex_);
   while (true) {
-    wake_.wait(lock, [this] { return stop_ || complete_ || !waiting_.empty(); });
+    wake_.wait(lock, [this] { return stop_ || complete_ || waits(); });
     if (stop_) return;
     busy_ = true;
     complete_ = false;
@@ -106,60 +138,82 @@ void LevelBuilder::run() {
     lock.lock();
     if (!error.empty()) {
       error_ = std::move(error);
-      waiting_.clear();
+      edits_.clear();
+      dropRuns();
     }
     busy_ = false;
     rests_.notify_all();
     lock.unlock();
-    bytes_ = slots_.bytes() + levels_.bytes();
+    const std::size_t bytes = slots_.bytes() + levels_.bytes();
     lock.lock();
+    bytes_ = bytes;
   }
 }
 
-// Of what waits.
-std::optional<LevelBuilder::Waiting> LevelBuilder::takeNext() {
-  const std::lock_guard lock(mutex_);
-  if (stop_ || waiting_.empty()) return {};
-  Waiting next = std::move(waiting_.front());
-  waiting_.pop_front();
-  if (next.edit && next.edit->clear) update_.reset();
-  return next;
+// Into the slots.
+void LevelBuilder::take(const GaussianEdit& edit, double now, std::uint64_t number) {
+  if (edit.clear) levels_.clear();
+  taken_ = number;
+  slots_.apply(edit, now, team_.get());
+  levels_.mark(slots_, edit.runs);
 }
 
-// Into the slots.
-void LevelBuilder::take(const GaussianEdit& edit, const Waiting& as) {
-  if (edit.clear) levels_.clear();
-  taken_ = as.number;
-  slots_.apply(edit, as.now, team_.get());
-  levels_.mark(slots_, edit.runs);
+void LevelBuilder::take(Run run) {
+  GaussianEdit edit = editOf(std::move(run.run), team_.get());
+  take(edit, run.now, run.number);
+  const std::lock_guard lock(mutex_);
+  if (!more_) return;
+  spare_.emplace_back();
+  spare_.back().slots = std::move(edit.slots);
+  spare_.back().bands = std::move(edit.bands);
+  spare_.back().channels = std::move(edit.channels);
+}
+
+// Takes what waits by now, in the order of its numbers.
+void LevelBuilder::takeWaiting() {
+  std::unique_lock lock(mutex_);
+  const std::uint64_t last = applied_;
+  while (!stop_ && waits()) {
+    const std::uint64_t edit = edits_.empty() ? kNever : edits_.front().state.edits;
+    const std::uint64_t run = runs_.empty() ? kNever : runs_.front().number;
+    if (std::min(edit, run) > last) break;
+    if (edit < run) {
+      const EditQueue::Waiting next = edits_.pop();
+      if (next.edit->clear) update_.reset();
+      lock.unlock();
+      take(*next.edit, next.now, edit);
+    } else {
+      Run next = std::move(runs_.front());
+      runs_.pop_front();
+      runs_bytes_ -= bytesOf(next.run);
+      lock.unlock();
+      take(std::move(next));
+    }
+    lock.lock();
+  }
+  lock.unlock();
+  const std::size_t bytes = slots_.bytes() + levels_.bytes();
+  lock.lock();
+  bytes_ = bytes;
+}
+
+// step: of building, since what waited was taken.
+bool LevelBuilder::isInterrupted(int step) const {
+  const std::lock_guard lock(mutex_);
+  const bool clears = !edits_.empty() && edits_.front().edit->clear;
+  return stop_ || clears || (step >= kLeastSteps && waits());
 }
 
 // Takes what waits, and that into the nodes, until more waits.
 void LevelBuilder::build() {
-  while (std::optional<Waiting> next = takeNext()) {
-    if (next->edit) {
-      take(*next->edit, *next);
-      continue;
-    }
-    GaussianEdit edit = editOf(std::move(next->run), team_.get());
-    take(edit, *next);
-    const std::lock_guard lock(mutex_);
-    if (!more_) continue;
-    spare_.emplace_back();
-    spare_.back().slots = std::move(edit.slots);
-    spare_.back().bands = std::move(edit.bands);
-    spare_.back().channels = std::move(edit.channels);
-  }
+  takeWaiting();
   {
     const std::lock_guard lock(mutex_);
     if (more_) return;
   }
+  int step = 0;
   levels_.advance(
-      slots_,
-      [this] {
-        const std::lock_guard lock(mutex_);
-        return stop_ || !waiting_.empty();
-      },
+      slots_, [&] { return isInterrupted(step++); },
       [this](const std::vector<std::uint32_t>& changed) { handOver(changed); });
 }
 

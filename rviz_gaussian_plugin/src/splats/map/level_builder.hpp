@@ -1,19 +1,18 @@
 #pragma once
 
 #include <array>
-#include <atomic>
 #include <condition_variable>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
+#include "map/edit_queue.hpp"
 #include "map/gaussian_map.hpp"
 #include "map/host_slots.hpp"
 #include "map/levels.hpp"
@@ -40,7 +39,9 @@ struct LevelsUpdate {
 };
 
 // Builds and repairs the levels of detail of a map that something else draws: in a thread of its
-// own, from a copy of the map in the processor's memory.
+// own, from a copy of the map in the processor's memory. What comes while it builds waits, without
+// what later edits overwrite, and goes into the copy between two steps; but there is always a share
+// of time for building, however much comes.
 class LevelBuilder {
  public:
   LevelBuilder();
@@ -59,39 +60,43 @@ class LevelBuilder {
   std::unique_ptr<LevelsUpdate> take(bool wait);
   // Why there are no more; empty where nothing is wrong.
   std::string error() const;
-  std::size_t bytes() const { return bytes_; }
+  std::size_t bytes() const;  // with what waits
 
  private:
-  struct Waiting {
-    std::shared_ptr<const GaussianEdit> edit;  // null: that of the run
+  struct Run {
     PackedRun run;
     double now;
     std::uint64_t number;
   };
 
-  std::uint64_t push(Waiting&& edit);
+  bool waits() const { return !edits_.empty() || !runs_.empty(); }
+  void dropRuns();
   void run();
   void build();
-  std::optional<Waiting> takeNext();
-  void take(const GaussianEdit& edit, const Waiting& as);
+  void takeWaiting();
+  void take(const GaussianEdit& edit, double now, std::uint64_t number);
+  void take(Run run);
+  bool isInterrupted(int step) const;
   void handOver(const std::vector<std::uint32_t>& changed);
 
   mutable std::mutex mutex_;  // what follows
   std::condition_variable wake_, rests_;
   bool stop_ = false, busy_ = false;
   bool more_ = false, complete_ = false;  // complete: since nodes were made last
-  std::deque<Waiting> waiting_;
-  std::vector<PackedRun> spare_;  // while more of the map is to come
+  EditQueue edits_;                       // that wait; MapState::edits is their number
+  std::deque<Run> runs_;                  // the same
+  std::size_t runs_bytes_ = 0;            // of these
+  std::vector<PackedRun> spare_;          // while more of the map is to come
   std::uint64_t applied_ = 0;
   std::unique_ptr<LevelsUpdate> update_;
   std::string error_;
+  std::size_t bytes_ = 0;  // of slots_ and levels_
 
   // The thread's own.
   std::shared_ptr<rosplat_sorter::ThreadTeam> team_;
   HostSlots slots_;
   Levels levels_;
   std::uint64_t taken_ = 0;  // number of the last edit
-  std::atomic<std::size_t> bytes_{0};
   std::thread thread_;
 };
 

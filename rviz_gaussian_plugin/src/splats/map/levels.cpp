@@ -223,8 +223,11 @@ bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
 
 // Finds what has changed since nodes were made last.
 void Levels::begin(const HostSlots& slots) {
-  const std::uint32_t group = marked_.begin()->first;
-  const std::vector<std::uint32_t>& marked = marked_.begin()->second;
+  auto next = marked_.lower_bound(next_group_);
+  if (next == marked_.end()) next = marked_.begin();
+  const std::uint32_t group = next->first;
+  const std::vector<std::uint32_t>& marked = next->second;
+  next_group_ = group + 1;
   if (nodes_.size() <= group) nodes_.resize(group + 1);
   samples_.resize(nodes_.size());
   auto job = std::make_unique<Job>();

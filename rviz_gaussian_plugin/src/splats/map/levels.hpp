@@ -158,6 +158,7 @@ class Levels {
   bool begun_ = false;
   std::vector<std::unique_ptr<Known>> known_;                   // by place
   std::map<std::uint32_t, std::vector<std::uint32_t>> marked_;  // first slots of pages, by group
+  std::uint32_t next_group_ = 0;                                // groups take turns
   std::unique_ptr<Job> job_;
   std::vector<Nodes> nodes_;           // by group
   std::vector<LevelSamples> samples_;  // of these
