@@ -85,8 +85,8 @@ say "Building the packages (log/latest_build)"
 dev=$([ -f .venv/dev ] && echo ON || echo OFF)
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
-if ! colcon build --executor sequential --event-handlers console_direct+ --base-paths rosplat_msgs \
-  rosplat_sorter rosplat_tools rviz_gaussian_plugin rosplat_lab --cmake-args -DCMAKE_BUILD_TYPE=Release \
+if ! colcon build --executor sequential --event-handlers console_direct+ --base-paths rosplat_core \
+  rosplat_msgs rosplat_sorter rosplat_tools rviz_gaussian_plugin rosplat_lab --cmake-args -DCMAKE_BUILD_TYPE=Release \
   -DPython3_EXECUTABLE="$PWD/.venv/bin/python" -DBUILD_TESTING=$dev -DCMAKE_COMPILE_WARNING_AS_ERROR=$dev \
   --no-warn-unused-cli >"$log" 2>&1; then
   grep -E 'error|Error|ERROR' -A5 "$log" | tail -n 60 >&2 || tail -n 60 "$log" >&2

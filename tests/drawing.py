@@ -11,13 +11,15 @@ from geometry_msgs.msg import Pose
 from numpy.typing import ArrayLike, NDArray
 from std_msgs.msg import Header
 
-from rosplat_lab.bench.embedded import View, pose
+from rosplat_core import rendering
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.rendering import posed
+from rosplat_core.splats import Splats
+from rosplat_lab.bench.embedded import View
 from rosplat_msgs.msg import GaussianArray
 from rosplat_tools import messages
-from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.messages import Slots
-from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin import from_messages, offscreen
+from rviz_gaussian_plugin import from_messages
 
 Array = NDArray[Any]
 
@@ -59,8 +61,8 @@ def cloud(antialiased: bool = False) -> Splats:
     )
 
 
-def draw(renderer: offscreen.CpuRenderer, camera: Camera, **wanted: Any) -> dict[str, Any]:
-    drawn: dict[str, Any] = renderer.draw(offscreen.Camera(*pose(camera)), **wanted)
+def draw(renderer: rendering.CpuRenderer, camera: Camera, **wanted: Any) -> dict[str, Any]:
+    drawn: dict[str, Any] = renderer.draw(posed(camera), **wanted)
     return drawn
 
 

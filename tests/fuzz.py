@@ -18,17 +18,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from core_fixtures import random_splats
 from geometry_msgs.msg import Point, Pose, Quaternion
 from ksplat_file import ksplat
 from numpy.random import Generator
 from streamed_scene import write_scene
 
+from rosplat_core import formats, payload
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-from rosplat_sorter import edits, payload
+from rosplat_sorter import edits
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, pack
 from rosplat_sorter.shared_orders import OrderBuffer
-from rosplat_tools import formats
-from rosplat_tools.testing import random_splats
 
 CASES = int(os.environ.get("ROSPLAT_FUZZ_CASES") or 2000)
 SEED = int(os.environ.get("ROSPLAT_FUZZ_SEED") or 0)

@@ -3,7 +3,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))} # not into somebody's robot
-for package in rosplat_sorter rviz_gaussian_plugin; do
+for package in rosplat_core rviz_gaussian_plugin; do
   ctest --test-dir "build/$package" --parallel "$(nproc)" --output-on-failure -R '^test_.*' -L gtest
 done
 rviz=$(command -v rviz2 || true)
@@ -48,7 +48,7 @@ beside() {
   set +m
   runs+=($!)
 }
-beside package_tests rviz_gaussian_plugin rosplat_lab rosplat_sorter rosplat_tools
+beside package_tests rviz_gaussian_plugin rosplat_lab rosplat_core rosplat_sorter rosplat_tools
 if [ -n "$rviz" ]; then beside cross_tests -m rviz "$@"; fi
 failed=0
 cross_tests -m 'not rviz' "$@" || failed=1

@@ -283,7 +283,7 @@ def disc(
     opacity: float = 1.0,
 ) -> Any:
     """A splat, wide in x and y."""
-    from rosplat_tools.splats import Splats
+    from rosplat_core.splats import Splats
 
     return Splats(
         positions=np.array([[x, y, z]], np.float32),

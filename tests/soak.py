@@ -33,16 +33,17 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from soak_slam import BATCH, RATE, as_message, last_step, steps
 
+from rosplat_core.generated import generate
+from rosplat_core.program.output import say
+from rosplat_core.rendering import CpuRenderer, SplatCamera
 from rosplat_lab.bench import scenes
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.machine import machine
 from rosplat_msgs.srv import RenderView
-from rosplat_tools.generate import generate
-from rosplat_tools.program.output import say
 from rosplat_tools.program.processes import Processes, interrupt_by_signals, node_command
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.from_messages import apply, numbers
-from rviz_gaussian_plugin.offscreen import Camera, CpuRenderer, ensure_display
+from rviz_gaussian_plugin.offscreen import ensure_display
 
 MOST_SPLATS = 1_500_000
 GROWING = 0.25  # of all the time
@@ -74,7 +75,7 @@ class Truth:
         while self._step < step:
             self._step += 1
             apply(self._renderer, as_message(next(self._steps), self._step))
-        return self._renderer.draw(Camera(*numbers(self.camera)))["colour"]
+        return self._renderer.draw(SplatCamera(*numbers(self.camera)))["colour"]
 
     @property
     def step(self) -> int:

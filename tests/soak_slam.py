@@ -15,10 +15,10 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_msgs.msg import Header
 
+from rosplat_core.generated import generate
+from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.view import frame_at
 from rosplat_tools.emulation.mapping import Edit, Move, edits
-from rosplat_tools.generate import generate
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.messages import apply, encode, encode_deletion, encode_move
 from rosplat_tools.poses import to_pose

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.splats import SceneError
 from rosplat_lab import metrics
 from rosplat_lab.render import command as render
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.splats import SceneError
 
 VIAS = ["host", pytest.param("rviz", marks=pytest.mark.rviz)]
 

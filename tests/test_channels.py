@@ -10,16 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from drawing import CAMERAS, Target, cloud, decibels
+from rosplat_core import rendering
+from rosplat_core.rendering import ChannelColours, CpuRenderer, DrawMode, Instructions, Rasterizer
+from rosplat_core.splats import Splats
 from rosplat_lab import reference
-from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin import offscreen
-from rviz_gaussian_plugin.offscreen import (
-    ChannelColours,
-    CpuRenderer,
-    DrawMode,
-    Instructions,
-    Rasterizer,
-)
 
 Array = NDArray[Any]
 
@@ -39,7 +33,7 @@ def target(request: pytest.FixtureRequest) -> Target:
     """The ways on which a map comes into a picture."""
     if request.param in SCENES:
         target: Target = request.getfixturevalue("opengl")
-        target.renderer.settings = offscreen.RenderSettings()
+        target.renderer.settings = rendering.RenderSettings()
         target.set(float_blending=True, rasterizer=SCENES[request.param])
     else:
         target = Target(CpuRenderer(2, Instructions.__members__[request.param]))
@@ -145,7 +139,7 @@ def test_values_are_read_back_whoever_draws(opengl: Target) -> None:
     splats = cloud()
     count = len(splats)
     values = np.arange(count) / 2.0
-    opengl.renderer.settings = offscreen.RenderSettings()
+    opengl.renderer.settings = rendering.RenderSettings()
     opengl.set(rasterizer=Rasterizer.TILES)
     begin(opengl, with_channels(splats, half=values))
     opengl.write(range(5000, 5000 + count), with_channels(splats, label=values * 2))

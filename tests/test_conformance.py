@@ -10,6 +10,7 @@ import pytest
 from conformance import CASES, Case, Receiver
 from numpy.typing import NDArray
 
+from rosplat_core.maps import GaussianMap
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.edits import EMPTY, decode, pose_values
 from rosplat_sorter.map import SplatMap
@@ -18,7 +19,6 @@ from rosplat_tools import _published_map as cpp
 from rosplat_tools import messages
 from rosplat_tools.slot_map import SlotMap
 from rviz_gaussian_plugin.from_messages import apply
-from rviz_gaussian_plugin.offscreen import GaussianMap
 
 
 class Display:

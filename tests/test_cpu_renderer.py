@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from drawing import CAMERAS, camera_at, cloud, decibels, draw
+from rosplat_core import rendering
+from rosplat_core.cameras import load_cameras
+from rosplat_core.formats import load
+from rosplat_core.generated import generate
+from rosplat_core.rendering import Antialiasing, CpuRenderer, Instructions, insert_all, posed
 from rosplat_lab import reference
-from rosplat_lab.bench.embedded import insert_all, pose
-from rosplat_tools.cameras import load_cameras
-from rosplat_tools.formats import load
-from rosplat_tools.generate import generate
-from rviz_gaussian_plugin import offscreen
-from rviz_gaussian_plugin.offscreen import Antialiasing, CpuRenderer, Instructions
 
 INSTRUCTIONS = [Instructions.PLAIN, Instructions.AVX2, Instructions.AVX512]
 
@@ -79,7 +78,7 @@ def test_a_given_order_is_drawn(renderer: CpuRenderer) -> None:
 def test_picks_what_the_twin_picks(renderer: CpuRenderer, view: str) -> None:
     insert_all(renderer, cloud())
     expected, most = reference.pick(cloud(), CAMERAS[view])
-    picked = renderer.pick(offscreen.Camera(*pose(CAMERAS[view]))).astype(np.int32)
+    picked = renderer.pick(posed(CAMERAS[view])).astype(np.int32)
     clear = np.abs(most - 0.05) > 1e-3
     expected[most < 0.05] = -1
     assert np.mean(picked[clear] != expected[clear]) < 1e-3  # of next to equal contributions
@@ -100,9 +99,9 @@ def test_trained_scenes_match_gsplat(
 def test_contributions_are_those_of_the_twin(renderer: CpuRenderer, view: str) -> None:
     splats = cloud()[:60]
     insert_all(renderer, splats)
-    found = offscreen.Contributions()
+    found = rendering.Contributions()
     for _ in range(2):
-        renderer.contribute(offscreen.Camera(*pose(CAMERAS[view])), found)
+        renderer.contribute(posed(CAMERAS[view]), found)
     weights, energies, errors = reference.contributions(splats, CAMERAS[view])
     assert errors.max() > 1  # there was something to see
     np.testing.assert_allclose(found.weight / 2, weights, rtol=2e-3, atol=0.02)
@@ -116,8 +115,8 @@ def test_contributions_of_slices_of_depth_add_up() -> None:
     camera = camera_at((5.0, 1.0, 2.0))
     renderer = CpuRenderer(threads=2)
     insert_all(renderer, splats)
-    found = offscreen.Contributions()
-    renderer.contribute(offscreen.Camera(*pose(camera)), found)
+    found = rendering.Contributions()
+    renderer.contribute(posed(camera), found)
     alpha = draw(renderer, camera)["colour"][..., 3].sum()
     assert 0.99 * alpha < found.weight.sum() <= 1.0001 * alpha
 

@@ -22,28 +22,23 @@ import numpy as np
 from cpp_publisher import as_message
 from test_conformance import CppPublisher, Display, Publisher, Sorter
 
+from rosplat_core import depth, formats
+from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
+from rosplat_core.splats import SceneError, splat_bytes
+from rosplat_core.view import View
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
-from rosplat_sorter import camera, depth
+from rosplat_sorter import camera
 from rosplat_sorter.backends import open_backend
 from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.qos import MAP, VIEW
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
-from rosplat_sorter.view import View
-from rosplat_tools import formats
 from rosplat_tools.program.processes import Processes
-from rosplat_tools.splats import SceneError, splat_bytes
 from rosplat_tools.streaming import detail
 from rviz_gaussian_plugin.from_messages import apply, numbers
-from rviz_gaussian_plugin.offscreen import (
-    Camera,
-    CpuRenderer,
-    DrawMode,
-    OrderSource,
-    Renderer,
-)
+from rviz_gaussian_plugin.offscreen import Renderer
 
 # Of a build of the C++ with sanitizers: what has to be loaded first, and where its libraries are;
 # its Python modules are found in ROSPLAT_FUZZ_PATH. They keep memory that was freed, so that claims
@@ -172,7 +167,7 @@ def receive() -> Claims:
         with contextlib.suppress(camera.CameraError):
             look(sorter, native, asked)
         with contextlib.suppress(ValueError):  # says what is wrong with the camera
-            seen = Camera(*numbers(asked))
+            seen = SplatCamera(*numbers(asked))
             if asked.width * asked.height < MOST_PIXELS:
                 drawing.settings.detail = fuzz.one_of(rng, ["full", "2px", "50"])
                 drawing.settings.mode = fuzz.one_of(rng, [DrawMode.COLOR, DrawMode.CHANNEL])

@@ -12,14 +12,19 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from numpy.typing import NDArray
 
 from drawing import Target, camera_at, decibels
+from rosplat_core.rendering import (
+    ClipBox,
+    CpuRenderer,
+    DrawMode,
+    OrderSource,
+    Rasterizer,
+    posed,
+)
+from rosplat_core.splats import Splats, concatenate
+from rosplat_core.view import frame_at
 from rosplat_lab import reference
-from rosplat_lab.bench.embedded import pose
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.edits import pose_values
-from rosplat_sorter.view import frame_at
-from rosplat_tools.splats import Splats, concatenate
-from rviz_gaussian_plugin import offscreen
-from rviz_gaussian_plugin.offscreen import ClipBox, CpuRenderer, DrawMode, OrderSource, Rasterizer
 
 Array = NDArray[Any]
 
@@ -148,7 +153,7 @@ def test_picks_and_values_of_slots_are_in_the_map_s_frame(target: Target) -> Non
     expected, most = reference.pick(baked, camera)
     if isinstance(target.renderer, CpuRenderer):
         target.renderer.settings.detail = "full"
-        picked = target.renderer.pick(offscreen.Camera(*pose(camera)))
+        picked = target.renderer.pick(posed(camera))
     else:
         target.draw(camera)
         picked = target.renderer.pick(target.view.name, 0, 0, camera.width, camera.height)

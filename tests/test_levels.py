@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from drawing import CAMERAS, decibels, draw
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.rendering import CpuRenderer, insert_all
+from rosplat_core.splats import Splats
 from rosplat_lab import reference
-from rosplat_lab.bench.embedded import insert_all
 from rosplat_lab.reference import levels
-from rosplat_tools.quaternions import to_matrices
-from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin.offscreen import CpuRenderer
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,10 @@ import pytest
 from cpp_publisher import CppMapPublisher
 from numpy.typing import NDArray
 
+from rosplat_core import maps
+from rosplat_core.slot_pages import MixedGroupsError
+from rosplat_core.splats import Splats
+from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
 from rosplat_sorter import map_pull
@@ -22,11 +26,7 @@ from rosplat_sorter.edits import EMPTY, decode
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.map_pull import Arrival, Label, Request, Step
 from rosplat_sorter.map_subscription import label
-from rosplat_sorter.slot_pages import MixedGroupsError
-from rosplat_sorter.view import frame_at
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin import offscreen
 from rviz_gaussian_plugin.from_messages import apply
 
 BLOCK = GaussianArray.SLOTS_PER_BLOCK
@@ -64,7 +64,7 @@ class DisplayPull:
     """The display's, as the sorter's is called."""
 
     def __init__(self) -> None:
-        self._pull = offscreen.MapPull()
+        self._pull = maps.MapPull()
 
     @property
     def pulling(self) -> bool:
@@ -129,7 +129,7 @@ class Receiver:
     def __init__(self, kind: str, random: np.random.Generator) -> None:
         self._pull = PULLS[kind]()
         self._random = random
-        self.map, self.display = SplatMap(), offscreen.GaussianMap()
+        self.map, self.display = SplatMap(), maps.GaussianMap()
         self.coming: deque[GaussianArray] = deque()
         self._request: Request | None = None
         self._answer: tuple[int, PullMap.Response] | None = None

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rosplat_lab.bench.embedded import insert_all, pose
+from rosplat_core import maps, rendering
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.generated import generate
+from rosplat_core.payload import Arrays, decode, encode, suits
+from rosplat_core.rendering import insert_all, posed
+from rosplat_core.splats import Splats
 from rosplat_lab.metrics import psnr
 from rosplat_sorter.edits import is_usable
-from rosplat_sorter.payload import Arrays, decode, encode, suits
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.generate import generate
-from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin import offscreen
 
 LEAST = 55.0  # [dB]
 
@@ -31,7 +31,7 @@ def test_cpp_and_numpy_decode_alike(sh_degree: int) -> None:
     arrays = arrays_of(splats)
     packed = encode(arrays, rng.random(5000) < 0.9)
     expected = decode(packed, 5000, sh_degree)
-    got = offscreen.decode_payload(packed, 5000, sh_degree)
+    got = maps.decode_payload(packed, 5000, sh_degree)
     for name in ("positions", "orientations", "opacities"):
         np.testing.assert_array_equal(got[name], getattr(expected, name).ravel())
     for name in ("scales", "sh"):  # tables of exponentials, which libraries round as they like
@@ -40,7 +40,7 @@ def test_cpp_and_numpy_decode_alike(sh_degree: int) -> None:
 
 
 def pictures(splats: Splats) -> list[np.ndarray]:
-    renderer = offscreen.CpuRenderer(threads=2)
+    renderer = rendering.CpuRenderer(threads=2)
     insert_all(renderer, splats)
     drawn = []
     for eye in ((4.0, 1.0, 1.5), (-1.0, 2.5, 0.8)):
@@ -48,7 +48,7 @@ def pictures(splats: Splats) -> list[np.ndarray]:
             id=0, width=320, height=240, fx=250.0, fy=250.0, cx=160.0, cy=120.0,
             world_to_camera=look_at(eye, (0, 0, 0)),
         )  # fmt: skip
-        picture = renderer.draw(offscreen.Camera(*pose(camera)))["colour"]
+        picture = renderer.draw(posed(camera))["colour"]
         drawn.append(np.clip(picture[..., :3], 0, 1))
     return drawn
 

@@ -12,11 +12,14 @@ import pytest
 from ament_index_python.packages import get_packages_with_prefixes
 from rclpy.node import Node
 
+from rosplat_core import generate, load, save
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_tools.testing import Listener
 
 README = Path(__file__).resolve().parents[1] / "README.md"
+
+WITHOUT_ROS = "import rosplat_core"
 
 # What its text leaves to the reader.
 OF_THE_READER = """
@@ -57,7 +60,7 @@ def blocks_of(language: str) -> list[str]:
 
 
 def test_its_python_runs() -> None:
-    blocks = blocks_of("python")
+    blocks = [block for block in blocks_of("python") if WITHOUT_ROS not in block]
     assert "rclpy.spin(node)" in blocks[0]
     script = OF_THE_READER + "\n".join(blocks).replace("rclpy.spin(node)", "pass") + SAYS
     run = subprocess.run(
@@ -65,6 +68,19 @@ def test_its_python_runs() -> None:
     )
     assert run.stderr == ""
     assert run.stdout == "2000 4071 label confidence\n"
+
+
+def test_its_python_without_ros_runs(tmp_path: Path) -> None:
+    (block,) = (block for block in blocks_of("python") if WITHOUT_ROS in block)
+    save(tmp_path / "scene.ply", generate(5000, seed=1))
+    says = "print(picture.shape, picture.dtype, len(order) > 0)"
+    run = subprocess.run(
+        [sys.executable, "-c", block + says],
+        capture_output=True, text=True, timeout=120, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert run.stderr == ""
+    assert run.stdout == "(720, 1280, 4) float32 True\n"
+    assert 0 < len(load(tmp_path / "smaller.ply")) < 5000
 
 
 @pytest.mark.parametrize("library", ["rclcpp", "rclcpp_lifecycle"])

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from rosplat_core.cameras import load_cameras
+from rosplat_core.formats import load
 from rosplat_lab.metrics import psnr
 from rosplat_lab.reference import render
-from rosplat_tools.cameras import load_cameras
-from rosplat_tools.formats import load
 
 
 @pytest.mark.parametrize(

@@ -14,27 +14,26 @@ import pytest
 
 import drawing
 from drawing import decibels
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.generated import generate
+from rosplat_core.maps import BatchError
+from rosplat_core.rendering import (
+    Antialiasing,
+    ClipBox,
+    DrawMode,
+    OrderSource,
+    Rasterizer,
+    RenderSettings,
+    pose,
+)
+from rosplat_core.splats import Splats
 from rosplat_lab import reference
-from rosplat_lab.bench.embedded import pose
 from rosplat_lab.lab import motion
 from rosplat_lab.lab.bench import Bench, Shot, Sort
 from rosplat_lab.lab.methods import METHODS
-from rosplat_sorter.order_slots import PACKED, SHARED, pack
+from rosplat_sorter.order_slots import PACKED, SHARED, OrderError, pack
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.generate import generate
-from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin.offscreen import (
-    Antialiasing,
-    BatchError,
-    ClipBox,
-    DrawMode,
-    OrderError,
-    OrderSource,
-    Rasterizer,
-    Renderer,
-    RenderSettings,
-)
+from rviz_gaussian_plugin.offscreen import Renderer
 
 WIDTH, HEIGHT = 160, 120
 NO_FLOATS = np.zeros(0, np.float32)
@@ -545,10 +544,11 @@ def test_the_processor_needs_no_newer_opengl_than_rviz(display: str, version: st
     program = """
 import hashlib, sys
 from rosplat_lab.bench import embedded, scenes
-from rviz_gaussian_plugin.offscreen import Rasterizer, Renderer
+from rosplat_core.rendering import Rasterizer
+from rviz_gaussian_plugin.offscreen import Renderer
 renderer = Renderer()
 splats = scenes.load("procedural:2000")
-embedded.insert_all(renderer, splats)
+rendering.insert_all(renderer, splats)
 view = embedded.View(renderer)
 renderer.settings.rasterizer = Rasterizer.PROCESSOR if sys.argv[1] else Rasterizer.AUTO
 view.look(scenes.overview(splats, 320, 180, 1)[0])

@@ -68,7 +68,7 @@ def test_a_map_far_from_its_origin_is_where_tf_puts_it(rviz: Rviz, world: World)
 
 def test_the_picture_outlives_its_sidecar(rviz: Rviz, world: World) -> None:
     """A near blue over a far red disc, whatever sorts and although the slots say otherwise."""
-    from rosplat_tools.splats import concatenate
+    from rosplat_core.splats import concatenate
 
     sorter = rviz.processes.node("rosplat_sorter", "sorter")
     world.place(0)

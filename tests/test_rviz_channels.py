@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rosplat_core.splats import Splats, concatenate
 from rosplat_lab.reference import channels
-from rosplat_tools.splats import Splats, concatenate
 from rviz_harness import Rviz, World, centre, configuration, disc, map_display, needs_rviz
 
 pytestmark = needs_rviz

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from rosplat_core.generated import generate
+from rosplat_core.splats import concatenate
 from rosplat_lab.metrics import psnr
 from rosplat_msgs.msg import ViewCamera
 from rosplat_sorter.qos import VIEW
-from rosplat_tools.generate import generate
-from rosplat_tools.splats import concatenate
 from rviz_harness import (
     Rviz,
     World,

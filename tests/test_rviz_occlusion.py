@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rosplat_tools.splats import concatenate
+from rosplat_core.splats import concatenate
 from rviz_harness import (
     MARKERS,
     TOP,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rosplat_tools.splats import Splats
+from rosplat_core.splats import Splats
 from rviz_harness import Rviz, World, configuration, display, map_display, needs_rviz
 
 pytestmark = needs_rviz

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rosplat_tools.splats import Splats, concatenate
+from rosplat_core.splats import Splats, concatenate
 from rviz_harness import (
     MARKERS,
     Rviz,

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_tools import formats
-from rosplat_tools.generate import generate
+from rosplat_core import formats
+from rosplat_core.generated import generate
 from rosplat_tools.program.processes import Processes
 from rviz_harness import (
     Rviz,

@@ -40,7 +40,7 @@ CHANGES = [
 
 def test_each_property_acts(rviz: Rviz, world: World) -> None:
     """From the picture as it comes, every change is seen, and its undoing brings that back."""
-    from rosplat_tools.splats import Splats, concatenate
+    from rosplat_core.splats import Splats, concatenate
 
     rng = np.random.default_rng(1)
     far = disc((0.9, 0.2, 0.1), x=-0.5, z=-1.0, sigma=0.8)

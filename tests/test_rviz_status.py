@@ -57,8 +57,8 @@ def request_picture(
     client: Any = None,
 ) -> Any:
     """The future of what the display answers to a camera that looks up from a metre below."""
+    from rosplat_core.cameras import Camera
     from rosplat_msgs.srv import RenderView
-    from rosplat_tools.cameras import Camera
     from rosplat_tools.view_messages import view_camera
 
     below = np.eye(4)
@@ -230,7 +230,7 @@ def test_where_pictures_fail_is_told_while_it_lasts(rviz: Rviz, world: World) ->
 
 
 def test_detail_draws_less_and_says_so(rviz: Rviz, world: World) -> None:
-    from rosplat_tools.generate import generate
+    from rosplat_core.generated import generate
 
     world.place()
     rviz.load(configuration(map_display(**{"Order Source": "Auto"}), view=TOP.replace("100", "20")))

@@ -22,8 +22,8 @@ from rviz_harness import (
 )
 
 if TYPE_CHECKING:
+    from rosplat_core.splats import Splats
     from rosplat_msgs.msg import ViewCamera
-    from rosplat_tools.splats import Splats
 
 pytestmark = needs_rviz
 
@@ -111,7 +111,7 @@ class Views:
 
 def cloud(seed: int = 0) -> Splats:
     """Splats all over each other, so that no other order makes the same picture."""
-    from rosplat_tools.splats import Splats
+    from rosplat_core.splats import Splats
 
     rng = np.random.default_rng(seed)
     count = 300
@@ -315,7 +315,7 @@ def test_a_display_that_sorts_itself_asks_no_sidecar(rviz: Rviz, world: World) -
 
 def test_each_view_has_its_own_order(rviz: Rviz, world: World) -> None:
     """Blue over red from above, red over blue from below, with a sidecar and without."""
-    from rosplat_tools.splats import concatenate
+    from rosplat_core.splats import concatenate
 
     RobotCamera(world, width=320, height=240)
     world.place()

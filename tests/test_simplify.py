@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rosplat_core.formats import load, save
+from rosplat_core.generated import generate
+from rosplat_core.simplification.merging import find_pairs, merge
+from rosplat_core.simplification.search import Judge, Simplification, Trial, contributions
+from rosplat_core.simplification.views import views
+from rosplat_core.slot_order import put_in_slot_order
+from rosplat_core.splats import Splats
 from rosplat_lab.simplify.command import main
-from rosplat_lab.simplify.merging import find_pairs, merge
-from rosplat_lab.simplify.search import Judge, Simplification, Trial, contributions
-from rosplat_lab.simplify.views import views
-from rosplat_tools.formats import load, save
-from rosplat_tools.generate import generate
-from rosplat_tools.slot_order import put_in_slot_order
-from rosplat_tools.splats import Splats
 
 GARDEN = "procedural:3000"
 

@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
+from rosplat_core import depth, formats, view
+from rosplat_core.cameras import load_cameras
+from rosplat_core.slot_pages import Rows
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter import backends, camera, depth, edits, view
+from rosplat_sorter import backends, camera, edits
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.slot_pages import Rows
-from rosplat_tools import formats
-from rosplat_tools.cameras import load_cameras
 from rosplat_tools.messages import encode
 from rosplat_tools.view_messages import view_camera
 

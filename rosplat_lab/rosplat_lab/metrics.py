@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 
-MOST_PSNR = 150.0  # what equal pictures count as in JSON, which knows no infinity [dB]
-
 Image = NDArray[np.floating[Any]]
 Pixels = NDArray[np.float64]
 

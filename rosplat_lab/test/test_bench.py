@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rosplat_core.depth import order
+from rosplat_core.formats import save as save_scene
+from rosplat_core.generated import generate
+from rosplat_core.splats import SceneError
 from rosplat_lab.bench import baselines, rviz, scenes, sort, streaming
 from rosplat_lab.bench.command import main
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.bench.records import Record, load
 from rosplat_lab.bench.renderers import RENDERERS
-from rosplat_sorter.depth import order
-from rosplat_tools.formats import save as save_scene
-from rosplat_tools.generate import generate
-from rosplat_tools.splats import SceneError
 
 
 def bench(out: Path, *arguments: str) -> list[Record]:

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.generated import generate
+from rosplat_core.quaternions import to_matrices
 from rosplat_lab.bench import scenes
 from rosplat_lab.reference import render
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.generate import generate
-from rosplat_tools.quaternions import to_matrices
 
 
 def test_the_ground_is_flat_and_closed() -> None:

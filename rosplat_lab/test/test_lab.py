@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
+from rosplat_core import depth
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.depth import splat_extents
+from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.splats import SceneError, Splats, concatenate
+from rosplat_core.view import View
 from rosplat_lab import reference
 from rosplat_lab.lab import charts, fragments, motion, orders, rays, viewers
 from rosplat_lab.lab.fragments import Fragments
 from rosplat_lab.lab.pareto import front, summarise
 from rosplat_lab.lab.points import Point, Store, load, save, scene_key
 from rosplat_lab.lab.workers import Workers
-from rosplat_sorter import camera as sorter_camera
-from rosplat_sorter import depth
-from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.edits import REPLACE, Edit
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.view import View
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.splats import SceneError, Splats, concatenate
 
 Make = Callable[..., Splats]
 
@@ -42,7 +42,7 @@ def pixel(*layers: tuple[float, float, float]) -> Fragments:
 def view_and_map(splats: Splats, camera: Camera) -> tuple[View, SplatMap]:
     """What sorters get."""
     x, y, z = camera.position
-    seen = sorter_camera.Camera(
+    seen = PosedCamera(
         (x, y, z), tuple(camera.orientation), camera.fx, camera.fy, camera.cx, camera.cy,
         camera.width, camera.height, camera.near, camera.far,
     )  # fmt: skip

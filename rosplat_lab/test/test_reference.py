@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rosplat_core import harmonics
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.splats import Splats, concatenate
 from rosplat_lab.reference import render, renderer
 from rosplat_lab.reference.projection import project
-from rosplat_tools import harmonics
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.quaternions import to_matrices
-from rosplat_tools.splats import Splats, concatenate
 
 Make = Callable[..., Splats]
 

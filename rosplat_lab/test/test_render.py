@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rosplat_lab.metrics import MOST_PSNR
+from rosplat_core.rendering import MOST_PSNR
 from rosplat_lab.render.command import write_picture, write_report
 
 

@@ -2,70 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from rosplat_core.posed_camera import CameraError, PosedCamera
 
 if TYPE_CHECKING:
     from rosplat_msgs.msg import ViewCamera
 
 PERSPECTIVE = 0
 ORTHOGRAPHIC = 1
-LARGEST = 3.4028234663852886e38  # of float32, which pictures are drawn with
 
 
-class CameraError(ValueError):
-    """A camera that nothing can be ordered for; the text names the field."""
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A camera in the map's frame, as ViewCamera describes it.
-
-    position: of the optical frame, x y z [m]. orientation: of the optical frame, a quaternion
-    x y z w of any length but zero. fx fy: [px], orthographic [px/m]. cx cy width height: [px].
-    near_clip far_clip: [m]. extent_scale: how many times as large as in the map splats are drawn.
-    Raises CameraError for values that no picture can be drawn with.
-    """
-
-    position: tuple[float, float, float]
-    orientation: tuple[float, float, float, float]
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
-    near_clip: float
-    far_clip: float
-    orthographic: bool = False
-    extent_scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        finite = ("position", "orientation", "fx", "fy", "cx", "cy", "near_clip", "far_clip")
-        for name in (*finite, "extent_scale"):
-            value = getattr(self, name)
-            if not all(
-                abs(v) <= LARGEST for v in (value if isinstance(value, tuple) else (value,))
-            ):
-                raise CameraError(f"{name} is not finite, or beyond float32: {value}")
-        if math.hypot(*self.orientation) == 0:
-            raise CameraError("orientation is a quaternion of length zero")
-        for name in ("fx", "fy", "width", "height", "extent_scale"):
-            if getattr(self, name) <= 0:
-                raise CameraError(f"{name} is {getattr(self, name)}, it must be positive")
-        if self.near_clip >= self.far_clip:
-            raise CameraError(f"near_clip {self.near_clip} is not below far_clip {self.far_clip}")
-        if self.near_clip <= 0 and not self.orthographic:
-            raise CameraError(f"near_clip is {self.near_clip}, a perspective needs more than 0")
-
-
-def decode(message: ViewCamera) -> Camera:
+def decode(message: ViewCamera) -> PosedCamera:
     """The camera of a message. Raises CameraError where it is degenerate."""
     if message.projection not in (PERSPECTIVE, ORTHOGRAPHIC):
         raise CameraError(f"projection is {message.projection}, known are 0 and 1")
     position, orientation = message.pose.position, message.pose.orientation
-    return Camera(
+    return PosedCamera(
         position=(position.x, position.y, position.z),
         orientation=(orientation.x, orientation.y, orientation.z, orientation.w),
         fx=message.fx,

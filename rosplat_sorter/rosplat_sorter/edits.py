@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter import channels, payload
-from rosplat_sorter.depth import splat_extents
-from rosplat_sorter.log_text import shown
+from rosplat_core import channels, payload
+from rosplat_core.depth import splat_extents
+from rosplat_core.log_text import shown
+from rosplat_core.payload import Arrays, PayloadError
+from rosplat_core.slot_pages import MAX_SLOTS, Slots
+from rosplat_core.view import frame_at
 from rosplat_sorter.map_pull import Arrival
-from rosplat_sorter.payload import Arrays, PayloadError
-from rosplat_sorter.slot_pages import MAX_SLOTS, Slots
-from rosplat_sorter.view import frame_at
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import Pose

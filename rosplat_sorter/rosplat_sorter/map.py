@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.channels import joined
+from rosplat_core.channels import joined
+from rosplat_core.slot_pages import SLOTS_PER_PAGE, Rows, SlotPages
 from rosplat_sorter.edits import EMPTY, MOVE, REPLACE, Edit
 from rosplat_sorter.map_pull import Arrival
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, Rows, SlotPages
 
 
 class SplatMap:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Generic, TypeVar
 
-from rosplat_sorter.slot_pages import PAGES
+from rosplat_core.slot_pages import PAGES
 
 Batch = TypeVar("Batch")
 

@@ -14,10 +14,10 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
+from rosplat_core.log_text import shown
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
 from rosplat_sorter.edits import array_bytes
-from rosplat_sorter.log_text import shown
 from rosplat_sorter.map_pull import Arrival, Label, MapPull, Request, Step
 from rosplat_sorter.qos import MAP, MAP_VOLATILE, SERVED_MAP
 

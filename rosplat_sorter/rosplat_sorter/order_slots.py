@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter import _native
+from rosplat_core import _core
 
 if TYPE_CHECKING:
     from rosplat_msgs.msg import SplatOrder
 
-OrderError = _native.OrderError
+OrderError = _core.OrderError
 SLOTS, PACKED, SHARED = 0, 1, 2
 
 
@@ -21,7 +21,7 @@ class OrderReader:
     """A viewer's side: the slots of its orders, whichever way they came."""
 
     def __init__(self) -> None:
-        self._reader = _native.OrderReader()
+        self._reader = _core.OrderReader()
 
     @property
     def key(self) -> int:
@@ -48,5 +48,5 @@ class OrderReader:
 def pack(slots: NDArray[np.uint32], bits: int) -> array[int]:
     """Slots below 2^bits, uint32 (n,), as SplatOrder.packed."""
     packed = array("B", [0]) * ((len(slots) * bits + 7) // 8)
-    _native.pack(slots, bits, packed)
+    _core.pack(slots, bits, packed)
     return packed

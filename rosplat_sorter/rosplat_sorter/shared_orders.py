@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter import _native
+from rosplat_core import _core
 
 FOLDER = Path("/dev/shm")
 PREFIX = "rosplat_order_"
@@ -66,13 +66,13 @@ class Segment:
 
     def begin(self, count: int) -> NDArray[np.uint32]:
         """Where to write the next order, uint32 (count,); what the segment held is void."""
-        _native.mark_segment(self._memory, self._generation + 1)
+        _core.mark_segment(self._memory, self._generation + 1)
         return np.frombuffer(self._memory, np.uint32, count, HEADER_BYTES)
 
     def finish(self) -> int:
         """The order is written; returns its generation."""
         self._generation += 2
-        _native.mark_segment(self._memory, self._generation)
+        _core.mark_segment(self._memory, self._generation)
         return self._generation
 
     def remove(self) -> None:

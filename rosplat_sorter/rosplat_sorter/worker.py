@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.channels import ChannelError
+from rosplat_core.log_text import shown
+from rosplat_core.posed_camera import CameraError, PosedCamera
+from rosplat_core.slot_pages import MixedGroupsError
+from rosplat_core.view import View
 from rosplat_sorter import backends, camera, edits
 from rosplat_sorter.backends import AUTO, Backend, Unavailable
-from rosplat_sorter.camera import Camera, CameraError
-from rosplat_sorter.channels import ChannelError
 from rosplat_sorter.edits import Edit
-from rosplat_sorter.log_text import shown
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
-from rosplat_sorter.slot_pages import MixedGroupsError
-from rosplat_sorter.view import View
 
 if TYPE_CHECKING:
     from std_msgs.msg import Header
@@ -119,10 +119,10 @@ class _Inbox:
 @dataclass
 class _Viewer:
     message: ViewCamera
-    camera: Camera
+    camera: PosedCamera
     seen: float
     answer: Answer | None = None
-    answered: Camera | None = None  # the camera that the answer was sorted for
+    answered: PosedCamera | None = None  # the camera that the answer was sorted for
     buffer: OrderBuffer | None = None  # in shared memory, if the viewer reads that
 
     def unshare(self) -> None:

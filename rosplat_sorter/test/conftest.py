@@ -6,30 +6,9 @@ import numpy as np
 import pytest
 
 from rosplat_msgs.msg import GaussianArray, ViewCamera
-from rosplat_sorter.camera import Camera
 from rosplat_sorter.edits import UPSERT, Edit
 
-
-@pytest.fixture
-def make_camera():
-    """A camera at the map's origin that looks along z, with what is given instead."""
-
-    def make(**given) -> Camera:
-        values = {
-            "position": (0.0, 0.0, 0.0),
-            "orientation": (0.0, 0.0, 0.0, 1.0),
-            "fx": 500.0,
-            "fy": 500.0,
-            "cx": 320.0,
-            "cy": 240.0,
-            "width": 640,
-            "height": 480,
-            "near_clip": 0.1,
-            "far_clip": 100.0,
-        }
-        return Camera(**(values | given))
-
-    return make
+pytest_plugins = ["core_fixtures"]
 
 
 @pytest.fixture

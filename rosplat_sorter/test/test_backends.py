@@ -9,7 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rosplat_sorter import backends, depth
+from rosplat_core import depth
+from rosplat_core.slot_pages import SLOTS_PER_PAGE, MixedGroupsError
+from rosplat_core.view import View, frame_at
+from rosplat_sorter import backends
 from rosplat_sorter.backends import (
     AUTO,
     BACKENDS,
@@ -22,8 +25,6 @@ from rosplat_sorter.backends import (
 from rosplat_sorter.edits import DELETE, MOVE, REPLACE, UPSERT
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import Memory, OrderBuffer, SharedOrders, memory_of
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, MixedGroupsError
-from rosplat_sorter.view import View, frame_at
 
 CANDIDATES = [
     pytest.param(("native", 1, False), id="native-1-thread"),
@@ -340,7 +341,7 @@ def test_a_backend_that_failed_is_not_taken_again():
 
 
 def test_native_refuses_arrays_of_another_kind(make_camera):
-    from rosplat_sorter._native import DepthOrder
+    from rosplat_core._core import DepthOrder
 
     view, sorter = View.of(make_camera()), DepthOrder(1)
     n = SLOTS_PER_PAGE

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion
 
+from rosplat_core.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE, MixedGroupsError
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.edits import MAX_GROUPS, MOVE, EditError, decode
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE, MixedGroupsError
 
 INF, NAN = math.inf, math.nan
 

@@ -7,11 +7,11 @@ import sys
 
 from tqdm import tqdm
 
-from rosplat_tools.formats import SUFFIXES, SceneError, axes, check_output, load, save
-from rosplat_tools.program.output import say
-from rosplat_tools.program.progress import watched
-from rosplat_tools.round_trip import report
-from rosplat_tools.scenes import NAMES, load_scene, vertical
+from rosplat_core.formats import SUFFIXES, SceneError, axes, check_output, load, save
+from rosplat_core.program.output import say
+from rosplat_core.program.progress import watched
+from rosplat_core.round_trip import report
+from rosplat_core.scenes import NAMES, load_scene, vertical
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -1,75 +1,14 @@
-"""Procedural scenes of any size, the same for the same arguments: a garden, or a flat of rooms."""
+"""Writes a procedural scene, the same for the same arguments: a garden, or a flat of rooms."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-import numpy as np
-
-from rosplat_tools.formats import Progress, SceneError, check_output, save
-from rosplat_tools.generated.garden import Garden
-from rosplat_tools.generated.rooms import Rooms
-from rosplat_tools.generated.surfaces import quaternions
-from rosplat_tools.program.output import say
-from rosplat_tools.program.progress import watched
-from rosplat_tools.splats import MAX_SH_DEGREE, Splats
-
-SCENES: dict[str, type[Garden] | type[Rooms]] = {"garden": Garden, "rooms": Rooms}
-
-BLOCK = 1 << 18  # splats made at a time: bounds the memory that the float64 in between takes
-
-
-def generate(
-    count: int,
-    seed: int = 0,
-    sh_degree: int = 3,
-    progress: Progress = lambda part: None,
-    scene: str = "garden",
-) -> Splats:
-    """Makes one of SCENES of exactly count splats, the same for the same arguments.
-
-    Their order is random, as a trained map's is: any part of them shows all of the scene, thinner.
-    progress is called with 0 to 1; what it raises ends the work. Raises SceneError for a count
-    below 1, a seed below 0, or an sh_degree outside 0 to 3.
-    """
-    if count < 1:
-        raise SceneError(f"count is {count}, expected 1 or more")
-    if seed < 0:
-        raise SceneError(f"seed is {seed}, expected 0 or more")
-    if not 0 <= sh_degree <= MAX_SH_DEGREE:
-        raise SceneError(f"SH degree is {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
-    rng = np.random.default_rng(seed)
-    shares, makers = zip(*SCENES[scene](rng).parts(), strict=True)
-    ends = np.round(np.cumsum(shares) * count).astype(int)
-    starts = np.concatenate([[0], ends[:-1]])
-
-    k = (sh_degree + 1) ** 2
-    splats = Splats(
-        positions=np.empty((count, 3), np.float32),
-        orientations=np.empty((count, 4), np.float32),
-        scales=np.empty((count, 3), np.float32),
-        opacities=np.empty(count, np.float32),
-        sh=np.empty((count, k, 3), np.float32),
-    )
-    numbers = rng.permutation(count)
-    for block in range(0, count, BLOCK):
-        progress(block / count)
-        block_numbers = numbers[block : block + BLOCK]
-        parts = np.searchsorted(ends, block_numbers, side="right")
-        for part, make in enumerate(makers):
-            slots = np.flatnonzero(parts == part)
-            if len(slots):
-                total = int(ends[part] - starts[part])
-                patch = make(block_numbers[slots] - starts[part], total)
-                slots += block
-                splats.positions[slots] = patch.points
-                splats.orientations[slots] = quaternions(patch.tangents, patch.normals)
-                splats.scales[slots] = patch.scales
-                splats.opacities[slots] = patch.opacities
-                splats.sh[slots] = patch.sh[:, :k]
-    progress(1.0)
-    return splats
+from rosplat_core.formats import SceneError, check_output, save
+from rosplat_core.generated import SCENES, generate
+from rosplat_core.program.output import say
+from rosplat_core.program.progress import watched
 
 
 def main(arguments: list[str] | None = None) -> int:

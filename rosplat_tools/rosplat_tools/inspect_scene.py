@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rosplat_tools.formats import SceneError, axes, format_of, streamed_sog
-from rosplat_tools.program.output import say
-from rosplat_tools.program.progress import watched
-from rosplat_tools.scenes import NAMES, is_generated, read_scene
+from rosplat_core.formats import SceneError, axes, format_of, streamed_sog
+from rosplat_core.program.output import say
+from rosplat_core.program.progress import watched
+from rosplat_core.scenes import NAMES, is_generated, read_scene
 
 QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
 

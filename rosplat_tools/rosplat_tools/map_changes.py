@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.slot_pages import PAGES, SLOTS_PER_PAGE, SlotPages, slots_of
+from rosplat_core.slot_pages import PAGES, SLOTS_PER_PAGE, SlotPages, slots_of
 from rosplat_tools.slot_map import Group, SlotMap, as_index
 
 

@@ -16,6 +16,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from std_msgs.msg import Header
 
+from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_sorter.qos import PULLED_MAP
@@ -31,7 +32,6 @@ from rosplat_tools.messages import (
 )
 from rosplat_tools.poses import to_matrix, to_pose
 from rosplat_tools.slot_map import Group, SlotMap
-from rosplat_tools.splats import Splats
 
 CHUNK_BYTES = 8_000_000
 # Of splats in an answer to a pull: each client, idle or not, keeps room for some of the largest.

@@ -10,12 +10,12 @@ from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
+from rosplat_core import payload
+from rosplat_core.payload import Arrays
+from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter import payload
 from rosplat_sorter.edits import arrays_of, check, is_usable, poses_of
-from rosplat_sorter.payload import Arrays
 from rosplat_tools.slot_map import SlotMap
-from rosplat_tools.splats import Splats
 
 NONE = "none"
 COMPRESSIONS = (NONE, payload.FORMAT)

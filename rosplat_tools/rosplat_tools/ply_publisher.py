@@ -11,16 +11,16 @@ from pathlib import Path
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.node import Node
 
+from rosplat_core import formats
+from rosplat_core.log_text import shown
+from rosplat_core.program.progress import bar
+from rosplat_core.scenes import NAMES, is_generated, load_scene
+from rosplat_core.slot_order import put_in_slot_order
+from rosplat_core.splats import SceneError, Splats
 from rosplat_msgs.srv import LoadScene, SaveMap
-from rosplat_sorter.log_text import shown
-from rosplat_tools import formats
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
-from rosplat_tools.program.progress import bar
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
-from rosplat_tools.scenes import NAMES, is_generated, load_scene
-from rosplat_tools.slot_order import put_in_slot_order
-from rosplat_tools.splats import SceneError, Splats
 
 # Of callbacks: what is sent, what is read and what ends that, a save, a pull, parameters.
 THREADS = 6

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.channels import joined
+from rosplat_core.channels import joined
+from rosplat_core.payload import Arrays
+from rosplat_core.slot_pages import SLOTS_PER_PAGE, SlotPages
+from rosplat_core.splats import Splats, concatenate, sh_coefficients
 from rosplat_sorter.edits import is_usable
-from rosplat_sorter.payload import Arrays
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, SlotPages
-from rosplat_tools.splats import Splats, concatenate, sh_coefficients
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +118,10 @@ class SlotMap:
         Of those `among` some, if given. In the groups' own frames. There is always a first group,
         empty where there are no splats.
         """
-        if among is None:
-            rows = np.flatnonzero(self._used)
-        else:
-            rows = self._pages.find(among)
-            rows = rows[self._used[rows]]
+        rows = np.arange(len(self._used))
+        if among is not None:
+            rows = rows[self._pages.find(among)]
+        rows = rows[self._used[rows]]
         slots = self._pages.slots(rows)
         of = self._pages.groups_of(rows)
         if not self._pages.ascending or len(self._pages.groups) > 1:

@@ -1,4 +1,4 @@
-"""For tests of what hears or sends maps: random splats, a ROS node, what a map's topic adds up to.
+"""For tests of what hears or sends maps: a ROS node, what a map's topic adds up to.
 
 A conftest.py names it: `pytest_plugins = ["rosplat_tools.testing"]`.
 """
@@ -14,7 +14,6 @@ import uuid
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -25,28 +24,6 @@ from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.messages import apply
 from rosplat_tools.slot_map import SlotMap
-from rosplat_tools.splats import Splats
-
-
-def random_splats(
-    count: int, sh_degree: int = 3, seed: int = 0, antialiased: bool = False
-) -> Splats:
-    """Splats of all orientations within a metre or so."""
-    rng = np.random.default_rng(seed)
-    orientations = rng.normal(size=(count, 4))
-    return Splats(
-        positions=rng.normal(size=(count, 3)).astype(np.float32),
-        orientations=orientations / np.linalg.norm(orientations, axis=1, keepdims=True),
-        scales=np.exp(rng.uniform(-7, -1, (count, 3))),
-        opacities=rng.uniform(0, 1, count).astype(np.float32),
-        sh=rng.normal(size=(count, (sh_degree + 1) ** 2, 3)).astype(np.float32),
-        antialiased=antialiased,
-    )
-
-
-@pytest.fixture(name="random_splats", scope="session")
-def _random_splats() -> Callable[..., Splats]:
-    return random_splats
 
 
 @pytest.fixture

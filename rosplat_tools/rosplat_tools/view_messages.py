@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from geometry_msgs.msg import Point, Pose, Quaternion
 
+from rosplat_core.cameras import Camera
 from rosplat_msgs.msg import ViewCamera
-from rosplat_tools.cameras import Camera
 
 
 def view_camera(camera: Camera) -> ViewCamera:

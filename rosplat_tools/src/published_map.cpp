@@ -8,8 +8,8 @@
 #include <stdexcept>
 #include <utility>
 
-#include "rosplat_sorter/payload.hpp"
-#include "rosplat_sorter/splat_arrays.hpp"
+#include "rosplat_core/slots/payload.hpp"
+#include "rosplat_core/slots/splat_arrays.hpp"
 
 namespace rosplat {
 

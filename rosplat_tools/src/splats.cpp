@@ -5,7 +5,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "rosplat_sorter/splat_arrays.hpp"
+#include "rosplat_core/slots/splat_arrays.hpp"
 
 namespace rosplat {
 

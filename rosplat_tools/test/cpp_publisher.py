@@ -11,6 +11,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from rclpy.node import Node
 from std_msgs.msg import Header
 
+from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_sorter.edits import pose_values
@@ -20,7 +21,6 @@ from rosplat_tools.map_publisher import CHUNK_BYTES
 from rosplat_tools.messages import NONE, _as_array
 from rosplat_tools.poses import to_matrix, to_pose
 from rosplat_tools.slot_map import SlotMap
-from rosplat_tools.splats import Splats
 
 ARRAYS = {
     "slots": "I", "groups": "I", "payload": "B", "positions": "f", "orientations": "f",

@@ -3,8 +3,8 @@
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 
-from rosplat_tools.formats import ply
-from rosplat_tools.splats import Splats
+from rosplat_core.formats import ply
+from rosplat_core.splats import Splats
 
 
 def cloud(splats: Splats, big_endian: bool = False, height: int = 1, gap: int = 0) -> PointCloud2:

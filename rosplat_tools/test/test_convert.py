@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rosplat_core.formats import load, save
+from rosplat_core.generated import generate
+from rosplat_core.splats import Splats
 from rosplat_tools.convert import main
-from rosplat_tools.formats import load, save
-from rosplat_tools.generate import generate
-from rosplat_tools.splats import Splats
 
 
 def test_a_scene_is_converted(scene: Callable[[str], Path], tmp_path: Path) -> None:

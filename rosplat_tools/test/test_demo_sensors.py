@@ -18,12 +18,12 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, Imu
 
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.splats import Splats
 from rosplat_msgs.srv import RenderView
-from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.emulation.demo_sensors import Beat
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, GRAVITY, Flight, draw_grid
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.splats import Splats
 
 FLIGHT = Flight(np.array([1.0, -2.0, 0.5]), 3.0, 1.2, 6.0)
 KEEP_ALL = QoSProfile(depth=2000)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosplat_sorter.camera import Camera
+from rosplat_core.posed_camera import PosedCamera
 from rosplat_tools.streaming.detail import (
     BEHIND,
     LOYALTY,
@@ -17,12 +17,12 @@ from rosplat_tools.streaming.detail import (
 from rosplat_tools.streaming.slot_allocator import slots_for
 
 
-def camera(position: tuple[float, float, float] = (0, 0, 0), **given: object) -> Camera:
+def camera(position: tuple[float, float, float] = (0, 0, 0), **given: object) -> PosedCamera:
     values = {
         "position": position, "orientation": (0, 0, 0, 1), "fx": 500.0, "fy": 500.0, "cx": 320.0,
         "cy": 240.0, "width": 640, "height": 480, "near_clip": 0.1, "far_clip": 1e4,
     }  # fmt: skip
-    return Camera(**(values | given))
+    return PosedCamera(**(values | given))
 
 
 def row(n: int, counts: tuple[int, ...] = (2000, 20_000, 200_000)) -> Levels:

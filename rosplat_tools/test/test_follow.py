@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from core_fixtures import random_splats
 from point_cloud import cloud
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
+from rosplat_core import formats
 from rosplat_msgs.srv import PullMap
-from rosplat_tools import formats
-from rosplat_tools.testing import random_splats
 
 Start = Callable[..., subprocess.Popen[str]]
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from core_fixtures import random_splats
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 from point_cloud import cloud
 
+from rosplat_core.splats import SceneError, Splats
 from rosplat_tools.following.foreign_messages import from_point_cloud, from_splat_array
-from rosplat_tools.splats import SceneError, Splats
-from rosplat_tools.testing import random_splats
 
 ARRAYS = ("positions", "orientations", "scales", "opacities", "sh")
 

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_tools.formats import SceneError, load
-from rosplat_tools.generate import SCENES, generate, main
+from rosplat_core.formats import SceneError, load
+from rosplat_core.generated import SCENES, generate
+from rosplat_tools.generate import main
 
 every_scene = pytest.mark.parametrize("scene", SCENES)
 
@@ -65,7 +66,7 @@ def test_what_cannot_be_made(wrong: dict[str, int]) -> None:
 
 
 def test_its_progress_is_told_and_may_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rosplat_tools.generate.BLOCK", 1000)
+    monkeypatch.setattr("rosplat_core.generated.BLOCK", 1000)
     told: list[float] = []
     generate(2001, progress=told.append)
     assert told == sorted(told)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from streamed_scene import write_scene
 
-from rosplat_tools.formats import save
+from rosplat_core.formats import save
+from rosplat_core.splats import Splats
 from rosplat_tools.inspect_scene import describe, main
-from rosplat_tools.splats import Splats
 
 Make = Callable[..., Splats]
 

@@ -19,15 +19,15 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from rosplat_core import payload
+from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
-from rosplat_sorter import payload
 from rosplat_sorter.edits import array_bytes
 from rosplat_sorter.qos import MAP_VOLATILE
 from rosplat_tools.map_publisher import ANSWER_BYTES, MapPublisher
 from rosplat_tools.messages import chunks
 from rosplat_tools.program.running import Cancelled
-from rosplat_tools.splats import Splats
 from rosplat_tools.testing import Listener
 
 Maker = Callable[..., Splats]

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rosplat_core.splats import Splats
 from rosplat_tools.emulation.mapping import Edit, Move, around, edits
 from rosplat_tools.slot_map import SlotMap
-from rosplat_tools.splats import Splats
 
 Maker = Callable[..., Splats]
 ALL_KINDS: dict[str, Any] = {

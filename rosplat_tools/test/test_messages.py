@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
+from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.edits import array_bytes
 from rosplat_tools.messages import COMPRESSIONS, Slots, chunks, decode, encode, encode_deletion
-from rosplat_tools.splats import Splats
 
 Maker = Callable[..., Splats]
 

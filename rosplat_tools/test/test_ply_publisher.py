@@ -15,13 +15,13 @@ import rclpy
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 
+from rosplat_core import formats
+from rosplat_core.slot_order import put_in_slot_order
+from rosplat_core.splats import Splats
 from rosplat_msgs.srv import LoadScene, PullMap, SaveMap
-from rosplat_tools import formats
 from rosplat_tools.ply_publisher import THREADS, PlyPublisher
 from rosplat_tools.program.processes import quoted
 from rosplat_tools.program.running import spinning
-from rosplat_tools.slot_order import put_in_slot_order
-from rosplat_tools.splats import Splats
 
 PATIENCE = 90.0  # beyond that of the listener [s]
 

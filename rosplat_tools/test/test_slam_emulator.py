@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rosplat_core import formats
+from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools import formats
-from rosplat_tools.splats import Splats
 
 Start = Callable[..., subprocess.Popen[str]]
 

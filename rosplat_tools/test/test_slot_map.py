@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
-from rosplat_sorter.view import frame_at
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
+from rosplat_core.splats import Splats
+from rosplat_core.view import frame_at
 from rosplat_tools.slot_map import SlotMap
-from rosplat_tools.splats import Splats
 
 Maker = Callable[..., Splats]
 

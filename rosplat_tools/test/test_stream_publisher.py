@@ -11,9 +11,9 @@ import pytest
 from rclpy.node import Node
 from streamed_scene import APART, LEVELS, edited, write_scene
 
+from rosplat_core.cameras import Camera, look_at
 from rosplat_msgs.msg import ViewCamera
 from rosplat_sorter.qos import VIEW
-from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.streaming.slot_allocator import slots_for
 from rosplat_tools.view_messages import view_camera
 

@@ -9,10 +9,10 @@ import pytest
 from streamed_scene import APART, LEVELS, write_scene
 from test_detail import camera
 
-from rosplat_sorter.camera import Camera
-from rosplat_tools.formats.streamed_sog import open_streamed
+from rosplat_core.formats.streamed_sog import open_streamed
+from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.splats import SceneError, Splats
 from rosplat_tools.slot_map import SlotMap
-from rosplat_tools.splats import SceneError, Splats
 from rosplat_tools.streaming.slot_allocator import slots_for
 from rosplat_tools.streaming.streamed_map import StreamedMap
 
@@ -68,12 +68,12 @@ def stream(
     return streamed, living
 
 
-def before(chunk: int) -> Camera:
+def before(chunk: int) -> PosedCamera:
     """A camera near a chunk, which looks along x away from the others beyond it."""
     return camera((APART * chunk - 4.0, 0.0, 0.5), orientation=(0.5, 0.5, 0.5, 0.5))
 
 
-def settle(streamed: StreamedMap, *views: Camera) -> int:
+def settle(streamed: StreamedMap, *views: PosedCamera) -> int:
     steps = 0
     while streamed.step(views):
         steps += 1

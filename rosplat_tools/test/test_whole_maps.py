@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from core_fixtures import random_splats
 from rclpy.node import Node
 
+from rosplat_core.slot_order import slot_order
+from rosplat_core.splats import Splats, concatenate
 from rosplat_tools.following.whole_maps import WholeMaps
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.slot_order import slot_order
-from rosplat_tools.splats import Splats, concatenate
-from rosplat_tools.testing import random_splats
 
 
 @pytest.fixture

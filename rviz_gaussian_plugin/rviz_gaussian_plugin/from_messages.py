@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_sorter import map_pull
 from rosplat_sorter.edits import pose_values
-from rviz_gaussian_plugin.offscreen import Arrival
 
 
 def apply(

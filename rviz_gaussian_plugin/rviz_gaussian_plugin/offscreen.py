@@ -13,24 +13,6 @@ from rosplat_tools.program.processes import end_with_parent
 from rviz_gaussian_plugin import _offscreen
 from rviz_gaussian_plugin._config import OGRE_PLUGINS
 
-Antialiasing = _offscreen.Antialiasing
-Arrival = _offscreen.Arrival
-BatchError = _offscreen.BatchError
-Camera = _offscreen.Camera
-ChannelColours = _offscreen.ChannelColours
-ClipBox = _offscreen.ClipBox
-Contributions = _offscreen.Contributions
-CpuRenderer = _offscreen.CpuRenderer
-DrawMode = _offscreen.DrawMode
-GaussianMap = _offscreen.GaussianMap
-Instructions = _offscreen.Instructions
-MapPull = _offscreen.MapPull
-OrderError = _offscreen.OrderError
-OrderSource = _offscreen.OrderSource
-Rasterizer = _offscreen.Rasterizer
-RenderSettings = _offscreen.RenderSettings
-decode_payload = _offscreen.decode_payload
-
 
 class Renderer(_offscreen.Renderer):  # type: ignore[misc]
     """An Ogre scene that holds one map and draws it into a texture.

@@ -14,15 +14,16 @@ import rclpy
 from PIL import Image
 from rclpy.node import Node
 
+from rosplat_core.cameras import Camera
+from rosplat_core.rendering import SplatCamera
+from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.camera import decode
 from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
-from rosplat_tools.cameras import Camera
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.running import spinning
-from rosplat_tools.splats import Splats
 from rosplat_tools.view_messages import view_camera
 
 offscreen = pytest.importorskip(
@@ -273,7 +274,7 @@ def test_every_map_is_framed_by_a_camera_that_can_be_drawn_from(wide: float, far
 
     def look() -> None:
         camera = orbit.camera(640, 480)
-        offscreen.Camera(*numbers(view_camera(camera)))
+        SplatCamera(*numbers(view_camera(camera)))
         decode(view_camera(camera))
 
     sample = Sample()
@@ -345,7 +346,7 @@ def test_with_a_display_a_window_asks_for_its_view(
 def test_a_renderer_that_sorts_itself_asks_no_sorter(
     display: str, node: Node, listener: Any
 ) -> None:
-    from rviz_gaussian_plugin.offscreen import Rasterizer
+    from rosplat_core.rendering import Rasterizer
     from rviz_gaussian_plugin.viewer.node import ORDER_SOURCES, Viewer
 
     views: list[ViewCamera] = []

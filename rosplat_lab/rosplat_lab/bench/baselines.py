@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter import depth
-from rosplat_sorter.view import View
+from rosplat_core import depth
+from rosplat_core.view import View
 
 Positions = NDArray[np.float32]
 Sort = Callable[[View], Any]

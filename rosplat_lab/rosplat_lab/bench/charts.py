@@ -12,9 +12,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rosplat_core.scenes import PROCEDURAL, is_generated
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.bench.records import Record
-from rosplat_tools.scenes import PROCEDURAL, is_generated
 
 Key = Callable[[Record], str]
 

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core import rendering
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
+from rosplat_core.splats import Splats
 from rosplat_lab.bench import embedded, live, scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_sorter.edits import MOVE
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
-from rosplat_tools.splats import Splats
 from rviz_gaussian_plugin.offscreen import Renderer
 
 SIZES, QUICK_SIZES = (5_000_000,), (20_000,)
@@ -82,17 +83,17 @@ def _insert(renderer: Renderer, splats: Splats) -> int:
     """A map of submaps, each of neighbours in space; returns its revision."""
     revision, first = 1, 0
     renderer.apply(
-        embedded.REPLACE, 0, 0, _NO_SLOTS, 0, splats.antialiased, (0.0, 0.0, 0.0),
-        *[_NO_FLOATS] * 5, embedded.MAP, revision, len(splats),
+        rendering.REPLACE, 0, 0, _NO_SLOTS, 0, splats.antialiased, (0.0, 0.0, 0.0),
+        *[_NO_FLOATS] * 5, rendering.MAP, revision, len(splats),
     )  # fmt: skip
     for group in range(SUBMAPS):
         part = slice(len(splats) * group // SUBMAPS, len(splats) * (group + 1) // SUBMAPS)
         revision += 1
         renderer.apply(
-            embedded.UPSERT, first, part.stop - part.start, _NO_SLOTS, splats.sh_degree,
+            rendering.UPSERT, first, part.stop - part.start, _NO_SLOTS, splats.sh_degree,
             splats.antialiased, tuple(splats.origin.tolist()), splats.positions[part].ravel(),
             splats.orientations[part].ravel(), splats.scales[part].ravel(),
-            splats.opacities[part], splats.sh[part].ravel(), embedded.MAP, revision, len(splats),
+            splats.opacities[part], splats.sh[part].ravel(), rendering.MAP, revision, len(splats),
             group=group,
         )  # fmt: skip
         first += -(-(part.stop - part.start) // SLOTS_PER_PAGE) * SLOTS_PER_PAGE
@@ -110,8 +111,8 @@ def _poses(random: np.random.Generator) -> NDArray[np.float64]:
 
 def _move(renderer: Renderer, poses: NDArray[np.float64], revision: int) -> None:
     renderer.apply(
-        MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), *[_NO_FLOATS] * 5, embedded.MAP, revision,
-        groups=np.arange(SUBMAPS, dtype=np.uint32), poses=poses,
+        MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), *[_NO_FLOATS] * 5, rendering.MAP,
+        revision, groups=np.arange(SUBMAPS, dtype=np.uint32), poses=poses,
     )  # fmt: skip
 
 
@@ -123,7 +124,7 @@ def _message_bytes(poses: NDArray[np.float64]) -> int:
     from rosplat_msgs.msg import GaussianArray
 
     message = GaussianArray(
-        map_id=embedded.MAP,
+        map_id=rendering.MAP,
         operation=GaussianArray.MOVE,
         groups=list(range(SUBMAPS)),
         poses=[

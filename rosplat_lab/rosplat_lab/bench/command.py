@@ -17,6 +17,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from rosplat_core.program.output import say, unheard
+from rosplat_core.scenes import NAMES, check_scene
+from rosplat_core.splats import SceneError
 from rosplat_lab import machine
 from rosplat_lab.arguments import make_folder, seconds
 from rosplat_lab.bench import live
@@ -34,10 +37,7 @@ from rosplat_lab.bench.records import (
 )  # fmt: skip
 from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_sorter.backends import BACKENDS
-from rosplat_tools.program.output import say, unheard
 from rosplat_tools.program.processes import ProcessError
-from rosplat_tools.scenes import NAMES, check_scene
-from rosplat_tools.splats import SceneError
 
 WIDTH = 150  # of tables that go to a file
 STATISTICS = ("least", "p50", "p95", "p99", "most", "n")

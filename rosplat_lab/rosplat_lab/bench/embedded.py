@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.cameras import Camera
+from rosplat_core.rendering import MAP, pose
 from rosplat_lab.bench.records import Event, Measurement
-from rosplat_tools.cameras import Camera
-from rosplat_tools.splats import Splats
 
 if TYPE_CHECKING:
     from rviz_gaussian_plugin.offscreen import Renderer
 
-REPLACE, UPSERT, DELETE = 0, 1, 2
-CHUNK = 8_000_000  # as the publisher sends [bytes]
-MAP = "bench"
 WARM_UP = 0.4  # of drawing, until a graphics card that had nothing to do has its full clock [s]
 
 
@@ -39,15 +36,6 @@ def gl_finish() -> Callable[[], None]:
     finish = ctypes.CDLL("libGL.so.1").glFinish
     finish.restype = None
     return lambda: finish()
-
-
-def pose(camera: Camera) -> tuple[Any, ...]:
-    """A camera as renderers take it."""
-    return (
-        tuple(camera.position.tolist()), tuple(camera.orientation.tolist()),
-        int(camera.orthographic), camera.fx, camera.fy, camera.cx, camera.cy,
-        camera.width, camera.height, camera.near, camera.far,
-    )  # fmt: skip
 
 
 class View:
@@ -72,47 +60,6 @@ class View:
         """Draws, sorted in this call if sort_now; returns what the renderer reports."""
         report: dict[str, Any] = self._renderer.draw(self.name, sort_now=sort_now)
         return report
-
-
-def batches(splats: Splats) -> Iterator[slice]:
-    """The batches in which a publisher would send them."""
-    step = max(1, CHUNK * len(splats) // max(1, splats.nbytes))
-    for start in range(0, len(splats), step):
-        yield slice(start, min(start + step, len(splats)))
-
-
-def insert(renderer: Renderer, splats: Splats, part: slice, revision: int) -> None:
-    """Gives the renderer a part of the splats, of slots alike; revision 1 begins the map."""
-    renderer.apply(
-        REPLACE if revision == 1 else UPSERT, part.start, part.stop - part.start, _NO_SLOTS,
-        splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),
-        splats.positions[part].ravel(), splats.orientations[part].ravel(),
-        splats.scales[part].ravel(), splats.opacities[part], splats.sh[part].ravel(),
-        MAP, revision, len(splats),
-    )  # fmt: skip
-
-
-def insert_all(renderer: Renderer, splats: Splats) -> int:
-    """Gives the renderer a map, batch by batch; returns the last one's revision."""
-    revision = 0
-    for revision, part in enumerate(batches(splats), 1):
-        insert(renderer, splats, part, revision)
-    return revision
-
-
-def edit(
-    renderer: Renderer, operation: int, slots: NDArray[np.integer], splats: Splats, revision: int
-) -> None:
-    """UPSERT: writes splats to these slots. DELETE: empties them; of no splats."""
-    renderer.apply(
-        operation, 0, len(slots), slots.astype(np.uint32),
-        splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),
-        splats.positions.ravel(), splats.orientations.ravel(),
-        splats.scales.ravel(), splats.opacities, splats.sh.ravel(), MAP, revision,
-    )  # fmt: skip
-
-
-_NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)
 
 
 def put(settings: Any, values: dict[str, Any]) -> None:

@@ -12,6 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core import rendering
+from rosplat_core.cameras import Camera, Place, place
+from rosplat_core.scenes import ROOMS
+from rosplat_core.splats import SceneError, Splats
 from rosplat_lab import machine
 from rosplat_lab.bench import embedded, scenes, streaming
 from rosplat_lab.bench.isolation import isolated
@@ -19,9 +23,6 @@ from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_lab.bench.sort import map_of, view_of
-from rosplat_tools.cameras import Camera
-from rosplat_tools.scenes import ROOMS
-from rosplat_tools.splats import SceneError, Splats
 
 if TYPE_CHECKING:
     from rviz_gaussian_plugin.offscreen import Renderer
@@ -49,7 +50,7 @@ class Variant:
 
 def variants() -> dict[str, Variant]:
     """Of the display's renderer, by name: each of its rasterisers is one."""
-    from rviz_gaussian_plugin.offscreen import Rasterizer
+    from rosplat_core.rendering import Rasterizer
 
     rasterizers = [name for name in Rasterizer.__members__ if name != "AUTO"]
     return {
@@ -172,7 +173,7 @@ def _scene(plan: Plan, name: str, chosen: Sequence[str], maps: int) -> Iterator[
     count = len(splats)
     for number in range(maps):
         target = renderer.add_map() if number else renderer
-        embedded.insert_all(target, splats[number::maps])
+        rendering.insert_all(target, splats[number::maps])
     # Whoever sorts without a graphics card sorts one map alone.
     kinds = {kind: order for kind, order in ORDERS.items() if maps == 1 or kind == ON_CARD}
     looks = _looks(plan, name)
@@ -183,7 +184,7 @@ def _scene(plan: Plan, name: str, chosen: Sequence[str], maps: int) -> Iterator[
         bench.view.draw(sort_now=True)  # which uploads all that waits
         for variant in chosen:
             drawn = variants()[variant]
-            bench.put_box(scenes.place(splats) if drawn.translucent else None)
+            bench.put_box(place(splats) if drawn.translucent else None)
             size = f"{picture[0]}x{picture[1]}"
             yield Doing(f"{name}, {size}, {view}, {variant}", index / len(looks))
             labels = {
@@ -226,7 +227,7 @@ class Bench:
         embedded.put(changed, values)
         self._renderer.settings = changed
 
-    def put_box(self, place: scenes.Place | None) -> None:
+    def put_box(self, place: Place | None) -> None:
         """A translucent box in the middle of a place, as wide as its radius, or none any more."""
         if place:
             self._renderer.set_box(tuple(place.centre.tolist()), (place.radius,) * 3, 0.5)

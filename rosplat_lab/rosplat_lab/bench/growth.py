@@ -10,6 +10,11 @@ import threading
 import time
 from collections.abc import Iterator
 
+from rosplat_core import rendering
+from rosplat_core.cameras import Camera
+from rosplat_core.depth import splat_extents
+from rosplat_core.scenes import PROCEDURAL
+from rosplat_core.splats import Splats
 from rosplat_lab import machine
 from rosplat_lab.bench import embedded, live, scenes
 from rosplat_lab.bench.isolation import isolated
@@ -17,14 +22,10 @@ from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
 from rosplat_lab.bench.sort import view_of
 from rosplat_sorter.backends import BACKENDS, open_backend
-from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.edits import UPSERT, Edit
 from rosplat_sorter.map import SplatMap
-from rosplat_tools.cameras import Camera
 from rosplat_tools.emulation.mapping import around
 from rosplat_tools.program.processes import ProcessError
-from rosplat_tools.scenes import PROCEDURAL
-from rosplat_tools.splats import Splats
 
 SIZE, QUICK_SIZE = 2_000_000, 100_000
 BATCH = 1000  # splats a message
@@ -110,7 +111,7 @@ def _grow(size: int, backend: str, picture: tuple[int, int]) -> live.Watched:
         due = min(size, BATCH * (1 + int((time.time() - began) * RATE)))
         while sent < due:
             part = slice(sent, min(sent + BATCH, size))
-            embedded.insert(renderer, splats, part, sent // BATCH + 1)
+            rendering.insert(renderer, splats, part, sent // BATCH + 1)
             sent = part.stop
         camera = cameras[len(seen.frames) % len(cameras)]
         number = view.look(camera)
@@ -197,7 +198,7 @@ class SortingThread:
         new = slice(first, count)
         changed = self._map.apply(
             Edit(
-                map_id=embedded.MAP, revision=-(-count // BATCH), frame_id="map",
+                map_id=rendering.MAP, revision=-(-count // BATCH), frame_id="map",
                 operation=UPSERT, origin=self._splats.origin, slots=new, end=count,
                 positions=self._splats.positions[new], extents=self._extents[new], rejected=0,
             )

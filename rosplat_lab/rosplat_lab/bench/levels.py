@@ -12,13 +12,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core import rendering
+from rosplat_core.cameras import Camera
+from rosplat_core.rendering import posed
+from rosplat_core.splats import SceneError, Splats
 from rosplat_lab import metrics
 from rosplat_lab.bench import embedded, scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, milliseconds
-from rosplat_tools.cameras import Camera
-from rosplat_tools.splats import SceneError, Splats
 
 Array = NDArray[np.float64]
 
@@ -57,10 +59,9 @@ class Processor:
     """Draws without a graphics card."""
 
     def __init__(self) -> None:
-        from rviz_gaussian_plugin import offscreen
 
-        self._pose = lambda camera: offscreen.Camera(*embedded.pose(camera))
-        self.renderer = offscreen.CpuRenderer()
+        self._pose = lambda camera: posed(camera)
+        self.renderer = rendering.CpuRenderer()
         self.device = f"CPU, {self.renderer.instructions}"
 
     def merge(self) -> dict[str, float]:
@@ -138,7 +139,7 @@ def _scene(
 ) -> Iterator[Event]:
     splats = scenes.load(name)
     drawer = DRAWERS[which]()
-    embedded.insert_all(drawer.renderer, splats)
+    rendering.insert_all(drawer.renderer, splats)
 
     def of(what: str, unit: str, samples: Any, **parameters: str | float) -> Measurement:
         return Measurement.of(what, unit, samples, name, len(splats), drawer.device, **parameters)
@@ -192,14 +193,14 @@ def _scene(
 
 
 def _psnr(picture: Array, reference: Array) -> float:
-    return min(metrics.psnr(picture, reference), metrics.MOST_PSNR)
+    return min(metrics.psnr(picture, reference), rendering.MOST_PSNR)
 
 
 def _repair(drawer: Drawer, splats: Splats, part: int) -> float:
     """Milliseconds that the levels take for an edit of neighbouring splats."""
     count = min(EDITED, len(splats))
     first = (len(splats) - count) * part // 4
-    embedded.insert(drawer.renderer, splats, slice(first, first + count), 1000 + part)
+    rendering.insert(drawer.renderer, splats, slice(first, first + count), 1000 + part)
     return milliseconds(drawer.merge)
 
 

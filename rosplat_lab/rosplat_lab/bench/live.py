@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rosplat_core.splats import SceneError
 from rosplat_lab import machine
 from rosplat_lab.bench import records
 from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
 from rosplat_tools.program.processes import Processes, quoted
-from rosplat_tools.splats import SceneError
 
 GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
 SAMPLE = 0.2  # between looks at the processes' memory [s]

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core import rendering
+from rosplat_core.cameras import Camera
 from rosplat_lab import metrics
 from rosplat_lab.bench import embedded, scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement
-from rosplat_tools.cameras import Camera
 
 if TYPE_CHECKING:
     from rviz_gaussian_plugin.offscreen import Renderer
@@ -63,13 +64,14 @@ def _shown(
 
 
 def _carried(name: str, picture: tuple[int, int]) -> Iterator[Event]:
-    from rviz_gaussian_plugin.offscreen import Rasterizer, ensure_display
+    from rosplat_core.rendering import Rasterizer
+    from rviz_gaussian_plugin.offscreen import ensure_display
 
     splats = scenes.load(name)
     with ensure_display():
         renderer = embedded.open_renderer()
         renderer.settings.rasterizer = Rasterizer.PROCESSOR
-        embedded.insert_all(renderer, splats)
+        rendering.insert_all(renderer, splats)
         view = embedded.View(renderer)
 
         for motion in VIEWS:
@@ -91,7 +93,8 @@ def _carried(name: str, picture: tuple[int, int]) -> Iterator[Event]:
 
 
 def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Event]:
-    from rviz_gaussian_plugin.offscreen import Rasterizer, ensure_display
+    from rosplat_core.rendering import Rasterizer
+    from rviz_gaussian_plugin.offscreen import ensure_display
 
     splats = scenes.load(name)
     size, seconds = (QUICK_PICTURE, QUICK_SECONDS) if quick else (PICTURE, SECONDS)
@@ -101,7 +104,7 @@ def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Eve
         renderer.settings.rasterizer = Rasterizer.PROCESSOR
         renderer.settings.detail = detail
         renderer.settings.asynchronous = True
-        embedded.insert_all(renderer, splats)
+        rendering.insert_all(renderer, splats)
         view = embedded.View(renderer)
         _rest(view, cameras[0])
 

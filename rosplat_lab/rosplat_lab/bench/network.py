@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from rosplat_core.scenes import PROCEDURAL
 from rosplat_lab.bench import live
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
 from rosplat_tools.program.processes import ProcessError, Processes, node_command
-from rosplat_tools.scenes import PROCEDURAL
 
 SIZES, QUICK_SIZES = (250_000, 500_000, 1_000_000, 2_000_000), (100_000,)
 RATES, QUICK_RATES = (30.0, 60.0), (30.0,)  # at which the camera moves [Hz]

@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, Header
 
+from rosplat_core.generated import generate
+from rosplat_core.payload import FORMAT
+from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, OrderReader, pack
-from rosplat_sorter.payload import FORMAT
 from rosplat_sorter.qos import ORDER
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
-from rosplat_tools.generate import generate
 from rosplat_tools.messages import decode, encode
 from rosplat_tools.program.running import run, spinning, wait_for_end
-from rosplat_tools.splats import Splats
 
 try:
     from visualization_msgs.msg import Marker, MarkerArray

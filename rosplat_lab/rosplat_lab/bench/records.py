@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rosplat_tools.program.files import write_text
+from rosplat_core.program.files import write_text
 
 Parameter = str | int | float | bool
 

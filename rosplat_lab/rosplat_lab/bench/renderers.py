@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_lab.bench import embedded
-from rosplat_tools.cameras import Camera
-from rosplat_tools.splats import Splats
+from rosplat_core import rendering
+from rosplat_core.cameras import Camera
+from rosplat_core.splats import Splats
 
 
 class Renderer(Protocol):
@@ -30,17 +30,16 @@ class CpuRenderer:
     """The plugin's rasteriser on the processor. Its times include the copy into NumPy's arrays."""
 
     def __init__(self) -> None:
-        from rviz_gaussian_plugin import offscreen
 
-        self._camera = offscreen.Camera
-        self._renderer = offscreen.CpuRenderer()
+        self._camera = rendering.SplatCamera
+        self._renderer = rendering.CpuRenderer()
         self.device = f"CPU, {self._renderer.instructions}"
 
     def show(self, splats: Splats) -> None:
-        embedded.insert_all(self._renderer, splats)
+        rendering.insert_all(self._renderer, splats)
 
     def draw(self, camera: Camera) -> None:
-        self._renderer.draw(self._camera(*embedded.pose(camera)))
+        self._renderer.draw(self._camera(*rendering.pose(camera)))
 
 
 class GsplatRenderer:

@@ -18,16 +18,16 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
+from rosplat_core import formats
+from rosplat_core.cameras import Camera, Place, look_at, place
+from rosplat_core.splats import SceneError, Splats
 from rosplat_lab import driven_rviz, machine, metrics
 from rosplat_lab.bench import mouse, scenes
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
 from rosplat_lab.driven_rviz import DrivenRviz, Refused
 from rosplat_lab.reference.renderer import render
-from rosplat_tools import formats
-from rosplat_tools.cameras import Camera, look_at
 from rosplat_tools.program.processes import ProcessError, Processes, quoted
-from rosplat_tools.splats import SceneError, Splats
 
 SIZES = (500_000, 2_000_000)
 QUICK_SIZES = (20_000,)
@@ -138,16 +138,16 @@ def _scene(
 ) -> Iterator[Event]:
     yield Doing(f"{name}: loading", number / total)
     splats = scenes.load(name)
-    place = scenes.place(splats)
-    near = max(0.001 * place.radius, NEAREST)
+    here = place(splats)
+    near = max(0.001 * here.radius, NEAREST)
     orbits = {
-        view: Orbit(place.centre, distance * place.radius, near)
+        view: Orbit(here.centre, distance * here.radius, near)
         for view, distance in DISTANCES.items()
         if view == "overview" or not plan.quick
     }
     by_mouse = {"overview": orbits["overview"]}
     if not plan.quick:
-        by_mouse["inside"] = _inside(name, splats, place)
+        by_mouse["inside"] = _inside(name, splats, here)
     namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
     values = {
         "ply": str((plan.out / "log" / "rviz.ply").resolve()), "topic": f"{namespace}/gaussians",
@@ -173,7 +173,7 @@ def _scene(
                 yield Skipped(f"{name}, {display['Name']}: {error}")
 
 
-def _inside(name: str, splats: Splats, place: scenes.Place) -> Orbit:
+def _inside(name: str, splats: Splats, place: Place) -> Orbit:
     """A view from within a scene; in rooms, where it stands in one."""
     rooms = "room" in scenes.views(name)
     (camera,) = scenes.VIEWS["room" if rooms else "inside"](splats, *PICTURE, 1)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rosplat_tools.cameras import Camera, look_at, orbit
-from rosplat_tools.generated import rooms
-from rosplat_tools.scenes import PROCEDURAL, ROOMS, load_scene
-from rosplat_tools.slot_order import put_in_slot_order
-from rosplat_tools.splats import Splats
+from rosplat_core.cameras import Camera, Place, look_at, orbit, place
+from rosplat_core.generated import rooms
+from rosplat_core.scenes import PROCEDURAL, ROOMS, load_scene
+from rosplat_core.slot_order import put_in_slot_order
+from rosplat_core.splats import Splats
 
 GARDEN = 2.4  # radius of the procedural scene [m]
 EYE = 1.6  # of who stands in a room, above its floor [m]
@@ -31,22 +29,6 @@ def load(name: str) -> Splats:
 def names(sizes: tuple[int, ...], scenes: tuple[str, ...]) -> list[str]:
     """Procedural scenes of these sizes, smallest first, then those by name."""
     return [f"{PROCEDURAL}{size}" for size in sorted(sizes)] + list(scenes)
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the bulk of a scene is: its middle and half its diagonal. [m]"""
-
-    centre: NDArray[np.float64]
-    radius: float
-
-
-def place(splats: Splats) -> Place:
-    """Of the middle nine tenths along each axis: few stray splats don't move it."""
-    sample = splats.positions[:: len(splats) // 1_000_000 + 1]
-    low, high = np.quantile(sample.astype(np.float64), [0.05, 0.95], axis=0)
-    centre = (low + high) / 2 + splats.origin
-    return Place(centre, max(float(np.linalg.norm(high - low)) / 2, 1e-3))
 
 
 def all_of_it(splats: Splats, width: int, height: int, count: int) -> list[Camera]:

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from rosplat_core.formats import load, save
+from rosplat_core.splats import Splats
 from rosplat_lab.bench import scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
-from rosplat_tools.formats import load, save
-from rosplat_tools.splats import Splats
 
 SIZES, QUICK_SIZES = (200_000,), (5_000,)
 SHARES = (0.9, 0.8, 0.7, 0.5, 0.3, 0.1)  # of the splats that are kept
@@ -44,7 +44,7 @@ def measure(plan: Plan) -> Iterator[Event]:
 
 
 def _scene(name: str) -> Iterator[Event]:
-    from rosplat_lab.simplify.search import Simplification
+    from rosplat_core.simplification.search import Simplification
 
     splats = scenes.load(name)
     random = np.random.default_rng(0).permutation(len(splats))

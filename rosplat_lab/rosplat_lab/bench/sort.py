@@ -11,10 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core import depth
+from rosplat_core.cameras import Camera
+from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.splats import SceneError, Splats
+from rosplat_core.view import View, unmoved
 from rosplat_lab.bench import baselines, live, scenes
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
-from rosplat_sorter import camera, depth
 from rosplat_sorter.backends import (
     BACKENDS,
     Allocate,
@@ -25,9 +29,6 @@ from rosplat_sorter.backends import (
 )
 from rosplat_sorter.edits import REPLACE, Edit
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.view import View, unmoved
-from rosplat_tools.cameras import Camera
-from rosplat_tools.splats import SceneError, Splats
 
 SIZES = (100_000, 250_000, 500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000)
 QUICK_SIZES = (50_000, 250_000)
@@ -213,7 +214,7 @@ def view_of(which: Camera, splats: Splats) -> View:
     x, y, z = which.position.tolist()
     qx, qy, qz, qw = which.orientation.tolist()
     return View.of(
-        camera.Camera(
+        PosedCamera(
             position=(x, y, z), orientation=(qx, qy, qz, qw),
             fx=which.fx, fy=which.fy, cx=which.cx, cy=which.cy,
             width=which.width, height=which.height,

@@ -14,16 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core import rendering
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.formats.streamed_sog import Pieces, Streamed, open_streamed
+from rosplat_core.splats import SceneError, concatenate, splat_bytes
 from rosplat_lab import machine, metrics
-from rosplat_lab.bench import embedded, streamed_gardens
+from rosplat_lab.bench import streamed_gardens
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement
 from rosplat_sorter.camera import decode
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.formats.streamed_sog import Pieces, Streamed, open_streamed
 from rosplat_tools.program.processes import ProcessError, Processes, quoted
-from rosplat_tools.splats import SceneError, concatenate, splat_bytes
 from rosplat_tools.streaming.detail import NOTHING, Levels, choose, in_sight, magnification
 from rosplat_tools.view_messages import view_camera
 
@@ -120,7 +121,7 @@ def _scene(path: Path, budget: int, out: Path, quick: bool) -> Iterator[Event]:
 
 
 def _psnr(picture: NDArray[np.float32], truth: Array) -> float:
-    return min(metrics.psnr(np.clip(picture.astype(np.float64), 0, 1), truth), metrics.MOST_PSNR)
+    return min(metrics.psnr(np.clip(picture.astype(np.float64), 0, 1), truth), rendering.MOST_PSNR)
 
 
 @dataclass(frozen=True)
@@ -258,8 +259,7 @@ class Watched:
 
 def _truth(scene: Streamed, camera: Camera) -> Array:
     """The picture of all that a camera may see, (height, width, 3), as fine as it is to be had."""
-    from rviz_gaussian_plugin.offscreen import Camera as Pose
-    from rviz_gaussian_plugin.offscreen import CpuRenderer
+    from rosplat_core.rendering import CpuRenderer, posed
 
     message = view_camera(camera)
     message.view_id, message.header.frame_id = "bench", "map"
@@ -283,7 +283,7 @@ def _truth(scene: Streamed, camera: Camera) -> Array:
         raise SceneError(f"{scene.path}: the camera sees none of its chunks")
     parts.sort(key=lambda part: (part.file, part.offset))
     renderer = CpuRenderer()
-    embedded.insert_all(renderer, concatenate([pieces.read(part) for part in parts]))
-    colour = renderer.draw(Pose(*embedded.pose(camera)))["colour"][..., :3]
+    rendering.insert_all(renderer, concatenate([pieces.read(part) for part in parts]))
+    colour = renderer.draw(posed(camera))["colour"][..., :3]
     truth: Array = np.clip(colour.astype(np.float64), 0, 1)
     return truth

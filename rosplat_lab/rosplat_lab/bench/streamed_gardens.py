@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from rosplat_tools.formats import sog
-from rosplat_tools.formats.streamed_sog import META
-from rosplat_tools.generate import generate
-from rosplat_tools.splats import Splats, concatenate
+from rosplat_core.formats import sog
+from rosplat_core.formats.streamed_sog import META
+from rosplat_core.generated import generate
+from rosplat_core.splats import Splats, concatenate
 
 SIDE = 4  # gardens along x, and along y
 APART = 5.0  # their middles [m]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 from time import perf_counter
 
+from rosplat_core import rendering
 from rosplat_lab.bench import embedded, scenes
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
 
@@ -48,7 +49,7 @@ def measure(count: int) -> Iterator[Event]:
     view.draw()
     finish()
 
-    publisher = threading.Thread(target=embedded.insert_all, args=(renderer, splats))
+    publisher = threading.Thread(target=rendering.insert_all, args=(renderer, splats))
     frames: list[Frame] = []
     start = perf_counter()
     publisher.start()

@@ -15,15 +15,16 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
+from rosplat_core import payload
+from rosplat_core.payload import Arrays
 from rosplat_lab.bench import live, scenes
 from rosplat_lab.bench.peer import KINDS, ORDERS, QUESTIONS, topic
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_msgs.srv import LoadScene
-from rosplat_sorter import edits, payload
+from rosplat_sorter import edits
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.payload import Arrays
 from rosplat_sorter.qos import ORDER
 from rosplat_tools.map_publisher import CHUNK_BYTES
 from rosplat_tools.messages import chunks, encode

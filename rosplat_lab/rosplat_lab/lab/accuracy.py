@@ -6,10 +6,10 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
+from rosplat_core.program.files import write_below
 from rosplat_lab.lab.methods import MODEL
 from rosplat_lab.lab.pareto import Summary, front, summarise
 from rosplat_lab.lab.points import Point
-from rosplat_tools.program.files import write_below
 
 LESSONS = {
     "sorter": "All backends, and the renderer, find the same order: they differ in time alone.",

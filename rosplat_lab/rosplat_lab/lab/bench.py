@@ -10,20 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.cameras import Camera
+from rosplat_core.depth import splat_extents
+from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.rendering import OrderSource, Rasterizer, RenderSettings, pose
+from rosplat_core.splats import Splats
+from rosplat_core.view import View
 from rosplat_lab.bench.baselines import Positions
 from rosplat_lab.bench.baselines import Sort as Baseline
-from rosplat_lab.bench.embedded import gl_finish, pose
+from rosplat_lab.bench.embedded import gl_finish
 from rosplat_lab.lab.motion import FRAME_RATE
 from rosplat_lab.lab.orders import Order
-from rosplat_sorter import camera as sorter_camera
 from rosplat_sorter.backends import BACKENDS, Backend, Unavailable, open_backend
-from rosplat_sorter.depth import splat_extents
 from rosplat_sorter.edits import REPLACE, Edit
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.view import View
-from rosplat_tools.cameras import Camera
-from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin.offscreen import OrderSource, Rasterizer, Renderer, RenderSettings
+from rviz_gaussian_plugin.offscreen import Renderer
 
 Image = NDArray[np.float64]
 Sort = Callable[["Bench", Camera], Order | None]
@@ -123,7 +124,7 @@ class Bench:
         """A camera as sorters need it."""
         x, y, z = camera.position
         return View.of(
-            sorter_camera.Camera(
+            PosedCamera(
                 (float(x), float(y), float(z)), tuple(camera.orientation), camera.fx, camera.fy,
                 camera.cx, camera.cy, camera.width, camera.height, camera.near, camera.far,
                 camera.orthographic,

@@ -18,6 +18,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from rosplat_core.cameras import Camera
+from rosplat_core.program.output import say
+from rosplat_core.rendering import MOST_PSNR
+from rosplat_core.scenes import NAMES, PROCEDURAL, check_scene, is_generated, load_scene
+from rosplat_core.splats import SceneError, Splats
 from rosplat_lab.arguments import make_folder, whole
 from rosplat_lab.lab import accuracy, atlas, charts, motion, points, report, stability
 from rosplat_lab.lab.bench import Bench
@@ -26,11 +31,6 @@ from rosplat_lab.lab.points import Point, Store
 from rosplat_lab.lab.progress import progress
 from rosplat_lab.lab.workers import Comparison, Image, Reference, Workers
 from rosplat_lab.machine import commit, machine
-from rosplat_lab.metrics import MOST_PSNR
-from rosplat_tools.cameras import Camera
-from rosplat_tools.program.output import say
-from rosplat_tools.scenes import NAMES, PROCEDURAL, check_scene, is_generated, load_scene
-from rosplat_tools.splats import SceneError, Splats
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 QUICK_CAMERAS = 3

@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.cameras import Camera
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.splats import Splats
 from rosplat_lab.reference.projection import (
     MIN_ALPHA,
     Array,
     Projected,
     project,
 )
-from rosplat_tools.cameras import Camera
-from rosplat_tools.quaternions import to_matrices
-from rosplat_tools.splats import Splats
 
 MAX_ALPHA = 0.99
 BAND_FRAGMENTS = 3_000_000  # about as many candidates are held at once

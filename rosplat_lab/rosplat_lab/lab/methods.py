@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.cameras import Camera
+from rosplat_core.rendering import Rasterizer
+from rosplat_core.splats import Splats
+from rosplat_core.view import OVERSCAN
 from rosplat_lab.bench import baselines
 from rosplat_lab.lab import fragments, motion, orders, viewers
 from rosplat_lab.lab.bench import Bench, Image, Shot, Sort
 from rosplat_lab.lab.orders import Order
 from rosplat_sorter.backends import BACKENDS
-from rosplat_sorter.view import OVERSCAN
-from rosplat_tools.cameras import Camera
-from rosplat_tools.splats import Splats
-from rviz_gaussian_plugin.offscreen import Rasterizer
 
 Shoot = Callable[[Bench, Camera], Shot]
 Model = Callable[[Splats, Camera], Image]

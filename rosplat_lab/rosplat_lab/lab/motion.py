@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rosplat_tools.cameras import Camera, orbit
-from rosplat_tools.splats import Splats
+from rosplat_core.cameras import Camera, orbit
+from rosplat_core.splats import Splats
 
 FRAME_RATE = 60.0  # [Hz]
 TYPICAL = (5, 95)  # percentiles of the means that a scene's size is taken from

@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter import depth
+from rosplat_core import depth
+from rosplat_core.view import View
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.view import View
 
 Depths = NDArray[np.float32]
 Keys = NDArray[np.uint32]

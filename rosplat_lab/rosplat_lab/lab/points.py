@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from rosplat_core.cameras import Camera
+from rosplat_core.program.files import write_text
+from rosplat_core.splats import SceneError, Splats
 from rosplat_lab import reference
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.lab import bench, fragments, motion, orders, viewers
-from rosplat_tools.cameras import Camera
-from rosplat_tools.program.files import write_text
-from rosplat_tools.splats import SceneError, Splats
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from rosplat_core import harmonics
+from rosplat_core.cameras import Camera
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.splats import Splats
 from rosplat_lab.lab.fragments import MAX_ALPHA
 from rosplat_lab.reference.projection import MIN_ALPHA, Array
-from rosplat_tools import harmonics
-from rosplat_tools.cameras import Camera
-from rosplat_tools.quaternions import to_matrices
-from rosplat_tools.splats import Splats
 
 
 def picture(splats: Splats, camera: Camera) -> Array:

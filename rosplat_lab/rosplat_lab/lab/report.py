@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.program.files import write_text
 from rosplat_lab.lab.pareto import METRICS, TIMES, Summary, front, summarise
 from rosplat_lab.lab.points import Point
-from rosplat_tools.program.files import write_text
 
 STRIP_WIDTH = 320  # of the pictures in the report [px]
 ERROR_GAIN = 16  # difference maps are full at a 16th of the way from black to white

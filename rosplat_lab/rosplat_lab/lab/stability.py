@@ -13,10 +13,10 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from PIL import Image
 
+from rosplat_core.program.files import write_below
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.lab.atlas import Finding
 from rosplat_lab.lab.charts import STYLE
-from rosplat_tools.program.files import write_below
 
 COLUMNS = 3  # of the picture
 

@@ -15,6 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from rosplat_core import harmonics
+from rosplat_core.cameras import Camera
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.splats import Splats
 from rosplat_lab.lab import fragments
 from rosplat_lab.reference.projection import (
     Array,
@@ -22,10 +26,6 @@ from rosplat_lab.reference.projection import (
     jacobians,
     project,
 )
-from rosplat_tools import harmonics
-from rosplat_tools.cameras import Camera
-from rosplat_tools.quaternions import to_matrices
-from rosplat_tools.splats import Splats
 
 GAMMA = 2.2
 

@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.cameras import Camera
+from rosplat_core.program.files import replacing
+from rosplat_core.scenes import load_scene
+from rosplat_core.splats import Splats
 from rosplat_lab import reference
 from rosplat_lab.lab import report
 from rosplat_lab.lab.methods import METHODS
 from rosplat_lab.metrics import compare
-from rosplat_tools.cameras import Camera
-from rosplat_tools.program.files import replacing
 from rosplat_tools.program.processes import ENDINGS
-from rosplat_tools.scenes import load_scene
-from rosplat_tools.splats import Splats
 
 Image = NDArray[Any]
 

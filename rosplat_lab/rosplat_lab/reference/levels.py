@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.cameras import Camera
+from rosplat_core.quaternions import from_matrices, to_matrices
+from rosplat_core.splats import Splats, concatenate
 from rosplat_lab.reference.projection import MIN_ALPHA, Array
-from rosplat_tools.cameras import Camera
-from rosplat_tools.quaternions import from_matrices, to_matrices
-from rosplat_tools.splats import Splats, concatenate
 
 LEVELS = 28
 FINEST = 2.0**-13  # width of the smallest cells [m]

@@ -7,14 +7,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_tools import harmonics
-from rosplat_tools.cameras import Camera
-from rosplat_tools.quaternions import to_matrices
-from rosplat_tools.splats import Splats
+from rosplat_core import harmonics
+from rosplat_core.cameras import Camera
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.splats import LOW_PASS, Splats
 
 Array = NDArray[np.float64]
 
-LOW_PASS = 0.3  # added to the variance of every splat [px^2]; part of the trained model
 MIN_ALPHA = 1 / 255  # what is fainter is not drawn
 GUARD_BAND = 0.3  # of tan(fov / 2) beyond the picture, where the Jacobian stops to grow
 

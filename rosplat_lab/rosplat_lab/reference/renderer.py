@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.cameras import Camera
+from rosplat_core.splats import Splats
 from rosplat_lab.reference.projection import MIN_ALPHA, Array, Projected, project
-from rosplat_tools.cameras import Camera
-from rosplat_tools.splats import Splats
 
 TILE = 16  # [px]
 CHUNK = 512  # splats blended at once: a tile's arrays then stay in the cache

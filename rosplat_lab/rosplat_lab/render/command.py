@@ -26,17 +26,18 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
+from rosplat_core.cameras import Camera, load_cameras
+from rosplat_core.program.files import replacing, write_text
+from rosplat_core.program.output import say
+from rosplat_core.rendering import MOST_PSNR
+from rosplat_core.scenes import NAMES, check_scene
+from rosplat_core.splats import SceneError
 from rosplat_lab.arguments import make_folder, seconds
 from rosplat_lab.machine import commit, machine
-from rosplat_lab.metrics import MOST_PSNR, compare
+from rosplat_lab.metrics import compare
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.backends import BACKENDS
-from rosplat_tools.cameras import Camera, load_cameras
-from rosplat_tools.program.files import replacing, write_text
-from rosplat_tools.program.output import say
 from rosplat_tools.program.processes import Processes, quoted
-from rosplat_tools.scenes import NAMES, check_scene
-from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 
 START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]

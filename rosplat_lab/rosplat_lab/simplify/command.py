@@ -19,18 +19,18 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 
+from rosplat_core.formats import SUFFIXES, check_output, load, save
+from rosplat_core.program.files import write_text
+from rosplat_core.program.output import say
+from rosplat_core.program.progress import bar, watched
+from rosplat_core.rendering import MOST_PSNR
+from rosplat_core.scenes import NAMES, load_scene
+from rosplat_core.simplification.search import CHECKED, LEARNT, Progress, Quality, Simplification
+from rosplat_core.simplification.views import HEIGHT, WIDTH, whereabouts
+from rosplat_core.slot_order import put_in_slot_order
+from rosplat_core.splats import SceneError, Splats
 from rosplat_lab.arguments import whole
 from rosplat_lab.machine import commit, machine
-from rosplat_lab.metrics import MOST_PSNR
-from rosplat_lab.simplify.search import CHECKED, LEARNT, Progress, Quality, Simplification
-from rosplat_lab.simplify.views import HEIGHT, WIDTH, whereabouts
-from rosplat_tools.formats import SUFFIXES, check_output, load, save
-from rosplat_tools.program.files import write_text
-from rosplat_tools.program.output import say
-from rosplat_tools.program.progress import bar, watched
-from rosplat_tools.scenes import NAMES, load_scene
-from rosplat_tools.slot_order import put_in_slot_order
-from rosplat_tools.splats import SceneError, Splats
 
 TRIES = 8  # to come below a number of bytes, or to make up for what a format loses
 MARGIN = 0.05  # by which it is to be made up for [dB]

@@ -16,9 +16,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.slot_pages import Rows
+from rosplat_core.view import View
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.slot_pages import Rows
-from rosplat_sorter.view import View
 
 Allocate = Callable[[int], NDArray[np.uint32]]
 """Makes the array, uint32 (m,), that an order of m slots is written to."""

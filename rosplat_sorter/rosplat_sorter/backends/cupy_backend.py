@@ -11,11 +11,11 @@ import cupyx
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.slot_pages import SLOTS_PER_PAGE, Rows
+from rosplat_core.view import View
 from rosplat_sorter.backends import Allocate, new_array, room_for
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import Memory, memory_of
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, Rows
-from rosplat_sorter.view import View
 
 # Sorted by digits, the lowest first; where the last is the same for all, it is left out.
 _DIGIT_BITS = 9

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter import _native
+from rosplat_core import _core
+from rosplat_core.slot_pages import Rows
+from rosplat_core.view import View
 from rosplat_sorter.backends import Allocate, new_array
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.slot_pages import Rows
-from rosplat_sorter.view import View
 
 
 class NativeBackend:
@@ -19,7 +19,7 @@ class NativeBackend:
 
     def __init__(self, threads: int = 0, gpu_only: bool = False) -> None:
         self._splats = SplatMap()
-        self._sort = _native.DepthOrder(threads)
+        self._sort = _core.DepthOrder(threads)
         self.device = f"{self._sort.threads} thread{'s' * (self._sort.threads > 1)}"
 
     def update(self, splats: SplatMap, changed: Rows) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter import depth
+from rosplat_core import depth
+from rosplat_core.slot_pages import Rows
+from rosplat_core.view import View
 from rosplat_sorter.backends import Allocate, new_array
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.slot_pages import Rows
-from rosplat_sorter.view import View
 
 _BLOCK = 1 << 15  # splats culled at a time, so that what lies between stays in cache
 

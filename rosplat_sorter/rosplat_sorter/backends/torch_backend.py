@@ -7,10 +7,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from rosplat_core.slot_pages import SLOTS_PER_PAGE, Rows
+from rosplat_core.view import View
 from rosplat_sorter.backends import Allocate, Unavailable, new_array, room_for
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE, Rows
-from rosplat_sorter.view import View
 
 ALL_THREADS = torch.get_num_threads()
 

@@ -26,16 +26,16 @@ from rclpy.task import Future
 from sensor_msgs.msg import CameraInfo, Image, Imu
 from std_msgs.msg import Header
 
+from rosplat_core.cameras import Camera
+from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_tools.cameras import Camera
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
 from rosplat_tools.messages import decode
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning, wait_for_end
-from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 
 # The wheels of PyPI have neither.

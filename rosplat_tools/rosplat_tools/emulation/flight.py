@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_tools.cameras import Camera
+from rosplat_core.cameras import Camera
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.slot_pages import SLOTS_PER_PAGE
-from rosplat_sorter.view import frame_at
-from rosplat_tools.splats import Splats
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
+from rosplat_core.splats import Splats
+from rosplat_core.view import frame_at
 
 DRIFT = 0.01  # how far off a rough Gaussian begins, as a part of the scene's size
 

@@ -10,12 +10,12 @@ import time
 from rclpy.node import Node
 from tqdm import tqdm
 
+from rosplat_core.scenes import NAMES, PROCEDURAL, load_scene
+from rosplat_core.splats import SceneError
 from rosplat_tools.emulation.mapping import Move, around, edits, with_keyframes
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import run, spinning, wait_for_end
-from rosplat_tools.scenes import NAMES, PROCEDURAL, load_scene
-from rosplat_tools.splats import SceneError
 
 
 class SlamEmulator(Node):

@@ -15,15 +15,15 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
-from rosplat_sorter.log_text import shown
+from rosplat_core.log_text import shown
+from rosplat_core.scenes import load_scene
+from rosplat_core.splats import SceneError, Splats
 from rosplat_tools.following.foreign_messages import from_point_cloud, from_splat_array
 from rosplat_tools.following.watched_file import WatchedFile
 from rosplat_tools.following.whole_maps import WholeMaps
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
-from rosplat_tools.scenes import load_scene
-from rosplat_tools.splats import SceneError, Splats
 
 
 class Follow(Node):

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from rosplat_tools.formats import ply
-from rosplat_tools.formats.decoded import Columns, Warn, decoded
-from rosplat_tools.quaternions import from_matrices
-from rosplat_tools.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
+from rosplat_core.formats import ply
+from rosplat_core.formats.decoded import Columns, Warn, decoded
+from rosplat_core.quaternions import from_matrices
+from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 _TYPES = {
     PointField.INT8: "i1",

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rosplat_core.slot_order import slot_order
+from rosplat_core.splats import Splats
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.slot_order import slot_order
-from rosplat_tools.splats import Splats
 
 _DRAWN = ("positions", "orientations", "scales", "opacities", "sh")
 

@@ -8,9 +8,9 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
-from rosplat_sorter.log_text import shown
+from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError
 from rosplat_tools.messages import COMPRESSIONS, NONE
-from rosplat_tools.splats import SceneError
 
 
 def declare(

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from rosplat_tools.program.output import finish
+from rosplat_core.program.output import finish
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 5.0  # what a program gets to end by itself [s]

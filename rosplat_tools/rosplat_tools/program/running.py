@@ -20,10 +20,10 @@ from rclpy.executors import (
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from rosplat_core.splats import SceneError
 from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_sorter.memory import give_back_large_blocks
 from rosplat_tools.program.processes import interrupt_by_signals, since_interrupt
-from rosplat_tools.splats import SceneError
 
 GRACE = 0.5  # what callbacks get to end before ROS does [s]
 BREATH = 0.0002  # in which a thread begins with a callback [s]

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rosplat_sorter.camera import Camera
-from rosplat_sorter.view import OVERSCAN, rotation_matrix
+from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.view import OVERSCAN, rotation_matrix
 from rosplat_tools.streaming.slot_allocator import slots_for
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ class Levels:
         return table
 
 
-def magnification(chunks: Levels, views: Sequence[Camera]) -> Array:
+def magnification(chunks: Levels, views: Sequence[PosedCamera]) -> Array:
     """(n,) pixels that a metre takes at each chunk's nearest point, in the view where it is most.
 
     Without a view all are alike, and too small to be worth more than their coarsest level.
@@ -68,7 +68,7 @@ def magnification(chunks: Levels, views: Sequence[Camera]) -> Array:
     return most
 
 
-def in_sight(chunks: Levels, view: Camera) -> NDArray[np.bool_]:
+def in_sight(chunks: Levels, view: PosedCamera) -> NDArray[np.bool_]:
     """(n,) whether a view, as wide as orders are for cameras that move, may show chunks."""
     ends = np.stack([chunks.low, chunks.high])
     which = np.indices((2, 2, 2)).reshape(3, 8)

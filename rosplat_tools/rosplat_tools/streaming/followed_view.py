@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rosplat_sorter.camera import Camera, CameraError
+from rosplat_core.posed_camera import CameraError, PosedCamera
 
 AHEAD = 2.0  # how far to look ahead [s]
 RECENT = 1.0  # cameras that come less often than this say nothing of how a view moves [s]
@@ -15,14 +15,14 @@ RECENT = 1.0  # cameras that come less often than this say nothing of how a view
 class FollowedView:
     """Expects a view to go on as it went between its last two cameras, for as long again."""
 
-    def __init__(self, camera: Camera, now: float) -> None:
+    def __init__(self, camera: PosedCamera, now: float) -> None:
         """now: of a clock [s]."""
         self._camera = camera
         self.heard = now
         self._speed = np.zeros(3)
         self._moves_until = now
 
-    def look(self, camera: Camera, now: float) -> None:
+    def look(self, camera: PosedCamera, now: float) -> None:
         """Takes the next camera."""
         since = now - self.heard
         if 0 < since < RECENT:
@@ -31,7 +31,7 @@ class FollowedView:
             self._moves_until = now + 2 * since
         self._camera, self.heard = camera, now
 
-    def cameras(self, now: float) -> list[Camera]:
+    def cameras(self, now: float) -> list[PosedCamera]:
         """Its camera; and while it moves, the one that it will have by and by."""
         if now > self._moves_until or not self._speed.any():
             return [self._camera]

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE
+from rosplat_core.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE
 
 SLOTS_PER_STRIP = 128  # what is left of a strip is lost until it is given back
 STRIPS_PER_PAGE = SLOTS_PER_PAGE // SLOTS_PER_STRIP

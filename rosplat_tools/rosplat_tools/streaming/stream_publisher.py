@@ -12,15 +12,16 @@ from pathlib import Path
 
 from rclpy.node import Node
 
+from rosplat_core.formats.streamed_sog import open_streamed
+from rosplat_core.log_text import shown
+from rosplat_core.posed_camera import CameraError, PosedCamera
+from rosplat_core.splats import SceneError, splat_bytes
 from rosplat_msgs.msg import GaussianArray, ViewCamera
-from rosplat_sorter.camera import Camera, CameraError, decode
-from rosplat_sorter.log_text import shown
+from rosplat_sorter.camera import decode
 from rosplat_sorter.qos import VIEW
-from rosplat_tools.formats.streamed_sog import open_streamed
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import run, spinning
-from rosplat_tools.splats import SceneError, splat_bytes
 from rosplat_tools.streaming.followed_view import FollowedView
 from rosplat_tools.streaming.streamed_map import StreamedMap
 
@@ -91,7 +92,7 @@ class StreamPublisher(Node):
             if resting:
                 self._looked.wait(0.5)
 
-    def _seen(self) -> list[Camera]:
+    def _seen(self) -> list[PosedCamera]:
         """The cameras of views that are still there; where none is, the last ones."""
         views = dict(self._views)
         now = time.monotonic()

@@ -12,11 +12,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_sorter.camera import Camera
-from rosplat_sorter.slot_pages import MAX_SLOTS
-from rosplat_tools.formats.decoded import Warn
-from rosplat_tools.formats.streamed_sog import Part, Pieces, Streamed
-from rosplat_tools.splats import SceneError, Splats, concatenate
+from rosplat_core.formats.decoded import Warn
+from rosplat_core.formats.streamed_sog import Part, Pieces, Streamed
+from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.slot_pages import MAX_SLOTS
+from rosplat_core.splats import SceneError, Splats, concatenate
 from rosplat_tools.streaming.detail import NOTHING, Levels, choose, errors, magnification
 from rosplat_tools.streaming.slot_allocator import SlotAllocator, slots_for
 
@@ -97,7 +97,7 @@ class StreamedMap:
         splats = sum(part.count for part in self._to_come.values())
         return f"{text}; on their way: {splats:,} splats of {len(self._to_come):,} chunks"
 
-    def step(self, views: Sequence[Camera], patience: float = 0.25) -> bool:
+    def step(self, views: Sequence[PosedCamera], patience: float = 0.25) -> bool:
         """Has what views need read, and puts it in, for some time [s]; returns whether more comes.
 
         Raises SceneError for a file that can't be read, which is not read again.
@@ -114,7 +114,7 @@ class StreamedMap:
                 del self._to_come[chunk]
         return bool(self._to_come) or self._unfinished
 
-    def _plan(self, views: Sequence[Camera]) -> tuple[dict[int, Part], dict[int, Part]]:
+    def _plan(self, views: Sequence[PosedCamera]) -> tuple[dict[int, Part], dict[int, Part]]:
         """The levels to come of chunks that get finer, the most urgent first, and of others.
 
         Drops chunks that there is no more room for.

@@ -10,10 +10,10 @@ import time
 import uuid
 from pathlib import Path
 
-from rosplat_tools.program.output import say
+from rosplat_core.program.output import say
+from rosplat_core.scenes import NAMES, vertical
+from rosplat_core.splats import SceneError
 from rosplat_tools.program.processes import ProcessError, Processes, quoted
-from rosplat_tools.scenes import NAMES, vertical
-from rosplat_tools.splats import SceneError
 
 PROCEDURAL = "procedural:200000"
 

@@ -16,11 +16,11 @@ import numpy as np
 from PIL import Image as Picture
 from rclpy.executors import ExternalShutdownException
 
+from rosplat_core.program.files import replacing
+from rosplat_core.program.output import say
+from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import ViewCamera
-from rosplat_tools.program.files import replacing
-from rosplat_tools.program.output import say
 from rosplat_tools.program.running import run, spinning
-from rosplat_tools.splats import SceneError
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.offscreen import ensure_display
 from rviz_gaussian_plugin.viewer.node import QUIET, Viewer

@@ -17,17 +17,18 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
+from rosplat_core.log_text import shown
+from rosplat_core.rendering import OrderSource, RenderSettings
+from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.edits import arrays_of, poses_of
-from rosplat_sorter.log_text import shown
 from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.program.parameters import declare
-from rosplat_tools.splats import SceneError
 from rviz_gaussian_plugin.from_messages import apply, array, numbers
-from rviz_gaussian_plugin.offscreen import OrderSource, Renderer, RenderSettings
+from rviz_gaussian_plugin.offscreen import Renderer
 from rviz_gaussian_plugin.viewer.orbit import Sample
 
 DISCOVERY = 5.0  # how long stills wait for a sorter to be found [s]

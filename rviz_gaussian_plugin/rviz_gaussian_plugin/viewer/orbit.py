@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_tools.cameras import Camera, look_at
+from rosplat_core.cameras import Camera, look_at
 
 # What the renderer draws from: 32-bit floats hold the squares of coordinates, and a near plane of
 # 1e-9 to 1e9 m. A map may be larger, and what it is in the middle of farther away.

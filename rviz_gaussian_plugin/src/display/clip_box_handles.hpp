@@ -8,7 +8,7 @@
 #include <string>
 #include <utility>
 
-#include "map/render_settings.hpp"
+#include "rosplat_core/views/render_settings.hpp"
 
 namespace Ogre {
 class SceneNode;

@@ -11,7 +11,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "map/detail.hpp"
+#include "rosplat_core/levels/detail.hpp"
 
 namespace rosplat {
 

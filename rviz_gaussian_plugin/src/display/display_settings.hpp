@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "map/render_settings.hpp"
+#include "rosplat_core/views/render_settings.hpp"
 
 namespace rviz_common::properties {
 class BoolProperty;

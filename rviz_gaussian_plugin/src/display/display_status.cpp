@@ -4,6 +4,8 @@
 #include <sstream>
 #include <utility>
 
+#include "rosplat_core/views/channel_colouring.hpp"
+
 namespace rosplat {
 
 namespace {

@@ -188,7 +188,7 @@ void GaussianClient::receive(SplatOrder& message) {
     scene_.offer(order);
     const std::lock_guard lock(mutex_);
     status_.dropped_order.clear();
-  } catch (const rosplat_sorter::OrderError& error) {
+  } catch (const OrderError& error) {
     dropOrder(error.what());
   } catch (const std::bad_alloc&) {
     dropOrder("memory is lacking");

@@ -19,9 +19,9 @@
 
 #include "camera_trail.hpp"
 #include "fair_queue.hpp"
-#include "map/map_pull.hpp"
 #include "pull_client.hpp"
-#include "rosplat_sorter/order_slots.hpp"
+#include "rosplat_core/map/map_pull.hpp"
+#include "rosplat_core/order/order_slots.hpp"
 #include "sidecar_switch.hpp"
 #include "splat_scene.hpp"
 
@@ -131,7 +131,7 @@ class GaussianClient {
   rclcpp::TimerBase::SharedPtr pull_tick_;
   std::unique_ptr<CameraTrail> trail_;  // if poses are published
   std::unique_ptr<SidecarSwitch> sidecar_;
-  rosplat_sorter::OrderReader reader_;
+  OrderReader reader_;
 
   mutable std::mutex mutex_;  // status_, requests_, views_
   Status status_;

@@ -5,8 +5,8 @@
 #include <stdexcept>
 #include <utility>
 
-#include "map/map_pull.hpp"
 #include "printable.hpp"
+#include "rosplat_core/map/map_pull.hpp"
 
 namespace rosplat {
 
@@ -15,9 +15,9 @@ static_assert(kMostGroups == rosplat_msgs::msg::GaussianArray::MAX_GROUPS);
 static_assert(kMostChannels == rosplat_msgs::msg::GaussianArray::MAX_CHANNELS);
 static_assert(SlotPage::kSlots == rosplat_msgs::msg::GaussianArray::SLOTS_PER_BLOCK);
 static_assert(SlotPage::kSlots * MapPull<int>::kBlocks == kMaxSlots);
-static_assert(rosplat_sorter::kMostSlots == kMaxSlots);
-static_assert(rosplat_sorter::OrderReader::kPacked == rosplat_msgs::msg::SplatOrder::PACKED);
-static_assert(rosplat_sorter::OrderReader::kShared == rosplat_msgs::msg::SplatOrder::SHARED);
+static_assert(kMostSlots == kMaxSlots);
+static_assert(OrderReader::kPacked == rosplat_msgs::msg::SplatOrder::PACKED);
+static_assert(OrderReader::kShared == rosplat_msgs::msg::SplatOrder::SHARED);
 
 GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   GaussianBatch batch;
@@ -50,8 +50,8 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   return batch;
 }
 
-void toOrder(rosplat_msgs::msg::SplatOrder& message, std::size_t most,
-             rosplat_sorter::OrderReader& reader, Order& order) {
+void toOrder(rosplat_msgs::msg::SplatOrder& message, std::size_t most, OrderReader& reader,
+             Order& order) {
   order.view_id = message.view_id;
   order.sequence = message.sequence;
   order.map_id = message.map_id;
@@ -59,9 +59,9 @@ void toOrder(rosplat_msgs::msg::SplatOrder& message, std::size_t most,
   order.source = "sidecar (" + printable(message.backend, 40) + ")";
   order.sort_time = message.sort_time;
   if (message.encoding == rosplat_msgs::msg::SplatOrder::SLOTS) {
-    rosplat_sorter::checkCount(message.slots.size(), most);
+    checkCount(message.slots.size(), most);
     order.slots = std::move(message.slots);
-    order.bound = rosplat_sorter::boundOf(order.slots.data(), order.slots.size());
+    order.bound = boundOf(order.slots.data(), order.slots.size());
   } else {
     order.bound =
         reader.read(message.encoding, message.packed.data(), message.packed.size(), message.count,

@@ -7,11 +7,11 @@
 #include <std_msgs/msg/header.hpp>
 #include <string>
 
-#include "map/gaussian_batch.hpp"
-#include "map/gaussian_map.hpp"
-#include "map/splat_camera.hpp"
-#include "order/built_in_sorter.hpp"
-#include "rosplat_sorter/order_slots.hpp"
+#include "rosplat_core/map/gaussian_batch.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/order/built_in_sorter.hpp"
+#include "rosplat_core/order/order_slots.hpp"
+#include "rosplat_core/views/splat_camera.hpp"
 
 // Between the renderer's own types and ROS messages.
 namespace rosplat {
@@ -20,9 +20,9 @@ namespace rosplat {
 GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message);
 
 // Fills an order; takes the slots, `most` of them, from the message or from where it says. Throws
-// rosplat_sorter::OrderError.
-void toOrder(rosplat_msgs::msg::SplatOrder& message, std::size_t most,
-             rosplat_sorter::OrderReader& reader, Order& order);
+// OrderError.
+void toOrder(rosplat_msgs::msg::SplatOrder& message, std::size_t most, OrderReader& reader,
+             Order& order);
 
 rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::string& view_id,
                                         std::uint64_t sequence,

@@ -5,7 +5,7 @@
 #include <string>
 
 #include "gaussian_client.hpp"
-#include "map/detail.hpp"
+#include "rosplat_core/levels/detail.hpp"
 #include "splat_cloud.hpp"
 #include "view.hpp"
 

@@ -6,7 +6,7 @@
 
 #include <vector>
 
-#include "map/gaussian_map.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
 
 namespace rosplat {
 

@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "rosplat_sorter/order_slots.hpp"
+#include "rosplat_core/order/order_slots.hpp"
 #include "splat_cloud.hpp"
 
 namespace rosplat {
@@ -28,8 +28,8 @@ class OffscreenRenderer {
   SplatScene& scene() { return clouds_.front()->scene(); }
   // Another map, drawn together with that of scene() and as long as it.
   SplatScene& addMap();
-  RenderSettings settings;                   // of the next draw
-  rosplat_sorter::OrderReader order_reader;  // for one thread at a time
+  RenderSettings settings;   // of the next draw
+  OrderReader order_reader;  // for one thread at a time
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
   // Draws the scene as a view's camera sees it, sorted here if sort_now. Throws std::runtime_error,

@@ -6,14 +6,14 @@
 #include <string>
 #include <vector>
 
-#include "cpu/painter.hpp"
 #include "gl/canvas.hpp"
 #include "gl/overlay.hpp"
 #include "gl/shaders.hpp"
-#include "map/camera_motion.hpp"
-#include "map/gaussian_map.hpp"
-#include "map/render_settings.hpp"
-#include "map/splat_camera.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/painter/painter.hpp"
+#include "rosplat_core/views/camera_motion.hpp"
+#include "rosplat_core/views/render_settings.hpp"
+#include "rosplat_core/views/splat_camera.hpp"
 #include "view_names.hpp"
 #include "viewed_map.hpp"
 

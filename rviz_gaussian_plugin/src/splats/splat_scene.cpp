@@ -9,7 +9,7 @@
 #include <limits>
 #include <new>
 
-#include "map/hard_regimes.hpp"
+#include "rosplat_core/views/hard_regimes.hpp"
 
 namespace rosplat {
 

@@ -12,13 +12,13 @@
 #include <utility>
 #include <vector>
 
-#include "map/edit_queue.hpp"
-#include "map/gaussian_map.hpp"
-#include "map/splat_camera.hpp"
-#include "order/built_in_sorter.hpp"
-#include "order/order.hpp"
-#include "order/order_book.hpp"
 #include "renderers.hpp"
+#include "rosplat_core/map/edit_queue.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/order/built_in_sorter.hpp"
+#include "rosplat_core/order/order.hpp"
+#include "rosplat_core/order/order_book.hpp"
+#include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
 

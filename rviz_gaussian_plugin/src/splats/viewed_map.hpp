@@ -3,10 +3,10 @@
 #include <memory>
 #include <string>
 
-#include "map/gaussian_map.hpp"
-#include "map/render_settings.hpp"
-#include "map/splat_camera.hpp"
-#include "order/order.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/order/order.hpp"
+#include "rosplat_core/views/render_settings.hpp"
+#include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
 

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from rosplat_core.program.files import write_text
 from rosplat_lab.lab.atlas import blending, coordinates, ordering, projection
 from rosplat_lab.lab.atlas.case import Case, Curves
 from rosplat_lab.lab.bench import Bench
 from rosplat_lab.lab.progress import progress
-from rosplat_tools.program.files import write_text
 
 CASES: dict[str, Case] = projection.CASES | coordinates.CASES | ordering.CASES | blending.CASES
 

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core import harmonics
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.splats import Splats
 from rosplat_lab.lab import motion
 from rosplat_lab.lab.atlas.case import Cases, Curves
 from rosplat_lab.lab.atlas.stage import ahead, cloud, decibels, floats, outside, shown, some, truth
 from rosplat_lab.lab.bench import Bench
-from rosplat_tools import harmonics
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.quaternions import to_matrices
-from rosplat_tools.splats import Splats
 
 CASES = Cases()
 

@@ -10,6 +10,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from rosplat_core.cameras import Camera
+from rosplat_core.generated import generate
+from rosplat_core.rendering import OrderSource, Rasterizer
+from rosplat_core.splats import concatenate
+from rosplat_core.view import OVERSCAN
 from rosplat_lab.lab import motion, orders
 from rosplat_lab.lab.atlas.case import Cases, Curves
 from rosplat_lab.lab.atlas.stage import (
@@ -28,11 +33,6 @@ from rosplat_lab.lab.atlas.stage import (
 from rosplat_lab.lab.bench import SOURCE, VIEW_ID, Bench, Image
 from rosplat_lab.lab.methods import widened
 from rosplat_lab.lab.orders import Order
-from rosplat_sorter.view import OVERSCAN
-from rosplat_tools.cameras import Camera
-from rosplat_tools.generate import generate
-from rosplat_tools.splats import concatenate
-from rviz_gaussian_plugin.offscreen import OrderSource, Rasterizer
 
 CASES = Cases()
 UPSERT = 1

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rosplat_core.splats import concatenate
 from rosplat_lab.lab import fragments, motion, rays
 from rosplat_lab.lab.atlas.case import Cases, Curves
 from rosplat_lab.lab.atlas.stage import (
@@ -25,7 +26,6 @@ from rosplat_lab.lab.atlas.stage import (
     truth,
 )
 from rosplat_lab.lab.bench import Bench
-from rosplat_tools.splats import concatenate
 
 CASES = Cases()
 
@@ -96,7 +96,7 @@ def shapes(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
 
 @CASES.enter("Zoomed out: splats smaller than pixels", "times farther away")
 def zoomed_out(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
-    from rviz_gaussian_plugin.offscreen import Antialiasing
+    from rosplat_core.rendering import Antialiasing
 
     splats = cloud(4000 if not quick else 1500, size=0.02)
     factors = some([1, 2, 4, 8, 16], quick)

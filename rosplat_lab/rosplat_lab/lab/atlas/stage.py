@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rosplat_core import harmonics
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.rendering import MOST_PSNR
+from rosplat_core.splats import Splats
 from rosplat_lab import reference
 from rosplat_lab.lab.bench import Bench, Image
 from rosplat_lab.lab.orders import Order
-from rosplat_lab.metrics import MOST_PSNR, psnr
-from rosplat_tools import harmonics
-from rosplat_tools.cameras import Camera, look_at
-from rosplat_tools.splats import Splats
+from rosplat_lab.metrics import psnr
 
 WIDTH, HEIGHT = 192, 128
 

@@ -3,10 +3,10 @@
 #include <cstddef>
 #include <vector>
 
-#include "cpu/picture_mesh.hpp"
 #include "gl/canvas.hpp"
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
+#include "rosplat_core/painter/picture_mesh.hpp"
 
 namespace rosplat {
 

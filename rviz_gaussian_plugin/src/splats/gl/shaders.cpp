@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "map/gaussian_map.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
 
 namespace rosplat {
 

@@ -10,8 +10,8 @@
 
 #include "gpu/node_store.hpp"
 #include "gpu/slot_store.hpp"
-#include "map/level_builder.hpp"
-#include "rosplat_sorter/thread_team.hpp"
+#include "rosplat_core/levels/level_builder.hpp"
+#include "rosplat_core/threads/thread_team.hpp"
 
 namespace rosplat {
 
@@ -50,7 +50,7 @@ class CardLevels {
   void finish(SlotStore& store);
 
   gl::UploadRing& ring_;
-  std::shared_ptr<rosplat_sorter::ThreadTeam> team_ = rosplat_sorter::ThreadTeam::ofViewers();
+  std::shared_ptr<ThreadTeam> team_ = ThreadTeam::ofViewers();
   LevelBuilder builder_;
   NodeStore nodes_;
   std::vector<LevelSamples> samples_;

@@ -9,10 +9,10 @@
 
 #include "gpu/card_levels.hpp"
 #include "gpu/slot_store.hpp"
-#include "map/detail.hpp"
-#include "map/gaussian_map.hpp"
-#include "map/render_settings.hpp"
-#include "map/splat_camera.hpp"
+#include "rosplat_core/levels/detail.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/views/render_settings.hpp"
+#include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
 

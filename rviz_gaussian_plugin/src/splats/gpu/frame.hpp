@@ -7,11 +7,11 @@
 #include "gl/gl_objects.hpp"
 #include "gpu/node_store.hpp"
 #include "gpu/slot_store.hpp"
-#include "map/cut.hpp"
-#include "map/gaussian_map.hpp"
-#include "map/render_settings.hpp"
-#include "map/splat_camera.hpp"
-#include "order/order.hpp"
+#include "rosplat_core/levels/cut.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/order/order.hpp"
+#include "rosplat_core/views/render_settings.hpp"
+#include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
 

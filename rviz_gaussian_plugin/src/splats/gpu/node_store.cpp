@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "map/in_parts.hpp"
+#include "rosplat_core/threads/in_parts.hpp"
 
 namespace rosplat {
 
@@ -66,7 +66,7 @@ void NodeStore::replace(int level, const Levels::Pages& before, const Level& hel
   next.shelves = shelve(next.pages, [level](const SlotPage&) { return cellSize(level + 1); });
 }
 
-bool NodeStore::upload(std::size_t& bytes, rosplat_sorter::ThreadTeam* team) {
+bool NodeStore::upload(std::size_t& bytes, ThreadTeam* team) {
   constexpr std::size_t kMostAtOnce = 64;
   const std::size_t of_page = pageBytes(arenas_.shDegree());
   while (uploaded_ < new_.size() && bytes > 0) {
@@ -86,7 +86,7 @@ bool NodeStore::upload(std::size_t& bytes, rosplat_sorter::ThreadTeam* team) {
   return uploaded_ == new_.size();
 }
 
-void NodeStore::write(const New* pages, std::size_t count, rosplat_sorter::ThreadTeam* team) {
+void NodeStore::write(const New* pages, std::size_t count, ThreadTeam* team) {
   const SlotArenas::Place at = arenas_.placeOf(pages->place);
   SlotArenas::Arena& arena = arenas_[at.arena];
   const auto put = [&](gl::Buffer& buffer, int band, std::size_t words) {

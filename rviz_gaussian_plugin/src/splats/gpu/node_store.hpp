@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "gpu/slot_arenas.hpp"
-#include "map/levels.hpp"
-#include "map/page_shelf.hpp"
-#include "rosplat_sorter/thread_team.hpp"
+#include "rosplat_core/levels/levels.hpp"
+#include "rosplat_core/threads/thread_team.hpp"
+#include "rosplat_core/views/page_shelf.hpp"
 
 namespace rosplat {
 
@@ -32,7 +32,7 @@ class NodeStore {
   void replace(const std::vector<Levels::Nodes>& groups, int sh_degree);
   // Uploads of them what a number of bytes allows, which it makes less; whether all are there.
   // team: helps. Throws gl::Error when the driver has no memory left.
-  bool upload(std::size_t& bytes, rosplat_sorter::ThreadTeam* team = nullptr);
+  bool upload(std::size_t& bytes, ThreadTeam* team = nullptr);
   // Shows them.
   void show();
 
@@ -53,7 +53,7 @@ class NodeStore {
 
   void replace(int level, const Levels::Pages& before, const Level& held,
                const Levels::Pages& pages, Level& next);
-  void write(const New* pages, std::size_t count, rosplat_sorter::ThreadTeam* team);
+  void write(const New* pages, std::size_t count, ThreadTeam* team);
 
   gl::UploadRing* ring_;
   SlotArenas arenas_;

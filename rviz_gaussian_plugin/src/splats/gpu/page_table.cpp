@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "map/cut.hpp"
+#include "rosplat_core/levels/cut.hpp"
 
 namespace rosplat {
 

@@ -7,7 +7,7 @@
 #include "gl/gl_objects.hpp"
 #include "gpu/frame.hpp"
 #include "gpu/slot_arenas.hpp"
-#include "map/seen_group.hpp"
+#include "rosplat_core/views/seen_group.hpp"
 
 namespace rosplat {
 

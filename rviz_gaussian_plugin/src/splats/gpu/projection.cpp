@@ -3,7 +3,8 @@
 #include <algorithm>
 
 #include "gpu/view_block.hpp"
-#include "map/seen_group.hpp"
+#include "rosplat_core/views/channel_colouring.hpp"
+#include "rosplat_core/views/seen_group.hpp"
 
 namespace rosplat {
 

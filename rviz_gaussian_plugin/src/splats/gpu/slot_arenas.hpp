@@ -7,7 +7,7 @@
 
 #include "gl/gl_objects.hpp"
 #include "gl/upload_ring.hpp"
-#include "map/slot_pages.hpp"
+#include "rosplat_core/map/slot_pages.hpp"
 
 namespace rosplat {
 

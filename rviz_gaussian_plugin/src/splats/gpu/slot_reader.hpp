@@ -6,7 +6,7 @@
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/slot_store.hpp"
-#include "map/gaussian_map.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
 
 namespace rosplat {
 

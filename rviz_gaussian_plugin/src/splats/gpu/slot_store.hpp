@@ -7,10 +7,10 @@
 #include <vector>
 
 #include "gpu/slot_arenas.hpp"
-#include "map/gaussian_map.hpp"
-#include "map/level_builder.hpp"
-#include "map/page_shelf.hpp"
-#include "map/slot_pages.hpp"
+#include "rosplat_core/levels/level_builder.hpp"
+#include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/map/slot_pages.hpp"
+#include "rosplat_core/views/page_shelf.hpp"
 
 namespace rosplat {
 

@@ -3,7 +3,8 @@
 #include <algorithm>
 
 #include "gl/shaders.hpp"
-#include "map/sorter_view.hpp"
+#include "rosplat_core/views/channel_colouring.hpp"
+#include "rosplat_core/views/sort_view.hpp"
 
 namespace rosplat {
 
@@ -26,7 +27,7 @@ std::uint32_t kindOf(const RenderSettings& settings) {
 
 ViewBlock::ViewBlock(const Frame& frame) {
   const SplatCamera& camera = frame.camera();
-  const rosplat_sorter::View view = sorterView(camera, {}, 1.0);  // where groups are is their own
+  const SortView view = sortView(camera, {}, 1.0);  // where groups are is their own
   clip = {view.near_clip, view.far_clip};
   focal = {view.fx, view.fy};
   offset = {view.offset_x, view.offset_y};
@@ -46,7 +47,7 @@ ViewBlock::ViewBlock(const Frame& frame) {
 
 MapBlock::MapBlock(const FrameLayer& layer) {
   const RenderSettings& settings = layer.settings;
-  const rosplat_sorter::View view = sorterView(layer.camera, {}, 1.0);
+  const SortView view = sortView(layer.camera, {}, 1.0);
   box_size = settings.clip_box.size;
   clip_to_box = settings.clip_box.enabled;
   slope = {view.slope_x, view.slope_y};

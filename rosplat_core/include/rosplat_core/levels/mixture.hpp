@@ -1,0 +1,51 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "rosplat_core/levels/lattice.hpp"
+#include "rosplat_core/slots/packed_slot.hpp"
+
+namespace rosplat {
+
+// The opacity of nodes goes farther than that of splats, and is clamped pixel by pixel.
+constexpr float kMostNodeOpacity = 16;
+
+// As extentOf().
+float nodeExtentOf(const PackedSlot& node);
+
+// One Gaussian for all that is in a cell: of the same mean, covariance and mean harmonics, where
+// each counts by its mass, its opacity times the area that it covers; and of the same mass.
+// rosplat_lab's reference/levels.py is its plain twin.
+class Mixture {
+ public:
+  Mixture(Cell cell, int sh_degree);
+
+  // opacity_unit: 1 of splats, kMostNodeOpacity of nodes. Empty slots are left out.
+  void add(const PackedSlot& slot, float opacity_unit);
+  // As a node; what is alone in its cell stays what it is.
+  PackedSlot pack() const;
+  bool empty() const { return count_ == 0; }
+
+ private:
+  using Symmetric = std::array<double, 6>;  // xx, xy, xz, yy, yz, zz
+
+  double areaOf(const Symmetric& covariance) const;
+
+  Cell cell_;
+  int sh_degree_, coefficients_;
+  std::array<double, 3> corner_;
+  double size_;
+
+  int count_ = 0;
+  PackedSlot only_;
+  float only_unit_ = 1;
+  std::uint16_t change_ = 0;  // the latest
+  double mass_ = 0;
+  std::array<double, 3> mean_{};  // from here on times mass; relative to the corner
+  Symmetric square_{};
+  std::array<double, 3> color_{};
+  std::array<float, 45> sh_{};
+};
+
+}  // namespace rosplat

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "rosplat_core/map/groups.hpp"
+
+namespace rosplat {
+
+// A contiguous array owned by someone else.
+template <typename T>
+struct ArrayView {
+  ArrayView() = default;
+  template <typename Array, typename = std::enable_if_t<std::is_convertible_v<
+                                decltype(std::declval<const Array&>().data()), const T*>>>
+  ArrayView(const Array& array)
+      : data(array.data()), size(static_cast<std::size_t>(array.size())) {}
+
+  const T* data = nullptr;
+  std::size_t size = 0;
+
+  const T& operator[](std::size_t i) const { return data[i]; }
+  bool empty() const { return size == 0; }
+};
+
+// How a batch came: heard on the topic, or pulled; the last of those ends a pull, nothing is
+// missing then.
+enum class Arrival : std::uint8_t { kHeard, kPulled, kLast };
+
+// One batch of edits as it arrives, not yet checked: the fields of rosplat_msgs/GaussianArray.
+struct GaussianBatch {
+  enum Operation : std::uint8_t { REPLACE = 0, UPSERT = 1, DELETE = 2, MOVE = 3 };
+
+  Arrival arrival = Arrival::kHeard;
+  std::string map_id;
+  std::uint64_t revision = 0;
+  std::uint8_t operation = REPLACE;
+  std::uint32_t expected_slots = 0;
+  std::uint32_t first_slot = 0;
+  std::uint32_t count = 0;
+  ArrayView<std::uint32_t> slots;
+  std::uint32_t group = 0;
+  ArrayView<std::uint32_t> groups;
+  std::vector<Pose> poses;  // of these; quaternions of any length but zero
+  std::uint8_t sh_degree = 0;
+  std::string format;               // of the payload; empty: the arrays below hold the splats
+  ArrayView<std::uint8_t> payload;  // in their place
+  bool antialiased = false;
+  std::array<double, 3> origin{};
+  ArrayView<float> positions;     // 3 a splat [m]
+  ArrayView<float> orientations;  // 4 a splat, x y z w
+  ArrayView<float> scales;        // 3 a splat [m]
+  ArrayView<float> opacities;     // 1 a splat
+  ArrayView<float> sh;            // 3 (sh_degree + 1)^2 a splat
+  std::vector<std::string> channel_names;
+  ArrayView<float> channels;  // 1 a splat for the first of these, then for the next
+};
+
+}  // namespace rosplat

@@ -1,0 +1,60 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <unordered_map>
+#include <vector>
+
+#include "rosplat_core/map/placement.hpp"
+
+namespace rosplat {
+
+constexpr std::uint32_t kMostGroups = 32768;  // as GaussianArray.MAX_GROUPS
+
+// Where a frame is in another.
+struct Pose {
+  std::array<double, 3> position{};               // [m]
+  std::array<double, 4> orientation{0, 0, 0, 1};  // quaternion x y z w of unit length
+};
+
+// Splats that move as one: p of them is at pose (p + origin) in the map's frame.
+struct Group {
+  std::uint32_t number = 0;                     // its author's
+  Pose pose;                                    // of its frame in the map's
+  Placement place;                              // the same
+  std::optional<std::array<double, 3>> origin;  // that its first splats had [m]
+
+  std::array<double, 3> originOrZero() const { return origin.value_or(std::array<double, 3>{}); }
+  // A splat's position [m] and orientation (x y z w), in the map's frame.
+  std::array<double, 3> inMap(const std::array<double, 3>& position) const;
+  std::array<float, 4> inMap(const std::array<float, 4>& orientation) const;
+};
+
+// Where a group is to be.
+struct GroupMove {
+  std::uint32_t group = 0;
+  Pose pose;
+};
+
+// The groups of a map: as many as were named, whatever their numbers.
+class Groups {
+ public:
+  // By index, which a group keeps: 0, 1, 2, ... as they come.
+  const std::vector<Group>& all() const { return groups_; }
+  // Null where it was never named.
+  const Group* find(std::uint32_t number) const;
+
+  void move(const GroupMove& move);
+  // A group that splats are written to; the first have it its origin. Its index.
+  std::uint32_t write(std::uint32_t number, const std::array<double, 3>& origin);
+
+ private:
+  std::uint32_t indexOf(std::uint32_t number);
+
+  std::vector<Group> groups_;
+  std::unordered_map<std::uint32_t, std::uint32_t> indices_;  // by number
+};
+
+}  // namespace rosplat

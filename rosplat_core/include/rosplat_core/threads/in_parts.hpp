@@ -1,0 +1,31 @@
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <new>
+
+#include "rosplat_core/threads/thread_team.hpp"
+
+namespace rosplat {
+
+// Does step(number) for each number below count, side by side if there is a team. Throws
+// std::bad_alloc, once all have ended, where one of them did.
+template <typename Step>
+void inParts(ThreadTeam* team, std::size_t count, const Step& step) {
+  std::atomic<bool> out_of_memory{false};
+  const auto task = [&](unsigned number, unsigned) {
+    try {
+      step(number);
+    } catch (const std::bad_alloc&) {
+      out_of_memory = true;
+    }
+  };
+  if (team) {
+    team->run(static_cast<unsigned>(count), task);
+  } else {
+    for (unsigned number = 0; number < count; ++number) task(number, 0);
+  }
+  if (out_of_memory) throw std::bad_alloc();
+}
+
+}  // namespace rosplat

@@ -1,0 +1,112 @@
+#pragma once
+
+#include <algorithm>
+#include <condition_variable>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <system_error>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace rosplat {
+
+// Threads that wait for work between the short parallel steps of a sort. They begin when there is
+// some first; callers take turns.
+class ThreadTeam {
+ public:
+  // threads counts the caller's own; 0 takes as many as the machine runs at once.
+  explicit ThreadTeam(unsigned threads) : size_(threads > 0 ? threads : machine()) {}
+
+  // The team of all who draw in a process, while any of them has it. A core stays theirs, but of
+  // two, sorting gains more than drawing loses.
+  static std::shared_ptr<ThreadTeam> ofViewers() {
+    constexpr unsigned kMost = 16;  // measured up to there
+    static std::mutex mutex;
+    static std::weak_ptr<ThreadTeam> team;
+    const std::lock_guard<std::mutex> lock(mutex);
+    std::shared_ptr<ThreadTeam> shared = team.lock();
+    if (!shared) {
+      const unsigned cores = machine();
+      shared = std::make_shared<ThreadTeam>(std::min(cores > 2 ? cores - 1 : cores, kMost));
+      team = shared;
+    }
+    return shared;
+  }
+
+  ~ThreadTeam() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      stopping_ = true;
+    }
+    wake_.notify_all();
+    for (std::thread& worker : workers_) worker.join();
+  }
+
+  ThreadTeam(const ThreadTeam&) = delete;
+  ThreadTeam& operator=(const ThreadTeam&) = delete;
+
+  unsigned size() const { return size_; }
+
+  // Does task(number, member) for each number below count, side by side, and returns when all are
+  // done. Who does one is the member, 0 being the caller; who wakes late leaves more to the others.
+  // The task must not throw.
+  void run(unsigned count, const std::function<void(unsigned, unsigned)>& task) {
+    const std::lock_guard<std::mutex> turn(callers_);
+    begin(std::min(count, size_));
+    std::unique_lock<std::mutex> lock(mutex_);
+    task_ = &task;
+    next_ = 0;
+    undone_ = count_ = count;
+    if (count > 1) wake_.notify_all();
+    work(0, lock);
+    done_.wait(lock, [this] { return undone_ == 0; });
+  }
+
+ private:
+  static unsigned machine() { return std::max(1u, std::thread::hardware_concurrency()); }
+
+  // Sees to it that there are so many, the caller included, or as many as the system lets be.
+  void begin(unsigned members) {
+    try {
+      while (workers_.size() + 1 < members) {
+        const auto member = static_cast<unsigned>(workers_.size()) + 1;
+        workers_.emplace_back([this, member] {
+          std::unique_lock<std::mutex> lock(mutex_);
+          while (!stopping_) {
+            work(member, lock);
+            wake_.wait(lock, [this] { return stopping_ || next_ < count_; });
+          }
+        });
+      }
+    } catch (const std::system_error&) {
+    }
+  }
+
+  // Does what nobody has begun with, until nothing of it is left; lets go of the lock meanwhile.
+  void work(unsigned member, std::unique_lock<std::mutex>& lock) {
+    while (next_ < count_) {
+      const unsigned number = next_++;
+      const std::function<void(unsigned, unsigned)>& task = *task_;
+      lock.unlock();
+      task(number, member);
+      lock.lock();
+      if (--undone_ == 0) done_.notify_one();
+    }
+  }
+
+  const unsigned size_;
+  std::mutex callers_;
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  std::condition_variable done_;
+  const std::function<void(unsigned, unsigned)>* task_ = nullptr;
+  unsigned count_ = 0;
+  unsigned next_ = 0;  // that nobody has begun with
+  unsigned undone_ = 0;
+  bool stopping_ = false;
+  std::vector<std::thread> workers_;
+};
+
+}  // namespace rosplat

@@ -1,0 +1,53 @@
+"""Maps of 3D Gaussians without ROS: files, edits, depth order, pictures, simplification.
+
+What stands here is the public interface, loaded when it is first used; _core is private.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rosplat_core.cameras import Camera, load_cameras, look_at, orbit, save_cameras
+    from rosplat_core.formats import load, save
+    from rosplat_core.generated import generate
+    from rosplat_core.ordering import depth_order
+    from rosplat_core.rendering import CpuRenderer, render
+    from rosplat_core.simplification import simplify
+    from rosplat_core.splats import SceneError, Splats, concatenate
+
+__all__ = [
+    "Camera",
+    "CpuRenderer",
+    "SceneError",
+    "Splats",
+    "concatenate",
+    "depth_order",
+    "generate",
+    "load",
+    "load_cameras",
+    "look_at",
+    "orbit",
+    "render",
+    "save",
+    "save_cameras",
+    "simplify",
+]
+
+_MODULES = {
+    "cameras": ("Camera", "load_cameras", "look_at", "orbit", "save_cameras"),
+    "formats": ("load", "save"),
+    "generated": ("generate",),
+    "ordering": ("depth_order",),
+    "rendering": ("CpuRenderer", "render"),
+    "simplification": ("simplify",),
+    "splats": ("SceneError", "Splats", "concatenate"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

@@ -1,0 +1,183 @@
+"""What src/python defines."""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_core.view import View
+
+# --- Orders -----------------------------------------------------------------------------------
+
+class DepthOrder:
+    def __init__(self, threads: int = 0) -> None: ...
+    @property
+    def threads(self) -> int: ...
+    def sort(
+        self,
+        view: View,
+        positions: NDArray[np.float32],
+        extents: NDArray[np.float32],
+        pages: NDArray[np.uint32],
+        allocate: Callable[[int], NDArray[np.uint32]],
+    ) -> NDArray[np.uint32]: ...
+
+class OrderError(ValueError): ...
+
+class OrderReader:
+    def __init__(self) -> None: ...
+    @property
+    def key(self) -> int: ...
+    def read(
+        self,
+        encoding: int,
+        packed: Any,
+        count: int,
+        slot_bits: int,
+        segment: str,
+        generation: int,
+    ) -> NDArray[np.uint32]: ...
+
+def pack(slots: NDArray[np.uint32], bits: int, packed: Any) -> None: ...
+def mark_segment(segment: Any, generation: int) -> None: ...
+
+# --- Maps -------------------------------------------------------------------------------------
+
+class BatchError(ValueError): ...
+
+class Arrival:
+    HEARD: ClassVar[Arrival]
+    PULLED: ClassVar[Arrival]
+    LAST: ClassVar[Arrival]
+    def __init__(self, value: int) -> None: ...
+
+class MapPull:
+    def __init__(self) -> None: ...
+    @property
+    def pulling(self) -> bool: ...
+    def hear(self, heard: Any, now: float, served: bool) -> Any: ...
+    def answer(
+        self, number: int, batches: Any, next_block: int, now: float, served: bool
+    ) -> Any: ...
+    def tick(self, now: float, served: bool) -> Any: ...
+
+class GaussianMap:
+    def __init__(self) -> None: ...
+    def apply(self, *fields: Any, **named: Any) -> dict[str, int]: ...
+    def in_use(self, slot: int) -> bool: ...
+    def origin(self, group: int = 0) -> list[float] | None: ...
+    def pose(self, group: int) -> tuple[list[float], list[float]]: ...
+    @property
+    def revision(self) -> int: ...
+    @property
+    def splats(self) -> int: ...
+    @property
+    def missed(self) -> int: ...
+    @property
+    def pulled(self) -> bool: ...
+    @property
+    def groups(self) -> int: ...
+    @property
+    def channels(self) -> list[str]: ...
+    @property
+    def antialiased(self) -> bool: ...
+
+def decode_payload(
+    payload: NDArray[np.uint8], count: int, sh_degree: int
+) -> dict[str, NDArray[np.float32]]: ...
+
+# --- Rendering --------------------------------------------------------------------------------
+
+class DrawMode:
+    COLOR: ClassVar[DrawMode]
+    DEPTH: ClassVar[DrawMode]
+    BILLBOARD: ClassVar[DrawMode]
+    FLAT_BALL: ClassVar[DrawMode]
+    GAUSSIAN_BALL: ClassVar[DrawMode]
+    NORMALS: ClassVar[DrawMode]
+    OPACITY: ClassVar[DrawMode]
+    AGE: ClassVar[DrawMode]
+    CHANNEL: ClassVar[DrawMode]
+
+class ChannelColours:
+    AUTO: ClassVar[ChannelColours]
+    CATEGORIES: ClassVar[ChannelColours]
+    GRADIENT: ClassVar[ChannelColours]
+
+class Antialiasing:
+    AS_TRAINED: ClassVar[Antialiasing]
+    ON: ClassVar[Antialiasing]
+    OFF: ClassVar[Antialiasing]
+
+class OrderSource:
+    AUTO: ClassVar[OrderSource]
+    SIDECAR: ClassVar[OrderSource]
+    BUILT_IN: ClassVar[OrderSource]
+    OFF: ClassVar[OrderSource]
+    GPU: ClassVar[OrderSource]
+
+class Rasterizer:
+    AUTO: ClassVar[Rasterizer]
+    QUADS: ClassVar[Rasterizer]
+    TILES: ClassVar[Rasterizer]
+    PROCESSOR: ClassVar[Rasterizer]
+
+class ClipBox:
+    enabled: bool
+    centre: list[float]
+    size: list[float]
+
+class RenderSettings:
+    mode: DrawMode
+    max_sh_degree: int
+    only_band: int
+    float_blending: bool
+    asynchronous: bool
+    scale: float
+    opacity: float
+    antialiasing: Antialiasing
+    order: OrderSource
+    rasterizer: Rasterizer
+    profile: bool
+    detail: str
+    clip_box: ClipBox
+    near_fade: float
+    depth_range: list[float]
+    age_range: float
+    channel: str
+    channel_colours: ChannelColours
+    channel_range: list[float]
+
+class Instructions:
+    PLAIN: ClassVar[Instructions]
+    AVX2: ClassVar[Instructions]
+    AVX512: ClassVar[Instructions]
+    BEST: ClassVar[Instructions]
+
+class SplatCamera:
+    def __init__(self, *numbers: Any) -> None: ...
+    def crop(self, left: int, top: int, width: int, height: int) -> SplatCamera: ...
+
+class Contributions:
+    weight: NDArray[np.float32]
+    energy: NDArray[np.float32]
+    error: NDArray[np.float32]
+
+class CpuRenderer:
+    settings: RenderSettings
+    def __init__(self, threads: int, instructions: Instructions) -> None: ...
+    def apply(self, *fields: Any, **named: Any) -> dict[str, int]: ...
+    def draw(self, camera: SplatCamera, **wanted: Any) -> dict[str, Any]: ...
+    def merge(self) -> int: ...
+    def nodes(self, level: int, group: int = 0) -> dict[str, Any]: ...
+    def pick(self, camera: SplatCamera, scene_depth: Any = None) -> NDArray[np.uint32]: ...
+    def contribute(
+        self, camera: SplatCamera, sums: Contributions, scene_depth: Any = None
+    ) -> None: ...
+    @property
+    def map_bytes(self) -> int: ...
+    @property
+    def levels_bytes(self) -> int: ...
+    @property
+    def instructions(self) -> Instructions: ...

@@ -1,0 +1,190 @@
+"""Scene files of 3D Gaussians: one format, one module, told apart by what a file begins with.
+
+One that begins with nothing of its own is told by its ending.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from rosplat_core.formats import (
+    compressed_ply,
+    ksplat,
+    ply,
+    sog,
+    splat,
+    splatam,
+    spz,
+    streamed_sog,
+)
+from rosplat_core.formats.bounds import size_of
+from rosplat_core.formats.decoded import Axes, Progress, Warn
+from rosplat_core.program.files import replacing
+from rosplat_core.slot_order import space_order
+from rosplat_core.splats import SceneError, Splats
+
+__all__ = [
+    "FORMATS",
+    "SUFFIXES",
+    "Axes",
+    "Progress",
+    "SceneError",
+    "Warn",
+    "axes",
+    "check_output",
+    "format_of",
+    "load",
+    "save",
+]
+
+_log = logging.getLogger(__name__)
+
+# Each module has NAME, recognises(path, head), axes(path) and read(path, progress, warn); what can
+# be written has SUFFIX and write(stream, path, splats) as well, where path is for errors to name,
+# IN_SPACE_ORDER where it packs neighbours, and KEEPS_CHANNELS where it does.
+FORMATS: tuple[ModuleType, ...] = (
+    compressed_ply,
+    ply,
+    spz,
+    streamed_sog,
+    splatam,
+    sog,
+    splat,
+    ksplat,
+)
+
+# Endings that can be written, for the user.
+SUFFIXES = ", ".join(module.SUFFIX for module in FORMATS if hasattr(module, "write"))
+
+HEAD = 1 << 16  # what a module may see of a file's beginning [bytes]
+
+
+def format_of(path: str | Path) -> ModuleType:
+    """The module that reads a file or folder. Raises SceneError when none does."""
+    path = Path(path)
+    with _told(path):
+        head = b""
+        if not path.is_dir():
+            size_of(path)  # a pipe would be waited for
+            with path.open("rb") as file:
+                head = file.read(HEAD)
+        for module in FORMATS:
+            if module.recognises(path, head):
+                return module
+    names = ", ".join(module.NAME for module in FORMATS)
+    raise SceneError(f"{path}: not a scene of 3D Gaussians that can be read ({names})")
+
+
+def axes(path: str | Path) -> Axes:
+    """Where the axes of a scene's coordinates point. Raises SceneError as load does."""
+    path = Path(path)
+    module = format_of(path)
+    with _told(path):
+        found: Axes = module.axes(path)
+    return found
+
+
+def load(
+    path: str | Path,
+    progress: Progress = lambda fraction: None,
+    warn: Warn = _log.warning,
+) -> Splats:
+    """Reads a scene in the file's own coordinates; nothing is flipped or scaled.
+
+    progress is called with 0 to 1 while it reads. warn is called with a sentence about whatever
+    had to be left out, such as splats that are not finite. Raises SceneError for a file that can't
+    be read whole: it names the file and what is wrong with it.
+    """
+    path = Path(path)
+    module = format_of(path)
+    # What overflows on the way is not finite in the end, and dropped with its splat.
+    with _told(path), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        splats: Splats = module.read(path, progress, warn)
+    progress(1.0)
+    return splats
+
+
+def check_output(path: str | Path, overwrite: bool = False) -> None:
+    """Raises SceneError, before there is anything to write, where save would fail.
+
+    For an ending that can't be written, a folder that isn't there or that nothing can be written
+    to, and a file that would be lost.
+    """
+    path = Path(path)
+    _writer(path)
+    with _told(path):
+        exists = path.exists()
+    if not path.parent.is_dir():
+        raise SceneError(f"{path}: {path.parent} is no folder")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise SceneError(f"{path}: nothing can be written to {path.parent}")
+    if path.is_dir():
+        raise SceneError(f"{path}: is a folder")
+    if exists and not overwrite:
+        raise SceneError(f"{path}: exists already (--overwrite replaces it)")
+
+
+def save(path: str | Path, splats: Splats) -> Splats:
+    """Writes a scene; the path's ending chooses the format. Replaces a file that exists, whole.
+
+    Returns the splats in the order of the file: formats that pack neighbours put them in space
+    order; channels that a format has no place for are left out, with a warning in the log. Raises
+    SceneError for an ending that can't be written, splats that a format has no way to write, a
+    place that can't be written to, or too little memory.
+    """
+    path = Path(path)
+    writer = _writer(path)
+    if splats.channels and not getattr(writer, "KEEPS_CHANNELS", False):
+        _log.warning(
+            "%s: left out %s: %s has no channels", path, ", ".join(splats.channels), writer.NAME
+        )
+        splats = replace(splats, channels={})
+    with _told(path):
+        if getattr(writer, "IN_SPACE_ORDER", False):
+            _require_finite(path, splats)
+            splats = splats[space_order(splats.positions)]
+        # What a format has no number for becomes its largest.
+        with (
+            replacing(path) as partial,
+            partial.open("wb") as stream,
+            np.errstate(over="ignore"),
+        ):
+            writer.write(stream, path, splats)
+    return splats
+
+
+def _require_finite(path: Path, splats: Splats) -> None:
+    arrays = (splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
+    with np.errstate(invalid="ignore"):  # of infinities
+        if not all(np.isfinite(array.sum(dtype=np.float64)) for array in arrays):
+            raise SceneError(f"{path}: a number that is not finite can't be packed")
+
+
+def _writer(path: Path) -> ModuleType:
+    writers = {module.SUFFIX: module for module in FORMATS if hasattr(module, "write")}
+    # .compressed.ply before .ply
+    for suffix in sorted(writers, key=len, reverse=True):
+        if path.name.lower().endswith(suffix):
+            return writers[suffix]
+    raise SceneError(f"{path}: can't write this ending, only {SUFFIXES}")
+
+
+@contextlib.contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What a file or this machine can't do becomes a SceneError that names the file."""
+    if "\0" in str(path):  # which Python's own functions meet in many ways
+        raise SceneError(f"{str(path)!r}: no name of a file")
+    try:
+        yield
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise SceneError(f"{path}: too large for this machine's memory") from error

@@ -1,0 +1,37 @@
+"""What all readers begin with: a file's claims, held against its size before they cost memory."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+
+from rosplat_core.slot_pages import MAX_SLOTS
+from rosplat_core.splats import SceneError
+
+MAX_RATIO = 100  # unpacked to packed: real scenes unpack to 2 to 10 times their file
+FREE = 1 << 24  # what any file may unpack to, however small it is [bytes]
+
+
+def size_of(path: Path) -> int:
+    """Size of a file [bytes]. Raises SceneError for a pipe, a device or a folder: no file."""
+    found = path.stat()
+    if not stat.S_ISREG(found.st_mode):
+        raise SceneError(f"{path}: not a file")
+    return found.st_size
+
+
+def claim(path: Path, count: int, unpacked: int, held: int) -> None:
+    """Raises SceneError for more splats than a map can have, or than a file can hold.
+
+    unpacked: what `count` splats take once decompressed, before they are decoded; held: what the
+    file has of them. [bytes]
+    """
+    if count > MAX_SLOTS:
+        raise SceneError(f"{path}: {count:,} splats; a map has at most {MAX_SLOTS:,}")
+    if unpacked > unpackable(held):
+        raise SceneError(f"{path}: {count:,} splats can't be packed in {held:,} bytes")
+
+
+def unpackable(held: int) -> int:
+    """The most that so many bytes may unpack to; what claims more is damaged, or a bomb."""
+    return max(FREE, MAX_RATIO * held)

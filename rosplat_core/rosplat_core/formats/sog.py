@@ -1,0 +1,494 @@
+"""SOG (PlayCanvas), versions 1 and 2: pictures and a meta.json, in a folder or in a .sog zip.
+
+Each pixel of a picture, row by row, belongs to one splat; in meta.json each field names its files:
+
+    means   two pictures: low and high bytes of x y z between mins and maxs, of
+            sign(x) log(1 + |x|)
+    quats   three components of w x y z, from -sqrt(1/2) to sqrt(1/2); alpha is 252 and the index of
+            the largest one, which is left out
+    scales  logarithms: version 2 by a codebook, version 1 between mins and maxs
+    sh0     band 0, and opacity in alpha; version 2 by a codebook and as it is, version 1 between
+            four mins and maxs and as a logit
+    shN     bands above 0, where there are any: a palette of up to 65,536 vectors, 64 a row, whose
+            numbers are coded as those of scales, and the palette's index for each splat
+
+After developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog and splat-transform's
+read-sog.ts and read-sog-v1.ts. The specification has y up, but what writes SOG keeps the axes of
+its input.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from rosplat_core.formats.bounds import claim, size_of, unpackable
+from rosplat_core.formats.codebook import codebook, nearest, palette
+from rosplat_core.formats.decoded import (
+    AS_TRAINED,
+    Axes,
+    Columns,
+    Floats,
+    Progress,
+    Warn,
+    blocks,
+    decoded,
+)
+from rosplat_core.formats.quantised import largest_restored, sigmoid, smallest_three, to_bytes
+from rosplat_core.log_text import shown
+from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
+
+NAME = "SOG"
+SUFFIX = ".sog"
+IN_SPACE_ORDER = True
+
+META = "meta.json"
+LARGEST_META = 1 << 20  # it takes 15,000 [bytes]
+LONGEST_NAME = 255  # of a file, as most file systems have it
+LARGEST_TAG = 252  # alpha of a quaternion's pixel: 252 + index of the component left out
+PALETTE_PER_ROW = 64
+LARGEST_PALETTE = 1 << 16
+SQRT2 = np.float32(np.sqrt(2))
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder with a meta.json, that file itself, or a zip."""
+    return (path / META).is_file() or path.name == META or head[:4] == b"PK\x03\x04"
+
+
+def axes(path: Path) -> Axes:
+    """Where a scene's axes point."""
+    return AS_TRAINED
+
+
+def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+    """Reads an unbundled (folder or its meta.json) or a bundled (zip) SOG scene."""
+    if path.is_dir() or path.name == META:
+        folder = path if path.is_dir() else path.parent
+        return _Reader(folder / META, _Folder(folder)).read(progress, warn)
+    try:
+        with zipfile.ZipFile(path) as bundle:
+            return _Reader(path, _Zip(bundle)).read(progress, warn)
+    except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+        if isinstance(error, SceneError):
+            raise
+        raise SceneError(f"{path}: broken zip: {shown(error)}") from error
+
+
+class Claims(NamedTuple):
+    """What a meta.json says of the scene beside it."""
+
+    splats: int
+    sh_degree: int
+    antialiased: bool
+
+
+def claims(path: Path) -> Claims:
+    """What a scene's meta.json says of it; its pictures are not decoded. Raises SceneError."""
+    try:
+        return _Reader(path, _Folder(path.parent)).claims()
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+
+
+def unpack(path: Path, progress: Progress) -> Packed:
+    """Decodes the pictures beside a meta.json. Raises SceneError, and MemoryError."""
+    try:
+        return _Reader(path, _Folder(path.parent)).unpack(progress)
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """A scene of n splats as its pictures have it: a third of the memory that splats take."""
+
+    path: Path
+    antialiased: bool
+    lowest: Floats
+    """(3,) logarithms of the lowest coordinates; highest: of the highest."""
+    highest: Floats
+    steps: NDArray[np.uint16]
+    """(n, 3) positions, from lowest to highest."""
+    quaternions: NDArray[np.uint8]
+    """(n, 4) the smallest three components, and which is the other."""
+    scales: NDArray[np.uint8]
+    """(n, 3) rows of scale_table, (256, 3) [m]."""
+    scale_table: NDArray[np.float32]
+    colours: NDArray[np.uint8]
+    """(n, 4) rows of colour_table, (256, 3), and of opacity_table, (256,)."""
+    colour_table: NDArray[np.float32]
+    opacity_table: Floats
+    labels: NDArray[np.uint16] | None
+    """(n,) rows of bands, (m, k - 1, 3), for what has bands above 0."""
+    bands: Floats | None
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the arrays take. [bytes]"""
+        arrays = (self.steps, self.quaternions, self.scales, self.colours, self.labels, self.bands)
+        return sum(array.nbytes for array in arrays if array is not None)
+
+    def splats(self, which: slice, warn: Warn) -> Splats:
+        """Some of the splats; those that can't be drawn are left out, and warn is told."""
+        first, last, _ = which.indices(len(self))
+        n = last - first
+        k = 1 if self.bands is None else 1 + self.bands.shape[1]
+        columns = Columns.empty(n, k)
+        for part in blocks(n):
+            rows = slice(first + part.start, first + part.stop)
+            logarithms = self.lowest + (self.highest - self.lowest) * (self.steps[rows] / 65535)
+            columns.positions[part] = np.sign(logarithms) * np.expm1(np.abs(logarithms))
+            columns.orientations[part] = _quaternions(self.quaternions[rows])
+            columns.scales[part] = self.scale_table[self.scales[rows], np.arange(3)]
+            colours = self.colours[rows]
+            columns.opacities[part] = self.opacity_table[colours[:, 3]]
+            columns.sh[part, 0] = self.colour_table[colours[:, :3], np.arange(3)]
+            if self.bands is not None and self.labels is not None:
+                columns.sh[part, 1:] = self.bands[self.labels[rows]]
+        return decoded(self.path, warn, columns, self.antialiased)
+
+
+def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
+    """Writes a bundled SOG scene of version 2; splats should be in space order."""
+    n = len(splats)
+    width = max(4, -(-int(np.ceil(np.sqrt(n))) // 4) * 4)
+    shape = (-(-max(n, 1) // width), width)
+    world = splats.positions + splats.origin
+    logarithms = np.sign(world) * np.log1p(np.abs(world))
+    lowest = logarithms.min(axis=0) if n else np.zeros(3)
+    highest = logarithms.max(axis=0) if n else np.zeros(3)
+    span = np.where(highest > lowest, highest - lowest, 1)
+    steps = np.rint((logarithms - lowest) / span * 65535).astype(np.uint16)
+    largest, others = smallest_three(np.roll(splats.orientations, 1, axis=1))
+    log_scales = np.log(np.maximum(splats.scales, np.finfo(np.float32).tiny))
+    scale_book, color_book = codebook(log_scales), codebook(splats.sh[:, 0])
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": "ROSplat"},
+        "count": n,
+        "means": {
+            "mins": lowest.tolist(),
+            "maxs": highest.tolist(),
+            "files": ["means_l.webp", "means_u.webp"],
+        },
+        "scales": {"codebook": scale_book.tolist(), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": color_book.tolist(), "files": ["sh0.webp"]},
+    }
+    if splats.antialiased:
+        meta |= {"antialias": True, "model": "antialiased"}  # as the specification and its writer
+    with zipfile.ZipFile(stream, "w") as bundle:
+
+        def add(name: str, columns: list[NDArray[Any]], shape: tuple[int, int] = shape) -> None:
+            pixels = np.zeros((shape[0] * shape[1], 4), np.uint8)
+            pixels[:, 3] = 255
+            for channel, column in enumerate(columns):
+                pixels[: len(column), channel] = column
+            data = io.BytesIO()
+            image = Image.fromarray(pixels.reshape(*shape, 4))
+            image.save(data, "WEBP", lossless=True, exact=True, quality=50, method=2)
+            bundle.writestr(name, data.getbuffer())
+
+        add("means_l.webp", list((steps & 255).T))
+        add("means_u.webp", list((steps >> 8).T))
+        add("quats.webp", [*to_bytes(255 * (others / SQRT2 + 0.5)).T, LARGEST_TAG + largest])
+        add("scales.webp", list(nearest(log_scales, scale_book).T))
+        colors = nearest(splats.sh[:, 0], color_book)
+        add("sh0.webp", [*colors.T, to_bytes(255 * splats.opacities)])
+        if n and splats.sh_degree > 0:
+            k = splats.sh.shape[1] - 1
+            size = min(LARGEST_PALETTE, 1 << n.bit_length() - 1)
+            vectors, labels = palette(splats.sh[:, 1:].reshape(n, -1), size)
+            book = codebook(vectors)
+            add(
+                "shN_centroids.webp",
+                list(nearest(vectors, book).reshape(-1, 3).T),
+                (-(-len(vectors) // PALETTE_PER_ROW), PALETTE_PER_ROW * k),
+            )
+            add("shN_labels.webp", [labels & 255, labels >> 8])
+            meta["shN"] = {
+                "count": len(vectors),
+                "bands": splats.sh_degree,
+                "codebook": book.tolist(),
+                "files": ["shN_centroids.webp", "shN_labels.webp"],
+            }
+        bundle.writestr(META, json.dumps(meta))
+
+
+class _Folder:
+    """Files side by side."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def size(self, name: str) -> int:
+        return size_of(self._folder / name)
+
+    def read(self, name: str) -> bytes:
+        return (self._folder / name).read_bytes()
+
+
+class _Zip:
+    """Files in a zip, stored or deflated."""
+
+    def __init__(self, bundle: zipfile.ZipFile) -> None:
+        self._bundle = bundle
+
+    def size(self, name: str) -> int:
+        info = self._bundle.getinfo(name)
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"compression method {info.compress_type}; only deflate can be read")
+        if info.file_size > unpackable(info.compress_size):
+            raise ValueError(f"{info.file_size:,} bytes, in {info.compress_size:,} packed ones")
+        return info.file_size
+
+    def read(self, name: str) -> bytes:
+        return self._bundle.read(name)
+
+
+class _Reader:
+    """Decodes one scene, given its files."""
+
+    def __init__(self, path: Path, files: _Folder | _Zip) -> None:
+        self._path = path
+        self._files = files
+        if self._size(META) > LARGEST_META:
+            raise SceneError(f"{path}: {META} has more than {LARGEST_META:,} bytes")
+        try:
+            self._meta = json.loads(self._file(META))
+        except (ValueError, RecursionError) as error:  # JSON or its encoding
+            if isinstance(error, SceneError):
+                raise
+            raise SceneError(f"{path}: broken {META}: {shown(error)}") from error
+        if not isinstance(self._meta, dict):
+            raise SceneError(f"{path}: {META} holds no fields")
+        self._version = self._meta.get("version", 1)  # which version 1 had not
+        if self._version not in (1, 2):
+            raise SceneError(
+                f"{path}: SOG version {shown(repr(self._version))} can't be read, only 1 and 2"
+            )
+
+    def read(self, progress: Progress, warn: Warn) -> Splats:
+        packed = self.unpack(progress)
+        return packed.splats(slice(0, len(packed)), warn)
+
+    def unpack(self, progress: Progress) -> Packed:
+        n = self.claims().splats
+        names = [
+            self._name(field, i)
+            for field, count in (("means", 2), ("quats", 1), ("scales", 1), ("sh0", 1))
+            for i in range(count)
+        ]
+        pictures = 4 * len(names) * n  # once unpacked [bytes]
+        claim(self._path, n, pictures, sum(self._size(name) for name in names))
+
+        lowest, highest = self._numbers("means", "mins", 3), self._numbers("means", "maxs", 3)
+        low, high = self._pixels("means", 0, n), self._pixels("means", 1, n)
+        steps = np.empty((n, 3), np.uint16)
+        for part in blocks(n):
+            steps[part] = high[part, :3].astype(np.uint16) << 8 | low[part, :3]
+        del low, high
+        progress(0.3)
+        quaternions = self._pixels("quats", 0, n)
+        progress(0.5)
+        scales = self._pixels("scales", 0, n)[:, :3].copy()
+        progress(0.7)
+        colours = self._pixels("sh0", 0, n)
+        table = self._table("sh0", 4 if self._version == 1 else 3)
+        opacity = sigmoid(table[:, 3]) if self._version == 1 else np.arange(256) / np.float32(255)
+        bands = self._palette() if self._has_bands() else None
+        with np.errstate(over="ignore"):  # whoever has such a scale is left out
+            scale_table = np.exp(self._table("scales", 3))
+        return Packed(
+            path=self._path,
+            antialiased=self._antialiased(),
+            lowest=lowest,
+            highest=highest,
+            steps=steps,
+            quaternions=quaternions,
+            scales=scales,
+            scale_table=scale_table,
+            colours=colours,
+            colour_table=table[:, :3],
+            opacity_table=opacity,
+            labels=None if bands is None else self._labels(n, len(bands)),
+            bands=bands,
+        )
+
+    def claims(self) -> Claims:
+        """What its meta.json says; of version 1, a picture's size tells the degree."""
+        if self._version == 1:
+            shape = self._field("means", "shape")
+            n, name = shape[0] if isinstance(shape, list) and shape else shape, "means.shape[0]"
+        else:
+            n, name = self._field("count"), "count"
+        if type(n) is not int or n < 0:  # true is an int, too
+            raise SceneError(
+                f"{self._path}: {name} is {shown(repr(n))}, expected a number of splats"
+            )
+        return Claims(n, self._sh_degree() if self._has_bands() else 0, self._antialiased())
+
+    def _antialiased(self) -> bool:
+        return self._meta.get("antialias") is True or self._meta.get("model") == "antialiased"
+
+    def _has_bands(self) -> bool:
+        return self._meta.get("shN") is not None
+
+    def _sh_degree(self) -> int:
+        """Of a scene with bands above 0."""
+        if self._version == 2:
+            degree = self._field("shN", "bands")
+            if type(degree) is not int or not 1 <= degree <= MAX_SH_DEGREE:
+                raise SceneError(f"{self._path}: shN.bands is {shown(repr(degree))}, not 1, 2 or 3")
+            return degree
+        width = self._picture("shN", 0).width
+        for degree in range(1, MAX_SH_DEGREE + 1):
+            if width == _palette_width(degree):
+                return degree
+        wanted = ", ".join(str(_palette_width(d)) for d in range(1, MAX_SH_DEGREE + 1))
+        raise SceneError(f"{self._path}: {self._name('shN', 0)} is {width} px wide, not {wanted}")
+
+    def _table(self, field: str, channels: int) -> NDArray[np.float32]:
+        """(256, channels) what the bytes of a field's channels stand for."""
+        if self._version == 2:
+            book = self._numbers(field, "codebook", 256)
+            return np.repeat(book[:, None], channels, axis=1).astype(np.float32)
+        count = 1 if field == "shN" else channels
+        lowest, highest = self._numbers(field, "mins", count), self._numbers(field, "maxs", count)
+        table = lowest + (highest - lowest) * (np.arange(256)[:, None] / 255)
+        return np.broadcast_to(table, (256, channels)).astype(np.float32)
+
+    def _palette(self) -> Floats:
+        """(colors, k - 1, 3) vectors of coefficients, which splats share."""
+        image = self._picture("shN", 0)
+        degree = self._sh_degree()
+        if image.width != (width := _palette_width(degree)):
+            name = self._name("shN", 0)
+            raise SceneError(f"{self._path}: {name} is {image.width} px wide, not {width}")
+        if image.height > LARGEST_PALETTE // PALETTE_PER_ROW:
+            raise SceneError(f"{self._path}: {self._name('shN', 0)} is {image.height:,} px high")
+        codes = self._decode(image, "shN", 0)[:, :3]
+        return self._table("shN", 3)[codes, np.arange(3)].reshape(
+            -1, sh_coefficients(degree) - 1, 3
+        )
+
+    def _labels(self, count: int, colours: int) -> NDArray[np.uint16]:
+        """(count,) which of a palette's colours each splat has."""
+        pixels = self._pixels("shN", 1, count)
+        labels = pixels[:, :2].copy().view("<u2")[:, 0]
+        if labels.max(initial=0) >= colours:
+            raise SceneError(
+                f"{self._path}: shN.files: label {labels.max()}, but {colours} centroids"
+            )
+        return labels
+
+    def _pixels(self, field: str, index: int, count: int) -> NDArray[np.uint8]:
+        """(count, 4) RGBA of one of a field's pictures."""
+        image = self._picture(field, index)
+        pixels = image.width * image.height
+        name = self._name(field, index)
+        if pixels < count:
+            raise SceneError(
+                f"{self._path}: {name} holds {pixels:,} pixels, fewer than {count:,} splats"
+            )
+        if pixels > max(4 * count, 1 << 16):  # a texture of a power of two, at most
+            raise SceneError(f"{self._path}: {name} holds {pixels:,} pixels for {count:,} splats")
+        return self._decode(image, field, index)[:count]
+
+    def _picture(self, field: str, index: int) -> Image.Image:
+        """A picture whose size is known, but not decoded yet."""
+        name = self._name(field, index)
+        data = io.BytesIO(self._file(name))
+        try:
+            return Image.open(data, formats=("WEBP", "PNG"))
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            reason = "no WebP or PNG" if isinstance(error, UnidentifiedImageError) else error
+            raise SceneError(f"{self._path}: {name} is no picture: {shown(reason)}") from error
+
+    def _decode(self, image: Image.Image, field: str, index: int) -> NDArray[np.uint8]:
+        try:
+            return np.asarray(image.convert("RGBA")).reshape(-1, 4)
+        except (OSError, SyntaxError, ValueError, EOFError, zlib.error) as error:
+            name = self._name(field, index)
+            raise SceneError(
+                f"{self._path}: {name} is a damaged picture: {shown(error)}"
+            ) from error
+
+    def _name(self, field: str, index: int) -> str:
+        files = self._field(field, "files")
+        if not isinstance(files, list) or len(files) <= index or not isinstance(files[index], str):
+            raise SceneError(f"{self._path}: {field}.files has no file name at {index}")
+        name: str = files[index]
+        if Path(name).name != name or "\0" in name or len(name) > LONGEST_NAME:
+            raise SceneError(
+                f"{self._path}: {shown(repr(name))} is not the name of a file beside {META}"
+            )
+        return name
+
+    def _size(self, name: str) -> int:
+        try:
+            return self._files.size(name)
+        except (OSError, KeyError, ValueError) as error:
+            raise SceneError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
+
+    def _file(self, name: str) -> bytes:
+        self._size(name)  # what is too large, or not a file
+        try:
+            return self._files.read(name)
+        except (
+            OSError, KeyError, EOFError, ValueError, RuntimeError, NotImplementedError,
+            zipfile.BadZipFile, zlib.error,
+        ) as error:  # fmt: skip
+            raise SceneError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
+
+    def _field(self, *names: str) -> Any:
+        value: Any = self._meta
+        for name in names:
+            if not isinstance(value, dict) or name not in value:
+                raise SceneError(f"{self._path}: no field {'.'.join(names)}")
+            value = value[name]
+        return value
+
+    def _numbers(self, field: str, name: str, count: int) -> NDArray[np.float64]:
+        try:
+            values = np.atleast_1d(np.asarray(self._field(field, name), np.float64))
+        except (TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, SceneError):
+                raise
+            values = np.empty(0)
+        if values.shape != (count,) or not np.isfinite(values).all():
+            raise SceneError(f"{self._path}: {field}.{name}: expected {count} finite numbers")
+        return values
+
+
+def _palette_width(degree: int) -> int:
+    """Of a palette's picture. [px]"""
+    return PALETTE_PER_ROW * (sh_coefficients(degree) - 1)
+
+
+def _reason(error: Exception) -> str:
+    """Why a file can't be read; an OSError's own text would name it once more."""
+    reason: str = shown(getattr(error, "strerror", None) or error)
+    return reason
+
+
+def _quaternions(rgba: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(n, 4) pixels to (n, 4) x, y, z, w; zero, and so dropped, where the tag is a reserved one."""
+    others = (rgba[:, :3] / np.float32(127.5) - 1) / SQRT2
+    largest = rgba[:, 3].astype(np.intp) - LARGEST_TAG
+    wxyz = largest_restored(largest & 3, others)
+    wxyz[largest < 0] = 0
+    return np.roll(wxyz, -1, axis=1)

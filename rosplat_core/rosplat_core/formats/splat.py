@@ -1,0 +1,84 @@
+"""The .splat of antimatter15's viewer: 32 bytes a splat, one after the other, and nothing else.
+
+    0   3 float32   position x y z
+    12  3 float32   scales, linear
+    24  4 bytes     R G B, opacity; 255 is 1
+    28  4 bytes     quaternion w x y z; 128 + 128 q
+
+All is little-endian. There are no spherical harmonics above band 0. After convert.py and main.js of
+github.com/antimatter15/splat. Nothing in such a file says what it is: its ending does.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from rosplat_core.formats.bounds import claim, size_of
+from rosplat_core.formats.decoded import (
+    AS_TRAINED,
+    SH_C0,
+    Axes,
+    Columns,
+    Progress,
+    Warn,
+    blocks,
+    decoded,
+)
+from rosplat_core.formats.quantised import to_bytes
+from rosplat_core.splats import SceneError, Splats
+
+NAME = ".splat"
+SUFFIX = ".splat"
+
+RECORD = np.dtype(
+    [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)]
+)
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Whether a path has the ending."""
+    return path.suffix.lower() == SUFFIX
+
+
+def axes(path: Path) -> Axes:
+    """Where a file's axes point."""
+    return AS_TRAINED
+
+
+def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+    """Reads a .splat file; its splats have SH degree 0."""
+    size = size_of(path)
+    n, rest = divmod(size, RECORD.itemsize)
+    if rest:
+        raise SceneError(f"{path}: {size:,} bytes are no whole number of splats, 32 bytes each")
+    claim(path, n, size, size)
+    columns = Columns.empty(n, 1)
+    positions, orientations, scales, opacities, sh = columns
+    with path.open("rb") as stream:
+        for part in blocks(n, progress):
+            rows = np.fromfile(stream, RECORD, part.stop - part.start)
+            if len(rows) < part.stop - part.start:
+                raise SceneError(f"{path}: became shorter while it was read")
+            positions[part] = rows["position"]
+            scales[part] = rows["scale"]
+            rgba = rows["rgba"] / np.float32(255)
+            opacities[part] = rgba[:, 3]
+            sh[part, 0] = (rgba[:, :3] - 0.5) / SH_C0
+            wxyz = rows["rotation"] / np.float32(128) - 1
+            orientations[part] = np.roll(wxyz, -1, axis=1)
+    return decoded(path, warn, columns)
+
+
+def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
+    """Writes splats without their higher bands; whether they are antialiased is lost, too."""
+    for part in blocks(len(splats)):
+        rows = np.empty(part.stop - part.start, RECORD)
+        rows["position"] = splats.positions[part] + splats.origin
+        rows["scale"] = splats.scales[part]
+        rows["rgba"][:, :3] = to_bytes(255 * (SH_C0 * splats.sh[part, 0] + 0.5))
+        rows["rgba"][:, 3] = to_bytes(255 * splats.opacities[part])
+        rows["rotation"] = to_bytes(128 + 128 * np.roll(splats.orientations[part], 1, axis=1))
+        stream.write(rows.tobytes())

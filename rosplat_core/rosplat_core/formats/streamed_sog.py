@@ -1,0 +1,266 @@
+"""Streamed SOG (PlayCanvas): levels of detail of each of many chunks of space, in a lod-meta.json.
+
+    lodLevels   how many levels there are at most; 0 is the finest
+    filenames   SOG scenes, relative to lod-meta.json, that the levels are parts of
+    tree        nodes with `children`, or chunks: `bound` {min, max} of its splats [m], and `lods`
+                {level: {file, offset, count}}: which splats of which file
+    environment a SOG scene around it all: a chunk of one level, where there is one
+
+As splat-transform writes it (read-lod.ts, write-lod.ts).
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import OrderedDict
+from concurrent.futures import CancelledError
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_core.formats import sog
+from rosplat_core.formats.bounds import size_of
+from rosplat_core.formats.decoded import AS_TRAINED, Axes, Progress, Warn
+from rosplat_core.log_text import shown
+from rosplat_core.slot_pages import MAX_SLOTS
+from rosplat_core.splats import SceneError, Splats, concatenate
+
+NAME = "streamed SOG"
+
+META = "lod-meta.json"
+LARGEST_META = 1 << 25  # [bytes]
+MOST_FILES = 100_000
+DEEPEST = 64  # of a tree; it halves space
+FARTHEST = 1e15  # that a bound may be [m]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Splats [offset, offset + count) of one of a scene's files."""
+
+    file: int
+    offset: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A part of space: its bounds, (3,) each [m], and its levels, the coarsest first."""
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    levels: tuple[Part, ...]
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """What a lod-meta.json says."""
+
+    path: Path
+    files: tuple[Path, ...]
+    chunks: tuple[Chunk, ...]
+    sh_degree: int
+    """The highest of its files."""
+
+    @property
+    def splats(self) -> int:
+        """Of all chunks at their finest."""
+        return sum(chunk.levels[-1].count for chunk in self.chunks)
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Whether a path is a lod-meta.json, or a folder that has only that."""
+    folder = (path / META).is_file() and not (path / sog.META).is_file()
+    return folder or path.name == META
+
+
+def axes(path: Path) -> Axes:
+    """Where a scene's axes point."""
+    return AS_TRAINED
+
+
+def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+    """Reads all chunks at their finest, where they fit into a map."""
+    scene = open_streamed(path)
+    if scene.splats > MAX_SLOTS:
+        raise SceneError(
+            f"{scene.path}: {scene.splats:,} splats; a map has at most {MAX_SLOTS:,}, "
+            "stream_publisher shows more"
+        )
+    pieces = Pieces(scene, warn)
+    parts = sorted((chunk.levels[-1] for chunk in scene.chunks), key=lambda p: (p.file, p.offset))
+    found = []
+    for number, part in enumerate(parts):
+        found.append(pieces.read(part))
+        progress((number + 1) / len(parts))
+    return concatenate(found)
+
+
+def open_streamed(path: Path) -> Streamed:
+    """Reads a lod-meta.json, and holds what it claims against its files' own meta.json.
+
+    Raises SceneError that names the file: for one that is missing or has fewer splats than a level
+    takes from it, and for a scene without a chunk.
+    """
+    path = path / META if path.is_dir() else path
+    try:
+        if size_of(path) > LARGEST_META:
+            raise SceneError(f"{path}: more than {LARGEST_META:,} bytes")
+        return _scene(path, json.loads(path.read_bytes()))
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+    except (
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        OverflowError,
+    ) as error:
+        if isinstance(error, SceneError):
+            raise
+        reason = shown(f"{type(error).__name__}: {error}")
+        raise SceneError(f"{path}: broken {META}: {reason}") from error
+
+
+def _scene(path: Path, meta: Any) -> Streamed:
+    if meta.get("version", 1) != 1:
+        raise SceneError(f"{path}: version {shown(repr(meta['version']))} can't be read, only 1")
+    names = meta["filenames"]
+    if not isinstance(names, list) or len(names) > MOST_FILES:
+        raise SceneError(f"{path}: filenames: expected a list of {MOST_FILES:,} names at most")
+    files = [_inside(path, name) for name in names]
+    chunks: list[Chunk] = []
+    nodes = [(meta["tree"], 0)]
+    while nodes:
+        node, depth = nodes.pop()
+        if depth > DEEPEST:
+            raise SceneError(f"{path}: tree: deeper than {DEEPEST}")
+        nodes += [(child, depth + 1) for child in node.get("children") or ()]
+        levels = [_part(path, level, node["lods"], len(names)) for level in _levels(node)]
+        levels = [part for part in levels if part.count]
+        if levels:
+            low, high = (np.array(node["bound"][end], np.float64) for end in ("min", "max"))
+            if low.shape != (3,) or high.shape != (3,) or not (low <= high).all():
+                raise SceneError(f"{path}: bound: expected min and max of three numbers")
+            if not (np.abs([low, high]) < FARTHEST).all():
+                raise SceneError(f"{path}: bound: a number is not finite, or beyond {FARTHEST:g} m")
+            chunks.append(Chunk(low, high, tuple(levels)))
+    if not chunks:
+        raise SceneError(f"{path}: holds no splats")
+    claims = _claims(files, chunks)
+    if meta.get("environment") is not None:
+        files.append(_inside(path, meta["environment"]))
+        claims.append(sog.claims(files[-1]))
+        low = np.min([chunk.low for chunk in chunks], axis=0)
+        high = np.max([chunk.high for chunk in chunks], axis=0)
+        if claims[-1].splats:
+            chunks.append(Chunk(low, high, (Part(len(files) - 1, 0, claims[-1].splats),)))
+    if len({claim.antialiased for claim in claims}) > 1:
+        raise SceneError(f"{path}: some of its files are antialiased, and some are not")
+    degree = max(claim.sh_degree for claim in claims)
+    return Streamed(path, tuple(files), tuple(chunks), degree)
+
+
+def _claims(files: list[Path], chunks: list[Chunk]) -> list[sog.Claims]:
+    """Of the files that chunks take something from, each of which has as much."""
+    ends = dict.fromkeys(range(len(files)), 0)
+    for chunk in chunks:
+        for part in chunk.levels:
+            ends[part.file] = max(ends[part.file], part.offset + part.count)
+    found = []
+    for file, end in ends.items():
+        if not end:
+            continue
+        claims = sog.claims(files[file])
+        if claims.splats < end:
+            raise SceneError(
+                f"{files[file]}: holds {claims.splats:,} splats, {META} wants {end:,} of it"
+            )
+        found.append(claims)
+    return found
+
+
+def _levels(node: Any) -> list[str]:
+    """Names of a node's levels, the coarsest first."""
+    return sorted(node.get("lods") or (), key=int, reverse=True)
+
+
+def _part(path: Path, level: str, lods: Any, files: int) -> Part:
+    numbers = {name: lods[level][name] for name in ("file", "offset", "count")}
+    for name, number in numbers.items():
+        most = files - 1 if name == "file" else MAX_SLOTS
+        if type(number) is not int or not 0 <= number <= most:  # true is an int, too
+            raise SceneError(
+                f"{path}: {name} of level {shown(level)} is {shown(repr(number))}, "
+                f"expected 0 to {most:,}"
+            )
+    return Part(**numbers)
+
+
+def _inside(path: Path, name: Any) -> Path:
+    """A file below lod-meta.json's folder."""
+    relative = Path(name)
+    outside = relative.is_absolute() or ".." in relative.parts
+    if outside or "\0" in name or len(name) > sog.LONGEST_NAME:
+        raise SceneError(f"{path}: {shown(repr(name))} is not a file below {META}")
+    return path.parent / relative
+
+
+class Pieces:
+    """Levels of chunks as splats. Files that were decoded lately are kept as they are packed.
+
+    For any thread; several decode several files at a time.
+    """
+
+    KEPT_BYTES = 1 << 28
+
+    def __init__(self, scene: Streamed, warn: Warn) -> None:
+        self._scene = scene
+        self._warn = warn
+        self._kept: OrderedDict[int, sog.Packed] = OrderedDict()
+        self._lock = threading.Lock()
+        self._decoding = [threading.Lock() for _ in scene.files]
+        self._closed = False
+
+    def read(self, part: Part) -> Splats:
+        """A level of a chunk, without what can't be drawn of it.
+
+        Raises SceneError that names the file that can't be read, and CancelledError after close().
+        """
+        path = self._scene.files[part.file]
+        try:
+            with self._decoding[part.file]:
+                packed = self._find(part.file) or self._keep(part.file, self._unpack(path))
+            return packed.splats(slice(part.offset, part.offset + part.count), self._warn)
+        except MemoryError as error:
+            raise SceneError(f"{path}: too large for this machine's memory") from error
+
+    def close(self) -> None:
+        """Ends what is being decoded."""
+        self._closed = True
+
+    def _unpack(self, path: Path) -> sog.Packed:
+        return sog.unpack(path, lambda fraction: self._go_on())
+
+    def _go_on(self) -> None:
+        if self._closed:
+            raise CancelledError
+
+    def _find(self, file: int) -> sog.Packed | None:
+        with self._lock:
+            if file in self._kept:
+                self._kept.move_to_end(file)
+            return self._kept.get(file)
+
+    def _keep(self, file: int, packed: sog.Packed) -> sog.Packed:
+        with self._lock:
+            self._kept[file] = packed
+            room = self.KEPT_BYTES - sum(kept.nbytes for kept in self._kept.values())
+            while room < 0 and len(self._kept) > 1:
+                room += self._kept.popitem(last=False)[1].nbytes
+            return packed

@@ -1,0 +1,11 @@
+"""Maps as receivers hold them, in C++: what a batch does to one, and what is pulled of it."""
+
+from __future__ import annotations
+
+from rosplat_core import _core
+
+Arrival = _core.Arrival
+BatchError = _core.BatchError
+GaussianMap = _core.GaussianMap
+MapPull = _core.MapPull
+decode_payload = _core.decode_payload

@@ -1,0 +1,48 @@
+"""The order in which a camera's splats are blended."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_core import _core
+from rosplat_core.cameras import Camera
+from rosplat_core.depth import INVISIBLE, splat_extents
+from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.slot_pages import SlotPages
+from rosplat_core.splats import Splats
+from rosplat_core.view import View, unmoved
+
+
+def depth_order(splats: Splats, camera: Camera, *, threads: int = 0) -> NDArray[np.uint32]:
+    """The splats that a camera may see, back to front, uint32 (m,); of equal depths, later first.
+
+    threads: to sort with, 0 for as many as the machine runs at once. The same as depth.order to the
+    bit. Raises CameraError for a camera that float32 can't hold.
+    """
+    pages = SlotPages()
+    pages.add(pages.touched(slice(0, len(splats))), group=0)
+    positions = np.zeros((pages.rows, 3), np.float32)
+    positions[: len(splats)] = splats.positions
+    extents = np.full(pages.rows, INVISIBLE, np.float32)
+    extents[: len(splats)] = splat_extents(splats.scales, splats.opacities)
+    view = View.of(
+        PosedCamera(
+            position=tuple(camera.position.tolist()),
+            orientation=tuple(camera.orientation.tolist()),
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
+            width=camera.width,
+            height=camera.height,
+            near_clip=camera.near,
+            far_clip=camera.far,
+            orthographic=camera.orthographic,
+        ),
+        unmoved(splats.origin),
+    )
+    sorter = _core.DepthOrder(threads)
+    return sorter.sort(
+        view, positions, extents, pages.table, lambda count: np.empty(count, np.uint32)
+    )

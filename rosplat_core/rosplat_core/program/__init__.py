@@ -1,0 +1,1 @@
+"""How programs speak and write files."""

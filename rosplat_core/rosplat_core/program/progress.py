@@ -1,0 +1,27 @@
+"""How far something is, for who watches a terminal; elsewhere nothing is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from tqdm import tqdm
+
+from rosplat_core.formats import Progress
+
+
+def bar(what: str, total: float = 1.0) -> tqdm[None]:
+    """A bar that goes when its block ends."""
+    form = "{desc}: {percentage:3.0f}%|{bar}|"
+    return tqdm(desc=what, total=total, bar_format=form, disable=None, leave=False)
+
+
+@contextmanager
+def watched(what: str) -> Iterator[Progress]:
+    """A bar for what tells its progress, 0 to 1."""
+    with bar(what) as shown:
+
+        def tell(part: float) -> None:
+            shown.update(part - shown.n)
+
+        yield tell

@@ -1,0 +1,122 @@
+"""Pictures of maps, drawn by the processor: exact, and without a graphics card.
+
+Kerbl et al. 2023 as gsplat draws it: 0.3 px^2 are added to each splat's covariance in the picture,
+splats end where their alpha is 1/255, a pixel ends where less than 1e-4 of it is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_core import _core
+from rosplat_core.cameras import Camera
+from rosplat_core.splats import Splats
+
+Antialiasing = _core.Antialiasing
+ChannelColours = _core.ChannelColours
+ClipBox = _core.ClipBox
+Contributions = _core.Contributions
+DrawMode = _core.DrawMode
+Instructions = _core.Instructions
+OrderSource = _core.OrderSource
+Rasterizer = _core.Rasterizer
+RenderSettings = _core.RenderSettings
+SplatCamera = _core.SplatCamera
+
+MOST_PSNR = 150.0  # what equal pictures count as in JSON, which knows no infinity [dB]
+
+REPLACE, UPSERT, DELETE = range(3)
+BATCH_BYTES = 8_000_000  # as publishers send them
+MAP = "map"
+
+_NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)
+
+
+class CpuRenderer(_core.CpuRenderer):
+    """Holds a map in memory, of which it draws pictures. One thread at a time."""
+
+    def __init__(
+        self,
+        splats: Splats | None = None,
+        *,
+        threads: int = 0,
+        instructions: _core.Instructions = Instructions.BEST,
+    ) -> None:
+        """threads: to draw with, 0 for as many as the machine runs at once. instructions: of the
+        processor's vectors, the best that it has.
+        """
+        super().__init__(threads, instructions)
+        if splats is not None:
+            insert_all(self, splats)
+
+    def render(self, camera: Camera) -> NDArray[np.float32]:
+        """What a camera sees: premultiplied RGBA over nothing, float32 (height, width, 4)."""
+        colour: NDArray[np.float32] = self.draw(posed(camera))["colour"]
+        return colour
+
+
+def render(splats: Splats, camera: Camera) -> NDArray[np.float32]:
+    """A picture of splats: premultiplied RGBA over nothing, float32 (height, width, 4).
+
+    Who draws several pictures of the same splats keeps a CpuRenderer.
+    """
+    return CpuRenderer(splats).render(camera)
+
+
+def pose(camera: Camera) -> tuple[Any, ...]:
+    """A camera's numbers, as SplatCamera takes them."""
+    return (
+        tuple(camera.position.tolist()), tuple(camera.orientation.tolist()),
+        int(camera.orthographic), camera.fx, camera.fy, camera.cx, camera.cy,
+        camera.width, camera.height, camera.near, camera.far,
+    )  # fmt: skip
+
+
+def posed(camera: Camera) -> _core.SplatCamera:
+    """A camera as CpuRenderer takes it."""
+    return SplatCamera(*pose(camera))
+
+
+# --- Splats to what takes batches: a CpuRenderer, a GaussianMap, the plugin's Renderer -----------
+
+
+def batches(splats: Splats) -> Iterator[slice]:
+    """The batches in which a publisher would send them."""
+    step = max(1, BATCH_BYTES * len(splats) // max(1, splats.nbytes))
+    for start in range(0, len(splats), step):
+        yield slice(start, min(start + step, len(splats)))
+
+
+def insert(renderer: Any, splats: Splats, part: slice, revision: int) -> None:
+    """Gives a renderer a part of the splats, of slots alike; revision 1 begins the map."""
+    renderer.apply(
+        REPLACE if revision == 1 else UPSERT, part.start, part.stop - part.start, _NO_SLOTS,
+        splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),
+        splats.positions[part].ravel(), splats.orientations[part].ravel(),
+        splats.scales[part].ravel(), splats.opacities[part], splats.sh[part].ravel(),
+        MAP, revision, len(splats),
+    )  # fmt: skip
+
+
+def insert_all(renderer: Any, splats: Splats) -> int:
+    """Gives a renderer a map, batch by batch; returns the last one's revision."""
+    revision = 0
+    for revision, part in enumerate(batches(splats), 1):
+        insert(renderer, splats, part, revision)
+    return revision
+
+
+def edit(
+    renderer: Any, operation: int, slots: NDArray[np.integer], splats: Splats, revision: int
+) -> None:
+    """UPSERT: writes splats to these slots. DELETE: empties them; of no splats."""
+    renderer.apply(
+        operation, 0, len(slots), slots.astype(np.uint32),
+        splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),
+        splats.positions.ravel(), splats.orientations.ravel(),
+        splats.scales.ravel(), splats.opacities, splats.sh.ravel(), MAP, revision,
+    )  # fmt: skip

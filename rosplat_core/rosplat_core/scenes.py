@@ -1,0 +1,83 @@
+"""A scene by the name that a user gives it: a path, procedural:COUNT (a garden) or rooms:COUNT."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from rosplat_core import formats
+from rosplat_core.formats import Progress, Warn
+from rosplat_core.generated import generate
+from rosplat_core.slot_pages import MAX_SLOTS
+from rosplat_core.splats import SceneError, Splats
+
+PROCEDURAL = "procedural:"
+ROOMS = "rooms:"
+GENERATED = {PROCEDURAL: "garden", ROOMS: "rooms"}
+
+NAMES = (
+    ".ply, .compressed.ply, .spz, .sog, a SOG folder, .splat, .ksplat, .npz, "
+    "procedural:COUNT[:SEED] or rooms:COUNT[:SEED]"
+)
+
+
+def is_generated(name: str) -> bool:
+    """Whether a scene's name asks for one to be generated, and is no file's."""
+    return name.startswith(tuple(GENERATED))
+
+
+def check_scene(name: str) -> None:
+    """Raises SceneError, before other work, for a file that isn't there."""
+    try:
+        if not is_generated(name):
+            Path(name).stat()
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{name}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def vertical(name: str) -> tuple[float, float, float] | None:
+    """Which way is up in a scene's coordinates, where its format fixes that.
+
+    Raises SceneError for a file that isn't there, or is no scene.
+    """
+    return (0.0, 0.0, 1.0) if is_generated(name) else formats.axes(name).up
+
+
+def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:
+    """Reads a scene to be shown; as read_scene, but raises SceneError for one without a splat."""
+    splats = read_scene(name, progress, warn)
+    if len(splats) == 0:
+        raise SceneError(f"{name}: holds no splats")
+    return splats
+
+
+def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
+    """Reads a scene file, or generates COUNT splats; as formats.load.
+
+    Raises SceneError, also for more splats than a map or this machine's memory holds.
+    """
+    if is_generated(name):
+        return _generated(name, progress)
+    splats = formats.load(name, progress, warn)
+    _check(name, len(splats))
+    return splats
+
+
+def _generated(name: str, progress: Progress) -> Splats:
+    kind, _, numbers = name.partition(":")
+    match = re.fullmatch(r"(\d{1,18})(?::(\d{1,18}))?", numbers)
+    if not match:
+        raise SceneError(f"{name}: expected {kind}:COUNT[:SEED]")
+    count, seed = (int(number or 0) for number in match.groups())
+    _check(name, count)
+    try:
+        return generate(count, seed, progress=progress, scene=GENERATED[f"{kind}:"])
+    except SceneError as error:
+        raise SceneError(f"{name}: {error}") from error
+    except MemoryError as error:
+        raise SceneError(f"{name}: too large for this machine's memory") from error
+
+
+def _check(name: str, count: int) -> None:
+    if count > MAX_SLOTS:
+        raise SceneError(f"{name}: {count:,} splats; a map has at most {MAX_SLOTS:,}")

@@ -1,0 +1,25 @@
+"""Fewer splats that look the same."""
+
+from __future__ import annotations
+
+from rosplat_core.splats import SceneError, Splats
+
+
+def simplify(splats: Splats, *, psnr: float | None = None, max_splats: int | None = None) -> Splats:
+    """The fewest splats whose pictures have a PSNR of `psnr`, or at most `max_splats` of them.
+
+    Neighbours that look most like one are merged, those first that views from in and around the map
+    miss least. psnr: of other views, against the map as it is [dB]. Raises SceneError unless one of
+    the two is given, and it is positive.
+    """
+    from rosplat_core.simplification.search import Simplification  # scipy takes its time
+
+    bound = psnr if max_splats is None else max_splats
+    if bound is None or (psnr is None) == (max_splats is None) or not bound > 0:
+        raise SceneError(f"simplify: give psnr or max_splats, above 0; got {psnr} and {max_splats}")
+    work = Simplification(splats)
+    if psnr is not None:
+        work.shrink(psnr)
+    elif max_splats is not None:
+        work.reduce(max_splats)
+    return work.splats

@@ -1,0 +1,388 @@
+"""Merging of neighbours: which two splats look most like one, and the one that takes their place.
+
+Pairs are merged by their moments, weighted by what each contributes to pictures. What that costs is
+the squared error of the pair's field against the merged splat's, in closed form, seen along the
+three axes (L2 of mixtures: Jian and Vemuri 2011), in units of what pictures change without each of
+the two. Where leaving one out costs less, it is left out. Knows no renderer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from rosplat_core.harmonics import C0
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.splats import LOW_PASS, Splats, concatenate
+
+Array = NDArray[np.floating[Any]]
+Indices = NDArray[np.intp]
+
+NEIGHBOURS = 4  # that a splat may be merged with; 16 gain 0.3 dB
+MOST = 0.25  # of the splats that go before neighbours are looked for again
+INEXACT = 0.1  # part of what leaving one of a pair out costs that merging it costs at least
+CHUNK = 1 << 15  # pairs, or splats, whose arrays stay in the cache
+BLOCK = 1 << 13  # pairs that are merged at a time
+LARGEST = 1e15  # variance whose square a 32-bit float holds [px^2]
+LEAST = 1e-12  # of areas and weights that are divided by
+
+
+@dataclass(frozen=True)
+class Contributions:
+    """What each splat is to pictures: (n,) sums over their pixels."""
+
+    weight: NDArray[np.float64]
+    """Of alpha x transmittance: of how many pixels it is the colour."""
+    energy: NDArray[np.float64]
+    """Of the squares of these."""
+    error: NDArray[np.float64]
+    """Of the squares by which red, green and blue change without it."""
+
+    def __getitem__(self, index: slice | Indices | NDArray[np.bool_]) -> Contributions:
+        """Those of the splats that a slice, an index array or a mask picks."""
+        return Contributions(self.weight[index], self.energy[index], self.error[index])
+
+    @classmethod
+    def concatenate(cls, parts: list[Contributions]) -> Contributions:
+        """Those of some splats after those of others."""
+        none = np.zeros(0)
+        return cls(
+            np.concatenate([none, *(part.weight for part in parts)]),
+            np.concatenate([none, *(part.energy for part in parts)]),
+            np.concatenate([none, *(part.error for part in parts)]),
+        )
+
+    def contrast(self) -> NDArray[np.float64]:
+        """(n,) mean square by which a splat differs from what is behind it."""
+        contrast: NDArray[np.float64] = self.error / np.maximum(self.energy, LEAST * LEAST)
+        return contrast
+
+
+class Pairs:
+    """Splats to be merged, no splat in two pairs, those first that are missed least.
+
+    What is its own partner is to be left out. What takes the place of the others is worked out when
+    it is asked for: most of it never is.
+    """
+
+    def __init__(
+        self,
+        splats: Splats,
+        contributions: Contributions,
+        first: Indices,
+        second: Indices,
+        costs: Array,
+        pixel: float,
+    ) -> None:
+        self.first, self.second = first, second
+        self.costs = costs
+        """About the sum of the squares by which pictures change."""
+        self._splats, self._contributions, self._pixel = splats, contributions, pixel
+        self._two = np.flatnonzero(first != second)
+        self._blocks: list[tuple[Splats, Contributions]] = []
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def merged(self, begin: int, end: int) -> tuple[Indices, Splats, Contributions]:
+        """What pairs of a range become: the first splat of each, and what takes its place."""
+        begin, end = np.searchsorted(self._two, [begin, end])
+        blocks = range(len(self._blocks), -(-end // BLOCK))
+        with ThreadPoolExecutor() as pool:
+            self._blocks.extend(pool.map(self._block, blocks))
+        parts = []
+        for start, (splats, contributions) in zip(range(0, end, BLOCK), self._blocks, strict=False):
+            if start + BLOCK > begin:
+                rows = slice(max(begin - start, 0), end - start)
+                parts.append((splats[rows], contributions[rows]))
+        return (
+            self.first[self._two[begin:end]],
+            concatenate([splats for splats, _ in parts] or [self._splats[:0]]),
+            Contributions.concatenate([contributions for _, contributions in parts]),
+        )
+
+    def _block(self, number: int) -> tuple[Splats, Contributions]:
+        pairs = self._two[BLOCK * number : BLOCK * (number + 1)]
+        one, other = self.first[pairs], self.second[pairs]
+        return combine(
+            self._splats[one], self._splats[other],
+            self._contributions[one], self._contributions[other], self._pixel,
+        )  # fmt: skip
+
+
+def areas(splats: Splats) -> NDArray[np.float64]:
+    """(n,) mean of the squares of an ellipsoid's three projected sizes, its root. [m^2]"""
+    x, y, z = (splats.scales.astype(np.float64) ** 2).T
+    mean: NDArray[np.float64] = np.sqrt((x * y + y * z + z * x) / 3)
+    return mean
+
+
+def find_pairs(
+    splats: Splats,
+    contributions: Contributions,
+    pixel: float,
+    progress: Callable[[float], None] = lambda part: None,
+) -> Pairs:
+    """Pairs of neighbours for a map's next round, at most MOST of its splats.
+
+    pixel: size of one where the map is [m]; what is smaller is blurred by the low-pass filter of
+    the renderer, and costs little.
+    """
+    count = len(splats)
+    if count < 2:
+        none = np.zeros(0, np.intp)
+        return Pairs(splats, contributions, none, none, np.zeros(0), pixel)
+    low, high = _neighbours(splats.positions)
+    progress(0.4)
+    field = _Field.of(splats, contributions, pixel)
+    progress(0.6)
+    costs = np.concatenate(_in_chunks(len(low), lambda part: field.cost(low[part], high[part])))
+    progress(0.8)
+    alone = np.arange(count)
+    low, high = np.concatenate([low, alone]), np.concatenate([high, alone])
+    costs = np.concatenate([costs, field.errors])
+    chosen = _disjoint(low, high, costs, count, max(1, int(MOST * count)))
+    return Pairs(splats, contributions, low[chosen], high[chosen], costs[chosen], pixel)
+
+
+def merge(
+    splats: Splats, contributions: Contributions, pairs: Pairs, count: int
+) -> tuple[Splats, Contributions]:
+    """A map in which the first count pairs are merged or left out, and what it contributes."""
+    kept = np.ones(len(splats), bool)
+    kept[pairs.second[:count]] = False
+    first, merged, found = pairs.merged(0, count)
+    where = (np.cumsum(kept) - 1)[first]
+    splats, contributions = splats[kept], contributions[kept]
+    for name in ("positions", "orientations", "scales", "opacities", "sh"):
+        getattr(splats, name)[where] = getattr(merged, name)
+    for name in ("weight", "energy", "error"):
+        getattr(contributions, name)[where] = getattr(found, name)
+    return splats, contributions
+
+
+def combine(
+    one: Splats, other: Splats, of_one: Contributions, of_other: Contributions, pixel: float
+) -> tuple[Splats, Contributions]:
+    """Each of some splats and another as one, and what that contributes."""
+    weight = of_one.weight + of_other.weight
+    share = (of_other.weight + LEAST) / (weight + 2 * LEAST)
+    apart = (other.positions - one.positions).astype(np.float64)
+    covariances = [_covariances(one), _covariances(other)]
+    covariances.append(_mixed(covariances[0], covariances[1], apart, share))
+    variances, axes = np.linalg.eigh(covariances[2][:, _FULL].reshape(-1, 3, 3))
+    axes[:, :, 0] *= np.linalg.det(axes)[:, None]  # no reflection
+    merged = replace(
+        one,
+        positions=(one.positions + share[:, None] * apart).astype(np.float32),
+        scales=np.sqrt(np.maximum(variances, 0)),
+        orientations=Rotation.from_matrix(axes).as_quat(),
+        sh=one.sh + share[:, None, None] * (other.sh - one.sh),
+    )
+    covered = one.opacities * areas(one) + other.opacities * areas(other)
+    area = np.maximum(areas(merged), LEAST * LEAST)
+    merged = replace(merged, opacities=np.clip(covered / area, 0, 1))
+
+    fields = [_alone(_blurred(covariance, pixel)) for covariance in covariances]
+    amplitude = np.sqrt(of_one.energy / fields[0]) + np.sqrt(of_other.energy / fields[1])
+    energy: NDArray[np.float64] = amplitude**2 * fields[2]
+    contrast = of_one.contrast() + share * (of_other.contrast() - of_one.contrast())
+    return merged, Contributions(weight, energy, contrast * energy)
+
+
+def _neighbours(positions: NDArray[np.float32]) -> tuple[Indices, Indices]:
+    """Each splat and the nearest to it, by number the lower and the higher, no pair twice."""
+    count = len(positions)
+    tree = cKDTree(positions, balanced_tree=False)
+    most = min(NEIGHBOURS + 1, count)
+    found = _in_chunks(count, lambda part: tree.query(positions[part], most)[1].astype(np.int32))
+    nearest = np.concatenate(found)
+
+    def pairs(part: slice) -> NDArray[np.int32]:
+        one = np.arange(part.start, part.stop, dtype=np.int32)[:, None]
+        other = nearest[part]
+        mutual = (nearest[other] == one[..., None]).any(axis=2)
+        once = (one < other) | ((one > other) & ~mutual)
+        return np.stack([np.minimum(one, other)[once], np.maximum(one, other)[once]])
+
+    low, high = np.concatenate(_in_chunks(count, pairs), axis=1).astype(np.intp)
+    return low, high
+
+
+def _in_chunks(count: int, work: Callable[[slice], Any]) -> list[Any]:
+    """What work gives for each part of count things, in order, in as many threads as cores.
+
+    An interrupt waits for them, where libraries' own would go on with memory that is gone.
+    """
+    chunks = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(work, chunks))
+
+
+@dataclass(frozen=True)
+class _Field:
+    """What pairs are compared by, single precision."""
+
+    positions: Array
+    covariances: Array  # (n, 6), with the low-pass filter
+    weights: Array
+    amplitudes: Array  # what the integral of each splat's Gaussian is taken times
+    contrasts: Array
+    errors: Array
+    colours: Array
+    alone: Array  # (n,) integral of the square of each splat's Gaussian
+
+    @classmethod
+    def of(cls, splats: Splats, contributions: Contributions, pixel: float) -> _Field:
+        # In pixels from the middle: areas in metres may be beyond 32-bit floats.
+        middle = splats.positions.mean(axis=0)
+
+        def part_of(part: slice) -> tuple[Array, ...]:
+            some, found = splats[part], contributions[part]
+            covariances = _blurred(_covariances(some), pixel)
+            alone = _alone(covariances)
+            return (
+                (some.positions - middle) / np.float32(pixel),
+                covariances,
+                found.weight.astype(np.float32),
+                np.sqrt(found.energy / alone).astype(np.float32),
+                found.contrast().astype(np.float32),
+                found.error.astype(np.float32),
+                np.float32(C0) * some.sh[:, 0],
+                alone,
+            )
+
+        parts = _in_chunks(len(splats), part_of)
+        return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+    def cost(self, i: Indices, j: Indices) -> Array:
+        """(m,) squared errors of merging splats i (m,) with splats j (m,)."""
+        of_i, of_j = self.amplitudes[i], self.amplitudes[j]
+        total = of_i + of_j
+        weighs_i, weighs_j = (
+            self.weights[i] + np.float32(LEAST),
+            self.weights[j] + np.float32(LEAST),
+        )
+        share = weighs_j / (weighs_i + weighs_j)
+        apart = self.positions[j] - self.positions[i]
+        one, other = self.covariances[i], self.covariances[j]
+        merged = _mixed(one, other, apart, share)
+        both = _overlap(apart, one + other)
+        shape = of_i**2 * self.alone[i] + of_j**2 * self.alone[j] + 2 * of_i * of_j * both
+        shape += total**2 * _alone(merged)
+        shape -= 2 * total * of_i * _overlap(share[:, None] * apart, one + merged)
+        shape -= 2 * total * of_j * _overlap((1 - share)[:, None] * apart, other + merged)
+        contrast = self.contrasts[i] + share * (self.contrasts[j] - self.contrasts[i])
+        differ = ((self.colours[j] - self.colours[i]) ** 2).sum(axis=1)
+        differs_i, differs_j = share * of_i, (1 - share) * of_j
+        colour = differs_i**2 * self.alone[i] + differs_j**2 * self.alone[j]
+        colour -= 2 * differs_i * differs_j * both
+        costs: Array = contrast * np.maximum(shape, 0) + differ * np.maximum(colour, 0)
+        return costs + np.float32(INEXACT) * np.minimum(self.errors[i], self.errors[j])
+
+
+def _disjoint(low: Indices, high: Indices, costs: Array, count: int, most: int) -> Indices:
+    """Takes the cheapest pair of all that are left, again and again; returns which, in order."""
+    enough = count  # of the cheapest, among which there may be most
+    while True:
+        if enough < len(costs):
+            cheap = np.flatnonzero(costs <= np.partition(costs, enough)[enough])
+        else:
+            cheap = np.arange(len(costs))
+        order = cheap[_ascending(costs[cheap])]
+        taken = _first_disjoint(low[order], high[order], count)
+        if len(taken) >= most or len(order) == len(costs):
+            chosen: Indices = order[taken[:most]]
+            return chosen
+        enough *= 2
+
+
+def _ascending(values: NDArray[np.float32]) -> Indices:
+    """Which come in what order, of values that aren't negative; equal ones by their places.
+
+    Bits of such floats are ordered as they are, and numbers are sorted faster than places.
+    """
+    keys = (values + np.float32(0)).view(np.uint32).astype(np.uint64) << np.uint64(32)
+    keys |= np.arange(len(values), dtype=np.uint64)
+    keys.sort()
+    return (keys & np.uint64(0xFFFFFFFF)).astype(np.intp)
+
+
+def _first_disjoint(low: Indices, high: Indices, count: int) -> Indices:
+    """Pairs that share no splat with one before that is taken: which, in order."""
+    rank = np.arange(len(low))
+    taken = []
+    free = np.ones(count, bool)
+    best = np.empty(count, np.intp)
+    while len(rank):
+        best[low] = best[high] = rank[-1]
+        np.minimum.at(best, low, rank)
+        np.minimum.at(best, high, rank)
+        ours = (best[low] == rank) & (best[high] == rank)
+        taken.append(rank[ours])
+        free[low[ours]] = free[high[ours]] = False
+        left = free[low] & free[high]
+        low, high, rank = low[left], high[left], rank[left]
+    return np.sort(np.concatenate(taken))
+
+
+# Symmetric matrices are kept as xx, yy, zz, xy, xz, yz.
+_ROWS, _COLUMNS = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+_FULL = [0, 3, 4, 3, 1, 5, 4, 5, 2]
+_PLANES = ((0, 1, 3), (0, 2, 4), (1, 2, 5))  # two axes, and where their mixed term is
+
+
+def _covariances(splats: Splats) -> Array:
+    """(n, 6) covariances. [m^2]"""
+    axes = to_matrices(splats.orientations) * splats.scales[:, None, :]
+    rows = np.ascontiguousarray(axes.transpose(1, 2, 0))
+    covariances: Array = np.stack(
+        [(rows[i] * rows[j]).sum(axis=0) for i, j in zip(_ROWS, _COLUMNS, strict=True)], axis=1
+    )
+    return covariances
+
+
+def _mixed(one: Array, other: Array, apart: Array, share: Array) -> Array:
+    """(n, 6) covariances of mixtures of two; share: the other's."""
+    part = share[:, None]
+    outer = apart[:, _ROWS] * apart[:, _COLUMNS]
+    mixed: Array = one + part * (other - one) + part * (1 - part) * outer
+    return mixed
+
+
+def _blurred(covariances: Array, pixel: float) -> Array:
+    """(n, 6) in pixels, with the renderer's low-pass filter. [px^2]"""
+    blurred: Array = np.clip(covariances / pixel**2, -LARGEST, LARGEST).astype(np.float32)
+    blurred[:, :3] += LOW_PASS
+    return blurred
+
+
+def _alone(covariances: Array) -> Array:
+    """(n,) integrals of the squares of Gaussians of unit mass, seen along three axes."""
+    sums = np.zeros(len(covariances), np.float32)
+    for x, y, mixed in _PLANES:
+        xx, yy, xy = covariances[:, x], covariances[:, y], covariances[:, mixed]
+        sums += 0.5 / np.sqrt(np.maximum(xx * yy - xy * xy, np.float32(LOW_PASS**2)))
+    return sums
+
+
+def _overlap(apart: Array, covariances: Array) -> Array:
+    """(n,) integrals of the products of two Gaussians of unit mass, seen along three axes.
+
+    covariances: (n, 6) sums of the two's; apart: (n, 3) from one to the other.
+    """
+    sums = np.zeros(len(apart), np.float32)
+    for x, y, mixed in _PLANES:
+        xx, yy, xy = covariances[:, x], covariances[:, y], covariances[:, mixed]
+        dx, dy = apart[:, x], apart[:, y]
+        determinant = np.maximum(xx * yy - xy * xy, np.float32(LOW_PASS**2))
+        distance = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant
+        sums += np.exp(np.float32(-0.5) * distance) / np.sqrt(determinant)
+    return sums

@@ -1,0 +1,254 @@
+"""The smallest map that still looks like a given one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_core.cameras import Camera
+from rosplat_core.rendering import (
+    DELETE,
+    MOST_PSNR,
+    UPSERT,
+    CpuRenderer,
+    SplatCamera,
+    edit,
+    insert_all,
+    posed,
+)
+from rosplat_core.rendering import (
+    Contributions as Sums,
+)
+from rosplat_core.simplification.merging import (
+    Contributions,
+    Indices,
+    Pairs,
+    areas,
+    find_pairs,
+    merge,
+)
+from rosplat_core.simplification.views import FOCAL, HEIGHT, WIDTH, views, whereabouts
+from rosplat_core.splats import Splats
+
+LEARNT = 24  # views that contributions are found in, of half the size: more gain more than larger
+CHECKED = 8  # other views, which maps are held to
+SEEDS = (0, 1)  # of these
+UNSEEN = 0.03  # transmittance that each splat counts as seen through beside what views see of it
+CONTRAST = 0.09  # mean square by which what no view sees counts as different from what is behind it
+LEAST = 1e-30  # error whose logarithm is taken
+CLOSE = 0.01  # part of a map's splats up to which the smallest is looked for
+NEAR = 0.2  # or above the bound [dB]
+ALIKE = 3.0  # PSNR of maps that differ most in the same views [dB]
+TELLING = 3  # views that tell of all, once these were seen
+COHERENT = 0.9  # logarithm of how many times their sum errors of neighbours are, to begin with
+
+Progress = Callable[[str, float], None]
+"""Hears what is being done, and how much of that, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How far a map's pictures are from those of the map that it was made from. [dB]"""
+
+    psnr: float
+    """Of all views together."""
+    worst: float
+    """Of the view that differs most."""
+
+    @classmethod
+    def of(cls, errors: NDArray[np.float64]) -> Quality:
+        """That of mean squares by which views differ."""
+        return cls(_decibels(float(errors.mean())), _decibels(float(errors.max())))
+
+
+@dataclass(frozen=True)
+class Step:
+    """A map that was tried."""
+
+    splats: int
+    quality: Quality
+
+
+class Judge:
+    """Holds maps against pictures of another, from views of its own."""
+
+    def __init__(self, trial: Trial, cameras: list[Camera]) -> None:
+        self._poses = [posed(camera) for camera in cameras]
+        self._pictures = [_clipped(trial.renderer, camera) for camera in self._poses]
+
+    def __call__(self, splats: Splats) -> Quality:
+        """PSNR of what a screen shows, over black."""
+        return Quality.of(self.errors(Trial(splats)))
+
+    def errors(self, trial: Trial, which: Indices | None = None) -> NDArray[np.float64]:
+        """Mean squares by which pictures differ, of some of the views, or all."""
+        views = range(len(self._poses)) if which is None else which
+        return np.array(
+            [
+                np.mean(np.square(_clipped(trial.renderer, self._poses[i]) - self._pictures[i]))
+                for i in views
+            ]
+        )
+
+
+class Trial:
+    """A map in a renderer, with more or fewer of its pairs merged. Only these are sent."""
+
+    def __init__(self, splats: Splats) -> None:
+        self.splats = splats
+        self.renderer = CpuRenderer()
+        self._revision = insert_all(self.renderer, splats)
+        self._count = 0
+
+    def merge(self, pairs: Pairs, count: int) -> None:
+        """Merges the first count of the map's pairs, and no other."""
+        before, self._count = self._count, count
+        if count > before:
+            first, merged, _ = pairs.merged(before, count)
+            self._edit(UPSERT, first, merged)
+            self._edit(DELETE, pairs.second[before:count], self.splats[:0])
+        else:
+            apart = slice(count, before)
+            slots = np.unique(np.concatenate([pairs.first[apart], pairs.second[apart]]))
+            self._edit(UPSERT, slots, self.splats[slots])
+
+    def _edit(self, operation: int, slots: Indices, splats: Splats) -> None:
+        if len(slots):
+            self._revision += 1
+            edit(self.renderer, operation, slots, splats, self._revision)
+
+
+def contributions(trial: Trial, cameras: list[Camera], progress: Progress) -> Contributions:
+    """What each splat is to the views' pictures.
+
+    And a little for what none of them sees: other views will.
+    """
+    splats = trial.splats
+    found = Sums()
+    for number, camera in enumerate(cameras):
+        progress("finding what contributes", number / len(cameras))
+        trial.renderer.contribute(posed(camera), found)
+    picture = cameras[0].width * cameras[0].height
+    pixel = whereabouts(splats).radius / cameras[0].fx  # [m]
+    unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixel**2, picture)
+    weight = len(cameras) * UNSEEN * unhidden
+    energy = weight * UNSEEN * splats.opacities / 2  # a Gaussian's squares have half its integral
+    part = slice(len(splats))
+    return Contributions(
+        found.weight[part] + weight,
+        found.energy[part] + energy,
+        found.error[part] + CONTRAST * energy,
+    )
+
+
+class Simplification:
+    """A map on its way to fewer splats, and what was tried."""
+
+    def __init__(self, splats: Splats, progress: Progress = lambda what, part: None) -> None:
+        """Looks at the map."""
+        self.splats = splats
+        self.steps: list[Step] = []
+        self._progress = progress
+        self._trial: Trial | None = Trial(splats)
+        self._pixel = whereabouts(splats).radius / FOCAL  # [m]
+        learnt = views(splats, LEARNT, SEEDS[0], WIDTH // 2, HEIGHT // 2)
+        self._values = 3 * sum(camera.width * camera.height for camera in learnt)
+        self._contributions = contributions(self._trial, learnt, progress)
+        self._whole = splats, self._contributions
+        self._first = self._pairs()
+        progress("drawing the views to check", 0.0)
+        self.judge = Judge(self._trial, views(splats, CHECKED, SEEDS[1]))
+        # What the tries so far say: errors go about with a power of the sum of the pairs' costs.
+        self._slope, self._offset = 1.0, COHERENT
+        self._telling, self._others = np.arange(CHECKED), 1.0
+
+    def reduce(self, count: int) -> None:
+        """To count splats, or a few fewer."""
+        self._trial = None  # with its memory
+        for pairs in self._rounds():
+            if len(self.splats) <= count:
+                return
+            self._merge(pairs, min(len(pairs), len(self.splats) - count))
+
+    def shrink(self, bound: float) -> None:
+        """To about as few splats as have a PSNR of bound [dB], which may be all of them."""
+        self.splats, self._contributions = self._whole
+        before = 0.0  # mean square of errors
+        for pairs in self._rounds():
+            count, before = self._most(pairs, bound, before)
+            self._trial = None  # with its memory
+            self._merge(pairs, count)
+            if count < len(pairs) or _decibels(before) < bound + NEAR:
+                return
+
+    def _most(self, pairs: Pairs, bound: float, before: float) -> tuple[int, float]:
+        """How many pairs may be merged, and the mean square of errors then. before: that of now."""
+        costs = np.log10(np.cumsum(pairs.costs, dtype=np.float64) / self._values + LEAST)
+        aim = math.log10(max(10 ** (-(bound + NEAR / 2) / 10) - before, LEAST))
+        good, bad, error = 0, len(pairs) + 1, before
+        tries: list[tuple[float, float]] = []
+        while bad - good > max(1, CLOSE * len(self.splats)) or bad > len(pairs) > good:
+            count = int(np.searchsorted(costs, (aim - self._offset) / self._slope))
+            count = min(max(count, good + 1), bad - 1)
+            found = self._look(pairs, count, bound)
+            psnr = _decibels(found)
+            if psnr < bound:
+                bad = count
+            else:
+                good, error = count, found
+                if psnr < bound + NEAR:
+                    break
+            tries.append((float(costs[count - 1]), math.log10(max(found - before, LEAST))))
+            if len(tries) > 1 and tries[-1][0] != tries[-2][0]:
+                (x, y), (last_x, last_y) = tries[-1], tries[-2]
+                self._slope = min(max((y - last_y) / (x - last_x), 0.3), 3)
+            self._offset = tries[-1][1] - self._slope * tries[-1][0]
+        return good, error
+
+    def _look(self, pairs: Pairs, count: int, bound: float) -> float:
+        """Mean square of errors with some pairs merged.
+
+        Once a map of about that PSNR was seen from all views, by those alone that differed most.
+        """
+        left = len(self.splats) - count
+        self._progress(f"checking {left:,} splats", 0.0)
+        trial = self._trial = self._trial or Trial(self.splats)
+        trial.merge(pairs, count)
+        if self.steps and abs(self.steps[-1].quality.psnr - bound) < ALIKE:
+            return self._others * float(self.judge.errors(trial, self._telling).mean())
+        errors = self.judge.errors(trial)
+        self.steps.append(Step(left, Quality.of(errors)))
+        self._telling = np.argsort(-errors)[:TELLING]
+        error = float(errors.mean())
+        self._others = error / max(float(errors[self._telling].mean()), LEAST)
+        return error
+
+    def _rounds(self) -> Iterator[Pairs]:
+        pairs = self._first if self.splats is self._whole[0] else self._pairs()
+        while len(pairs):
+            yield pairs
+            pairs = self._pairs()
+
+    def _pairs(self) -> Pairs:
+        return find_pairs(
+            self.splats, self._contributions, self._pixel,
+            lambda part: self._progress(f"pairing {len(self.splats):,} splats", part),
+        )  # fmt: skip
+
+    def _merge(self, pairs: Pairs, count: int) -> None:
+        self.splats, self._contributions = merge(self.splats, self._contributions, pairs, count)
+
+
+def _clipped(renderer: CpuRenderer, camera: SplatCamera) -> NDArray[np.float32]:
+    """(height, width, 3) as a screen shows it."""
+    picture = renderer.draw(camera)["colour"][..., :3]
+    clipped: NDArray[np.float32] = np.clip(picture, 0, 1)
+    return clipped
+
+
+def _decibels(error: float) -> float:
+    return MOST_PSNR if error <= 0 else min(MOST_PSNR, -10 * math.log10(error))

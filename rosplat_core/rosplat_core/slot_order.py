@@ -1,0 +1,63 @@
+"""Splats in an order in which those that are drawn together are neighbours in the map.
+
+Whoever draws a map leaves out pages of consecutive slots that a picture can't show, which are small
+in space only where slots lie in space order. With levels of detail, pages are left out whose splats
+are all too fine, too: a single large one keeps its page.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_core.splats import Splats
+
+_BITS = 21  # an axis, of the 64 of a code
+
+
+def space_order(positions: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Indices (n,) that put (n, 3) finite positions in the order of their Morton codes.
+
+    The codes (Morton 1966) interleave the positions' bits in a cube around all of them.
+    """
+    if not len(positions):
+        return np.zeros(0, np.intp)
+    least = positions.min(axis=0).astype(np.float64)
+    size = float((positions.max(axis=0) - least).max()) or 1.0
+    codes = np.zeros(len(positions), np.uint64)
+    for axis in range(3):
+        cells = (positions[:, axis] - least[axis]) * ((2**_BITS - 1) / size)
+        codes |= _spread(cells.astype(np.uint64)) << np.uint64(axis)
+    return np.argsort(codes)
+
+
+def slot_order(splats: Splats) -> NDArray[np.intp]:
+    """Indices (n,) that put splats of finite positions in the order of a map's slots.
+
+    Large ones come first, those of a size (within a factor of four) in space order.
+    """
+    order = space_order(splats.positions)
+    with np.errstate(divide="ignore"):
+        octaves = np.log2(splats.scales.max(axis=1, initial=0)[order])
+    powers_of_four = np.floor(np.nan_to_num(octaves, neginf=-200.0) / 2)
+    return order[np.argsort(-powers_of_four.astype(np.int8), kind="stable")]
+
+
+def put_in_slot_order(splats: Splats) -> None:
+    """Reorders splats of finite positions where they are, an array at a time to spare memory."""
+    order = slot_order(splats)
+    for array in splats.arrays:
+        array[:] = np.take(array, order, axis=0)
+
+
+def _spread(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Moves the lowest 21 bits of each number three apart."""
+    for shift, mask in (
+        (32, 0x001F00000000FFFF),
+        (16, 0x001F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        cells = (cells | cells << np.uint64(shift)) & np.uint64(mask)
+    return cells

@@ -1,0 +1,280 @@
+"""The one in-memory form of a map of 3D Gaussians. Knows no ROS and no file format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rosplat_core import harmonics
+from rosplat_core.channels import joined
+from rosplat_core.log_text import shown
+from rosplat_core.quaternions import from_matrices, product
+
+LOW_PASS = 0.3  # added to the variance of every splat [px^2]; part of the trained model
+MAX_SH_DEGREE = 3
+
+# float32 holds half a millimetre at this distance from zero; farther out, an origin is needed.
+FAR_FROM_ZERO = 1e4
+
+LONGEST_ERROR = 10_000  # with a path or a URL in it [characters]
+
+
+class SceneError(ValueError):
+    """A scene, camera or option that can't be used; its text, a line, is meant for the user."""
+
+    def __init__(self, text: str) -> None:
+        """Escapes control characters; whoever quotes a file, not a name, cuts the quotation."""
+        super().__init__(shown(text, LONGEST_ERROR))
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """A set of n 3D Gaussians with view-dependent colour (Kerbl et al. 2023).
+
+    Arrays of another dtype are converted; a wrong shape, or an origin that is not finite, raises
+    ValueError. Units and conventions are those of rosplat_msgs/GaussianArray.
+    """
+
+    positions: NDArray[np.float32]
+    """(n, 3) means, relative to origin. [m]"""
+    orientations: NDArray[np.float32]
+    """(n, 4) quaternions x, y, z, w of unit length."""
+    scales: NDArray[np.float32]
+    """(n, 3) standard deviations along the Gaussian's own axes, linear. [m]"""
+    opacities: NDArray[np.float32]
+    """(n,) peak opacities, 0 to 1."""
+    sh: NDArray[np.float32]
+    """(n, k, 3) spherical harmonics, k = (degree + 1)^2, RGB last."""
+    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    """(3,) added to each position in float64. [m]"""
+    antialiased: bool = False
+    """Trained with opacity compensation for the 2D low-pass filter (Mip-Splatting)."""
+    channels: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """(n,) named values beside what is drawn, "label" say; not finite where a splat has none."""
+
+    @classmethod
+    def from_trained(
+        cls,
+        means: ArrayLike,
+        quaternions_wxyz: ArrayLike,
+        log_scales: ArrayLike,
+        logits: ArrayLike,
+        sh0: ArrayLike,
+        shN: ArrayLike | None = None,
+        *,
+        antialiased: bool = False,
+        channels: Mapping[str, ArrayLike] | None = None,
+    ) -> Splats:
+        """Splats from what trainers optimise, as NumPy arrays or torch tensors on any device.
+
+        means (n, 3) [m]; quaternions_wxyz (n, 4) of any length; log_scales (n, 3), or (n, 1) for
+        spheres; logits of the opacities (n,) or (n, 1); sh0 (n, 1, 3) and shN (n, k, 3), as gsplat
+        and 3DGS keep them (features_dc, features_rest); channels (n,) each. Raises ValueError for
+        another shape.
+        """
+        n = len(_host(means))
+        positions = _shaped("means", means, (n, 3))
+        quaternions = _shaped("quaternions_wxyz", quaternions_wxyz, (n, 4))
+        scales = _shaped("log_scales", log_scales, (n, 3), (n, 1))
+        opacities = _shaped("logits", logits, (n,), (n, 1)).reshape(n)
+        bands = [_shaped("sh0", sh0, (n, 1, 3))]
+        if shN is not None:
+            rests = [(n, sh_coefficients(degree) - 1, 3) for degree in range(MAX_SH_DEGREE + 1)]
+            bands.append(_shaped("shN", shN, *rests))
+        lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        with np.errstate(over="ignore"):  # a logit of -100 is an opacity of 0
+            scales = np.exp(scales)
+            opacities = 1 / (1 + np.exp(-opacities))
+        return cls(
+            positions=positions,
+            orientations=np.roll(quaternions / np.where(lengths > 0, lengths, 1), -1, axis=1),
+            scales=np.broadcast_to(scales, (n, 3)),
+            opacities=opacities,
+            sh=bands[0] if len(bands) == 1 else np.concatenate(bands, axis=1),
+            antialiased=antialiased,
+            channels={name: _host(values) for name, values in (channels or {}).items()},
+        )
+
+    def __post_init__(self) -> None:
+        """Converts each array to its dtype and checks its shape.
+
+        Where float32 would lose positions of another dtype, the origin takes what they share.
+        """
+        n = len(self.positions)
+        positions = np.asarray(self.positions)
+        if positions.dtype == np.float64 and positions.shape == (n, 3):
+            near, shift = rebase(positions)
+            object.__setattr__(self, "positions", near)
+            if shift.any():
+                object.__setattr__(self, "origin", shift + np.asarray(self.origin, np.float64))
+        shapes: dict[str, tuple[int, ...]] = {
+            "positions": (n, 3),
+            "orientations": (n, 4),
+            "scales": (n, 3),
+            "opacities": (n,),
+            "sh": (n, sh_coefficients(self.sh_degree), 3),
+            "origin": (3,),
+        }
+        for name, shape in shapes.items():
+            dtype = np.float64 if name == "origin" else np.float32
+            with np.errstate(over="ignore"):  # infinite then: publishers leave it out and say so
+                array = np.ascontiguousarray(getattr(self, name), dtype)
+            if array.shape != shape:
+                raise ValueError(f"Splats.{name}: expected shape {shape}, got {array.shape}")
+            object.__setattr__(self, name, array)
+        if not np.isfinite(self.origin).all():
+            raise ValueError(f"Splats.origin: not finite: {self.origin.tolist()}")
+        joined((), tuple(self.channels))
+        channels = {
+            name: np.ascontiguousarray(values, np.float32) for name, values in self.channels.items()
+        }
+        for name, values in channels.items():
+            if values.shape != (n,):
+                raise ValueError(
+                    f"Splats.channels['{name}']: expected shape {(n,)}, got {values.shape}"
+                )
+        object.__setattr__(self, "channels", channels)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __getitem__(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> Splats:
+        """The splats that a slice, an index array or a mask picks."""
+        return replace(
+            self,
+            positions=self.positions[index],
+            orientations=self.orientations[index],
+            scales=self.scales[index],
+            opacities=self.opacities[index],
+            sh=self.sh[index],
+            channels={name: values[index] for name, values in self.channels.items()},
+        )
+
+    @property
+    def sh_degree(self) -> int:
+        """Highest band of spherical harmonics, 0 to 3."""
+        k = np.shape(self.sh)[1] if np.ndim(self.sh) == 3 else 0
+        for degree in range(MAX_SH_DEGREE + 1):
+            if k == sh_coefficients(degree):
+                return degree
+        raise ValueError(f"Splats.sh: expected shape (n, 1|4|9|16, 3), got {np.shape(self.sh)}")
+
+    def channel(self, name: str) -> NDArray[np.float32]:
+        """(n,) values of a channel, NaN where there are none."""
+        values = self.channels.get(name)
+        return np.full(len(self), np.nan, np.float32) if values is None else values
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.float32], ...]:
+        """All that has a row for each splat."""
+        drawn = (self.positions, self.orientations, self.scales, self.opacities, self.sh)
+        return (*drawn, *self.channels.values())
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the arrays take. [bytes]"""
+        return sum(array.nbytes for array in self.arrays)
+
+    def with_sh_degree(self, degree: int) -> Splats:
+        """The same splats with bands cut off, or zero bands added, to a degree of 0 to 3."""
+        k = sh_coefficients(degree)
+        missing = max(0, k - self.sh.shape[1])
+        return replace(self, sh=np.pad(self.sh[:, :k], ((0, 0), (0, missing), (0, 0))))
+
+    def without_empty_bands(self) -> Splats:
+        """The same splats without the top bands that are zero in all of them."""
+        degree = self.sh_degree
+        while degree > 0 and not self.sh[:, sh_coefficients(degree - 1) :].any():
+            degree -= 1
+        return self if degree == self.sh_degree else self.with_sh_degree(degree)
+
+    def moved(self, pose: ArrayLike) -> Splats:
+        """The same splats as seen from another frame, in which theirs has a pose.
+
+        pose: rigid transform, (4, 4). What they look like turns with them. The origin becomes where
+        the old one is.
+        """
+        pose = np.asarray(pose, np.float64)
+        rotation = pose[:3, :3]
+        return replace(
+            self,
+            positions=(self.positions @ rotation.T).astype(np.float32),
+            orientations=product(from_matrices(rotation), self.orientations).astype(np.float32),
+            sh=harmonics.turned(self.sh, rotation),
+            origin=rotation @ self.origin + pose[:3, 3],
+        )
+
+
+def _shaped(name: str, array: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.floating[Any]]:
+    """As _host. Raises ValueError, naming the array, where it has none of the shapes."""
+    values = _host(array)
+    if values.shape not in shapes:
+        known = " or ".join(map(str, shapes))
+        raise ValueError(f"{name}: expected shape {known}, got {values.shape}")
+    return values
+
+
+def _host(array: ArrayLike) -> NDArray[np.floating[Any]]:
+    """An array or tensor as NumPy's, without a copy where it lies in this machine's memory."""
+    detach = getattr(array, "detach", None)  # torch's, without importing torch
+    values = np.asarray(detach().cpu() if detach else array)
+    return values if np.issubdtype(values.dtype, np.floating) else values.astype(np.float32)
+
+
+def sh_coefficients(degree: int) -> int:
+    """Number of spherical harmonics up to a degree."""
+    return (degree + 1) ** 2
+
+
+def splat_bytes(sh_degree: int) -> int:
+    """Memory that a splat takes, and a message with it. [bytes]"""
+    floats = 3 + 4 + 3 + 1 + 3 * sh_coefficients(sh_degree)
+    return 4 * floats
+
+
+def rebase(positions: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Splits (n, 3) positions into float32 offsets and a float64 origin (3,). [m]
+
+    The origin is zero unless a position lies so far out that float32 would lose it: then it is the
+    median of those that are finite, which a stray splat does not move, in hundreds of metres, so
+    that a map that grows mostly keeps it.
+    """
+    origin = np.zeros(3)
+    if np.fmax.reduce(np.abs(positions), axis=None, initial=0.0) > FAR_FROM_ZERO:
+        # What float32 can't hold is left out, whatever the origin.
+        finite = positions[(np.abs(positions) <= np.finfo(np.float32).max).all(axis=1)]
+        if len(finite):
+            origin = 100 * np.round(np.median(finite, axis=0) / 100)
+            positions = positions - origin
+    with np.errstate(over="ignore"):  # infinite then: publishers leave it out and say so
+        return positions.astype(np.float32), origin
+
+
+def concatenate(parts: Sequence[Splats]) -> Splats:
+    """Joins sets of splats, in order; the result has the first one's origin and the highest degree.
+
+    Where a part lacks a channel, its splats have no value. Raises ValueError when there are none,
+    when only some are antialiased, or for more channels than a map has.
+    """
+    if not parts:
+        raise ValueError("nothing to concatenate")
+    if len({part.antialiased for part in parts}) > 1:
+        raise ValueError("can't join antialiased splats with others: they are drawn differently")
+    first = parts[0]
+    degree = max(part.sh_degree for part in parts)
+    names = dict.fromkeys(name for part in parts for name in part.channels)
+    return replace(
+        first,
+        positions=np.concatenate(
+            [(p.positions + (p.origin - first.origin)).astype(np.float32) for p in parts]
+        ),
+        orientations=np.concatenate([p.orientations for p in parts]),
+        scales=np.concatenate([p.scales for p in parts]),
+        opacities=np.concatenate([p.opacities for p in parts]),
+        sh=np.concatenate([p.with_sh_degree(degree).sh for p in parts]),
+        channels={name: np.concatenate([p.channel(name) for p in parts]) for name in names},
+    )

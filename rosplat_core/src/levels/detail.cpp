@@ -1,0 +1,195 @@
+#include "rosplat_core/levels/detail.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <cstdint>
+#include <locale>
+#include <regex>
+#include <sstream>
+#include <stdexcept>
+
+namespace rosplat {
+
+namespace {
+
+constexpr double kAim = 0.95;         // of a budget or of all, to draw fewer: estimates err
+constexpr double kClose = 0.9;        // of one is drawn at least, or all
+constexpr double kLeastStep = 1.02;   // of the error, from one that missed to the next
+constexpr int kMostNarrowed = 4;      // pictures that are only to come closer
+constexpr double kMostStep = 1.1;     // of the error, from picture to picture
+constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
+constexpr double kNearTime = 0.1;     // of a frame time, which varies from frame to frame
+constexpr double kLate = 1.5;         // of one
+constexpr double kMostFewer = 4;      // splats in a picture than in one that came late
+constexpr double kApart = 1.25;       // numbers of splats that tell what each takes
+constexpr double kWorth = 0.25;       // of all other time, that of the splats: less gains little
+
+// The finest that draws fewer splats than there are. [px]
+double finestOf(const CutEstimate& cut) {
+  return std::max(kLeastError, cut.errorFor(kAim * cut.drawn(0)));
+}
+
+}  // namespace
+
+Detail parseDetail(const std::string& text) {
+  std::string word;
+  for (const char c : text) {
+    if (c != ' ') word += static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  }
+  // Thousands of splats; who writes 1,5 for 1.5 is told.
+  if (std::regex_match(word, std::regex("[1-9][0-9]{0,2}(,[0-9]{3})+"))) {
+    word.erase(std::remove(word.begin(), word.end(), ','), word.end());
+  }
+  if (word == "full") return {};
+  std::istringstream in(word);
+  in.imbue(std::locale::classic());
+  double amount = 0;
+  std::string unit;
+  in >> amount >> unit;
+  using Kind = Detail::Kind;
+  constexpr double kMost = 1e9;
+  if (amount > 0 && amount < kMost) {
+    if (unit == "px") return {Kind::kError, amount};
+    if (unit == "ms") return {Kind::kTime, amount * 1e-3};
+    const double factor = unit.empty() ? 1 : unit == "k" ? 1e3 : unit == "m" ? 1e6 : 0;
+    if (factor * amount >= 1) return {Kind::kSplats, std::floor(factor * amount)};
+  }
+  throw std::invalid_argument(
+      "detail '" + text.substr(0, 40) +
+      "' is none: expected full, pixels (1.5px), splats (800000, 800k, 2M) or a time (40ms)");
+}
+
+std::string toText(const Detail& detail) {
+  std::ostringstream text;
+  const double amount = detail.amount;
+  switch (detail.kind) {
+    case Detail::Kind::kFull:
+      text << "full";
+      break;
+    case Detail::Kind::kError:
+      text << amount << "px";
+      break;
+    case Detail::Kind::kSplats:
+      text << static_cast<std::uint64_t>(amount);
+      break;
+    case Detail::Kind::kTime:
+      text << 1e3 * amount << "ms";
+      break;
+  }
+  return text.str();
+}
+
+void PictureTime::took(double drawn, double seconds) {
+  const auto apart = [](const Picture& a, const Picture& b) {
+    return a.drawn > kApart * b.drawn || b.drawn > kApart * a.drawn;
+  };
+  const Picture now{std::max(drawn, 1.0), seconds};
+  if (apart(now, last_)) before_ = last_;
+  last_ = now;
+  if (before_.drawn == 0 || !apart(now, before_)) return;
+  const double each = (now.seconds - before_.seconds) / (now.drawn - before_.drawn);
+  others_ = now.seconds - std::max(each, 0.0) * now.drawn;
+}
+
+double PictureTime::splatsIn(double seconds) const {
+  const double others = std::clamp(others_, 0.0, 0.999 * last_.seconds);  // loads differ, too
+  const double each = (last_.seconds - others) / last_.drawn;
+  return std::max({(seconds - others) / each, kWorth * others / each, last_.drawn / kMostFewer});
+}
+
+double DetailControl::choose(const RenderSettings& settings,
+                             const std::vector<LevelSamples>& levels, const SplatCamera& camera,
+                             const std::vector<Group>& groups) {
+  const Detail detail = settings.drawnDetail();
+  const bool at_once = !settings.asynchronous;
+  const auto estimate = [&] {
+    return CutEstimate(levels, camera, groups, settings.clip_box, settings.blendsLevels());
+  };
+  settled_ = true;
+  search_.reset();
+  problem_.clear();
+  double wanted = 0, finest = 0;
+  const auto drawable = [&finest](double error) { return error < finest ? 0 : error; };
+  switch (detail.kind) {
+    case Detail::Kind::kFull:
+      return 0;
+    case Detail::Kind::kError:
+      finest = finestOf(estimate());
+      return drawable(detail.amount);
+    case Detail::Kind::kSplats:
+      search_ = Search{estimate(), detail.amount, at_once};
+      wanted = errorForBudget();
+      if (at_once || wanted >= kCoarsestError) return wanted;
+      finest = finestOf(search_->expected);
+      break;
+    case Detail::Kind::kTime: {
+      // Of the last picture of which it is known; before any, of one of all.
+      const double seconds = seconds_ > 0 ? seconds_ : seconds_in_full_;
+      const double part = seconds / detail.amount;
+      const CutEstimate expected = estimate();
+      finest = finestOf(expected);
+      time_.took(expected.drawn(timed_error_), seconds);
+      if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) {
+        return drawable(timed_error_);
+      }
+      wanted = expected.errorFor(time_.splatsIn(detail.amount));
+      // Pictures that come so late are worse than a change that is seen.
+      if (part > kLate && wanted > error_.value_or(0)) return drawable(wanted);
+      break;
+    }
+  }
+  wanted = drawable(wanted);
+  if (!error_) return wanted;  // nobody saw another
+  // A camera that rests keeps its picture, whatever the last bits of counts say.
+  if (std::fabs(wanted - *error_) <= (kLeastStep - 1) * *error_) return drawable(*error_);
+  const double from = std::max(*error_, finest);
+  const double error = drawable(std::clamp(wanted, from / kMostStep, from * kMostStep));
+  settled_ = std::fabs(error - wanted) <= 0.05 * wanted;
+  return error;
+}
+
+double DetailControl::errorForBudget() const {
+  const double splats = search_->most / drawn_of_expected_;  // that are expected
+  const double all = search_->expected.errorFor(splats);
+  return all == 0 ? 0 : search_->expected.errorFor(kAim * splats);
+}
+
+std::optional<double> DetailControl::drew(double error, std::size_t drawn) {
+  error_ = error;
+  if (!search_) return {};
+  Search& of = *search_;
+  const double expected = of.expected.drawn(error);
+  if (drawn > 0 && expected > 0) drawn_of_expected_ = double(drawn) / expected;
+  const bool fits = double(drawn) <= of.most;
+  if (!fits && error >= kCoarsestError) {
+    problem_ = "no fewer than " + std::to_string(drawn) + " splats can be drawn";
+    return {};
+  }
+  if (!of.at_once || (fits && (error == 0 || double(drawn) >= kClose * of.most))) return {};
+
+  // Between the largest error at which too many were drawn and the least at which few enough.
+  const double tried = std::max(error, kLeastError);
+  if (fits) {
+    of.coarse = tried;
+  } else {
+    of.fine = tried;
+    if (of.coarse <= tried) of.coarse.reset();  // another map of the picture hides less by now
+  }
+  const double next = errorForBudget();
+  if (next == 0 && of.fine == 0) return 0;
+  if (!of.coarse) {
+    const double too_many = double(drawn) / of.most;
+    return std::max(next, of.fine * std::clamp(std::sqrt(too_many), kLeastStep, 2.0));
+  }
+  const double least = kLeastStep * std::max(of.fine, kLeastError), most = *of.coarse / kLeastStep;
+  if (++of.narrowed > kMostNarrowed || least > most) return fits ? std::nullopt : of.coarse;
+  return least < next && next < most ? next : std::sqrt(least * most);
+}
+
+void DetailControl::took(double error, double seconds) {
+  timed_error_ = error;
+  seconds_ = seconds;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,244 @@
+#include "rosplat_core/levels/level_builder.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <new>
+#include <set>
+#include <utility>
+
+#include "rosplat_core/threads/give_way.hpp"
+#include "rosplat_core/threads/in_parts.hpp"
+
+namespace rosplat {
+
+namespace {
+
+// Steps of a few milliseconds, for which building goes on whatever waits.
+constexpr int kLeastSteps = 16;
+constexpr std::uint64_t kNever = std::numeric_limits<std::uint64_t>::max();
+
+std::size_t bytesOf(const PackedRun& run) {
+  std::size_t words = run.slots.capacity();
+  for (const auto& band : run.bands) words += band.capacity();
+  for (const auto& channel : run.channels) words += channel.capacity();
+  return words * sizeof(std::uint32_t);
+}
+
+EntryLevels entriesOf(const HostSlots::Page& page) {
+  EntryLevels levels;
+  for (std::size_t i = 0; i < levels.size(); ++i) {
+    const float parent = page.parents ? (*page.parents)[i] : kBoundless;
+    levels[i] = parent == 0 ? std::uint8_t{0}
+                : parent < kBoundless
+                    ? static_cast<std::uint8_t>(std::ilogb(parent) - kFinestOctave)
+                    : kNoLevel;
+  }
+  return levels;
+}
+
+}  // namespace
+
+LevelBuilder::LevelBuilder()
+    : team_(ThreadTeam::ofViewers()), levels_(team_), thread_([this] { run(); }) {}
+
+LevelBuilder::~LevelBuilder() {
+  {
+    const std::lock_guard lock(mutex_);
+    stop_ = true;
+  }
+  wake_.notify_one();
+  thread_.join();
+}
+
+std::uint64_t LevelBuilder::apply(std::shared_ptr<const GaussianEdit> edit, double now) {
+  MapState state;
+  EditQueue::Node node = EditQueue::node(std::move(edit), state, now);
+  std::uint64_t number;
+  {
+    const std::lock_guard lock(mutex_);
+    number = node.front().state.edits = ++applied_;
+    if (node.front().edit->clear) dropRuns();
+    if (error_.empty()) edits_.push(std::move(node));
+  }
+  wake_.notify_one();
+  return number;
+}
+
+std::uint64_t LevelBuilder::apply(PackedRun run, double now) {
+  std::uint64_t number;
+  {
+    const std::lock_guard lock(mutex_);
+    number = ++applied_;
+    if (error_.empty()) {
+      runs_bytes_ += bytesOf(run);
+      runs_.push_back({std::move(run), now, number});
+    }
+  }
+  wake_.notify_one();
+  return number;
+}
+
+void LevelBuilder::dropRuns() {
+  runs_.clear();
+  runs_bytes_ = 0;
+}
+
+PackedRun LevelBuilder::spare() {
+  const std::lock_guard lock(mutex_);
+  if (spare_.empty()) return {};
+  PackedRun run = std::move(spare_.back());
+  spare_.pop_back();
+  return run;
+}
+
+void LevelBuilder::expectMore(bool more) {
+  {
+    const std::lock_guard lock(mutex_);
+    more_ = more;
+    complete_ = !more;
+    if (!more) spare_.clear();
+  }
+  wake_.notify_one();
+}
+
+std::unique_ptr<LevelsUpdate> LevelBuilder::take(bool wait) {
+  std::unique_lock lock(mutex_);
+  if (wait) rests_.wait(lock, [this] { return !waits() && !complete_ && !busy_; });
+  return std::move(update_);
+}
+
+std::size_t LevelBuilder::bytes() const {
+  const std::lock_guard lock(mutex_);
+  std::size_t spare = 0;
+  for (const PackedRun& run : spare_) spare += bytesOf(run);
+  return bytes_ + edits_.bytes() + runs_bytes_ + spare;
+}
+
+std::string LevelBuilder::error() const {
+  const std::lock_guard lock(mutex_);
+  return error_;
+}
+
+void LevelBuilder::run() {
+  giveWay();
+  std::unique_lock lock(mutex_);
+  while (true) {
+    wake_.wait(lock, [this] { return stop_ || complete_ || waits(); });
+    if (stop_) return;
+    busy_ = true;
+    complete_ = false;
+    lock.unlock();
+    std::string error;
+    try {
+      build();
+    } catch (const std::bad_alloc&) {
+      error = "there is no memory for levels of detail";
+    }
+    lock.lock();
+    if (!error.empty()) {
+      error_ = std::move(error);
+      edits_.clear();
+      dropRuns();
+    }
+    busy_ = false;
+    rests_.notify_all();
+    lock.unlock();
+    const std::size_t bytes = slots_.bytes() + levels_.bytes();
+    lock.lock();
+    bytes_ = bytes;
+  }
+}
+
+// Into the slots.
+void LevelBuilder::take(const GaussianEdit& edit, double now, std::uint64_t number) {
+  if (edit.clear) levels_.clear();
+  taken_ = number;
+  slots_.apply(edit, now, team_.get());
+  levels_.mark(slots_, edit.runs);
+}
+
+void LevelBuilder::take(Run run) {
+  GaussianEdit edit = editOf(std::move(run.run), team_.get());
+  take(edit, run.now, run.number);
+  const std::lock_guard lock(mutex_);
+  if (!more_) return;
+  spare_.emplace_back();
+  spare_.back().slots = std::move(edit.slots);
+  spare_.back().bands = std::move(edit.bands);
+  spare_.back().channels = std::move(edit.channels);
+}
+
+// Takes what waits by now, in the order of its numbers.
+void LevelBuilder::takeWaiting() {
+  std::unique_lock lock(mutex_);
+  const std::uint64_t last = applied_;
+  while (!stop_ && waits()) {
+    const std::uint64_t edit = edits_.empty() ? kNever : edits_.front().state.edits;
+    const std::uint64_t run = runs_.empty() ? kNever : runs_.front().number;
+    if (std::min(edit, run) > last) break;
+    if (edit < run) {
+      const EditQueue::Waiting next = edits_.pop();
+      if (next.edit->clear) update_.reset();
+      lock.unlock();
+      take(*next.edit, next.now, edit);
+    } else {
+      Run next = std::move(runs_.front());
+      runs_.pop_front();
+      runs_bytes_ -= bytesOf(next.run);
+      lock.unlock();
+      take(std::move(next));
+    }
+    lock.lock();
+  }
+  lock.unlock();
+  const std::size_t bytes = slots_.bytes() + levels_.bytes();
+  lock.lock();
+  bytes_ = bytes;
+}
+
+// step: of building, since what waited was taken.
+bool LevelBuilder::isInterrupted(int step) const {
+  const std::lock_guard lock(mutex_);
+  const bool clears = !edits_.empty() && edits_.front().edit->clear;
+  return stop_ || clears || (step >= kLeastSteps && waits());
+}
+
+// Takes what waits, and that into the nodes, until more waits.
+void LevelBuilder::build() {
+  takeWaiting();
+  {
+    const std::lock_guard lock(mutex_);
+    if (more_) return;
+  }
+  int step = 0;
+  levels_.advance(
+      slots_, [&] { return isInterrupted(step++); },
+      [this](const std::vector<std::uint32_t>& changed) { handOver(changed); });
+}
+
+void LevelBuilder::handOver(const std::vector<std::uint32_t>& changed) {
+  std::set<std::uint32_t> pages(changed.begin(), changed.end());
+  {
+    const std::lock_guard lock(mutex_);
+    // What nobody took may have been written since.
+    for (std::size_t i = 0; update_ && i < update_->entries.size(); ++i) {
+      pages.insert(update_->entries[i].first);
+    }
+  }
+  auto update = std::make_unique<LevelsUpdate>();
+  update->edits = taken_;
+  update->groups = levels_.groups();
+  update->samples = levels_.samples();
+  update->entries.resize(pages.size());
+  auto entries = update->entries.begin();
+  for (const std::uint32_t first_slot : pages) (entries++)->first = first_slot;
+  inParts(team_.get(), pages.size(), [&](std::size_t i) {
+    auto& [first_slot, levels] = update->entries[i];
+    levels = entriesOf(slots_.at(*slots_.index().find(first_slot)));
+  });
+  const std::lock_guard lock(mutex_);
+  update_ = std::move(update);
+}
+
+}  // namespace rosplat

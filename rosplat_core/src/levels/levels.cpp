@@ -1,0 +1,563 @@
+#include "rosplat_core/levels/levels.hpp"
+
+#include <algorithm>
+#include <iterator>
+#include <limits>
+#include <utility>
+
+#include "rosplat_core/threads/in_parts.hpp"
+
+namespace rosplat {
+
+namespace {
+
+constexpr std::uint32_t kSlots = SlotPage::kSlots;
+constexpr std::size_t kMostSamples = 1024;  // of a level
+
+// Goes through the nodes of a level as they ascend, from a cell on.
+class NodeCursor {
+ public:
+  NodeCursor(const Levels::Pages& pages, Cell from) : end_(pages.end()) {
+    page_ = std::upper_bound(pages.begin(), pages.end(), from, [](Cell cell, const auto& page) {
+      return cell < page->cells.front();
+    });
+    if (page_ != pages.begin()) --page_;
+    skipTo(from);
+  }
+
+  // To the first node from a cell on that isn't before this one.
+  void skipTo(Cell from) {
+    for (; page_ != end_ && (*page_)->cells.back() < from; ++page_) i_ = 0;
+    if (page_ == end_) return;
+    const std::vector<Cell>& cells = (*page_)->cells;
+    i_ = std::size_t(std::lower_bound(cells.begin() + std::ptrdiff_t(i_), cells.end(), from) -
+                     cells.begin());
+  }
+  bool before(Cell cell) const { return page_ != end_ && (*page_)->cells[i_] < cell; }
+  const NodePage& page() const { return **page_; }
+  std::size_t index() const { return i_; }
+  PackedSlot packed(int sh_degree) const { return (*page_)->slots.packed(i_, sh_degree); }
+  void next() {
+    if (++i_ < (*page_)->cells.size()) return;
+    ++page_;
+    i_ = 0;
+  }
+
+ private:
+  Levels::Pages::const_iterator page_, end_;
+  std::size_t i_ = 0;
+};
+
+// Where slots lie that come in ascending order, mostly.
+class SlotFinder {
+ public:
+  explicit SlotFinder(const HostSlots& slots) : slots_(slots) {}
+
+  const HostSlots::Page& pageOf(std::uint32_t slot) {
+    if (!page_ || slot - page_->first_slot >= kSlots) page_ = slots_.index().find(slot);
+    return slots_.at(*page_);
+  }
+
+ private:
+  const HostSlots& slots_;
+  const SlotPage* page_ = nullptr;
+};
+
+template <typename Changes>
+auto changesFrom(const Changes& changes, Cell from) {
+  return std::lower_bound(changes.begin(), changes.end(), from,
+                          [](const auto& change, Cell cell) { return change.cell < cell; });
+}
+
+// Of all nodes of a level, those in the middle of as many equal runs, each with what is in its run.
+std::vector<NodeSamples> sampledLevel(const Levels::Pages& pages) {
+  std::size_t nodes = 0;
+  for (const auto& page : pages) nodes += page->cells.size();
+  const std::size_t count = std::min(nodes, kMostSamples);
+  std::vector<NodeSamples> samples((count + NodeSamples::kCount - 1) / NodeSamples::kCount);
+  if (!samples.empty()) samples.back().extent.fill(-1);
+  auto page = pages.begin();
+  std::size_t before = 0, members_before = 0;  // in the pages before
+  const auto find = [&](std::size_t node) {    // as they ascend; the end is in the last page
+    while (node - before >= (*page)->cells.size() && page + 1 != pages.end()) {
+      before += (*page)->cells.size();
+      members_before += (*page)->membersBefore((*page)->cells.size());
+      ++page;
+    }
+    return node - before;
+  };
+  std::size_t begin = 0, members_begin = 0;  // of a run
+  for (std::size_t k = 0; k < count; ++k) {
+    NodeSamples& of = samples[k / NodeSamples::kCount];
+    const std::size_t at = k % NodeSamples::kCount, end = nodes * (k + 1) / count;
+    const std::size_t i = find((begin + end) / 2);
+    const Cell cell = (*page)->cells[i];
+    const auto corner = cornerOf(cell);
+    const auto parent = levelOf(cell) + 1 == kLevels ? corner : cornerOf(parentOf(cell));
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      of.position[axis][at] = (*page)->slots.position[axis][i];
+      of.corner[axis][at] = static_cast<float>(corner[axis]);
+      of.parent_corner[axis][at] = static_cast<float>(parent[axis]);
+    }
+    of.extent[at] = (*page)->slots.extent[i];
+    const std::size_t in_page = find(end);
+    const std::size_t members_end = members_before + (*page)->membersBefore(in_page);
+    of.nodes[at] = static_cast<float>(end - begin);
+    of.members[at] = static_cast<float>(members_end - members_begin);
+    begin = end;
+    members_begin = members_end;
+  }
+  return samples;
+}
+
+// Of neighbours that are alike, the first.
+void append(std::vector<Cell>& cells, Cell cell) {
+  if (cells.empty() || cells.back() != cell) cells.push_back(cell);
+}
+
+}  // namespace
+
+NodePage::NodePage(int sh_degree, std::uint32_t group) : sh_degree_(sh_degree) {
+  constexpr float infinity = std::numeric_limits<float>::infinity();
+  bounds.first_slot = kNoSlot;
+  bounds.group = group;
+  bounds.least.fill(infinity);
+  bounds.most.fill(-infinity);
+  slots.extent.fill(-1);
+}
+
+void NodePage::add(Cell cell, const PackedSlot& packed, const std::uint32_t* members,
+                   std::size_t count) {
+  const std::size_t i = cells.size();
+  slots.put(i, packed, sh_degree_);
+  slots.extent[i] = nodeExtentOf(packed);
+  bounds.extent = std::max(bounds.extent, slots.extent[i]);
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const float x = slots.position[axis][i];
+    bounds.least[axis] = std::min(bounds.least[axis], x);
+    bounds.most[axis] = std::max(bounds.most[axis], x);
+  }
+  cells.push_back(cell);
+  members_.insert(members_.end(), members, members + count);
+  ends_.push_back(static_cast<std::uint32_t>(members_.size()));
+}
+
+std::pair<const std::uint32_t*, std::size_t> NodePage::membersOf(std::size_t i) const {
+  const std::size_t begin = membersBefore(i);
+  return {members_.data() + begin, ends_[i] - begin};
+}
+
+Node NodePage::node(std::size_t i, int sh_degree) const {
+  const auto [members, count] = membersOf(i);
+  return {cells[i], slots.packed(i, sh_degree), slots.extent[i], {members, members + count}};
+}
+
+std::size_t NodePage::bytes() const {
+  std::size_t bytes = sizeof(*this) + cells.capacity() * sizeof(Cell) +
+                      (members_.capacity() + ends_.capacity()) * sizeof(std::uint32_t);
+  for (std::size_t band = 1; band < slots.bands.size(); ++band) {
+    if (slots.bands[band]) bytes += kSlots * std::size_t(kBandWords[band]) * sizeof(std::uint32_t);
+  }
+  return bytes;
+}
+
+void Levels::mark(const HostSlots& slots, const SlotRuns& runs) {
+  if (!begun_) return;
+  for (const auto& [first, count] : runs) {
+    for (std::uint32_t slot = first, next; slot < first + count; slot = next) {
+      next = std::min(first + count, slot - slot % kSlots + kSlots);
+      const SlotPage* const page = slots.index().find(slot);
+      if (!page) continue;
+      known_.resize(std::max(known_.size(), std::size_t(page->place) + 1));
+      std::unique_ptr<Known>& known = known_[page->place];
+      if (!known) {
+        known = std::make_unique<Known>();
+        known->group = page->group;
+        known->cells.fill(kNoCell);
+      }
+      if (known->marked.none()) marked_[known->group].push_back(page->first_slot);
+      if (known->group != page->group) known->marked.set();
+      if (next - slot == kSlots) {
+        known->marked.set();
+      } else {
+        for (; slot < next; ++slot) known->marked.set(slot % kSlots);
+      }
+    }
+  }
+}
+
+void Levels::clear() {
+  begun_ = false;
+  known_.clear();
+  marked_.clear();
+  job_.reset();
+  nodes_.clear();
+  samples_.clear();
+}
+
+bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
+                     const std::function<void(const std::vector<std::uint32_t>&)>& stand) {
+  if (!std::exchange(begun_, true)) {
+    for (const SlotPage& page : slots.pages()) mark(slots, {{page.first_slot, kSlots}});
+  }
+  while (job_ || !marked_.empty()) {
+    if (!job_) begin(slots);
+    while (job_->level < kLevels) {
+      if (stop()) return false;
+      const std::size_t left = job_->touched.size() - job_->done;
+      if (left == 0) {
+        nextLevel();
+        continue;
+      }
+      make(slots, std::min(left, 4 * std::size_t(team_->size())));
+    }
+    LevelSamples samples = sampled(job_->pages);
+    publish(slots);
+    const std::unique_ptr<Job> done = std::move(job_);
+    nodes_[done->group] = std::move(done->pages);
+    samples_[done->group] = std::move(samples);
+    if (stand) stand(done->marked);
+  }
+  return true;
+}
+
+// Finds what has changed since nodes were made last.
+void Levels::begin(const HostSlots& slots) {
+  auto next = marked_.lower_bound(next_group_);
+  if (next == marked_.end()) next = marked_.begin();
+  const std::uint32_t group = next->first;
+  const std::vector<std::uint32_t>& marked = next->second;
+  next_group_ = group + 1;
+  if (nodes_.size() <= group) nodes_.resize(group + 1);
+  samples_.resize(nodes_.size());
+  auto job = std::make_unique<Job>();
+  job->group = group;
+  std::vector<std::vector<Change>> parts(4 * std::size_t(team_->size()));
+  inParts(team_.get(), parts.size(), [&](std::size_t number) {
+    const std::size_t first = marked.size() * number / parts.size();
+    const std::size_t end = marked.size() * (number + 1) / parts.size();
+    parts[number].reserve((end - first) * kSlots);
+    for (std::size_t i = first; i < end; ++i) {
+      findChanges(slots, *slots.index().find(marked[i]), parts[number]);
+    }
+  });
+  job->changes = sorted(parts);
+  // What has gone to other groups stays marked for these.
+  auto still_marked = marked_;
+  still_marked.erase(group);
+  std::vector<std::pair<Known*, std::uint32_t>> regrouped;  // and to which
+  for (const std::uint32_t first_slot : marked) {
+    const SlotPage& page = *slots.index().find(first_slot);
+    if (page.group == group) continue;
+    still_marked[page.group].push_back(first_slot);
+    regrouped.emplace_back(known_[page.place].get(), page.group);
+  }
+  job->marked = marked;
+  marked_ = std::move(still_marked);
+  job_ = std::move(job);
+
+  // Nothing here needs memory: the job has what was marked.
+  inParts(team_.get(), job_->marked.size(),
+          [this, &slots](std::size_t i) { know(slots, *slots.index().find(job_->marked[i])); });
+  for (const auto& [known, to] : regrouped) {
+    known->group = to;
+    known->marked.set();
+  }
+}
+
+// Where a slot enters the group that is known of its page.
+Cell Levels::cellOf(const Known& known, const SlotPage& of, const HostSlots::Page& page,
+                    std::uint32_t i) {
+  if (of.group != known.group || page.extent[i] < 0) return kNoCell;
+  std::array<std::uint32_t, 5> words;  // all that matters here
+  for (std::size_t k = 0; k < words.size(); ++k) words[k] = page.word(k, i);
+  return entryOf({page.position[0][i], page.position[1][i], page.position[2][i]},
+                 largestScale(words.data()));
+}
+
+// What is marked is what the nodes will hold.
+void Levels::know(const HostSlots& slots, const SlotPage& of) {
+  Known& known = *known_[of.place];
+  for (std::uint32_t i = 0; i < kSlots; ++i) {
+    if (known.marked[i]) known.cells[i] = cellOf(known, of, slots.at(of), i);
+  }
+  known.marked.reset();
+}
+
+void Levels::findChanges(const HostSlots& slots, const SlotPage& of,
+                         std::vector<Change>& changes) const {
+  const Known& known = *known_[of.place];
+  const HostSlots::Page& page = slots.at(of);
+  for (std::uint32_t i = 0; i < kSlots; ++i) {
+    if (!known.marked[i]) continue;
+    const Cell cell = cellOf(known, of, page, i);
+    const Cell before = known.cells[i];
+    if (before != cell && before != kNoCell) changes.push_back({before, of.first_slot + i, false});
+    if (cell != kNoCell) changes.push_back({cell, of.first_slot + i, true});
+  }
+}
+
+// Dealt out to ranges of cells, each of which is sorted then, side by side.
+Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) const {
+  constexpr std::size_t kSamples = 32;  // of a part
+  std::vector<Cell> samples, ends;      // of ranges
+  Changes changes;
+  for (const auto& part : parts) {
+    changes.count += part.size();
+    for (std::size_t i = 0; i < part.size(); i += part.size() / kSamples + 1) {
+      samples.push_back(part[i].cell);
+    }
+  }
+  std::sort(samples.begin(), samples.end());
+  const std::size_t ranges = parts.size();
+  for (std::size_t i = 1; i < ranges && !samples.empty(); ++i) {
+    ends.push_back(samples[samples.size() * i / ranges]);
+  }
+
+  const auto rangeOf = [&ends](const Change& change) {
+    return std::size_t(std::upper_bound(ends.begin(), ends.end(), change.cell) - ends.begin());
+  };
+  std::vector<std::size_t> next(ranges * parts.size());  // place, by range, then part
+  inParts(team_.get(), parts.size(), [&](std::size_t part) {
+    for (const Change& change : parts[part]) ++next[rangeOf(change) * parts.size() + part];
+  });
+  std::size_t sum = 0;
+  for (std::size_t& place : next) sum += std::exchange(place, sum);
+  std::vector<std::size_t> begins{next};
+  changes.all.reset(new Change[changes.count]);
+  inParts(team_.get(), parts.size(), [&](std::size_t part) {
+    for (const Change& change : parts[part]) {
+      changes.all[next[rangeOf(change) * parts.size() + part]++] = change;
+    }
+  });
+  inParts(team_.get(), ranges, [&](std::size_t range) {
+    const std::size_t begin = begins[range * parts.size()];
+    const std::size_t end = range + 1 < ranges ? begins[(range + 1) * parts.size()] : changes.count;
+    std::sort(&changes.all[begin], changes.all.get() + end, [](const Change& a, const Change& b) {
+      return a.cell != b.cell ? a.cell < b.cell : a.slot < b.slot;
+    });
+  });
+  return changes;
+}
+
+// Cuts the next level into pieces: where its pages begin, and so that in none more cells are
+// touched than a page holds.
+void Levels::nextLevel() {
+  Job& job = *job_;
+  std::vector<Cell> touched;
+  for (const Piece& piece : job.pieces) {
+    Pages& pages = job.pages[std::size_t(job.level)];
+    pages.insert(pages.end(), piece.pages.begin(), piece.pages.end());
+    touched.insert(touched.end(), piece.parents.begin(), piece.parents.end());
+  }
+  job.pieces.clear();
+  job.touched.clear();
+  job.done = 0;
+  if (++job.level == kLevels) return;
+
+  const auto inherited = std::ptrdiff_t(touched.size());
+  const Cell level_begin = firstCell(job.level), level_end = firstCell(job.level + 1);
+  auto change = changesFrom(job.changes, level_begin);
+  for (; change != job.changes.end() && change->cell < level_end; ++change) {
+    append(touched, change->cell);
+  }
+  std::inplace_merge(touched.begin(), touched.begin() + inherited, touched.end());
+  touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
+
+  const Pages& old = nodes_[job.group][std::size_t(job.level)];
+  std::vector<Cell> begins{level_begin};
+  for (const auto& page : old) begins.push_back(page->cells.front());
+  const auto of_pages = std::ptrdiff_t(begins.size());
+  for (std::size_t i = kSlots; i < touched.size(); i += kSlots) begins.push_back(touched[i]);
+  std::inplace_merge(begins.begin(), begins.begin() + of_pages, begins.end());
+  begins.erase(std::unique(begins.begin(), begins.end()), begins.end());
+  begins.push_back(level_end);
+  auto next = touched.begin();
+  auto page = old.begin();
+  for (std::size_t i = 0; i + 1 < begins.size(); ++i) {
+    const auto from = next;
+    while (next != touched.end() && *next < begins[i + 1]) ++next;
+    job.pieces.push_back({begins[i], begins[i + 1], {from, next}, {}, {}});
+    const bool whole = page != old.end() && (*page)->cells.front() == begins[i];
+    if (from != next || (whole && (*page)->cells.back() >= begins[i + 1])) {
+      job.touched.push_back(i);
+    } else if (whole) {
+      job.pieces.back().pages = {*page};
+    }
+    if (whole) ++page;
+  }
+}
+
+// So many pieces more: nodes side by side, a few at a time, then the pages that they lie in.
+void Levels::make(const HostSlots& slots, std::size_t count) {
+  constexpr std::size_t kCells = 64;
+  Job& job = *job_;
+  struct Part {
+    std::size_t piece, begin;
+  };
+  std::vector<Part> parts;
+  std::vector<std::vector<Made>> made(count);
+  const auto piece = [&](std::size_t i) -> Piece& { return job.pieces[job.touched[job.done + i]]; };
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t begin = 0; begin < piece(i).touched.size(); begin += kCells) {
+      parts.push_back({i, begin});
+    }
+    made[i].resize((piece(i).touched.size() + kCells - 1) / kCells);
+  }
+  inParts(team_.get(), parts.size(), [&](std::size_t number) {
+    const auto& [i, begin] = parts[number];
+    const std::size_t end = std::min(begin + kCells, piece(i).touched.size());
+    made[i][begin / kCells] = nodesOf(slots, piece(i), begin, end);
+  });
+  inParts(team_.get(), count, [&](std::size_t i) {
+    fill(piece(i), made[i], slots.shDegree());
+    made[i] = {};
+    piece(i).parents.clear();
+    if (job.level + 1 == kLevels) return;
+    for (const Cell cell : piece(i).touched) append(piece(i).parents, parentOf(cell));
+  });
+  job.done += count;
+}
+
+// Those of some of its touched cells, from what is in them.
+Levels::Made Levels::nodesOf(const HostSlots& slots, const Piece& piece, std::size_t begin,
+                             std::size_t end) const {
+  static const Pages kNone;
+  const auto level = std::size_t(job_->level);
+  const int degree = slots.shDegree();
+  const Cell first = piece.touched[begin];
+  NodeCursor old(nodes_[job_->group][level], first);
+  NodeCursor child(level > 0 ? job_->pages[level - 1] : kNone, level > 0 ? childrenOf(first) : 0);
+  auto change = changesFrom(job_->changes, first);
+  SlotFinder found(slots);
+  Made made;
+  made.cells.reserve(end - begin);
+  made.packed.reserve(end - begin);
+  made.ends.reserve(end - begin);
+  for (std::size_t i = begin; i < end; ++i) {
+    const Cell cell = piece.touched[i];
+    const std::size_t before = made.members.size();
+    const std::uint32_t *member = nullptr, *last = nullptr;
+    old.skipTo(cell);
+    if (old.before(cell + 1)) {
+      const auto [members, count] = old.page().membersOf(old.index());
+      member = members;
+      last = members + count;
+    }
+    for (; change != job_->changes.end() && change->cell == cell; ++change) {
+      while (member != last && *member < change->slot) made.members.push_back(*member++);
+      if (member != last && *member == change->slot) ++member;
+      if (change->enters) made.members.push_back(change->slot);
+    }
+    made.members.insert(made.members.end(), member, last);
+
+    Mixture mixture(cell, degree);
+    if (level > 0) {
+      const Cell children = childrenOf(cell);
+      for (child.skipTo(children); child.before(children + 8); child.next()) {
+        mixture.add(child.packed(degree), kMostNodeOpacity);
+      }
+    }
+    for (std::size_t k = before; k < made.members.size(); ++k) {
+      const std::uint32_t slot = made.members[k];
+      mixture.add(found.pageOf(slot).packed(slot % kSlots, degree), 1);
+    }
+    if (mixture.empty()) {  // what was there is gone by now
+      made.members.resize(before);
+      continue;
+    }
+    made.cells.push_back(cell);
+    made.packed.push_back(mixture.pack());
+    made.ends.push_back(static_cast<std::uint32_t>(made.members.size()));
+  }
+  return made;
+}
+
+// The pages of a piece: of what was made of its touched cells, and of the others as they are.
+void Levels::fill(Piece& piece, const std::vector<Made>& made, int sh_degree) const {
+  struct Source {
+    const NodePage* page;  // or null: it was made
+    const Made* made;
+    std::size_t i;
+  };
+  std::vector<Source> sources;
+  NodeCursor old(nodes_[job_->group][std::size_t(job_->level)], piece.begin);
+  auto touched = piece.touched.begin();
+  const auto keepUntil = [&](Cell cell) {
+    for (; old.before(cell); old.next()) {
+      const Cell kept = old.page().cells[old.index()];
+      while (touched != piece.touched.end() && *touched < kept) ++touched;
+      if (touched != piece.touched.end() && *touched == kept) continue;
+      sources.push_back({&old.page(), nullptr, old.index()});
+    }
+  };
+  for (const Made& part : made) {
+    for (std::size_t i = 0; i < part.cells.size(); ++i) {
+      keepUntil(part.cells[i]);
+      sources.push_back({nullptr, &part, i});
+    }
+  }
+  keepUntil(piece.end);
+
+  const std::size_t pages = (sources.size() + kSlots - 1) / kSlots;
+  piece.pages.clear();
+  for (std::size_t number = 0; number < pages; ++number) {
+    auto page = std::make_shared<NodePage>(sh_degree, job_->group);
+    const std::size_t end = sources.size() * (number + 1) / pages;
+    for (std::size_t k = sources.size() * number / pages; k < end; ++k) {
+      const auto& [kept, part, i] = sources[k];
+      if (kept) {
+        const auto [members, count] = kept->membersOf(i);
+        page->add(kept->cells[i], kept->slots.packed(i, sh_degree), members, count);
+      } else {
+        const std::uint32_t first = i > 0 ? part->ends[i - 1] : 0;
+        page->add(part->cells[i], part->packed[i], part->members.data() + first,
+                  part->ends[i] - first);
+      }
+    }
+    piece.pages.push_back(std::move(page));
+  }
+}
+
+// Tells the slots that were marked of their nodes, but for what was written since.
+void Levels::publish(HostSlots& slots) const {
+  inParts(team_.get(), job_->marked.size(), [&](std::size_t number) {
+    const SlotPage& of = *slots.index().find(job_->marked[number]);
+    const Known& known = *known_[of.place];
+    HostSlots::PerSlot<float> sizes;
+    for (std::size_t i = 0; i < kSlots; ++i) {
+      const bool stands = !known.marked[i] && known.cells[i] != kNoCell;
+      sizes[i] = stands ? cellSize(levelOf(known.cells[i])) : -1;
+    }
+    slots.setParents(of, sizes);
+  });
+}
+
+LevelSamples Levels::sampled(const Nodes& nodes) const {
+  LevelSamples samples;
+  inParts(team_.get(), nodes.size(),
+          [&](std::size_t level) { samples[level] = sampledLevel(nodes[level]); });
+  return samples;
+}
+
+std::size_t Levels::nodes() const {
+  std::size_t nodes = 0;
+  for (const Nodes& of_group : nodes_) {
+    for (const Pages& level : of_group) {
+      for (const auto& page : level) nodes += page->cells.size();
+    }
+  }
+  return nodes;
+}
+
+std::size_t Levels::bytes() const {
+  std::size_t bytes = known_.size() * (sizeof(Known) + sizeof(*HostSlots::Page::parents));
+  for (const Nodes& of_group : nodes_) {
+    for (const Pages& level : of_group) {
+      for (const auto& page : level) bytes += page->bytes();
+    }
+  }
+  return bytes;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,400 @@
+#include "rosplat_core/map/gaussian_map.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <iterator>
+#include <optional>
+#include <string>
+
+#include "rosplat_core/map/decoded_payload.hpp"
+#include "rosplat_core/slots/payload.hpp"
+#include "rosplat_core/threads/in_parts.hpp"
+
+namespace rosplat {
+
+namespace {
+
+void checkLength(const char* field, std::size_t size, std::size_t expected) {
+  if (size != expected) {
+    throw BatchError(std::string(field) + " holds " + std::to_string(size) + " values, not the " +
+                     std::to_string(expected) + " that count and sh_degree ask for");
+  }
+}
+
+bool writes(const GaussianBatch& batch) {
+  return batch.operation == GaussianBatch::REPLACE || batch.operation == GaussianBatch::UPSERT;
+}
+
+void checkGroup(const char* field, std::uint32_t group) {
+  if (group >= kMostGroups) {
+    throw BatchError(std::string(field) + " names group " + std::to_string(group) +
+                     ", beyond the " + std::to_string(kMostGroups) + " that a map may have");
+  }
+}
+
+// The moves of a MOVE, with quaternions of unit length.
+std::vector<GroupMove> movesOf(const GaussianBatch& batch) {
+  if (batch.count != 0) throw BatchError("count is " + std::to_string(batch.count) + " in a MOVE");
+  if (batch.poses.size() != batch.groups.size) {
+    throw BatchError("poses holds " + std::to_string(batch.poses.size()) + " values for " +
+                     std::to_string(batch.groups.size) + " groups");
+  }
+  std::vector<GroupMove> moves(batch.groups.size);
+  std::vector<bool> named(kMostGroups, false);
+  for (std::size_t i = 0; i < moves.size(); ++i) {
+    auto& [group, pose] = moves[i];
+    group = batch.groups[i];
+    pose = batch.poses[i];
+    checkGroup("groups", group);
+    if (named[group]) throw BatchError("groups names group " + std::to_string(group) + " twice");
+    named[group] = true;
+    const auto of = [group] { return "poses holds one of group " + std::to_string(group); };
+    for (const double x : pose.position) {
+      if (!std::isfinite(x)) throw BatchError(of() + " that is not finite");
+    }
+    double largest = 0, norm = 0;
+    for (const double x : pose.orientation) {
+      if (!std::isfinite(x)) throw BatchError(of() + " that is not finite");
+      largest = std::max(largest, std::fabs(x));
+    }
+    if (largest == 0) throw BatchError(of() + " whose quaternion is zero");
+    for (double& x : pose.orientation) x /= largest, norm += x * x;
+    for (double& x : pose.orientation) x /= std::sqrt(norm);
+  }
+  return moves;
+}
+
+void check(const GaussianBatch& batch) {
+  if (batch.revision == 0) throw BatchError("revision is 0, they count from 1");
+  if (batch.operation > GaussianBatch::MOVE) {
+    throw BatchError("operation " + std::to_string(batch.operation) + " is unknown");
+  }
+  if (!batch.format.empty() && batch.format != payload::kFormat) {
+    throw BatchError("format '" + batch.format.substr(0, 40) + "' is unknown");
+  }
+  if (batch.sh_degree > kMaxShDegree) {
+    throw BatchError("sh_degree " + std::to_string(batch.sh_degree) + " is beyond 3");
+  }
+  for (double v : batch.origin) {
+    if (!std::isfinite(v)) throw BatchError("origin is not finite");
+  }
+  const std::size_t n = batch.count;
+  if (!batch.slots.empty()) {
+    checkLength("slots", batch.slots.size, n);
+    for (std::size_t i = 0; i < n; ++i) {
+      if (batch.slots[i] >= kMaxSlots) {
+        throw BatchError("slots names slot " + std::to_string(batch.slots[i]) + ", beyond the " +
+                         std::to_string(kMaxSlots) + " that a map may have");
+      }
+    }
+  } else if (batch.first_slot > kMaxSlots || n > kMaxSlots - batch.first_slot) {
+    throw BatchError("first_slot + count is beyond the " + std::to_string(kMaxSlots) +
+                     " slots that a map may have");
+  }
+  checkGroup("group", batch.group);
+  if (batch.operation != GaussianBatch::MOVE && !(batch.groups.empty() && batch.poses.empty())) {
+    throw BatchError("groups and poses are a MOVE's alone");
+  }
+  const bool values = writes(batch);
+  const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
+  if (!values && !batch.format.empty()) throw BatchError("format is for batches with splats");
+  const bool packed = !batch.format.empty();
+  checkLength("payload", batch.payload.size, packed ? payload::size(n, batch.sh_degree) : 0);
+  const std::size_t splats = values && !packed ? n : 0;  // in arrays
+  checkLength("positions", batch.positions.size, 3 * splats);
+  checkLength("orientations", batch.orientations.size, 4 * splats);
+  checkLength("scales", batch.scales.size, 3 * splats);
+  checkLength("opacities", batch.opacities.size, splats);
+  checkLength("sh", batch.sh.size, coefficients * splats);
+  joined({}, batch.channel_names);
+  if (!values && !batch.channel_names.empty()) {
+    throw BatchError("channel_names are for batches with splats");
+  }
+  if (batch.channels.size != n * batch.channel_names.size()) {
+    throw BatchError("channels holds " + std::to_string(batch.channels.size) +
+                     " values, not count for each of the " +
+                     std::to_string(batch.channel_names.size()) + " channel_names");
+  }
+}
+
+SlotRuns runsOf(const GaussianBatch& batch) {
+  SlotRuns runs;
+  if (batch.slots.empty()) {
+    if (batch.count > 0) runs.emplace_back(batch.first_slot, batch.count);
+    return runs;
+  }
+  for (std::size_t i = 0; i < batch.count; ++i) {
+    const std::uint32_t slot = batch.slots[i];
+    if (!runs.empty() && runs.back().first + runs.back().second == slot) {
+      ++runs.back().second;
+    } else {
+      runs.emplace_back(slot, 1);
+    }
+  }
+  return runs;
+}
+
+// Lays the splats of a batch out, relative to an origin; which of them mean something.
+std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin,
+                         GaussianEdit& edit) {
+  const std::size_t n = batch.count;
+  edit.sh_degree = batch.sh_degree;
+  edit.slots.assign(kSlotWords * n, 0u);
+  edit.positions.assign(3 * n, 0.0f);
+  edit.extents.assign(n, -1.0f);
+  for (int band = 1; band <= batch.sh_degree; ++band) {
+    edit.bands[band].resize(kBandWords[band] * n);
+  }
+  std::vector<bool> kept(n, false);
+  const SplatArrays<const float> splats{
+      n,
+      batch.sh_degree,
+      batch.positions.data,
+      batch.orientations.data,
+      batch.scales.data,
+      batch.opacities.data,
+      batch.sh.data,
+  };
+  const bool rebase = batch.origin != origin;
+  for (std::size_t i = 0; i < n; ++i) {
+    const float* q = &batch.orientations.data[4 * i];
+    const float* scale = &batch.scales.data[3 * i];
+    const float* sh = batch.sh.data + splats.shStride() * i;
+    float position[3];
+    for (int k = 0; k < 3; ++k) {
+      position[k] =
+          rebase
+              ? static_cast<float>(double(batch.positions[3 * i + k]) + batch.origin[k] - origin[k])
+              : batch.positions[3 * i + k];
+    }
+    kept[i] = isUsable(splats, i, position);
+    if (!kept[i]) continue;
+    Splat splat;
+    std::copy_n(position, 3, splat.position.begin());
+    std::copy_n(q, 4, splat.orientation.begin());
+    std::copy_n(scale, 3, splat.scale.begin());
+    std::copy_n(sh, 3, splat.color.begin());
+    splat.opacity = std::clamp(batch.opacities[i], 0.0f, 1.0f);
+    std::array<std::uint32_t*, kMaxShDegree + 1> bands{};
+    for (int band = 1; band <= batch.sh_degree; ++band) {
+      bands[band] = &edit.bands[band][kBandWords[band] * i];
+    }
+    packSlot(splat, sh + 3, batch.sh_degree, &edit.slots[kSlotWords * i], bands);
+    std::copy_n(position, 3, &edit.positions[3 * i]);
+    edit.extents[i] =
+        extentOf(splat.opacity, *std::max_element(splat.scale.begin(), splat.scale.end()));
+  }
+  return kept;
+}
+
+// Has the values of a batch's channels where the map's are.
+void layOutChannels(const GaussianBatch& batch, const std::vector<bool>& kept,
+                    std::vector<Channel>& channels, GaussianEdit& edit) {
+  const float* values = batch.channels.data;
+  for (const std::string& name : batch.channel_names) {
+    const std::size_t index = indexOf(channels, name);
+    edit.channels[index].assign(values, values + batch.count);
+    for (std::size_t i = 0; i < batch.count; ++i) {
+      if (kept[i]) channels[index].widen(values[i]);
+    }
+    values += batch.count;
+  }
+}
+
+}  // namespace
+
+std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
+                                                       BatchReport& report, const Keep& keep) {
+  const std::lock_guard one_by_one(locks_.applying);
+  check(batch);
+  std::vector<GroupMove> moves;
+  if (batch.operation == GaussianBatch::MOVE) moves = movesOf(batch);
+  const bool new_map = batch.map_id != state_.id;
+  const bool heard = batch.arrival == Arrival::kHeard;
+  const bool back = heard && !new_map && batch.revision <= state_.revision;
+  const bool replace = batch.operation == GaussianBatch::REPLACE;
+  const bool values = writes(batch);
+
+  auto edit = std::make_shared<GaussianEdit>();
+  edit->clear = new_map || replace;
+  // Memory may run out at any line until `keep` is through: the map is as before then.
+  MapState next;
+  SlotSet fresh;
+  SlotSet& used = edit->clear ? fresh : used_;
+  if (!edit->clear) next = state_;
+  // A REPLACE makes whatever came before it unimportant. A map that is played once more, but not
+  // from its beginning, lacks all before.
+  if (back) next.revision = next.missed = 0;
+  if (heard && !replace) report.missed = batch.revision - next.revision - 1;
+  if (batch.arrival == Arrival::kLast) next.missed = 0;
+  if (!heard) next.pulled = batch.arrival == Arrival::kPulled;
+  next.id = batch.map_id;
+  next.round = state_.round + (new_map || back ? 1 : 0);
+  next.revision = batch.revision;
+  next.edits = state_.edits + 1;
+  next.expected = batch.expected_slots;
+  if (values && batch.count > 0 && next.capacity == 0) next.antialiased = batch.antialiased;
+
+  std::optional<Groups> regrouped;
+  const auto groups = [&]() -> Groups& {
+    return regrouped ? *regrouped : regrouped.emplace(groups_);
+  };
+  if (edit->clear) regrouped.emplace();
+  for (const GroupMove& move : moves) groups().move(move);
+  std::uint32_t group_index = 0;
+  if (values && batch.count > 0) {
+    const Group* const known = (regrouped ? *regrouped : groups_).find(batch.group);
+    if (!known || !known->origin) {
+      groups().write(batch.group, batch.origin);
+      ++next.groups;
+    }
+    const Groups& all = regrouped ? *regrouped : groups_;
+    edit->group = batch.group;
+    edit->origin = *all.find(batch.group)->origin;
+    group_index = static_cast<std::uint32_t>(all.find(batch.group) - all.all().data());
+  }
+  edit->moves = std::move(moves);
+
+  edit->runs = runsOf(batch);
+  DecodedPayload decoded;
+  GaussianBatch splats;
+  std::vector<bool> kept;
+  if (values) {
+    checkBlocks(used, edit->runs, batch.group);
+    splats = decoded.decode(batch);
+    kept = layOut(splats, edit->origin, *edit);
+    report.dropped = static_cast<std::uint64_t>(std::count(kept.begin(), kept.end(), false));
+    if (batch.count > 0) {
+      next.channels = joined(std::move(next.channels), batch.channel_names);
+      layOutChannels(batch, kept, next.channels, *edit);
+    }
+    next.sh_degree = std::max<int>(next.sh_degree, batch.sh_degree);
+    used.makeRoom(edit->runs);
+    for (const auto& [first, count] : edit->runs) {
+      next.capacity = std::max(next.capacity, first + count);
+    }
+    const std::size_t blocks = (next.capacity + SlotSet::kPage - 1) / SlotSet::kPage;
+    if (block_groups_.size() < blocks) block_groups_.resize(blocks);
+  } else {
+    edit->runs = used.within(edit->runs);
+    kept.resize(countSlots(edit->runs), false);
+  }
+  edit->round = next.round;
+  edit->revision = next.revision;
+  edit->capacity = next.capacity;
+  next.missed += report.missed;
+  next.dropped += report.dropped;
+
+  MapSample sample = edit->clear ? MapSample() : sample_;
+  std::vector<bool> before(kept.size());
+  std::size_t i = 0;
+  forEachSlot(edit->runs, [&](std::uint32_t slot) {
+    before[i] = used.set(slot, kept[i]);
+    next.splats += int(kept[i]) - int(before[i]);
+    if (kept[i]) {
+      const float* position = &edit->positions[3 * i];
+      const float* scale = &splats.scales.data[3 * i];
+      sample.keep(slot, {{position[0], position[1], position[2]},
+                         std::max({scale[0], scale[1], scale[2]}),
+                         splats.opacities[i],
+                         group_index});
+    } else {
+      sample.drop(slot);
+    }
+    ++i;
+  });
+  try {
+    if (keep) keep(edit, next);
+  } catch (...) {
+    for (auto run = edit->runs.rbegin(); run != edit->runs.rend(); ++run) {
+      for (std::uint32_t k = run->second; k > 0; --k) used.set(run->first + k - 1, before[--i]);
+    }
+    throw;
+  }
+  if (edit->clear) used_ = std::move(fresh);
+  if (values) {
+    for (const auto& [first, count] : edit->runs) {
+      for (std::uint32_t slot = first - first % SlotSet::kPage; slot < first + count;
+           slot += SlotSet::kPage) {
+        block_groups_[slot / SlotSet::kPage] = static_cast<std::uint16_t>(batch.group);
+      }
+    }
+  }
+  const std::lock_guard lock(locks_.exchanging);
+  state_ = std::move(next);
+  sample_ = std::move(sample);
+  if (regrouped) groups_ = std::move(*regrouped);
+  return edit;
+}
+
+void GaussianMap::checkBlocks(const SlotSet& used, const SlotRuns& runs,
+                              std::uint32_t group) const {
+  for (const auto& [first, count] : runs) {
+    for (std::uint32_t block = first / SlotSet::kPage; block * SlotSet::kPage < first + count;
+         ++block) {
+      if (block >= block_groups_.size() || block_groups_[block] == group || !used.any(block)) {
+        continue;
+      }
+      const std::uint32_t begin = block * SlotSet::kPage;
+      throw BatchError("group is " + std::to_string(group) + ", but slots " +
+                       std::to_string(begin) + " to " + std::to_string(begin + SlotSet::kPage - 1) +
+                       " hold splats of group " + std::to_string(block_groups_[block]) +
+                       ": delete them first");
+    }
+  }
+}
+
+GaussianEdit editOf(PackedRun run, ThreadTeam* team) {
+  GaussianEdit edit;
+  const std::size_t count = run.slots.size() / kSlotWords;
+  edit.group = run.group.number;
+  edit.origin = run.group.originOrZero();
+  edit.runs = {{run.first_slot, static_cast<std::uint32_t>(count)}};
+  edit.sh_degree = run.sh_degree;
+  edit.slots = std::move(run.slots);
+  edit.bands = std::move(run.bands);
+  edit.channels = std::move(run.channels);
+  edit.positions.resize(3 * count);
+  edit.extents.resize(count);
+  constexpr std::size_t kPart = 4096;
+  inParts(team, (count + kPart - 1) / kPart, [&](std::size_t part) {
+    for (std::size_t i = kPart * part; i < std::min(count, kPart * (part + 1)); ++i) {
+      std::uint32_t* const slot = &edit.slots[kSlotWords * i];
+      slot[kChangeWord] &= 0xffffu;
+      std::memcpy(&edit.positions[3 * i], slot, 3 * sizeof(float));
+      edit.extents[i] = extentOf(slotOpacity(slot), largestScale(slot));
+    }
+  });
+  std::size_t used = count;  // up to the last that is
+  while (used > 0 && (edit.slots[kSlotWords * (used - 1) + 3] & 0xffffu) == 0) --used;
+  if (used > 0) edit.capacity = run.first_slot + static_cast<std::uint32_t>(used);
+  return edit;
+}
+
+GaussianEdit editOf(const Groups& groups) {
+  GaussianEdit edit;
+  std::transform(groups.all().begin(), groups.all().end(), std::back_inserter(edit.moves),
+                 [](const Group& group) { return GroupMove{group.number, group.pose}; });
+  return edit;
+}
+
+SplatValues valuesOf(std::uint32_t slot, const Group& group, const std::uint32_t* words,
+                     int sh_degree,
+                     const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands) {
+  const Splat splat = unpackSlot(words);
+  const auto& [x, y, z] = splat.position;
+  SplatValues values;
+  values.slot = slot;
+  values.group = group.number;
+  values.position = group.inMap(std::array<double, 3>{x, y, z});
+  values.orientation = group.inMap(splat.orientation);
+  values.scale = splat.scale;
+  values.opacity = splat.opacity;
+  values.sh.assign(splat.color.begin(), splat.color.end());
+  const std::vector<float> rest = unpackHarmonics(words, sh_degree, bands);
+  values.sh.insert(values.sh.end(), rest.begin(), rest.end());
+  return values;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,219 @@
+#include "rosplat_core/map/host_slots.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <memory>
+
+#include "rosplat_core/threads/in_parts.hpp"
+
+namespace rosplat {
+
+namespace {
+
+std::size_t bandWords(int band) { return HostSlots::kSlots * kBandWords[band]; }
+
+}  // namespace
+
+void HostSlots::apply(const GaussianEdit& edit, double now, ThreadTeam* team) {
+  if (edit.clear) {
+    memory_.clear();
+    pages_ = {};
+    sh_degree_ = 0;
+    channels_ = 0;
+  }
+  sh_degree_ = std::max(sh_degree_, edit.sh_degree);
+  for (std::size_t channel = channels_; channel < kMostChannels; ++channel) {
+    if (!edit.channels[channel].empty()) channels_ = channel + 1;
+  }
+  pages_.apply(edit);
+  const std::size_t before = memory_.size();
+  memory_.resize(pages_.pages().size());
+  inParts(team, memory_.size() - before, [&](std::size_t number) {
+    memory_[before + number] = std::make_unique<Page>();
+    memory_[before + number]->extent.fill(-1);
+  });
+  for (const std::uint32_t first_slot : pages_.emptied()) at(*pages_.find(first_slot)).empty();
+  const auto change = static_cast<std::uint32_t>(now) << 16;
+  std::size_t source = 0;
+  std::vector<Part> parts;  // of a run: no two are of one page
+  for (const auto& [first, count] : edit.runs) {
+    parts.clear();
+    for (std::uint32_t done = 0, in_page; done < count; done += in_page) {
+      const std::uint32_t slot = first + done;
+      in_page = std::min(count - done, static_cast<std::uint32_t>(kSlots - slot % kSlots));
+      parts.push_back({slot, in_page, source + done});
+    }
+    inParts(team, parts.size(), [&](std::size_t number) { write(edit, parts[number], change); });
+    source += count;
+  }
+}
+
+void HostSlots::write(const GaussianEdit& edit, const Part& part, std::uint32_t change) {
+  const auto& [first, count, source] = part;
+  const SlotPage* const found = pages_.find(first);
+  if (!found) return;  // slots that were never used are empty already
+  Page& page = *memory_[found->place];
+  const std::size_t target = first % kSlots;
+  if (page.parents) {
+    for (std::size_t i = 0; i < count; ++i) {
+      const bool shows = edit.sh_degree >= 0 && edit.extents[source + i] >= 0;
+      (*page.parents)[target + i] = shows ? kBoundless : 0;
+    }
+    page.widest_parent = kBoundless;
+  }
+  if (edit.sh_degree < 0) {
+    for (auto& words : page.words) std::fill_n(&words[target], count, 0u);
+    std::fill_n(&page.extent[target], count, -1.0f);
+    return;
+  }
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::uint32_t* const words = &edit.slots[kSlotWords * (source + i)];
+    float position[3];
+    std::memcpy(position, words, sizeof(position));
+    for (std::size_t axis = 0; axis < 3; ++axis) page.position[axis][target + i] = position[axis];
+    page.extent[target + i] = edit.extents[source + i];
+    for (std::size_t k = 0; k < page.words.size(); ++k) {
+      page.words[k][target + i] = words[3 + k] | (3 + k == kChangeWord ? change : 0);
+    }
+  }
+  for (int band = 1; band <= sh_degree_; ++band) {
+    const auto coefficients = static_cast<std::size_t>(kBandWords[band]);
+    std::uint32_t* memory = page.bands[band].get();
+    if (!memory) {
+      if (band > edit.sh_degree) continue;
+      page.bands[band].reset(new std::uint32_t[bandWords(band)]{});
+      memory = page.bands[band].get();
+    }
+    for (std::size_t i = 0; i < count; ++i) {
+      for (std::size_t k = 0; k < coefficients; ++k) {
+        memory[k * kSlots + target + i] =
+            band <= edit.sh_degree ? edit.bands[band][coefficients * (source + i) + k] : 0;
+      }
+    }
+  }
+  writeChannels(edit, source, page, target, count);
+}
+
+void HostSlots::writeChannels(const GaussianEdit& edit, std::size_t source, Page& page,
+                              std::size_t target, std::size_t count) {
+  for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
+    const std::vector<float>& values = edit.channels[channel];
+    auto& memory = page.channels[channel];
+    if (!values.empty() && !memory) {
+      memory = std::make_unique<PerSlot<float>>();
+      memory->fill(kNoValue);
+    }
+    if (!memory) continue;
+    for (std::size_t i = 0; i < count; ++i) {
+      (*memory)[target + i] = values.empty() ? kNoValue : values[source + i];
+    }
+  }
+}
+
+void HostSlots::setParents(const SlotPage& of, const PerSlot<float>& sizes) {
+  Page& page = at(of);
+  if (!page.parents) {
+    page.parents = std::make_unique<PerSlot<float>>();
+    for (std::size_t i = 0; i < kSlots; ++i) {
+      (*page.parents)[i] = page.extent[i] >= 0 ? kBoundless : 0;
+    }
+  }
+  for (std::size_t i = 0; i < kSlots; ++i) {
+    if (sizes[i] >= 0) (*page.parents)[i] = sizes[i];
+  }
+  page.widest_parent = *std::max_element(page.parents->begin(), page.parents->end());
+}
+
+void HostSlots::dropParents() {
+  for (const auto& page : memory_) {
+    page->parents.reset();
+    page->widest_parent = kBoundless;
+  }
+}
+
+std::size_t HostSlots::bytes() const {
+  std::size_t words = 0;  // of bands and channels
+  for (const auto& page : memory_) {
+    for (int band = 1; band <= sh_degree_; ++band) words += page->bands[band] ? bandWords(band) : 0;
+    for (const auto& channel : page->channels) words += channel ? kSlots : 0;
+  }
+  return memory_.size() * sizeof(Page) + words * sizeof(std::uint32_t) + pages_.bytes() +
+         memory_.capacity() * sizeof(memory_[0]);
+}
+
+void HostSlots::Page::empty() {
+  for (auto& of_all : words) of_all.fill(0);
+  extent.fill(-1);
+  if (parents) parents->fill(0);
+}
+
+void HostSlots::Page::interleave(int band, std::uint32_t* to) const {
+  const std::size_t words = band == 0 ? kSlotWords : std::size_t(kBandWords[band]);
+  for (std::size_t k = 0; k < words; ++k) {
+    const void* const from = band > 0 ? (bands[band] ? &bands[band][k * kSlots] : nullptr)
+                             : k < position.size() ? static_cast<const void*>(position[k].data())
+                                                   : this->words[k - position.size()].data();
+    std::array<std::uint32_t, kSlots> of_all{};
+    if (from) std::memcpy(of_all.data(), from, sizeof(of_all));
+    for (std::size_t i = 0; i < kSlots; ++i) to[words * i + k] = of_all[i];
+  }
+}
+
+PackedSlot HostSlots::Page::packed(std::size_t i, int sh_degree) const {
+  PackedSlot slot;
+  for (std::size_t k = 0; k < slot.words.size(); ++k) slot.words[k] = word(k, i);
+  for (int band = 1; band <= sh_degree; ++band) {
+    for (int k = 0; bands[band] && k < kBandWords[band]; ++k) {
+      slot.bands[band][k] = bands[band][std::size_t(k) * kSlots + i];
+    }
+  }
+  return slot;
+}
+
+void HostSlots::Page::put(std::size_t i, const PackedSlot& slot, int sh_degree) {
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    std::memcpy(&position[axis][i], &slot.words[axis], sizeof(float));
+  }
+  for (std::size_t k = 0; k < words.size(); ++k) words[k][i] = slot.words[3 + k];
+  for (int band = 1; band <= sh_degree; ++band) {
+    if (!bands[band]) bands[band].reset(new std::uint32_t[bandWords(band)]{});
+    for (int k = 0; k < kBandWords[band]; ++k) {
+      bands[band][std::size_t(k) * kSlots + i] = slot.bands[band][k];
+    }
+  }
+}
+
+std::vector<SplatValues> HostSlots::read(const std::vector<std::uint32_t>& slots) const {
+  std::vector<SplatValues> splats;
+  for (const std::uint32_t slot : slots) {
+    SplatValues& values = splats.emplace_back();
+    values.slot = slot;
+    const SlotPage* const found = pages_.find(slot);
+    if (!found) continue;
+    const PackedSlot packed = at(*found).packed(slot % kSlots, sh_degree_);
+    values =
+        valuesOf(slot, pages_.groupOf(*found), packed.words.data(), sh_degree_, packed.bandWords());
+    for (std::size_t channel = 0; channel < channels_; ++channel) {
+      const auto& memory = at(*found).channels[channel];
+      values.channels.push_back(memory ? (*memory)[slot % kSlots] : kNoValue);
+    }
+  }
+  return splats;
+}
+
+GaussianEdit HostSlots::edit(const SlotPage& of) const {
+  PackedRun run{pages_.groupOf(of), of.first_slot, sh_degree_, {}, {}, {}};
+  run.slots.resize(kSlots * kSlotWords);
+  at(of).interleave(0, run.slots.data());
+  for (int band = 1; band <= sh_degree_; ++band) {
+    run.bands[band].resize(bandWords(band));
+    at(of).interleave(band, run.bands[band].data());
+  }
+  for (std::size_t channel = 0; channel < channels_; ++channel) {
+    const auto& memory = at(of).channels[channel];
+    if (memory) run.channels[channel].assign(memory->begin(), memory->end());
+  }
+  return editOf(std::move(run));
+}
+
+}  // namespace rosplat

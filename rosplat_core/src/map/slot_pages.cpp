@@ -1,0 +1,84 @@
+#include "rosplat_core/map/slot_pages.hpp"
+
+#include <algorithm>
+
+namespace rosplat {
+
+namespace {
+
+template <typename Pages>
+auto firstFrom(Pages& pages, std::uint32_t first_slot) {
+  return std::lower_bound(
+      pages.begin(), pages.end(), first_slot,
+      [](const SlotPage& page, std::uint32_t slot) { return page.first_slot < slot; });
+}
+
+std::uint32_t firstSlotOfPage(std::uint32_t slot) { return slot - slot % SlotPage::kSlots; }
+
+}  // namespace
+
+void SlotPages::apply(const GaussianEdit& edit) {
+  emptied_.clear();
+  if (edit.clear) {
+    pages_.clear();
+    groups_ = {};
+  }
+  for (const GroupMove& move : edit.moves) groups_.move(move);
+  const bool writes = edit.sh_degree >= 0 && !edit.runs.empty();
+  const std::uint32_t group = writes ? groups_.write(edit.group, edit.origin) : 0;
+  std::size_t i = 0;
+  for (const auto& [first, count] : edit.runs) {
+    std::uint32_t slot = first, left = count;
+    while (left > 0) {
+      const std::uint32_t in_page = std::min(left, SlotPage::kSlots - slot % SlotPage::kSlots);
+      if (writes) {
+        SlotPage& of = page(firstSlotOfPage(slot), group);
+        for (std::size_t k = i; k < i + in_page; ++k) {
+          if (edit.extents[k] < 0) continue;
+          of.extent = std::max(of.extent, edit.extents[k]);
+          for (int axis = 0; axis < 3; ++axis) {
+            const float x = edit.positions[3 * k + axis];
+            of.least[axis] = std::min(of.least[axis], x);
+            of.most[axis] = std::max(of.most[axis], x);
+          }
+        }
+      }
+      slot += in_page;
+      left -= in_page;
+      i += in_page;
+    }
+  }
+}
+
+const SlotPage* SlotPages::find(std::uint32_t slot) const {
+  const auto found = firstFrom(pages_, firstSlotOfPage(slot));
+  return found != pages_.end() && found->first_slot == firstSlotOfPage(slot) ? &*found : nullptr;
+}
+
+std::vector<std::uint32_t> SlotPages::slots(std::uint32_t capacity) const {
+  std::vector<std::uint32_t> slots;
+  slots.reserve(pages_.size() * SlotPage::kSlots);
+  for (const SlotPage& page : pages_) {
+    const std::uint32_t end = std::min(page.first_slot + SlotPage::kSlots, capacity);
+    for (std::uint32_t slot = page.first_slot; slot < end; ++slot) slots.push_back(slot);
+  }
+  return slots;
+}
+
+SlotPage& SlotPages::page(std::uint32_t first_slot, std::uint32_t group) {
+  const auto at = firstFrom(pages_, first_slot);
+  const bool known = at != pages_.end() && at->first_slot == first_slot;
+  if (known && at->group == group) return *at;
+  constexpr float infinity = std::numeric_limits<float>::infinity();
+  SlotPage fresh;
+  fresh.first_slot = first_slot;
+  fresh.place = known ? at->place : static_cast<std::uint32_t>(pages_.size());
+  fresh.group = group;
+  fresh.least.fill(infinity);
+  fresh.most.fill(-infinity);
+  if (!known) return *pages_.insert(at, fresh);
+  emptied_.push_back(first_slot);
+  return *at = fresh;
+}
+
+}  // namespace rosplat

@@ -1,0 +1,297 @@
+#include "rosplat_core/order/built_in_sorter.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <new>
+
+namespace rosplat {
+
+namespace {
+
+// A page's first row.
+std::size_t rowOf(const SlotPage& page) { return std::size_t{page.place} * SlotPage::kSlots; }
+
+// With room for a quarter more, where doubling would take as much again as there is.
+template <typename T>
+void grow(std::vector<T>& values, std::size_t size, T value) {
+  if (size > values.capacity()) values.reserve(size + size / 4);
+  values.resize(size, value);
+}
+
+}  // namespace
+
+BuiltInSorter::BuiltInSorter(OrderPool& pool, Feed feed)
+    : pool_(pool), feed_(std::move(feed)), rests_(bool(feed_)), thread_([this] { run(); }) {}
+
+BuiltInSorter::~BuiltInSorter() {
+  {
+    const std::lock_guard lock(mutex_);
+    stop_ = true;
+  }
+  wake_.notify_all();
+  thread_.join();
+}
+
+void BuiltInSorter::begin() {
+  if (std::exchange(rests_, false)) feed_();
+}
+
+void BuiltInSorter::rest() {
+  auto nothing = std::make_shared<GaussianEdit>();
+  nothing->clear = true;
+  apply(EditQueue::node(std::move(nothing), {}));
+  rests_ = bool(feed_);
+}
+
+void BuiltInSorter::apply(EditQueue::Node edit) noexcept {
+  if (rests_) return;
+  {
+    const std::lock_guard lock(mutex_);
+    edits_.push(std::move(edit));
+  }
+  wake_.notify_one();
+}
+
+void BuiltInSorter::request(const std::string& view_id, std::uint64_t sequence,
+                            const SplatCamera& camera, OrderPtr base) {
+  begin();
+  {
+    const std::lock_guard lock(mutex_);
+    requests_[view_id] = {sequence, camera, std::move(base)};
+  }
+  wake_.notify_one();
+}
+
+OrderPtr BuiltInSorter::take(const std::string& view_id) {
+  const std::lock_guard lock(mutex_);
+  const auto found = orders_.find(view_id);
+  if (found == orders_.end()) return nullptr;
+  OrderPtr order = std::move(found->second);
+  orders_.erase(found);
+  return order;
+}
+
+OrderPtr BuiltInSorter::sortNow(const std::string& view_id, std::uint64_t sequence,
+                                const SplatCamera& camera) {
+  begin();
+  std::unique_lock lock(mutex_);
+  orders_.erase(view_id);
+  requests_[view_id] = {sequence, camera, nullptr};
+  wake_.notify_one();
+  finished_.wait(lock, [&] {
+    const auto found = orders_.find(view_id);
+    return found != orders_.end() && found->second->sequence == sequence;
+  });
+  OrderPtr order = std::move(orders_[view_id]);
+  orders_.erase(view_id);
+  return order;
+}
+
+void BuiltInSorter::forget(const std::string& view_id) {
+  const std::lock_guard lock(mutex_);
+  requests_.erase(view_id);
+  orders_.erase(view_id);
+}
+
+std::size_t BuiltInSorter::bytes() const {
+  const std::lock_guard lock(mutex_);
+  return bytes_;
+}
+
+void BuiltInSorter::run() {
+  std::unique_lock lock(mutex_);
+  while (true) {
+    wake_.wait(lock, [&] { return stop_ || !edits_.empty() || !requests_.empty(); });
+    if (stop_) return;
+    // A request sees every edit that came before it.
+    while (!edits_.empty()) {
+      const EditQueue::Waiting edit = edits_.pop();
+      lock.unlock();
+      apply(edit);
+      lock.lock();
+    }
+    bytes_ = (positions_.capacity() + extents_.capacity()) * sizeof(float) +
+             changed_at_.capacity() * sizeof(std::uint64_t) + pages_.bytes();
+    if (requests_.empty()) continue;
+    const auto node = requests_.extract(requests_.begin());
+    lock.unlock();
+    OrderPtr order = sort(node.key(), node.mapped());
+    lock.lock();
+    orders_[node.key()] = std::move(order);
+    finished_.notify_all();
+  }
+}
+
+void BuiltInSorter::apply(const EditQueue::Waiting& item) {
+  const GaussianEdit& edit = *item.edit;
+  const auto forget = [this] {
+    pages_ = SlotPages();
+    positions_ = std::vector<float>();
+    extents_ = std::vector<float>();
+    changed_at_ = std::vector<std::uint64_t>();
+    page_changed_ = std::vector<std::uint64_t>();
+    capacity_ = 0;
+  };
+  if (edit.clear) {
+    forget();
+    out_of_memory_ = false;
+  }
+  if (edit.clear || edit.round != round_) {  // revisions so far say nothing any more
+    std::fill(changed_at_.begin(), changed_at_.end(), 0);
+    std::fill(page_changed_.begin(), page_changed_.end(), 0);
+    begun_at_ = edit.revision;
+  }
+  if (!edit.moves.empty()) begun_at_ = edit.revision;
+  map_id_ = item.state.id;
+  round_ = edit.round;
+  revision_ = edit.revision;
+  if (out_of_memory_) return;
+  try {
+    hold(edit);
+  } catch (const std::bad_alloc&) {
+    forget();
+    out_of_memory_ = true;
+  }
+}
+
+void BuiltInSorter::hold(const GaussianEdit& edit) {
+  pages_.apply(edit);
+  capacity_ = edit.capacity;
+  const std::size_t rows = pages_.pages().size() * SlotPage::kSlots;
+  grow(positions_, 3 * rows, 0.0f);
+  grow(extents_, rows, -1.0f);
+  grow(changed_at_, rows, std::uint64_t{0});
+  grow(page_changed_, pages_.pages().size(), std::uint64_t{0});
+  const auto changed = [&](const SlotPage& page, std::size_t in_page, std::size_t count) {
+    std::fill_n(&changed_at_[rowOf(page) + in_page], count, edit.revision);
+    page_changed_[page.place] = edit.revision;
+  };
+  for (const std::uint32_t first_slot : pages_.emptied()) {
+    const SlotPage& page = *pages_.find(first_slot);
+    std::fill_n(&extents_[rowOf(page)], SlotPage::kSlots, -1.0f);
+    changed(page, 0, SlotPage::kSlots);
+  }
+  std::size_t source = 0;
+  for (const auto& [first, run_count] : edit.runs) {
+    std::uint32_t slot = first, left = run_count;
+    while (left > 0) {
+      const std::uint32_t count = std::min(left, SlotPage::kSlots - slot % SlotPage::kSlots);
+      if (const SlotPage* const page = pages_.find(slot)) {
+        const std::size_t row = rowOf(*page) + slot % SlotPage::kSlots;
+        if (edit.sh_degree >= 0) {
+          std::copy_n(&edit.positions[3 * source], 3 * count, &positions_[3 * row]);
+          std::copy_n(&edit.extents[source], count, &extents_[row]);
+        } else {
+          std::fill_n(&extents_[row], count, -1.0f);
+        }
+        changed(*page, slot % SlotPage::kSlots, count);
+      }
+      slot += count;
+      left -= count;
+      source += count;
+    }
+  }
+}
+
+OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request) {
+  const auto start = std::chrono::steady_clock::now();
+  auto order = pool_.make();
+  order->view_id = view_id;
+  order->sequence = request.sequence;
+  order->map_id = map_id_;
+  order->revision = revision_;
+  // Only an order of this map, since its revisions began, can be brought up to date.
+  const bool mergeable =
+      request.base && request.base->map_id == map_id_ && request.base->revision >= begun_at_;
+  order->source = mergeable ? request.base->source + " + built-in" : "built-in";
+  bool lacking = out_of_memory_;
+  try {
+    if (mergeable) {
+      merge(request, order->slots);
+    } else {
+      sortAll(request, order->slots);
+    }
+  } catch (const std::bad_alloc&) {
+    lacking = true;
+  }
+  if (lacking) {
+    order->slots.clear();
+    order->source += " (out of memory)";
+  }
+  order->bound = capacity_;
+  order->sort_time =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  return order;
+}
+
+std::vector<SortView> BuiltInSorter::viewsOf(const SplatCamera& camera) const {
+  std::vector<SortView> views;
+  for (const Group& group : pages_.groups()) {
+    views.push_back(sortView(inFrameOf(group.place, camera), group.originOrZero()));
+  }
+  return views;
+}
+
+void BuiltInSorter::sortAll(const Request& request, std::vector<std::uint32_t>& slots) {
+  const std::vector<SortView> views = viewsOf(request.camera);
+  std::vector<SortPage> pages;
+  pages.reserve(pages_.pages().size());
+  for (const SlotPage& page : pages_.pages()) {
+    pages.push_back({page.first_slot, page.place, page.group});
+  }
+  depth_order_.sort(views.data(), positions_.data(), extents_.data(), pages.data(), pages.size(),
+                    [&slots](std::size_t total) {
+                      slots.resize(total);
+                      return slots.data();
+                    });
+}
+
+void BuiltInSorter::merge(const Request& request, std::vector<std::uint32_t>& merged) {
+  const std::uint64_t known = request.base->revision;
+  const std::vector<SortView> views = viewsOf(request.camera);
+  std::vector<const SlotPage*> page_of(capacity_ / SlotPage::kSlots + 1, nullptr);
+  std::vector<std::uint32_t> changed, view_of;
+  std::vector<float> positions, extents;  // of these
+  for (const SlotPage& page : pages_.pages()) {
+    const std::size_t first = rowOf(page);
+    page_of[page.first_slot / SlotPage::kSlots] = &page;
+    if (page_changed_[page.place] <= known) continue;
+    for (std::size_t row = first; row < first + SlotPage::kSlots; ++row) {
+      if (changed_at_[row] <= known) continue;
+      changed.push_back(page.first_slot + static_cast<std::uint32_t>(row - first));
+      view_of.push_back(page.group);
+      positions.insert(positions.end(), &positions_[3 * row], &positions_[3 * row] + 3);
+      extents.push_back(extents_[row]);
+    }
+  }
+  const std::vector<std::uint32_t>& fresh =
+      depth_order_.sort(views.data(), positions.data(), extents.data(), changed.data(),
+                        view_of.data(), changed.size());
+
+  merged.clear();
+  merged.reserve(request.base->slots.size() + fresh.size());
+  auto next = fresh.begin();
+  const auto pageOf = [&](std::uint32_t slot) {
+    const std::size_t page = slot / SlotPage::kSlots;
+    return page < page_of.size() ? page_of[page] : nullptr;
+  };
+  const auto depth = [&](std::uint32_t slot) {
+    const SlotPage& page = *pageOf(slot);
+    return DepthOrder::depth(views[page.group],
+                             &positions_[3 * (rowOf(page) + slot % SlotPage::kSlots)]);
+  };
+  for (const std::uint32_t slot : request.base->slots) {
+    const SlotPage* const page = pageOf(slot);
+    if (!page || changed_at_[rowOf(*page) + slot % SlotPage::kSlots] > known) continue;
+    const float here = depth(slot);
+    while (next != fresh.end()) {
+      const float there = depth(*next);
+      if (there < here || (there == here && *next < slot)) break;
+      merged.push_back(*next++);
+    }
+    merged.push_back(slot);
+  }
+  merged.insert(merged.end(), next, fresh.end());
+}
+
+}  // namespace rosplat

@@ -1,0 +1,143 @@
+#include "rosplat_core/order/order_book.hpp"
+
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+constexpr std::size_t kRememberedCameras = 64;
+}
+
+void OrderBook::setCamera(const std::string& view_id, std::uint64_t sequence,
+                          const SplatCamera& camera, double now) {
+  View& view = views_[view_id];
+  view.sequence = sequence;
+  if (!view.cameras.empty() && view.cameras.back().camera == camera) return;
+  const bool answered = view.sidecar && fresh(view, *view.sidecar);
+  if (view.cameras.empty() || answered) view.waiting_since = now;
+  view.cameras.push_back({sequence, camera, now});
+  if (view.cameras.size() > kRememberedCameras) view.cameras.pop_front();
+}
+
+void OrderBook::mapChanged(const MapState& map, double now) {
+  // Another map, or the same that is played once more: its revisions begin again.
+  const bool begins = map.round != map_.round;
+  for (auto& [id, view] : views_) {
+    if (view.sidecar && fresh(view, *view.sidecar)) view.waiting_since = now;
+    if (begins) {
+      view.sidecar = view.built_in = view.drawn = nullptr;
+    }
+  }
+  map_ = map;
+  ++changes_;
+  for (auto& [id, view] : views_) {
+    if (view.early) offer(std::exchange(view.early, nullptr), now);
+  }
+}
+
+bool OrderBook::fresh(const View& view, const Order& order) const {
+  return !view.cameras.empty() && order.sequence >= view.cameras.back().sequence &&
+         order.revision == map_.revision && order.map_id == map_.id;
+}
+
+bool OrderBook::offer(const OrderPtr& order, double now) {
+  const auto found = views_.find(order->view_id);
+  if (found == views_.end()) return false;
+  View& view = found->second;
+  if (order->sequence > view.sequence) return false;
+  if (order->map_id != map_.id || order->revision > map_.revision) {
+    view.early = order;
+    return true;
+  }
+  if (view.sidecar && order->sequence < view.sidecar->sequence) return false;
+  if (order->bound > map_.capacity || order->slots.size() > map_.capacity) return false;
+  view.sidecar = order;
+  view.waiting_since = now;
+  return true;
+}
+
+bool OrderBook::answered(const std::string& view_id) const {
+  const auto found = views_.find(view_id);
+  return found != views_.end() && found->second.sidecar &&
+         fresh(found->second, *found->second.sidecar);
+}
+
+void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& base) {
+  if (view.requested_sequence == view.cameras.back().sequence && view.requested_at == changes_ &&
+      view.requested_base == base) {
+    return;
+  }
+  view.requested_sequence = view.cameras.back().sequence;
+  view.requested_at = changes_;
+  view.requested_base = base;
+  // A merge compares depths as the base was sorted: by the camera that it answers.
+  const Camera* camera = &view.cameras.back();
+  if (base) {
+    for (const Camera& past : view.cameras) {
+      if (past.sequence <= base->sequence) camera = &past;
+    }
+  }
+  built_in_.request(view_id, base ? base->sequence : camera->sequence, camera->camera, base);
+}
+
+OrderBook::Choice OrderBook::choose(const std::string& view_id, double now, OrderSource source) {
+  View& view = views_[view_id];
+  if (view.cameras.empty()) return {};
+  if (OrderPtr sorted = built_in_.take(view_id); sorted && sorted->map_id == map_.id) {
+    view.built_in = std::move(sorted);
+  }
+
+  const bool sidecar = view.sidecar && source != OrderSource::kBuiltIn;
+  const bool patient = source == OrderSource::kSidecar || now - view.waiting_since < kPatience;
+  if (sidecar && fresh(view, *view.sidecar)) {
+    view.drawn = view.sidecar;
+  } else if (sidecar && patient) {
+    if (view.sidecar->revision == map_.revision) {
+      view.drawn = view.sidecar;
+    } else {
+      request(view_id, view, view.sidecar);
+      if (view.built_in) view.drawn = view.built_in;
+    }
+  } else if (source != OrderSource::kSidecar) {
+    request(view_id, view, nullptr);
+    if (view.built_in) view.drawn = view.built_in;
+  }
+
+  return chosen(view, view.drawn, now);
+}
+
+OrderBook::Choice OrderBook::received(const std::string& view_id, double now) const {
+  const auto found = views_.find(view_id);
+  if (found == views_.end()) return {};
+  const OrderPtr& order = found->second.sidecar;
+  if (!order || order->revision != map_.revision) return {};
+  const Choice choice = chosen(found->second, order, now);
+  return choice.age > kPatience ? Choice{} : choice;
+}
+
+OrderBook::Choice OrderBook::chosen(const View& view, const OrderPtr& order, double now) const {
+  Choice choice{order, order && fresh(view, *order), 0};
+  if (!order || choice.fresh) return choice;
+  // The camera after the one that the order answers, if any: since then the order is old.
+  for (const Camera& camera : view.cameras) {
+    if (camera.sequence <= order->sequence) continue;
+    choice.age = now - camera.time;
+    break;
+  }
+  return choice;
+}
+
+OrderBook::Choice OrderBook::sortNow(const std::string& view_id) {
+  View& view = views_[view_id];
+  if (view.cameras.empty()) return {};
+  const Camera& camera = view.cameras.back();
+  view.drawn = view.built_in = built_in_.sortNow(view_id, camera.sequence, camera.camera);
+  return {view.drawn, true, 0};
+}
+
+void OrderBook::forget(const std::string& view_id) {
+  views_.erase(view_id);
+  built_in_.forget(view_id);
+}
+
+}  // namespace rosplat

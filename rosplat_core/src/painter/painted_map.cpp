@@ -1,0 +1,158 @@
+#include "rosplat_core/painter/painted_map.hpp"
+
+#include <algorithm>
+#include <iterator>
+#include <new>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+// So long pictures wait for levels of detail that aren't whole; then they do without. [s]
+constexpr double kLevelsPerPicture = 0.03;
+constexpr double kLevelsShare = 0.5;  // or for that part of the time that they take without
+
+}  // namespace
+
+PaintedMap::PaintedMap(NextEdit next_edit)
+    : next_edit_(std::move(next_edit)), levels_(ThreadTeam::ofViewers()) {}
+
+void PaintedMap::hold(const GaussianEdit& page, double now) {
+  const std::unique_lock lock(slots_mutex_);
+  slots_.apply(page, now);
+}
+
+void PaintedMap::hold(const MapState& map) { setState(map, ""); }
+
+void PaintedMap::setState(const MapState& map, const std::string& error) {
+  const std::size_t bytes = slots_.bytes();  // of which its writers are the only ones
+  const std::lock_guard lock(state_mutex_);
+  state_ = map;
+  error_ = error;
+  bytes_ = bytes;
+}
+
+void PaintedMap::leave() {
+  const std::lock_guard lock(edits_mutex_);
+  next_edit_ = [](auto&, auto&) { return false; };
+}
+
+void PaintedMap::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
+  const std::shared_lock lock(slots_mutex_);
+  take(slots_.index().moves());
+  for (const SlotPage& page : slots_.pages()) take(slots_.edit(page));
+}
+
+std::vector<SplatValues> PaintedMap::read(const std::vector<std::uint32_t>& slots) const {
+  const std::shared_lock lock(slots_mutex_);
+  return slots_.read(slots);
+}
+
+MapState PaintedMap::state() const {
+  const std::lock_guard lock(state_mutex_);
+  return state_;
+}
+
+std::string PaintedMap::error() const {
+  const std::lock_guard lock(state_mutex_);
+  return error_;
+}
+
+std::size_t PaintedMap::bytes() const {
+  const std::lock_guard lock(state_mutex_);
+  return bytes_;
+}
+
+bool PaintedMap::takeEdits(std::size_t most_bytes, const std::atomic<bool>& stop, double now) {
+  std::size_t taken = 0;
+  std::shared_ptr<const GaussianEdit> edit;
+  MapState state;
+  const auto next = [&] {
+    const std::lock_guard lock(edits_mutex_);
+    return next_edit_(edit, state);
+  };
+  while (taken < most_bytes && !stop && next()) {
+    const std::unique_lock lock(slots_mutex_);
+    std::string error = edit->clear ? "" : this->error();
+    if (edit->clear) levels_.clear();
+    try {
+      slots_.apply(*edit, now);
+      levels_.mark(slots_, edit->runs);
+    } catch (const std::bad_alloc&) {  // the rest of the map is still worth seeing
+      error = "there is no memory for all of the map";
+    }
+    taken += edit->slots.size() * sizeof(std::uint32_t);
+    for (const auto& band : edit->bands) taken += band.size() * sizeof(std::uint32_t);
+    for (const auto& channel : edit->channels) taken += channel.size() * sizeof(float);
+    setState(state, error);
+  }
+  return taken < most_bytes;
+}
+
+bool PaintedMap::advanceLevels(const std::function<bool()>& stop) {
+  // Nobody else writes slots, nor looks at what this writes.
+  const bool whole = levels_.advance(slots_, stop);
+  levels_bytes_ = levels_.bytes();
+  return whole;
+}
+
+void PaintedMap::keepViews(const std::function<bool(const std::string& view_id)>& keep) {
+  for (auto control = controls_.begin(); control != controls_.end();) {
+    control = keep(control->first) ? std::next(control) : controls_.erase(control);
+  }
+  if (controls_.empty()) dropLevels();
+}
+
+void PaintedMap::dropLevels() {
+  wants_levels_ = false;
+  if (levels_bytes_ == 0) return;
+  levels_.clear();
+  levels_bytes_ = 0;
+  const std::unique_lock lock(slots_mutex_);
+  slots_.dropParents();
+}
+
+PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id, bool rests,
+                                            const std::function<bool(double)>& stop,
+                                            PictureLayer& layer) {
+  const RenderSettings& settings = layer.settings;
+  const Detail detail = settings.drawnDetail();
+  DetailControl& control = controls_[view_id];
+  const bool in_time = detail.kind == Detail::Kind::kTime;
+  const bool moves = settings.asynchronous && !rests;
+  if (!control.needsLevels(detail) || (in_time && !moves)) return {};
+  wants_levels_ = true;
+  const double patience = std::max(kLevelsPerPicture, kLevelsShare * control.secondsInFull());
+  try {
+    const bool whole = advanceLevels([&] { return stop(patience); });
+    if (levels_.nodes() == 0) return {whole || in_time, ""};  // all is drawn until they stand
+    layer.levels = &levels_;
+    layer.error =
+        control.choose(settings, levels_.samples(), layer.camera, slots_.index().groups());
+    return {in_time ? layer.error == 0 : whole && control.settled(), ""};
+  } catch (const std::bad_alloc&) {
+    return {true, "there is no memory for levels of detail"};
+  }
+}
+
+std::string PaintedMap::detailProblem(const std::string& view_id) const {
+  const auto found = controls_.find(view_id);
+  return found == controls_.end() ? "" : found->second.problem();
+}
+
+std::optional<double> PaintedMap::drew(const std::string& view_id, const PictureLayer& layer,
+                                       const SplatPicture::OfLayer& drawn, double seconds) {
+  const auto found = controls_.find(view_id);
+  if (found == controls_.end()) return {};
+  DetailControl& control = found->second;
+  if (layer.levels) {
+    control.took(drawn.error, seconds);
+    return control.drew(drawn.error, drawn.drawn);
+  }
+  control.drewAll(seconds);
+  wants_levels_ = wants_levels_ || control.needsLevels(layer.settings.drawnDetail());
+  return {};
+}
+
+}  // namespace rosplat

@@ -1,0 +1,464 @@
+#include "rosplat_core/painter/painter.hpp"
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <new>
+#include <set>
+#include <utility>
+
+#include "rosplat_core/painter/depth_warp.hpp"
+#include "rosplat_core/threads/give_way.hpp"
+
+namespace rosplat {
+
+namespace {
+
+// So much of a map that streams in is taken before what there is of it is shown.
+constexpr std::size_t kEditBytesPerPicture = std::size_t{256} << 20;
+constexpr double kFarthestAhead = 0.5;  // that a camera is thought to go on as it moves [s]
+constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
+
+double now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+using Cover = PictureMesh::Cover;
+
+PictureMesh::Cells cellsOf(const std::vector<std::uint8_t>& rgba, int width, int height) {
+  return PictureMesh::cells(width, height, [&rgba](std::size_t first, std::size_t count) {
+    std::uint32_t all = ~0u, some = 0;
+    for (std::size_t i = first; i < first + count; ++i) {
+      std::uint32_t pixel;
+      std::memcpy(&pixel, &rgba[4 * i], sizeof(pixel));
+      all &= pixel;
+      some |= pixel;
+    }
+    std::array<std::uint8_t, 4> of_all, of_some;
+    std::memcpy(&of_all, &all, sizeof(all));
+    std::memcpy(&of_some, &some, sizeof(some));
+    return of_all[3] == 255 ? Cover::kAll : of_some[3] > 0 ? Cover::kSome : Cover::kNothing;
+  });
+}
+
+// As bytes. What is brighter than white stays white when it is laid over something.
+PaintedLayer<std::uint8_t> colourLayer(const SplatPicture& picture) {
+  PaintedLayer<std::uint8_t> layer;
+  layer.values.resize(picture.colour.size());
+  toBytes(picture.colour.data(), picture.colour.size(), layer.values.data());
+  layer.cells = cellsOf(layer.values, picture.width, picture.height);
+  return layer;
+}
+
+// Calls each(first pixel, count) for the rows of pixels of each divided tile.
+template <typename Each>
+void forDivided(const SplatPicture& picture, const Each& each) {
+  constexpr int kTile = PictureMesh::kCell;
+  const int across = (picture.width + kTile - 1) / kTile;
+  for (std::size_t tile = 0; tile < picture.divided.size(); ++tile) {
+    if (!picture.divided[tile]) continue;
+    const int left = kTile * (int(tile) % across), top = kTile * (int(tile) / across);
+    const auto count = std::size_t(std::min(kTile, picture.width - left));
+    for (int y = top; y < std::min(top + kTile, picture.height); ++y) {
+      each(std::size_t(y) * std::size_t(picture.width) + std::size_t(left), count);
+    }
+  }
+}
+
+// What is behind translucent objects, as bytes.
+PaintedLayer<std::uint8_t> behindLayer(const SplatPicture& picture) {
+  PaintedLayer<std::uint8_t> layer;
+  if (picture.behind.empty()) return layer;
+  layer.values.resize(picture.behind.size());
+  forDivided(picture, [&](std::size_t first, std::size_t count) {
+    toBytes(&picture.behind[4 * first], 4 * count, &layer.values[4 * first]);
+  });
+  layer.cells = cellsOf(layer.values, picture.width, picture.height);
+  return layer;
+}
+
+// The mean window depth of what is more opaque than not there, 1 elsewhere.
+PaintedLayer<float> hidingLayer(const SplatPicture& picture) {
+  PaintedLayer<float> layer;
+  const std::vector<float>& nearness = picture.nearness;
+  if (nearness.empty()) return layer;
+  std::vector<float>& depths = layer.values;
+  depths.assign(nearness.size() / 2, 1.0f);
+  forDivided(picture, [&](std::size_t first, std::size_t count) {
+    for (std::size_t i = first; i < first + count; ++i) {
+      if (nearness[2 * i + 1] >= 0.5f) depths[i] = 1.0f - nearness[2 * i] / nearness[2 * i + 1];
+    }
+  });
+  layer.cells = PictureMesh::cells(
+      picture.width, picture.height, [&depths](std::size_t first, std::size_t count) {
+        const float* const in_row = &depths[first];
+        const bool some = std::count_if(in_row, in_row + count, [](float d) { return d < 1; }) > 0;
+        return some ? Cover::kSome : Cover::kNothing;
+      });
+  return layer;
+}
+
+// While it is drawn: what maps hold, and what is known of them.
+class LockedMaps {
+ public:
+  LockedMaps(const PaintRequest& asked, PictureRequest& request) : states_(asked.layers.size()) {
+    for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+      locks_.push_back(asked.layers[i].map->lock());
+      states_[i] = asked.layers[i].map->state();
+      request.layers[i].map = &states_[i];
+    }
+  }
+  const std::vector<MapState>& states() const { return states_; }
+
+ private:
+  std::vector<std::shared_lock<std::shared_mutex>> locks_;
+  std::vector<MapState> states_;
+};
+
+}  // namespace
+
+bool PaintLayer::operator==(const PaintLayer& o) const {
+  return map == o.map && camera == o.camera && camera.ndc_scale == o.camera.ndc_scale &&
+         camera.ndc_offset == o.camera.ndc_offset && settings.projectsAs(o.settings) &&
+         order == o.order && unsorted == o.unsorted && age_tick == o.age_tick;
+}
+
+const PaintLayer* PaintRequest::of(const PaintedMap& map) const {
+  const auto found = std::find_if(layers.begin(), layers.end(), [&map](const PaintLayer& layer) {
+    return layer.map.get() == &map;
+  });
+  return found == layers.end() ? nullptr : &*found;
+}
+
+bool PaintRequest::operator==(const PaintRequest& o) const {
+  return layers == o.layers && motion == o.motion && window == o.window &&
+         scene_depth == o.scene_depth && translucent_depth == o.translucent_depth;
+}
+
+Painter::Painter() : start_(now()), thread_([this] { run(); }) {}
+
+Painter::~Painter() {
+  {
+    const std::lock_guard lock(mutex_);
+    stop_ = true;
+    cancelled_ = true;
+    if (picking_) *picking_ = true;
+  }
+  wake_.notify_all();
+  thread_.join();
+}
+
+double Painter::clock() const { return std::fmod((now() - start_) * kTicksPerSecond, 65536.0); }
+
+void Painter::wake() {
+  {
+    const std::lock_guard lock(mutex_);
+    edits_ = true;
+  }
+  wake_.notify_one();
+}
+
+void Painter::add(PaintedMapPtr map) {
+  const std::lock_guard lock(mutex_);
+  maps_.push_back(std::move(map));
+  edits_ = true;
+  wake_.notify_one();
+}
+
+void Painter::remove(const PaintedMapPtr& map) {
+  const std::lock_guard lock(mutex_);
+  maps_.erase(std::remove(maps_.begin(), maps_.end(), map), maps_.end());
+  edits_ = true;  // so that what the painter knows of it goes
+  wake_.notify_one();
+}
+
+std::uint64_t Painter::enqueue(const std::string& view_id, PaintRequestPtr&& request) {
+  View& view = views_[view_id];
+  if (!view.waiting) queue_.push_back(view_id);
+  if (painting_ == view_id && refining_ && !request->rests) cancelled_ = true;
+  view.waiting = Waiting{++asked_, std::move(request), now()};
+  wake_.notify_one();
+  return asked_;
+}
+
+void Painter::ask(const std::string& view_id, PaintRequestPtr request) {
+  const std::lock_guard lock(mutex_);
+  enqueue(view_id, std::move(request));
+}
+
+void Painter::hurry(const std::string& view_id) {
+  const std::lock_guard lock(mutex_);
+  const auto found = views_.find(view_id);
+  if (found == views_.end() || !found->second.waiting || found->second.given_up) return;
+  if (painting_ == view_id) cancelled_ = found->second.given_up = true;
+}
+
+PaintingPtr Painter::newest(const std::string& view_id) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = views_.find(view_id);
+  return found == views_.end() ? nullptr : found->second.newest;
+}
+
+PaintingPtr Painter::paintNow(const std::string& view_id, PaintRequestPtr request) {
+  std::unique_lock lock(mutex_);
+  const std::uint64_t number = enqueue(view_id, std::move(request));
+  finished_.wait(lock, [&] { return views_[view_id].painted >= number; });
+  PaintingPtr painting = views_[view_id].newest;
+  if (!painting->error.empty()) throw PictureError(painting->error);
+  return painting;
+}
+
+void Painter::forget(const std::string& view_id) {
+  const std::lock_guard lock(mutex_);
+  views_.erase(view_id);
+  queue_.erase(std::remove(queue_.begin(), queue_.end(), view_id), queue_.end());
+  if (painting_ == view_id) cancelled_ = true;
+  edits_ = true;  // for its levels may go
+  wake_.notify_one();
+}
+
+void Painter::run() {
+  giveWay();
+  std::unique_lock lock(mutex_);
+  while (true) {
+    wake_.wait(lock, [this] { return hasWork(); });
+    if (stop_) return;
+    cancelled_ = false;
+    if (!picks_.empty()) {
+      PickJob job = std::move(picks_.front());
+      picks_.pop_front();
+      picking_ = job.given_up;
+      lock.unlock();
+      find(job);
+      lock.lock();
+      picking_.reset();
+      edits_ = true;  // which may have been left for it
+      continue;
+    }
+    edits_ = false;
+    std::vector<PaintedMapPtr> maps = maps_;
+    if (queue_.empty()) {
+      lock.unlock();
+      keepViews(maps, "", {});
+      takeEdits(maps, kEverything);
+      for (const PaintedMapPtr& map : maps) {
+        if (!map->wantsLevels()) continue;
+        map->advanceLevels([this] {
+          const std::lock_guard own(mutex_);
+          return hasWork();
+        });
+      }
+      maps.clear();
+      lock.lock();
+      continue;
+    }
+    const std::string view_id = std::move(queue_.front());
+    queue_.pop_front();
+    View& view = views_[view_id];
+    Waiting job = *std::exchange(view.waiting, std::nullopt);
+    if (view.newest) job.takes = view.newest->took;
+    const std::uint64_t number = job.number;
+    painting_ = view_id;
+    refining_ = job.request->rests;
+    lock.unlock();
+    takeEdits(maps, job.request->asynchronous() ? kEditBytesPerPicture : kEverything);
+    keepViews(maps, view_id, job.request->layers);
+    maps.clear();
+    const std::shared_ptr<Painting> painting = paint(view_id, job);
+    lock.lock();
+    painting_.clear();
+    const auto found = views_.find(view_id);
+    if (found == views_.end()) continue;
+    if (!painting) {
+      if (!found->second.waiting) {  // nothing newer: it was given up for a pick
+        found->second.waiting = std::move(job);
+        queue_.push_front(view_id);
+      }
+      continue;
+    }
+    found->second.newest = painting;
+    found->second.painted = number;
+    found->second.given_up = false;
+    finished_.notify_all();
+  }
+}
+
+void Painter::takeEdits(const std::vector<PaintedMapPtr>& maps, std::size_t most_bytes) {
+  bool all = true;
+  for (const PaintedMapPtr& map : maps) {
+    all = map->takeEdits(most_bytes, cancelled_, clock()) && all;
+  }
+  if (all) return;
+  const std::lock_guard lock(mutex_);
+  edits_ = true;  // the rest
+}
+
+void Painter::keepViews(const std::vector<PaintedMapPtr>& maps, const std::string& view_id,
+                        const std::vector<PaintLayer>& layers) {
+  std::set<std::string> views;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [id, view] : views_) views.insert(id);
+  }
+  for (const PaintedMapPtr& map : maps) {
+    const bool wanted = std::any_of(layers.begin(), layers.end(), [&map](const PaintLayer& layer) {
+      return layer.map == map && !(layer.settings.drawnDetail() == Detail{});
+    });
+    map->keepViews(
+        [&](const std::string& id) { return views.count(id) > 0 && (wanted || id != view_id); });
+  }
+}
+
+PictureRequest Painter::pictureOf(const PaintRequest& asked) const {
+  PictureRequest request;
+  for (const PaintLayer& layer : asked.layers) {
+    PictureLayer& drawn = request.layers.emplace_back();
+    drawn.slots = &layer.map->slots();
+    drawn.camera = layer.camera;
+    drawn.settings = layer.settings;
+  }
+  request.now = clock();
+  request.scene_depth = asked.scene_depth;
+  request.translucent_depth = asked.translucent_depth;
+  return request;
+}
+
+void Painter::chooseDetail(const std::string& view_id, PictureRequest& request,
+                           Painting& painting) const {
+  const PaintRequest& asked = *painting.request;
+  const bool waited_for = !asked.asynchronous();
+  for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+    const PaintLayer& layer = asked.layers[i];
+    if (layer.settings.drawnDetail() == Detail{} || layer.order || layer.unsorted) continue;
+    const double start = now();
+    PaintedMap::Chosen chosen = layer.map->chooseDetail(
+        view_id, asked.rests,
+        [&](double patience) { return cancelled_ || (!waited_for && now() > start + patience); },
+        request.layers[i]);
+    painting.settled = painting.settled && chosen.settled;
+    painting.maps[i].detail_error = std::move(chosen.error);
+  }
+}
+
+// A request of the camera that its own will be by then, and depths as that sees them.
+PaintRequestPtr Painter::movedOn(const PaintRequest& request, double seconds) {
+  auto later = std::make_shared<PaintRequest>();
+  later->layers = request.layers;
+  later->window = request.window;
+  for (PaintLayer& layer : later->layers) {
+    layer.camera = moved(layer.camera, request.motion, seconds);
+  }
+  const SplatCamera &camera = request.camera(), &there = later->camera();
+  later->scene_depth = warpDepths(request.scene_depth, camera, there);
+  later->translucent_depth = warpDepths(request.translucent_depth, camera, there);
+  return later;
+}
+
+std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiting& job) {
+  const double start = now();
+  auto painting = std::make_shared<Painting>();
+  painting->request = job.request;
+  painting->maps.resize(job.request->layers.size());
+  painting->asked = painting->due = job.asked;
+  try {
+    if (job.takes > 0 && !job.request->motion.none()) {
+      // It will be shown from when it is painted until the next one is.
+      const double ahead = std::min(start - job.asked + 1.5 * job.takes, kFarthestAhead);
+      painting->request = movedOn(*job.request, ahead);
+      painting->due += ahead;
+    }
+    const PaintRequest& asked = *painting->request;
+    PictureRequest request = pictureOf(asked);
+    const PaintLayer& first = asked.layers.front();
+    if (first.order) request.order = first.order->slots;
+    request.mean_depth = true;
+    request.cancelled = &cancelled_;
+    chooseDetail(view_id, request, *painting);
+    {
+      const LockedMaps maps(asked, request);
+      std::vector<std::uint32_t> all;
+      if (first.unsorted) {
+        all = first.map->slots().index().slots(maps.states().front().capacity);
+        request.order = all;
+      }
+      for (std::size_t i = 0; i < maps.states().size(); ++i) {
+        painting->maps[i].map = maps.states()[i];
+      }
+      bool again = true;
+      while (std::exchange(again, false)) {
+        if (!rasterizer_.draw(request, picture_)) return nullptr;
+        for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+          PictureLayer& layer = request.layers[i];
+          const auto& drawn = picture_.layers[i];
+          const auto error = asked.layers[i].map->drew(view_id, layer, drawn, now() - start);
+          layer.error = error.value_or(layer.error);
+          again = again || error;
+        }
+      }
+    }
+    for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+      painting->maps[i].drawn = picture_.layers[i].drawn;
+      painting->maps[i].error = picture_.layers[i].error;
+      std::string& problem = painting->maps[i].detail_error;
+      if (!request.layers[i].levels || !problem.empty()) continue;
+      problem = asked.layers[i].map->detailProblem(view_id);
+    }
+    painting->profile = picture_.profile;
+    if (asked.window) {
+      painting->mesh = PictureMesh(asked.camera(), picture_);
+      painting->colour = colourLayer(picture_);
+      painting->behind = behindLayer(picture_);
+      painting->hiding = hidingLayer(picture_);
+      painting->surface = PaintedSurface(
+          asked.camera(), asked.asynchronous() ? std::move(picture_.depth) : picture_.depth);
+    }
+    if (!asked.asynchronous()) painting->picture = std::exchange(picture_, {});
+  } catch (const PictureError& error) {
+    painting->error = error.what();
+  } catch (const std::bad_alloc&) {
+    const SplatCamera& camera = job.request->camera();
+    painting->error = "there is no memory for a picture of " + std::to_string(camera.width) + "x" +
+                      std::to_string(camera.height) + " pixels";
+  }
+  workspace_ = rasterizer_.bytes();
+  painting->took = now() - start;
+  return painting;
+}
+
+std::vector<Pick> Painter::pick(PaintRequest asked) {
+  const std::lock_guard lock(mutex_);
+  PickJob& job = picks_.emplace_back();
+  job.slots.resize(asked.layers.size());
+  job.asked = std::move(asked);
+  const std::shared_ptr<void> wanted(nullptr, [up = job.given_up](void*) { *up = true; });
+  std::vector<Pick> picks;
+  for (auto& slots : job.slots) picks.emplace_back(slots.get_future(), wanted);
+  cancelled_ = true;  // what is being painted comes after
+  wake_.notify_one();
+  return picks;
+}
+
+void Painter::find(PickJob& job) {
+  try {
+    PictureRequest request = pictureOf(job.asked);
+    request.cancelled = job.given_up.get();
+    const LockedMaps maps(job.asked, request);
+    const std::vector<PickedSplat> picked = rasterizer_.pick(request);
+    for (std::size_t layer = 0; layer < job.slots.size(); ++layer) {
+      Pick::Slots slots;
+      slots.reserve(picked.size());
+      for (const PickedSplat& splat : picked) {
+        slots.push_back(splat.layer == layer ? splat.slot : kNoSlot);
+      }
+      job.slots[layer].set_value(std::move(slots));
+    }
+  } catch (...) {
+    for (auto& slots : job.slots) slots.set_exception(std::current_exception());
+  }
+  workspace_ = rasterizer_.bytes();
+}
+
+}  // namespace rosplat

@@ -1,0 +1,133 @@
+#include "rosplat_core/painter/picture_mesh.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <numeric>
+
+#include "raster/kernels.hpp"
+
+namespace rosplat {
+
+namespace {
+
+static_assert(PictureMesh::kCell == cpu::kTile, "SplatPicture::divided is told by cell");
+
+int cellsIn(int pixels) { return (pixels + PictureMesh::kCell - 1) / PictureMesh::kCell; }
+
+// Values with weights, of a grid: those without weight become the mean of their neighbours with
+// one, ring by ring.
+void fillGaps(std::vector<float>& values, std::vector<float>& weights, int columns, int rows) {
+  const auto index = [columns](int column, int row) {
+    return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns) +
+           static_cast<std::size_t>(column);
+  };
+  struct Gap {
+    int column, row;
+    float value;
+  };
+  std::vector<Gap> filled;
+  do {
+    filled.clear();
+    for (int row = 0; row < rows; ++row) {
+      for (int column = 0; column < columns; ++column) {
+        if (weights[index(column, row)] > 0) continue;
+        float sum = 0;
+        int found = 0;
+        for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rows - 1); ++r) {
+          for (int c = std::max(column - 1, 0); c <= std::min(column + 1, columns - 1); ++c) {
+            if (!(weights[index(c, r)] > 0)) continue;
+            sum += values[index(c, r)];
+            ++found;
+          }
+        }
+        if (found) filled.push_back({column, row, sum / static_cast<float>(found)});
+      }
+    }
+    for (const Gap& gap : filled) {
+      values[index(gap.column, gap.row)] = gap.value;
+      weights[index(gap.column, gap.row)] = 1;
+    }
+  } while (!filled.empty());
+}
+
+}  // namespace
+
+PictureMesh::PictureMesh(const SplatCamera& camera, const SplatPicture& picture)
+    : camera_(camera), columns_(cellsIn(camera.width) + 1), rows_(cellsIn(camera.height) + 1) {
+  const auto corners = static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_);
+  depths_.assign(corners, 0.0f);
+  std::vector<float> weights(corners, 0.0f);
+  for (int row = 0; row + 1 < rows_; ++row) {
+    for (int column = 0; column + 1 < columns_; ++column) {
+      const auto cell = static_cast<std::size_t>(row * (columns_ - 1) + column);
+      const bool divided = !picture.divided.empty() && picture.divided[cell];
+      const int across = std::min(kCell, camera.width - kCell * column);
+      std::array<float, kCell> alphas, sums{}, weights_of{};  // by column, for vectors of them
+      for (int y = kCell * row; y < std::min(kCell * (row + 1), camera.height); ++y) {
+        const std::size_t first =
+            static_cast<std::size_t>(y) * static_cast<std::size_t>(camera.width) +
+            static_cast<std::size_t>(kCell * column);
+        const float* const depths = &picture.depth[first];
+        for (int x = 0; x < across; ++x) alphas[x] = picture.colour[4 * (first + x) + 3];
+        for (int x = 0; divided && x < across; ++x)
+          alphas[x] += picture.behind[4 * (first + x) + 3];
+        for (int x = 0; x < across; ++x) {
+          const float value = camera.orthographic ? depths[x] : 1 / depths[x];
+          const bool there = alphas[x] > 0 && !std::isnan(depths[x]);
+          sums[x] += there ? alphas[x] * value : 0;
+          weights_of[x] += there ? alphas[x] : 0;
+        }
+      }
+      const float sum = std::accumulate(sums.begin(), sums.end(), 0.0f);
+      const float weight = std::accumulate(weights_of.begin(), weights_of.end(), 0.0f);
+      for (const int corner : {0, 1, columns_, columns_ + 1}) {
+        const auto at = static_cast<std::size_t>(row * columns_ + column + corner);
+        depths_[at] += sum;
+        weights[at] += weight;
+      }
+    }
+  }
+  for (std::size_t i = 0; i < corners; ++i) {
+    if (weights[i] > 0) depths_[i] /= weights[i];
+  }
+  fillGaps(depths_, weights, columns_, rows_);
+}
+
+PictureMesh::View PictureMesh::seenBy(const SplatCamera& camera) const {
+  const auto [turn, shift] = frameIn(camera_, camera);
+  // Corner number i of so many; the first and the last lie beyond the picture.
+  const auto place = [](int i, int count, int size) -> double {
+    if (i < 0) return -0.5 * size;
+    return i < count ? std::min(kCell * i, size) : 1.5 * size;
+  };
+  View view{static_cast<std::size_t>(columns_ + 2), {}, !(camera == camera_)};
+  view.corners.reserve(view.columns * static_cast<std::size_t>(rows_ + 2));
+  for (int row = -1; row <= rows_; ++row) {
+    for (int column = -1; column <= columns_; ++column) {
+      const double u = place(column, columns_, camera_.width);
+      const double v = place(row, rows_, camera_.height);
+      const double depth = depths_[static_cast<std::size_t>(
+          std::clamp(row, 0, rows_ - 1) * columns_ + std::clamp(column, 0, columns_ - 1))];
+      // Of perspective cameras over its depth: what is at infinity stays a direction.
+      std::array<double, 3> p{(u - camera_.cx) / camera_.fx, (v - camera_.cy) / camera_.fy,
+                              camera_.orthographic ? depth : 1.0};
+      const double weight = camera_.orthographic ? 1.0 : depth;
+      std::array<double, 3> q{};
+      for (int i = 0; i < 3; ++i) {
+        q[i] = weight * shift[i];
+        for (int k = 0; k < 3; ++k) q[i] += turn[3 * i + k] * p[k];
+      }
+      const double w = camera.orthographic ? std::max(weight, 1e-12) : q[2];
+      const double x = camera.fx * q[0] + camera.cx * w, y = camera.fy * q[1] + camera.cy * w;
+      view.corners.push_back({static_cast<float>(2 * x / camera.width - w),
+                              static_cast<float>(w - 2 * y / camera.height), static_cast<float>(w),
+                              static_cast<float>(u / camera_.width),
+                              static_cast<float>(v / camera_.height)});
+    }
+  }
+  return view;
+}
+
+}  // namespace rosplat

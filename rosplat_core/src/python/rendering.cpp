@@ -1,0 +1,274 @@
+// The rasteriser for Python.
+
+#include <algorithm>
+#include <memory>
+#include <optional>
+
+#include "python/module.hpp"
+#include "rosplat_core/levels/detail.hpp"
+#include "rosplat_core/levels/levels.hpp"
+#include "rosplat_core/map/host_slots.hpp"
+#include "rosplat_core/python/bindings.hpp"
+#include "rosplat_core/raster/cpu_rasterizer.hpp"
+#include "rosplat_core/views/render_settings.hpp"
+
+namespace rosplat::python {
+
+namespace {
+
+// A map that the processor alone draws, without OpenGL.
+struct CpuRenderer {
+  CpuRenderer(unsigned threads, CpuRasterizer::Instructions instructions)
+      : CpuRenderer(std::make_shared<ThreadTeam>(threads), instructions) {}
+  CpuRenderer(const std::shared_ptr<ThreadTeam>& team, CpuRasterizer::Instructions instructions)
+      : levels(team), rasterizer(team, instructions) {}
+
+  GaussianMap map;
+  HostSlots slots;
+  Levels levels;
+  DetailControl detail;
+  CpuRasterizer rasterizer;
+  SplatPicture picture;
+  RenderSettings settings;
+};
+
+BatchReport take(CpuRenderer& renderer, const GaussianBatch& batch) {
+  BatchReport report;
+  renderer.map.apply(batch, report, [&](const auto& edit, const MapState&) {
+    if (edit->clear) renderer.levels.clear();
+    renderer.slots.apply(*edit, 0);
+    renderer.levels.mark(renderer.slots, edit->runs);
+  });
+  return report;
+}
+
+// Has nodes made of all of the map; returns how many there are.
+std::size_t merge(CpuRenderer& renderer) {
+  renderer.levels.advance(renderer.slots, [] { return false; });
+  return renderer.levels.nodes();
+}
+
+// A map in a picture.
+PictureLayer layerOf(const CpuRenderer& renderer, const SplatCamera& camera) {
+  PictureLayer layer;
+  layer.slots = &renderer.slots;
+  layer.map = &renderer.map.state();
+  layer.camera = camera;
+  layer.camera.extent_scale = extentScale(renderer.settings);
+  layer.settings = renderer.settings;
+  return layer;
+}
+
+// Whose arrays must outlive it.
+PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
+                         const std::optional<Array<float>>& scene_depth,
+                         const std::optional<Array<float>>& translucent_depth,
+                         const std::optional<Array<std::uint32_t>>& order) {
+  PictureRequest request;
+  request.layers.push_back(layerOf(renderer, camera));
+  if (scene_depth) request.scene_depth = *scene_depth;
+  if (translucent_depth) request.translucent_depth = *translucent_depth;
+  if (order) request.order = *order;
+  return request;
+}
+
+py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
+                   const std::optional<Array<float>>& scene_depth,
+                   const std::optional<Array<float>>& translucent_depth,
+                   const std::optional<Array<std::uint32_t>>& order,
+                   const std::vector<CpuRenderer*>& beside) {
+  if (order && !beside.empty()) throw std::invalid_argument("an order is of one map alone");
+  PictureRequest request = requestOf(renderer, camera, scene_depth, translucent_depth, order);
+  for (const CpuRenderer* other : beside) request.layers.push_back(layerOf(*other, camera));
+  request.mean_depth = mean_depth;
+  SplatPicture& picture = renderer.picture;
+  {
+    const py::gil_scoped_release release;
+    if (!(renderer.settings.drawnDetail() == Detail{}) && !order) {
+      merge(renderer);
+      PictureLayer& layer = request.layers.front();
+      layer.levels = &renderer.levels;
+      layer.error = renderer.detail.choose(layer.settings, renderer.levels.samples(), camera,
+                                           renderer.slots.index().groups());
+    }
+    renderer.rasterizer.draw(request, picture);
+    PictureLayer& layer = request.layers.front();
+    while (layer.levels) {
+      const SplatPicture::OfLayer& drawn = picture.layers.front();
+      const std::optional<double> error = renderer.detail.drew(drawn.error, drawn.drawn);
+      if (!error) break;
+      layer.error = *error;
+      renderer.rasterizer.draw(request, picture);
+    }
+  }
+  py::dict drawn("splats"_a = picture.layers.front().drawn,
+                 "error"_a = picture.layers.front().error,
+                 "detail_error"_a = request.layers.front().levels ? renderer.detail.problem() : "",
+                 "profile"_a = picture.profile, "bytes"_a = renderer.rasterizer.bytes());
+  const auto add = [&](const char* name, const std::vector<float>& values, int channels) {
+    if (!values.empty()) drawn[name] = toArray(values, {picture.height, picture.width, channels});
+  };
+  add("colour", picture.colour, 4);
+  add("behind", picture.behind, 4);
+  add("nearness", picture.nearness, 2);
+  add("depth", picture.depth, 1);
+  return drawn;
+}
+
+void contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera, Contributions& sums,
+                     const std::optional<Array<float>>& scene_depth) {
+  const PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
+  const py::gil_scoped_release release;
+  renderer.rasterizer.contribute(request, sums);
+}
+
+Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
+                               const std::optional<Array<float>>& scene_depth) {
+  const PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
+  std::vector<std::uint32_t> picked;
+  {
+    const py::gil_scoped_release release;
+    for (const PickedSplat& splat : renderer.rasterizer.pick(request)) picked.push_back(splat.slot);
+  }
+  return toArray(std::move(picked), {camera.height, camera.width});
+}
+
+// The nodes of a level of a group, by ascending cells: the width of these, their corners [m], and
+// values as of splats.
+py::dict nodesOf(const CpuRenderer& renderer, int level, std::uint32_t group) {
+  const int degree = renderer.slots.shDegree();
+  std::vector<double> corners;
+  std::vector<float> positions, orientations, scales, opacities, sh;
+  const auto add = [](auto& all, const auto& values) {
+    all.insert(all.end(), values.begin(), values.end());
+  };
+  const std::vector<Group>& groups = renderer.slots.index().groups();
+  const auto of = std::find_if(groups.begin(), groups.end(),
+                               [group](const Group& other) { return other.number == group; });
+  const auto index = static_cast<std::size_t>(of - groups.begin());
+  static const Levels::Nodes kNone;
+  const Levels::Nodes& nodes =
+      index < renderer.levels.groups().size() ? renderer.levels.groups()[index] : kNone;
+  for (const auto& page : nodes.at(static_cast<std::size_t>(level))) {
+    for (std::size_t i = 0; i < page->cells.size(); ++i) {
+      const Node node = page->node(i, degree);
+      const Splat splat = unpackSlot(node.packed.words.data());
+      add(corners, cornerOf(node.cell));
+      add(positions, splat.position);
+      add(orientations, splat.orientation);
+      add(scales, splat.scale);
+      opacities.push_back(kMostNodeOpacity * splat.opacity);
+      add(sh, splat.color);
+      add(sh, unpackHarmonics(node.packed.words.data(), degree, node.packed.bandWords()));
+    }
+  }
+  const auto n = static_cast<py::ssize_t>(opacities.size());
+  const py::ssize_t coefficients = (degree + 1) * (degree + 1);
+  return py::dict("size"_a = cellSize(level), "corners"_a = toArray(std::move(corners), {n, 3}),
+                  "positions"_a = toArray(std::move(positions), {n, 3}),
+                  "orientations"_a = toArray(std::move(orientations), {n, 4}),
+                  "scales"_a = toArray(std::move(scales), {n, 3}),
+                  "opacities"_a = toArray(std::move(opacities), {n}),
+                  "sh"_a = toArray(std::move(sh), {n, coefficients, 3}));
+}
+
+}  // namespace
+
+void defineRendering(py::module_& module) {
+  py::enum_<DrawMode>(module, "DrawMode")
+      .value("COLOR", DrawMode::kColor)
+      .value("DEPTH", DrawMode::kDepth)
+      .value("BILLBOARD", DrawMode::kBillboard)
+      .value("FLAT_BALL", DrawMode::kFlatBall)
+      .value("GAUSSIAN_BALL", DrawMode::kGaussianBall)
+      .value("NORMALS", DrawMode::kNormals)
+      .value("OPACITY", DrawMode::kOpacity)
+      .value("AGE", DrawMode::kAge)
+      .value("CHANNEL", DrawMode::kChannel);
+  py::enum_<ChannelColours>(module, "ChannelColours")
+      .value("AUTO", ChannelColours::kAuto)
+      .value("CATEGORIES", ChannelColours::kCategories)
+      .value("GRADIENT", ChannelColours::kGradient);
+  py::enum_<Antialiasing>(module, "Antialiasing")
+      .value("AS_TRAINED", Antialiasing::kAsTrained)
+      .value("ON", Antialiasing::kOn)
+      .value("OFF", Antialiasing::kOff);
+  py::enum_<OrderSource>(module, "OrderSource")
+      .value("AUTO", OrderSource::kAuto)
+      .value("SIDECAR", OrderSource::kSidecar)
+      .value("BUILT_IN", OrderSource::kBuiltIn)
+      .value("OFF", OrderSource::kOff)
+      .value("GPU", OrderSource::kGpu);
+  py::enum_<Rasterizer>(module, "Rasterizer")
+      .value("AUTO", Rasterizer::kAuto)
+      .value("QUADS", Rasterizer::kQuads)
+      .value("TILES", Rasterizer::kTiles)
+      .value("PROCESSOR", Rasterizer::kProcessor);
+  py::class_<ClipBox>(module, "ClipBox")
+      .def(py::init<>())
+      .def_readwrite("enabled", &ClipBox::enabled)
+      .def_readwrite("centre", &ClipBox::centre)
+      .def_readwrite("size", &ClipBox::size);
+  py::class_<RenderSettings>(module, "RenderSettings")
+      .def(py::init<>())
+      .def_readwrite("mode", &RenderSettings::mode)
+      .def_readwrite("max_sh_degree", &RenderSettings::max_sh_degree)
+      .def_readwrite("only_band", &RenderSettings::only_band)
+      .def_readwrite("float_blending", &RenderSettings::float_blending)
+      .def_readwrite("asynchronous", &RenderSettings::asynchronous)
+      .def_readwrite("scale", &RenderSettings::scale)
+      .def_readwrite("opacity", &RenderSettings::opacity)
+      .def_readwrite("antialiasing", &RenderSettings::antialiasing)
+      .def_readwrite("order", &RenderSettings::order)
+      .def_readwrite("rasterizer", &RenderSettings::rasterizer)
+      .def_readwrite("profile", &RenderSettings::profile)
+      .def_property(
+          "detail", [](const RenderSettings& s) { return toText(s.detail); },
+          [](RenderSettings& s, const std::string& text) { s.detail = parseDetail(text); })
+      .def_readwrite("clip_box", &RenderSettings::clip_box)
+      .def_readwrite("near_fade", &RenderSettings::near_fade)
+      .def_readwrite("depth_range", &RenderSettings::depth_range)
+      .def_readwrite("age_range", &RenderSettings::age_range)
+      .def_readwrite("channel", &RenderSettings::channel)
+      .def_readwrite("channel_colours", &RenderSettings::channel_colours)
+      .def_readwrite("channel_range", &RenderSettings::channel_range);
+  py::class_<SplatCamera>(module, "SplatCamera")
+      .def(py::init(&cameraOf), "position"_a, "orientation"_a, "projection"_a, "fx"_a, "fy"_a,
+           "cx"_a, "cy"_a, "width"_a, "height"_a, "near"_a = 0.01, "far"_a = 1e10)
+      .def("crop", &crop, "left"_a, "top"_a, "width"_a, "height"_a)
+      .def_readwrite("ndc_scale", &SplatCamera::ndc_scale)
+      .def_readwrite("ndc_offset", &SplatCamera::ndc_offset);
+  py::enum_<CpuRasterizer::Instructions>(module, "Instructions")
+      .value("PLAIN", CpuRasterizer::Instructions::kPlain)
+      .value("AVX2", CpuRasterizer::Instructions::kAvx2)
+      .value("AVX512", CpuRasterizer::Instructions::kAvx512)
+      .value("BEST", CpuRasterizer::Instructions::kBest);
+  const auto sums_of = [](const std::vector<float>& values) {
+    return Array<float>(static_cast<py::ssize_t>(values.size()), values.data());
+  };
+  py::class_<Contributions>(module, "Contributions")
+      .def(py::init<>())
+      .def_property_readonly("weight", [=](const Contributions& c) { return sums_of(c.weight); })
+      .def_property_readonly("energy", [=](const Contributions& c) { return sums_of(c.energy); })
+      .def_property_readonly("error", [=](const Contributions& c) { return sums_of(c.error); });
+  py::class_<CpuRenderer> cpu_renderer(module, "CpuRenderer");
+  defineApply(cpu_renderer, take);
+  cpu_renderer
+      .def(py::init<unsigned, CpuRasterizer::Instructions>(), "threads"_a = 0,
+           "instructions"_a = CpuRasterizer::Instructions::kBest)
+      .def_readwrite("settings", &CpuRenderer::settings)
+      .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "scene_depth"_a = py::none(),
+           "translucent_depth"_a = py::none(), "order"_a = py::none(),
+           "beside"_a = std::vector<CpuRenderer*>(),
+           "Draws the map; and, in one order with it, those of other renderers in the same frame.")
+      .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
+      .def("nodes", &nodesOf, "level"_a, "group"_a = 0)
+      .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })
+      .def("pick", &pickOnCpu, "camera"_a, "scene_depth"_a = py::none())
+      .def("contribute", &contributeOnCpu, "camera"_a, "sums"_a, "scene_depth"_a = py::none())
+      .def_property_readonly("map_bytes", [](CpuRenderer& r) { return r.slots.bytes(); })
+      .def_property_readonly("instructions",
+                             [](CpuRenderer& r) { return r.rasterizer.instructions(); });
+}
+
+}  // namespace rosplat::python

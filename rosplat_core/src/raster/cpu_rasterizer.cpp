@@ -1,0 +1,229 @@
+#include "rosplat_core/raster/cpu_rasterizer.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <limits>
+#include <new>
+#include <stdexcept>
+#include <utility>
+
+#include "raster/raster_work.hpp"
+
+namespace rosplat {
+
+using Clock = std::chrono::steady_clock;
+
+namespace {
+
+constexpr int kLongestSide = 16384;  // [px], as makeCamera() has it
+
+// Transmittance at which tiles end: 106 dB and more against blending all; gsplat ends there, too.
+constexpr float kTransparent = 1e-4f;
+
+const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
+#if defined(__x86_64__) && defined(__GNUC__)
+  using Instructions = CpuRasterizer::Instructions;
+  __builtin_cpu_init();
+  if (wanted >= Instructions::kAvx512 && __builtin_cpu_supports("avx512f") &&
+      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
+      __builtin_cpu_supports("avx512bw")) {
+    return avx512::kKernels;
+  }
+  if (wanted >= Instructions::kAvx2 && __builtin_cpu_supports("avx2") &&
+      __builtin_cpu_supports("fma")) {
+    return avx2::kKernels;
+  }
+#else
+  static_cast<void>(wanted);
+#endif
+  return plain::kKernels;
+}
+
+// Runs something that may find no memory.
+template <typename Run>
+bool orSay(const SplatCamera& camera, const Run& run) {
+  try {
+    return run();
+  } catch (const std::bad_alloc&) {
+  } catch (const std::length_error&) {
+  }
+  throw PictureError("there is no memory for a picture of " + std::to_string(camera.width) + " x " +
+                     std::to_string(camera.height) + " pixels");
+}
+
+}  // namespace
+
+bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wanted) {
+  SplatPicture* const picture = wanted.picture;
+  cancel = request.cancelled;
+  out_of_memory = false;
+  profile.clear();
+  began = Clock::now();
+  const SplatCamera& camera = request.layers.front().camera;
+  if (std::min(camera.width, camera.height) < 1 ||
+      std::max(camera.width, camera.height) > kLongestSide) {
+    throw PictureError("a picture of " + std::to_string(camera.width) + " x " +
+                       std::to_string(camera.height) + " pixels can't be drawn, only 1 to " +
+                       std::to_string(kLongestSide));
+  }
+  const std::size_t pixels = std::size_t(camera.width) * std::size_t(camera.height);
+  for (const ArrayView<float>* depths : {&request.scene_depth, &request.translucent_depth}) {
+    if (!depths->empty() && depths->size != pixels) {
+      throw PictureError("depths of " + std::to_string(depths->size) +
+                         " pixels do not fit a picture of " + std::to_string(pixels));
+    }
+  }
+  ends_at = wanted.contributions ? kLeastSeen : kTransparent;
+  if (wanted.contributions) {
+    remaining.resize(4 * pixels);
+    const std::size_t capacity = request.layers.front().map->capacity;
+    wanted.contributions->weight.resize(capacity);
+    wanted.contributions->energy.resize(capacity);
+    wanted.contributions->error.resize(capacity);
+  }
+  across = (camera.width + kTile - 1) / kTile;
+  down = (camera.height + kTile - 1) / kTile;
+  tiles = std::size_t(across) * std::size_t(down);
+  if (picture) {
+    const bool kept = picture->width == camera.width && picture->height == camera.height;
+    picture->width = camera.width;
+    picture->height = camera.height;
+    picture->colour.resize(4 * pixels);
+    picture->depth.resize(request.mean_depth ? pixels : 0);
+    const std::size_t divided = request.translucent_depth.empty() ? 0 : pixels;
+    if (!kept || picture->behind.size() != 4 * divided) {
+      picture->behind.assign(4 * divided, 0.0f);
+      picture->nearness.assign(2 * divided, 0.0f);
+      picture->divided.assign(tiles, 0);
+    }
+  } else {
+    wanted.picked->resize(pixels);
+    picking.resize(2 * pixels);
+  }
+  layers.resize(request.layers.size());
+  for (std::size_t i = 0; i < layers.size(); ++i) {
+    setView(request.layers[i], request.now, layers[i]);
+  }
+  ordered = request.order.has_value();
+  if (ordered) setOrder(*request.layers.front().slots, *request.order);
+  pages.clear();
+  for (std::size_t i = 0; i < layers.size(); ++i) {
+    choosePages(request.layers[i], static_cast<std::uint32_t>(i));
+  }
+  cull();
+  if (cancelled()) return false;
+  deal();
+  lap("cull");
+  openTiles(request);
+  findDepthRanges();
+  std::vector<SplatPicture::OfLayer> of_layers(layers.size());
+  const bool blends = picture && !wanted.drawn;
+  bool first = true, contributes = false;
+  while (!waiting.empty()) {
+    const Slice slice = waiting.back();
+    waiting.pop_back();
+    if (hides) raisePyramid();
+    const bool fits = project(slice);
+    lap("project");
+    if (cancelled()) return false;
+    if (!fits && slice.end - slice.begin > 1) {
+      halve(slice);
+      continue;
+    }
+    list();
+    lap("list");
+    // What is behind a splat is known once all slices are drawn.
+    contributes = wanted.contributions && (wanted.drawn || (first && waiting.empty()));
+    if (contributes) of_listed.reserve(total_pairs);
+    std::atomic<std::size_t> next{0};
+    team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
+      Member& member = members[number];
+      try {
+        for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
+          sortTile(tile, member);
+          if (!picture) pick(request, *wanted.picked, first, tile, member);
+          if (blends) blend(request, *picture, first, tile, member);
+          if (contributes) contribute(request, *picture, first, tile, member);
+        }
+      } catch (const std::bad_alloc&) {
+        out_of_memory = true;
+      }
+    });
+    if (out_of_memory) throw std::bad_alloc();
+    if (cancelled()) return false;
+    if (contributes) addUp(*wanted.contributions);
+    lap("blend");
+    for (const Part& part : parts) {
+      for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].drawn += part.of_layers[i];
+    }
+    first = false;
+    hides = hides || std::find(open.begin(), open.begin() + std::ptrdiff_t(tiles), kEnded) !=
+                         open.begin() + std::ptrdiff_t(tiles);
+  }
+  if (blends) {
+    inParts(picture->depth.size(), 1 << 14, [&](const Part& part, Member&) {
+      for (std::size_t i = part.begin; i < part.end; ++i) {
+        const float alpha = picture->colour[4 * i + 3];
+        picture->depth[i] =
+            alpha > 0 ? picture->depth[i] / alpha : std::numeric_limits<float>::quiet_NaN();
+      }
+    });
+    for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].error = layers[i].error;
+    picture->layers = std::move(of_layers);
+    picture->profile = profile;
+  }
+  if (wanted.contributions && !contributes && !first) {
+    return run(request, {picture, nullptr, wanted.contributions, true});
+  }
+  return true;
+}
+
+CpuRasterizer::CpuRasterizer(std::shared_ptr<ThreadTeam> team, Instructions instructions)
+    : work_(std::make_unique<Work>(std::move(team), kernelsFor(instructions))) {}
+
+CpuRasterizer::~CpuRasterizer() = default;
+
+bool CpuRasterizer::draw(const PictureRequest& request, SplatPicture& picture) {
+  return orSay(request.layers.front().camera, [&] { return work_->run(request, {&picture}); });
+}
+
+std::vector<PickedSplat> CpuRasterizer::pick(const PictureRequest& request) {
+  std::vector<std::uint32_t> indices;
+  const bool whole = orSay(request.layers.front().camera,
+                           [&] { return work_->run(request, {nullptr, &indices}); });
+  if (!whole) return {};
+  std::vector<PickedSplat> picked(indices.size());
+  for (std::size_t i = 0; i < indices.size(); ++i) {
+    if (indices[i] != kNoSlot) picked[i] = work_->splatOf(indices[i]);
+  }
+  return picked;
+}
+
+bool CpuRasterizer::contribute(const PictureRequest& request, Contributions& contributions) {
+  PictureRequest in_colour = request;
+  in_colour.layers.front().settings.mode = DrawMode::kColor;
+  in_colour.translucent_depth = {};
+  return orSay(request.layers.front().camera,
+               [&] { return work_->run(in_colour, {&work_->seen, nullptr, &contributions}); });
+}
+
+const char* CpuRasterizer::instructions() const { return work_->kernels.name; }
+
+std::size_t CpuRasterizer::bytes() const {
+  const Work& w = *work_;
+  std::size_t bytes = w.ranks.bytes() + w.found.bytes() + w.dealt.bytes() + w.records.bytes() +
+                      w.keys.bytes() + w.listed.bytes() + w.of_listed.bytes() +
+                      w.begins.capacity() * sizeof(w.begins[0]) +
+                      w.pages.capacity() * sizeof(w.pages[0]);
+  for (const Part& part : w.parts) {
+    bytes += part.counts.capacity() * sizeof(part.counts[0]) + part.pairs.room * sizeof(Pair);
+  }
+  for (const Work::Member& member : w.members) bytes += sizeof(member) + member.spare.bytes();
+  return bytes;
+}
+
+void toBytes(const float* values, std::size_t count, std::uint8_t* bytes) {
+  kernelsFor(CpuRasterizer::Instructions::kBest).toBytes(values, count, bytes);
+}
+
+}  // namespace rosplat

@@ -1,0 +1,734 @@
+#include "raster/kernels.hpp"
+
+#include "raster/simd.hpp"
+
+namespace rosplat::cpu::ROSPLAT_TARGET {
+
+namespace {
+
+constexpr int kSlots = 1024;  // of a page
+
+// As in DrawMode.
+constexpr int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNormals = 5,
+              kOpacity = 6, kAge = 7, kChannel = 8;
+
+constexpr float kLowPass = 0.3f;  // [px^2], part of the trained model
+constexpr float kCutoffAlpha = 1.0f / 255.0f;
+constexpr float kMaxSigmas = 4.08f;      // where the most opaque node falls below the cutoff
+constexpr float kMaxAlpha = 0.99f;       // as in Kerbl et al. 2023; nothing is ever fully opaque
+constexpr float kBallSigmas = 1.74017f;  // where a ball ends: 0.22 of the peak
+constexpr float kBallEnd = -2.18442457f / kSquared;    // log2 of that
+constexpr float kCutoffEnd = -7.99435344f / kSquared;  // log2 of kCutoffAlpha
+constexpr float kHalfLog2 = 0.84932180f;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = exp2(-(k x)^2)
+constexpr float kLog2 = 0.69314718f;
+constexpr float kLeastPicked = 0.05f;  // contribution to a pixel; less nobody sees
+
+template <typename T>
+T least(T a, T b) {
+  return a < b ? a : b;
+}
+template <typename T>
+T most(T a, T b) {
+  return a > b ? a : b;
+}
+
+// Values of slots, by their places in a page.
+class Places {
+ public:
+  Places(const std::uint16_t* places, int lanes)
+      : index_(__builtin_convertvector(load<Halves>(places), Ints)),
+        first_(places[0]),
+        dense_(lanes == kLanes && places[kLanes - 1] - places[0] == kLanes - 1) {}
+
+  template <typename T>
+  auto of(const T* values) const {
+    using Vector = decltype(gather(values, index_));
+    return dense_ ? load<Vector>(values + first_) : gather(values, index_);
+  }
+  int operator[](int lane) const { return index_[lane]; }
+
+ private:
+  Ints index_;
+  int first_;
+  bool dense_;
+};
+
+struct Vec2 {
+  Floats x, y;
+};
+struct Vec3 {
+  Floats x, y, z;
+};
+Vec3 operator*(Floats s, const Vec3& v) { return {s * v.x, s * v.y, s * v.z}; }
+Vec3 operator+(const Vec3& a, const Vec3& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+Vec3 operator*(const Vec3& a, const Vec3& b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
+Floats dot(const Vec3& a, const Vec3& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+Vec3 select(Ints where, const Vec3& a, const Vec3& b) {
+  return {where ? a.x : b.x, where ? a.y : b.y, where ? a.z : b.z};
+}
+
+// Operation by operation as the sorters: see depth_order.hpp.
+Floats transform(const float* row, const Vec3& p) {
+  return ((row[0] * p.x + row[1] * p.y) + row[2] * p.z) + row[3];
+}
+
+// How wide a cell around a position is in the picture, at its nearest point [px].
+Floats errorOf(const CutView& cut, const float* eye_at, const Vec3& p, Floats cell) {
+  const auto outside = [&](Floats x, float eye) {
+    const Floats least = floor(x / cell) * cell;
+    return max(max(least - eye, eye - (least + cell)), Floats{});
+  };
+  if (cut.orthographic) return cut.focal * cell;
+  const Vec3 away = {outside(p.x, eye_at[0]), outside(p.y, eye_at[1]), outside(p.z, eye_at[2])};
+  return cut.focal * cell / max(sqrt(dot(away, away)), all(1e-6f));
+}
+
+// The share of slots that a cut draws: see cut.hpp.
+Floats shareOf(const CutView& cut, const float* eye, const Vec3& p, Floats parent, float own) {
+  const auto rise = [&](Floats error) {
+    const Floats t = clamp((error - cut.from) * cut.over_span, Floats{}, all(1.0f));
+    return t * t * (3.0f - 2.0f * t);
+  };
+  const Floats coarser = rise(errorOf(cut, eye, p, parent));
+  return own > 0.0f ? coarser - rise(errorOf(cut, eye, p, all(own))) : coarser;
+}
+
+std::size_t cull(const CullView& given, const PageSlots& page, Candidate* candidates) {
+  const CullView view = given;  // copies that no store below can alias
+  const GroupView group = *page.group;
+  Candidate* out = candidates;
+  for (int i = 0; i < kSlots; i += kLanes) {
+    const Vec3 p = {load(page.position[0] + i), load(page.position[1] + i),
+                    load(page.position[2] + i)};
+    const Floats extent = load(page.extent + i);
+    const Floats x = transform(group.to_camera[0], p);
+    const Floats y = transform(group.to_camera[1], p);
+    const Floats z = transform(group.to_camera[2], p);
+    const Floats w = view.orthographic ? all(1.0f) : z;
+    Ints seen = (extent >= 0.0f) & (z > view.near_clip) & (z < view.far_clip);
+    seen &= abs(view.fx * x + view.offset_x * w) <= view.half_width * w + view.slope_x * extent;
+    seen &= abs(view.fy * y + view.offset_y * w) <= view.half_height * w + view.slope_y * extent;
+    if (view.clip_to_box) {
+      for (int i = 0; i < 3; ++i) seen &= abs(transform(group.to_box[i], p)) <= view.half_box[i];
+    }
+    if (page.parents && any(seen)) {
+      seen &= shareOf(view.cut, group.eye, p, load(page.parents + i), page.own_cell) > 0.0f;
+    }
+    const Ints bits = (Ints)(z + 0.0f);  // the sum makes one depth of -0 and 0
+    const Ints keys = bits ^ ((bits >> 31) | INT32_MIN);
+    for (int lane = 0; lane < kLanes; ++lane) {
+      *out = {std::uint32_t(keys[lane]), page.first_index + std::uint32_t(i + lane)};
+      out -= seen[lane];
+    }
+  }
+  return std::size_t(out - candidates);
+}
+
+Floats scaleOf(Words code) {
+  const Floats scale = exp2(-40.0f + 64.0f / 65534.0f * (toFloats((Ints)code) - 1.0f));
+  return code == 0u ? all(0.0f) : scale;
+}
+
+Floats signedBits(Words word, int shift, int bits) {
+  return toFloats((Ints)(word << (32 - shift - bits)) >> (32 - bits));
+}
+
+// Columns of a slot's rotation matrix.
+void orientationOf(Words low, Words high, Vec3* columns) {
+  constexpr float kStep = 0.70710678118654752f / 16383.0f;
+  const Floats a = signedBits(low, 2, 15) * kStep, b = signedBits(low, 17, 15) * kStep,
+               c = signedBits(high, 0, 15) * kStep;
+  const Floats d = sqrt(max(1.0f - (a * a + b * b + c * c), all(0.0f)));
+  const Ints missing = (Ints)(low & 3u);
+  Floats x = missing == 0 ? d : a;
+  Floats y = missing == 0 ? a : missing == 1 ? d : b;
+  Floats z = missing <= 1 ? b : missing == 2 ? d : c;
+  Floats w = missing == 3 ? d : c;
+  const Floats one = 1.0f / sqrt(x * x + y * y + z * z + w * w);
+  x *= one, y *= one, z *= one, w *= one;
+  const Floats xx = 2.0f * x * x, yy = 2.0f * y * y, zz = 2.0f * z * z, xy = 2.0f * x * y,
+               xz = 2.0f * x * z, yz = 2.0f * y * z, wx = 2.0f * w * x, wy = 2.0f * w * y,
+               wz = 2.0f * w * z;
+  columns[0] = {1.0f - yy - zz, xy + wz, xz - wy};
+  columns[1] = {xy - wz, 1.0f - xx - zz, yz + wx};
+  columns[2] = {xz + wy, yz - wx, 1.0f - xx - yy};
+}
+
+// Google's Turbo, blue to red over 0 to 1 (polynomial of Mikhailov 2019).
+Vec3 turbo(Floats t) {
+  constexpr float kPolynomials[3][6] = {
+      {0.13572138f, 4.61539260f, -42.66032258f, 132.13108234f, -152.94239396f, 59.28637943f},
+      {0.09140261f, 2.19418839f, 4.84296658f, -14.18503333f, 4.27729857f, 2.82956604f},
+      {0.10667330f, 12.64194608f, -60.58204836f, 110.36276771f, -89.90310912f, 27.34824973f}};
+  t = clamp(t, all(0.0f), all(1.0f));
+  Vec3 c;
+  Floats* const channels[3] = {&c.x, &c.y, &c.z};
+  for (int i = 0; i < 3; ++i) {
+    Floats v = all(kPolynomials[i][5]);
+    for (int k = 4; k >= 0; --k) v = v * t + kPolynomials[i][k];
+    *channels[i] = clamp(v, all(0.0f), all(1.0f));
+  }
+  return c;
+}
+
+// Hues a golden angle apart, of which three in turn are light, medium and dark.
+Vec3 categoryColour(Ints category) {
+  const Words number = (Words)category;
+  const Floats hue = toFloats((Ints)(number * 2654435769u >> 8)) * (6.0f / 16777216.0f);
+  const Words tone = number % 3u;
+  const Floats saturation = tone == 0u ? all(0.65f) : tone == 1u ? all(0.85f) : all(0.8f);
+  const Floats value = tone == 0u ? all(1.0f) : tone == 1u ? all(0.7f) : all(0.5f);
+  const auto channel = [&](float offset) {
+    Floats at = hue + offset;
+    at = at >= 6.0f ? at - 6.0f : at;
+    const Floats pure = clamp(abs(at - 3.0f) - 1.0f, all(0.0f), all(1.0f));
+    return value * (1.0f + saturation * (pure - 1.0f));
+  };
+  return {channel(0), channel(4), channel(2)};
+}
+
+Vec3 channelColour(const ProjectView& view, Floats value) {
+  constexpr int kExponent = 0x7f800000;
+  const Ints none = ((Ints)value & kExponent) == kExponent;  // not finite: there is no value
+  Vec3 c;
+  if (view.channel_colours == 2) {
+    constexpr float kMost = 1 << 30;
+    c = categoryColour(
+        toInts(floor(clamp(none ? Floats{} : value, all(-kMost), all(kMost)) + 0.5f)));
+  } else {
+    const Floats above =
+        clamp(value, all(view.channel_least), all(view.channel_most)) - view.channel_least;
+    c = turbo(above * view.channel_per_range);
+  }
+  return select(view.channel_colours == 0 ? ~Ints{} : none, {all(0.5f), all(0.5f), all(0.5f)}, c);
+}
+
+// Never darker than black, but brighter than white may be.
+Floats radiance(Floats c) { return c > 0.0f ? min(c, all(65504.0f)) : all(0.0f); }
+
+// Adds a band of harmonics: a coefficient is a fraction of the slot's unit.
+template <int kCount>
+void addBand(Vec3& c, const std::uint32_t* band, const Places& places,
+             const Floats (&basis)[kCount]) {
+  for (int k = 0; k < kCount; ++k) {
+    const Words word = places.of(band + k * kSlots);
+    c.x += basis[k] * (signedBits(word, 0, 11) * (1.0f / 1023.0f));
+    c.y += basis[k] * (signedBits(word, 11, 11) * (1.0f / 1023.0f));
+    c.z += basis[k] * (signedBits(word, 22, 10) * (1.0f / 511.0f));
+  }
+}
+
+struct Slot {
+  Words word[6];  // 3 to 8
+};
+
+// Spherical harmonics in the group's frame (Kerbl et al. 2023).
+Vec3 trainedColour(const ProjectView& view, const PageSlots& page, const Slot& slot,
+                   const Places& places, const Vec3& direction) {
+  const auto wanted = [&](int band) {
+    return band <= view.sh_degree && (view.only_band < 0 || band == view.only_band);
+  };
+  const Floats x = direction.x, y = direction.y, z = direction.z;
+  const Floats xx = x * x, yy = y * y, zz = z * z;
+  Vec3 c = {};
+  if (wanted(1)) {
+    constexpr float k = 0.4886025119029199f;
+    addBand<3>(c, page.bands[1], places, {-k * y, k * z, -k * x});
+  }
+  if (wanted(2)) {
+    constexpr float k = 1.0925484305920792f;
+    addBand<5>(c, page.bands[2], places,
+               {k * x * y, -k * y * z, 0.31539156525252005f * (2.0f * zz - xx - yy), -k * x * z,
+                0.5462742152960396f * (xx - yy)});
+  }
+  if (wanted(3)) {
+    addBand<7>(c, page.bands[3], places,
+               {-0.5900435899266435f * y * (3.0f * xx - yy), 2.890611442640554f * x * y * z,
+                -0.4570457994644658f * y * (4.0f * zz - xx - yy),
+                0.3731763325901154f * z * (2.0f * zz - 3.0f * xx - 3.0f * yy),
+                -0.4570457994644658f * x * (4.0f * zz - xx - yy),
+                1.445305721320277f * z * (xx - yy), -0.5900435899266435f * x * (xx - 3.0f * yy)});
+  }
+  c = halfToFloats(slot.word[3] >> 16) * c;
+  if (wanted(0)) {
+    c = c + all(0.28209479177387814f) * Vec3{halfToFloats(slot.word[4] & 0xffffu),
+                                             halfToFloats(slot.word[4] >> 16),
+                                             halfToFloats(slot.word[5] & 0xffffu)};
+  }
+  return {radiance(c.x + 0.5f), radiance(c.y + 0.5f), radiance(c.z + 0.5f)};
+}
+
+Vec3 colourOf(const ProjectView& view, const GroupView& group, const PageSlots& page,
+              const Slot& slot, const Places& places, const Vec3& mean, Floats depth,
+              const Vec3& scale, const Vec3* orientation, Floats opacity) {
+  if (view.mode == kOpacity) return turbo(opacity);
+  if (view.mode == kDepth) {
+    const float range = view.depth_range[1] - view.depth_range[0];
+    return turbo(1.0f - (depth - view.depth_range[0]) / most(range, 1e-6f));
+  }
+  if (view.mode == kAge) {
+    Floats ticks = view.now - toFloats((Ints)(slot.word[5] >> 16));
+    ticks = ticks < 0.0f ? ticks + 65536.0f : ticks;
+    return turbo(1.0f - 0.25f * ticks / view.age_range);
+  }
+  if (view.mode == kChannel) return channelColour(view, places.of(page.channel));
+  Vec3 direction = {all(group.eye[0]), all(group.eye[1]), all(group.eye[2])};
+  if (!view.orthographic) {
+    direction = mean + all(-1.0f) * direction;
+    direction = (1.0f / sqrt(dot(direction, direction))) * direction;
+  }
+  if (view.mode == kNormals) {
+    const Vec3 normal = select((scale.x <= scale.y) & (scale.x <= scale.z), orientation[0],
+                               select(scale.y <= scale.z, orientation[1], orientation[2]));
+    const Floats half = dot(normal, direction) > 0.0f ? all(-0.5f) : all(0.5f);
+    const Vec3 c = half * normal;
+    const auto inMap = [&](const float* row) { return row[0] * c.x + row[1] * c.y + row[2] * c.z; };
+    return {0.5f + inMap(group.to_box[0]), 0.5f + inMap(group.to_box[1]),
+            0.5f + inMap(group.to_box[2])};
+  }
+  return trainedColour(view, page, slot, places, direction);
+}
+
+// Pixels whose centres are in a range: the first, and one past the last.
+struct Span {
+  Ints first, last;
+};
+Span pixelsIn(Floats from, Floats to, int pixels) {
+  const Floats slack = 0.05f + 1e-5f * (to - from);  // for rounding
+  const Floats most = all(float(pixels));            // clamped as floats: integers end sooner
+  // Ceil and floor of what is not negative, by way of half a pixel.
+  const Ints first = toInts(clamp(from + 0.5f - slack, all(0.0f), most));
+  const Ints last = toInts(clamp(to + 0.5f + slack, all(0.0f), most));
+  return {first, last};
+}
+
+// The tiles of some pixels.
+Span tilesOf(const Span& pixels) {
+  const Ints none = pixels.first >= pixels.last;
+  return {none ? Ints{} : pixels.first >> 4, none ? Ints{} : (pixels.last + (kTile - 1)) >> 4};
+}
+static_assert(kTile == 1 << 4);
+
+// What lies beyond the depth buffer's far plane is as far as that: nothing can stand behind it.
+Floats windowDepthOf(const ProjectView& view, Floats z) {
+  const Floats w = view.orthographic ? all(1.0f) : z;
+  return 0.5f * min((view.ndc_scale * z + view.ndc_offset) / w, all(1.0f)) + 0.5f;
+}
+
+// By the sorters' bound of where a splat ends, see cull().
+std::size_t hide(const CullView& view, const ProjectView& project_view, const Pyramid& pyramid,
+                 const PageSlots& page, std::uint16_t* places_of, std::uint16_t* numbers,
+                 std::size_t count) {
+  constexpr float kMargin =
+      2.1f;  // of the low-pass filter, as kMarginPixels, and for rounding [px]
+  const GroupView group = *page.group;  // a copy that no store below can alias
+  std::size_t n = 0;
+  for (std::size_t first = 0; first < count; first += kLanes) {
+    const int lanes = int(least(std::size_t(kLanes), count - first));
+    const Places places(places_of + first, lanes);
+    const Vec3 mean = {places.of(page.position[0]), places.of(page.position[1]),
+                       places.of(page.position[2])};
+    const Floats extent = places.of(page.extent);
+    const Floats z = transform(group.to_camera[2], mean);
+    const Floats over_w = view.orthographic ? all(1.0f) : 1.0f / z;
+    const auto tilesAlong = [&](int axis, float focal, float centre, float slope, int tiles) {
+      const Floats at = focal * transform(group.to_camera[axis], mean) * over_w + centre;
+      const Floats reach = slope * extent * over_w + kMargin;
+      const Floats last = all(float(tiles - 1));
+      // Where they are NaN, beyond float32, the first tile and the last.
+      return Span{toInts(min(max((at - reach) * (1.0f / kTile), Floats{}), last)),
+                  toInts(max(min((at + reach) * (1.0f / kTile), last), Floats{}))};
+    };
+    const Span columns =
+        tilesAlong(0, project_view.fx, project_view.cx, view.slope_x, pyramid.across);
+    const Span rows = tilesAlong(1, project_view.fy, project_view.cy, view.slope_y, pyramid.down);
+    // The level where they are 2x2 at most.
+    const Ints span = max(columns.last - columns.first, rows.last - rows.first);
+    const Ints level = span < 2 ? Ints{} : ((Ints)toFloats(span) >> 23) - 126;
+    const Ints begin = (Ints)gather((const std::uint32_t*)pyramid.begins, level);
+    const Ints width = (Ints)gather((const std::uint32_t*)pyramid.widths, level);
+    const Ints top = begin + (rows.first >> level) * width;
+    const Ints bottom = begin + (rows.last >> level) * width;
+    const Ints left = columns.first >> level, right = columns.last >> level;
+    const Floats open =
+        max(max(gather(pyramid.open, top + left), gather(pyramid.open, top + right)),
+            max(gather(pyramid.open, bottom + left), gather(pyramid.open, bottom + right)));
+    const Ints seen = windowDepthOf(project_view, z) <= open;
+    for (int i = 0; i < lanes; ++i) {
+      const std::uint16_t place = places_of[first + std::size_t(i)];
+      numbers[n] = std::uint16_t(first + std::size_t(i));
+      places_of[n] = place;
+      n -= std::size_t(std::ptrdiff_t(seen[i]));
+    }
+  }
+  return n;
+}
+
+std::size_t project(const ProjectView& given, const PageSlots& page, const std::uint16_t* places_of,
+                    std::size_t count, Record* records, Footprint* footprints,
+                    std::uint16_t* kept) {
+  const ProjectView view = given;  // copies that no store below can alias
+  const GroupView group = *page.group;
+  const bool balls = view.mode == kFlatBall || view.mode == kGaussianBall;
+  const float ball_share = view.mode == kFlatBall       ? kFlatBallShare
+                           : view.mode == kGaussianBall ? kGaussianBallShare
+                                                        : 0.0f;
+  std::size_t n = 0;
+  for (std::size_t first_of = 0; first_of < count; first_of += kLanes) {
+    const int lanes = int(least(std::size_t(kLanes), count - first_of));
+    const Places places(places_of + first_of, lanes);
+    const Vec3 mean = {places.of(page.position[0]), places.of(page.position[1]),
+                       places.of(page.position[2])};
+    Slot slot;
+    for (int k = 0; k < 6; ++k) slot.word[k] = places.of(page.words + k * kSlots);
+
+    const Vec3 p = {transform(group.to_camera[0], mean), transform(group.to_camera[1], mean),
+                    transform(group.to_camera[2], mean)};
+    const Floats trained_opacity = toFloats((Ints)(slot.word[0] & 0xffffu)) * page.opacity_unit;
+    const Floats share =
+        page.parents ? shareOf(view.cut, group.eye, mean, places.of(page.parents), page.own_cell)
+                     : all(1.0f);
+    Floats opacity = view.opacity_modifier * trained_opacity;
+    if (view.near_fade > 0.0f) opacity *= min((p.z - view.near_clip) / view.near_fade, all(1.0f));
+
+    // Rows of the projection's Jacobian {x, -, z} and {-, y, z}; the tangent is clamped as in
+    // training.
+    Floats jx, jxz, jy, jyz, x, y;
+    if (view.orthographic) {
+      jx = all(view.fx), jy = all(view.fy), jxz = jyz = Floats{};
+      x = view.fx * p.x + view.cx, y = view.fy * p.y + view.cy;
+    } else {
+      const Floats over_z = 1.0f / p.z;
+      const Floats tx = p.x * over_z, ty = p.y * over_z;
+      jx = view.fx * over_z, jy = view.fy * over_z;
+      jxz = -jx * clamp(tx, all(view.least_tangent[0]), all(view.most_tangent[0]));
+      jyz = -jy * clamp(ty, all(view.least_tangent[1]), all(view.most_tangent[1]));
+      x = view.fx * tx + view.cx, y = view.fy * ty + view.cy;
+    }
+
+    // Covariance in the picture: rows of J W R S times their transposes.
+    Vec3 scale = {scaleOf(slot.word[0] >> 16), scaleOf(slot.word[1] & 0xffffu),
+                  scaleOf(slot.word[1] >> 16)};
+    scale = all(view.scale_modifier) * scale;
+    if (view.mode == kBillboard) {
+      scale.x = scale.y = scale.z = (scale.x + scale.y + scale.z) / 3.0f;
+    }
+    Vec3 orientation[3];
+    orientationOf(slot.word[2], slot.word[3], orientation);
+    const auto& [right, down_of, ahead] = group.to_camera;
+    const Vec3 rows[2] = {{jx * right[0] + jxz * ahead[0], jx * right[1] + jxz * ahead[1],
+                           jx * right[2] + jxz * ahead[2]},
+                          {jy * down_of[0] + jyz * ahead[0], jy * down_of[1] + jyz * ahead[1],
+                           jy * down_of[2] + jyz * ahead[2]}};
+    Vec3 m[2];
+    for (int i = 0; i < 2; ++i) {
+      m[i] = scale * Vec3{dot(rows[i], orientation[0]), dot(rows[i], orientation[1]),
+                          dot(rows[i], orientation[2])};
+    }
+    const Vec3 area = {m[0].y * m[1].z - m[0].z * m[1].y, m[0].z * m[1].x - m[0].x * m[1].z,
+                       m[0].x * m[1].y - m[0].y * m[1].x};
+    const Floats a0 = dot(m[0], m[0]), b = dot(m[0], m[1]), c0 = dot(m[1], m[1]);
+    const Floats det0 = dot(area, area);  // of M M^T by Cauchy-Binet: no cancellation for needles
+    const Floats a = a0 + kLowPass, c = c0 + kLowPass;
+    const Floats det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
+    if (view.antialiased) {
+      opacity *= sqrt(det0 / det);
+    }
+
+    const Floats mid = 0.5f * (a + c), half = 0.5f * (a - c), radius = sqrt(half * half + b * b);
+    const Floats major = mid + radius, minor = det / major;
+    // Eigenvector of the larger eigenvalue, from whichever row is longer.
+    Vec2 axis = {a > c ? radius + half : b, a > c ? b : radius - half};
+    const Floats norm = sqrt(axis.x * axis.x + axis.y * axis.y);
+    const Floats over_norm = 1.0f / norm;
+    axis = {norm > 0.0f ? axis.x * over_norm : all(1.0f),
+            norm > 0.0f ? axis.y * over_norm : all(0.0f)};
+
+    const Floats peak = log2(max(opacity, all(kCutoffAlpha)));
+    const Floats sigmas =
+        balls ? all(kBallSigmas)
+              : min(sqrt((2.0f * kLog2) * max(peak - kCutoffEnd * kSquared, all(0.0f))),
+                    all(kMaxSigmas));
+    const Floats reach_x = sigmas * sqrt(a), reach_y = sigmas * sqrt(c);
+    const Floats window_depth = windowDepthOf(view, p.z);
+    const Span columns = pixelsIn(x - reach_x, x + reach_x, int(view.width));
+    const Span lines = pixelsIn(y - reach_y, y + reach_y, int(view.height));
+    Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f) & (window_depth >= 0.0f);
+    seen &= (x + reach_x > 0.0f) & (y + reach_y > 0.0f) & (x - reach_x < view.width) &
+            (y - reach_y < view.height);
+    seen &= (columns.first < columns.last) & (lines.first < lines.last);
+    seen &= counting() < float(lanes);
+    if (!any(seen)) continue;
+
+    const Vec3 colour =
+        colourOf(view, group, page, slot, places, mean, p.z, scale, orientation, trained_opacity);
+    const Floats per_sigma = all(kHalfLog2 / 4.0f);  // 4^2 is kSquared
+    const Floats u = per_sigma / sqrt(major), v = per_sigma / sqrt(minor);
+    static_assert(kSquared == 16);
+    const Floats over_c = 1.0f / c;
+    const Floats half_width = sigmas * sqrt(det * over_c);
+    const Floats lean = b * over_c, rightmost = sigmas * b / sqrt(a);
+    const Floats kept_peak = balls ? Floats{} : peak * (1.0f / kSquared);
+
+    // The tiles in its first rows, as in across() of splat_tiles.glsl.
+    const Span box = tilesOf(columns), rows_of_tiles = tilesOf(lines);
+    const Ints many = seen ? rows_of_tiles.last - rows_of_tiles.first : Ints{};
+    Ints first[Footprint::kRows], last[Footprint::kRows];
+    Floats down = toFloats(rows_of_tiles.first * kTile) + 0.5f - y;
+    const Floats over_reach = 1.0f / (reach_y * reach_y);
+    for (int row = 0; row < Footprint::kRows; ++row, down += float(kTile)) {
+      if (row > 0 && !any(many > row)) {
+        first[row] = last[row] = Ints{};
+        continue;
+      }
+      const Floats from = clamp(down, -reach_y, reach_y);
+      const Floats to = clamp(down + float(kTile - 1), -reach_y, reach_y);
+      const Floats left = clamp(-rightmost, from, to), right = clamp(rightmost, from, to);
+      const auto half = [&](Floats at) {
+        return half_width * sqrt(max(1.0f - at * at * over_reach, Floats{}));
+      };
+      const Span span = tilesOf(
+          pixelsIn(x + lean * left - half(left), x + lean * right + half(right), int(view.width)));
+      first[row] = max(span.first, box.first);
+      last[row] = min(span.last, box.last);
+    }
+
+    const Floats fields_of[] = {x,           y,          axis.x * u, axis.y * u,
+                                -axis.y * v, axis.x * v, kept_peak,  colour.x,
+                                colour.y,    colour.z,   p.z,        window_depth};
+    constexpr int kFields = sizeof(fields_of) / sizeof(Floats);
+    static_assert(kFields == offsetof(Record, left) / sizeof(float));
+    for (int i = 0; i < lanes; ++i) {
+      if (!seen[i]) continue;
+      Record& record = records[n];
+      for (int k = 0; k < kFields; ++k) (&record.x)[k] = fields_of[k][i];
+      record.left = std::int16_t(columns.first[i]);
+      record.top = std::int16_t(lines.first[i]);
+      record.right = std::int16_t(columns.last[i]);
+      record.bottom = std::int16_t(lines.last[i]);
+      record.index = page.first_index + std::uint32_t(places[i]);
+      record.share = ball_share < 0.0f ? ball_share : share[i];
+      Footprint& footprint = footprints[n];
+      footprint.top = std::int16_t(rows_of_tiles.first[i]);
+      footprint.bottom = std::int16_t(rows_of_tiles.last[i]);
+      for (int row = 0; row < Footprint::kRows; ++row) {
+        footprint.first[row] = std::int16_t(first[row][i]);
+        footprint.last[row] = std::int16_t(last[row][i]);
+      }
+      footprint.left = std::int16_t(box.first[i]);
+      footprint.right = std::int16_t(box.last[i]);
+      if (many[i] > Footprint::kRows) {
+        footprint.x = x[i];
+        footprint.y = y[i];
+        footprint.reach_y = reach_y[i];
+        footprint.half_width = half_width[i];
+        footprint.lean = lean[i];
+        footprint.rightmost = rightmost[i];
+      }
+      kept[n] = std::uint16_t(first_of + std::size_t(i));
+      ++n;
+    }
+  }
+  return n;
+}
+
+// 2^v for v of -8 / kSquared to 0, to 8e-8 of it; minimax.
+Floats exp2OfLittle(Floats v) {
+  Floats p = all(0.00807774f);
+  p = fma(p, v, all(0.05483838f));
+  p = fma(p, v, all(0.24010635f));
+  p = fma(p, v, all(0.69313946f));
+  return fma(p, v, all(0.99999992f));
+}
+
+Floats falloffOf(Floats exponent) {
+  Floats v = exp2OfLittle(exponent);
+  for (int i = 0; i < kSquarings; ++i) v *= v;
+  return v;
+}
+
+// Whether nothing behind can be seen in any pixel.
+bool ended(const float* transmittance, const float* behind, float ends_at) {
+  Floats largest = {};
+  for (int i = 0; i < kTilePixels; i += kLanes) {
+    const Floats t = load(transmittance + i);
+    largest = max(largest, behind ? t * load(behind + i) : t);
+  }
+  float of_all = 0;
+  for (int i = 0; i < kLanes; ++i) of_all = most(of_all, largest[i]);
+  return of_all < ends_at;
+}
+
+constexpr std::size_t kAhead = 8;      // records that are fetched before they are needed
+constexpr std::size_t kPatience = 32;  // splats before a tile is asked whether it has ended
+
+// Calls blendOf(record)(pixel, exponents, where the splat is), nearest first, for the pixels of a
+// tile that each covers, a vector at a time, until nothing behind can be seen; returns whether that
+// is so.
+template <typename BlendOf>
+bool walk(const Listed* listed, std::size_t count, const Record* records, int left, int top,
+          const float* transmittance, const float* behind, float ends_at, const BlendOf& blendOf) {
+  const Floats columns = counting();
+  for (std::size_t k = 0; k < count; ++k) {
+    if (k % kPatience == 0 && ended(transmittance, behind, ends_at)) return true;
+    if (k + kAhead < count) __builtin_prefetch(records + listed[k + kAhead].record);
+    const Record& e = records[listed[k].record];
+    const auto blend = blendOf(e);
+    const int first = most(e.top - top, 0), last = least(e.bottom - top, kTile);
+    const int begin = kLanes == kTile ? 0 : most(e.left - left, 0) / kLanes * kLanes;
+    const int end_column = kLanes == kTile ? kTile : least(e.right - left, kTile);
+    const float dx = float(left) + 0.5f - e.x, dy = float(top + first) + 0.5f - e.y;
+    const Floats along_u = fma(columns, all(e.ux), all(e.ux * dx + e.uy * dy));
+    const Floats along_v = fma(columns, all(e.vx), all(e.vx * dx + e.vy * dy));
+    const Floats down_u = all(e.uy), down_v = all(e.vy), peak = all(e.peak);
+    const Floats end = all(e.share < 0.0f ? kBallEnd : kCutoffEnd);
+    for (int column = begin; column < end_column; column += kLanes) {
+      Floats u = along_u + float(column) * e.ux, v = along_v + float(column) * e.vx;
+      for (int row = first; row < last; ++row) {
+        const Floats exponent = fma(-v, v, fma(-u, u, peak));
+        blend(kTile * row + column, exponent, exponent >= end);
+        u += down_u;
+        v += down_v;
+      }
+    }
+  }
+  return ended(transmittance, behind, ends_at);
+}
+
+template <bool kDepth, bool kOpaque, bool kDivided>
+bool blendAs(const BlendTile& tile) {
+  // A vector of pixels under a splat.
+  const auto blend = [](TilePixels& into, int pixel, Floats falloff, Ints where,
+                        const Floats(&colour)[3], Floats depth, float share) {
+    Floats alpha = min(falloff, all(kMaxAlpha));
+    if (share < 1.0f) {
+      alpha = share < 0.0f ? all(1.0f) : 1.0f - exp2(share * log2(1.0f - alpha));
+    }
+    alpha = where ? alpha : Floats{};
+    const Floats transmittance = load(into.transmittance + pixel);
+    Floats weight = transmittance * alpha;
+    store(into.transmittance + pixel, transmittance - weight);
+    if (kDepth) store(into.depth + pixel, fma(weight, depth, load(into.depth + pixel)));
+    if (share == kGaussianBallShare) weight = where ? weight * falloff : Floats{};
+    for (int i = 0; i < 3; ++i) {
+      float* const channel = into.colour[i] + pixel;
+      store(channel, fma(weight, colour[i], load(channel)));
+    }
+  };
+  TilePixels& pixels = *tile.pixels;
+  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
+              kDivided ? tile.behind->transmittance : nullptr, tile.ends_at, [&](const Record& e) {
+                const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
+                const Floats depth = all(e.depth), window_depth = all(e.window_depth);
+                const float share = e.share;
+                return [=, &pixels, &tile](int pixel, Floats exponent, Ints covered) {
+                  const Floats falloff = falloffOf(exponent);
+                  if (kOpaque) covered &= window_depth <= load(tile.opaque + pixel);
+                  if (!kDivided)
+                    return blend(pixels, pixel, falloff, covered, colour, depth, share);
+                  const Ints before = window_depth <= load(tile.divided + pixel);
+                  blend(pixels, pixel, falloff, covered & before, colour, depth, share);
+                  blend(*tile.behind, pixel, falloff, covered & ~before, colour,
+                        1.0f - window_depth, share);
+                };
+              });
+}
+
+bool blend(const BlendTile& tile, bool with_depth) {
+  if (tile.divided) {
+    return tile.opaque ? blendAs<true, true, true>(tile) : blendAs<true, false, true>(tile);
+  }
+  if (with_depth) {
+    return tile.opaque ? blendAs<true, true, false>(tile) : blendAs<true, false, false>(tile);
+  }
+  return tile.opaque ? blendAs<false, true, false>(tile) : blendAs<false, false, false>(tile);
+}
+
+bool pick(const PickTile& tile) {
+  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, tile.transmittance,
+              nullptr, kLeastPicked, [&](const Record& e) {
+                const bool ball = e.share < 0.0f;
+                return [=, &e, &tile](int pixel, Floats exponent, Ints covered) {
+                  if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
+                  const Floats alpha =
+                      covered ? (ball ? all(1.0f) : min(falloffOf(exponent), all(kMaxAlpha)))
+                              : Floats{};
+                  const Floats transmittance = load(tile.transmittance + pixel);
+                  const Floats weight = transmittance * alpha;
+                  const Floats so_far = load(tile.most + pixel);
+                  const Ints more = weight > so_far;
+                  store(tile.most + pixel, more ? weight : so_far);
+                  const Ints index = load<Ints>(tile.index + pixel);
+                  store(tile.index + pixel, more ? allInts(std::int32_t(e.index)) : index);
+                  store(tile.transmittance + pixel, transmittance - weight);
+                };
+              });
+}
+
+// Of all lanes; one after the other would take longer than a splat's pixels.
+float sumOf(Floats v) {
+  typedef float Four __attribute__((vector_size(16)));
+  Four parts[kLanes / 4];
+  store(parts, v);
+  Four sum = parts[0];
+  for (int i = 1; i < kLanes / 4; ++i) sum += parts[i];
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+bool contribute(const ContributeTile& tile) {
+  TilePixels& pixels = *tile.pixels;
+  Contribution* next = tile.splats;
+  Floats weights = {}, energies = {}, errors = {};  // of the splat that is being walked over
+  const auto finish = [&] {
+    if (next == tile.splats) return;
+    next[-1] = {sumOf(weights), sumOf(energies), sumOf(errors)};
+    weights = energies = errors = Floats{};
+  };
+  const bool has_ended =
+      walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
+           nullptr, tile.ends_at, [&](const Record& e) {
+             finish();
+             ++next;
+             const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
+             return [=, &pixels, &tile, &weights, &energies, &errors, &e](
+                        int pixel, Floats exponent, Ints covered) {
+               if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
+               const Floats alpha = covered ? min(falloffOf(exponent), all(kMaxAlpha)) : Floats{};
+               const Floats transmittance = load(pixels.transmittance + pixel);
+               const Floats weight = transmittance * alpha;
+               store(pixels.transmittance + pixel, transmittance - weight);
+               weights += weight;
+               energies = fma(weight, weight, energies);
+               // Without it, what is behind would be seen by 1 / (1 - alpha) as much.
+               const Floats uncovers = alpha / (1.0f - alpha);
+               for (int i = 0; i < 3; ++i) {
+                 float* const channel = pixels.colour[i] + pixel;
+                 const Floats behind = fma(-weight, colour[i], load(channel));
+                 store(channel, behind);
+                 const Floats change = fma(weight, colour[i], -uncovers * behind);
+                 errors = fma(change, change, errors);
+               }
+             };
+           });
+  finish();
+  for (; next < tile.splats + tile.count; ++next) *next = {};
+  return has_ended;
+}
+
+void toBytes(const float* from, std::size_t count, std::uint8_t* bytes) {
+  const auto each = [](Floats v) {
+    return __builtin_convertvector(toInts(clamp(v, all(0.0f), all(1.0f)) * 255.0f + 0.5f), Bytes);
+  };
+  std::size_t i = 0;
+  for (; i + kLanes <= count; i += kLanes) store(bytes + i, each(load(from + i)));
+  for (; i < count; ++i) bytes[i] = each(all(from[i]))[0];
+}
+
+}  // namespace
+
+#define ROSPLAT_QUOTE(name) #name
+#define ROSPLAT_NAME(name) ROSPLAT_QUOTE(name)
+const Kernels kKernels = {
+    ROSPLAT_NAME(ROSPLAT_TARGET), cull, hide, project, blend, pick, contribute, toBytes};
+
+}  // namespace rosplat::cpu::ROSPLAT_TARGET

@@ -1,0 +1,173 @@
+// What a tile shows: blended, picked, or found to contribute.
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+#include "raster/raster_work.hpp"
+
+namespace rosplat {
+
+namespace {
+
+// Copies a tile of some depths, far where there is no pixel; null where nothing is.
+const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, float* copy) {
+  if (depths.empty()) return nullptr;
+  std::fill_n(copy, kTilePixels, 1.0f);
+  float nearest = 1;
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    copy[i] = depths[pixel];
+    nearest = std::min(nearest, copy[i]);
+  });
+  return nearest < 1 ? copy : nullptr;
+}
+
+}  // namespace
+
+void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& picture, bool first,
+                                std::size_t number, Member& member) {
+  const TileRect rect(number, across, picture.width, picture.height);
+  BlendTile tile;
+  tile.count = inTile(number);
+  if (tile.count == 0 && !first) return;
+  tile.divided = depthsOf(request.translucent_depth, rect, member.divided);
+  const bool divided = tile.divided != nullptr;
+  if (first && !picture.behind.empty()) {
+    const bool was_divided = std::exchange(picture.divided[number], divided);
+    if (was_divided && !divided) {
+      rect.forEach([&](std::size_t, std::size_t pixel) {
+        std::fill_n(&picture.behind[4 * pixel], 4, 0.0f);
+        std::fill_n(&picture.nearness[2 * pixel], 2, 0.0f);
+      });
+    }
+  }
+  // What was blended so far is in the picture.
+  const auto read = [&](TilePixels& pixels, const std::vector<float>& colour) {
+    std::memset(&pixels, 0, sizeof(pixels));
+    rect.forEach([&](std::size_t i, std::size_t pixel) {
+      pixels.transmittance[i] = first ? 1 : 1 - colour[4 * pixel + 3];
+      for (int k = 0; k < 3 && !first; ++k) pixels.colour[k][i] = colour[4 * pixel + k];
+    });
+  };
+  read(member.pixels, picture.colour);
+  if (request.mean_depth && !first) {
+    rect.forEach(
+        [&](std::size_t i, std::size_t pixel) { member.pixels.depth[i] = picture.depth[pixel]; });
+  }
+  if (divided) {
+    read(member.behind, picture.behind);
+    rect.forEach([&](std::size_t i, std::size_t pixel) {
+      if (!first) member.behind.depth[i] = picture.nearness[2 * pixel];
+    });
+  }
+
+  tile.listed = listed.get() + begins[number];
+  tile.records = records.get();
+  tile.left = rect.left;
+  tile.top = rect.top;
+  tile.ends_at = ends_at;
+  tile.pixels = &member.pixels;
+  tile.behind = divided ? &member.behind : nullptr;
+  tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
+  const bool ended = kernels.blend(tile, request.mean_depth);
+  if (ended) open[number] = kEnded;
+
+  const auto write = [&](const TilePixels& pixels, std::vector<float>& colour) {
+    rect.forEach([&](std::size_t i, std::size_t pixel) {
+      float* const rgba = &colour[4 * pixel];
+      for (int k = 0; k < 3; ++k) rgba[k] = pixels.colour[k][i];
+      rgba[3] = 1 - pixels.transmittance[i];
+    });
+  };
+  write(member.pixels, picture.colour);
+  if (request.mean_depth) {
+    rect.forEach(
+        [&](std::size_t i, std::size_t pixel) { picture.depth[pixel] = member.pixels.depth[i]; });
+  }
+  if (divided) {
+    write(member.behind, picture.behind);
+    rect.forEach([&](std::size_t i, std::size_t pixel) {
+      picture.nearness[2 * pixel] = member.behind.depth[i];
+      picture.nearness[2 * pixel + 1] = 1 - member.behind.transmittance[i];
+    });
+  }
+}
+
+void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::uint32_t>& picked,
+                               bool first, std::size_t number, Member& member) {
+  const SplatCamera& camera = request.layers.front().camera;
+  const TileRect rect(number, across, camera.width, camera.height);
+  PickTile tile;
+  tile.count = inTile(number);
+  if (tile.count == 0 && !first) return;
+  tile.listed = listed.get() + begins[number];
+  tile.records = records.get();
+  tile.left = rect.left;
+  tile.top = rect.top;
+  tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
+  tile.transmittance = member.pixels.transmittance;
+  tile.most = member.most;
+  tile.index = member.indices;
+  std::fill_n(tile.transmittance, kTilePixels, 0.0f);
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    tile.transmittance[i] = first ? 1 : picking[2 * pixel];
+    tile.most[i] = first ? kLeastPicked : picking[2 * pixel + 1];
+    tile.index[i] = first ? kNoSlot : picked[pixel];
+  });
+  const bool ended = kernels.pick(tile);
+  if (ended) open[number] = kEnded;
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    picking[2 * pixel] = tile.transmittance[i];
+    picking[2 * pixel + 1] = tile.most[i];
+    picked[pixel] = tile.index[i];
+  });
+}
+
+void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatPicture& picture,
+                                     bool first, std::size_t number, Member& member) {
+  const TileRect rect(number, across, picture.width, picture.height);
+  ContributeTile tile;
+  tile.count = inTile(number);
+  if (tile.count == 0 && !first) return;
+  tile.listed = listed.get() + begins[number];
+  tile.records = records.get();
+  tile.left = rect.left;
+  tile.top = rect.top;
+  tile.ends_at = ends_at;
+  tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
+  tile.pixels = &member.pixels;
+  tile.splats = of_listed.get() + begins[number];
+  std::memset(&member.pixels, 0, sizeof(member.pixels));
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    member.pixels.transmittance[i] = first ? 1 : remaining[4 * pixel + 3];
+    for (int k = 0; k < 3; ++k) {
+      member.pixels.colour[k][i] = first ? picture.colour[4 * pixel + k] : remaining[4 * pixel + k];
+    }
+  });
+  if (kernels.contribute(tile)) open[number] = kEnded;
+  rect.forEach([&](std::size_t i, std::size_t pixel) {
+    for (int k = 0; k < 3; ++k) remaining[4 * pixel + k] = member.pixels.colour[k][i];
+    remaining[4 * pixel + 3] = member.pixels.transmittance[i];
+  });
+}
+
+// Tile by tile, so that sums are the same for any number of threads.
+void CpuRasterizer::Work::addUp(Contributions& contributions) {
+  of_records.assign(parts.back().end, {});
+  for (std::size_t i = 0; i < total_pairs; ++i) {
+    Contribution& sum = of_records[listed[i].record];
+    sum.weight += of_listed[i].weight;
+    sum.energy += of_listed[i].energy;
+    sum.error += of_listed[i].error;
+  }
+  for (const Part& part : parts) {
+    for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
+      const std::uint32_t slot = splatOf(records[i].index).slot;
+      contributions.weight[slot] += of_records[i].weight;
+      contributions.energy[slot] += of_records[i].energy;
+      contributions.error[slot] += of_records[i].error;
+    }
+  }
+}
+
+}  // namespace rosplat

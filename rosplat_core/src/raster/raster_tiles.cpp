@@ -1,0 +1,206 @@
+// A slice projected, and listed by the tiles that it touches.
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <utility>
+
+#include "raster/raster_work.hpp"
+
+namespace rosplat {
+
+namespace {
+
+constexpr std::size_t kMostPairs = std::size_t{1} << 24;  // of splat and tile, at a time: 256 MiB
+
+// From where to where tiles are covered in a row of them; see across() in splat_tiles.glsl.
+void columnsOf(const Footprint& f, int row, int& first, int& last) {
+  const float top = float(kTile * row) + 0.5f - f.y, bottom = top + float(kTile - 1);
+  const auto inside = [](float v, float limit) { return std::clamp(v, -limit, limit); };
+  const float from = inside(top, f.reach_y), to = inside(bottom, f.reach_y);
+  const float left = std::clamp(-f.rightmost, from, to), right = std::clamp(f.rightmost, from, to);
+  const float scale = 1 / (f.reach_y * f.reach_y);
+  const auto halfWidth = [&](float down) {
+    return f.half_width * std::sqrt(std::max(1 - down * down * scale, 0.0f));
+  };
+  const float begin = f.x + f.lean * left - halfWidth(left);
+  const float end = f.x + f.lean * right + halfWidth(right);
+  const float slack = 0.05f + 1e-5f * (end - begin);
+  const float least = std::ceil(begin - 0.5f - slack), most = std::floor(end - 0.5f + slack);
+  first = last = 0;
+  if (!(least <= most)) return;
+  first = int(std::clamp(std::floor(least / kTile), float(f.left), float(f.right)));
+  last = int(std::clamp(std::floor(most / kTile) + 1, float(f.left), float(f.right)));
+}
+
+// By key, and those of equal keys as they come.
+void sortByKey(Listed* listed, std::size_t count, Listed* spare) {
+  if (count < 48) {
+    for (std::size_t i = 1; i < count; ++i) {
+      const Listed moved = listed[i];
+      std::size_t k = i;
+      for (; k > 0 && listed[k - 1].key > moved.key; --k) listed[k] = listed[k - 1];
+      listed[k] = moved;
+    }
+    return;
+  }
+  // Least significant digit first, over the bits in which the keys differ.
+  constexpr unsigned kDigitBits = 9, kMostPasses = 4;
+  std::uint32_t least = ~0u, greatest = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    least = std::min(least, listed[i].key);
+    greatest = std::max(greatest, listed[i].key);
+  }
+  unsigned bits = 0;
+  while (bits < 32 && (greatest - least) >> bits != 0) ++bits;
+  const unsigned passes = (bits + kDigitBits - 1) / kDigitBits;
+  const unsigned digit_bits = passes > 0 ? (bits + passes - 1) / passes : 0;
+  const std::uint32_t mask = (1u << digit_bits) - 1;
+  std::array<std::array<std::uint32_t, 1u << kDigitBits>, kMostPasses> targets;
+  for (unsigned pass = 0; pass < passes; ++pass) std::fill_n(targets[pass].begin(), mask + 1, 0u);
+  for (std::size_t i = 0; i < count; ++i) {
+    std::uint32_t key = listed[i].key - least;
+    for (unsigned pass = 0; pass < passes; ++pass, key >>= digit_bits) ++targets[pass][key & mask];
+  }
+  Listed* from = listed;
+  Listed* to = spare;
+  for (unsigned pass = 0; pass < passes; ++pass, std::swap(from, to)) {
+    std::uint32_t* const target = targets[pass].data();
+    std::exclusive_scan(target, target + mask + 1, target, 0u);
+    const unsigned shift = pass * digit_bits;
+    for (std::size_t i = 0; i < count; ++i) {
+      to[target[(from[i].key - least) >> shift & mask]++] = from[i];
+    }
+  }
+  if (from != listed) std::copy_n(from, count, listed);
+}
+
+}  // namespace
+
+// Pairs a record with its tiles.
+void CpuRasterizer::Work::findTiles(const Footprint& f, std::uint32_t record, Part& part) const {
+  Pair* out = part.pairs.makeRoom(std::size_t(f.bottom - f.top) * std::size_t(f.right - f.left));
+  const float* const until = hides ? open.data() : nullptr;
+  const float window_depth = records[record].window_depth;
+  std::uint32_t* const counts = part.counts.data();
+  const bool spans = f.bottom - f.top <= Footprint::kRows;
+  for (int row = f.top; row < f.bottom; ++row) {
+    int first, last;
+    if (spans) {
+      first = f.first[row - f.top];
+      last = f.last[row - f.top];
+    } else {
+      columnsOf(f, row, first, last);
+    }
+    const int begin = row * across;
+    for (int tile = begin + first; tile < begin + last; ++tile) {
+      if (until && window_depth > until[tile]) continue;
+      *out++ = {std::uint32_t(tile), record};
+      ++counts[tile];
+    }
+  }
+  part.pairs.size = std::size_t(out - part.pairs.pairs.get());
+}
+
+// Projects a slice and finds its splats' tiles; false where there are too many pairs.
+bool CpuRasterizer::Work::project(const Slice& slice) {
+  const std::size_t begin = slice.begin, end = slice.end;
+  records.reserve(end - begin + kSlots);
+  keys.reserve(end - begin + kSlots);
+  std::atomic<std::size_t> pairs{0};
+  inParts(end - begin, 4096, [&](Part& part, Member& member) {
+    part.counts.assign(tiles, 0);
+    part.pairs.size = 0;
+    part.of_layers.assign(layers.size(), 0);
+    member.places.resize(kSlots + kMostLanes);
+    member.kept.resize(kSlots);
+    member.numbers.resize(kSlots);
+    member.footprints.resize(kSlots);
+    std::size_t out = part.begin;
+    for (std::size_t i = part.begin; i < part.end && !cancelled() && pairs <= kMostPairs;) {
+      const Candidate* const run = &dealt[begin + i];
+      const std::uint32_t page = run->index / kSlots;
+      std::size_t count = 0;
+      for (; i < part.end && dealt[begin + i].index / kSlots == page; ++i) {
+        member.places[count] = static_cast<std::uint16_t>(run[count].index % kSlots);
+        ++count;
+      }
+      const SeenPage& of = pages[page];
+      const SeenLayer& layer = layers[of.layer];
+      if (hides && hidden(of)) continue;
+      if (hides) {
+        count = kernels.hide(layer.cull, layer.project, pyramid, of.slots, member.places.data(),
+                             member.numbers.data(), count);
+      }
+      const std::size_t seen =
+          kernels.project(layer.project, of.slots, member.places.data(), count, &records[out],
+                          member.footprints.data(), member.kept.data());
+      part.of_layers[of.layer] += seen;
+      const std::size_t before = part.pairs.size;
+      for (std::size_t k = 0; k < seen; ++k, ++out) {
+        const std::uint16_t number = member.kept[k];
+        keys[out] = run[hides ? member.numbers[number] : number].key;
+        findTiles(member.footprints[k], static_cast<std::uint32_t>(out), part);
+      }
+      pairs += part.pairs.size - before;
+    }
+    part.drawn = out - part.begin;
+  });
+  total_pairs = pairs;
+  return pairs <= kMostPairs;
+}
+
+// Of layers of mode kDepth without a range: that of all that is in the picture of them.
+void CpuRasterizer::Work::findDepthRanges() {
+  const auto wants = [](const SeenLayer& layer) {
+    const ProjectView& view = layer.project;
+    return view.mode == static_cast<int>(DrawMode::kDepth) &&
+           !(view.depth_range[1] > view.depth_range[0]);
+  };
+  if (std::none_of(layers.begin(), layers.end(), wants)) return;
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  std::array<float, 2> range{kInfinity, -kInfinity};
+  for (const Slice& slice : waiting) {
+    project(slice);
+    for (const Part& part : parts) {
+      for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
+        if (!wants(layers[pages[records[i].index / kSlots].layer])) continue;
+        range = {std::min(range[0], records[i].depth), std::max(range[1], records[i].depth)};
+      }
+    }
+  }
+  for (SeenLayer& layer : layers) {
+    if (wants(layer)) std::copy_n(range.begin(), 2, layer.project.depth_range);
+  }
+}
+
+// Lists each tile's splats, in the order of their slots.
+void CpuRasterizer::Work::list() {
+  listed.reserve(total_pairs);
+  begins.assign(tiles + 1, 0);
+  std::size_t next = 0;
+  for (std::size_t tile = 0; tile < tiles; ++tile) {
+    begins[tile] = next;
+    for (Part& part : parts) {
+      next += std::exchange(part.counts[tile], static_cast<std::uint32_t>(next));
+    }
+  }
+  begins[tiles] = next;
+  team->run(unsigned(parts.size()), [&](unsigned number, unsigned) {
+    Part& part = parts[number];
+    for (std::size_t i = 0; i < part.pairs.size; ++i) {
+      const Pair pair = part.pairs.pairs[i];
+      listed[part.counts[pair.tile]++] = {keys[pair.record], pair.record};
+    }
+  });
+}
+
+// Nearest first.
+void CpuRasterizer::Work::sortTile(std::size_t tile, Member& member) {
+  const std::size_t count = inTile(tile);
+  sortByKey(listed.get() + begins[tile], count, member.spare.reserve(count));
+}
+
+}  // namespace rosplat

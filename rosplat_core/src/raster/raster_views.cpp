@@ -1,0 +1,172 @@
+// What a picture looks at: its camera and settings as the kernels take them, and the pages that it
+// may show.
+
+#include <algorithm>
+
+#include "raster/raster_work.hpp"
+#include "rosplat_core/levels/cut.hpp"
+#include "rosplat_core/views/channel_colouring.hpp"
+#include "rosplat_core/views/sort_view.hpp"
+
+namespace rosplat {
+
+void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLayer& seen) {
+  const SplatCamera& camera = layer.camera;
+  const RenderSettings& settings = layer.settings;
+  const ClipBox& box = settings.clip_box;
+  seen.groups = seenGroups(camera, layer.slots->index().groups(), box);
+  seen.error = layer.levels ? layer.error : 0;
+  // But for where groups are, they all are seen alike.
+  const SortView view = sortView(camera, {}, 1.0);
+  CullView& c = seen.cull;
+  c.fx = view.fx;
+  c.fy = view.fy;
+  c.offset_x = view.offset_x;
+  c.offset_y = view.offset_y;
+  c.half_width = view.half_width;
+  c.half_height = view.half_height;
+  c.slope_x = view.slope_x;
+  c.slope_y = view.slope_y;
+  c.near_clip = view.near_clip;
+  c.far_clip = view.far_clip;
+  c.orthographic = view.orthographic;
+  c.clip_to_box = box.enabled;
+  for (int i = 0; i < 3; ++i) c.half_box[i] = 0.5f * box.size[i];
+
+  ProjectView& p = seen.project;
+  p.fx = view.fx;
+  p.fy = view.fy;
+  p.cx = static_cast<float>(camera.cx);
+  p.cy = static_cast<float>(camera.cy);
+  p.width = static_cast<float>(camera.width);
+  p.height = static_cast<float>(camera.height);
+  const SplatCamera::Whole whole = camera.whole();
+  const auto tangents = [&](int axis, double focal, double centre, double size) {
+    const double slack = 0.15 * size / focal;  // 0.3 tan(fov / 2)
+    p.least_tangent[axis] = static_cast<float>(-centre / focal - slack);
+    p.most_tangent[axis] = static_cast<float>((size - centre) / focal + slack);
+  };
+  tangents(0, camera.fx, whole.cx, whole.width);
+  tangents(1, camera.fy, whole.cy, whole.height);
+  p.near_clip = view.near_clip;
+  p.near_fade = settings.near_fade;
+  p.ndc_scale = static_cast<float>(camera.ndc_scale);
+  p.ndc_offset = static_cast<float>(camera.ndc_offset);
+  p.scale_modifier = settings.scale;
+  p.opacity_modifier = settings.opacity;
+  p.now = static_cast<float>(now);
+  p.age_range = settings.age_range;
+  const ChannelColouring channel = colouringOf(layer.map->channels, settings);
+  seen.channel = channel.channel;
+  p.channel_colours = channel.kind;
+  p.channel_least = channel.least;
+  p.channel_most = channel.most;
+  p.channel_per_range = channel.per_range;
+  p.depth_range[0] = settings.depth_range[0];
+  p.depth_range[1] = settings.depth_range[1];
+  p.mode = static_cast<int>(settings.mode);
+  p.sh_degree = std::min(layer.slots->shDegree(), settings.max_sh_degree);
+  p.only_band = settings.only_band;
+  p.orthographic = camera.orthographic;
+  p.antialiased = settings.antialiasing == Antialiasing::kAsTrained
+                      ? layer.map->antialiased
+                      : settings.antialiasing == Antialiasing::kOn;
+}
+
+void CpuRasterizer::Work::setOrder(const HostSlots& slots, const ArrayView<std::uint32_t>& order) {
+  const std::size_t room = slots.pages().size() * kSlots;
+  std::uint32_t* const rank = ranks.reserve(room);
+  std::fill_n(rank, room, kNotOrdered);
+  for (std::size_t i = 0; i < order.size; ++i) {
+    const SlotPage* const page = slots.index().find(order[i]);
+    if (page) {
+      rank[std::size_t(page->place) * kSlots + order[i] % kSlots] =
+          static_cast<std::uint32_t>(order.size - 1 - i);
+    }
+  }
+}
+
+// Those of a layer that may have something in the picture.
+void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t number) {
+  const HostSlots& slots = *layer.slots;
+  SeenLayer& seen = layers[number];
+  const std::vector<SeenGroup>& groups = seen.groups;
+  const double error = seen.error;
+  if (error == 0) {
+    for (const SlotPage& page : slots.pages()) {
+      if (groups[page.group].pages.mayShow(page)) choose(page, slots.at(page), number);
+    }
+    return;
+  }
+  const bool blends = layer.settings.blendsLevels();
+  std::vector<Cut> cuts;
+  for (std::size_t group = 0; group < groups.size(); ++group) {
+    cuts.emplace_back(groups[group].camera, slots.index().groups()[group].originOrZero(), error,
+                      blends);
+  }
+  const auto mayShow = [&](const SlotPage& page, float own, float parent) {
+    return groups[page.group].pages.mayShow(page) && cuts[page.group].mayShow(page, own, parent);
+  };
+  const Cut cut(layer.camera, {}, error, blends);
+  CutView& c = seen.cull.cut;
+  c.focal = static_cast<float>(cut.focal);
+  c.from = static_cast<float>(cut.from);
+  c.over_span = static_cast<float>(1 / (cut.to - cut.from));
+  c.orthographic = cut.orthographic;
+  seen.project.cut = c;
+  for (const SlotPage& page : slots.pages()) {
+    const HostSlots::Page& memory = slots.at(page);
+    if (!mayShow(page, 0, memory.widest_parent)) continue;
+    choose(page, memory, number);
+    if (memory.parents) pages.back().slots.parents = memory.parents->data();
+  }
+  for (int level = 0; level < kLevels; ++level) {
+    const float own = cellSize(level), parent = cellSize(level + 1);
+    HostSlots::PerSlot<float>& parents = node_parents[std::size_t(level)];
+    parents.fill(parent);
+    for (const Levels::Nodes& nodes : layer.levels->groups()) {
+      for (const auto& page : nodes[std::size_t(level)]) {
+        if (!mayShow(page->bounds, own, parent)) continue;
+        choose(page->bounds, page->slots, number);
+        PageSlots& chosen = pages.back().slots;
+        chosen.parents = parents.data();
+        chosen.own_cell = own;
+        chosen.opacity_unit *= kMostNodeOpacity;
+      }
+    }
+  }
+}
+
+void CpuRasterizer::Work::choose(const SlotPage& page, const HostSlots::Page& memory,
+                                 std::uint32_t layer) {
+  static const std::vector<std::uint32_t> kZeros(std::size_t{7} * kSlots);
+  const auto first_index = static_cast<std::uint32_t>(pages.size() * kSlots);
+  pages.push_back({{}, &page, layer});
+  PageSlots& chosen = pages.back().slots;
+  for (int i = 0; i < 3; ++i) chosen.position[i] = memory.position[i].data();
+  chosen.extent = memory.extent.data();
+  chosen.group = &layers[layer].groups[page.group].floats;
+  chosen.words = memory.words[0].data();
+  for (int band = 1; band <= kMaxShDegree; ++band) {
+    chosen.bands[band] = memory.bands[band] ? memory.bands[band].get() : kZeros.data();
+  }
+  static const auto kNoValues = [] {
+    HostSlots::PerSlot<float> values;
+    values.fill(kNoValue);
+    return values;
+  }();
+  const std::size_t channel = layers[layer].channel;
+  const bool has_values = channel < kMostChannels && memory.channels[channel];
+  chosen.channel = has_values ? memory.channels[channel]->data() : kNoValues.data();
+  chosen.parents = nullptr;
+  chosen.own_cell = 0;
+  chosen.opacity_unit = 1.0f / 65535.0f;
+  chosen.first_index = first_index;
+}
+
+PickedSplat CpuRasterizer::Work::splatOf(std::uint32_t index) const {
+  const SeenPage& seen = pages[index / kSlots];
+  return {seen.layer, seen.page->first_slot + index % kSlots};
+}
+
+}  // namespace rosplat

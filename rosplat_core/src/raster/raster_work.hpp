@@ -1,0 +1,246 @@
+#pragma once
+
+// What the stages of CpuRasterizer share, for their sources alone.
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <new>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "raster/kernels.hpp"
+#include "rosplat_core/raster/cpu_rasterizer.hpp"
+#include "rosplat_core/views/seen_group.hpp"
+
+namespace rosplat {
+
+namespace cpu {
+
+constexpr std::uint32_t kSlots = HostSlots::kSlots;
+constexpr std::uint32_t kNotOrdered = 0xffffffffu;
+constexpr float kOpen = 2, kEnded = -1;  // window depths up to which tiles may show something
+
+// Memory for values to come: nothing is kept when it grows, nor cleared.
+template <typename T>
+class Room {
+ public:
+  T* reserve(std::size_t size) {
+    if (size > size_) {
+      memory_.reset();
+      size_ = 0;
+      memory_.reset(new T[size + size / 4]);
+      size_ = size + size / 4;
+    }
+    return memory_.get();
+  }
+  T* get() const { return memory_.get(); }
+  T& operator[](std::size_t i) const { return memory_[i]; }
+  std::size_t bytes() const { return size_ * sizeof(T); }
+
+ private:
+  std::unique_ptr<T[]> memory_;
+  std::size_t size_ = 0;
+};
+
+// Dealt candidates that are nearer than those of the next slice.
+struct Slice {
+  std::size_t begin, end;
+};
+
+// A splat on a tile.
+struct Pair {
+  std::uint32_t tile, record;
+};
+
+// Pairs one after the other, in memory that is made before they are written.
+struct PairList {
+  // Where so many more may be written.
+  Pair* makeRoom(std::size_t more) {
+    if (size + more > room) {
+      const std::size_t larger = size + more + room / 2;
+      std::unique_ptr<Pair[]> memory(new Pair[larger]);
+      std::copy_n(pairs.get(), size, memory.get());
+      pairs = std::move(memory);
+      room = larger;
+    }
+    return pairs.get() + size;
+  }
+
+  std::unique_ptr<Pair[]> pairs;
+  std::size_t size = 0, room = 0;
+};
+
+// A map of the picture as it is looked at.
+struct SeenLayer {
+  std::vector<SeenGroup> groups;
+  CullView cull;
+  ProjectView project;
+  std::size_t channel = 0;  // of HostSlots::Page::channels
+  double error = 0;         // [px]
+};
+
+// A page that the picture may show.
+struct SeenPage {
+  PageSlots slots;
+  const SlotPage* page;
+  std::uint32_t layer;
+};
+
+// A share of a step, and what was found in it.
+struct Part {
+  std::size_t begin = 0, end = 0;
+  std::vector<std::size_t> slices;    // candidates of each, then where the next one goes
+  std::vector<std::uint32_t> counts;  // pairs of each tile, then where the next one goes
+  PairList pairs;
+  std::size_t drawn = 0;
+  std::vector<std::size_t> of_layers;  // what was found or drawn of each
+};
+
+// The part of a picture that a tile is.
+struct TileRect {
+  TileRect(std::size_t tile, int across, int width_of_all, int height_of_all)
+      : left(int(tile) % across * kTile),
+        top(int(tile) / across * kTile),
+        width(std::min(kTile, width_of_all - left)),
+        height(std::min(kTile, height_of_all - top)),
+        first(std::size_t(top) * std::size_t(width_of_all) + std::size_t(left)),
+        stride(std::size_t(width_of_all)) {}
+
+  // Calls each(pixel of the tile, pixel of the picture).
+  template <typename Each>
+  void forEach(const Each& each) const {
+    for (int row = 0; row < height; ++row) {
+      for (int column = 0; column < width; ++column) {
+        each(std::size_t(kTile * row + column),
+             first + std::size_t(row) * stride + std::size_t(column));
+      }
+    }
+  }
+
+  int left, top, width, height;  // [px]
+  std::size_t first, stride;
+};
+
+}  // namespace cpu
+
+using namespace cpu;
+
+struct CpuRasterizer::Work {
+  Work(std::shared_ptr<ThreadTeam> with, const Kernels& fastest)
+      : team(std::move(with)), kernels(fastest), members(team->size()) {}
+
+  // A member's own.
+  struct Member {
+    TilePixels pixels, behind;
+    alignas(64) float opaque[kTilePixels], divided[kTilePixels], most[kTilePixels];
+    alignas(64) std::uint32_t indices[kTilePixels];
+    Room<Listed> spare;
+    std::vector<std::uint16_t> places, numbers, kept;
+    std::vector<Footprint> footprints;
+  };
+
+  // Draws, or picks, or draws and finds what contributes.
+  struct Wanted {
+    SplatPicture* picture = nullptr;
+    std::vector<std::uint32_t>* picked = nullptr;  // Record::index, kNoSlot where there is none
+    Contributions* contributions = nullptr;
+    bool drawn = false;  // the picture is
+  };
+
+  bool run(const PictureRequest& request, const Wanted& wanted);
+  void setView(const PictureLayer& layer, double now, SeenLayer& seen);
+  void setOrder(const HostSlots& slots, const ArrayView<std::uint32_t>& order);
+  void choosePages(const PictureLayer& layer, std::uint32_t number);
+  void choose(const SlotPage& page, const HostSlots::Page& memory, std::uint32_t layer);
+  void cull();
+  void deal();
+  void halve(const Slice& slice);
+  void openTiles(const PictureRequest& request);
+  void raisePyramid();
+  bool hidden(const SeenPage& page) const;
+  PickedSplat splatOf(std::uint32_t index) const;
+  void findTiles(const Footprint& footprint, std::uint32_t record, Part& part) const;
+  bool project(const Slice& slice);
+  void list();
+  void blend(const PictureRequest& request, SplatPicture& picture, bool first, std::size_t tile,
+             Member& member);
+  void pick(const PictureRequest& request, std::vector<std::uint32_t>& picked, bool first,
+            std::size_t tile, Member& member);
+  void contribute(const PictureRequest& request, const SplatPicture& picture, bool first,
+                  std::size_t tile, Member& member);
+  void addUp(Contributions& contributions);
+  void sortTile(std::size_t tile, Member& member);
+  std::size_t inTile(std::size_t tile) const { return begins[tile + 1] - begins[tile]; }
+  void findDepthRanges();
+
+  // Does step(part, member) for parts of [0, count), side by side.
+  template <typename Step>
+  void inParts(std::size_t count, std::size_t least_share, const Step& step);
+  bool cancelled() const { return cancel && cancel->load(std::memory_order_relaxed); }
+  void lap(const char* stage) {
+    const std::chrono::steady_clock::time_point now = std::chrono::steady_clock::now();
+    profile[stage] += std::chrono::duration<double>(now - began).count();
+    began = now;
+  }
+
+  std::shared_ptr<ThreadTeam> team;
+  const Kernels& kernels;
+  std::vector<Member> members;
+  std::vector<Part> parts;
+
+  std::vector<SeenLayer> layers;
+  std::vector<SeenPage> pages;  // layer by layer, in the order of slots, nodes last
+  std::array<HostSlots::PerSlot<float>, kLevels> node_parents;  // PageSlots::parents, by level
+  Room<std::uint32_t> ranks;  // in a given order, by place of a page and in that
+  bool ordered = false;
+  Room<Candidate> found, dealt;
+  std::size_t candidates = 0;
+  std::vector<Slice> waiting;    // the nearest one last
+  std::vector<float> open;       // the pyramid's
+  std::vector<float> picking;    // transmittance and the most contributed so far, by pixel
+  float ends_at = 0;             // transmittance that counts as none
+  SplatPicture seen;             // that contributions were found in
+  std::vector<float> remaining;  // transmittance and what is still to come of the colour, by pixel
+  Room<Contribution> of_listed;
+  std::vector<Contribution> of_records;
+  Pyramid pyramid;
+  int levels = 0;
+  bool hides = false;  // some tile isn't open
+  Room<Record> records;
+  Room<std::uint32_t> keys;  // of the records
+  Room<Listed> listed;
+  std::vector<std::size_t> begins;  // of each tile's
+  int across = 0, down = 0;         // tiles
+  std::size_t tiles = 0, total_pairs = 0;
+
+  const std::atomic<bool>* cancel = nullptr;
+  std::atomic<bool> out_of_memory{false};
+  std::map<std::string, double> profile;
+  std::chrono::steady_clock::time_point began;
+};
+
+template <typename Step>
+void CpuRasterizer::Work::inParts(std::size_t count, std::size_t least_share, const Step& step) {
+  const std::size_t most = members.size() > 1 ? 2 * members.size() : 1;
+  parts.resize(std::min(most, 1 + count / least_share));
+  team->run(unsigned(parts.size()), [&](unsigned number, unsigned member) {
+    Part& part = parts[number];
+    part.begin = count * number / parts.size();
+    part.end = count * (number + 1) / parts.size();
+    try {
+      step(part, members[member]);
+    } catch (const std::bad_alloc&) {
+      out_of_memory = true;
+    }
+  });
+  if (out_of_memory) throw std::bad_alloc();
+}
+
+}  // namespace rosplat

@@ -1,0 +1,345 @@
+"""PLY: every layout that trainers write comes back as the same splats, and broken files say why."""
+
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.lib.recfunctions as structured
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement
+
+from rosplat_core.formats import SceneError, load, ply, save
+from rosplat_core.splats import Splats
+
+Make = Callable[..., Splats]
+
+
+def assert_same(a: Splats, b: Splats, tolerance: float = 1e-6) -> None:
+    np.testing.assert_allclose(a.positions + a.origin, b.positions + b.origin, atol=1e-6)
+    np.testing.assert_allclose(a.orientations, b.orientations, atol=tolerance)
+    np.testing.assert_allclose(a.scales, b.scales, rtol=tolerance, atol=1e-30)
+    np.testing.assert_allclose(a.opacities, b.opacities, atol=tolerance)
+    np.testing.assert_array_equal(a.sh, b.sh)
+    assert a.antialiased == b.antialiased
+
+
+def rows_of(path: Path) -> NDArray[np.void]:
+    return np.array(PlyData.read(path)["vertex"].data)
+
+
+def without(rows: NDArray[np.void], name: str) -> NDArray[np.void]:
+    return structured.drop_fields(rows, name)
+
+
+def write_rows(path: Path, rows: NDArray[np.void], **form: object) -> None:
+    PlyData([PlyElement.describe(rows, "vertex")], **form).write(path)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_round_trip(random_splats: Make, tmp_path: Path, degree: int, antialiased: bool) -> None:
+    splats = random_splats(50, degree, antialiased=antialiased)
+    save(tmp_path / "a.ply", splats)
+    assert_same(load(tmp_path / "a.ply"), splats)
+
+
+def test_further_properties_are_channels(
+    random_splats: Make, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    channels = {"label": np.array([3, 2, 1]), "seen": np.array([0.5, np.nan, 0.25])}
+    splats = replace(random_splats(3), channels=channels)
+    save(tmp_path / "a.ply", splats)
+    read = load(tmp_path / "a.ply")
+    assert_same(read, splats)
+    assert list(read.channels) == ["label", "seen"]
+    for name, values in channels.items():
+        np.testing.assert_array_equal(read.channels[name], values)
+    # As trainers have them, beside what they write for viewers of points.
+    rows = rows_of(tmp_path / "a.ply")
+    for name in ["red", "green", "blue", *(f"feature_{i}" for i in range(10))]:
+        rows = structured.append_fields(rows, name, np.arange(3, dtype="u1"), usemask=False)
+    write_rows(tmp_path / "b.ply", rows)
+    told: list[str] = []
+    read = load(tmp_path / "b.ply", warn=told.append)
+    assert list(read.channels) == ["label", "seen", *(f"feature_{i}" for i in range(6))]
+    np.testing.assert_array_equal(read.channels["feature_5"], [0, 1, 2])
+    assert len(told) == 1
+    assert "left out 4 properties" in told[0]
+    save(tmp_path / "a.splat", splats)
+    assert "left out label, seen" in caplog.text
+    with pytest.raises(SceneError, match="channel 'opacity'"):
+        save(tmp_path / "c.ply", replace(splats, channels={"opacity": np.zeros(3)}))
+
+
+def test_no_splats(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(0))
+    assert len(load(tmp_path / "a.ply")) == 0
+
+
+def test_more_splats_than_a_block(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(40_000, 0)
+    save(tmp_path / "a.ply", splats)
+    fractions: list[float] = []
+    assert_same(load(tmp_path / "a.ply", progress=fractions.append), splats)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1
+
+
+def test_a_full_disk_is_named(random_splats: Make) -> None:
+    with pytest.raises(OSError, match="No space left"), open("/dev/full", "wb") as full:
+        ply.write(full, Path("/dev/full"), random_splats(20_000))
+
+
+def test_writing_takes_little_memory_beside_the_splats(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(100_000)
+    tracemalloc.start()
+    save(tmp_path / "a.ply", splats)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < splats.nbytes / 2
+
+
+@given(opacity=st.floats(0, 1, width=32), scale=st.floats(0, 100, width=32))
+@settings(deadline=None, max_examples=50)
+def test_limits_survive(
+    tmp_path_factory: pytest.TempPathFactory, opacity: float, scale: float
+) -> None:
+    path = tmp_path_factory.mktemp("limits") / "a.ply"
+    splats = Splats(np.zeros((1, 3)), [[0, 0, 0, 1]], [[scale] * 3], [opacity], np.zeros((1, 1, 3)))  # type: ignore[arg-type]
+    save(path, splats)
+    assert_same(load(path), splats, tolerance=1e-5)
+
+
+def test_layout_is_that_of_the_inria_code(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(3)
+    save(tmp_path / "a.ply", splats)
+    rows = rows_of(tmp_path / "a.ply")
+    assert rows.dtype.names is not None
+    assert rows.dtype.names[:9] == ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2")
+    assert rows.dtype.names[-8:-4] == ("opacity", "scale_0", "scale_1", "scale_2")
+    np.testing.assert_array_equal(rows["rot_0"], splats.orientations[:, 3])
+    np.testing.assert_array_equal(rows["f_rest_0"], splats.sh[:, 1, 0])
+    np.testing.assert_array_equal(rows["f_rest_1"], splats.sh[:, 2, 0])
+    np.testing.assert_array_equal(rows["f_rest_15"], splats.sh[:, 1, 1])
+    np.testing.assert_allclose(np.exp(rows["scale_1"]), splats.scales[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-rows["opacity"])), splats.opacities, rtol=1e-5)
+
+
+@pytest.mark.parametrize("form", [{"text": True}, {"byte_order": ">"}, {"byte_order": "<"}])
+def test_text_and_byte_orders(random_splats: Make, tmp_path: Path, form: dict[str, object]) -> None:
+    splats = random_splats(20, 1)
+    save(tmp_path / "a.ply", splats)
+    write_rows(tmp_path / "b.ply", rows_of(tmp_path / "a.ply"), **form)
+    assert_same(load(tmp_path / "b.ply"), splats)
+
+
+def test_text_is_read_by_parts_and_may_be_given_up(
+    random_splats: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rosplat_core.formats.ply_file.ROWS", 7)
+    splats = random_splats(50, 1)
+    save(tmp_path / "a.ply", splats)
+    write_rows(tmp_path / "b.ply", rows_of(tmp_path / "a.ply"), text=True)
+    told: list[float] = []
+    assert_same(load(tmp_path / "b.ply", told.append), splats)
+    assert told == sorted(told)
+    assert len(told) > 50 / 7
+
+    def end(part: float) -> None:
+        assert part < 0.5
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        load(tmp_path / "b.ply", end)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=10)
+def test_any_order_of_properties_and_types(
+    random_splats: Make, tmp_path_factory: pytest.TempPathFactory, seed: int
+) -> None:
+    folder = tmp_path_factory.mktemp("order")
+    splats = random_splats(10, 2)
+    save(folder / "a.ply", splats)
+    rows = rows_of(folder / "a.ply")
+    rng = np.random.default_rng(seed)
+    names = [*rng.permutation(rows.dtype.names or ()), "label"]
+    shuffled = np.zeros(10, [(str(name), rng.choice(["f4", "f8"])) for name in names])
+    for name in rows.dtype.names or ():
+        shuffled[name] = rows[name]
+    write_rows(folder / "b.ply", shuffled)
+    assert_same(load(folder / "b.ply"), splats)
+
+
+def test_far_doubles_keep_their_millimetres(random_splats: Make, tmp_path: Path) -> None:
+    splats = replace(random_splats(20), origin=np.array([4.5e6, 5e5, 300.0]))
+    save(tmp_path / "a.ply", splats)
+    back = load(tmp_path / "a.ply")
+    np.testing.assert_allclose(
+        back.positions + back.origin, splats.positions + splats.origin, rtol=0, atol=1e-5
+    )
+    assert np.abs(back.positions).max() < 10
+
+
+def test_2d_gaussians_are_flat(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(5))
+    rows = rows_of(tmp_path / "a.ply")
+    write_rows(
+        tmp_path / "b.ply",
+        without(rows, "scale_2"),
+    )
+    flat = load(tmp_path / "b.ply")
+    assert not flat.scales[:, 2].any()
+    assert flat.scales[:, :2].all()
+
+
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        (["SplatRenderMode: mip"], True),
+        (["splatrendermode: default"], False),
+        (["antialiased 1"], True),
+        (["antialiased 0"], False),
+        (["antialiased 1", "SplatRenderMode: default"], False),
+        (["trained antialiased 1"], False),
+    ],
+)
+def test_comments_tell_how_it_was_trained(
+    random_splats: Make, tmp_path: Path, comments: list[str], expected: bool
+) -> None:
+    save(tmp_path / "a.ply", random_splats(3))
+    write_rows(tmp_path / "b.ply", rows_of(tmp_path / "a.ply"), comments=comments)
+    assert load(tmp_path / "b.ply").antialiased == expected
+
+
+def test_mip_splatting_s_filter_is_applied_as_its_own_fused_ply_has_it(
+    random_splats: Make, tmp_path: Path
+) -> None:
+    splats = random_splats(50)
+    save(tmp_path / "a.ply", splats)
+    filters = np.random.default_rng(0).uniform(0, 0.1, 50).astype(np.float32)
+    rows = structured.append_fields(
+        rows_of(tmp_path / "a.ply"), "filter_3D", filters, usemask=False
+    )
+    write_rows(tmp_path / "filtered.ply", rows)
+    # After save_fused_ply() of Mip-Splatting.
+    squares = splats.scales.astype(np.float64) ** 2
+    wider = squares + filters[:, None] ** 2
+    fused = replace(
+        splats,
+        scales=np.sqrt(wider),
+        opacities=splats.opacities * np.sqrt(squares.prod(axis=1) / wider.prod(axis=1)),
+        antialiased=True,
+    )
+    assert_same(load(tmp_path / "filtered.ply"), fused, tolerance=1e-5)
+
+
+def test_unusable_splats_are_dropped_and_counted(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(10))
+    rows = rows_of(tmp_path / "a.ply")
+    rows["x"][1] = np.nan
+    rows["f_rest_7"][3] = -np.inf
+    rows["scale_0"][4] = 200  # beyond float32 once it is no longer a logarithm
+    for name in ("rot_0", "rot_1", "rot_2", "rot_3"):
+        rows[name][6] = 0
+    write_rows(tmp_path / "b.ply", rows)
+    warnings: list[str] = []
+    splats = load(tmp_path / "b.ply", warn=warnings.append)
+    assert_same(splats, load(tmp_path / "a.ply")[np.array([0, 2, 5, 7, 8, 9])])
+    assert len(warnings) == 1
+    assert "b.ply: dropped 4 of 10" in warnings[0]
+
+
+def test_a_point_cloud_is_told_from_a_scene(tmp_path: Path) -> None:
+    write_rows(tmp_path / "cloud.ply", np.zeros(5, [("x", "f4"), ("y", "f4"), ("z", "f4")]))
+    with pytest.raises(
+        SceneError, match=r"cloud\.ply: not a Gaussian splat: no property opacity, f_dc_0"
+    ):
+        load(tmp_path / "cloud.ply")
+
+
+def test_a_truncated_file_names_what_is_missing(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(10))
+    whole = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "b.ply").write_bytes(whole[:-300])
+    with pytest.raises(
+        SceneError, match=rf"b\.ply: truncated.* 10 rows .*{len(whole) - 300:,} bytes hold 8"
+    ):
+        load(tmp_path / "b.ply")
+
+
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        ("format ascii 2.0|end_header|", "version 1.0"),
+        ("format binary_little_endian 1.0|element vertex 5|", "no end_header"),
+        ("format ascii 1.0|element face 0|property float x|end_header|", "no element vertex"),
+        ("format ascii 1.0|element vertex 2|property float x|end_header|1|oops|", "malformed"),
+        ("format ascii 1.0|element vertex 2|property float x|end_header|1|", "truncated"),
+        ("format ascii 1.0|element vertex -2|property float x|end_header|", "broken"),
+        (f"format ascii 1.0|element vertex {10**14}|property float x|end_header|1|", "truncated"),
+        (
+            f"format binary_big_endian 1.0|element vertex {10**14}|property float x|end_header|",
+            "truncated",
+        ),
+        (
+            "format ascii 1.0|element vertex 0|property float x|property float x|end_header|",
+            "broken",
+        ),
+        ("format ascii 1.0|element vertex 0|property quaternion x|end_header|", "broken"),
+        ("form\xe9t", "broken"),
+        ("comment " + "x" * (1 << 17) + "|end_header|", "no end_header"),
+        ("format ascii 1.0|element face 1|end_header|1|", "has rows, but no property"),
+        ("end_header|", "no format"),
+        ("property float x|end_header|", "property float x"),
+        ("format ascii 1.0|element vertex 1|element vertex 1|end_header|", "element vertex 1"),
+        (
+            "format binary_little_endian 1.0|element face 1|property list uchar int i|"
+            "element vertex 1|property float x|end_header|123456",
+            "with lists before element vertex",
+        ),
+    ],
+)
+def test_broken_headers(tmp_path: Path, lines: str, reason: str) -> None:
+    text = "ply\n" + lines.replace("|", "\n")
+    (tmp_path / "broken.ply").write_bytes(text.encode("latin-1"))
+    with pytest.raises(SceneError, match=rf"broken\.ply: .*{reason}"):
+        load(tmp_path / "broken.ply")
+
+
+def test_lists_and_odd_counts_are_refused(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(2, 1))
+    rows = rows_of(tmp_path / "a.ply")
+    names = rows.dtype.names or ()
+    write_rows(tmp_path / "odd.ply", without(rows, "f_rest_8"))
+    with pytest.raises(SceneError, match=r"8 properties f_rest_\*"):
+        load(tmp_path / "odd.ply")
+    listed = np.empty(2, [(name, "O" if name == "opacity" else "f4") for name in names])
+    for name in names:
+        for i in range(2):
+            listed[name][i] = np.zeros(1, "f4") if name == "opacity" else 0
+    write_rows(tmp_path / "list.ply", listed)
+    with pytest.raises(SceneError, match="opacity is a list"):
+        load(tmp_path / "list.ply")
+
+
+def test_a_failed_save_leaves_the_old_file(random_splats: Make, tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"a\.obj: can't write"):
+        save(tmp_path / "a.obj", random_splats(1))
+    with pytest.raises(SceneError, match="nowhere"):
+        save(tmp_path / "nowhere" / "a.ply", random_splats(1))
+    save(tmp_path / "a.ply", random_splats(1))
+    save(tmp_path / "a.ply", random_splats(2))
+    assert len(load(tmp_path / "a.ply")) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_a_trained_scene(scene: Callable[[str], Path]) -> None:
+    splats = load(scene("train-1000.ply"))
+    assert (len(splats), splats.sh_degree) == (1000, 3)
+    np.testing.assert_allclose(np.linalg.norm(splats.orientations, axis=1), 1, rtol=1e-5)

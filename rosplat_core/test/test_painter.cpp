@@ -1,0 +1,198 @@
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <random>
+#include <thread>
+#include <utility>
+
+#include "owned_batch.hpp"
+#include "rosplat_core/painter/painter.hpp"
+
+namespace rosplat {
+namespace {
+
+// A painter, and the map that it is given.
+struct Studio {
+  Studio()
+      : copy(std::make_shared<PaintedMap>(
+            [this](std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
+              const std::lock_guard lock(mutex);
+              if (edits.empty()) return false;
+              std::tie(edit, state) = std::move(edits.front());
+              edits.pop_front();
+              return true;
+            })) {
+    painter.add(copy);
+  }
+
+  // Splats on a wall 6 m away, in slots from the first on.
+  void write(std::uint32_t count, std::uint8_t operation, std::uint32_t first_slot = 0) {
+    std::mt19937 random(first_slot);
+    std::uniform_real_distribution<float> unit(-1, 1);
+    OwnedBatch batch(map.state().revision + 1, operation, first_slot);
+    for (std::uint32_t i = 0; i < count; ++i) {
+      batch.add({3 * unit(random), 3 * unit(random), 6}, {0.03f, 0.03f, 0.03f}, 0.9f);
+    }
+    BatchReport report;
+    const auto edit = map.apply(batch.look(), report);
+    const std::lock_guard lock(mutex);
+    edits.emplace_back(edit, map.state());
+  }
+  // From a place beside the origin [m].
+  std::shared_ptr<PaintRequest> request(const char* detail, bool asynchronous = false,
+                                        double x = 0) const {
+    auto request = std::make_shared<PaintRequest>();
+    PaintLayer& layer = request->layers.emplace_back();
+    layer.map = copy;
+    layer.camera.translation[0] = -x;
+    layer.camera.fx = layer.camera.fy = 100;
+    layer.camera.cx = 60;
+    layer.camera.cy = 40;
+    layer.camera.width = 120;
+    layer.camera.height = 80;
+    layer.settings.detail = parseDetail(detail);
+    layer.settings.asynchronous = asynchronous;
+    return request;
+  }
+
+  // What a request that isn't waited for comes to; null where it never does.
+  PaintingPtr painted(const PaintRequestPtr& request) {
+    painter.ask("view", request);
+    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+    while (std::chrono::steady_clock::now() < deadline) {
+      const PaintingPtr newest = painter.newest("view");
+      if (newest && newest->request == request) return newest;
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    return nullptr;
+  }
+
+  GaussianMap map;
+  std::mutex mutex;
+  std::deque<std::pair<std::shared_ptr<const GaussianEdit>, MapState>> edits;
+  PaintedMapPtr copy;
+  Painter painter;
+};
+
+TEST(Painter, PaintsADetailThatIsWaitedForAtOnceAndOfTheWholeMap) {
+  Studio studio;
+  studio.write(20000, GaussianBatch::REPLACE);
+  const PaintingPtr full = studio.painter.paintNow("view", studio.request("full"));
+  EXPECT_EQ(full->maps[0].error, 0);
+  EXPECT_EQ(studio.copy->levelsBytes(), 0u);  // nobody asked for any
+  const PaintingPtr few = studio.painter.paintNow("view", studio.request("2000"));
+  EXPECT_LE(few->maps[0].drawn, 2000u);
+  EXPECT_LT(few->maps[0].drawn, full->maps[0].drawn / 4);
+  EXPECT_GT(few->maps[0].error, 0);
+  EXPECT_TRUE(few->settled);
+  EXPECT_GT(studio.copy->levelsBytes(), 0u);
+
+  studio.write(20000, GaussianBatch::UPSERT, 20000);
+  const PaintingPtr more = studio.painter.paintNow("view", studio.request("2000"));
+  EXPECT_EQ(more->maps[0].map.splats, 40000u);
+  EXPECT_LE(more->maps[0].drawn, 2000u);
+  studio.write(10, GaussianBatch::REPLACE);
+  EXPECT_EQ(more->maps[0].detail_error, "");
+  const PaintingPtr one = studio.painter.paintNow("view", studio.request("1"));
+  EXPECT_EQ(one->maps[0].detail_error,
+            "no fewer than " + std::to_string(one->maps[0].drawn) + " splats can be drawn");
+  const PaintingPtr other = studio.painter.paintNow("view", studio.request("2000"));
+  EXPECT_EQ(other->maps[0].map.splats, 10u);
+  EXPECT_EQ(other->maps[0].error, 0);  // of so few, all are drawn
+
+  studio.painter.paintNow("other view", studio.request("full"));
+  EXPECT_GT(studio.copy->levelsBytes(), 0u);
+  studio.painter.paintNow("view", studio.request("full"));
+  EXPECT_EQ(studio.copy->levelsBytes(), 0u);  // nobody wants any, any more
+  studio.write(20000, GaussianBatch::REPLACE);
+  EXPECT_LE(studio.painter.paintNow("view", studio.request("2000"))->maps[0].drawn, 2000u);
+}
+
+TEST(Painter, PaintsAGivenOrderInFull) {
+  Studio studio;
+  studio.write(20000, GaussianBatch::REPLACE);
+  auto request = std::make_shared<PaintRequest>(*studio.request("8px"));
+  request->layers[0].unsorted = true;
+  EXPECT_EQ(studio.painter.paintNow("view", request)->maps[0].error, 0);
+}
+
+TEST(Painter, LeadsAViewThatMovesToItsDetailWhileTheMapChanges) {
+  Studio studio;
+  studio.write(100000, GaussianBatch::REPLACE);
+  const PaintRequestPtr request = studio.request("3000", true);
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+  PaintingPtr painting;
+  for (std::uint32_t frame = 0; std::chrono::steady_clock::now() < deadline; ++frame) {
+    if (frame < 40) {
+      studio.write(500, GaussianBatch::UPSERT, frame * 700);
+      studio.painter.wake();
+    }
+    studio.painter.ask("view", request);
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    painting = studio.painter.newest("view");
+    const bool whole = painting && painting->maps[0].map.revision == studio.map.state().revision;
+    if (frame >= 40 && whole && painting->settled && painting->maps[0].drawn < 6000) break;
+  }
+  ASSERT_TRUE(painting);
+  EXPECT_TRUE(painting->settled);
+  EXPECT_EQ(painting->maps[0].map.revision, studio.map.state().revision);
+  EXPECT_LT(painting->maps[0].drawn, 6000u);
+  EXPECT_GT(painting->maps[0].drawn, 1000u);
+}
+
+TEST(Painter, KeepsAFrameTimeWhereTheCameraMovesAndPaintsAllWhereItRests) {
+  Studio studio;
+  studio.write(100000, GaussianBatch::REPLACE);
+  constexpr const char* kEver = "3600000ms";
+  const PaintingPtr in_time = studio.painted(studio.request(kEver, true));
+  ASSERT_TRUE(in_time);
+  EXPECT_EQ(in_time->maps[0].error, 0);
+  EXPECT_EQ(studio.copy->levelsBytes(), 0u);  // none are needed
+
+  constexpr const char* kNever = "0.001ms";
+  PaintingPtr moving = in_time;
+  double x = 0;
+  for (int frame = 0; frame < 1000 && moving->maps[0].drawn > in_time->maps[0].drawn / 2; ++frame) {
+    moving = studio.painted(studio.request(kNever, true, x += 0.001));
+    ASSERT_TRUE(moving);
+  }
+  EXPECT_LT(moving->maps[0].drawn, in_time->maps[0].drawn / 2);
+  EXPECT_GT(moving->maps[0].error, 0);
+  EXPECT_FALSE(moving->settled);
+  const auto again = studio.request(kNever, true, x);
+  again->rests = true;
+  const PaintingPtr resting = studio.painted(again);
+  ASSERT_TRUE(resting);
+  EXPECT_EQ(resting->maps[0].error, 0);
+  EXPECT_NEAR(double(resting->maps[0].drawn), double(in_time->maps[0].drawn),
+              0.01 * double(in_time->maps[0].drawn));
+  EXPECT_TRUE(resting->settled);
+}
+
+TEST(Painter, PaintsWhatACameraThatMovesIsThoughtToSee) {
+  Studio studio;
+  studio.write(20000, GaussianBatch::REPLACE);
+  const PaintingPtr before = studio.painted(studio.request("full", true));
+  ASSERT_TRUE(before);
+  EXPECT_EQ(before->due, before->asked);
+  const auto moving = std::make_shared<PaintRequest>(*studio.request("full", true, 1));
+  moving->motion.shift = {-0.5, 0, 0};
+  studio.painter.ask("view", moving);
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+  PaintingPtr ahead = before;
+  while (ahead == before && std::chrono::steady_clock::now() < deadline) {
+    ahead = studio.painter.newest("view");
+  }
+  EXPECT_GT(ahead->due, ahead->asked + before->took);
+  const double x = -ahead->request->camera().translation[0];
+  EXPECT_NEAR(x, 1 + 0.5 * (ahead->due - ahead->asked), 1e-9);
+  EXPECT_TRUE(ahead->request->motion.none());
+  const auto resting = studio.request("full", true, 1);
+  EXPECT_TRUE(studio.painted(resting));
+}
+
+}  // namespace
+}  // namespace rosplat

@@ -1,1 +1,0 @@
-"""Generated scenes, a file each."""

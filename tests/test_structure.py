@@ -1,0 +1,72 @@
+"""What may include what: packages in a line, rooms of the engine in a line, no ROS in it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+CORE = ROOT / "rosplat_core"
+PACKAGES = (
+    "rosplat_core",
+    "rosplat_msgs",
+    "rosplat_sorter",
+    "rosplat_tools",
+    "rviz_gaussian_plugin",
+    "rosplat_lab",
+)
+ROOMS = ("threads", "slots", "map", "views", "order", "levels", "raster", "painter", "python")
+ELSEWHERE = re.compile(
+    r"#include <(?:Ogre|epoxy/|GL/|rcl|rclcpp/|rviz_|[a-z_]+_msgs/)|^\s*(?:from|import) "
+    r"(?:rclpy|ament_|rviz_|[a-z_]+_msgs|OpenGL|moderngl)\b",
+    re.MULTILINE,
+)
+
+
+def sources(folder: Path) -> list[Path]:
+    found = [p for p in folder.rglob("*") if p.suffix in (".py", ".pyi", ".cpp", ".hpp")]
+    assert found
+    return found
+
+
+def named(path: Path) -> set[str]:
+    """First names of what a source includes or imports."""
+    text = path.read_text()
+    return {
+        *re.findall(r"#include [\"<](\w+)/", text),
+        *re.findall(r"^\s*(?:from|import) (\w+)", text, re.MULTILINE),
+    }
+
+
+def test_the_engine_knows_no_ros_no_ogre_and_no_opengl() -> None:
+    folders = (CORE / "include", CORE / "src", CORE / "rosplat_core")
+    for path in (path for folder in folders for path in sources(folder)):
+        assert not ELSEWHERE.search(path.read_text()), path
+
+
+def test_only_the_binding_knows_python() -> None:
+    for path in sources(CORE / "include") + sources(CORE / "src"):
+        if path.parent.name != "python":
+            assert not re.search(r"pybind11|Python\.h", path.read_text()), path
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_stand_in_a_line(package: str) -> None:
+    """Tests may look up: they hold an engine against what draws with it."""
+    later = set(PACKAGES[PACKAGES.index(package) + 1 :])
+    folder = ROOT / package
+    for path in folder.rglob("*"):
+        if path.suffix in (".py", ".cpp", ".hpp") and "test" not in path.relative_to(folder).parts:
+            assert not named(path) & later, path
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_of_the_engine_stand_in_a_line(room: str) -> None:
+    later = set(ROOMS[ROOMS.index(room) + 1 :])
+    include = re.compile(r"#include \"(?:rosplat_core/)?(\w+)/")
+    found = [p for top in ("include/rosplat_core", "src") for p in (CORE / top / room).glob("*")]
+    assert found
+    for path in found:
+        assert not set(include.findall(path.read_text())) & later, path
