@@ -437,6 +437,17 @@ def test_a_map_without_a_name_is_pulled_once(kind: str) -> None:
     assert not [now for now in np.arange(0.2, 5.0, 0.1) if pull.tick(now, True).request]
 
 
+def test_of_a_round_that_is_over_nothing_is_missing() -> None:
+    """Up to the revision of its first answer: blocks of later answers are newer."""
+    pull, request = beginning("sorter")
+    pull.answer(request.number, [part(6)], 3, 1.1, True)
+    assert pull.complete == 1
+    pull.answer(pull.tick(1.3, True).request.number, [part(8)], 0, 1.4, True)
+    assert pull.complete == 6
+    pull.answer(pull.tick(1.6, True).request.number, [part(9)], 0, 1.7, True)
+    assert pull.complete == 9
+
+
 def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
     pull, request = beginning("sorter")
     pull.held = True

@@ -107,6 +107,11 @@ class MapPull(Generic[Batch]):
         self._follow(label, batch, now, served or self._answered, step)
         return self._ask(now, served, step)
 
+    @property
+    def complete(self) -> int:
+        """The last revision of which nothing was missing; what was passed on since is of later."""
+        return self._base
+
     def miss(self, label: Label) -> None:
         """A batch from the topic that there was no room for: it is pulled."""
         if label.revision:

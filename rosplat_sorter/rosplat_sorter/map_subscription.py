@@ -51,6 +51,8 @@ class MapSubscription:
         self._node, self._on_batch, self._group = node, on_batch, callback_group
         self._keep, self._busy = keep, busy
         self.topic = node.resolve_topic_name("gaussians")
+        self.complete = 0
+        """The last revision of which on_batch was handed all; what came since is of later ones."""
         self._closed = self._mixed = False  # what publishers keep
         self._maps = ("", "")  # of the last batch, and the one before that
         self._pull: MapPull[Any] = MapPull()
@@ -123,8 +125,10 @@ class MapSubscription:
     def _do(self, step: Step[Any]) -> None:
         if step.request:  # first, so that it is answered meanwhile
             self._send(step.request)
+        self.complete = min(self.complete, self._pull.complete)
         for batch, arrival in step.batches:
             self._on_batch(batch, arrival)
+        self.complete = self._pull.complete
 
     def _send(self, request: Request) -> None:
         if not request.first_block:

@@ -92,17 +92,17 @@ def read(message: GaussianArray) -> tuple[Edit | Refused, int]:
 
 @dataclass
 class _Inbox:
-    edits: list[Edit] = field(default_factory=list)
+    edits: list[tuple[Edit, int]] = field(default_factory=list)  # and what is complete before it
     edit_bytes: int = 0
     views: dict[str, ViewCamera] = field(default_factory=dict)  # the newest of each view
     backend: tuple[str, int] | None = None
 
-    def add(self, edit: Edit) -> None:
+    def add(self, edit: Edit, complete: int) -> None:
         """Adds an edit. What a REPLACE forgets needn't be applied before it."""
         if edit.operation == edits.REPLACE:
             self.edits.clear()
             self.edit_bytes = 0
-        self.edits.append(edit)
+        self.edits.append((edit, complete))
         self.edit_bytes += edit.nbytes
 
     def look(self, message: ViewCamera) -> None:
@@ -122,7 +122,9 @@ class _Viewer:
     camera: PosedCamera
     seen: float
     answer: Answer | None = None
-    answered: PosedCamera | None = None  # the camera that the answer was sorted for
+    answered: tuple[PosedCamera, int] | None = (
+        None  # what it was sorted for: camera, number of edits
+    )
     buffer: OrderBuffer | None = None  # in shared memory, if the viewer reads that
 
     def unshare(self) -> None:
@@ -135,13 +137,15 @@ class Worker:
     """Keeps one map and answers each view with an order, the newest camera first and only.
 
     A view is answered when it shows a camera with a new sequence, and when the map changed; what
-    hasn't changed isn't sorted again.
+    hasn't changed isn't sorted again. While a part of the map is being pulled, orders name the last
+    revision of which nothing was missing: viewers merge into them what has changed since.
     """
 
     def __init__(self, host: Host, backend: str = AUTO, threads: int = 0) -> None:
         self._host = host
         self._map = SplatMap()
-        self._lacking = False  # what its revision has: the rest is being pulled
+        self._complete = 0  # the last revision of which nothing was missing
+        self._edits = 0  # that were applied
         self._viewers: dict[str, _Viewer] = {}  # the one seen longest ago first
         self._due: dict[str, None] = {}  # views to answer, in turn
         self._backend: Backend | None = None  # that has the whole map
@@ -164,13 +168,18 @@ class Worker:
         """Whether too many edits wait."""
         return self._inbox.edit_bytes > MOST_WAITING
 
-    def edit(self, batch: Edit | Refused, arrival: Arrival = Arrival.HEARD) -> None:
-        """Takes a batch of the map, as it was read. Waits for nothing."""
+    def edit(
+        self, batch: Edit | Refused, arrival: Arrival = Arrival.HEARD, complete: int = 0
+    ) -> None:
+        """Takes a batch of the map, as it was read. Waits for nothing.
+
+        complete: of one that was pulled, the last revision of which nothing was missing.
+        """
         if isinstance(batch, Refused):
             self._drop_batch(batch.map_id, batch.revision, batch.error)
             return
         with self._wake:
-            self._inbox.add(replace(batch, arrival=arrival))
+            self._inbox.add(replace(batch, arrival=arrival), complete)
             self._wake.notify_all()
 
     def look(self, message: ViewCamera) -> None:
@@ -214,8 +223,8 @@ class Worker:
                 inbox, self._inbox = self._inbox, _Inbox()
             if inbox.backend is not None:
                 self._attempt(self._use, inbox.backend)
-            for edit in inbox.edits:
-                self._attempt(self._apply, edit)
+            for waiting in inbox.edits:
+                self._attempt(self._apply, waiting)
             for message in inbox.views.values():
                 self._attempt(self._see, message)
             self._attempt(self._forget_silent, time.monotonic())
@@ -249,7 +258,8 @@ class Worker:
             f"({self._dropped_batches} dropped so far)",
         )
 
-    def _apply(self, edit: Edit) -> None:
+    def _apply(self, waiting: tuple[Edit, int]) -> None:
+        edit, complete = waiting
         known_map, known_missed, known_revision = (
             self._map.map_id,
             self._map.missed,
@@ -260,12 +270,11 @@ class Worker:
         except (MemoryError, MixedGroupsError, ChannelError) as error:
             self._drop_batch(edit.map_id, edit.revision, error)
             return
-        self._lacking = edit.arrival is Arrival.PULLED
-        if edit.map_id != known_map or edit.revision <= known_revision:
-            if edit.arrival is Arrival.HEARD:
-                known_missed = 0
-            for viewer in self._viewers.values():
-                viewer.answered = None  # its revisions say nothing about these
+        self._edits += 1
+        self._complete = complete if edit.arrival is Arrival.PULLED else edit.revision
+        again = edit.map_id != known_map or edit.revision <= known_revision
+        if again and edit.arrival is Arrival.HEARD:
+            known_missed = 0
         if edit.map_id != known_map:
             self._host.inform(
                 "map", f"map '{shown(edit.map_id)}' begins, in frame '{shown(edit.frame_id)}'"
@@ -328,7 +337,7 @@ class Worker:
         del self._due[view_id]
         viewer = self._viewers[view_id]
         header, splats = viewer.message.header, self._map
-        if splats.revision == 0 or self._lacking:
+        if not self._complete:
             return  # answered when a map begins, or all of it is there
         if header.frame_id not in ("", splats.frame_id):
             self._drop_view(
@@ -338,11 +347,7 @@ class Worker:
             )
             return
         last = viewer.answer
-        if (
-            last is None
-            or viewer.answered != viewer.camera
-            or (last.map_id, last.revision) != (splats.map_id, splats.revision)
-        ):
+        if last is None or viewer.answered != (viewer.camera, self._edits):
             try:
                 view = View.of(viewer.camera, splats.frames)
             except CameraError as error:
@@ -359,7 +364,7 @@ class Worker:
         viewer.answer = replace(
             last, header=header, view_id=view_id, sequence=viewer.message.sequence
         )
-        viewer.answered = viewer.camera
+        viewer.answered = viewer.camera, self._edits
         self._host.publish(viewer.answer)
 
     def _sort(self, viewer: _Viewer, view: View) -> Answer:
@@ -391,7 +396,7 @@ class Worker:
             view_id=viewer.message.view_id,
             sequence=viewer.message.sequence,
             map_id=self._map.map_id,
-            revision=self._map.revision,
+            revision=self._complete,
             backend=backend.name,
             sort_time=sort_time,
             slots=slots,

@@ -65,9 +65,9 @@ class Recorder:
         self.wait(lambda: any(text in line for line in self.lines))
 
 
-def edit(worker, message, arrival=Arrival.HEARD):
+def edit(worker, message, arrival=Arrival.HEARD, complete=0):
     """Hands over a message as it was heard."""
-    worker.edit(read(message)[0], arrival)
+    worker.edit(read(message)[0], arrival, complete)
 
 
 class GatedBackend(NumpyBackend):
@@ -198,7 +198,7 @@ def test_of_a_burst_of_maps_only_the_newest_waits(start, make_batch, make_look):
     for revision in range(2, 100, 2):
         edit(worker, make_batch(4, revision=revision, operation=0))
         edit(worker, make_batch(1, revision=revision + 1, first_slot=4))
-    assert [edit.revision for edit in worker._inbox.edits] == [98, 99]
+    assert [edit.revision for edit, _ in worker._inbox.edits] == [98, 99]
     GatedBackend.gate.set()
     assert len(host.answer(revision=99).slots) == 5
     assert not [line for line in host.lines if "missed" in line]
@@ -216,6 +216,21 @@ def test_what_is_pulled_is_sorted_once_it_is_all_there(start, make_batch, make_l
     assert len(host.answer(3).slots) == 5
     assert {len(answer.slots) for answer in host.answers} == {5}
     assert not [line for line in host.lines if "missed" in line]
+
+
+def test_orders_of_a_map_that_is_being_pulled_name_what_is_complete(start, make_batch, make_look):
+    """Viewers merge into them what has changed since."""
+    worker, host = start()
+    edit(worker, make_batch(operation=0, revision=5))
+    worker.look(make_look(sequence=1))
+    assert host.answer(1).revision == 5
+    edit(worker, make_batch(1, revision=9, first_slot=3), Arrival.PULLED, complete=5)
+    worker.look(make_look(sequence=2))
+    assert (host.answer(2).revision, len(host.answer(2).slots)) == (5, 4)
+    edit(worker, make_batch(1, revision=12, first_slot=4), Arrival.PULLED, complete=9)
+    assert len(host.answer(2, revision=9).slots) == 5
+    edit(worker, make_batch(1, revision=12, first_slot=5), Arrival.LAST, complete=9)
+    assert len(host.answer(2, revision=12).slots) == 6
 
 
 def test_it_says_when_too_much_waits(start, make_batch, make_look, monkeypatch):
