@@ -421,7 +421,8 @@ def test_nodes_outlive_what_their_peers_send(tmp_path: Path, node: Any, listener
         ]
         maps = node.create_publisher(GaussianArray, "hostile", MAP)
         views = node.create_publisher(ViewCamera, "hostile/view", VIEW)
-        listener.wait(lambda: maps.get_subscription_count() == 2)
+        wanted = ViewCamera(sequence=1)  # an order, for which the sorter hears the map
+        listener.wait(lambda: views.publish(wanted) or maps.get_subscription_count() == 2)
 
         def call(kind: Any, name: str, **request: object) -> Any:
             """Calls a service, unless one of them ends."""
