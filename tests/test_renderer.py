@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -32,7 +33,7 @@ from rosplat_lab.lab import motion
 from rosplat_lab.lab.bench import Bench, Shot, Sort
 from rosplat_lab.lab.methods import METHODS
 from rosplat_sorter.order_slots import PACKED, SHARED, OrderError, pack
-from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
+from rosplat_sorter.shared_orders import FOLDER, OrderBuffer, SharedOrders
 from rviz_gaussian_plugin.offscreen import Renderer
 
 WIDTH, HEIGHT = 160, 120
@@ -278,8 +279,8 @@ def test_orders_that_travelled_are_drawn_like_those_given(host: Host) -> None:
     buffer = OrderBuffer(orders)
     random = np.random.default_rng(3)
 
-    def offer(**fields: Any) -> None:
-        host.renderer.read_order(
+    def offer(**fields: Any) -> str:
+        return host.renderer.read_order(
             "test", host.sequence, str(host.map), 1, "mine", 0.001,
             **{"packed": b"", "count": 0, "slot_bits": 0, "segment": "", "generation": 0} | fields,
         )  # fmt: skip
@@ -302,6 +303,13 @@ def test_orders_that_travelled_are_drawn_like_those_given(host: Host) -> None:
             offer(encoding=SHARED, count=count, segment=segment, generation=generation)
             np.testing.assert_array_equal(drawn(), expected)
             assert host.renderer.segment_key == orders.key
+        with (FOLDER / segment).open("r+b") as file:
+            file.seek(8)
+            file.write(struct.pack("=I", 2))  # of a sorter of another version
+        packed = {"encoding": PACKED, "packed": pack(slots, 9), "count": count, "slot_bits": 9}
+        assert "is of version 2" in offer(**packed, segment=segment)
+        assert host.renderer.segment_key == 0
+        assert offer(**packed, segment=segment) == ""  # once
     finally:
         orders.close()
     with pytest.raises(OrderError):

@@ -207,6 +207,23 @@ TEST_F(SegmentTest, OfAnotherKindIsRefused) {
   EXPECT_THROW(read(1, 2), OrderError);
 }
 
+TEST_F(SegmentTest, OfAnotherVersionIsRefusedAndThatIsSaidOnce) {
+  const std::uint32_t version = 2;
+  std::memcpy(memory + offsetof(SegmentHeader, version), &version, sizeof(version));
+  markSegment(memory, 2);
+  const std::vector<std::uint8_t> packed = {0b01'10'00};
+  const std::string said =
+      "segment " + name + " is of version 2, and 1 is known: orders come in messages";
+  for (const std::string& remark : {said, std::string()}) {
+    Slots found;
+    reader.read(OrderReader::kPacked, packed.data(), 1, 3, 2, name, 0, found);
+    EXPECT_EQ(found, (Slots{0, 2, 1}));
+    EXPECT_EQ(reader.key(), 0u);
+    EXPECT_EQ(reader.takeRemark(), remark);
+  }
+  EXPECT_THROW(read(3, 2), OrderError);
+}
+
 TEST_F(SegmentTest, KeyComesWithPackedOrdersToo) {
   const std::uint8_t packed[3] = {1, 2, 3};
   Slots found;

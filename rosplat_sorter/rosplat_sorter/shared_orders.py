@@ -1,4 +1,4 @@
-"""Orders in shared memory: the sorter's side of include/rosplat_sorter/order_slots.hpp."""
+"""Orders in shared memory, as SplatOrder.msg describes them: the sorter's side."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rosplat_core import _core
 
 FOLDER = Path("/dev/shm")
 PREFIX = "rosplat_order_"
-MAGIC = b"ROSPLAT1"
+MAGIC, VERSION = b"ROSPLAT\0", 1
 HEADER_BYTES = 4096
 
 
@@ -57,7 +57,7 @@ class Segment:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             os.posix_fallocate(self._file, 0, size)  # a full /dev/shm kills who writes to it
             self._memory = Memory(self._file, size)
-            self._memory[:16] = struct.pack("=8sQ", MAGIC, key)
+            self._memory[:24] = struct.pack("=8sIIQ", MAGIC, VERSION, 0, key)
             # An absolute path has no use for src_dir_fd, but without it Python links the link.
             os.link(f"/proc/self/fd/{self._file}", FOLDER / self.name, src_dir_fd=self._file)
         except OSError:

@@ -1,7 +1,10 @@
 """The node over real DDS."""
 
+import fcntl
 import os
+import re
 import signal
+import struct
 import subprocess
 import threading
 import time
@@ -404,6 +407,51 @@ def test_viewers_here_and_elsewhere_each_get_their_orders(peer, make_batch, make
         assert elsewhere.read(packed).tolist() == [2, 1, 0]
         assert packed.encoding == SplatOrder.PACKED
     assert peer.answer("here", 5).encoding == SplatOrder.SHARED
+
+
+def plainly(message):
+    """The slots of an order, read by nothing but the words of SplatOrder.msg; and the key."""
+    slots, key = [], 0
+    if message.segment:
+        assert re.fullmatch("rosplat_order_[a-z0-9_]{0,64}", message.segment)
+        file = Path("/dev/shm", message.segment).read_bytes()
+        magic, version, zero, key, generation = struct.unpack_from("=8sIIQQ", file)
+        assert (magic, version, zero) == (b"ROSPLAT\0", 1, 0)
+        assert key != 0
+    if message.encoding == 0:
+        slots = list(message.slots)
+    elif message.encoding == 1:
+        bits = int.from_bytes(message.packed, "little")
+        assert len(message.packed) == (message.count * message.slot_bits + 7) // 8
+        for _ in range(message.count):
+            slots.append(bits % 2**message.slot_bits)
+            bits >>= message.slot_bits
+        assert bits == 0
+    elif message.encoding == 2:
+        assert generation == message.generation
+        assert generation % 2 == 0
+        slots = list(struct.unpack_from(f"={message.count}I", file, 4096))
+    return slots, key
+
+
+def test_orders_are_what_their_message_says_in_words(peer, make_batch, make_look):
+    peer.edit(make_batch(1000, operation=GaussianArray.REPLACE))
+    expected = list(range(1000))[::-1]
+    peer.look(make_look(sequence=1, far_clip=2000.0))
+    order = peer.order(1)
+    slots, key = plainly(order)
+    assert (order.encoding, slots) == (SplatOrder.PACKED, expected)
+    generations = {}
+    for sequence in range(2, 8):
+        peer.look(make_look(sequence=sequence, far_clip=3000.0 - sequence, segment_key=key))
+        order = peer.order(sequence)
+        assert order.encoding == SplatOrder.SHARED
+        assert plainly(order) == (expected, key)
+        assert order.generation > generations.get(order.segment, 0)
+        generations[order.segment] = order.generation
+        with Path("/dev/shm", order.segment).open() as file, pytest.raises(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    assert len(generations) == 2  # in turn: each order outlives the next
 
 
 def test_a_sorter_in_another_container_is_not_believed_to_share_memory(

@@ -1,6 +1,7 @@
 """Orders in shared memory: what the sorter writes, viewers read, and nothing stays behind."""
 
 import os
+import struct
 import subprocess
 import sys
 import types
@@ -97,6 +98,29 @@ def test_the_probe_s_key_comes_with_any_order(orders):
     orders.close()
     reader.read(order)
     assert reader.key == 0
+
+
+def test_a_segment_is_what_the_message_says_in_words():
+    """Written by nothing but the words of SplatOrder.msg."""
+    name, slots = f"rosplat_order_plain_{os.getpid()}", [5, 1, 7]
+    path, header = FOLDER / name, struct.pack("=8sIIQQ", b"ROSPLAT\0", 1, 0, 99, 6)
+    path.write_bytes(header.ljust(4096, b"\0") + struct.pack("=3I", *slots))
+    try:
+        reader = OrderReader()
+        order = message(encoding=SHARED, count=3, segment=name, generation=6)
+        assert reader.read(order).tolist() == slots
+        assert reader.key == 99
+        for wrong in (4, 7, 8):
+            order.generation = wrong
+            with pytest.raises(OrderError, match="another order"):
+                reader.read(order)
+        path.write_bytes(struct.pack("=8sIIQQ", b"ROSPLAT\0", 3, 0, 99, 6).ljust(5000, b"\0"))
+        order.generation = 6
+        with pytest.raises(OrderError, match="is of version 3, and 1 is known"):
+            reader.read(order)
+        assert reader.key == 0
+    finally:
+        path.unlink()
 
 
 @pytest.mark.parametrize("bits", [1, 7, 8, 20, 25, 32])

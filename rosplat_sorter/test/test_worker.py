@@ -404,7 +404,7 @@ def test_a_viewer_that_shows_the_key_is_answered_through_shared_memory(
     worker.look(make_look(sequence=1))
     first = host.answer(1)
     assert (first.generation, first.slot_bits) == (0, 2)
-    key = int.from_bytes((FOLDER / first.segment).read_bytes()[8:16], sys.byteorder)
+    key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
 
     def read(answer):
         order = SplatOrder(encoding=SplatOrder.SHARED, count=len(answer.slots))
@@ -438,7 +438,7 @@ def test_a_lost_key_brings_the_last_order_again(start, make_batch, make_look):
     edit(worker, make_batch())
     worker.look(make_look(sequence=1))
     first = host.answer(1)
-    key = int.from_bytes((FOLDER / first.segment).read_bytes()[8:16], sys.byteorder)
+    key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
     worker.look(make_look(sequence=1, segment_key=key))
     host.wait(lambda: host.answers[-1].generation)
     worker.look(make_look(sequence=1))
@@ -452,7 +452,7 @@ def test_without_room_orders_travel_in_messages(start, make_batch, make_look, mo
     edit(worker, make_batch())
     worker.look(make_look(sequence=1))
     first = host.answer(1)
-    key = int.from_bytes((FOLDER / first.segment).read_bytes()[8:16], sys.byteorder)
+    key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
     full = types.SimpleNamespace(f_bavail=0, f_frsize=4096)
     monkeypatch.setattr(os, "statvfs", lambda path: full)
     for sequence, x in ((2, 0.0), (3, 0.1)):

@@ -191,10 +191,12 @@ class Viewer(Node):
             if message.encoding == SplatOrder.SLOTS:
                 self.renderer.set_order(*order, array(message.slots, np.uint32))
             else:
-                self.renderer.read_order(
+                remark = self.renderer.read_order(
                     *order, message.encoding, message.packed, message.count, message.slot_bits,
                     message.segment, message.generation,
                 )  # fmt: skip
+                if remark:
+                    self.get_logger().warning(f"{self._order_topic}: {remark}")
         except Exception as error:  # no order may end the viewer
             reason = shown(error, 300) or "out of memory"
             self.get_logger().warning(

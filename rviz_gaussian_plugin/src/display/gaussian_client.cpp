@@ -186,6 +186,9 @@ void GaussianClient::receive(SplatOrder& message) {
     const auto order = scene_.newOrder();
     toOrder(message, scene_.mostSlots(message.map_id, message.revision), reader_, *order);
     scene_.offer(order);
+    if (const std::string remark = reader_.takeRemark(); !remark.empty()) {
+      RCLCPP_WARN(node_->get_logger(), "%s/order: %s", topic_.c_str(), remark.c_str());
+    }
     const std::lock_guard lock(mutex_);
     status_.dropped_order.clear();
   } catch (const OrderError& error) {

@@ -54,10 +54,12 @@ void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint
   });
 }
 
-void readOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint64_t sequence,
-               const std::string& map_id, std::uint64_t revision, const std::string& source,
-               double sort_time, std::uint8_t encoding, const py::buffer& packed, std::size_t count,
-               unsigned slot_bits, const std::string& segment, std::uint64_t generation) {
+// Returns what is to be said of it, mostly nothing.
+std::string readOrder(OffscreenRenderer& renderer, const std::string& view_id,
+                      std::uint64_t sequence, const std::string& map_id, std::uint64_t revision,
+                      const std::string& source, double sort_time, std::uint8_t encoding,
+                      const py::buffer& packed, std::size_t count, unsigned slot_bits,
+                      const std::string& segment, std::uint64_t generation) {
   const py::buffer_info bytes = packed.request();
   const auto size = static_cast<std::size_t>(bytes.size * bytes.itemsize);
   offer(renderer, view_id, sequence, map_id, revision, source, sort_time, [&](Order& order) {
@@ -65,6 +67,7 @@ void readOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uin
         encoding, static_cast<const std::uint8_t*>(bytes.ptr), size, count, slot_bits, segment,
         generation, order.slots, renderer.scene().mostSlots(map_id, revision));
   });
+  return renderer.order_reader.takeRemark();
 }
 
 py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort_now) {

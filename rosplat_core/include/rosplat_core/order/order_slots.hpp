@@ -1,17 +1,9 @@
 // How the slots of an order travel from the sorter to a viewer, as rosplat_msgs/SplatOrder says:
 // packed bit by bit, or through a segment of shared memory.
 //
-// A segment is a file in /dev/shm that holds one order at a time:
-//
-//   byte  0  magic
-//         8  key, random, the same in all segments of one run of a sorter; never 0
-//        16  generation: even, one for each order; odd while the slots are being written
-//      4096  slots, uint32 in the machine's byte order
-//
-// The sorter writes them (rosplat_sorter/shared_orders.py). A reader copies the slots and then
-// looks at the generation once more: what was overwritten meanwhile it drops, a newer order is on
-// its way. Readers use read(), not mmap(): a file that somebody cuts short is then an error, not a
-// SIGBUS.
+// A segment is a file in /dev/shm that holds one order at a time; SplatOrder.msg has the bytes. The
+// sorter writes them (rosplat_sorter/shared_orders.py). Readers use read(), not mmap(): a file that
+// somebody cuts short is then an error, not a SIGBUS.
 //
 // What reads slots writes them into a vector of the caller's, which may be one of SpareSlots. On
 // the way it finds the slots' bound, the least number that all of them are below, for a check
@@ -46,6 +38,11 @@ constexpr std::size_t kMostSlots = 1u << 25;
 // An order whose slots can't be had; the text says why.
 struct OrderError : std::runtime_error {
   using std::runtime_error::runtime_error;
+};
+
+// A segment of a sorter that is older or newer than its reader.
+struct OtherVersionError : OrderError {
+  using OrderError::OrderError;
 };
 
 // Refuses an order of more slots than there are to draw, before memory is taken for it.
@@ -162,12 +159,15 @@ inline std::size_t unpackSlots(const std::uint8_t* packed, std::size_t size, std
 
 // What a segment begins with.
 struct SegmentHeader {
-  static constexpr std::array<char, 8> kMagic = {'R', 'O', 'S', 'P', 'L', 'A', 'T', '1'};
+  static constexpr std::array<char, 8> kMagic = {'R', 'O', 'S', 'P', 'L', 'A', 'T', '\0'};
+  static constexpr std::uint32_t kVersion = 1;
   static constexpr std::size_t kBytes = 4096;  // a page, so that the slots begin with one
   static constexpr const char* kFolder = "/dev/shm/";
   static constexpr const char* kPrefix = "rosplat_order_";
 
   std::array<char, 8> magic = kMagic;
+  std::uint32_t version = kVersion;
+  std::uint32_t zero = 0;
   std::uint64_t key = 0;
   std::uint64_t generation = 0;
 };
@@ -200,9 +200,16 @@ class SegmentReader {
                    O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
     struct stat status;
     if (file_ < 0) throw OrderError(complaint("can't be opened"));
-    if (::fstat(file_, &status) != 0 || !S_ISREG(status.st_mode) || header().key == 0) {
+    const bool regular = ::fstat(file_, &status) == 0 && S_ISREG(status.st_mode);
+    const SegmentHeader found = regular ? header() : SegmentHeader();
+    if (found.version != SegmentHeader::kVersion || found.key == 0) {
       ::close(file_);
-      throw OrderError(complaint("is not one of a sorter"));
+      if (found.version == SegmentHeader::kVersion) {
+        throw OrderError(complaint("is not one of a sorter"));
+      }
+      throw OtherVersionError(complaint("is of version " + std::to_string(found.version) +
+                                        ", and " + std::to_string(SegmentHeader::kVersion) +
+                                        " is known: orders come in messages"));
     }
   }
   ~SegmentReader() { ::close(file_); }
@@ -313,6 +320,9 @@ class OrderReader {
   // For ViewCamera.segment_key; 0 while no segment can be read.
   std::uint64_t key() const { return key_; }
 
+  // Why orders come in messages, though there are segments: once, else empty. For who reads.
+  std::string takeRemark() { return std::exchange(remark_, {}); }
+
  private:
   // Orders of a segment that can't be read any more are asked for plainly.
   SegmentReader open(const std::string& segment) {
@@ -327,11 +337,15 @@ class OrderReader {
   void learnKey(const std::string& segment) {
     try {
       key_ = segment.empty() ? 0 : open(segment).key();
+    } catch (const OtherVersionError& error) {
+      if (!std::exchange(remarked_, true)) remark_ = error.what();
     } catch (const OrderError&) {  // of another machine, container or user
     }
   }
 
   std::atomic<std::uint64_t> key_{0};
+  bool remarked_ = false;
+  std::string remark_;
   std::shared_ptr<ThreadTeam> team_ = ThreadTeam::ofViewers();
 };
 
