@@ -6,6 +6,7 @@ Topics and parameters, wired to the worker.
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 import time
@@ -17,6 +18,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from rclpy.timer import Timer
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
@@ -34,6 +36,8 @@ THROTTLE = 5.0  # least time between two lines of the log of one kind [s]
 FORGET_AFTER = 60.0  # the map, when no view has wanted an order [s]
 WATCH_PERIOD = 1.0  # whether one has [s]
 CHOICES = (AUTO, *BACKENDS)
+SETTINGS = ("backend", "threads")
+DEVICE_LIBRARIES = {"cupy", "torch"}
 
 
 class _AtWork:
@@ -55,7 +59,8 @@ class _AtWork:
 class SorterNode(Node):
     """Hears `gaussians/view`; while views want orders, `gaussians`; publishes `gaussians/order`.
 
-    No callback waits for anything: parameters are answered at once.
+    No callback waits for anything: parameters are answered at once. spent is done once the map is
+    forgotten and a library stays that holds a GPU for as long as its process lives.
     """
 
     def __init__(self) -> None:
@@ -83,6 +88,7 @@ class SorterNode(Node):
         # Remapping the map's topic takes the others along.
         topic = self.resolve_topic_name("gaussians")
         self._order = self.create_publisher(SplatOrder, f"{topic}/order", qos.ORDER)
+        self.spent = Future()
         self._at_work: _AtWork | None = None
         self._watch: Timer | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -97,8 +103,7 @@ class SorterNode(Node):
         if not message.sequence:
             return  # no order is wanted
         if not self._at_work:
-            names = ("backend", "threads")
-            self._at_work = _AtWork(self, *(self.get_parameter(name).value for name in names))
+            self._at_work = _AtWork(self, *(self.get_parameter(name).value for name in SETTINGS))
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             self._watch = self.create_timer(WATCH_PERIOD, self._rest_when_unwanted, clock=steady)
         self._at_work.wanted = time.monotonic()
@@ -108,6 +113,8 @@ class SorterNode(Node):
         if self._at_work and time.monotonic() - self._at_work.wanted > FORGET_AFTER:
             self.get_logger().info("no view wants an order: the map is forgotten")
             self._rest()
+            if DEVICE_LIBRARIES & sys.modules.keys():
+                self.spent.set_result(None)
 
     def _rest(self) -> None:
         if self._at_work:
@@ -162,7 +169,7 @@ class SorterNode(Node):
         values = {parameter.name: parameter.value for parameter in parameters}
         if values.get("backend", AUTO) not in CHOICES:
             return SetParametersResult(successful=False, reason=_unknown(values["backend"]))
-        if self._at_work and values.keys() & {"backend", "threads"}:
+        if self._at_work and values.keys() & set(SETTINGS):
             self._at_work.worker.use(
                 values.get("backend", self.get_parameter("backend").value),
                 values.get("threads", self.get_parameter("threads").value),
@@ -172,6 +179,12 @@ class SorterNode(Node):
 
 def _unknown(backend: str) -> str:
     return f"unknown backend '{backend}', known are {', '.join(CHOICES)}"
+
+
+def _begin_anew(parameters: list[str]) -> None:
+    """Gives back what only a process that ends gives back, with its parameters as they are."""
+    settings = [word for parameter in parameters for word in ("-p", parameter)]
+    os.execv(sys.executable, [sys.executable, *sys.argv, "--ros-args", *settings])
 
 
 def main() -> None:
@@ -187,9 +200,12 @@ def main() -> None:
         node = SorterNode()
         try:
             executor.add_node(node)
-            executor.spin()
+            executor.spin_until_future_complete(node.spent)
         finally:
             node.destroy_node()
+        if node.spent.done():
+            rclpy.try_shutdown()
+            _begin_anew([f"{name}:={node.get_parameter(name).value}" for name in SETTINGS])
     except ExternalShutdownException:
         pass
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:

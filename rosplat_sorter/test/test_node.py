@@ -6,6 +6,7 @@ import re
 import signal
 import struct
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from ament_index_python.packages import get_package_prefix
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
@@ -169,6 +171,41 @@ def test_it_hears_the_map_only_while_views_want_orders(
     assert result.successful  # of what sorts next
     peer.look(make_look(sequence=3))
     assert peer.order(3).backend == "numpy-reference"
+
+
+def test_what_only_a_process_gives_back_ends_with_it(ros, make_batch, make_look, tmp_path):
+    """Libraries for GPUs keep a part of the device: the process begins anew, as it was set."""
+    program = tmp_path / "sorter.py"
+    program.write_text(
+        "import sys, types\nfrom rosplat_sorter import node\n"
+        "node.FORGET_AFTER = 1\nsys.modules['cupy'] = types.ModuleType('cupy')\nnode.main()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, program, "--ros-args", "-r", f"__ns:={ros}", "-p", "backend:=native"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    peer = Peer()
+    try:
+        peer.edit(make_batch(3, operation=GaussianArray.REPLACE))
+        settings = peer.node.create_client(SetParameters, "sorter/set_parameters")
+        peer.wait(settings.service_is_ready, "no sorter")
+        backend = Parameter("backend", value="numpy-reference").to_parameter_msg()
+        settings.call_async(SetParameters.Request(parameters=[backend]))
+        for sequence in (1, 2):
+            peer.meet()
+            peer.look(make_look(sequence=sequence))
+            assert peer.order(sequence).backend == "numpy-reference"
+            peer.wait(lambda: not peer.node.count_publishers("gaussians/order"), "it stays")
+        peer.meet()
+    finally:
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=20)
+        peer.close()
+    assert process.returncode == 0
+    assert output.count("waits for a view") == 3
+    assert "Traceback" not in output
 
 
 def test_the_map_is_pulled_though_nothing_is_heard(sorter, ros, make_batch, make_look):
