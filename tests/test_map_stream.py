@@ -442,10 +442,11 @@ def test_of_a_round_that_is_over_nothing_is_missing() -> None:
     pull, request = beginning("sorter")
     pull.answer(request.number, [part(6)], 3, 1.1, True)
     assert pull.complete == 1
-    pull.answer(pull.tick(1.3, True).request.number, [part(8)], 0, 1.4, True)
+    request = pull.answer(pull.tick(1.3, True).request.number, [part(8)], 0, 1.4, True).request
     assert pull.complete == 6
-    pull.answer(pull.tick(1.6, True).request.number, [part(9)], 0, 1.7, True)
+    pull.answer(request.number, [part(9)], 0, 1.5, True)
     assert pull.complete == 9
+    assert not pull.pulling
 
 
 def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
