@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 from rosplat_core import formats
 from rosplat_core.formats import Progress, Warn
@@ -27,12 +26,9 @@ def is_generated(name: str) -> bool:
 
 
 def check_scene(name: str) -> None:
-    """Raises SceneError, before other work, for a file that isn't there."""
-    try:
-        if not is_generated(name):
-            Path(name).stat()
-    except (OSError, ValueError) as error:
-        raise SceneError(f"{name}: {getattr(error, 'strerror', None) or error}") from error
+    """Raises SceneError, before other work, for a file that isn't there, or is no scene."""
+    if not is_generated(name):
+        formats.format_of(name)
 
 
 def vertical(name: str) -> tuple[float, float, float] | None:
@@ -69,7 +65,6 @@ def _generated(name: str, progress: Progress) -> Splats:
     if not match:
         raise SceneError(f"{name}: expected {kind}:COUNT[:SEED]")
     count, seed = (int(number or 0) for number in match.groups())
-    _check(name, count)
     try:
         return generate(count, seed, progress=progress, scene=GENERATED[f"{kind}:"])
     except SceneError as error:

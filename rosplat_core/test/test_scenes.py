@@ -39,6 +39,14 @@ def test_a_file_of_more_splats_than_a_map_holds(
         load(str(path))
 
 
+def test_what_is_no_scene_is_told_before_other_work(tmp_path: Path) -> None:
+    (tmp_path / "text.ply").write_text("hello\n")
+    for name, why in (("none.ply", "No such file"), ("text.ply", "not a scene"), ("\0", "no name")):
+        with pytest.raises(SceneError, match=why):
+            scenes.check_scene(str(tmp_path / name))
+    scenes.check_scene("procedural:7")
+
+
 def test_a_scene_without_a_usable_splat(tmp_path: Path) -> None:
     splats = generate(3)
     splats.opacities[:] = np.nan

@@ -277,11 +277,21 @@ def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
     assert (tmp_path / "sort-host.png").exists()
 
 
-def test_isolated_work_runs_elsewhere_and_its_end_is_told() -> None:
+SLOW_TO_END = """
+import multiprocessing.util, time
+multiprocessing.util.Finalize(None, time.sleep, (1,), exitpriority=1)
+int("three")
+"""
+
+
+def test_isolated_work_runs_elsewhere_and_its_end_is_told(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     (pid,) = isolated(map, eval, ["__import__('os').getpid()"])
     assert pid != os.getpid()
     with pytest.raises(RuntimeError, match=r"ValueError: .*'three'"):
-        list(isolated(map, int, ["three"]))
+        list(isolated(map, exec, [SLOW_TO_END]))
+    assert capfd.readouterr().err == ""
     with pytest.raises(RuntimeError, match="ended with code 3"):
         list(isolated(map, os._exit, [3]))
 

@@ -59,7 +59,10 @@ def test_any_part_shows_all_of_the_scene(scene: str) -> None:
         )
 
 
-@pytest.mark.parametrize("wrong", [{"count": 0}, {"seed": -1}, {"sh_degree": 4}, {"sh_degree": -1}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"count": 0}, {"count": 10**30}, {"seed": -1}, {"sh_degree": 4}, {"sh_degree": -1}],
+)
 def test_what_cannot_be_made(wrong: dict[str, int]) -> None:
     with pytest.raises(SceneError, match="expected"):
         generate(**({"count": 10} | wrong))

@@ -8,6 +8,7 @@ from rosplat_core.formats import Progress
 from rosplat_core.generated.garden import Garden
 from rosplat_core.generated.rooms import Rooms
 from rosplat_core.generated.surfaces import quaternions
+from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats
 
 SCENES: dict[str, type[Garden] | type[Rooms]] = {"garden": Garden, "rooms": Rooms}
@@ -26,10 +27,10 @@ def generate(
 
     Their order is random, as a trained map's is: any part of them shows all of the scene, thinner.
     progress is called with 0 to 1; what it raises ends the work. Raises SceneError for a count
-    below 1, a seed below 0, or an sh_degree outside 0 to 3.
+    below 1 or beyond what a map holds, a seed below 0, or an sh_degree outside 0 to 3.
     """
-    if count < 1:
-        raise SceneError(f"count is {count}, expected 1 or more")
+    if not 1 <= count <= MAX_SLOTS:
+        raise SceneError(f"count is {count:,}, expected 1 to {MAX_SLOTS:,}, as many as a map holds")
     if seed < 0:
         raise SceneError(f"seed is {seed}, expected 0 or more")
     if not 0 <= sh_degree <= MAX_SH_DEGREE:

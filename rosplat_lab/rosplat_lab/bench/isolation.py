@@ -46,6 +46,7 @@ def _run(
     except KeyboardInterrupt:
         pass
     except Exception as error:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # who hears of it ends this at once
         there.send(f"{type(error).__name__}: {error}")
     finally:
         there.close()
