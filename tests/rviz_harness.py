@@ -21,6 +21,7 @@ import pytest
 
 from rosplat_lab.driven_rviz import DrivenRviz, is_here
 from rosplat_tools.program.processes import Processes
+from rosplat_tools.testing import PATIENCE
 
 SCREEN = (1000, 800)
 
@@ -115,11 +116,9 @@ class Rviz(DrivenRviz):
         self.processes.end()
         self._screen.__exit__(None, None, None)
 
-    def until_status(
-        self, display: str, entry: str, level: str, *words: str, seconds: float = 30.0
-    ) -> str:
+    def until_status(self, display: str, entry: str, level: str, *words: str) -> str:
         """Waits for an entry of a display's Status with a level and all of some words."""
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + PATIENCE
         while True:
             status = self.status(display)
             found, text = status.get(entry, ("", ""))
@@ -141,11 +140,9 @@ class Rviz(DrivenRviz):
         x, y, width, height = self.ask("places")[of]
         return self.screen()[y : y + height, x : x + width].astype(np.int32)
 
-    def until(
-        self, found: Callable[[np.ndarray], object], of: str = "view", seconds: float = 60.0
-    ) -> np.ndarray:
+    def until(self, found: Callable[[np.ndarray], object], of: str = "view") -> np.ndarray:
         """The first picture in which something is found."""
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + PATIENCE
         while True:
             self.processes.check()
             picture = self.picture(of)
@@ -264,11 +261,11 @@ class World:
         cube.color.a = float(alpha)
         self._marker.publish(cube)
 
-    def spin_until(self, reached: Callable[[], object], seconds: float = 30.0) -> None:
+    def spin_until(self, reached: Callable[[], object]) -> None:
         """Handles what arrives until something is reached."""
         import rclpy
 
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + PATIENCE
         while not reached():
             assert time.monotonic() < deadline, "nothing arrived"
             rclpy.spin_once(self.node, timeout_sec=0.05)

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from rosplat_tools.testing import PATIENCE
+
 
 def start(scene: str, out: Path) -> subprocess.Popen[str]:
     # Without a display and without rviz2, as on a server.
@@ -39,7 +41,7 @@ def programs_of(out: Path) -> list[str]:
 
 def test_pictures_and_figures(tmp_path: Path) -> None:
     out = tmp_path / "pictures #2"
-    output, _ = (process := start("procedural:5000", out)).communicate(timeout=180)
+    output, _ = (process := start("procedural:5000", out)).communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert (out / "demo.png").stat().st_size > 10_000
     assert (out / "demo.webp").stat().st_size > 10_000
@@ -53,7 +55,7 @@ def test_pictures_and_figures(tmp_path: Path) -> None:
 
 def test_a_scene_that_is_none_is_named_in_a_line(tmp_path: Path) -> None:
     scene = "/nowhere/scene #2: it's.ply"
-    output, _ = (process := start(scene, tmp_path)).communicate(timeout=60)
+    output, _ = (process := start(scene, tmp_path)).communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
     assert scene in output
@@ -63,12 +65,12 @@ def test_a_scene_that_is_none_is_named_in_a_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_all_of_it(tmp_path: Path, number: signal.Signals) -> None:
     process = start("procedural:300000", tmp_path)
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + PATIENCE
     while len(programs_of(tmp_path)) < 3:
         assert time.monotonic() < deadline
         time.sleep(0.05)
     time.sleep(1)
     process.send_signal(number)
-    output, _ = process.communicate(timeout=30)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert "Traceback" not in output
     assert not programs_of(tmp_path)

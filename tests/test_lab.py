@@ -12,6 +12,7 @@ import pytest
 
 from rosplat_lab.lab.command import main
 from rosplat_lab.lab.points import load
+from rosplat_tools.testing import PATIENCE
 
 
 def test_methods_are_measured_once_and_reported(tmp_path: Path) -> None:
@@ -83,7 +84,7 @@ def test_an_interrupted_run_ends_at_once_and_quietly(tmp_path: Path) -> None:
         before = process.stderr.readline()
         assert before
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, said = process.communicate(timeout=100)
+    _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert said == ""
 

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rosplat_core import generate, load, save
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
-from rosplat_tools.testing import Listener
+from rosplat_tools.testing import PATIENCE, Listener
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 
@@ -64,7 +64,11 @@ def test_its_python_runs() -> None:
     assert "rclpy.spin(node)" in blocks[0]
     script = OF_THE_READER + "\n".join(blocks).replace("rclpy.spin(node)", "pass") + SAYS
     run = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
     )
     assert run.stderr == ""
     assert run.stdout == "2000 4071 label confidence\n"

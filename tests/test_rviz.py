@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rosplat_tools.testing import PATIENCE
 from rviz_harness import (
     Rviz,
     World,
@@ -124,7 +125,7 @@ def test_orders_reach_the_display_through_shared_memory(rviz: Rviz, world: World
     for _ in range(2):
         shared.clear()
         sorter = rviz.processes.node("rosplat_sorter", "sorter")
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE
         while not shared:
             assert time.monotonic() < deadline, "all orders travel in messages"
             rclpy.spin_once(world.node, timeout_sec=0.1)
@@ -219,7 +220,7 @@ def test_mouse_tools_touch_the_splats(rviz: Rviz, world: World) -> None:
     world.map.replace(disc((1, 0, 0), x=0.5, z=0.7, sigma=0.3))
     screen = rviz.until(lambda s: red(s).sum() > 1000)
     row, column = centre(red(screen)).astype(int)
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + PATIENCE
     while not points and time.monotonic() < deadline:
         rviz.click(row, column)
         for _ in range(20):

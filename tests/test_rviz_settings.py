@@ -75,9 +75,9 @@ def test_each_property_acts(rviz: Rviz, world: World) -> None:
         path = ("Map", *name.split("/"))
         before = rviz.properties("Map")[name]
         rviz.set(*path, value=value)
-        rviz.until(differs, seconds=15)
+        rviz.until(differs)
         rviz.set(*path, value=before)
-        rviz.until(lambda s: not differs(s), seconds=15)
+        rviz.until(lambda s: not differs(s))
 
 
 def test_a_saved_backend_is_told_to_each_sidecar_that_comes(rviz: Rviz, world: World) -> None:

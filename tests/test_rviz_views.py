@@ -336,7 +336,7 @@ def test_each_view_has_its_own_order(rviz: Rviz, world: World) -> None:
     try:
         world.spin_until(lambda: "sidecar" in rviz.status("Map").get("Order", ("", ""))[1])
         for _ in range(20):
-            world.spin_until(right, seconds=1)
+            world.spin_until(right)
     finally:
         sorter.terminate()
         sorter.wait()

@@ -21,6 +21,7 @@ from rosplat_core.simplification.views import views
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import Splats
 from rosplat_lab.simplify.command import main
+from rosplat_tools.testing import PATIENCE
 
 GARDEN = "procedural:3000"
 
@@ -229,7 +230,7 @@ def test_interrupted_it_leaves_nothing(tmp_path: Path, number: int) -> None:
         time.sleep(6)  # most of which it spends with views
         process.send_signal(number)
         assert process.stderr
-        assert (process.wait(60), process.stderr.read()) == (130, "")
+        assert (process.wait(PATIENCE), process.stderr.read()) == (130, "")
     assert not list(folder.iterdir())
 
 

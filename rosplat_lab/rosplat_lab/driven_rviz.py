@@ -72,7 +72,7 @@ class DrivenRviz:
         """The exit code of rviz2 after its window was closed."""
         self.ask("quit")
         self._connection.close()
-        code = self.process.wait(30)
+        code = self.process.wait(PATIENCE)
         self.processes.forget(self.process)  # and no sooner: its screen would go before it
         return code
 

@@ -20,6 +20,7 @@ from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.bench.records import Record, load
 from rosplat_lab.bench.renderers import RENDERERS
+from rosplat_tools.testing import PATIENCE
 
 
 def bench(out: Path, *arguments: str) -> list[Record]:
@@ -265,12 +266,12 @@ def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
          "--out", str(tmp_path)],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + PATIENCE
     while not (tmp_path / "sort.json").exists():
         assert time.monotonic() < deadline
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    said, _ = process.communicate(timeout=60)
+    said, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert "Traceback" not in said
     assert load([tmp_path / "sort.json"])

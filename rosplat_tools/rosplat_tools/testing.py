@@ -25,6 +25,8 @@ from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.messages import apply
 from rosplat_tools.slot_map import SlotMap
 
+PATIENCE = 180.0  # with programs, however busy the machine is [s]
+
 
 @pytest.fixture
 def node() -> Iterator[Node]:
@@ -61,7 +63,7 @@ def start(node: Node) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     for process in started:
         process.send_signal(signal.SIGINT)
         try:
-            process.communicate(timeout=20)
+            process.communicate(timeout=PATIENCE)
         except subprocess.TimeoutExpired:
             process.kill()
             raise
@@ -87,7 +89,7 @@ class Listener:
         with contextlib.suppress(ValueError):  # who refuses a batch keeps the map
             apply(batch, self.map)
 
-    def wait(self, until: Callable[[], object], timeout: float = 60.0) -> None:
+    def wait(self, until: Callable[[], object], timeout: float = PATIENCE) -> None:
         """Receives until something holds; fails the test where it doesn't come to."""
         deadline = time.monotonic() + timeout
         while not until():

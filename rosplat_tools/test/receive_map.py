@@ -16,7 +16,7 @@ from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.messages import apply
 from rosplat_tools.slot_map import SlotMap
 
-TIMEOUT = 60.0
+TIMEOUT = 100.0
 
 topic, last_revision, out = sys.argv[1], int(sys.argv[2]), sys.argv[3]
 batches: list[tuple[int, int, bool]] = []

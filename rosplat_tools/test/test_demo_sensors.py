@@ -24,6 +24,7 @@ from rosplat_msgs.srv import RenderView
 from rosplat_tools.emulation.demo_sensors import Beat
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, GRAVITY, Flight, draw_grid
 from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.testing import PATIENCE
 
 FLIGHT = Flight(np.array([1.0, -2.0, 0.5]), 3.0, 1.2, 6.0)
 KEEP_ALL = QoSProfile(depth=2000)
@@ -46,7 +47,7 @@ def sensors(
         yield process
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
-        said, _ = process.communicate(timeout=10)
+        said, _ = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0
         assert "Traceback" not in said
     finally:
@@ -63,7 +64,9 @@ def spin_some(node: Node) -> Iterator[Callable[[], None]]:
     executor.shutdown()
 
 
-def until(spin_some: Callable[[], None], done: Callable[[], bool], seconds: float = 60) -> None:
+def until(
+    spin_some: Callable[[], None], done: Callable[[], bool], seconds: float = PATIENCE
+) -> None:
     deadline = time.monotonic() + seconds
     while not done():
         assert time.monotonic() < deadline, "nothing came"
@@ -297,7 +300,7 @@ def test_all_is_stamped_by_a_simulated_clock(node: Node, spin_some: Callable[[],
         clock.publish(now)
 
     with sensors(node, "use_sim_time:=true", "radius:=2.0", arguments=("-r", "/clock:=clock")):
-        until(step, lambda: len(measured) > 100 or now.clock.nanosec > 980_000_000, seconds=30)
+        until(step, lambda: len(measured) > 100 or now.clock.nanosec > 980_000_000)
     stamps = [imu.header.stamp for imu in measured]
     assert len(stamps) > 10
     assert all(stamp.sec == 1000 and stamp.nanosec % 5_000_000 == 0 for stamp in stamps)
@@ -309,7 +312,7 @@ def test_all_is_stamped_by_a_simulated_clock(node: Node, spin_some: Callable[[],
 )
 def test_a_parameter_that_makes_no_sense_is_one_line(wrong: str) -> None:
     command = [sys.executable, "-m", "rosplat_tools.emulation.demo_sensors", "--ros-args"]
-    done = subprocess.run([*command, "-p", wrong], capture_output=True, text=True, timeout=30)
+    done = subprocess.run([*command, "-p", wrong], capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 1
     assert done.stderr.startswith("demo_sensors: ")
     assert wrong.partition(":")[0] in done.stderr

@@ -28,7 +28,7 @@ from rosplat_sorter.qos import MAP_VOLATILE
 from rosplat_tools.map_publisher import ANSWER_BYTES, MapPublisher
 from rosplat_tools.messages import chunks
 from rosplat_tools.program.running import Cancelled
-from rosplat_tools.testing import Listener
+from rosplat_tools.testing import PATIENCE, Listener
 
 Maker = Callable[..., Splats]
 Make = Callable[..., MapPublisher]
@@ -79,7 +79,7 @@ def receiver(node: Node, until: int, out: Path) -> Iterator[Received]:
         received: Received = {}
         try:
             yield received
-            assert process.wait(90) == 0
+            assert process.wait(PATIENCE) == 0
         finally:
             process.kill()
     received |= np.load(out)

@@ -22,8 +22,7 @@ from rosplat_msgs.srv import LoadScene, PullMap, SaveMap
 from rosplat_tools.ply_publisher import THREADS, PlyPublisher
 from rosplat_tools.program.processes import quoted
 from rosplat_tools.program.running import spinning
-
-PATIENCE = 90.0  # beyond that of the listener [s]
+from rosplat_tools.testing import PATIENCE
 
 Maker = Callable[..., Splats]
 Start = Callable[..., subprocess.Popen[str]]
@@ -141,7 +140,7 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
     start: Start, parameters: dict[str, object]
 ) -> None:
     process = start("ply_publisher", **parameters)
-    output, _ = process.communicate(timeout=30)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
     assert output.startswith("ply_publisher: ")
@@ -150,7 +149,7 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
 
 @pytest.mark.parametrize("path", ["/data/my scene #2/it's.ply", "/data/a: b/c.ply", "2024", "yes"])
 def test_a_path_that_yaml_would_take_for_something_else(start: Start, path: str) -> None:
-    output, _ = start("ply_publisher", path=quoted(path)).communicate(timeout=30)
+    output, _ = start("ply_publisher", path=quoted(path)).communicate(timeout=PATIENCE)
     assert output == f"ply_publisher: {path}: No such file or directory\n"
 
 
@@ -165,7 +164,7 @@ def test_it_ends_quietly_in_the_middle_of_anything(
     else:
         listener.wait_for(1000)
     process.send_signal(number)
-    output, _ = process.communicate(timeout=20)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert "Error" not in output
     assert "exception" not in output
@@ -178,7 +177,7 @@ def test_what_is_read_holds_up_nobody_and_ends_by_a_newer_request(
     go_on = threading.Event()
 
     def slow(name: str, progress: formats.Progress, _: formats.Warn) -> Splats:
-        go_on.wait(PATIENCE)
+        go_on.wait(2 * PATIENCE)
         progress(0.5)
         return random_splats(int(name))
 

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import pytest
 
 from rosplat_tools.program.processes import ProcessError, Processes, fast_dds_profile, run_module
+from rosplat_tools.testing import PATIENCE
 
-PATIENCE = 120.0  # with programs, however busy the machine is [s]
 SLEEP = ["sh", "-c", "echo awake; exec sleep 600"]
 # Ignores the signal of Ctrl-C, and has a child.
 STUBBORN = ["sh", "-c", "trap '' INT; sleep 600 & echo $!; wait"]

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+from rosplat_tools.testing import PATIENCE
+
 INTERRUPTED_AS_IT_BEGINS = """
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +27,7 @@ except KeyboardInterrupt:
 
 def test_an_interrupt_as_callbacks_begin_ends_them() -> None:
     command = [sys.executable, "-c", INTERRUPTED_AS_IT_BEGINS]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert run.stdout == "ended False\n"
 
 
@@ -51,6 +53,6 @@ run("test", body)
 
 def test_an_interrupt_that_python_drops_ends_a_node_all_the_same() -> None:
     command = [sys.executable, "-c", LOSES_AN_INTERRUPT]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert "Exception ignored" in run.stderr
     assert run.stdout == "ended False\n"

@@ -11,6 +11,7 @@ import pytest
 from rosplat_core import formats
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
+from rosplat_tools.testing import PATIENCE
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -69,7 +70,7 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
     start: Start, parameters: dict[str, object], named: str
 ) -> None:
     process = start("slam_emulator", **({"path": "procedural:10"} | parameters))
-    output, _ = process.communicate(timeout=30)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
     assert named in output

@@ -15,6 +15,7 @@ from rosplat_core.cameras import Camera, look_at
 from rosplat_msgs.msg import ViewCamera
 from rosplat_sorter.qos import VIEW
 from rosplat_tools.streaming.slot_allocator import slots_for
+from rosplat_tools.testing import PATIENCE
 from rosplat_tools.view_messages import view_camera
 
 Start = Callable[..., subprocess.Popen[str]]
@@ -65,7 +66,7 @@ def test_what_is_looked_at_is_fine_and_nothing_is_ever_missing(
         listener.wait(seen)
     assert {batch.header.frame_id for batch in listener.batches} == {"scan"}
     process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=20)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert "Traceback" not in output
     assert "view broken is left out: fx is 0.0" in output
@@ -82,7 +83,7 @@ def test_a_budget_that_lacks_room_for_all_says_so(
     process = start("stream_publisher", path=path, **budget)
     listener.wait_for(2 * LEVELS[2])
     process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=20)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert f"{name} is too few for all of" in output
     assert "take 512 splats, 56 bytes each, at their coarsest" in output
 
@@ -95,7 +96,7 @@ def test_a_parameter_that_makes_no_sense(
     start: Start, path: Path, parameters: dict[str, object]
 ) -> None:
     process = start("stream_publisher", path=path, **parameters)
-    output, _ = process.communicate(timeout=30)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert (process.returncode, len(output.strip().splitlines())) == (1, 1)
     assert all(name in output for name in parameters)
 
@@ -103,7 +104,9 @@ def test_a_parameter_that_makes_no_sense(
 def test_a_scene_that_is_none_is_one_line_that_names_the_file(start: Start, tmp_path: Path) -> None:
     scene = write_scene(tmp_path)
     process = start("stream_publisher")
-    assert process.communicate(timeout=30)[0].startswith("stream_publisher: parameter path: expec")
+    assert process.communicate(timeout=PATIENCE)[0].startswith(
+        "stream_publisher: parameter path: expec"
+    )
     outputs = []
     for damage in (
         lambda: (tmp_path / "1_0" / "meta.json").unlink(),
@@ -112,7 +115,7 @@ def test_a_scene_that_is_none_is_one_line_that_names_the_file(start: Start, tmp_
     ):
         damage()
         process = start("stream_publisher", path=scene)
-        output, _ = process.communicate(timeout=30)
+        output, _ = process.communicate(timeout=PATIENCE)
         assert process.returncode == 1
         outputs.append(output)
     assert outputs[0].startswith(f"stream_publisher: {tmp_path}/1_0/meta.json: can't read")

@@ -62,7 +62,7 @@ class SidecarSwitchTest : public testing::Test {
 
   // Tells, and hears answers if asked to, until something is so.
   bool becomes(const std::function<bool()>& so, bool hears = true) {
-    const auto deadline = std::chrono::steady_clock::now() + 20s;
+    const auto deadline = std::chrono::steady_clock::now() + 120s;
     while (!so() && std::chrono::steady_clock::now() < deadline) {
       switch_.tell();
       if (hears) executor_.spin_some();

@@ -24,6 +24,7 @@ from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.running import spinning
+from rosplat_tools.testing import PATIENCE
 from rosplat_tools.view_messages import view_camera
 
 offscreen = pytest.importorskip(
@@ -198,7 +199,7 @@ def test_it_ends_quietly_in_the_middle_of_a_request(
     )
     listener.wait(lambda: node.count_publishers("gaussians/view"))
     process.send_signal(number)
-    output, _ = process.communicate(timeout=20)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert "Error" not in output
     assert "exception" not in output
@@ -214,7 +215,7 @@ def test_without_a_display_it_draws_a_still_and_a_turn(
     assert f"waiting for a map on {node.resolve_topic_name('gaussians')}" in said
     publisher = MapPublisher(node)
     publisher.replace(random_splats(500, 1))
-    output, _ = process.communicate(timeout=120)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert "500 splats" in output
     still = Image.open(tmp_path / "out" / "demo.png")
@@ -229,7 +230,7 @@ def test_a_map_of_any_size_is_drawn(start: Start, node: Node, tmp_path: Path) ->
     publisher = MapPublisher(node)
     publisher.replace(splats)
     process = start("rviz_gaussian_plugin.viewer", output=tmp_path, order_timeout=0.0)
-    output, _ = process.communicate(timeout=120)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, output
     assert "3 splats" in output
 
@@ -338,7 +339,7 @@ def test_with_a_display_a_window_asks_for_its_view(
     services = [name for name, _ in node.get_service_names_and_types()]
     assert f"{node.get_namespace()}/gaussians/render" not in services  # it wasn't told to serve
     process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=20)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert "Traceback" not in output
 
@@ -398,7 +399,7 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
     start: Start, name: str, value: object
 ) -> None:
     process = start("rviz_gaussian_plugin.viewer", **{name: value})
-    output, _ = process.communicate(timeout=30)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert len(output.strip().splitlines()) == 1
     assert name in output
@@ -407,7 +408,7 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
 def test_a_folder_that_can_t_be_is_told_before_a_map_comes(start: Start, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     process = start("rviz_gaussian_plugin.viewer", output=tmp_path / "file" / "out")
-    output, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     last = output.strip().splitlines()[-1]
     assert last == f"viewer: parameter output: {tmp_path}/file/out: Not a directory"
@@ -442,7 +443,7 @@ def test_a_killed_viewer_leaves_no_display(start: Start, listener: Any, node: No
     (server,) = children(process.pid, "Xvfb")
     process.kill()
     process.wait()
-    listener.wait(lambda: not Path(f"/proc/{server}").exists(), timeout=10)
+    listener.wait(lambda: not Path(f"/proc/{server}").exists())
 
 
 def children(pid: int, name: str) -> list[int]:
