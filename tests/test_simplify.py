@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -201,12 +202,14 @@ def test_refusals_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[
     save(remote, replace(generate(10), positions=generate(10).positions + 1e20))
     out, folder = tmp_path / "out.ply", tmp_path / "folder.ply"
     folder.mkdir()
+    os.mkfifo(pipe := tmp_path / "pipe.json")
     for arguments, error in {
         (GARDEN, str(out)): "Give --psnr, --max-splats or --max-bytes",
         (str(scene), str(scene), "--psnr", "50", "--overwrite"): f"{scene}: is the scene itself",
         (str(scene), str(scene), "--psnr", "50"): f"{scene}: exists already",
         (GARDEN, str(tmp_path / "no" / "a.ply"), "--psnr", "50"): "is no folder",
         (GARDEN, str(out), "--psnr", "50", "--report", "no/a.json"): "no/a.json: no is no folder",
+        (GARDEN, str(out), "--psnr", "50", "--report", str(pipe)): f"{pipe}: is no file",
         (GARDEN, str(tmp_path / "a.obj"), "--psnr", "50"): "can't write this ending",
         (GARDEN, str(folder), "--psnr", "50", "--overwrite"): f"{folder}: is a folder",
         (str(empty), str(out), "--psnr", "50"): f"{empty}: holds no splats",

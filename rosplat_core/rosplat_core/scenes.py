@@ -27,7 +27,9 @@ def is_generated(name: str) -> bool:
 
 def check_scene(name: str) -> None:
     """Raises SceneError, before other work, for a file that isn't there, or is no scene."""
-    if not is_generated(name):
+    if is_generated(name):
+        _numbers(name)
+    else:
         formats.format_of(name)
 
 
@@ -60,17 +62,24 @@ def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
 
 
 def _generated(name: str, progress: Progress) -> Splats:
+    count, seed = _numbers(name)
+    scene = GENERATED[name[: name.index(":") + 1]]
+    try:
+        return generate(count, seed, progress=progress, scene=scene)
+    except MemoryError as error:
+        raise SceneError(f"{name}: too large for this machine's memory") from error
+
+
+def _numbers(name: str) -> tuple[int, int]:
+    """COUNT and SEED of a scene that is to be generated. Raises SceneError."""
     kind, _, numbers = name.partition(":")
-    match = re.fullmatch(r"(\d{1,18})(?::(\d{1,18}))?", numbers)
+    match = re.fullmatch(r"(\d{1,18})(?::(\d{1,18}))?", numbers, re.ASCII)
     if not match:
         raise SceneError(f"{name}: expected {kind}:COUNT[:SEED]")
     count, seed = (int(number or 0) for number in match.groups())
-    try:
-        return generate(count, seed, progress=progress, scene=GENERATED[f"{kind}:"])
-    except SceneError as error:
-        raise SceneError(f"{name}: {error}") from error
-    except MemoryError as error:
-        raise SceneError(f"{name}: too large for this machine's memory") from error
+    if not 1 <= count <= MAX_SLOTS:
+        raise SceneError(f"{name}: expected 1 to {MAX_SLOTS:,} splats, as many as a map has")
+    return count, seed
 
 
 def _check(name: str, count: int) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from rosplat_core.formats import SceneError, check_output
 from rosplat_core.program.files import replacing, write_below, write_text
 
 
@@ -40,6 +41,18 @@ def test_what_can_t_be_written_is_named(tmp_path: Path) -> None:
         (tmp_path / "b.json").read_bytes()
     with pytest.raises(FileNotFoundError, match=r"none/a\.json'$"):
         write_text(tmp_path / "none" / "a.json", "")
+
+
+def test_what_is_no_file_stays(tmp_path: Path) -> None:
+    """A device, say: who may write to its folder could replace it."""
+    path = tmp_path / "a.ply"
+    os.mkfifo(path)
+    with pytest.raises(OSError, match=r"no file.*a\.ply'$"), replacing(path) as partial:
+        partial.write_text("new")
+    with pytest.raises(SceneError, match=r"a\.ply: is no file"):
+        check_output(path, overwrite=True)
+    assert path.is_fifo()
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_nobody_can_lay_a_link_where_it_writes(tmp_path: Path) -> None:

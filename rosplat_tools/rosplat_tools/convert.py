@@ -8,7 +8,7 @@ import sys
 from tqdm import tqdm
 
 from rosplat_core.formats import SUFFIXES, SceneError, axes, check_output, load, save
-from rosplat_core.program.output import say
+from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.round_trip import report
 from rosplat_core.scenes import NAMES, load_scene, vertical
@@ -43,13 +43,14 @@ def main(arguments: list[str] | None = None) -> int:
         with watched("reading back") as progress:
             back = load(options.output, progress, warn)
         up, written_up = vertical(options.input), axes(options.output).up
-    except SceneError as error:
-        print(f"convert: {error}", file=sys.stderr)
+        errors = report(written, back)
+    except (SceneError, MemoryError) as error:
+        print(f"convert: {told(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
     say(f"{options.output}: {len(back):,} splats, SH degree {back.sh_degree}")
-    say(report(written, back))
+    say(errors)
     if written_up not in (None, up):
         warn(f"readers of {options.output} take its axes for {axes(options.output).text}")
     return 0

@@ -7,7 +7,7 @@ import sys
 
 from rosplat_core.formats import SceneError, check_output, save
 from rosplat_core.generated import SCENES, generate
-from rosplat_core.program.output import say
+from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 
 
@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
             )
         save(options.output, splats)
     except (SceneError, MemoryError) as error:
-        print(f"generate: {str(error) or 'not enough memory'}", file=sys.stderr)
+        print(f"generate: {told(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rosplat_core.formats import SceneError, axes, format_of, streamed_sog
-from rosplat_core.program.output import say
+from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.scenes import NAMES, is_generated, read_scene
 
@@ -87,8 +87,8 @@ def main(arguments: list[str] | None = None) -> int:
     for index, path in enumerate(parser.parse_args(arguments).scene):
         try:
             say(("\n" if index else "") + describe(path))
-        except SceneError as error:
-            print(f"inspect: {error}", file=sys.stderr)
+        except (SceneError, MemoryError) as error:
+            print(f"inspect: {told(error)}", file=sys.stderr)
             failed = True
         except KeyboardInterrupt:
             return 130

@@ -128,6 +128,8 @@ def check_output(path: str | Path, overwrite: bool = False) -> None:
         raise SceneError(f"{path}: nothing can be written to {path.parent}")
     if path.is_dir():
         raise SceneError(f"{path}: is a folder")
+    if exists and not path.is_file():
+        raise SceneError(f"{path}: is no file that could be replaced")
     if exists and not overwrite:
         raise SceneError(f"{path}: exists already (--overwrite replaces it)")
 

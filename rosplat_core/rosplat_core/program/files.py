@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
@@ -15,10 +16,12 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Its name is nobody's to guess, so that no link can stand there. A reader sees the old file or
     the new one. Where the block raises, the old one stays; an OSError that names no other file
-    names the path.
+    names the path. What is there and no file, a device say, is refused so, too.
     """
     prefix, partial = f".{path.name[:100]}.", None
     try:
+        if path.exists() and not path.is_file():
+            raise OSError(errno.EINVAL, "is no file that could be replaced")
         file, name = tempfile.mkstemp(prefix=prefix, suffix=".part", dir=path.parent)
         partial = Path(name)
         os.fchmod(file, 0o666 & ~_umask())

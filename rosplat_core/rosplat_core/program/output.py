@@ -23,6 +23,13 @@ def finish() -> None:
         unheard(error)
 
 
+def told(error: BaseException) -> str:
+    """What went wrong, for the user: the file comes first where an error of the system has one."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error) or ("not enough memory" if isinstance(error, MemoryError) else repr(error))
+
+
 def unheard(error: OSError) -> NoReturn:
     """Ends the program where its output can't be written, with code 1.
 

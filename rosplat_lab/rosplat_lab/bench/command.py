@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from rosplat_core.program.output import say, unheard
+from rosplat_core.program.output import say, told, unheard
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import SceneError
 from rosplat_lab import machine
@@ -83,7 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError as error:  # of rich before 13.8
         unheard(error)
     except (SceneError, RecordError, OSError) as error:
-        print(f"bench: {error}", file=sys.stderr)
+        print(f"bench: {told(error)}", file=sys.stderr)
         return 1
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from rosplat_core.cameras import Camera
-from rosplat_core.program.output import say
+from rosplat_core.program.output import say, told
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.scenes import NAMES, PROCEDURAL, check_scene, is_generated, load_scene
 from rosplat_core.splats import SceneError, Splats
@@ -215,8 +215,8 @@ def main(arguments: list[str] | None = None) -> int:
             closing(Bench(options.threads, options.repeats)) as bench,
         ):
             run(bench, scenes, store, options, command)
-    except (SceneError, RuntimeError, OSError) as error:
-        print(f"lab: {error}", file=sys.stderr)
+    except (SceneError, RuntimeError, OSError, MemoryError) as error:
+        print(f"lab: {told(error)}", file=sys.stderr)
         return 1
     return 0
 

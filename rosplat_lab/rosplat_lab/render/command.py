@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from rosplat_core.cameras import Camera, load_cameras
 from rosplat_core.program.files import replacing, write_text
-from rosplat_core.program.output import say
+from rosplat_core.program.output import say, told
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import SceneError
@@ -314,8 +314,8 @@ def main(arguments: list[str] | None = None) -> int:
             float_blending=options.float_blending, detail=options.detail,
             log_folder=options.out / "log", on_picture=keep,
         )  # fmt: skip
-    except (RuntimeError, OSError, ValueError) as error:
-        print(f"render: {error}", file=sys.stderr)
+    except (RuntimeError, OSError, ValueError, MemoryError) as error:
+        print(f"render: {told(error)}", file=sys.stderr)
         return 1
     finally:
         rclpy.try_shutdown()

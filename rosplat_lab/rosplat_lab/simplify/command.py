@@ -21,7 +21,7 @@ from pathlib import Path
 
 from rosplat_core.formats import SUFFIXES, check_output, load, save
 from rosplat_core.program.files import write_text
-from rosplat_core.program.output import say
+from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import bar, watched
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.scenes import NAMES, load_scene
@@ -69,8 +69,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         _simplify(options, shlex.join(["simplify", *arguments]))
-    except (SceneError, OSError) as error:
-        print(f"simplify: {error}", file=sys.stderr)
+    except (SceneError, OSError, MemoryError) as error:
+        print(f"simplify: {told(error)}", file=sys.stderr)
         return 1
     return 0
 
@@ -126,6 +126,8 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         raise SceneError(f"{out}: is the scene itself")
     if options.report and not options.report.parent.is_dir():
         raise SceneError(f"{options.report}: {options.report.parent} is no folder")
+    if options.report and options.report.exists() and not options.report.is_file():
+        raise SceneError(f"{options.report}: is no file that could be replaced")
     with _folder_beside(out):
         pass  # or it would be refused when all is done
     began = time.monotonic()

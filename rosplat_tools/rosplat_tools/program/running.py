@@ -20,6 +20,7 @@ from rclpy.executors import (
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from rosplat_core.program.output import told
 from rosplat_core.splats import SceneError
 from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_sorter.memory import give_back_large_blocks
@@ -38,7 +39,7 @@ class Cancelled(Exception):
 def run(program: str, body: Callable[[], None]) -> None:
     """Runs body with ROS set up until it returns, or SIGINT or SIGTERM interrupts it.
 
-    A SceneError, RuntimeError or OSError ends the program with its text and exit code 1.
+    A SceneError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1.
     """
     take_ros_arguments_only(program, sys.modules[body.__module__].__doc__)
     give_back_large_blocks()
@@ -49,8 +50,8 @@ def run(program: str, body: Callable[[], None]) -> None:
         body()
     except (KeyboardInterrupt, Cancelled, ExternalShutdownException):
         pass
-    except (SceneError, RuntimeError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
+    except (SceneError, RuntimeError, OSError, MemoryError) as error:
+        print(f"{program}: {told(error)}", file=sys.stderr)
         sys.exit(1)
     finally:
         rclpy.try_shutdown()
