@@ -198,7 +198,12 @@ void Levels::clear() {
 bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
                      const std::function<void(const std::vector<std::uint32_t>&)>& stand) {
   if (!std::exchange(begun_, true)) {
-    for (const SlotPage& page : slots.pages()) mark(slots, {{page.first_slot, kSlots}});
+    try {
+      for (const SlotPage& page : slots.pages()) mark(slots, {{page.first_slot, kSlots}});
+    } catch (const std::bad_alloc&) {  // all is marked, or nothing
+      clear();
+      throw;
+    }
   }
   while (job_ || !marked_.empty()) {
     if (!job_) begin(slots);
@@ -344,19 +349,29 @@ Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) co
 // touched than a page holds.
 void Levels::nextLevel() {
   Job& job = *job_;
+  Pages pages;  // of the level before
   std::vector<Cell> touched;
   for (const Piece& piece : job.pieces) {
-    Pages& pages = job.pages[std::size_t(job.level)];
     pages.insert(pages.end(), piece.pages.begin(), piece.pages.end());
     touched.insert(touched.end(), piece.parents.begin(), piece.parents.end());
   }
-  job.pieces.clear();
-  job.touched.clear();
+  std::vector<Piece> pieces;
+  std::vector<std::size_t> touched_pieces;
+  if (job.level + 1 < kLevels) cut(job.level + 1, std::move(touched), pieces, touched_pieces);
+  // From here on, nothing needs memory.
+  if (job.level >= 0) job.pages[std::size_t(job.level)] = std::move(pages);
+  job.pieces = std::move(pieces);
+  job.touched = std::move(touched_pieces);
   job.done = 0;
-  if (++job.level == kLevels) return;
+  ++job.level;
+}
 
+// touched: cells of the level in which a child was touched.
+void Levels::cut(int level, std::vector<Cell> touched, std::vector<Piece>& pieces,
+                 std::vector<std::size_t>& touched_pieces) const {
+  const Job& job = *job_;
   const auto inherited = std::ptrdiff_t(touched.size());
-  const Cell level_begin = firstCell(job.level), level_end = firstCell(job.level + 1);
+  const Cell level_begin = firstCell(level), level_end = firstCell(level + 1);
   auto change = changesFrom(job.changes, level_begin);
   for (; change != job.changes.end() && change->cell < level_end; ++change) {
     append(touched, change->cell);
@@ -364,7 +379,7 @@ void Levels::nextLevel() {
   std::inplace_merge(touched.begin(), touched.begin() + inherited, touched.end());
   touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
 
-  const Pages& old = nodes_[job.group][std::size_t(job.level)];
+  const Pages& old = nodes_[job.group][std::size_t(level)];
   std::vector<Cell> begins{level_begin};
   for (const auto& page : old) begins.push_back(page->cells.front());
   const auto of_pages = std::ptrdiff_t(begins.size());
@@ -377,12 +392,12 @@ void Levels::nextLevel() {
   for (std::size_t i = 0; i + 1 < begins.size(); ++i) {
     const auto from = next;
     while (next != touched.end() && *next < begins[i + 1]) ++next;
-    job.pieces.push_back({begins[i], begins[i + 1], {from, next}, {}, {}});
+    pieces.push_back({begins[i], begins[i + 1], {from, next}, {}, {}});
     const bool whole = page != old.end() && (*page)->cells.front() == begins[i];
     if (from != next || (whole && (*page)->cells.back() >= begins[i + 1])) {
-      job.touched.push_back(i);
+      touched_pieces.push_back(i);
     } else if (whole) {
-      job.pieces.back().pages = {*page};
+      pieces.back().pages = {*page};
     }
     if (whole) ++page;
   }
@@ -521,6 +536,10 @@ void Levels::fill(Piece& piece, const std::vector<Made>& made, int sh_degree) co
 
 // Tells the slots that were marked of their nodes, but for what was written since.
 void Levels::publish(HostSlots& slots) const {
+  inParts(team_.get(), job_->marked.size(), [&](std::size_t number) {
+    slots.makeParents(*slots.index().find(job_->marked[number]));
+  });
+  // Nothing here needs memory: none is told while another can't be.
   inParts(team_.get(), job_->marked.size(), [&](std::size_t number) {
     const SlotPage& of = *slots.index().find(job_->marked[number]);
     const Known& known = *known_[of.place];

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <iterator>
 #include <memory>
 
 #include "rosplat_core/threads/in_parts.hpp"
@@ -15,27 +16,36 @@ std::size_t bandWords(int band) { return HostSlots::kSlots * kBandWords[band]; }
 }  // namespace
 
 void HostSlots::apply(const GaussianEdit& edit, double now, ThreadTeam* team) {
-  if (edit.clear) {
-    memory_.clear();
-    pages_ = {};
-    sh_degree_ = 0;
-    channels_ = 0;
-  }
+  if (edit.clear) *this = HostSlots();
+  // All that needs memory, before anything changes. What is there already has room for more.
+  std::vector<std::uint32_t> touched;
+  if (edit.sh_degree >= 0) touched = SlotPages::touched(edit);
+  std::vector<std::unique_ptr<Page>> fresh(touched.size());
+  inParts(team, touched.size(), [&](std::size_t number) {
+    const SlotPage* const known = pages_.find(touched[number]);
+    if (!known) {
+      fresh[number] = std::make_unique<Page>();
+      fresh[number]->extent.fill(-1);
+    }
+    makeRoom(edit, known ? at(*known) : *fresh[number]);
+  });
+  fresh.erase(std::remove(fresh.begin(), fresh.end(), nullptr), fresh.end());
+  const std::size_t pages = memory_.size() + fresh.size();
+  if (pages > memory_.capacity()) memory_.reserve(pages + memory_.size() / 4);
+  std::vector<Part> parts;  // of a run: no two are of one page
+  std::uint32_t longest = 0;
+  for (const auto& [first, count] : edit.runs) longest = std::max(longest, count);
+  parts.reserve(longest / kSlots + 2);
+  pages_.apply(edit);
+
+  std::move(fresh.begin(), fresh.end(), std::back_inserter(memory_));
   sh_degree_ = std::max(sh_degree_, edit.sh_degree);
   for (std::size_t channel = channels_; channel < kMostChannels; ++channel) {
     if (!edit.channels[channel].empty()) channels_ = channel + 1;
   }
-  pages_.apply(edit);
-  const std::size_t before = memory_.size();
-  memory_.resize(pages_.pages().size());
-  inParts(team, memory_.size() - before, [&](std::size_t number) {
-    memory_[before + number] = std::make_unique<Page>();
-    memory_[before + number]->extent.fill(-1);
-  });
   for (const std::uint32_t first_slot : pages_.emptied()) at(*pages_.find(first_slot)).empty();
   const auto change = static_cast<std::uint32_t>(now) << 16;
   std::size_t source = 0;
-  std::vector<Part> parts;  // of a run: no two are of one page
   for (const auto& [first, count] : edit.runs) {
     parts.clear();
     for (std::uint32_t done = 0, in_page; done < count; done += in_page) {
@@ -45,6 +55,19 @@ void HostSlots::apply(const GaussianEdit& edit, double now, ThreadTeam* team) {
     }
     inParts(team, parts.size(), [&](std::size_t number) { write(edit, parts[number], change); });
     source += count;
+  }
+}
+
+// For the bands and channels that an edit has.
+void HostSlots::makeRoom(const GaussianEdit& edit, Page& page) const {
+  for (int band = 1; band <= edit.sh_degree; ++band) {
+    if (!page.bands[band]) page.bands[band].reset(new std::uint32_t[bandWords(band)]{});
+  }
+  for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
+    auto& memory = page.channels[channel];
+    if (edit.channels[channel].empty() || memory) continue;
+    memory = std::make_unique<PerSlot<float>>();
+    memory->fill(kNoValue);
   }
 }
 
@@ -78,12 +101,8 @@ void HostSlots::write(const GaussianEdit& edit, const Part& part, std::uint32_t 
   }
   for (int band = 1; band <= sh_degree_; ++band) {
     const auto coefficients = static_cast<std::size_t>(kBandWords[band]);
-    std::uint32_t* memory = page.bands[band].get();
-    if (!memory) {
-      if (band > edit.sh_degree) continue;
-      page.bands[band].reset(new std::uint32_t[bandWords(band)]{});
-      memory = page.bands[band].get();
-    }
+    std::uint32_t* const memory = page.bands[band].get();
+    if (!memory) continue;  // of a band that the edit lacks
     for (std::size_t i = 0; i < count; ++i) {
       for (std::size_t k = 0; k < coefficients; ++k) {
         memory[k * kSlots + target + i] =
@@ -98,11 +117,7 @@ void HostSlots::writeChannels(const GaussianEdit& edit, std::size_t source, Page
                               std::size_t target, std::size_t count) {
   for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
     const std::vector<float>& values = edit.channels[channel];
-    auto& memory = page.channels[channel];
-    if (!values.empty() && !memory) {
-      memory = std::make_unique<PerSlot<float>>();
-      memory->fill(kNoValue);
-    }
+    const auto& memory = page.channels[channel];
     if (!memory) continue;
     for (std::size_t i = 0; i < count; ++i) {
       (*memory)[target + i] = values.empty() ? kNoValue : values[source + i];
@@ -110,14 +125,18 @@ void HostSlots::writeChannels(const GaussianEdit& edit, std::size_t source, Page
   }
 }
 
+void HostSlots::makeParents(const SlotPage& of) {
+  Page& page = at(of);
+  if (page.parents) return;
+  page.parents = std::make_unique<PerSlot<float>>();
+  for (std::size_t i = 0; i < kSlots; ++i) {
+    (*page.parents)[i] = page.extent[i] >= 0 ? kBoundless : 0;
+  }
+}
+
 void HostSlots::setParents(const SlotPage& of, const PerSlot<float>& sizes) {
   Page& page = at(of);
-  if (!page.parents) {
-    page.parents = std::make_unique<PerSlot<float>>();
-    for (std::size_t i = 0; i < kSlots; ++i) {
-      (*page.parents)[i] = page.extent[i] >= 0 ? kBoundless : 0;
-    }
-  }
+  makeParents(of);
   for (std::size_t i = 0; i < kSlots; ++i) {
     if (sizes[i] >= 0) (*page.parents)[i] = sizes[i];
   }

@@ -1,6 +1,7 @@
 #include "rosplat_core/map/slot_pages.hpp"
 
 #include <algorithm>
+#include <utility>
 
 namespace rosplat {
 
@@ -17,15 +18,39 @@ std::uint32_t firstSlotOfPage(std::uint32_t slot) { return slot - slot % SlotPag
 
 }  // namespace
 
-void SlotPages::apply(const GaussianEdit& edit) {
-  emptied_.clear();
-  if (edit.clear) {
-    pages_.clear();
-    groups_ = {};
+std::vector<std::uint32_t> SlotPages::touched(const GaussianEdit& edit) {
+  std::vector<std::uint32_t> pages;
+  for (const auto& [first, count] : edit.runs) {
+    for (std::uint32_t page = firstSlotOfPage(first); page < first + count;
+         page += SlotPage::kSlots) {
+      if (pages.empty() || pages.back() != page) pages.push_back(page);
+    }
   }
-  for (const GroupMove& move : edit.moves) groups_.move(move);
+  std::sort(pages.begin(), pages.end());
+  pages.erase(std::unique(pages.begin(), pages.end()), pages.end());
+  return pages;
+}
+
+void SlotPages::apply(const GaussianEdit& edit) {
   const bool writes = edit.sh_degree >= 0 && !edit.runs.empty();
-  const std::uint32_t group = writes ? groups_.write(edit.group, edit.origin) : 0;
+  // All that needs memory, before anything changes.
+  if (writes) {
+    const std::size_t more = touched(edit).size(), known = edit.clear ? 0 : pages_.size();
+    if (known + more > pages_.capacity()) pages_.reserve(known + more + known / 4);
+    emptied_.reserve(more);
+  }
+  const Group* const known = edit.clear ? nullptr : groups_.find(edit.group);
+  std::uint32_t group = 0;
+  if (edit.clear || !edit.moves.empty() || (writes && !(known && known->origin))) {
+    Groups groups = edit.clear ? Groups{} : groups_;
+    for (const GroupMove& move : edit.moves) groups.move(move);
+    if (writes) group = groups.write(edit.group, edit.origin);
+    groups_ = std::move(groups);
+  } else if (writes) {
+    group = static_cast<std::uint32_t>(known - groups_.all().data());
+  }
+  emptied_.clear();
+  if (edit.clear) pages_.clear();
   std::size_t i = 0;
   for (const auto& [first, count] : edit.runs) {
     std::uint32_t slot = first, left = count;

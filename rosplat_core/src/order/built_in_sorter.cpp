@@ -52,39 +52,40 @@ void BuiltInSorter::apply(EditQueue::Node edit) noexcept {
   wake_.notify_one();
 }
 
+// All that the worker needs memory for, but what it sorts with: it has nobody to tell.
+std::unique_lock<std::mutex> BuiltInSorter::ask(const std::string& view_id, std::uint64_t sequence,
+                                                const SplatCamera& camera, OrderPtr base) {
+  begin();
+  auto order = pool_.make();
+  order->view_id = view_id;
+  order->sequence = sequence;
+  order->source = "built-in (out of memory)";
+  order->slots.clear();
+  std::unique_lock lock(mutex_);
+  orders_.try_emplace(view_id);
+  requests_[view_id] = {camera, std::move(base), std::move(order)};
+  wake_.notify_one();
+  return lock;
+}
+
 void BuiltInSorter::request(const std::string& view_id, std::uint64_t sequence,
                             const SplatCamera& camera, OrderPtr base) {
-  begin();
-  {
-    const std::lock_guard lock(mutex_);
-    requests_[view_id] = {sequence, camera, std::move(base)};
-  }
-  wake_.notify_one();
+  ask(view_id, sequence, camera, std::move(base));
 }
 
 OrderPtr BuiltInSorter::take(const std::string& view_id) {
   const std::lock_guard lock(mutex_);
   const auto found = orders_.find(view_id);
-  if (found == orders_.end()) return nullptr;
-  OrderPtr order = std::move(found->second);
-  orders_.erase(found);
-  return order;
+  return found == orders_.end() ? nullptr : std::exchange(found->second, nullptr);
 }
 
 OrderPtr BuiltInSorter::sortNow(const std::string& view_id, std::uint64_t sequence,
                                 const SplatCamera& camera) {
-  begin();
-  std::unique_lock lock(mutex_);
-  orders_.erase(view_id);
-  requests_[view_id] = {sequence, camera, nullptr};
-  wake_.notify_one();
-  finished_.wait(lock, [&] {
-    const auto found = orders_.find(view_id);
-    return found != orders_.end() && found->second->sequence == sequence;
-  });
-  OrderPtr order = std::move(orders_[view_id]);
-  orders_.erase(view_id);
-  return order;
+  std::unique_lock lock = ask(view_id, sequence, camera, nullptr);
+  OrderPtr& order = orders_[view_id];
+  order = nullptr;
+  finished_.wait(lock, [&] { return order && order->sequence == sequence; });
+  return std::exchange(order, nullptr);
 }
 
 void BuiltInSorter::forget(const std::string& view_id) {
@@ -105,9 +106,9 @@ void BuiltInSorter::run() {
     if (stop_) return;
     // A request sees every edit that came before it.
     while (!edits_.empty()) {
-      const EditQueue::Waiting edit = edits_.pop();
+      EditQueue::Waiting edit = edits_.pop();
       lock.unlock();
-      apply(edit);
+      apply(std::move(edit));
       lock.lock();
     }
     bytes_ = (positions_.capacity() + extents_.capacity()) * sizeof(float) +
@@ -115,14 +116,15 @@ void BuiltInSorter::run() {
     if (requests_.empty()) continue;
     const auto node = requests_.extract(requests_.begin());
     lock.unlock();
-    OrderPtr order = sort(node.key(), node.mapped());
+    OrderPtr order = sort(node.mapped());
     lock.lock();
-    orders_[node.key()] = std::move(order);
+    const auto asked = orders_.find(node.key());
+    if (asked != orders_.end()) asked->second = std::move(order);  // else it was forgotten
     finished_.notify_all();
   }
 }
 
-void BuiltInSorter::apply(const EditQueue::Waiting& item) {
+void BuiltInSorter::apply(EditQueue::Waiting item) noexcept {
   const GaussianEdit& edit = *item.edit;
   const auto forget = [this] {
     pages_ = SlotPages();
@@ -142,7 +144,7 @@ void BuiltInSorter::apply(const EditQueue::Waiting& item) {
     begun_at_ = edit.revision;
   }
   if (!edit.moves.empty()) begun_at_ = edit.revision;
-  map_id_ = item.state.id;
+  map_id_ = std::move(item.state.id);
   round_ = edit.round;
   revision_ = edit.revision;
   if (out_of_memory_) return;
@@ -193,30 +195,25 @@ void BuiltInSorter::hold(const GaussianEdit& edit) {
   }
 }
 
-OrderPtr BuiltInSorter::sort(const std::string& view_id, const Request& request) {
+OrderPtr BuiltInSorter::sort(const Request& request) noexcept {
   const auto start = std::chrono::steady_clock::now();
-  auto order = pool_.make();
-  order->view_id = view_id;
-  order->sequence = request.sequence;
-  order->map_id = map_id_;
+  const std::shared_ptr<Order>& order = request.order;
   order->revision = revision_;
   // Only an order of this map, since its revisions began, can be brought up to date.
   const bool mergeable =
       request.base && request.base->map_id == map_id_ && request.base->revision >= begun_at_;
-  order->source = mergeable ? request.base->source + " + built-in" : "built-in";
-  bool lacking = out_of_memory_;
   try {
+    order->map_id = map_id_;
     if (mergeable) {
       merge(request, order->slots);
     } else {
       sortAll(request, order->slots);
     }
+    if (!out_of_memory_) {
+      order->source = mergeable ? request.base->source + " + built-in" : "built-in";
+    }
   } catch (const std::bad_alloc&) {
-    lacking = true;
-  }
-  if (lacking) {
     order->slots.clear();
-    order->source += " (out of memory)";
   }
   order->bound = capacity_;
   order->sort_time =

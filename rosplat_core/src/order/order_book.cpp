@@ -67,9 +67,6 @@ void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& 
       view.requested_base == base) {
     return;
   }
-  view.requested_sequence = view.cameras.back().sequence;
-  view.requested_at = changes_;
-  view.requested_base = base;
   // A merge compares depths as the base was sorted: by the camera that it answers.
   const Camera* camera = &view.cameras.back();
   if (base) {
@@ -78,6 +75,9 @@ void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& 
     }
   }
   built_in_.request(view_id, base ? base->sequence : camera->sequence, camera->camera, base);
+  view.requested_sequence = view.cameras.back().sequence;
+  view.requested_at = changes_;
+  view.requested_base = base;
 }
 
 OrderBook::Choice OrderBook::choose(const std::string& view_id, double now, OrderSource source) {

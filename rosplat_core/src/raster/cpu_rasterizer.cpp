@@ -86,8 +86,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   tiles = std::size_t(across) * std::size_t(down);
   if (picture) {
     const bool kept = picture->width == camera.width && picture->height == camera.height;
-    picture->width = camera.width;
-    picture->height = camera.height;
+    picture->width = picture->height = 0;  // until there is memory for all of it
     picture->colour.resize(4 * pixels);
     picture->depth.resize(request.mean_depth ? pixels : 0);
     const std::size_t divided = request.translucent_depth.empty() ? 0 : pixels;
@@ -96,6 +95,8 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
       picture->nearness.assign(2 * divided, 0.0f);
       picture->divided.assign(tiles, 0);
     }
+    picture->width = camera.width;
+    picture->height = camera.height;
   } else {
     wanted.picked->resize(pixels);
     picking.resize(2 * pixels);

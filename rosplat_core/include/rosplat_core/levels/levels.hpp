@@ -147,6 +147,8 @@ class Levels {
                      std::uint32_t i);
   void know(const HostSlots& slots, const SlotPage& page);
   void nextLevel();
+  void cut(int level, std::vector<Cell> touched, std::vector<Piece>& pieces,
+           std::vector<std::size_t>& touched_pieces) const;
   void make(const HostSlots& slots, std::size_t count);
   Made nodesOf(const HostSlots& slots, const Piece& piece, std::size_t begin,
                std::size_t end) const;

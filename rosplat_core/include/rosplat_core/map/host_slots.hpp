@@ -56,8 +56,8 @@ class HostSlots {
     void put(std::size_t i, const PackedSlot& slot, int sh_degree);
   };
 
-  // now: the clock of `change` in packed_slot.hpp; team: helps. Throws std::bad_alloc: then some of
-  // the edit is missing.
+  // now: the clock of `change` in packed_slot.hpp; team: helps. Throws std::bad_alloc: then all is
+  // as it was, but for a clear, which gives its memory to what comes.
   void apply(const GaussianEdit& edit, double now, ThreadTeam* team = nullptr);
 
   const std::vector<SlotPage>& pages() const { return pages_.pages(); }  // by ascending first_slot
@@ -73,7 +73,9 @@ class HostSlots {
   GaussianEdit edit(const SlotPage& page) const;
   // Says how wide the cells are whose nodes stand for what a page's slots hold now; of less than 0,
   // what was said before holds. Of interest to who draws nodes alone, as is the memory.
+  // Needs memory, unless that was made before.
   void setParents(const SlotPage& page, const PerSlot<float>& sizes);
+  void makeParents(const SlotPage& page);
   // There are no nodes any more.
   void dropParents();
 
@@ -83,6 +85,7 @@ class HostSlots {
     std::uint32_t first, count;
     std::size_t source;  // in the edit
   };
+  void makeRoom(const GaussianEdit& edit, Page& page) const;
   void write(const GaussianEdit& edit, const Part& part, std::uint32_t change);
   void writeChannels(const GaussianEdit& edit, std::size_t source, Page& page, std::size_t target,
                      std::size_t count);

@@ -28,8 +28,10 @@ struct SlotPage {
 class SlotPages {
  public:
   // Adds the pages that an edit writes to, and widens their bounds. Slots that are only emptied
-  // need none.
+  // need none. Throws std::bad_alloc: then all is as it was.
   void apply(const GaussianEdit& edit);
+  // First slots of the pages that an edit touches, ascending.
+  static std::vector<std::uint32_t> touched(const GaussianEdit& edit);
   // First slots of pages which that edit gave to another group: what was in them is gone.
   const std::vector<std::uint32_t>& emptied() const { return emptied_; }
   const std::vector<Group>& groups() const { return groups_.all(); }  // by index

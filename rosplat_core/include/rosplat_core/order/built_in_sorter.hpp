@@ -56,15 +56,17 @@ class BuiltInSorter {
 
  private:
   struct Request {
-    std::uint64_t sequence = 0;
     SplatCamera camera;
     OrderPtr base;
+    std::shared_ptr<Order> order;  // to be filled; until then, it says that memory is lacking
   };
   void begin();
+  std::unique_lock<std::mutex> ask(const std::string& view_id, std::uint64_t sequence,
+                                   const SplatCamera& camera, OrderPtr base);
   void run();
-  void apply(const EditQueue::Waiting& item);
+  void apply(EditQueue::Waiting item) noexcept;
   void hold(const GaussianEdit& edit);
-  OrderPtr sort(const std::string& view_id, const Request& request);
+  OrderPtr sort(const Request& request) noexcept;
   // Of each group.
   std::vector<SortView> viewsOf(const SplatCamera& camera) const;
   void sortAll(const Request& request, std::vector<std::uint32_t>& slots);
@@ -78,7 +80,7 @@ class BuiltInSorter {
   bool stop_ = false;
   EditQueue edits_;
   std::map<std::string, Request> requests_;
-  std::map<std::string, OrderPtr> orders_;
+  std::map<std::string, OrderPtr> orders_;  // of views that asked, null before there is one
   std::size_t bytes_ = 0;
 
   // The worker's own.

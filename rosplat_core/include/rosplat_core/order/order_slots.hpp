@@ -88,25 +88,25 @@ class SpareSlots {
   // Some that were kept, as they were, or none.
   std::vector<std::uint32_t> take() {
     const std::lock_guard<std::mutex> lock(mutex_);
-    std::vector<std::uint32_t> taken;
-    if (!kept_.empty()) {
-      taken.swap(kept_.back());
-      kept_.pop_back();
+    for (std::vector<std::uint32_t>& kept : kept_) {
+      if (kept.capacity() > 0) return std::exchange(kept, {});
     }
-    return taken;
+    return {};
   }
   // Not of an order that needed little of it: of a map that was replaced nothing stays.
-  void keep(std::vector<std::uint32_t>&& slots) {
+  void keep(std::vector<std::uint32_t>&& slots) noexcept {
     const std::lock_guard<std::mutex> lock(mutex_);
-    const bool worth = slots.size() >= slots.capacity() / 8;
-    if (kept_.size() < kMost && worth) kept_.push_back(std::move(slots));
+    if (slots.size() < slots.capacity() / 8) return;
+    for (std::vector<std::uint32_t>& kept : kept_) {
+      if (kept.capacity() == 0) return kept.swap(slots);
+    }
   }
 
  private:
   static constexpr std::size_t kMost = 3;  // an order is drawn while one waits and one is read
 
   std::mutex mutex_;
-  std::vector<std::vector<std::uint32_t>> kept_;
+  std::array<std::vector<std::uint32_t>, kMost> kept_;
 };
 
 // The bound of slots.

@@ -108,7 +108,8 @@ class CpuRasterizer {
   ~CpuRasterizer();
 
   // Draws into `picture`, whose memory is used again. False where it was cancelled: then the
-  // picture is no good. Throws PictureError, and may be used on.
+  // picture is no good. Throws PictureError, or std::bad_alloc where there is no memory for its
+  // text, and may be used on.
   bool draw(const PictureRequest& request, SplatPicture& picture);
 
   // The splat that contributes most to each pixel, at least kLeastPicked of its colour; of slot
