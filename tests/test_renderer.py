@@ -37,6 +37,7 @@ from rosplat_sorter.shared_orders import FOLDER, OrderBuffer, SharedOrders
 from rviz_gaussian_plugin.offscreen import Renderer
 
 WIDTH, HEIGHT = 160, 120
+TOLD: list[str] = []  # of orders, by the one renderer of this process
 NO_FLOATS = np.zeros(0, np.float32)
 NO_SLOTS = np.zeros(0, np.uint32)
 
@@ -307,9 +308,9 @@ def test_orders_that_travelled_are_drawn_like_those_given(host: Host) -> None:
             file.seek(8)
             file.write(struct.pack("=I", 2))  # of a sorter of another version
         packed = {"encoding": PACKED, "packed": pack(slots, 9), "count": count, "slot_bits": 9}
-        assert "is of version 2" in offer(**packed, segment=segment)
+        TOLD.extend(offer(**packed, segment=segment) for _ in range(2))
+        assert "".join(TOLD).count("is of version 2") == 1  # whatever else the process draws
         assert host.renderer.segment_key == 0
-        assert offer(**packed, segment=segment) == ""  # once
     finally:
         orders.close()
     with pytest.raises(OrderError):
