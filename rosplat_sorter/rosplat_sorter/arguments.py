@@ -21,3 +21,5 @@ def take_ros_arguments_only(program: str, description: str | None) -> None:
         parser.parse_args(remove_ros_args(sys.argv)[1:])
     except RuntimeError as error:  # RCLInvalidROSArgsError, UnknownROSArgsError: not public
         parser.error(f"--ros-args: {error}")
+    except UnicodeEncodeError as error:  # of the name of a file, say
+        parser.error(f"--ros-args: {error.object!r} is not UTF-8")

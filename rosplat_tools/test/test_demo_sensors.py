@@ -322,7 +322,7 @@ def test_all_is_stamped_by_a_simulated_clock(node: Node, spin_some: Callable[[],
 
 
 @pytest.mark.parametrize(
-    "wrong", ["period:=-1.0", "center:=[1.0, 2.0]", "center:=[.nan, 0.0, 0.0]"]
+    "wrong", ["period:=-1.0", "use_sim_time:=7", "center:=[1.0, 2.0]", "center:=[.nan, 0.0, 0.0]"]
 )
 def test_a_parameter_that_makes_no_sense_is_one_line(wrong: str) -> None:
     command = [sys.executable, "-m", "rosplat_tools.emulation.demo_sensors", "--ros-args"]

@@ -56,3 +56,11 @@ def test_an_interrupt_that_python_drops_ends_a_node_all_the_same() -> None:
     run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert "Exception ignored" in run.stderr
     assert run.stdout == "ended False\n"
+
+
+def test_an_argument_that_ros_can_t_hold_is_a_matter_of_usage() -> None:
+    code = "from rosplat_tools.commands import follow; follow()"
+    command = [sys.executable, "-c", code, "--ros-args", "-p", b"path:=\xff.ply"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert run.returncode == 2
+    assert run.stderr.splitlines()[-1].endswith(r"--ros-args: 'path:=\udcff.ply' is not UTF-8")

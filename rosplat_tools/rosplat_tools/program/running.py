@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from threading import Event
 
 import rclpy
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import (
     Executor,
     ExternalShutdownException,
@@ -39,7 +40,8 @@ class Cancelled(Exception):
 def run(program: str, body: Callable[[], None]) -> None:
     """Runs body with ROS set up until it returns, or SIGINT or SIGTERM interrupts it.
 
-    A SceneError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1.
+    A SceneError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1, as
+    does a parameter of another type, use_sim_time too, which rclpy reads.
     """
     take_ros_arguments_only(program, sys.modules[body.__module__].__doc__)
     give_back_large_blocks()
@@ -50,7 +52,10 @@ def run(program: str, body: Callable[[], None]) -> None:
         body()
     except (KeyboardInterrupt, Cancelled, ExternalShutdownException):
         pass
-    except (SceneError, RuntimeError, OSError, MemoryError) as error:
+    except (
+        SceneError, RuntimeError, OSError, MemoryError,
+        InvalidParameterTypeException, InvalidParameterValueException,
+    ) as error:  # fmt: skip
         print(f"{program}: {told(error)}", file=sys.stderr)
         sys.exit(1)
     finally:
