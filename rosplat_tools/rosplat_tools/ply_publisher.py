@@ -18,7 +18,7 @@ from rosplat_core.scenes import NAMES, is_generated, load_scene
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
 from rosplat_msgs.srv import LoadScene, SaveMap
-from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
+from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
 
@@ -35,9 +35,6 @@ class PlyPublisher(Node):
             self, "path", "", f"Scene to publish: {NAMES}; empty to wait for ~/load."
         )
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
-        chunk_bytes = declare(
-            self, "chunk_bytes", CHUNK_BYTES, "Size of a message at most. [bytes]", 100_000, 10**9
-        )
         self._scene_root: str = declare(
             self, "scene_root", "/", "Folder below which ~/load may read; empty: nowhere."
         )
@@ -47,7 +44,6 @@ class PlyPublisher(Node):
         self._map = MapPublisher(
             self,
             frame_id=frame_id,
-            chunk_bytes=chunk_bytes,
             compression=declare_compression(self),
         )
         # One at a time is read, beside the callbacks.

@@ -13,8 +13,9 @@ every_scene = pytest.mark.parametrize("scene", SCENES)
 
 
 @every_scene
-@pytest.mark.parametrize("count", [1, 2, 17, 1000, 30_000, 300_000])
-def test_any_count_is_sound(scene: str, count: int) -> None:
+@pytest.mark.parametrize("count", [1, 2, 17, 1000, 30_000])
+def test_any_count_is_sound(scene: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rosplat_core.generated.BLOCK", 1 << 13)
     splats = generate(count, scene=scene)
     assert len(splats) == count
     for array in (

@@ -32,7 +32,7 @@ from rosplat_core.program.output import say, told
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import SceneError
-from rosplat_lab.arguments import make_folder, seconds
+from rosplat_lab.arguments import make_folder
 from rosplat_lab.machine import commit, machine
 from rosplat_lab.metrics import compare
 from rosplat_msgs.srv import RenderView
@@ -44,6 +44,7 @@ START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
 SETTLED = 1.0  # a complete map that hasn't changed for so long has all its edits [s]
 PUBLISHER = "publisher"  # its log
 CALL_TIMEOUT = 120.0  # for one picture [s]
+ORDER_TIMEOUT = 10.0  # for the sorter, of a renderer that doesn't sort itself [s]
 ASK_AGAIN = 10.0  # after a picture's order should be there: an answer may get lost [s]
 LONGEST_SIDE, MOST_PIXELS = 16384, 1 << 25  # that the renderer draws
 
@@ -57,7 +58,6 @@ def render(
     cameras: list[Camera],
     *,
     via: str = "host",
-    order_timeout: float = 10.0,
     sidecar: str = "",
     float_blending: bool = False,
     detail: str = "full",
@@ -92,7 +92,7 @@ def render(
             _wait_for_service(node, client, processes)
             _wait_for_map(node, client, cameras[0], processes)
             for camera in tqdm(cameras, "drawing", unit="picture", disable=None):
-                answer = _call(node, client, camera, order_timeout, processes, detail)
+                answer = _call(node, client, camera, ORDER_TIMEOUT, processes, detail)
                 pixels = np.frombuffer(answer.color.data, np.float32)
                 on_picture(camera, pixels.reshape(camera.height, camera.width, 4), answer)
         finally:
@@ -267,10 +267,6 @@ def main(arguments: list[str] | None = None) -> int:
         "--format", choices=["png16", "png8", "npy"], default="png16", help="of the pictures"
     )
     parser.add_argument(
-        "--order-timeout", type=seconds, default=10.0, metavar="S",
-        help="how long a renderer that doesn't sort itself waits for the sorter before it does [s]",
-    )  # fmt: skip
-    parser.add_argument(
         "--sidecar", choices=sorted(BACKENDS), default="",
         help="draw the sorter's orders on a graphics card, too, by this backend",
     )  # fmt: skip
@@ -310,7 +306,7 @@ def main(arguments: list[str] | None = None) -> int:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         render(
             ("ply_publisher", "-p", f"path:={quoted(options.scene)}"), cameras,
-            via=options.via, order_timeout=options.order_timeout, sidecar=options.sidecar,
+            via=options.via, sidecar=options.sidecar,
             float_blending=options.float_blending, detail=options.detail,
             log_folder=options.out / "log", on_picture=keep,
         )  # fmt: skip

@@ -122,7 +122,6 @@ class DemoSensors(Node):
         self._angular_velocity_noise: float = declare(
             self, "angular_velocity_noise", 0.003, "Standard deviation. [rad/s]", 0.0, 1.0
         )
-        seed = declare(self, "seed", 0, "Of the noise.", 0, 2**31)
         image_rate = declare(
             self, "image_rate", 10.0, "Pictures at most, poses of the camera. [Hz]", 0.1, 100.0
         )
@@ -133,7 +132,7 @@ class DemoSensors(Node):
 
         if len(center) != 3 or not np.isfinite(center).all():
             raise SceneError(f"parameter center: expected a place of 3 numbers, got {center}")
-        self._noise = np.random.default_rng(seed)
+        self._noise = np.random.default_rng(0)
         self._imu_beat = Beat(round(SECOND / imu_rate))
         self._image_beat = Beat(round(SECOND / image_rate))
         self._flight: Flight | None = None

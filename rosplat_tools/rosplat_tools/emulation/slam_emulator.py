@@ -41,7 +41,7 @@ class SlamEmulator(Node):
             "submaps": declare(
                 self, "submaps", 1, "Parts that drift until a loop closure moves them.", 1, 400
             ),
-            "seed": declare(self, "seed", 0, "Which are refined and pruned.", 0, 2**31),
+            "seed": 0,
         }
         try:
             scene = around(load_scene(path, lambda _: None, self.get_logger().warning))
