@@ -225,12 +225,15 @@ def test_without_a_display_it_draws_a_still_and_a_turn(
     assert getattr(turn, "n_frames", 1) > 10
 
 
-def test_a_map_of_any_size_is_drawn(start: Start, node: Node, tmp_path: Path) -> None:
+def test_a_map_of_any_size_is_drawn(
+    start: Start, node: Node, listener: Any, tmp_path: Path
+) -> None:
     splats = discs((RED, 2.0), (GREEN, -1e15), (RED, 1e15))
     publisher = MapPublisher(node)
     publisher.replace(splats)
     process = start("rviz_gaussian_plugin.viewer", output=tmp_path, order_timeout=0.0)
-    output, _ = process.communicate(timeout=PATIENCE)
+    listener.wait(lambda: process.poll() is not None)  # meanwhile the publisher is pulled from
+    output, _ = process.communicate()
     assert process.returncode == 0, output
     assert "3 splats" in output
 
