@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,13 +14,13 @@ from conformance import CASES, Case, Receiver
 from numpy.typing import NDArray
 
 from rosplat_core.maps import GaussianMap
+from rosplat_core.publishing import PublishedBatch, PublishedMap
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.edits import EMPTY, decode, pose_values
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.map_pull import Arrival
-from rosplat_tools import _published_map as cpp
 from rosplat_tools import messages
-from rosplat_tools.slot_map import SlotMap
+from rosplat_tools.testing import slot_map
 from rviz_gaussian_plugin.from_messages import apply
 
 
@@ -100,17 +103,17 @@ class Sorter:
         return self.map.missed
 
 
-class Publisher:
-    """A publisher's own copy of its map."""
+class Twin:
+    """The map in plain NumPy that tests hold others against."""
 
     revision = missed = None
 
     def __init__(self) -> None:
-        self.map = SlotMap()
+        self.map = slot_map.SlotMap()
 
     def take(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> int:
         assert arrival is Arrival.HEARD
-        return messages.apply(message, self.map)
+        return slot_map.apply(message, self.map)
 
     def in_use(self, slot: int) -> bool:
         return any(slot in group.slots for group in self.map.groups())
@@ -134,15 +137,44 @@ class Publisher:
         return self.map.snapshot()[1].antialiased
 
 
-class CppPublisher:
-    """That of one in C++, whose calls take what batches say."""
+@dataclass(frozen=True)
+class Raw:
+    """What a batch says its splats are, as Splats would check it."""
+
+    message: GaussianArray
+
+    def __getattr__(self, name: str) -> Any:
+        if self.message.format:
+            return getattr(messages.decode(self.message)[1], name)
+        value = getattr(self.message, name)
+        return np.asarray(value) if isinstance(value, array) else value
+
+    def __len__(self) -> int:
+        return int(self.message.count)
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        return self.message.origin.x, self.message.origin.y, self.message.origin.z
+
+    @property
+    def channels(self) -> Any:
+        names = self.message.channel_names
+        values = np.array_split(self.message.channels, len(names) or 1)
+        return SimpleNamespace(items=lambda: zip(names, values, strict=False))
+
+
+NO_SPLATS = GaussianArray()
+
+
+class Publisher:
+    """A publisher's map, whose calls take what batches say."""
 
     revision = missed = None
 
-    def __init__(self, send: Callable[[dict[str, Any]], None] = lambda fields: None) -> None:
-        """send: takes the fields of each batch that goes out."""
+    def __init__(self, send: Callable[[PublishedBatch], None] = lambda batch: None) -> None:
+        """send: takes each batch that goes out."""
         self._left_out = 0
-        self.map = cpp.PublishedMap("map", 10**6, "none", send, lambda: (0, 0), self._on_warning)
+        self.map = PublishedMap(10**6, "none", send, self._on_warning, lambda: None)
 
     def _on_warning(self, text: str) -> None:
         self._left_out = int(text.split()[0])
@@ -150,7 +182,7 @@ class CppPublisher:
     def take(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> int:
         assert arrival is Arrival.HEARD
         self._left_out = 0
-        slots = message.slots.tolist()
+        slots = np.asarray(message.slots)
         if message.operation == GaussianArray.MOVE:
             poses = {
                 group: (*position, *orientation)
@@ -159,39 +191,23 @@ class CppPublisher:
                 )
             }
             self.map.move(poses, None)
-        elif message.operation == GaussianArray.DELETE and slots:
+        elif message.operation == GaussianArray.DELETE and len(slots):
             self.map.erase(slots, None)
         elif message.operation == GaussianArray.DELETE:
             self.map.erase_from(message.first_slot, message.count, None)
         else:
-            splats = self._splats(message)
             if message.operation == GaussianArray.REPLACE:
-                self.map.replace(cpp.Splats([], [], [], [], [], [0, 0, 0], False, []), None, None)
-            if slots:
-                self.map.upsert(slots, splats, message.group, None)
-            else:
-                self.map.upsert_from(message.first_slot, splats, message.group, None)
+                self.map.replace(Raw(NO_SPLATS), False, None, None)
+            named = slots if len(slots) else message.first_slot
+            self.map.upsert(named, Raw(message), message.group, None)
         return self._left_out
 
-    def _splats(self, message: GaussianArray) -> Any:
-        of = vars(messages.decode(message)[1]) if message.format else None
-        names = ("positions", "orientations", "scales", "opacities", "sh")
-        arrays = [np.ravel(of[name] if of else getattr(message, name)) for name in names]
-        values = np.array_split(message.channels, len(message.channel_names) or 1)
-        origin = message.origin
-        return cpp.Splats(
-            *arrays,
-            [origin.x, origin.y, origin.z],
-            message.antialiased,
-            list(zip(message.channel_names, values, strict=False)),
-        )
-
     def in_use(self, slot: int) -> bool:
-        return any(slot in slots for _, slots, _ in self.map.groups())
+        return any(slot in slots for _, _, slots, _ in self.map.groups())
 
     def slots(self) -> NDArray[np.uint32]:
         """Those in use, ascending."""
-        return np.unique(np.concatenate([slots for _, slots, _ in self.map.groups()]))
+        return np.unique(np.concatenate([slots for _, _, slots, _ in self.map.groups()]))
 
     def place(self, group: int) -> tuple[float, float, float]:
         x, y, z = self.map.poses().get(group, [0.0, 0.0, 0.0])[:3]
@@ -199,20 +215,20 @@ class CppPublisher:
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        origins = {group: splats.origin for group, _, splats in self.map.groups()}
-        x, y, z = origins.get(0, (0.0, 0.0, 0.0))
+        origins = {group: arrays["origin"] for group, _, _, arrays in self.map.groups()}
+        x, y, z = origins.get(0, np.zeros(3)).tolist()
         return x, y, z
 
     @property
     def channels(self) -> tuple[str, ...]:
-        return tuple(self.map.groups()[0][2].arrays["channels"])
+        return tuple(self.map.groups()[0][3]["channels"])
 
     @property
     def antialiased(self) -> bool:
-        return bool(self.map.groups()[0][2].antialiased)
+        return bool(self.map.groups()[0][3]["antialiased"])
 
 
-RECEIVERS = (Display, Sorter, Publisher, CppPublisher)
+RECEIVERS = (Display, Sorter, Twin, Publisher)
 
 
 # What no call can say, by the field that is refused, or by the case.
@@ -232,14 +248,14 @@ NOT_CALLS = {
 
 def concerns(case: Case, receiver: type[Receiver]) -> bool:
     """A publisher misses none of its own batches, and mixes no filters."""
-    if receiver not in (Publisher, CppPublisher):
+    if receiver not in (Twin, Publisher):
         return True
     whose = {"revision", "map_id"}
     numbered = all(batch.refused or not whose & batch.fields.keys() for batch in case.batches)
     called = case.name not in NOT_CALLS and all(
         batch.refused not in NOT_ARGUMENTS for batch in case.batches
     )
-    return numbered and "antialiasing" not in case.name and (called or receiver is Publisher)
+    return numbered and "antialiasing" not in case.name and (called or receiver is Twin)
 
 
 @pytest.mark.parametrize(

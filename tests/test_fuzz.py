@@ -19,8 +19,8 @@ from typing import Any
 
 import fuzz
 import numpy as np
-from cpp_publisher import as_message
-from test_conformance import CppPublisher, Display, Publisher, Sorter
+from std_msgs.msg import Header
+from test_conformance import Display, Publisher, Sorter, Twin
 
 from rosplat_core import depth, formats
 from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera
@@ -35,6 +35,7 @@ from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.qos import MAP, VIEW
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
+from rosplat_tools.map_publisher import as_message
 from rosplat_tools.program.processes import Processes
 from rosplat_tools.streaming import detail
 from rviz_gaussian_plugin.from_messages import apply, numbers
@@ -138,7 +139,7 @@ def receive() -> Claims:
     claims = Claims()
 
     def check(case: int, rng: np.random.Generator) -> None:
-        display, sorter, publisher = Display(), Sorter(), Publisher()
+        display, sorter, publisher = Display(), Sorter(), Twin()
         drawing = CpuRenderer(1)
         numbered = True
         batches = fuzz.batches(rng)
@@ -254,7 +255,7 @@ def publish() -> Claims:
 
     def check(case: int, rng: np.random.Generator) -> None:
         sent: list[GaussianArray] = []
-        publisher = CppPublisher(lambda fields: sent.append(as_message(fields)))
+        publisher = Publisher(lambda batch: sent.append(as_message(batch, Header())))
         heard, behind = Sorter(), Sorter()
         for message in fuzz.batches(rng):
             with (
@@ -280,13 +281,13 @@ def publish() -> Claims:
     return claims
 
 
-def catch_up(receiver: Sorter, publisher: CppPublisher) -> None:
+def catch_up(receiver: Sorter, publisher: Publisher) -> None:
     """Pulls what a receiver lacks."""
     after, block = receiver.revision or 0, 0
     while True:
         batches, block = publisher.map.pull(publisher.map.map_id, after, block)
-        for fields in batches:
-            receiver.take(as_message(fields), Arrival.PULLED)
+        for batch in batches:
+            receiver.take(as_message(batch, Header()), Arrival.PULLED)
         if not block:
             return
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cpp_publisher import CppMapPublisher
 from numpy.typing import NDArray
 
 from rosplat_core import maps
@@ -122,6 +121,9 @@ class Wire:
     def publish(self, message: GaussianArray) -> None:
         self.sent.append(message)
 
+    def wait_for_all_acked(self, _: object) -> bool:
+        return True
+
 
 class Receiver:
     """Whoever hears the wire: maps that batches make, and what follows them."""
@@ -210,17 +212,13 @@ def assert_same(points: Points, expected: Points) -> None:
 @pytest.mark.parametrize("kind", PULLS)
 @pytest.mark.parametrize("losses", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("chunk_bytes", [200, 2000, 10**6])
-@pytest.mark.parametrize(
-    ("make", "seed"),
-    [(MapPublisher, 0), (MapPublisher, 1), (CppMapPublisher, 0)],
-    ids=["python-0", "python-1", "c++-0"],
-)
+@pytest.mark.parametrize("seed", [0, 1])
 def test_whatever_is_lost_all_end_with_the_map(
-    make: Callable[..., MapPublisher], kind: str, losses: float, chunk_bytes: int, seed: int
+    kind: str, losses: float, chunk_bytes: int, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
     wire, model = Wire(), Model()
-    publisher = make(wire, chunk_bytes=chunk_bytes)
+    publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)
     receivers = [Receiver(kind, random)]
     known: dict[tuple[str, int], Points] = {}
 
@@ -252,7 +250,7 @@ def test_whatever_is_lost_all_end_with_the_map(
         if action == "join":
             receivers = [*receivers[-2:], Receiver(kind, random)]
         elif action == "restart":
-            publisher = make(wire, chunk_bytes=chunk_bytes)
+            publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)
             model = Model()
         elif action == "upsert" and model.mixes(slots, group):
             with pytest.raises(ValueError, match="hold splats of group"):

@@ -85,7 +85,7 @@ def libraries(package: str) -> set[Library]:
     """What the package's Python imports from elsewhere when it runs."""
     files = (ROOT / package / package).rglob("*.py")
     # rosplat_tools.testing is for tests.
-    names = imports(path for path in files if path.name != "testing.py")
+    names = imports(path for path in files if path.parent.name != "testing")
     ros = set(get_packages_with_prefixes()) | named(package)  # here, or said to be elsewhere
     elsewhere = names - sys.stdlib_module_names - ros - OPTIONAL
     assert elsewhere <= LIBRARIES.keys()

@@ -1,42 +1,105 @@
-"""Splats as a payload: decoded alike in C++ and NumPy, and drawn as those that went in."""
+"""Splats as a payload: read as its document says, and drawn as those that went in."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from rosplat_core import maps, rendering
+from rosplat_core import rendering
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.generated import generate
-from rosplat_core.payload import Arrays, decode, encode, suits
+from rosplat_core.payload import Arrays, decode, encode, size, suits
 from rosplat_core.rendering import insert_all, posed
 from rosplat_core.splats import Splats
 from rosplat_lab.metrics import psnr
 from rosplat_sorter.edits import is_usable
 
 LEAST = 55.0  # [dB]
+CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 def arrays_of(splats: Splats) -> Arrays:
     return Arrays(splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
 
 
+def decoded(payload: NDArray[np.uint8], n: int, sh_degree: int) -> Arrays:
+    """As rosplat_msgs/doc/quantised.md says, and nothing else."""
+    rest = 3 * ((sh_degree + 1) ** 2 - 1)
+    bounds = payload[:40].view("<f4").reshape(5, 2).astype(np.float64)
+    bits = np.unpackbits(payload[40 : 40 + 24 * n].reshape(n, 24), axis=1, bitorder="little")
+
+    def codes(first: int, count: int) -> NDArray[np.int64]:
+        taken: NDArray[np.int64] = bits[:, first : first + count] @ (1 << np.arange(count))
+        return taken
+
+    def between(code: NDArray[np.int64], which: int, steps: int) -> NDArray[np.float64]:
+        lower, upper = bounds[which]
+        value: NDArray[np.float64] = lower + code * (upper - lower) / steps
+        return value
+
+    positions = np.stack([between(codes(24 * k, 24), k, 2**24 - 1) for k in range(3)], axis=1)
+    s = np.stack([codes(72 + 12 * k, 12) for k in range(3)], axis=1)
+    scales = np.exp(between(s - 1, 3, 4093))
+    scales[s == 0] = 0
+    scales[s == 4095] = np.nan
+    largest = np.float64(np.float32(0.70710684))
+    others = np.stack([-largest + codes(110 + 12 * k, 12) * 2 * largest / 4095 for k in range(3)])
+    k = codes(108, 2)
+    orientations = np.empty((n, 4))
+    for i, component in enumerate(others):
+        orientations[np.arange(n), (k + 1 + i) % 4] = component
+    orientations[np.arange(n), k] = np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=0)))
+    v = np.stack([between(codes(156 + 12 * k, 12), 4, 4095) for k in range(3)], axis=1)
+    sh = np.zeros((n, 1 + rest // 3, 3))
+    sh[:, 0] = np.sign(v) * (np.exp(np.abs(v)) - 1)
+    if rest:
+        strengths = payload[40 + 24 * n : 40 + 25 * n].astype(np.float64)
+        steps = np.where(strengths, 2 ** ((strengths - 128) / 8) / 127, 0)
+        harmonics = payload[40 + 25 * n :].view(np.int8).reshape(n, -1, 3)
+        sh[:, 1:] = harmonics * steps.astype(np.float32)[:, None, None]
+    arrays = (positions, orientations, scales, codes(146, 10) / 1023, sh)
+    return Arrays(*(array.astype(np.float32) for array in arrays))
+
+
+def assert_same(got: Arrays, expected: Arrays) -> None:
+    for name, values in vars(expected).items():
+        np.testing.assert_allclose(getattr(got, name), values, rtol=3e-7, atol=1e-30)
+
+
 @pytest.mark.parametrize("sh_degree", range(4))
-def test_cpp_and_numpy_decode_alike(sh_degree: int) -> None:
+def test_a_payload_is_read_as_its_document_says(sh_degree: int) -> None:
+    """Whatever its bytes are; and the bytes that are sent."""
+    random = np.random.default_rng(sh_degree)
+    packed = random.integers(0, 256, size(1000, sh_degree), np.uint8)
+    packed[:40].view("<f4")[:] = np.sort(random.normal(size=(5, 2)) * 10, axis=1).ravel()
+    if sh_degree:
+        packed[40 + 24 * 1000 :][:10] = 0  # strengths of none
+    assert_same(decode(packed, 1000, sh_degree), decoded(packed, 1000, sh_degree))
     splats = generate(5000).with_sh_degree(sh_degree)
-    rng = np.random.default_rng(sh_degree)
-    splats = replace(splats, sh=splats.sh + rng.normal(size=splats.sh.shape))
-    arrays = arrays_of(splats)
-    packed = encode(arrays, rng.random(5000) < 0.9)
-    expected = decode(packed, 5000, sh_degree)
-    got = maps.decode_payload(packed, 5000, sh_degree)
-    for name in ("positions", "orientations", "opacities"):
-        np.testing.assert_array_equal(got[name], getattr(expected, name).ravel())
-    for name in ("scales", "sh"):  # tables of exponentials, which libraries round as they like
-        np.testing.assert_allclose(got[name], getattr(expected, name).ravel(), rtol=2e-7)
-    assert np.isnan(got["scales"]).any()
+    splats = replace(splats, sh=splats.sh + random.normal(size=splats.sh.shape))
+    packed = encode(arrays_of(splats), random.random(5000) < 0.9)
+    got = decode(packed, 5000, sh_degree)
+    assert_same(got, decoded(packed, 5000, sh_degree))
+    assert np.isnan(got.scales).any()
+
+
+def test_the_document_s_example_is_one() -> None:
+    text = (CHECKOUT / "rosplat_msgs/doc/quantised.md").read_text()
+    lines = re.findall(r"^    ((?:[0-9a-f]{2} *)+)$", text, re.MULTILINE)
+    packed = np.frombuffer(bytes.fromhex("".join(lines)), np.uint8)
+    said = text[text.index("It is at") :].replace("\u2212", "-").replace("e⁻⁴", str(np.exp(-4)))
+    numbers = [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?(?:e-\d+)?", said)]
+    for read in (decode, decoded):
+        got = read(packed, 1, 0)
+        values = np.concatenate(
+            [got.positions[0], got.scales[0], got.orientations[0], got.opacities, got.sh[0, 0]]
+        )
+        np.testing.assert_allclose(values, numbers, rtol=1e-6)
 
 
 def pictures(splats: Splats) -> list[np.ndarray]:

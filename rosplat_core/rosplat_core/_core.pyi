@@ -1,12 +1,16 @@
 """What src/python defines."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.payload import Arrays
+from rosplat_core.splats import Splats
 from rosplat_core.view import View
+
+_Stamp = tuple[int, int] | None
 
 # --- Orders -----------------------------------------------------------------------------------
 
@@ -83,9 +87,68 @@ class GaussianMap:
     @property
     def antialiased(self) -> bool: ...
 
+def encode_payload(arrays: Arrays, usable: NDArray[np.bool_]) -> NDArray[np.uint8]: ...
+def payload_suits(arrays: Arrays, usable: NDArray[np.bool_]) -> bool: ...
 def decode_payload(
     payload: NDArray[np.uint8], count: int, sh_degree: int
 ) -> dict[str, NDArray[np.float32]]: ...
+def payload_size(count: int, sh_degree: int) -> int: ...
+
+class PublishedBatch:
+    stamp: tuple[int, int] | None
+    map_id: str
+    revision: int
+    operation: int
+    expected_slots: int
+    first_slot: int
+    count: int
+    slots: NDArray[np.uint32]
+    group: int
+    poses: dict[int, list[float]]
+    sh_degree: int
+    format: str
+    payload: NDArray[np.uint8]
+    antialiased: bool
+    origin: list[float]
+    positions: NDArray[np.float32]
+    orientations: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+    sh: NDArray[np.float32]
+    channel_names: list[str]
+    channels: NDArray[np.float32]
+
+class PublishedMap:
+    def __init__(
+        self,
+        chunk_bytes: int,
+        compression: str,
+        send: Callable[[PublishedBatch], None],
+        warn: Callable[[str], None],
+        settle: Callable[[], None],
+    ) -> None: ...
+    @property
+    def map_id(self) -> str: ...
+    def revision(self) -> int: ...
+    def __len__(self) -> int: ...
+    def groups(
+        self,
+    ) -> list[tuple[int, list[float] | None, NDArray[np.uint32], dict[str, Any]]]: ...
+    def poses(self) -> dict[int, list[float]]: ...
+    def replace(
+        self, splats: Splats, shared: bool, expected_slots: int | None, stamp: _Stamp
+    ) -> None: ...
+    def repeat(self) -> None: ...
+    def expect(self, slots: int) -> None: ...
+    def upsert(
+        self, slots: int | NDArray[np.uint32], splats: Splats, group: int, stamp: _Stamp
+    ) -> None: ...
+    def erase(self, slots: NDArray[np.uint32], stamp: _Stamp) -> None: ...
+    def erase_from(self, first_slot: int, count: int, stamp: _Stamp) -> None: ...
+    def move(self, poses: Mapping[int, Sequence[float]], stamp: _Stamp) -> None: ...
+    def pull(
+        self, map_id: str, after_revision: int, first_block: int
+    ) -> tuple[list[PublishedBatch], int]: ...
 
 # --- Rendering --------------------------------------------------------------------------------
 

@@ -8,4 +8,3 @@ Arrival = _core.Arrival
 BatchError = _core.BatchError
 GaussianMap = _core.GaussianMap
 MapPull = _core.MapPull
-decode_payload = _core.decode_payload

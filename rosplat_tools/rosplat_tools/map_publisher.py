@@ -2,43 +2,40 @@
 
 from __future__ import annotations
 
-import contextlib
-import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from threading import RLock
-from typing import Any
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from types import TracebackType
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose
+from geometry_msgs.msg import Point, Pose, Quaternion
 from numpy.typing import ArrayLike, NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from rosplat_core.splats import Splats
+from rosplat_core.publishing import PublishedBatch, PublishedMap
+from rosplat_core.splats import Splats, concatenate
+from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
+from rosplat_sorter.edits import pose_values
 from rosplat_sorter.qos import PULLED_MAP
-from rosplat_tools.map_changes import MapChanges
-from rosplat_tools.messages import (
-    COMPRESSIONS,
-    NONE,
-    Slots,
-    chunks,
-    encode,
-    encode_deletion,
-    encode_move,
-)
-from rosplat_tools.poses import to_matrix, to_pose
-from rosplat_tools.slot_map import Group, SlotMap
+from rosplat_tools.messages import NONE, Slots, as_array
+from rosplat_tools.poses import to_pose
 
 CHUNK_BYTES = 8_000_000
-# Of splats in an answer to a pull: each client, idle or not, keeps room for some of the largest.
-ANSWER_BYTES = 2_000_000
+# How long `repeat` waits for a subscriber that acknowledges nothing: the middleware has given up
+# one that is gone by then. [s]
+PATIENCE = 30.0
 
 Progress = Callable[[int], None]
 """Is told how many more splats have gone out; what it raises ends the sending."""
+
+_Time = tuple[int, int]
 
 
 class MapPublisher:
@@ -57,6 +54,8 @@ class MapPublisher:
     Calls are serialised, from any thread; they return when the middleware has taken the batches.
     Where sending an edit ends by an exception, it is part of the map all the same: who hears the
     next batch pulls it.
+
+    `with MapPublisher(node) as publisher:` closes it at the end.
     """
 
     def __init__(
@@ -70,56 +69,90 @@ class MapPublisher:
     ) -> None:
         """Advertises the topic and its services; the map is empty, and nothing is sent yet.
 
-        chunk_bytes: of splats in a message, at most. compression: NONE, or one of
+        chunk_bytes: of a message's arrays, at most. compression: NONE, or one of
         messages.COMPRESSIONS: for subscribers beyond a network. Raises ValueError for another, or a
         chunk_bytes under 1.
         """
-        if chunk_bytes < 1:
-            raise ValueError(f"chunk_bytes: at least 1, got {chunk_bytes}")
-        if compression not in COMPRESSIONS:
-            known = ", ".join(COMPRESSIONS)
-            raise ValueError(f"compression: expected one of {known}, got '{compression}'")
-        self.frame_id = frame_id
-        self._compression = compression
         self._node = node
         self._topic = node.resolve_topic_name(topic)
-        self._chunk_bytes = chunk_bytes
-        self._lock = RLock()
-        self._map_id = str(uuid.uuid4())
-        self._revision = 0
-        self._map = SlotMap()
-        self._changes = MapChanges()
-        self._expected_slots = 0
-        self._publisher = node.create_publisher(GaussianArray, topic, PULLED_MAP)
-        group = MutuallyExclusiveCallbackGroup()
-        for kind, name, serve in (
-            (PullMap, "pull", self._on_pull),
-            (RepeatMap, "repeat", self._on_repeat),
-        ):
-            node.create_service(kind, f"{self._topic}/{name}", serve, callback_group=group)
+        self._wire = _Wire(node, topic, frame_id)
+        self._map = PublishedMap(
+            _whole("chunk_bytes", chunk_bytes, 2**63 - 1),
+            compression,
+            self._wire.send,
+            self._wire.warn,
+            self._wire.settle,
+        )
+        self._wire.advertise()
+        self._services = [
+            node.create_service(
+                kind,
+                f"{self._topic}/{name}",
+                serve,
+                callback_group=MutuallyExclusiveCallbackGroup(),
+            )
+            for kind, name, serve in (
+                (PullMap, "pull", self._on_pull),
+                (RepeatMap, "repeat", self._on_repeat),
+            )
+        ]
+
+    def close(self) -> None:
+        """Ends the topic and its services: subscribers keep what they have. No edit may follow."""
+        for service in self._services:
+            self._node.destroy_service(service)
+        self._services.clear()
+        self._wire.close()
+
+    def __enter__(self) -> MapPublisher:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def frame_id(self) -> str:
+        """The map's frame: that of the batches to come, too, where it is set."""
+        return self._wire.frame_id
+
+    @frame_id.setter
+    def frame_id(self, frame_id: str) -> None:
+        self._wire.frame_id = frame_id
 
     @property
     def map_id(self) -> str:
         """Names this publisher's run."""
-        return self._map_id
+        return self._map.map_id
 
     @property
     def revision(self) -> int:
         """Revision of the last batch that was sent, 0 before the first."""
-        return self._revision
+        return self._map.revision()
 
     def __len__(self) -> int:
         """Number of slots in use."""
-        with self._lock:
-            return len(self._map)
+        return len(self._map)
 
     def snapshot(self) -> tuple[Slots, Splats]:
         """A copy of the map as it is: the slots in use, ascending, and their splats.
 
         In the map's frame, each group where it was placed.
         """
-        with self._lock:
-            return self._map.snapshot()
+        slots, parts = [], []
+        for _, pose, own_slots, arrays in self._map.groups():
+            splats = Splats(**arrays)
+            slots.append(own_slots)
+            parts.append(splats.moved(frame_at(pose[:3], pose[3:])) if pose else splats)
+        if len(parts) == 1:
+            return _in_short(slots[0]), parts[0]
+        all_slots = np.concatenate(slots)
+        places = np.argsort(all_slots)
+        return _in_short(all_slots[places]), concatenate(parts)[places]
 
     def replace(
         self,
@@ -128,50 +161,40 @@ class MapPublisher:
         expected_slots: int | None = None,
         stamp: Time | None = None,
         progress: Progress | None = None,
+        shared: bool = False,
     ) -> None:
         """Makes splats the map, in slots 0 to n - 1 and group 0; forgets where groups were placed.
 
         expected_slots is how many slots the finished map will need, by default n; stamp is the time
-        of the map, by default now. Raises ValueError for more splats, or expected slots, than a map
-        has slots. Where sending fails, the map before stays, and is sent again.
+        of the map, by default now. shared: the map goes on in the splats' own arrays, which can't
+        be written to any more, in place of a copy of them. Raises ValueError for more splats, or
+        expected slots, than a map has slots. Where sending fails, the map before stays, and is sent
+        again.
         """
         _check_type(splats)
-        _check_stamp(stamp)
-        most = GaussianArray.MAX_SLOTS
-        if len(splats) > most:
-            raise ValueError(f"{len(splats)} splats: a map has {most} slots")
-        expected = _whole("expected_slots", expected_slots or 0, most)
-        splats = splats.without_empty_bands()
-        with self._lock:
-            before = self._map, self._expected_slots
-            self._map = SlotMap(splats)
-            self._tell_of(len(splats) - len(self._map))
-            self._expected_slots = len(splats) if expected_slots is None else expected
-            try:
-                self._send_map([Group(0, range(len(splats)), splats)], stamp, progress)
-            except BaseException as error:
-                self._map, self._expected_slots = before
-                self._revision += 1  # that nobody has
-                self._changes = MapChanges(begun=self._revision)
-                # To whom a part of the other has come; where that fails, it is pulled.
-                if isinstance(error, Exception):  # and nobody is in a hurry to end
-                    with contextlib.suppress(Exception):
-                        self._send_map(self._map.groups(), stamp)
-                raise
+        if expected_slots is not None:
+            expected_slots = _whole("expected_slots", expected_slots, GaussianArray.MAX_SLOTS)
+        when = _checked_stamp(stamp)
+        with self._wire.replacing(progress):
+            self._map.replace(splats, shared, expected_slots, when)
+        if shared:
+            for array in splats.arrays:
+                array.flags.writeable = False
 
     def repeat(self) -> None:
-        """Sends the whole map once more, as it is: for bags, and others that only listen."""
-        with self._lock:
-            self._send_map(self._map.groups(), None)
+        """Sends the whole map once more, as it is: for bags, and others that only listen.
+
+        Each batch waits until all who listen have the one before. Other calls, and pulls, come in
+        between.
+        """
+        self._map.repeat()
 
     def expect(self, slots: int) -> None:
         """Has the next batches say that the finished map will need so many slots, 0: who knows.
 
         Raises ValueError for more than a map has.
         """
-        slots = _whole("expected_slots", slots, GaussianArray.MAX_SLOTS)
-        with self._lock:
-            self._expected_slots = slots
+        self._map.expect(_whole("expected_slots", slots, GaussianArray.MAX_SLOTS))
 
     def upsert(
         self,
@@ -189,193 +212,54 @@ class MapPublisher:
         map is antialiased and some is not.
         """
         _check_type(splats)
-        _check_stamp(stamp)
+        when = _checked_stamp(stamp)
         slots = _checked(slots)
         group = _whole("group", group, GaussianArray.MAX_GROUPS - 1)
         if len(slots) != len(splats):
             raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
-        splats = splats.without_empty_bands()
-        with self._lock:
-            splats = splats.with_sh_degree(max(splats.sh_degree, self._map.sh_degree))
-            self._tell_of(self._map.write(slots, splats, group))
-            parts = list(chunks(splats, self._chunk_bytes))
-            self._changes.write(slots, self._revision + len(parts), group)
-            operation = GaussianArray.UPSERT if self._revision else GaussianArray.REPLACE
-            with self._numbering(len(parts)):
-                for part in parts:
-                    some = Group(group, slots[part], splats[part])
-                    self._send(self._splats(operation, some, stamp))
-                    operation = GaussianArray.UPSERT
+        named = slots.start if isinstance(slots, range) else slots
+        self._map.upsert(named, splats, group, when)
 
     def delete(self, slots: range | ArrayLike, *, stamp: Time | None = None) -> None:
         """Empties slots. Raises ValueError where one is named twice, or can't be one."""
-        _check_stamp(stamp)
+        when = _checked_stamp(stamp)
         slots = _checked(slots)
-        with self._lock:
-            self._map.clear(slots)
-            self._changes.clear(slots, self._edit_revision)
-            self._send_edit(self._deletion(slots, stamp))
+        if isinstance(slots, range):
+            self._map.erase_from(slots.start, len(slots), when)
+        else:
+            self._map.erase(slots, when)
 
     def move(self, poses: Mapping[int, Pose | ArrayLike], *, stamp: Time | None = None) -> None:
         """Places groups in the map's frame: {group: a Pose or a rigid transform (4, 4)}.
 
         Raises ValueError, and sends nothing, for a pose that is none.
         """
-        _check_stamp(stamp)
-        checked = {
-            _whole("group", group, GaussianArray.MAX_GROUPS - 1): to_pose(pose, f"poses[{group}]")
-            for group, pose in poses.items()
-        }
-        if not checked:
-            return
-        with self._lock:
-            self._map.poses |= {group: to_matrix(pose) for group, pose in checked.items()}
-            self._changes.place(list(checked), self._edit_revision)
-            self._send_edit(self._move(checked, stamp))
-
-    def _tell_of(self, left_out: int) -> None:
-        if left_out:
-            self._node.get_logger().warning(
-                f"{self._topic}: {left_out} splats are left out: a value is not finite, a scale "
-                "negative or a quaternion zero",
-                throttle_duration_sec=5.0,
-            )
-
-    # --- Sending ----------------------------------------------------------------------------------
-
-    def _send_map(
-        self, groups: list[Group], stamp: Time | None, progress: Progress | None = None
-    ) -> None:
-        parts = [
-            Group(group.group, group.slots[part], group.splats[part])
-            for group in groups
-            for part in chunks(group.splats, self._chunk_bytes)
-        ]
-        revision = self._revision + 1
-        before = 2 if self._map.poses else 0
-        self._changes = MapChanges(begun=revision)
-        self._changes.place(list(self._map.poses), revision + 1)
-        for number, part in enumerate(parts, revision + before):
-            self._changes.write(part.slots, number, part.group)
-        operation = GaussianArray.REPLACE
-        with self._numbering(before + len(parts)):
-            if self._map.poses:  # before any splat, so that none is seen elsewhere
-                self._send(self._beginning(groups[0].splats, stamp))
-                self._send(self._move(self._poses(), stamp))
-                operation = GaussianArray.UPSERT
-            for part in parts:
-                self._send(self._splats(operation, part, stamp))
-                operation = GaussianArray.UPSERT
-                if progress:
-                    progress(len(part.slots))
-
-    @property
-    def _edit_revision(self) -> int:
-        """Of an edit without splats. The first follows an empty REPLACE: see _send_edit."""
-        return self._revision + 1 if self._revision else 2
-
-    def _send_edit(self, batch: GaussianArray) -> None:
-        # Each map begins with a REPLACE: where a bag loops, it empties that of the round before.
-        begins = not self._revision
-        with self._numbering(2 if begins else 1):
-            if begins:
-                beginning = self._beginning(self._map.groups()[0].splats, batch.header.stamp)
-                self._send(beginning)
-            self._send(batch)
-
-    @contextlib.contextmanager
-    def _numbering(self, batches: int) -> Iterator[None]:
-        """Of batches to send: those that aren't, because sending fails, are lost to all."""
-        last = self._revision + batches
-        try:
-            yield
-        finally:
-            self._revision = last
-
-    def _send(self, message: GaussianArray) -> None:
-        self._revision += 1
-        message.revision = self._revision
-        self._publisher.publish(message)
-
-    # --- Batches, of the revision that the map has now --------------------------------------------
-
-    def _beginning(self, splats: Splats, stamp: Time | None = None) -> GaussianArray:
-        return self._splats(GaussianArray.REPLACE, Group(0, range(0), splats[:0]), stamp)
-
-    def _splats(self, operation: int, some: Group, stamp: Time | None = None) -> GaussianArray:
-        return encode(
-            some.splats,
-            some.slots,
-            **self._of_map(stamp),
-            operation=operation,
-            group=some.group,
-            compression=self._compression,
-        )
-
-    def _deletion(self, slots: Slots, stamp: Time | None = None) -> GaussianArray:
-        return encode_deletion(slots, **self._of_map(stamp))
-
-    def _move(self, poses: Mapping[int, Pose], stamp: Time | None = None) -> GaussianArray:
-        return encode_move(poses, **self._of_map(stamp))
-
-    def _of_map(self, stamp: Time | None) -> dict[str, Any]:
-        stamp = stamp or self._node.get_clock().now().to_msg()
-        return {
-            "header": Header(stamp=stamp, frame_id=self.frame_id),
-            "map_id": self._map_id,
-            "revision": self._revision,
-            "expected_slots": self._expected_slots,
-        }
-
-    def _poses(self, groups: Iterable[int] | None = None) -> dict[int, Pose]:
-        poses = self._map.poses
-        return {group: to_pose(poses[group]) for group in (poses if groups is None else groups)}
+        when = _checked_stamp(stamp)
+        values = {}
+        for group, pose in poses.items():
+            position, orientation = pose_values(to_pose(pose, f"poses[{group}]"))
+            number = _whole("group", group, GaussianArray.MAX_GROUPS - 1)
+            values[number] = (*position, *orientation)
+        self._map.move(values, when)
 
     # --- Services ---------------------------------------------------------------------------------
 
     def _on_pull(self, request: PullMap.Request, response: PullMap.Response) -> PullMap.Response:
-        if (
-            request.map_id not in ("", self._map_id)
-            and self._node.count_publishers(self._topic) > 1
-        ):
+        if request.map_id not in ("", self.map_id) and self._node.count_publishers(self._topic) > 1:
             self._node.get_logger().warning(
                 f"{self._topic}: is published by others, too, and receivers see one map in place "
                 "of the other: end all publishers but one",
                 throttle_duration_sec=5.0,
             )
         try:
-            with self._lock:
-                if request.map_id in ("", self._map_id) and self._revision:
-                    self._fill(request, response)
+            batches, response.next_block = self._map.pull(
+                request.map_id, request.after_revision, request.first_block
+            )
+            response.batches = [self._wire.message(batch) for batch in batches]
         except MemoryError:  # no request may end the node
             self._node.get_logger().error(f"{self._topic}/pull: memory is lacking")
             response = PullMap.Response()
         return response
-
-    def _fill(self, request: PullMap.Request, response: PullMap.Response) -> None:
-        after, block = request.after_revision, request.first_block
-        if not self._changes.begun <= after <= self._revision:
-            # Who goes on with a map that was replaced meanwhile gets the new one in the next round.
-            after, block = 0, 0 if after else block
-        most = min(self._chunk_bytes, ANSWER_BYTES)
-        changed = self._changes.since(after, block, self._map, most)
-        batches = response.batches
-        if not block:
-            if not after:
-                batches.append(self._beginning(changed.groups[0].splats))
-            placed = self._changes.placed(after)
-            if placed:
-                batches.append(self._move(self._poses(placed)))
-        if len(changed.emptied):
-            batches.append(self._deletion(changed.emptied))
-        batches += [
-            self._splats(GaussianArray.UPSERT, group)
-            for group in changed.groups
-            if len(group.slots) or not batches
-        ]
-        for batch in batches:
-            batch.expected_slots = self._expected_slots or len(self._map)
-        response.next_block = changed.next_page
 
     def _on_repeat(self, _: RepeatMap.Request, response: RepeatMap.Response) -> RepeatMap.Response:
         try:
@@ -386,26 +270,140 @@ class MapPublisher:
         return response
 
 
+class _Wire:
+    """How batches become messages and go out. Knows no map, which so ends with its publisher."""
+
+    def __init__(self, node: Node, topic: str, frame_id: str) -> None:
+        self.frame_id = frame_id
+        self._node = node
+        self._topic = topic
+        self._publisher = None
+        self._call = _Call()
+
+    def advertise(self) -> None:
+        self._publisher = self._node.create_publisher(GaussianArray, self._topic, PULLED_MAP)
+
+    def close(self) -> None:
+        publisher, self._publisher = self._publisher, None
+        if publisher:
+            self._node.destroy_publisher(publisher)
+
+    @contextmanager
+    def replacing(self, progress: Progress | None) -> Iterator[None]:
+        """What this thread sends in the block is told to progress.
+
+        After an exception that is no Exception, somebody is in a hurry: nothing more goes out.
+        """
+        self._call.progress, self._call.replaces = progress, True
+        try:
+            yield
+        finally:
+            self._call.progress, self._call.replaces, self._call.ended = None, False, False
+
+    def send(self, batch: PublishedBatch) -> None:
+        publisher = self._publisher
+        if publisher is None:
+            raise RuntimeError(f"{self._topic}: its publisher is closed")
+        if self._call.ended:
+            raise RuntimeError(f"{self._topic}: sending was ended")
+        progress, self._call.progress = self._call.progress, None  # what it raises ends the sending
+        try:
+            publisher.publish(self.message(batch))
+            if progress and batch.count:
+                progress(batch.count)
+        except BaseException as error:
+            self._call.ended = self._call.replaces and not isinstance(error, Exception)
+            raise
+        self._call.progress = progress
+
+    def warn(self, text: str) -> None:
+        self._node.get_logger().warning(f"{self._topic}: {text}", throttle_duration_sec=5.0)
+
+    def settle(self) -> None:
+        """Waits until subscribers have acknowledged what was sent, for a while."""
+        until = time.monotonic() + PATIENCE
+        now = Duration()  # rclpy waits with the interpreter's lock held
+        while self._publisher and not self._publisher.wait_for_all_acked(now):
+            if time.monotonic() > until or not self._node.context.ok():
+                return
+            time.sleep(0.002)
+
+    def message(self, batch: PublishedBatch) -> GaussianArray:
+        """The GaussianArray of a batch."""
+        if batch.stamp:
+            stamp = Time(sec=batch.stamp[0], nanosec=batch.stamp[1])
+        else:
+            stamp = self._node.get_clock().now().to_msg()
+        return as_message(batch, Header(stamp=stamp, frame_id=self.frame_id))
+
+
+class _Call(threading.local):
+    progress: Progress | None = None
+    replaces = ended = False
+
+
+def as_message(batch: PublishedBatch, header: Header) -> GaussianArray:
+    """The message of a batch, its arrays filled as blocks of memory."""
+    x, y, z = batch.origin
+    return GaussianArray(
+        header=header,
+        map_id=batch.map_id,
+        revision=batch.revision,
+        operation=batch.operation,
+        expected_slots=batch.expected_slots,
+        first_slot=batch.first_slot,
+        count=batch.count,
+        slots=as_array("I", batch.slots),
+        group=batch.group,
+        groups=list(batch.poses),
+        poses=[
+            Pose(
+                position=Point(x=p[0], y=p[1], z=p[2]),
+                orientation=Quaternion(x=p[3], y=p[4], z=p[5], w=p[6]),
+            )
+            for p in batch.poses.values()
+        ],
+        sh_degree=batch.sh_degree,
+        format=batch.format,
+        payload=as_array("B", batch.payload),
+        antialiased=batch.antialiased,
+        origin=Point(x=x, y=y, z=z),
+        positions=as_array("f", batch.positions),
+        orientations=as_array("f", batch.orientations),
+        scales=as_array("f", batch.scales),
+        opacities=as_array("f", batch.opacities),
+        sh=as_array("f", batch.sh),
+        channel_names=batch.channel_names,
+        channels=as_array("f", batch.channels),
+    )
+
+
+def _in_short(slots: NDArray[np.uint32]) -> Slots:
+    """Ascending slots without a gap as a range."""
+    if not len(slots):
+        return range(0)
+    first, end = int(slots[0]), int(slots[-1]) + 1
+    return range(first, end) if end - first == len(slots) else slots
+
+
 def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:
+    """Slots that the map can look at: what they may be is its to say."""
     if isinstance(slots, range):
         if slots.step != 1:
             raise ValueError(f"slots: a range must be contiguous, got {slots}")
+        ends = (slots[0], slots[-1]) if slots else ()
     else:
         slots = np.asarray(slots)
         if not slots.size:
             return np.zeros(0, np.uint32)  # NumPy takes an empty list for floats
         if slots.ndim != 1 or not np.issubdtype(slots.dtype, np.integer):
             raise ValueError(f"slots: expected (n,) integers, got {slots.shape} {slots.dtype}")
-        ascending = bool((slots[1:] > slots[:-1]).all())
-        if not ascending and len(np.unique(slots)) < len(slots):
-            raise ValueError("slots: each slot may be named once")
-    if len(slots):
-        low, high = (
-            (slots[0], slots[-1]) if isinstance(slots, range) else (slots.min(), slots.max())
-        )
-        if low < 0 or high >= GaussianArray.MAX_SLOTS:
-            raise ValueError(f"slots: a slot is a number from 0 to {GaussianArray.MAX_SLOTS - 1}")
-    return slots if isinstance(slots, range) else slots.astype(np.uint32)
+        ends = (slots.min(), slots.max())
+    if any(not 0 <= slot < GaussianArray.MAX_SLOTS for slot in ends):
+        raise ValueError(f"slots: a slot is a number from 0 to {GaussianArray.MAX_SLOTS - 1}")
+    if isinstance(slots, range):
+        return slots if slots else range(0)
+    return slots.astype(np.uint32)
 
 
 def _whole(name: str, number: int, most: int) -> int:
@@ -421,9 +419,9 @@ def _check_type(splats: Splats) -> None:
         raise TypeError(f"splats: expected Splats, got {kind}; scenes.load_scene reads a file")
 
 
-def _check_stamp(stamp: Time | None) -> None:
-    """Before the map changes: a batch that can't be made would be missing from its revisions."""
+def _checked_stamp(stamp: Time | None) -> _Time | None:
     if not isinstance(stamp, Time | None):
         raise TypeError(
             f"stamp: expected a builtin_interfaces Time, as to_msg() makes, got {stamp}"
         )
+    return (stamp.sec, stamp.nanosec) if stamp else None

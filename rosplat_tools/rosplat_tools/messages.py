@@ -14,8 +14,7 @@ from rosplat_core import payload
 from rosplat_core.payload import Arrays
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.edits import arrays_of, check, is_usable, poses_of
-from rosplat_tools.slot_map import SlotMap
+from rosplat_sorter.edits import arrays_of, check, is_usable
 
 NONE = "none"
 COMPRESSIONS = (NONE, payload.FORMAT)
@@ -51,7 +50,7 @@ def encode(
     message.origin.x, message.origin.y, message.origin.z = splats.origin.tolist()
     message.channel_names = list(splats.channels)
     for values in splats.channels.values():
-        message.channels.extend(_as_array("f", values))
+        message.channels.extend(as_array("f", values))
     if compression != NONE:
         arrays = Arrays(
             splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh
@@ -59,13 +58,13 @@ def encode(
         usable = is_usable(arrays)
         if payload.suits(arrays, usable):
             message.format = compression
-            message.payload = _as_array("B", payload.encode(arrays, usable))
+            message.payload = as_array("B", payload.encode(arrays, usable))
             return message
-    message.positions = _as_array("f", splats.positions)
-    message.orientations = _as_array("f", splats.orientations)
-    message.scales = _as_array("f", splats.scales)
-    message.opacities = _as_array("f", splats.opacities)
-    message.sh = _as_array("f", splats.sh)
+    message.positions = as_array("f", splats.positions)
+    message.orientations = as_array("f", splats.orientations)
+    message.scales = as_array("f", splats.scales)
+    message.opacities = as_array("f", splats.opacities)
+    message.sh = as_array("f", splats.sh)
     return message
 
 
@@ -89,23 +88,6 @@ def encode_move(
     message.groups = list(poses)
     message.poses = list(poses.values())
     return message
-
-
-def apply(message: GaussianArray, slot_map: SlotMap) -> int:
-    """Does to a map what a batch says; returns how many splats are left out.
-
-    Raises ValueError, and leaves the map as it is, where a receiver would refuse the batch.
-    """
-    slots, splats = decode(message)
-    if message.operation == GaussianArray.MOVE:
-        slot_map.poses |= poses_of(message)
-        return 0
-    if message.operation == GaussianArray.DELETE:
-        slot_map.clear(slots)
-        return 0
-    if message.operation == GaussianArray.REPLACE:
-        slot_map.reset()
-    return slot_map.write(slots, splats, message.group)
 
 
 def decode(message: GaussianArray) -> tuple[Slots, Splats]:
@@ -158,12 +140,12 @@ def _batch(
             raise ValueError(f"slots: a range must be contiguous, got {slots}")
         message.first_slot = slots.start
     else:
-        message.slots = _as_array("I", np.asarray(slots, np.uint32))
+        message.slots = as_array("I", np.asarray(slots, np.uint32))
     return message
 
 
-def _as_array(typecode: str, values: NDArray[np.generic]) -> array[float]:
-    # A setter of rosidl takes an array of the right type as it is; an ndarray it copies by element.
+def as_array(typecode: str, values: NDArray[np.generic]) -> array[float]:
+    """What a setter of rosidl takes as it is; an ndarray it copies by element."""
     result: array[float] = array(typecode)
     result.frombytes(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
     return result

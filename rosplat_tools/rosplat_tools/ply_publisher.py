@@ -107,7 +107,7 @@ class PlyPublisher(Node):
                 drawn.update(count)
 
             try:
-                self._map.replace(splats, progress=published)
+                self._map.replace(splats, progress=published, shared=True)
             except MemoryError as error:
                 raise SceneError(f"{path}: too large for this machine's memory") from error
         text = (

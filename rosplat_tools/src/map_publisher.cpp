@@ -2,19 +2,30 @@
 
 #include <rclcpp/version.h>
 
+#include <chrono>
 #include <future>
+#include <rosplat_msgs/msg/gaussian_array.hpp>
+#include <rosplat_msgs/srv/pull_map.hpp>
 #include <rosplat_msgs/srv/repeat_map.hpp>
 #include <string>
 #include <thread>
+#include <utility>
+#include <vector>
 
 namespace rosplat {
 
 namespace {
 
-using PullMap = PublishedMap::PullMap;
+using Message = rosplat_msgs::msg::GaussianArray;
+using PullMap = rosplat_msgs::srv::PullMap;
 using RepeatMap = rosplat_msgs::srv::RepeatMap;
+using Clock = std::chrono::steady_clock;
 
 constexpr int kWarningPeriod = 5000;  // [ms]
+// How long repeat() waits for a subscriber that acknowledges nothing: the middleware has given up
+// one that is gone by then. It looks every so often whether there is still a reason to wait.
+constexpr std::chrono::seconds kPatience(30);
+constexpr std::chrono::milliseconds kLook(100);
 
 #if RCLCPP_VERSION_MAJOR >= 17  // Iron
 rclcpp::QoS serviceQos() { return rclcpp::ServicesQoS(); }
@@ -22,51 +33,139 @@ rclcpp::QoS serviceQos() { return rclcpp::ServicesQoS(); }
 rmw_qos_profile_t serviceQos() { return rmw_qos_profile_services_default; }
 #endif
 
+geometry_msgs::msg::Pose messageOf(const Pose& pose) {
+  geometry_msgs::msg::Pose message;
+  auto& p = message.position;
+  auto& q = message.orientation;
+  std::tie(p.x, p.y, p.z) = std::tuple_cat(pose.position);
+  std::tie(q.x, q.y, q.z, q.w) = std::tuple_cat(pose.orientation);
+  return message;
+}
+
+Message messageOf(PublishedMap::Batch&& batch, const std::string& frame_id, rclcpp::Clock& clock) {
+  const Stamp stamp = batch.stamp ? *batch.stamp : Stamp(clock.now());
+  Message message;
+  message.header.frame_id = frame_id;
+  message.header.stamp.sec = stamp.sec;
+  message.header.stamp.nanosec = stamp.nanosec;
+  message.map_id = std::move(batch.map_id);
+  message.revision = batch.revision;
+  message.operation = batch.operation;
+  message.expected_slots = batch.expected_slots;
+  message.first_slot = batch.first_slot;
+  message.count = batch.count;
+  message.slots = std::move(batch.slots);
+  message.group = batch.group;
+  for (const auto& [group, pose] : batch.poses) {
+    message.groups.push_back(group);
+    message.poses.push_back(messageOf(pose));
+  }
+  message.sh_degree = static_cast<std::uint8_t>(batch.sh_degree);
+  message.format = std::move(batch.format);
+  message.payload.assign(batch.payload.begin(), batch.payload.end());
+  Splats& splats = batch.splats;
+  message.antialiased = splats.antialiased;
+  std::tie(message.origin.x, message.origin.y, message.origin.z) = std::tuple_cat(splats.origin);
+  message.positions = std::move(splats.positions);
+  message.orientations = std::move(splats.orientations);
+  message.scales = std::move(splats.scales);
+  message.opacities = std::move(splats.opacities);
+  message.sh = std::move(splats.sh);
+  message.channel_names = std::move(batch.channel_names);
+  message.channels = std::move(batch.channels);
+  return message;
+}
+
+// Serves what a callback group has in a thread of its own, whether the node is spun or not.
+class ServiceThread {
+ public:
+  explicit ServiceThread(const rclcpp::node_interfaces::NodeBaseInterface::SharedPtr& node)
+      : group_(node->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false)),
+        executor_(optionsOf(*node)) {
+    executor_.add_callback_group(group_, node);
+    thread_ = std::thread(
+        [this, ended = end_.get_future()] { executor_.spin_until_future_complete(ended); });
+  }
+  ServiceThread(const ServiceThread&) = delete;
+  ServiceThread& operator=(const ServiceThread&) = delete;
+  ~ServiceThread() {
+    end_.set_value();
+    executor_.cancel();
+    thread_.join();
+  }
+
+  const rclcpp::CallbackGroup::SharedPtr& group() const { return group_; }
+
+ private:
+  static rclcpp::ExecutorOptions optionsOf(rclcpp::node_interfaces::NodeBaseInterface& node) {
+    rclcpp::ExecutorOptions options;
+    options.context = node.get_context();
+    return options;
+  }
+
+  const rclcpp::CallbackGroup::SharedPtr group_;
+  rclcpp::executors::SingleThreadedExecutor executor_;
+  std::promise<void> end_;
+  std::thread thread_;
+};
+
 }  // namespace
 
-PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const std::string& topic) {
+PublishedMap::Wire MapPublisher::wireOf(const Interfaces& node, const MapOptions& options,
+                                        const std::shared_ptr<std::atomic<bool>>& closing) {
   // A late joiner hears of the map by the last batch. The others are for readers that lag behind.
   const auto qos = rclcpp::QoS(8).reliable().transient_local();
-  const auto publisher = rclcpp::create_publisher<Batch>(node.parameters, node.topics, topic, qos);
+  const auto publisher =
+      rclcpp::create_publisher<Message>(node.parameters, node.topics, options.topic, qos);
   const rclcpp::Logger logger = node.logging->get_logger();
   const rclcpp::Clock::SharedPtr clock = node.clock->get_clock();
   Wire wire;
-  wire.send = [publisher](std::unique_ptr<Batch> batch) { publisher->publish(std::move(batch)); };
-  wire.now = [clock] { return clock->now(); };
+  wire.send = [publisher, clock, frame_id = options.frame_id](Batch&& batch) {
+    publisher->publish(std::make_unique<Message>(messageOf(std::move(batch), frame_id, *clock)));
+  };
   wire.warn = [publisher, logger, clock](const std::string& text) {
     RCLCPP_WARN_THROTTLE(logger, *clock, kWarningPeriod, "%s: %s", publisher->get_topic_name(),
                          text.c_str());
+  };
+  wire.settle = [publisher, closing, context = node.base->get_context()] {
+    const auto until = Clock::now() + kPatience;
+    while (!publisher->wait_for_all_acked(kLook) && Clock::now() < until && !*closing &&
+           context->is_valid()) {
+    }
   };
   return wire;
 }
 
 class MapPublisher::Services {
  public:
-  Services(const Interfaces& node, const std::string& topic, PublishedMap& map)
-      : group_(
-            node.base->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false)),
-        executor_(optionsOf(node)) {
+  Services(const Interfaces& node, const MapOptions& options, PublishedMap& map)
+      : pulling_(node.base), repeating_(node.base) {
     const rclcpp::Logger logger = node.logging->get_logger();
-    const std::string name = node.topics->resolve_topic_name(topic);
+    const std::string name = node.topics->resolve_topic_name(options.topic);
     pull_ = rclcpp::create_service<PullMap>(
         node.base, node.services, name + "/pull",
-        [&map, logger, name, graph = node.graph, clock = node.clock->get_clock()](
-            const PullMap::Request::SharedPtr request,
-            const PullMap::Response::SharedPtr response) {
-          const bool other = !request->map_id.empty() && request->map_id != map.mapId();
-          if (other && graph->count_publishers(name) > 1) {
+        [&map, logger, name, frame_id = options.frame_id, graph = node.graph,
+         clock = node.clock->get_clock()](const PullMap::Request::SharedPtr request,
+                                          const PullMap::Response::SharedPtr response) {
+          if (request->map_id != map.mapId() && graph->count_publishers(name) > 1) {
             RCLCPP_WARN_THROTTLE(logger, *clock, kWarningPeriod,
                                  "%s: is published by others, too, and receivers see one map in "
                                  "place of the other: end all publishers but one",
                                  name.c_str());
           }
           try {
-            *response = map.pull(*request);
+            Answer answer =
+                map.pull(request->map_id, request->after_revision, request->first_block);
+            for (Batch& batch : answer.batches) {
+              response->batches.push_back(messageOf(std::move(batch), frame_id, *clock));
+            }
+            response->next_block = answer.next_block;
           } catch (const std::exception& error) {  // no request may end the node
             RCLCPP_ERROR(logger, "%s/pull: %s", name.c_str(), error.what());
+            *response = PullMap::Response();
           }
         },
-        serviceQos(), group_);
+        serviceQos(), pulling_.group());
     repeat_ = rclcpp::create_service<RepeatMap>(
         node.base, node.services, name + "/repeat",
         [&map](const RepeatMap::Request::SharedPtr, const RepeatMap::Response::SharedPtr response) {
@@ -78,38 +177,32 @@ class MapPublisher::Services {
             response->message = error.what();
           }
         },
-        serviceQos(), group_);
-    executor_.add_callback_group(group_, node.base);
-    thread_ = std::thread(
-        [this, ended = end_.get_future()] { executor_.spin_until_future_complete(ended); });
-  }
-  Services(const Services&) = delete;
-  Services& operator=(const Services&) = delete;
-  ~Services() {
-    end_.set_value();
-    executor_.cancel();
-    thread_.join();
+        serviceQos(), repeating_.group());
   }
 
  private:
-  static rclcpp::ExecutorOptions optionsOf(const Interfaces& node) {
-    rclcpp::ExecutorOptions options;
-    options.context = node.base->get_context();
-    return options;
-  }
-
-  const rclcpp::CallbackGroup::SharedPtr group_;
   rclcpp::Service<PullMap>::SharedPtr pull_;
   rclcpp::Service<RepeatMap>::SharedPtr repeat_;
-  rclcpp::executors::SingleThreadedExecutor executor_;
-  std::promise<void> end_;
-  std::thread thread_;
+  ServiceThread pulling_, repeating_;  // a repeat waits for subscribers, which pull meanwhile
 };
 
-MapPublisher::MapPublisher(const Interfaces& node, const MapOptions& options)
-    : PublishedMap(options, wireOf(node, options.topic)),
-      services_(std::make_unique<Services>(node, options.topic, *this)) {}
+MapPublisher::MapPublisher(const Interfaces& node, const MapOptions& options,
+                           const std::shared_ptr<std::atomic<bool>>& closing)
+    : PublishedMap(options.chunk_bytes, options.compression, wireOf(node, options, closing)),
+      closing_(closing),
+      services_(std::make_unique<Services>(node, options, *this)) {}
 
-MapPublisher::~MapPublisher() = default;
+MapPublisher::~MapPublisher() { *closing_ = true; }
+
+void MapPublisher::move(const std::map<std::uint32_t, geometry_msgs::msg::Pose>& poses,
+                        const When& stamp) {
+  Poses placed;
+  for (const auto& [group, pose] : poses) {
+    const auto& p = pose.position;
+    const auto& q = pose.orientation;
+    placed[group] = {{p.x, p.y, p.z}, {q.x, q.y, q.z, q.w}};
+  }
+  PublishedMap::move(placed, stamp);
+}
 
 }  // namespace rosplat

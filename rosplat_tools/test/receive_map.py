@@ -13,8 +13,7 @@ import rclpy
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_tools.messages import apply
-from rosplat_tools.slot_map import SlotMap
+from rosplat_tools.testing.slot_map import SlotMap, apply
 
 TIMEOUT = 100.0
 

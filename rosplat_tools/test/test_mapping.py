@@ -8,7 +8,7 @@ import pytest
 
 from rosplat_core.splats import Splats
 from rosplat_tools.emulation.mapping import Edit, Move, around, edits
-from rosplat_tools.slot_map import SlotMap
+from rosplat_tools.testing.slot_map import SlotMap
 
 Maker = Callable[..., Splats]
 ALL_KINDS: dict[str, Any] = {

@@ -1,10 +1,8 @@
 // Maps for Python: what a batch does to one, and what a receiver pulls.
 
 #include "python/module.hpp"
-#include "rosplat_core/map/decoded_payload.hpp"
 #include "rosplat_core/map/map_pull.hpp"
 #include "rosplat_core/python/bindings.hpp"
-#include "rosplat_core/slots/payload.hpp"
 
 namespace rosplat::python {
 
@@ -14,28 +12,6 @@ namespace {
 Group groupOf(const GaussianMap& map, std::uint32_t number) {
   const Group* const group = map.groups().find(number);
   return group ? *group : Group{};
-}
-
-// The splats of a payload: the message's arrays.
-py::dict decodePayload(const Array<std::uint8_t>& payload, std::uint32_t count,
-                       std::uint8_t sh_degree) {
-  GaussianBatch batch;
-  batch.revision = 1;
-  batch.count = count;
-  batch.sh_degree = sh_degree;
-  batch.format = payload::kFormat;
-  batch.payload = payload;
-  if (batch.payload.size != payload::size(count, sh_degree)) {
-    throw BatchError("payload has the wrong size");
-  }
-  DecodedPayload decoded;
-  const GaussianBatch splats = decoded.decode(batch);
-  const auto copy = [](const ArrayView<float>& values) {
-    return Array<float>(static_cast<py::ssize_t>(values.size), values.data);
-  };
-  return py::dict("positions"_a = copy(splats.positions),
-                  "orientations"_a = copy(splats.orientations), "scales"_a = copy(splats.scales),
-                  "opacities"_a = copy(splats.opacities), "sh"_a = copy(splats.sh));
 }
 
 // Whatever Python calls a batch, with its label: map_id, revision, whether it replaces, bytes.
@@ -65,8 +41,6 @@ void defineMaps(py::module_& module) {
       .value("HEARD", Arrival::kHeard)
       .value("PULLED", Arrival::kPulled)
       .value("LAST", Arrival::kLast);
-  module.def("decode_payload", &decodePayload, "payload"_a, "count"_a, "sh_degree"_a,
-             "The arrays of GaussianArray, flat, that a payload stands for. Raises BatchError.");
   py::class_<Pull>(module, "MapPull", "What a display pulls of a map, and when; see map_pull.py.")
       .def(py::init<>())
       .def_property_readonly("pulling", &Pull::pulling)

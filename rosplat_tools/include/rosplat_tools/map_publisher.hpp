@@ -1,12 +1,24 @@
 #pragma once
 
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <geometry_msgs/msg/pose.hpp>
+#include <map>
 #include <memory>
 #include <rclcpp/rclcpp.hpp>
 #include <string>
 
-#include "rosplat_tools/published_map.hpp"
+#include "rosplat_core/map/published_map.hpp"
 
 namespace rosplat {
+
+struct MapOptions {
+  std::string frame_id = "map";
+  std::string topic = "gaussians";      // its services are <topic>/pull and <topic>/repeat
+  std::size_t chunk_bytes = 8'000'000;  // of a message's arrays, at most
+  std::string compression = "none";     // or "quantised", for subscribers beyond a network
+};
 
 // Publishes a map of Gaussians and its edits: what a SLAM back end links to be seen in rviz.
 //
@@ -26,8 +38,12 @@ class MapPublisher : public PublishedMap {
                                 node.get_node_parameters_interface(),
                                 node.get_node_services_interface(), node.get_node_graph_interface(),
                                 node.get_node_clock_interface(), node.get_node_logging_interface()},
-                     options) {}
+                     options, std::make_shared<std::atomic<bool>>(false)) {}
   ~MapPublisher();
+
+  // Places groups in the map's frame. One that was never placed is where the map's frame is.
+  void move(const std::map<std::uint32_t, geometry_msgs::msg::Pose>& poses,
+            const When& stamp = std::nullopt);
 
  private:
   class Services;
@@ -41,9 +57,12 @@ class MapPublisher : public PublishedMap {
     rclcpp::node_interfaces::NodeLoggingInterface::SharedPtr logging;
   };
 
-  MapPublisher(const Interfaces& node, const MapOptions& options);
-  static Wire wireOf(Interfaces node, const std::string& topic);
+  MapPublisher(const Interfaces& node, const MapOptions& options,
+               const std::shared_ptr<std::atomic<bool>>& closing);
+  static Wire wireOf(const Interfaces& node, const MapOptions& options,
+                     const std::shared_ptr<std::atomic<bool>>& closing);
 
+  const std::shared_ptr<std::atomic<bool>> closing_;  // nobody is waited for any more
   std::unique_ptr<Services> services_;
 };
 

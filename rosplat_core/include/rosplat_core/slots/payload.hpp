@@ -13,7 +13,7 @@
 
 #include "rosplat_core/slots/splat_arrays.hpp"
 
-// GaussianArray.payload in the format that payload.py describes; a test holds the two together.
+// GaussianArray.payload in the format that rosplat_msgs/doc/quantised.md specifies.
 namespace rosplat::payload {
 
 constexpr const char* kFormat = "quantised";

@@ -1,11 +1,8 @@
-#include "rosplat_tools/splats.hpp"
+#include "rosplat_core/slots/splats.hpp"
 
 #include <cmath>
 #include <set>
 #include <stdexcept>
-#include <utility>
-
-#include "rosplat_core/slots/splat_arrays.hpp"
 
 namespace rosplat {
 
@@ -19,6 +16,22 @@ void checkLength(const std::string& field, std::size_t length, std::size_t each,
 }
 
 }  // namespace
+
+void SplatsView::check() const {
+  for (const double x : origin) {
+    if (!std::isfinite(x)) throw std::invalid_argument("origin: not finite");
+  }
+  std::set<std::string> names;
+  for (const auto& [name, values] : channels) {
+    if (!names.insert(name).second) {
+      throw std::invalid_argument("channel_names: '" + name + "' is there twice");
+    }
+    if (!isChannelName(name)) {
+      throw std::invalid_argument(
+          "channel_names: a name is of 1 to 64 characters of ASCII, without spaces");
+    }
+  }
+}
 
 Splats Splats::fromTrained(std::vector<float> means, const std::vector<float>& quaternions_wxyz,
                            const std::vector<float>& log_scales, const std::vector<float>& logits,
@@ -50,33 +63,29 @@ Splats Splats::fromTrained(std::vector<float> means, const std::vector<float>& q
   return splats;
 }
 
-int Splats::check() const {
+SplatsView Splats::view() const {
   const std::size_t n = size();
   checkLength("positions", positions.size(), 3, n);
   checkLength("orientations", orientations.size(), 4, n);
   checkLength("scales", scales.size(), 3, n);
   checkLength("opacities", opacities.size(), 1, n);
-  int degree = 0;
-  while (degree < 3 && sh.size() > 3u * (degree + 1) * (degree + 1) * n) ++degree;
-  if (sh.size() != 3u * (degree + 1) * (degree + 1) * n) {
+  SplatsView view;
+  int& degree = view.arrays.sh_degree;
+  while (degree < 3 && sh.size() > view.arrays.shStride() * n) ++degree;
+  if (sh.size() != view.arrays.shStride() * n) {
     throw std::invalid_argument("sh: expected 3, 12, 27 or 48 values for each of " +
                                 std::to_string(n) + " splats, got " + std::to_string(sh.size()));
   }
-  for (const double x : origin) {
-    if (!std::isfinite(x)) throw std::invalid_argument("origin: not finite");
-  }
-  std::set<std::string> names;
+  view.arrays = {
+      n, degree, positions.data(), orientations.data(), scales.data(), opacities.data(), sh.data()};
+  view.origin = origin;
+  view.antialiased = antialiased;
   for (const auto& [name, values] : channels) {
-    if (!names.insert(name).second) {
-      throw std::invalid_argument("channel_names: '" + name + "' is there twice");
-    }
-    if (!isChannelName(name)) {
-      throw std::invalid_argument(
-          "channel_names: a name is of 1 to 64 characters of ASCII, without spaces");
-    }
     checkLength("channels '" + name + "'", values.size(), 1, n);
+    view.channels.emplace_back(name, values.data());
   }
-  return degree;
+  view.check();
+  return view;
 }
 
 }  // namespace rosplat

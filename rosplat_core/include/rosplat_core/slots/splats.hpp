@@ -6,7 +6,21 @@
 #include <utility>
 #include <vector>
 
+#include "rosplat_core/slots/splat_arrays.hpp"
+
 namespace rosplat {
+
+// Splats of someone else's arrays, in the units and conventions of rosplat_msgs/GaussianArray.
+struct SplatsView {
+  SplatArrays<const float> arrays;
+  std::array<double, 3> origin{};  // added to each position [m]
+  bool antialiased = false;        // trained with opacity compensation (Mip-Splatting)
+  std::vector<std::pair<std::string, const float*>> channels;  // a value for each splat
+
+  // Throws std::invalid_argument, which names the field, for an origin that is not finite and for
+  // channels that no map may have.
+  void check() const;
+};
 
 // A set of n 3D Gaussians with view-dependent colour (Kerbl et al. 2023), in the units and
 // conventions of rosplat_msgs/GaussianArray.
@@ -33,9 +47,9 @@ struct Splats {
                             const std::vector<float>& sh0, const std::vector<float>& shN = {});
 
   std::size_t size() const { return positions.size() / 3; }
-  // Highest band of spherical harmonics. Throws std::invalid_argument where an array isn't as long
-  // as positions ask for, or the origin or the name of a channel is none; it names the field.
-  int check() const;
+  // The same, checked. Throws std::invalid_argument where an array isn't as long as positions ask
+  // for, or SplatsView::check() does; it names the field.
+  SplatsView view() const;
 };
 
 }  // namespace rosplat

@@ -1,4 +1,4 @@
-"""A map of Gaussians by slot: what a stream of edits adds up to. Knows no ROS."""
+"""A map of Gaussians by slot in plain NumPy: what a stream of edits adds up to."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from rosplat_core.channels import joined
 from rosplat_core.payload import Arrays
 from rosplat_core.slot_pages import SLOTS_PER_PAGE, SlotPages
 from rosplat_core.splats import Splats, concatenate, sh_coefficients
-from rosplat_sorter.edits import is_usable
+from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.edits import is_usable, poses_of
+from rosplat_tools.messages import decode
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,3 +194,20 @@ def _in_short(slots: NDArray[np.uint32]) -> range | NDArray[np.uint32]:
 def as_index(slots: range | NDArray[np.integer]) -> slice | NDArray[np.integer]:
     """Slots as arrays are indexed by them."""
     return slice(slots.start, slots.stop) if isinstance(slots, range) else slots
+
+
+def apply(message: GaussianArray, slot_map: SlotMap) -> int:
+    """Does to a map what a batch says; returns how many splats are left out.
+
+    Raises ValueError, and leaves the map as it is, where a receiver would refuse the batch.
+    """
+    slots, splats = decode(message)
+    if message.operation == GaussianArray.MOVE:
+        slot_map.poses |= poses_of(message)
+        return 0
+    if message.operation == GaussianArray.DELETE:
+        slot_map.clear(slots)
+        return 0
+    if message.operation == GaussianArray.REPLACE:
+        slot_map.reset()
+    return slot_map.write(slots, splats, message.group)

@@ -22,8 +22,7 @@ from rclpy.node import Node
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_tools.messages import apply
-from rosplat_tools.slot_map import SlotMap
+from rosplat_tools.testing.slot_map import SlotMap, apply
 
 PATIENCE = 180.0  # with programs, however busy the machine is [s]
 

@@ -1,0 +1,191 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "rosplat_core/map/groups.hpp"
+#include "rosplat_core/slots/splats.hpp"
+
+namespace rosplat {
+
+class NamedSlots;
+
+// A time as messages have it; made of a builtin_interfaces Time, or of rclcpp's.
+struct Stamp {
+  std::int32_t sec = 0;
+  std::uint32_t nanosec = 0;
+
+  Stamp() = default;
+  Stamp(std::int32_t sec, std::uint32_t nanosec) : sec(sec), nanosec(nanosec) {}
+  template <typename Time, typename = decltype(std::declval<Time>().nanosec)>
+  Stamp(const Time& time) : Stamp(time.sec, time.nanosec) {}
+  template <typename Time, typename = decltype(std::declval<Time>().nanoseconds()), typename = void>
+  Stamp(const Time& time)
+      : Stamp(static_cast<std::int32_t>(time.nanoseconds() / 1'000'000'000),
+              static_cast<std::uint32_t>(time.nanoseconds() % 1'000'000'000)) {}
+};
+
+// A living map of Gaussians as its author has it: its copy by slot, and the batches that tell
+// others of its edits.
+//
+// Batches go out as they are made, and nobody is waited for. Who joins late, or misses some, pulls
+// what has changed since the last revision that it has, as it is now. Calls are serialised, from
+// any thread.
+//
+// What is wrong in an argument throws std::invalid_argument, which names it, and nothing is sent
+// then. Where sending an edit ends by another exception, it is part of the map all the same: who
+// hears the next batch pulls it.
+class PublishedMap {
+ public:
+  using Slots = std::vector<std::uint32_t>;
+  using Poses = std::map<std::uint32_t, Pose>;  // by group
+  using When = std::optional<Stamp>;            // none: now
+
+  // The fields of a rosplat_msgs/GaussianArray, but for its frame. Its arrays take chunk_bytes at
+  // most, or what one splat takes; of a MOVE 60 bytes a group.
+  struct Batch {
+    When stamp;
+    std::string map_id;
+    std::uint64_t revision = 0;
+    std::uint8_t operation = 0;  // GaussianBatch's
+    std::uint32_t expected_slots = 0;
+    std::uint32_t first_slot = 0, count = 0;
+    Slots slots;
+    std::uint32_t group = 0;
+    Poses poses;
+    std::string format;
+    std::vector<std::uint8_t> payload;
+    int sh_degree = 0;
+    Splats splats;  // without channels
+    std::vector<std::string> channel_names;
+    std::vector<float> channels;
+  };
+  // The way to those who hear of the map.
+  struct Wire {
+    std::function<void(Batch&&)> send;
+    std::function<void(const std::string&)> warn;
+    // Returns once all who listen have what was sent, or once there is no more waiting for them.
+    std::function<void()> settle;
+  };
+  // The splats of a group, in its frame, and their slots.
+  struct Group {
+    std::uint32_t number = 0;
+    std::optional<Pose> pose;  // where it was placed
+    Slots slots;               // ascending
+    Splats splats;
+  };
+  // To a pull: see PullMap.srv.
+  struct Answer {
+    std::vector<Batch> batches;
+    std::uint32_t next_block = 0;
+  };
+
+  // chunk_bytes: of a batch's arrays, at most. compression: "none", or "quantised", for subscribers
+  // beyond a network. Throws std::invalid_argument for an option that is none.
+  PublishedMap(std::size_t chunk_bytes, const std::string& compression, Wire wire);
+  ~PublishedMap();
+  PublishedMap(const PublishedMap&) = delete;
+  PublishedMap& operator=(const PublishedMap&) = delete;
+
+  // Names this publisher's run.
+  const std::string& mapId() const { return map_id_; }
+  // Revision of the last batch that was sent, 0 before the first.
+  std::uint64_t revision() const;
+  // Number of slots in use.
+  std::size_t size() const;
+  // A copy of the map, by group.
+  std::vector<Group> groups() const;
+  // Where groups were placed.
+  Poses poses() const;
+
+  // Makes splats the map, in slots 0 to n - 1 and group 0; forgets where groups were placed.
+  // expected_slots: how many slots the finished map will need, by default n. Where sending fails,
+  // the map before stays, and is sent again.
+  void replace(const Splats& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
+               const When& stamp = std::nullopt);
+  // The map goes on in the splats' own memory.
+  void replace(Splats&& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
+               const When& stamp = std::nullopt);
+  // keeper: what keeps the arrays, which stay as they are, where the map shall go on in their
+  // memory, else null.
+  void replace(const SplatsView& splats, const std::shared_ptr<const void>& keeper,
+               std::optional<std::uint32_t> expected_slots, const When& stamp);
+  // Sends the whole map once more, as it is, and waits for those who hear it: for bags, and others
+  // that only listen. Meanwhile the map may be edited.
+  void repeat();
+  // Has the next batches say that the finished map will need so many slots, 0: who knows.
+  void expect(std::uint32_t slots);
+  // Writes the i-th splat to the i-th slot, or to the i-th from first_slot on, in use or not. All
+  // are in one group. Slots come in blocks of GaussianArray::SLOTS_PER_BLOCK, whose splats are of
+  // one group.
+  void upsert(const Slots& slots, const Splats& splats, std::uint32_t group = 0,
+              const When& stamp = std::nullopt);
+  void upsert(std::uint32_t first_slot, const Splats& splats, std::uint32_t group = 0,
+              const When& stamp = std::nullopt);
+  void upsert(const Slots& slots, const SplatsView& splats, std::uint32_t group, const When& stamp);
+  void upsert(std::uint32_t first_slot, const SplatsView& splats, std::uint32_t group,
+              const When& stamp);
+  // Empties slots.
+  void erase(const Slots& slots, const When& stamp = std::nullopt);
+  void erase(std::uint32_t first_slot, std::uint32_t count, const When& stamp = std::nullopt);
+  // Places groups in the map's frame. One that was never placed is where the map's frame is.
+  void move(const Poses& poses, const When& stamp = std::nullopt);
+
+  // What a client lacks that has all of a revision of a map, from a block on; map_id: empty where
+  // it knows none. An answer takes 2 MB at most, and has no batch where the client has another map.
+  Answer pull(const std::string& map_id, std::uint64_t after_revision,
+              std::uint32_t first_block) const;
+
+ private:
+  struct Content;
+  struct Page;
+  struct Plan;
+  class Numbering;
+  using Lock = std::unique_lock<std::recursive_mutex>;
+
+  void upsert(const NamedSlots& slots, const SplatsView& splats, std::uint32_t group,
+              const When& stamp);
+  void erase(const NamedSlots& slots, const When& stamp);
+  static Plan prepared(Content& map, const NamedSlots& slots, const SplatsView& splats,
+                       std::uint32_t group);
+  static std::size_t write(Content& map, const NamedSlots& slots, const SplatsView& splats,
+                           const Plan& plan, std::uint32_t group, std::uint64_t revision);
+  static void refer(Content& map, const SplatsView& splats,
+                    const std::shared_ptr<const void>& keeper);
+  void warnOf(std::size_t left_out);
+
+  void sendMap(Lock& lock, const When& stamp, bool waits);
+  void sendSplats(Lock& lock, const When& stamp, bool waits);
+  std::size_t beginnings() const;
+  void begin(const When& stamp);
+  void send(Batch&& batch);
+
+  void gather(const NamedSlots& slots, Splats& splats, const std::vector<std::string>& channels,
+              std::vector<float>& values) const;
+  Poses placedAfter(std::uint64_t revision) const;
+  Batch batch(std::uint8_t operation, const When& stamp) const;
+  Batch beginning(const When& stamp) const;
+  Batch writing(std::uint8_t operation, const NamedSlots& slots, std::uint32_t group,
+                const std::vector<std::string>& channels, const When& stamp) const;
+  Batch deletion(const NamedSlots& slots, const When& stamp) const;
+  Batch placement(Poses poses, const When& stamp) const;
+
+  const std::size_t chunk_bytes_;
+  const std::string compression_;
+  const Wire wire_;
+  const std::string map_id_;
+  mutable std::recursive_mutex mutex_;  // what takes a batch may ask for the map's size
+  std::uint64_t revision_ = 0;
+  std::uint64_t begun_ = 0;  // revision of the last REPLACE: older clients need all of the map
+  std::unique_ptr<Content> map_;
+};
+
+}  // namespace rosplat

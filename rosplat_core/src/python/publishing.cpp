@@ -1,0 +1,261 @@
+// The map of who publishes, for Python.
+
+#include <pybind11/functional.h>
+
+#include <map>
+#include <memory>
+#include <optional>
+#include <tuple>
+#include <variant>
+
+#include "python/module.hpp"
+#include "rosplat_core/map/published_map.hpp"
+#include "rosplat_core/python/bindings.hpp"
+
+namespace rosplat::python {
+
+namespace {
+
+using Batch = PublishedMap::Batch;
+using Time = std::optional<std::pair<std::int32_t, std::uint32_t>>;
+using PoseValues = std::array<double, 7>;  // position x y z, quaternion x y z w
+
+PublishedMap::When whenOf(const Time& time) {
+  if (!time) return std::nullopt;
+  return Stamp(time->first, time->second);
+}
+
+// A rosplat_core.splats.Splats, whose arrays are there for as long as this.
+struct HeldSplats {
+  std::vector<py::object> arrays;
+  SplatsView view;
+
+  explicit HeldSplats(const py::object& splats) {
+    const std::size_t n = view.arrays.count = py::len(splats);
+    const auto keep = [&](const std::string& name, const py::handle& values, std::size_t each) {
+      const auto kept = values.cast<Array<float>>();
+      if (static_cast<std::size_t>(kept.size()) != each * n) {
+        throw std::invalid_argument(name + ": expected " + std::to_string(each) +
+                                    " values for each of " + std::to_string(n) + " splats, got " +
+                                    std::to_string(kept.size()));
+      }
+      arrays.push_back(kept);
+      return kept.data();
+    };
+    const auto array = [&](const char* name, std::size_t each) {
+      return keep(name, splats.attr(name), each);
+    };
+    view.arrays.sh_degree = splats.attr("sh_degree").cast<int>();
+    view.arrays.positions = array("positions", 3);
+    view.arrays.orientations = array("orientations", 4);
+    view.arrays.scales = array("scales", 3);
+    view.arrays.opacities = array("opacities", 1);
+    view.arrays.sh = array("sh", view.arrays.shStride());
+    view.origin = splats.attr("origin").cast<std::array<double, 3>>();
+    view.antialiased = splats.attr("antialiased").cast<bool>();
+    for (const py::handle item : splats.attr("channels").attr("items")()) {
+      const auto& [name, values] = item.cast<std::pair<std::string, py::object>>();
+      view.channels.emplace_back(name, keep("channels '" + name + "'", values, 1));
+    }
+  }
+};
+
+// Keeps them beyond the call; whoever ends it has the interpreter's lock or takes it.
+std::shared_ptr<const void> keeperOf(HeldSplats&& splats) {
+  return {new HeldSplats(std::move(splats)), [](const HeldSplats* held) {
+            const py::gil_scoped_acquire gil;
+            delete held;
+          }};
+}
+
+PublishedMap::Slots listOf(const Array<std::uint32_t>& slots) {
+  return {slots.data(), slots.data() + slots.size()};
+}
+
+PoseValues valuesOf(const Pose& pose) {
+  const auto& [p, q] = std::tie(pose.position, pose.orientation);
+  return {p[0], p[1], p[2], q[0], q[1], q[2], q[3]};
+}
+
+std::map<std::uint32_t, PoseValues> valuesOf(const PublishedMap::Poses& poses) {
+  std::map<std::uint32_t, PoseValues> values;
+  for (const auto& [group, pose] : poses) values[group] = valuesOf(pose);
+  return values;
+}
+
+// A view of a batch's array.
+template <typename T>
+Array<T> arrayOf(const py::object& batch, const std::vector<T>& values) {
+  return Array<T>(static_cast<py::ssize_t>(values.size()), values.data(), batch);
+}
+
+template <typename T>
+void defineArray(py::class_<Batch>& type, const char* name, std::vector<T> Batch::* values) {
+  type.def_property_readonly(name, [values](const py::object& self) {
+    return arrayOf(self, self.cast<const Batch&>().*values);
+  });
+}
+
+void defineArray(py::class_<Batch>& type, const char* name, std::vector<float> Splats::* values) {
+  type.def_property_readonly(name, [values](const py::object& self) {
+    return arrayOf(self, self.cast<const Batch&>().splats.*values);
+  });
+}
+
+void defineBatch(py::module_& module) {
+  py::class_<Batch> type(module, "PublishedBatch", "The fields of a GaussianArray, flat.");
+  type.def_property_readonly("stamp",
+                             [](const Batch& batch) -> Time {
+                               if (!batch.stamp) return std::nullopt;
+                               return std::pair(batch.stamp->sec, batch.stamp->nanosec);
+                             })
+      .def_readonly("map_id", &Batch::map_id)
+      .def_readonly("revision", &Batch::revision)
+      .def_readonly("operation", &Batch::operation)
+      .def_readonly("expected_slots", &Batch::expected_slots)
+      .def_readonly("first_slot", &Batch::first_slot)
+      .def_readonly("count", &Batch::count)
+      .def_readonly("group", &Batch::group)
+      .def_property_readonly("poses", [](const Batch& batch) { return valuesOf(batch.poses); })
+      .def_readonly("sh_degree", &Batch::sh_degree)
+      .def_readonly("format", &Batch::format)
+      .def_property_readonly("antialiased",
+                             [](const Batch& batch) { return batch.splats.antialiased; })
+      .def_property_readonly("origin", [](const Batch& batch) { return batch.splats.origin; })
+      .def_readonly("channel_names", &Batch::channel_names);
+  defineArray(type, "slots", &Batch::slots);
+  defineArray(type, "payload", &Batch::payload);
+  defineArray(type, "positions", &Splats::positions);
+  defineArray(type, "orientations", &Splats::orientations);
+  defineArray(type, "scales", &Splats::scales);
+  defineArray(type, "opacities", &Splats::opacities);
+  defineArray(type, "sh", &Splats::sh);
+  defineArray(type, "channels", &Batch::channels);
+}
+
+std::unique_ptr<PublishedMap> makeMap(std::size_t chunk_bytes, const std::string& compression,
+                                      std::function<void(Batch&&)> send,
+                                      std::function<void(const std::string&)> warn,
+                                      std::function<void()> settle) {
+  PublishedMap::Wire wire{std::move(send), std::move(warn), std::move(settle)};
+  return std::make_unique<PublishedMap>(chunk_bytes, compression, std::move(wire));
+}
+
+// A group's number, its pose if it was placed, its slots, and the arguments of Splats.
+py::tuple toPython(PublishedMap::Group&& group) {
+  const auto n = static_cast<py::ssize_t>(group.slots.size());
+  Splats& splats = group.splats;
+  const auto k = n > 0 ? static_cast<py::ssize_t>(splats.sh.size()) / (3 * n) : 1;
+  py::dict channels;
+  for (auto& [name, values] : splats.channels) channels[py::str(name)] = toArray(values, {n});
+  py::object pose = py::none();
+  if (group.pose) pose = py::cast(valuesOf(*group.pose));
+  return py::make_tuple(
+      group.number, pose, toArray(std::move(group.slots), {n}),
+      py::dict("positions"_a = toArray(std::move(splats.positions), {n, 3}),
+               "orientations"_a = toArray(std::move(splats.orientations), {n, 4}),
+               "scales"_a = toArray(std::move(splats.scales), {n, 3}),
+               "opacities"_a = toArray(std::move(splats.opacities), {n}),
+               "sh"_a = toArray(std::move(splats.sh), {n, k, 3}),
+               "origin"_a =
+                   toArray(std::vector<double>(splats.origin.begin(), splats.origin.end()), {3}),
+               "antialiased"_a = splats.antialiased, "channels"_a = channels));
+}
+
+}  // namespace
+
+void definePublishing(py::module_& module) {
+  const py::call_guard<py::gil_scoped_release> free;  // what is sent takes it again
+  defineBatch(module);
+  py::class_<PublishedMap>(module, "PublishedMap", "See published_map.hpp.")
+      .def(py::init(&makeMap), "chunk_bytes"_a, "compression"_a, "send"_a, "warn"_a, "settle"_a)
+      .def_property_readonly("map_id", &PublishedMap::mapId)
+      .def("revision", &PublishedMap::revision, free)
+      .def("__len__", &PublishedMap::size, free)
+      .def("groups",
+           [](const PublishedMap& map) {
+             std::vector<PublishedMap::Group> groups;
+             {
+               const py::gil_scoped_release free;
+               groups = map.groups();
+             }
+             py::list copies;
+             for (PublishedMap::Group& group : groups) copies.append(toPython(std::move(group)));
+             return copies;
+           })
+      .def("poses",
+           [](const PublishedMap& map) {
+             PublishedMap::Poses poses;
+             {
+               const py::gil_scoped_release free;
+               poses = map.poses();
+             }
+             return valuesOf(poses);
+           })
+      .def(
+          "replace",
+          [](PublishedMap& map, const py::object& splats, bool shared,
+             std::optional<std::uint32_t> expected_slots, const Time& stamp) {
+            HeldSplats held(splats);
+            const SplatsView view = held.view;
+            const auto keeper = shared ? keeperOf(std::move(held)) : nullptr;
+            const py::gil_scoped_release free;
+            map.replace(view, keeper, expected_slots, whenOf(stamp));
+          },
+          "splats"_a, "shared"_a, "expected_slots"_a, "stamp"_a)
+      .def("repeat", &PublishedMap::repeat, free)
+      .def("expect", &PublishedMap::expect, "slots"_a, free)
+      .def(
+          "upsert",
+          [](PublishedMap& map, const std::variant<std::uint32_t, Array<std::uint32_t>>& slots,
+             const py::object& splats, std::uint32_t group, const Time& stamp) {
+            const HeldSplats held(splats);
+            if (const auto* const first = std::get_if<std::uint32_t>(&slots)) {
+              const py::gil_scoped_release free;
+              map.upsert(*first, held.view, group, whenOf(stamp));
+            } else {
+              const auto list = listOf(std::get<1>(slots));
+              const py::gil_scoped_release free;
+              map.upsert(list, held.view, group, whenOf(stamp));
+            }
+          },
+          "slots"_a, "splats"_a, "group"_a, "stamp"_a)
+      .def(
+          "erase",
+          [](PublishedMap& map, const Array<std::uint32_t>& slots, const Time& stamp) {
+            const auto list = listOf(slots);
+            const py::gil_scoped_release free;
+            map.erase(list, whenOf(stamp));
+          },
+          "slots"_a, "stamp"_a)
+      .def(
+          "erase_from",
+          [](PublishedMap& map, std::uint32_t first_slot, std::uint32_t count, const Time& stamp) {
+            map.erase(first_slot, count, whenOf(stamp));
+          },
+          "first_slot"_a, "count"_a, "stamp"_a, free)
+      .def(
+          "move",
+          [](PublishedMap& map, const std::map<std::uint32_t, PoseValues>& values,
+             const Time& stamp) {
+            PublishedMap::Poses poses;
+            for (const auto& [group, v] : values) {
+              poses[group] = {{v[0], v[1], v[2]}, {v[3], v[4], v[5], v[6]}};
+            }
+            map.move(poses, whenOf(stamp));
+          },
+          "poses"_a, "stamp"_a, free)
+      .def("pull", [](const PublishedMap& map, const std::string& map_id,
+                      std::uint64_t after_revision, std::uint32_t first_block) {
+        PublishedMap::Answer answer;
+        {
+          const py::gil_scoped_release free;
+          answer = map.pull(map_id, after_revision, first_block);
+        }
+        py::list batches;
+        for (Batch& batch : answer.batches) batches.append(std::move(batch));
+        return py::make_tuple(batches, answer.next_block);
+      });
+}
+
+}  // namespace rosplat::python
