@@ -31,7 +31,8 @@ class SplatMap:
 
     def _clear(self, pages: SlotPages) -> None:
         """Begins anew with these pages. Raises MemoryError, and changes nothing, without room."""
-        self._positions, self._extents = _empty(pages.rows)
+        self._positions, self._extents = _room(pages.rows)
+        self._extents[:] = EMPTY
         self.pages = pages
         self.origins: dict[int, NDArray[np.float64]] = {}
         self.poses: dict[int, NDArray[np.float64]] = {}
@@ -150,13 +151,17 @@ class SplatMap:
         return rows
 
     def _reserve(self, rows: int) -> None:
-        """Makes room for so many rows, at least doubling what there is."""
+        """Makes room for so many rows, at least doubling what there is; what is new is empty.
+
+        Room beyond them takes no memory before it is written.
+        """
         if rows > len(self._extents):
-            positions, extents = _empty(max(rows, 2 * len(self._extents)))
+            positions, extents = _room(max(rows, 2 * len(self._extents)))
             positions[: self.pages.rows] = self.positions
             extents[: self.pages.rows] = self.extents
             self._positions, self._extents = positions, extents
+        self._extents[self.pages.rows : rows] = EMPTY
 
 
-def _empty(rows: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    return np.zeros((rows, 3), np.float32), np.full(rows, EMPTY, np.float32)
+def _room(rows: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    return np.zeros((rows, 3), np.float32), np.zeros(rows, np.float32)

@@ -145,7 +145,7 @@ def test_what_memory_can_t_hold_leaves_the_map_as_it_was(make_batch, map_id, mon
 
     splats = SplatMap()
     apply(splats, make_batch(3))
-    monkeypatch.setattr("rosplat_sorter.map._empty", none_left)
+    monkeypatch.setattr("rosplat_sorter.map._room", none_left)
     with pytest.raises(MemoryError):
         apply(splats, make_batch(1, map_id=map_id, revision=2, first_slot=1 << 20))
     assert (splats.map_id, splats.revision, splats.missed) == ("map", 1, 0)
