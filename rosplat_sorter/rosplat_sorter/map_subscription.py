@@ -53,7 +53,7 @@ class MapSubscription:
         self.topic = node.resolve_topic_name("gaussians")
         self.complete = 0
         """The last revision of which on_batch was handed all; what came since is of later ones."""
-        self._closed = self._mixed = False  # what publishers keep
+        self._mixed = False  # what publishers keep
         self._maps = ("", "")  # of the last batch, and the one before that
         self._pull: MapPull[Any] = MapPull()
         self._lock = RLock()  # the answers to requests come outside of the group
@@ -64,19 +64,8 @@ class MapSubscription:
         self._answer: Future | None = None  # that is waited for
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        self._timers = [
-            node.create_timer(WATCH_PERIOD, self._meet_publishers, callback_group, steady),
-            node.create_timer(PULL_PERIOD, self._tick, callback_group, steady),
-        ]
-
-    def destroy(self) -> None:
-        """Hears nothing more. To be called from the thread that spins the node."""
-        with self._lock:
-            self._closed = True
-            for timer in self._timers:
-                self._node.destroy_timer(timer)
-            self._node.destroy_subscription(self._subscription)
-            self._node.destroy_client(self._client)
+        node.create_timer(WATCH_PERIOD, self._meet_publishers, callback_group, steady)
+        node.create_timer(PULL_PERIOD, self._tick, callback_group, steady)
 
     @property
     def pulling(self) -> bool:
@@ -154,7 +143,7 @@ class MapSubscription:
         response: PullMap.Response = answer.result()
         with self._lock:
             self._pull.held = self._busy()
-            if answer is not self._answer or self._closed:
+            if answer is not self._answer:
                 return
             if not response.batches:  # rclpy takes the first answer for the only one
                 self._answer = self._client._pending_requests[sequence] = Future()

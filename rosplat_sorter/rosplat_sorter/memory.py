@@ -15,8 +15,3 @@ def give_back_large_blocks() -> None:
     small ones between messages of megabytes hold them: programs grow for as long as they run.
     """
     ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE)
-
-
-def give_back_the_rest() -> None:
-    """Has what is free in heaps go back to the system, too."""
-    ctypes.CDLL(None).malloc_trim(0)

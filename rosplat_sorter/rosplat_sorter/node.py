@@ -5,7 +5,7 @@ Topics and parameters, wired to the worker.
 
 from __future__ import annotations
 
-import gc
+import contextlib
 import os
 import signal
 import sys
@@ -19,7 +19,6 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
-from rclpy.timer import Timer
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter import qos
@@ -28,7 +27,7 @@ from rosplat_sorter.backends import AUTO, BACKENDS
 from rosplat_sorter.edits import Edit
 from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_sorter.memory import give_back_large_blocks, give_back_the_rest
+from rosplat_sorter.memory import give_back_large_blocks
 from rosplat_sorter.order_slots import pack
 from rosplat_sorter.worker import Answer, Refused, Worker, read
 
@@ -37,7 +36,6 @@ FORGET_AFTER = 60.0  # the map, when no view has wanted an order [s]
 WATCH_PERIOD = 1.0  # whether one has [s]
 CHOICES = (AUTO, *BACKENDS)
 SETTINGS = ("backend", "threads")
-DEVICE_LIBRARIES = {"cupy", "torch"}
 
 
 class _AtWork:
@@ -51,16 +49,12 @@ class _AtWork:
     def _edit(self, batch: Edit | Refused, arrival: Arrival) -> None:
         self.worker.edit(batch, arrival, self._map.complete)
 
-    def close(self) -> None:
-        self._map.destroy()
-        self.worker.close()
-
 
 class SorterNode(Node):
     """Hears `gaussians/view`; while views want orders, `gaussians`; publishes `gaussians/order`.
 
-    No callback waits for anything: parameters are answered at once. spent is done once the map is
-    forgotten and a library stays that holds a GPU for as long as its process lives.
+    No callback waits for anything: parameters are answered at once. unwanted is done when no view
+    has wanted an order for a minute, and the node is to begin anew without a map.
     """
 
     def __init__(self) -> None:
@@ -88,15 +82,15 @@ class SorterNode(Node):
         # Remapping the map's topic takes the others along.
         topic = self.resolve_topic_name("gaussians")
         self._order = self.create_publisher(SplatOrder, f"{topic}/order", qos.ORDER)
-        self.spent = Future()
+        self.unwanted = Future()
         self._at_work: _AtWork | None = None
-        self._watch: Timer | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_subscription(ViewCamera, f"{topic}/view", self._look, qos.VIEW)
         self.get_logger().info(f"waits for a view that wants an order, on {topic}/view")
 
     def destroy_node(self) -> None:
-        self._rest()
+        if self._at_work:
+            self._at_work.worker.close()
         super().destroy_node()
 
     def _look(self, message: ViewCamera) -> None:
@@ -105,24 +99,15 @@ class SorterNode(Node):
         if not self._at_work:
             self._at_work = _AtWork(self, *(self.get_parameter(name).value for name in SETTINGS))
             steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._watch = self.create_timer(WATCH_PERIOD, self._rest_when_unwanted, clock=steady)
+            self.create_timer(WATCH_PERIOD, self._watch, clock=steady)
         self._at_work.wanted = time.monotonic()
         self._at_work.worker.look(message)
 
-    def _rest_when_unwanted(self) -> None:
-        if self._at_work and time.monotonic() - self._at_work.wanted > FORGET_AFTER:
+    def _watch(self) -> None:
+        wanted = self._at_work and time.monotonic() - self._at_work.wanted <= FORGET_AFTER
+        if not wanted and not self.unwanted.done():
             self.get_logger().info("no view wants an order: the map is forgotten")
-            self._rest()
-            if DEVICE_LIBRARIES & sys.modules.keys():
-                self.spent.set_result(None)
-
-    def _rest(self) -> None:
-        if self._at_work:
-            self._at_work.close()
-            self._at_work = None
-            self.destroy_timer(self._watch)
-            gc.collect()
-            give_back_the_rest()
+            self.unwanted.set_result(None)
 
     # --- What the worker calls, from its own thread -----------------------------------------------
 
@@ -182,7 +167,14 @@ def _unknown(backend: str) -> str:
 
 
 def _begin_anew(parameters: list[str]) -> None:
-    """Gives back what only a process that ends gives back, with its parameters as they are."""
+    """Gives back all memory: middleware and libraries for GPUs keep some until their process ends.
+
+    It is the same process to whoever started it, with its parameters as they are.
+    """
+    for file in map(int, os.listdir("/proc/self/fd")):  # middleware leaves some open
+        if file > 2:
+            with contextlib.suppress(OSError):
+                os.set_inheritable(file, False)
     settings = [word for parameter in parameters for word in ("-p", parameter)]
     os.execv(sys.executable, [sys.executable, *sys.argv, "--ros-args", *settings])
 
@@ -200,10 +192,10 @@ def main() -> None:
         node = SorterNode()
         try:
             executor.add_node(node)
-            executor.spin_until_future_complete(node.spent)
+            executor.spin_until_future_complete(node.unwanted)
         finally:
             node.destroy_node()
-        if node.spent.done():
+        if node.unwanted.done():
             rclpy.try_shutdown()
             _begin_anew([f"{name}:={node.get_parameter(name).value}" for name in SETTINGS])
     except ExternalShutdownException:

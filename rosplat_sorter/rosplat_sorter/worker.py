@@ -200,15 +200,13 @@ class Worker:
             self._wake.notify_all()
 
     def close(self) -> None:
-        """Ends the thread after the sort it is at, and gives back the memory of the map."""
+        """Ends the thread after the sort it is at."""
         with self._wake:
             self._closing = True
             self._wake.notify_all()
         self._thread.join()
         if self._orders:
             self._orders.close()
-        self._map = SplatMap()
-        self._close_backend()
 
     def _run(self) -> None:
         while True:

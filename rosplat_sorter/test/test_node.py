@@ -148,39 +148,10 @@ def test_a_map_is_ordered_as_it_changes(peer, make_batch, make_look):
     assert peer.reader.read(peer.orders[-1]).tolist() == [1, 0]
 
 
-def test_it_hears_the_map_only_while_views_want_orders(
-    sorter, peer, make_batch, make_look, monkeypatch, capfd
-):
-    def hears():
-        return peer.node.count_subscribers("gaussians")
-
-    peer.edit(make_batch(3, operation=GaussianArray.REPLACE))
-    for sequence in (1, 2):
-        peer.look(make_look(sequence=sequence))
-        assert peer.slots(sequence) == [2, 1, 0]
-        assert hears() == 1
-        with monkeypatch.context() as patch:
-            patch.setattr("rosplat_sorter.node.FORGET_AFTER", 0.1)
-            peer.wait(lambda: not (hears() or list(sorter.timers)), "it hears the map for ever")
-        assert not list(sorter.clients)
-        assert len(list(sorter.subscriptions)) == 1  # views
-        assert "forgotten" in capfd.readouterr().err
-        peer.look(make_look(sequence=0))  # no order is wanted
-        peer.listen(0.3)
-        assert hears() == 0
-    [result] = sorter.set_parameters([Parameter("backend", value="numpy-reference")])
-    assert result.successful  # of what sorts next
-    peer.look(make_look(sequence=3))
-    assert peer.order(3).backend == "numpy-reference"
-
-
-def test_what_only_a_process_gives_back_ends_with_it(ros, make_batch, make_look, tmp_path):
-    """Libraries for GPUs keep a part of the device: the process begins anew, as it was set."""
+def test_it_hears_the_map_only_while_views_want_orders(ros, make_batch, make_look, tmp_path):
+    """Then its process begins anew, as it was set."""
     program = tmp_path / "sorter.py"
-    program.write_text(
-        "import sys, types\nfrom rosplat_sorter import node\n"
-        "node.FORGET_AFTER = 1\nsys.modules['cupy'] = types.ModuleType('cupy')\nnode.main()\n"
-    )
+    program.write_text("from rosplat_sorter import node\nnode.FORGET_AFTER = 1\nnode.main()\n")
     process = subprocess.Popen(
         [sys.executable, program, "--ros-args", "-r", f"__ns:={ros}", "-p", "backend:=native"],
         stdout=subprocess.PIPE,
@@ -188,24 +159,36 @@ def test_what_only_a_process_gives_back_ends_with_it(ros, make_batch, make_look,
         text=True,
     )
     peer = Peer()
+
+    def hears():
+        return peer.node.count_subscribers("gaussians")
+
     try:
         peer.edit(make_batch(3, operation=GaussianArray.REPLACE))
         settings = peer.node.create_client(SetParameters, "sorter/set_parameters")
         peer.wait(settings.service_is_ready, "no sorter")
         backend = Parameter("backend", value="numpy-reference").to_parameter_msg()
         settings.call_async(SetParameters.Request(parameters=[backend]))
+        files = []
         for sequence in (1, 2):
+            peer.wait(peer._view.get_subscription_count, "no sorter")
+            files.append(len(list(Path(f"/proc/{process.pid}/fd").iterdir())))
+            peer.look(make_look(sequence=0))  # no order is wanted
+            peer.listen(0.3)
+            assert not hears()
             peer.meet()
             peer.look(make_look(sequence=sequence))
             assert peer.order(sequence).backend == "numpy-reference"
-            peer.wait(lambda: not peer.node.count_publishers("gaussians/order"), "it stays")
+            peer.wait(lambda: not hears(), "it hears the map for ever")
         peer.meet()
+        assert files[1] - files[0] < 3  # as many as Fast DDS leaves open each time
     finally:
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=20)
         peer.close()
     assert process.returncode == 0
     assert output.count("waits for a view") == 3
+    assert output.count("forgotten") == 2
     assert "Traceback" not in output
 
 
