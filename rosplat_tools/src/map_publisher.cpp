@@ -111,7 +111,7 @@ class ServiceThread {
 
 }  // namespace
 
-PublishedMap::Wire MapPublisher::wireOf(const Interfaces& node, const MapOptions& options,
+PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const MapOptions& options,
                                         const std::shared_ptr<std::atomic<bool>>& closing) {
   // A late joiner hears of the map by the last batch. The others are for readers that lag behind.
   const auto qos = rclcpp::QoS(8).reliable().transient_local();

@@ -59,7 +59,7 @@ class MapPublisher : public PublishedMap {
 
   MapPublisher(const Interfaces& node, const MapOptions& options,
                const std::shared_ptr<std::atomic<bool>>& closing);
-  static Wire wireOf(const Interfaces& node, const MapOptions& options,
+  static Wire wireOf(Interfaces node, const MapOptions& options,
                      const std::shared_ptr<std::atomic<bool>>& closing);
 
   const std::shared_ptr<std::atomic<bool>> closing_;  // nobody is waited for any more
