@@ -88,11 +88,3 @@ def test_the_command_goes_on_after_a_bad_file(
     assert rows(out)["splats"] == "3"
     assert "none.ply" in err
     assert main([str(tmp_path / "a.ply")]) == 0
-
-
-@pytest.mark.parametrize(
-    ("name", "first"),
-    [("wolf.spz", "SPZ, 1.7 MB"), ("playbot", "SOG, 8.5 MB"), ("train-1000.ply", "PLY, 250 kB")],
-)
-def test_trained_scenes(scene: Callable[[str], Path], name: str, first: str) -> None:
-    assert rows(describe(scene(name)))["format"] == first

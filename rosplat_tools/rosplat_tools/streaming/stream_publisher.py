@@ -19,7 +19,7 @@ from rosplat_core.splats import SceneError, splat_bytes
 from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_sorter.camera import decode
 from rosplat_sorter.qos import VIEW
-from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
+from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import run, spinning
 from rosplat_tools.streaming.followed_view import FollowedView
@@ -41,10 +41,6 @@ class StreamPublisher(Node):
             self, "max_splats", 2_000_000, "The most that the map holds, in strips of 128 slots.",
             1, GaussianArray.MAX_SLOTS,
         )  # fmt: skip
-        most_bytes = declare(
-            self, "max_bytes", 1_000_000_000, "The most that those take as they are sent. [bytes]",
-            1, 1 << 40,
-        )  # fmt: skip
         target = declare(
             self, "error", 1.0, "Chunks are made finer while splats are farther apart [px].",
             1e-3, 1e3,
@@ -52,24 +48,17 @@ class StreamPublisher(Node):
         if not path:
             raise SceneError("parameter path: expected a streamed SOG's lod-meta.json, got none")
         scene = open_streamed(Path(path))
-        budget = min(most, most_bytes // splat_bytes(scene.sh_degree))
         self._views: dict[str, FollowedView] = {}
         self._looked = threading.Event()
-        publisher = MapPublisher(
-            self,
-            frame_id=frame_id,
-            chunk_bytes=CHUNK_BYTES,
-            compression=declare_compression(self),
-        )
+        publisher = MapPublisher(self, frame_id=frame_id, compression=declare_compression(self))
         self._map = StreamedMap(
-            scene, publisher, budget=budget, target=target, warn=self.get_logger().warning
+            scene, publisher, budget=most, target=target, warn=self.get_logger().warning
         )
-        if budget < self._map.least:
-            limit = f"max_splats {most:,}" if budget == most else f"max_bytes {most_bytes:,}"
+        if most < self._map.least:
             self.get_logger().warning(
-                f"{limit} is too few for all of {shown(path)}: its {len(scene.chunks):,} chunks "
-                f"take {self._map.least:,} splats, {splat_bytes(scene.sh_degree)} bytes each, at "
-                "their coarsest, so some are missing"
+                f"max_splats {most:,} is too few for all of {shown(path)}: its "
+                f"{len(scene.chunks):,} chunks take {self._map.least:,} splats, "
+                f"{splat_bytes(scene.sh_degree)} bytes each, at their coarsest, so some are missing"
             )
         topic = self.resolve_topic_name("gaussians")  # remapping it takes the views along
         self.create_subscription(ViewCamera, f"{topic}/view", self._on_view, VIEW)
