@@ -196,7 +196,7 @@ class RenderSettings:
     max_sh_degree: int
     only_band: int
     float_blending: bool
-    asynchronous: bool
+    interactive: bool
     scale: float
     opacity: float
     antialiasing: Antialiasing

@@ -47,7 +47,7 @@ struct Plain {
   double choose(DetailControl& control, const Detail& detail, bool at_once = false) const {
     RenderSettings settings;
     settings.detail = detail;
-    settings.asynchronous = !at_once;
+    settings.interactive = !at_once;
     return control.choose(settings, levels.samples(), request.layers[0].camera,
                           slots.index().groups());
   }

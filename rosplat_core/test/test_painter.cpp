@@ -1,13 +1,13 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
-#include <deque>
 #include <memory>
-#include <mutex>
 #include <random>
 #include <thread>
 #include <utility>
 
+#include "failing_memory.hpp"
 #include "owned_batch.hpp"
 #include "rosplat_core/painter/painter.hpp"
 
@@ -16,15 +16,8 @@ namespace {
 
 // A painter, and the map that it is given.
 struct Studio {
-  Studio()
-      : copy(std::make_shared<PaintedMap>(
-            [this](std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
-              const std::lock_guard lock(mutex);
-              if (edits.empty()) return false;
-              std::tie(edit, state) = std::move(edits.front());
-              edits.pop_front();
-              return true;
-            })) {
+  Studio() {
+    arrivals->handOver(taker, [] {});
     painter.add(copy);
   }
 
@@ -37,12 +30,11 @@ struct Studio {
       batch.add({3 * unit(random), 3 * unit(random), 6}, {0.03f, 0.03f, 0.03f}, 0.9f);
     }
     BatchReport report;
-    const auto edit = map.apply(batch.look(), report);
-    const std::lock_guard lock(mutex);
-    edits.emplace_back(edit, map.state());
+    map.apply(batch.look(), report,
+              [this](const auto& edit, const MapState& state) { arrivals->push(edit, state); });
   }
   // From a place beside the origin [m].
-  std::shared_ptr<PaintRequest> request(const char* detail, bool asynchronous = false,
+  std::shared_ptr<PaintRequest> request(const char* detail, bool interactive = false,
                                         double x = 0) const {
     auto request = std::make_shared<PaintRequest>();
     PaintLayer& layer = request->layers.emplace_back();
@@ -54,7 +46,7 @@ struct Studio {
     layer.camera.width = 120;
     layer.camera.height = 80;
     layer.settings.detail = parseDetail(detail);
-    layer.settings.asynchronous = asynchronous;
+    layer.settings.interactive = interactive;
     return request;
   }
 
@@ -71,9 +63,10 @@ struct Studio {
   }
 
   GaussianMap map;
-  std::mutex mutex;
-  std::deque<std::pair<std::shared_ptr<const GaussianEdit>, MapState>> edits;
-  PaintedMapPtr copy;
+  std::shared_ptr<Arrivals> arrivals = std::make_shared<Arrivals>();
+  Arrivals::Taker taker = arrivals->makeTaker();
+  PaintedMapPtr copy = std::make_shared<PaintedMap>(
+      [taker = taker](const Arrivals::Apply& apply) { return taker.take(apply); });
   Painter painter;
 };
 
@@ -192,6 +185,56 @@ TEST(Painter, PaintsWhatACameraThatMovesIsThoughtToSee) {
   EXPECT_TRUE(ahead->request->motion.none());
   const auto resting = studio.request("full", true, 1);
   EXPECT_TRUE(studio.painted(resting));
+}
+
+// At each allocation in turn: once, and from there on.
+void runOutOfMemory(const char* detail, int failures) {
+  namespace memory = failing_memory;
+  memory::spared = true;
+  constexpr std::uint32_t kSplats = 3000, kMore = 1500;
+  Studio whole;
+  whole.write(kSplats, GaussianBatch::REPLACE);
+  whole.write(kMore, GaussianBatch::UPSERT, kSplats - 500);
+  const auto expected = whole.painter.paintNow("view", whole.request(detail))->picture.colour;
+  bool ran_out = true;
+  int allocations = 0, failed = 0;
+  for (; ran_out; allocations += 1 + allocations / 50) {
+    Studio studio;
+    studio.write(kSplats, GaussianBatch::REPLACE);
+    studio.painter.paintNow("view", studio.request(detail));
+    studio.write(kMore, GaussianBatch::UPSERT, kSplats - 500);
+    memory::left = allocations;
+    memory::failures = failures;
+    try {
+      const PaintingPtr painting = studio.painter.paintNow("view", studio.request(detail));
+      if (painting->maps[0].map.revision == 2) {
+        EXPECT_EQ(studio.arrivals->error(), "");
+        if (painting->maps[0].detail_error.empty()) EXPECT_EQ(painting->picture.colour, expected);
+      } else {
+        EXPECT_FALSE(painting->maps[0].map.complete());
+        EXPECT_EQ(studio.arrivals->error(), "a part of the map isn't drawn: memory is lacking");
+      }
+    } catch (const PictureError& error) {
+      ++failed;
+      EXPECT_NE(std::string(error.what()), "");
+    }
+    ran_out = memory::failures.exchange(0) < failures;
+    studio.arrivals->handOver(studio.taker, [] {});  // so that it is tried at once
+    const PaintingPtr painting = studio.painter.paintNow("view", studio.request(detail));
+    EXPECT_EQ(painting->maps[0].map.revision, 2u);
+    EXPECT_TRUE(painting->maps[0].map.complete());
+    ASSERT_EQ(painting->picture.colour, expected) << "after " << allocations << " allocations";
+  }
+  EXPECT_GT(allocations, 20);
+  EXPECT_GT(failed, 0);
+}
+
+TEST(Painter, OutOfMemoryItSaysSoAndPaintsTheNext) {
+  constexpr int kAll = 1 << 30;
+  for (const int failures : {1, kAll}) {
+    runOutOfMemory("full", failures);
+    runOutOfMemory("20px", failures);
+  }
 }
 
 }  // namespace

@@ -111,7 +111,7 @@ class Source {
     const std::lock_guard lock(mutex_);
     waiting_.push_back({edit, map.state()});
   }
-  bool next(std::shared_ptr<const GaussianEdit>& edit, MapState& state) {
+  bool next(const Arrivals::Apply& apply) {
     std::unique_lock lock(mutex_);
     if (held_) {
       reached_ = true;
@@ -119,8 +119,10 @@ class Source {
       changed_.wait(lock, [this] { return !held_; });
     }
     if (waiting_.empty()) return false;
-    std::tie(edit, state) = waiting_.front();
+    const auto [edit, state] = waiting_.front();
     waiting_.erase(waiting_.begin());
+    lock.unlock();
+    apply({edit, state});
     return true;
   }
   // Whoever asks for edits is held.
@@ -163,18 +165,18 @@ class SoftwareRendererTest : public testing::Test {
 
   PaintedMapPtr addMap(Source& source) {
     auto map = std::make_shared<PaintedMap>(
-        [&source](auto& edit, MapState& state) { return source.next(edit, state); });
+        [&source](const Arrivals::Apply& apply) { return source.next(apply); });
     renderer_->painter().add(map);
     return map;
   }
-  ViewedMap viewed(const SplatCamera& camera, bool asynchronous = true,
+  ViewedMap viewed(const SplatCamera& camera, bool interactive = true,
                    const char* view = "view") const {
     RenderSettings settings;
-    settings.asynchronous = asynchronous;
+    settings.interactive = interactive;
     return {view, map_, camera, settings, nullptr, source_.map.state()};
   }
-  PaintingPtr draw(const SplatCamera& camera, bool asynchronous = true, const char* view = "view") {
-    return renderer_->draw({viewed(camera, asynchronous, view)}, Canvas::kWindow);
+  PaintingPtr draw(const SplatCamera& camera, bool interactive = true, const char* view = "view") {
+    return renderer_->draw({viewed(camera, interactive, view)}, Canvas::kWindow);
   }
   // Until the picture of this camera is shown.
   void rest(const Window& window, const SplatCamera& camera, const char* view = "view") {

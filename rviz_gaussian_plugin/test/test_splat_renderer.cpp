@@ -7,6 +7,8 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
+#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -17,6 +19,7 @@
 #include <numeric>
 #include <sstream>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -182,6 +185,10 @@ std::vector<std::uint32_t> picked(SplatScene& scene) {
   settings.rasterizer = Rasterizer::kTiles;
   SplatScene::drawPick({{&scene, "view", settings, camera()}}, Canvas::kNone, 0);
   return scene.pick().front().slots();
+}
+
+std::size_t gpuBytes(const SplatScene& scene) {
+  return scene.bytes().gpu + scene.bytes().shared_gpu;
 }
 
 float greatestDifference(const std::vector<float>& a, const std::vector<float>& b) {
@@ -439,7 +446,7 @@ TEST_F(SplatRendererTest, TheSorterIsGivenTheMapOnceItIsAsked) {
   fill(asked_before);
   picture(asked_before, Rasterizer::kQuads, OrderSource::kBuiltIn);
   picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
-  EXPECT_EQ(scene.hostBytes(), 0u);
+  EXPECT_EQ(scene.bytes().host, 0u);
   for (const std::uint64_t revision : {2, 3}) {
     Splats more;
     more.add({0, 0, 4.0f - float(revision)}, {1, 0, float(revision)});
@@ -593,9 +600,9 @@ TEST_F(SplatRendererTest, ListsTakeTheMemoryThatTheyNeedOfLate) {
     return scene.draw("view", settings, Canvas::kNone).rasterizer;
   };
   EXPECT_EQ(drawFrom(0), "tiles");
-  const std::size_t near = scene.sharedGpuBytes();
+  const std::size_t near = scene.bytes().shared_gpu;
   for (int frame = 0; frame < 3 * kPatience; ++frame) drawFrom(50);
-  EXPECT_LT(scene.sharedGpuBytes(), near / 2);
+  EXPECT_LT(scene.bytes().shared_gpu, near / 2);
 
   epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
     reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"))(
@@ -626,7 +633,7 @@ TEST_F(SplatRendererTest, KeepsWhatEachViewSees) {
   };
   EXPECT_EQ(stages("window", 64), "bin blend list project sort ");
   const auto expected = scene.readColor();
-  const std::size_t alone = scene.gpuBytes();
+  const std::size_t alone = gpuBytes(scene);
   EXPECT_EQ(stages("camera", 48), "bin blend list project sort ");
   picked(scene);
   for (int frame = 0; frame < 2; ++frame) {
@@ -634,10 +641,10 @@ TEST_F(SplatRendererTest, KeepsWhatEachViewSees) {
     EXPECT_EQ(stages("window", 64), "blend ");
     EXPECT_EQ(scene.readColor(), expected);
   }
-  const std::size_t both = scene.gpuBytes();
+  const std::size_t both = gpuBytes(scene);
   EXPECT_GT(both, alone);
   scene.forget("camera");
-  EXPECT_LT(scene.gpuBytes(), both);
+  EXPECT_LT(gpuBytes(scene), both);
   scene.forget("window");
   EXPECT_TRUE(scene.readColor().empty());
 }
@@ -706,8 +713,8 @@ TEST_F(SplatRendererTest, AMapThatGrowsWaitsOnceForEachArenaThatGrows) {
     batch.first_slot = i * kBatch;
     scene.apply(batch.look());
     scene.upload(settings);
-    if (scene.mapBytes() != bytes) ++grown;
-    bytes = scene.mapBytes();
+    if (scene.bytes().map != bytes) ++grown;
+    bytes = scene.bytes().map;
   }
   EXPECT_GT(grown, 3);
   EXPECT_LE(Waits::waits, grown + 7);  // and for its own memory
@@ -838,8 +845,8 @@ TEST_F(SplatRendererTest, NeedsMemoryForThePagesOfSlotsAlone) {
   one.add({0, 0, 10}, {1, 1, 1});
   scene.apply(one.batch(1, {1u << 24}));
   picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
-  EXPECT_EQ(scene.mapBytes(), kPageBytes);
-  EXPECT_LT(scene.gpuBytes(), std::size_t{1} << 20);
+  EXPECT_EQ(scene.bytes().map, kPageBytes);
+  EXPECT_LT(gpuBytes(scene), std::size_t{1} << 20);
   Splats many;
   std::vector<std::uint32_t> slots;
   for (std::uint32_t keyframe = 0; keyframe < 32; ++keyframe) {
@@ -849,13 +856,13 @@ TEST_F(SplatRendererTest, NeedsMemoryForThePagesOfSlotsAlone) {
   scene.apply(many.batch(2, slots));
   picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
   EXPECT_EQ(scene.report("view").splats, 33u);
-  EXPECT_LE(scene.mapBytes(), 33 * kPageBytes * 5 / 4);
+  EXPECT_LE(scene.bytes().map, 33 * kPageBytes * 5 / 4);
   const std::vector<std::uint32_t> first{0};
   OwnedBatch cleared = one.batch(3, first);
   cleared.operation = GaussianBatch::REPLACE;
   scene.apply(cleared);
   picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
-  EXPECT_EQ(scene.mapBytes(), kPageBytes);
+  EXPECT_EQ(scene.bytes().map, kPageBytes);
 }
 
 TEST_F(SplatRendererTest, DrawsQuadsWhereTheListOfTilesFindsNoMemory) {
@@ -1026,7 +1033,7 @@ RenderSettings detailed(const char* detail, Rasterizer rasterizer) {
 std::vector<float> cutPicture(SplatScene& scene, const RenderSettings& settings,
                               const char* view_id = "view") {
   scene.setCamera(view_id, 1, camera());
-  scene.draw(view_id, settings, Canvas::kNone, !settings.asynchronous);
+  scene.draw(view_id, settings, Canvas::kNone, !settings.interactive);
   return scene.readColor();
 }
 
@@ -1088,16 +1095,16 @@ TEST_F(SplatRendererTest, HasLevelsWhileAViewWantsThem) {
   SplatScene scene(shaders());
   fill(scene);
   cutPicture(scene, detailed("full", Rasterizer::kTiles));
-  const std::size_t bytes = scene.gpuBytes();
-  EXPECT_EQ(scene.levelsBytes(), 0u);
+  const std::size_t bytes = gpuBytes(scene);
+  EXPECT_EQ(scene.bytes().levels, 0u);
   cutPicture(scene, detailed("20px", Rasterizer::kTiles));
   cutPicture(scene, detailed("5px", Rasterizer::kTiles), "other");
   cutPicture(scene, detailed("full", Rasterizer::kTiles));
-  EXPECT_GT(scene.levelsBytes(), 0u);
+  EXPECT_GT(scene.bytes().levels, 0u);
   scene.forget("other");
-  EXPECT_EQ(scene.levelsBytes(), 0u);
+  EXPECT_EQ(scene.bytes().levels, 0u);
   cutPicture(scene, detailed("full", Rasterizer::kTiles));
-  EXPECT_LE(scene.gpuBytes(), bytes + bytes / 10);
+  EXPECT_LE(gpuBytes(scene), bytes + bytes / 10);
   // An order that is given, and picks, show slots.
   cutPicture(scene, detailed("200px", Rasterizer::kTiles));
   EXPECT_LT(scene.report("view").splats, kSplats / 10);
@@ -1130,7 +1137,7 @@ TEST_F(SplatRendererTest, KeepsTheErrorOfABudgetAtRest) {
   fillWithWall(scene, 40000, 3);
   for (const char* most : {"1500", "5k", "10k"}) {
     RenderSettings settings = detailed(most, Rasterizer::kTiles);
-    settings.asynchronous = true;
+    settings.interactive = true;
     std::vector<double> errors;
     for (int frame = 0; frame < 20; ++frame) {
       cutPicture(scene, settings, most);
@@ -1147,7 +1154,7 @@ TEST_F(SplatRendererTest, FindsTheErrorOfAFrameTime) {
   SplatCamera moving = camera();
   const auto errorOf = [&](const char* detail) {
     RenderSettings settings = detailed(detail, Rasterizer::kTiles);
-    settings.asynchronous = true;
+    settings.interactive = true;
     scene.setCamera("view", 1, moving);
     scene.draw("view", settings, Canvas::kNone);
     return scene.report("view").error;
@@ -1173,7 +1180,7 @@ TEST_F(SplatRendererTest, RepairsLevelsBesideTheFrames) {
   SplatScene scene(shaders());
   const RenderSettings waited = detailed("6px", Rasterizer::kTiles);
   RenderSettings settings = waited;
-  settings.asynchronous = true;
+  settings.interactive = true;
   Splats splats;
   addWall(splats, 20000, 0);
   scene.apply(splats.batch(1, {}));
@@ -1199,7 +1206,7 @@ TEST_F(SplatRendererTest, RepairsLevelsBesideTheFrames) {
   const auto repaired = cutPicture(scene, detailed("6px", Rasterizer::kTiles));
   const std::size_t drawn = scene.report("view").splats;
   cutPicture(scene, detailed("full", Rasterizer::kTiles));  // which drops them
-  EXPECT_EQ(scene.levelsBytes(), 0u);
+  EXPECT_EQ(scene.bytes().levels, 0u);
   EXPECT_EQ(greatestDifference(cutPicture(scene, detailed("6px", Rasterizer::kTiles)), repaired),
             0);
   EXPECT_EQ(scene.report("view").splats, drawn);
@@ -1247,9 +1254,9 @@ struct Union {
 // As displays draw them that call the view each by a name of its own.
 std::vector<float> pictureOf(SplatScene& first, const RenderSettings& of_first, SplatScene& second,
                              const RenderSettings& of_second) {
-  const std::vector<SplatScene::Part> parts{{&first, "first's view", of_first},
-                                            {&second, "second's view", of_second}};
-  for (const SplatScene::Part& part : parts) {
+  const std::vector<SplatScene::InView> parts{{&first, "first's view", of_first},
+                                              {&second, "second's view", of_second}};
+  for (const SplatScene::InView& part : parts) {
     SplatCamera mine = camera();
     mine.extent_scale = extentScale(part.settings);
     part.scene->setCamera(part.view_id, 1, mine);
@@ -1286,8 +1293,8 @@ TEST_F(SplatRendererTest, ShowsTheMouseWhatIsSeenWhosesoeverItIs) {
   pictureOf(maps.first, settings, maps.second, settings);
   picture(maps.both, Rasterizer::kTiles, OrderSource::kGpu);
   const std::vector<std::uint32_t> expected = picked(maps.both);
-  const std::vector<SplatScene::Touched> all{{&maps.first, "first's view", settings, camera()},
-                                             {&maps.second, "second's view", settings, camera()}};
+  const std::vector<SplatScene::InView> all{{&maps.first, "first's view", settings, camera()},
+                                            {&maps.second, "second's view", settings, camera()}};
   constexpr std::uint32_t kNumber = 0x123456;
   // What is left of the window: a number where there are picks, the surface.
   const auto left = [](const std::function<void()>& draw) {
@@ -1374,18 +1381,18 @@ TEST_F(SplatRendererTest, MapsShareWhatTheyAreDrawnWith) {
   settings.rasterizer = Rasterizer::kTiles;
   settings.profile = true;
   const auto together = pictureOf(maps.first, settings, maps.second, settings);
-  const std::size_t shared = maps.first.gpuBytes() - maps.first.mapBytes();
-  EXPECT_EQ(maps.second.gpuBytes() - maps.second.mapBytes(), shared);
+  const std::size_t shared = maps.first.bytes().shared_gpu;
+  EXPECT_EQ(maps.second.bytes().shared_gpu, shared);
   EXPECT_EQ(pictureOf(maps.first, settings, maps.second, settings), together);
   EXPECT_EQ(maps.second.report("second's view").profile.count("project"), 0u);  // it is there
   // Whosever display goes: the view is the other's, until that goes as well.
   maps.first.forget("first's view");
-  EXPECT_EQ(maps.second.gpuBytes() - maps.second.mapBytes(), shared);
+  EXPECT_EQ(maps.second.bytes().shared_gpu, shared);
   maps.second.draw("second's view", settings, Canvas::kNone);
   const auto alone = maps.second.readColor();
   EXPECT_NE(alone, together);
   maps.second.forget("second's view");
-  EXPECT_LT(maps.second.gpuBytes() - maps.second.mapBytes(), shared);
+  EXPECT_LT(maps.second.bytes().shared_gpu, shared);
   EXPECT_EQ(pictureOf(maps.first, settings, maps.second, settings), together);
 }
 
@@ -1460,4 +1467,143 @@ TEST_F(SplatRendererTest, GivesAnyDriverShadersThatConform) {
   }
   EXPECT_EQ(std::system(command.c_str()), 0);
   for (const std::string& file : files) std::remove(file.c_str());
+}
+
+namespace {
+
+// A driver without memory for buffers of so many bytes and more, until it ends.
+class FullDriver {
+ public:
+  explicit FullDriver(GLsizeiptr least) {
+    least_ = least;
+    refused_ = 0;
+    epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
+      refused_ += bytes >= least_;
+      glBufferDataOfDriver()(target, bytes >= least_ ? -1 : bytes, data, usage);
+    };
+  }
+  ~FullDriver() { epoxy_glBufferData = glBufferDataOfDriver(); }
+  FullDriver(const FullDriver&) = delete;
+  FullDriver& operator=(const FullDriver&) = delete;
+
+  static int refused() { return refused_; }
+
+ private:
+  static PFNGLBUFFERDATAPROC glBufferDataOfDriver() {
+    return reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"));
+  }
+  static inline GLsizeiptr least_ = 0;
+  static inline int refused_ = 0;
+};
+
+// Splats in a grid before the camera, in slots from a first one on.
+OwnedBatch grid(std::uint64_t revision, std::uint32_t first_slot, std::uint32_t count, float z) {
+  OwnedBatch batch(revision, revision == 1 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT,
+                   first_slot);
+  for (std::uint32_t i = first_slot; i < first_slot + count; ++i) {
+    const auto x = static_cast<float>(i % 80), y = static_cast<float>(i / 80 % 80);
+    batch.add({z * (x - 40) / 50, z * (y - 40) / 50, z}, {0.1f, 0.1f, 0.1f}, 0.5f,
+              {static_cast<float>(i % 7) / 7, 0, 1});
+  }
+  batch.look();
+  return batch;
+}
+
+// Draws until it is complete, or some seconds are over.
+std::vector<float> pictureOnceComplete(SplatScene& scene, Rasterizer rasterizer) {
+  std::vector<float> drawn;
+  for (int i = 0; i < 100; ++i) {
+    drawn = picture(scene, rasterizer, OrderSource::kAuto);
+    if (scene.report("view").map.complete()) break;
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  return drawn;
+}
+
+}  // namespace
+
+TEST_F(SplatRendererTest, WhatTheDriverRefusesIsMissingUntilItIsUploaded) {
+  constexpr std::uint32_t kFirst = 70000, kMore = 200000;
+  SplatScene scene(shaders()), whole(shaders());
+  for (SplatScene* of : {&scene, &whole}) of->apply(grid(1, 0, kFirst, 8));
+  whole.apply(grid(2, kFirst, kMore, -6));
+  whole.apply(grid(3, 0, 100, 4));
+  const auto expected = picture(whole, Rasterizer::kTiles, OrderSource::kAuto);
+  picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
+  EXPECT_TRUE(scene.report("view").map.complete());
+  {
+    const FullDriver full(4 << 20);
+    scene.apply(grid(2, kFirst, kMore, -6));
+    scene.apply(grid(3, 0, 100, 4));
+    picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
+    EXPECT_GT(FullDriver::refused(), 0);
+    EXPECT_FALSE(scene.report("view").map.complete());
+    EXPECT_EQ(scene.report("view").map.revision, 1u);
+    EXPECT_NE(scene.error(), "");
+    EXPECT_EQ(scene.backlog().edits, 2u);
+  }
+  EXPECT_EQ(pictureOnceComplete(scene, Rasterizer::kTiles), expected);
+  EXPECT_EQ(scene.report("view").map.revision, 3u);
+  EXPECT_GT(scene.readSlots({kFirst + kMore - 1}).front().opacity, 0);
+  EXPECT_EQ(scene.error(), "");
+  EXPECT_EQ(scene.backlog().edits, 0u);
+}
+
+TEST_F(SplatRendererTest, WhoDrawsGoesOnWhereAnotherCannot) {
+  SplatScene scene(shaders()), whole(shaders());
+  const OwnedBatch first = grid(1, 0, 60000, 8), second = grid(2, 0, 5000, 6);
+  for (SplatScene* of : {&scene, &whole}) of->apply(first);
+  whole.apply(second);
+  const auto on_card = picture(whole, Rasterizer::kTiles, OrderSource::kAuto);
+  const auto by_processor = picture(whole, Rasterizer::kProcessor, OrderSource::kAuto);
+  picture(scene, Rasterizer::kProcessor, OrderSource::kAuto);
+  {
+    const FullDriver full(1 << 20);
+    picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
+    const int refused = FullDriver::refused();
+    EXPECT_GT(refused, 0);
+    EXPECT_NE(scene.error().find("another rasterizer draws"), std::string::npos) << scene.error();
+    EXPECT_TRUE(scene.report("view").map.complete());
+    scene.apply(second);
+    EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kAuto), by_processor);
+    EXPECT_EQ(scene.report("view").rasterizer, "processor");
+    EXPECT_EQ(FullDriver::refused(), refused);  // not tried with each frame
+  }
+  EXPECT_EQ(picture(scene, Rasterizer::kProcessor, OrderSource::kAuto), by_processor);
+  EXPECT_EQ(scene.error(), "");
+  EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kAuto), on_card);
+  EXPECT_EQ(scene.error(), "");
+}
+
+TEST_F(SplatRendererTest, SwitchesUnderEditsLoseNone) {
+  constexpr std::uint32_t kSwitches = 200, kSlotsEach = 40;
+  const auto renderers = std::make_shared<Renderers>(shaders());
+  const auto card = renderers->onCard();  // or its shaders would be compiled each time
+  SplatScene scene(renderers);
+  scene.apply(grid(1, 0, kSlotsEach, 8));
+  std::atomic<bool> enough{false};
+  std::uint64_t revision = 1;
+  std::thread publisher([&] {
+    while (!enough && revision < 5000) {
+      ++revision;
+      scene.apply(grid(revision, kSlotsEach * std::uint32_t(revision - 1), kSlotsEach, 8));
+      std::this_thread::yield();
+    }
+  });
+  RenderSettings settings;
+  scene.setCamera("view", 1, camera());
+  for (std::uint32_t i = 0; i < kSwitches; ++i) {
+    settings.rasterizer = i % 2 == 0 ? Rasterizer::kProcessor : Rasterizer::kQuads;
+    scene.upload(settings);
+  }
+  enough = true;
+  publisher.join();
+  settings.rasterizer = Rasterizer::kProcessor;
+  scene.draw("view", settings, Canvas::kNone, true);
+  std::vector<std::uint32_t> slots(kSlotsEach * revision);
+  std::iota(slots.begin(), slots.end(), 0u);
+  std::size_t lost = 0;
+  for (const SplatValues& splat : scene.readSlots(slots)) lost += splat.opacity == 0;
+  EXPECT_EQ(lost, 0u) << "of " << slots.size();
+  EXPECT_EQ(scene.drawnMap().revision, revision);
 }

@@ -102,7 +102,7 @@ double DetailControl::choose(const RenderSettings& settings,
                              const std::vector<LevelSamples>& levels, const SplatCamera& camera,
                              const std::vector<Group>& groups) {
   const Detail detail = settings.drawnDetail();
-  const bool at_once = !settings.asynchronous;
+  const bool at_once = !settings.interactive;
   const auto estimate = [&] {
     return CutEstimate(levels, camera, groups, settings.clip_box, settings.blendsLevels());
   };

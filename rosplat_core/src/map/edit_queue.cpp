@@ -146,28 +146,38 @@ void EditQueue::push(Node node) noexcept {
   settled_ = bytes_;
 }
 
-EditQueue::Waiting EditQueue::pop() {
-  Waiting oldest = std::move(waiting_.front());
-  bytes_ -= bytesOf(oldest);
+EditQueue::Waiting EditQueue::pop() { return std::move(popNode().front()); }
+
+EditQueue::Node EditQueue::popNode() noexcept {
+  Node oldest;
+  oldest.splice(oldest.end(), waiting_, waiting_.begin());
+  bytes_ -= bytesOf(oldest.front());
   settled_ = std::min(settled_, bytes_);
-  waiting_.pop_front();
   return oldest;
 }
 
-EditQueue::Waiting EditQueue::pop(std::size_t most_bytes) {
+EditQueue::Node EditQueue::take(std::size_t most_bytes) {
   Waiting& oldest = waiting_.front();
   const std::size_t bytes = uploadBytes(*oldest.edit), slots = countSlots(oldest.edit->runs);
-  if (oldest.taken == 0 && bytes <= most_bytes) return pop();
+  if (oldest.taken == 0 && bytes <= most_bytes) return popNode();
   const std::size_t count =
       std::min(std::max<std::size_t>(most_bytes / (bytes / slots), 1), slots - oldest.taken);
-  Waiting taken{part(*oldest.edit, oldest.taken, count), oldest.state, oldest.now, 0, false};
+  Node taken = node(part(*oldest.edit, oldest.taken, count), oldest.state, oldest.now);
   oldest.taken += count;
   if (oldest.taken == slots) {
-    pop();
+    popNode();
   } else {
-    taken.more = taken.state.pulled = true;
+    taken.front().more = taken.front().state.pulled = true;
   }
   return taken;
+}
+
+void EditQueue::putBack(Node node) noexcept {
+  const bool cleared =
+      !waiting_.empty() && waiting_.front().edit->clear && waiting_.front().taken == 0;
+  if (cleared) return;
+  bytes_ += bytesOf(node.front());
+  waiting_.splice(waiting_.begin(), node);
 }
 
 void EditQueue::clear() {
@@ -191,7 +201,7 @@ void EditQueue::coalesce() {
     for (auto run = edit.runs.rbegin(); run != edit.runs.rend(); ++run) {
       for (std::uint32_t k = run->second; k > 0; --k) {
         --i;
-        kept[i] = !later.set(run->first + k - 1, true) && i >= taken;
+        kept[i] = i >= taken && !later.set(run->first + k - 1, true);
         count += kept[i];
       }
     }

@@ -15,27 +15,22 @@ constexpr double kLevelsShare = 0.5;  // or for that part of the time that they 
 
 }  // namespace
 
-PaintedMap::PaintedMap(NextEdit next_edit)
-    : next_edit_(std::move(next_edit)), levels_(ThreadTeam::ofViewers()) {}
+PaintedMap::PaintedMap(TakeEdit take_edit)
+    : take_edit_(std::move(take_edit)), levels_(ThreadTeam::ofViewers()) {}
 
 void PaintedMap::hold(const GaussianEdit& page, double now) {
   const std::unique_lock lock(slots_mutex_);
   slots_.apply(page, now);
 }
 
-void PaintedMap::hold(const MapState& map) { setState(map, ""); }
+void PaintedMap::hold(const MapState& map) { setState(map); }
 
-void PaintedMap::setState(const MapState& map, const std::string& error) {
+void PaintedMap::setState(const MapState& map) {
+  MapState fresh = map;
   const std::size_t bytes = slots_.bytes();  // of which its writers are the only ones
   const std::lock_guard lock(state_mutex_);
-  state_ = map;
-  error_ = error;
+  state_ = std::move(fresh);
   bytes_ = bytes;
-}
-
-void PaintedMap::leave() {
-  const std::lock_guard lock(edits_mutex_);
-  next_edit_ = [](auto&, auto&) { return false; };
 }
 
 void PaintedMap::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
@@ -54,11 +49,6 @@ MapState PaintedMap::state() const {
   return state_;
 }
 
-std::string PaintedMap::error() const {
-  const std::lock_guard lock(state_mutex_);
-  return error_;
-}
-
 std::size_t PaintedMap::bytes() const {
   const std::lock_guard lock(state_mutex_);
   return bytes_;
@@ -66,28 +56,36 @@ std::size_t PaintedMap::bytes() const {
 
 bool PaintedMap::takeEdits(std::size_t most_bytes, const std::atomic<bool>& stop, double now) {
   std::size_t taken = 0;
-  std::shared_ptr<const GaussianEdit> edit;
-  MapState state;
-  const auto next = [&] {
-    const std::lock_guard lock(edits_mutex_);
-    return next_edit_(edit, state);
+  const auto take = [&](const EditQueue::Waiting& arrival) {
+    apply(*arrival.edit, arrival.state, now);
+    taken += uploadBytes(*arrival.edit);
   };
-  while (taken < most_bytes && !stop && next()) {
-    const std::unique_lock lock(slots_mutex_);
-    std::string error = edit->clear ? "" : this->error();
-    if (edit->clear) levels_.clear();
-    try {
-      slots_.apply(*edit, now);
-      levels_.mark(slots_, edit->runs);
-    } catch (const std::bad_alloc&) {  // the rest of the map is still worth seeing
-      error = "there is no memory for all of the map";
-    }
-    taken += edit->slots.size() * sizeof(std::uint32_t);
-    for (const auto& band : edit->bands) taken += band.size() * sizeof(std::uint32_t);
-    for (const auto& channel : edit->channels) taken += channel.size() * sizeof(float);
-    setState(state, error);
+  while (taken < most_bytes && !stop && take_edit_(take)) {
   }
   return taken < most_bytes;
+}
+
+void PaintedMap::apply(const GaussianEdit& edit, const MapState& after, double now) {
+  const std::unique_lock lock(slots_mutex_);
+  try {
+    if (edit.clear) levels_.clear();
+    slots_.apply(edit, now);
+    levels_.mark(slots_, edit.runs);
+    setState(after);
+  } catch (...) {
+    const std::lock_guard state_lock(state_mutex_);
+    state_.torn = true;
+    throw;
+  }
+}
+
+void PaintedMap::goOnWithLevels(const std::function<bool()>& stop) {
+  if (!wants_levels_) return;
+  try {
+    advanceLevels(stop);
+  } catch (const std::bad_alloc&) {
+    wants_levels_ = false;
+  }
 }
 
 bool PaintedMap::advanceLevels(const std::function<bool()>& stop) {
@@ -120,7 +118,7 @@ PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id, bool res
   const Detail detail = settings.drawnDetail();
   DetailControl& control = controls_[view_id];
   const bool in_time = detail.kind == Detail::Kind::kTime;
-  const bool moves = settings.asynchronous && !rests;
+  const bool moves = settings.interactive && !rests;
   if (!control.needsLevels(detail) || (in_time && !moves)) return {};
   wants_levels_ = true;
   const double patience = std::max(kLevelsPerPicture, kLevelsShare * control.secondsInFull());

@@ -101,6 +101,17 @@ PaintedLayer<float> hidingLayer(const SplatPicture& picture) {
   return layer;
 }
 
+// Why a picture failed, in fewer words where memory is lacking even for these.
+std::string reason(const std::exception& error, const SplatCamera& camera) noexcept {
+  try {
+    if (!dynamic_cast<const std::bad_alloc*>(&error)) return error.what();
+    return "there is no memory for a picture of " + std::to_string(camera.width) + "x" +
+           std::to_string(camera.height) + " pixels";
+  } catch (const std::bad_alloc&) {
+    return "out of memory";  // which a string holds without any
+  }
+}
+
 // While it is drawn: what maps hold, and what is known of them.
 class LockedMaps {
  public:
@@ -177,9 +188,10 @@ void Painter::remove(const PaintedMapPtr& map) {
 
 std::uint64_t Painter::enqueue(const std::string& view_id, PaintRequestPtr&& request) {
   View& view = views_[view_id];
+  auto painting = std::make_shared<Painting>();
   if (!view.waiting) queue_.push_back(view_id);
-  if (painting_ == view_id && refining_ && !request->rests) cancelled_ = true;
-  view.waiting = Waiting{++asked_, std::move(request), now()};
+  if (paints(view_id) && refining_ && !request->rests) cancelled_ = true;
+  view.waiting = Waiting{++asked_, std::move(request), std::move(painting), now(), 0};
   wake_.notify_one();
   return asked_;
 }
@@ -193,7 +205,7 @@ void Painter::hurry(const std::string& view_id) {
   const std::lock_guard lock(mutex_);
   const auto found = views_.find(view_id);
   if (found == views_.end() || !found->second.waiting || found->second.given_up) return;
-  if (painting_ == view_id) cancelled_ = found->second.given_up = true;
+  if (paints(view_id)) cancelled_ = found->second.given_up = true;
 }
 
 PaintingPtr Painter::newest(const std::string& view_id) const {
@@ -214,8 +226,8 @@ PaintingPtr Painter::paintNow(const std::string& view_id, PaintRequestPtr reques
 void Painter::forget(const std::string& view_id) {
   const std::lock_guard lock(mutex_);
   views_.erase(view_id);
-  queue_.erase(std::remove(queue_.begin(), queue_.end(), view_id), queue_.end());
-  if (painting_ == view_id) cancelled_ = true;
+  queue_.remove(view_id);
+  if (paints(view_id)) cancelled_ = true;
   edits_ = true;  // for its levels may go
   wake_.notify_one();
 }
@@ -228,62 +240,72 @@ void Painter::run() {
     if (stop_) return;
     cancelled_ = false;
     if (!picks_.empty()) {
-      PickJob job = std::move(picks_.front());
-      picks_.pop_front();
-      picking_ = job.given_up;
+      findNext(lock);
+    } else if (!queue_.empty()) {
+      paintNext(lock);
+    } else {
+      edits_ = false;
       lock.unlock();
-      find(job);
+      goOnWithMaps();
       lock.lock();
-      picking_.reset();
-      edits_ = true;  // which may have been left for it
-      continue;
     }
-    edits_ = false;
-    std::vector<PaintedMapPtr> maps = maps_;
-    if (queue_.empty()) {
-      lock.unlock();
-      keepViews(maps, "", {});
-      takeEdits(maps, kEverything);
-      for (const PaintedMapPtr& map : maps) {
-        if (!map->wantsLevels()) continue;
-        map->advanceLevels([this] {
-          const std::lock_guard own(mutex_);
-          return hasWork();
-        });
-      }
-      maps.clear();
-      lock.lock();
-      continue;
-    }
-    const std::string view_id = std::move(queue_.front());
-    queue_.pop_front();
-    View& view = views_[view_id];
-    Waiting job = *std::exchange(view.waiting, std::nullopt);
-    if (view.newest) job.takes = view.newest->took;
-    const std::uint64_t number = job.number;
-    painting_ = view_id;
-    refining_ = job.request->rests;
-    lock.unlock();
-    takeEdits(maps, job.request->asynchronous() ? kEditBytesPerPicture : kEverything);
-    keepViews(maps, view_id, job.request->layers);
-    maps.clear();
-    const std::shared_ptr<Painting> painting = paint(view_id, job);
-    lock.lock();
-    painting_.clear();
-    const auto found = views_.find(view_id);
-    if (found == views_.end()) continue;
-    if (!painting) {
-      if (!found->second.waiting) {  // nothing newer: it was given up for a pick
-        found->second.waiting = std::move(job);
-        queue_.push_front(view_id);
-      }
-      continue;
-    }
-    found->second.newest = painting;
-    found->second.painted = number;
+  }
+}
+
+void Painter::findNext(std::unique_lock<std::mutex>& lock) {
+  PickJob job = std::move(picks_.front());
+  picks_.pop_front();
+  picking_ = job.given_up;
+  lock.unlock();
+  find(job);
+  lock.lock();
+  picking_.reset();
+  edits_ = true;  // which may have been left for it
+}
+
+void Painter::paintNext(std::unique_lock<std::mutex>& lock) {
+  edits_ = false;
+  painting_.splice(painting_.end(), queue_, queue_.begin());
+  const std::string& view_id = painting_.front();
+  View& asked = views_.at(view_id);
+  Waiting job = *std::exchange(asked.waiting, std::nullopt);
+  if (asked.newest) job.takes = asked.newest->took;
+  refining_ = job.request->rests;
+  lock.unlock();
+  const bool whole = paint(view_id, job);
+  lock.lock();
+  const auto found = views_.find(view_id);
+  if (found != views_.end() && whole) {
+    found->second.newest = job.painting;
+    found->second.painted = job.number;
     found->second.given_up = false;
     finished_.notify_all();
+  } else if (found != views_.end() && !found->second.waiting) {  // given up for a pick
+    found->second.waiting = std::move(job);
+    queue_.splice(queue_.begin(), painting_);
   }
+  painting_.clear();
+}
+
+// Where no picture is asked for.
+void Painter::goOnWithMaps() {
+  try {
+    const std::vector<PaintedMapPtr> maps = this->maps();
+    keepViews(maps, "", {});
+    takeEdits(maps, kEverything);
+    for (const PaintedMapPtr& map : maps) {
+      map->goOnWithLevels([this] {
+        const std::lock_guard own(mutex_);
+        return hasWork();
+      });
+    }
+  } catch (const std::bad_alloc&) {  // what is left will be tried with the next picture
+  }
+}
+
+std::vector<PaintedMapPtr> Painter::maps() const {
+  const std::lock_guard lock(mutex_);
+  return maps_;
 }
 
 void Painter::takeEdits(const std::vector<PaintedMapPtr>& maps, std::size_t most_bytes) {
@@ -329,7 +351,7 @@ PictureRequest Painter::pictureOf(const PaintRequest& asked) const {
 void Painter::chooseDetail(const std::string& view_id, PictureRequest& request,
                            Painting& painting) const {
   const PaintRequest& asked = *painting.request;
-  const bool waited_for = !asked.asynchronous();
+  const bool waited_for = !asked.interactive();
   for (std::size_t i = 0; i < asked.layers.size(); ++i) {
     const PaintLayer& layer = asked.layers[i];
     if (layer.settings.drawnDetail() == Detail{} || layer.order || layer.unsorted) continue;
@@ -357,85 +379,96 @@ PaintRequestPtr Painter::movedOn(const PaintRequest& request, double seconds) {
   return later;
 }
 
-std::shared_ptr<Painting> Painter::paint(const std::string& view_id, const Waiting& job) {
-  const double start = now();
-  auto painting = std::make_shared<Painting>();
-  painting->request = job.request;
-  painting->maps.resize(job.request->layers.size());
-  painting->asked = painting->due = job.asked;
+bool Painter::paint(const std::string& view_id, const Waiting& job) {
+  bool whole = true;
   try {
-    if (job.takes > 0 && !job.request->motion.none()) {
-      // It will be shown from when it is painted until the next one is.
-      const double ahead = std::min(start - job.asked + 1.5 * job.takes, kFarthestAhead);
-      painting->request = movedOn(*job.request, ahead);
-      painting->due += ahead;
-    }
-    const PaintRequest& asked = *painting->request;
-    PictureRequest request = pictureOf(asked);
-    const PaintLayer& first = asked.layers.front();
-    if (first.order) request.order = first.order->slots;
-    request.mean_depth = true;
-    request.cancelled = &cancelled_;
-    chooseDetail(view_id, request, *painting);
+    const bool interactive = job.request->interactive();
     {
-      const LockedMaps maps(asked, request);
-      std::vector<std::uint32_t> all;
-      if (first.unsorted) {
-        all = first.map->slots().index().slots(maps.states().front().capacity);
-        request.order = all;
-      }
-      for (std::size_t i = 0; i < maps.states().size(); ++i) {
-        painting->maps[i].map = maps.states()[i];
-      }
-      bool again = true;
-      while (std::exchange(again, false)) {
-        if (!rasterizer_.draw(request, picture_)) return nullptr;
-        for (std::size_t i = 0; i < asked.layers.size(); ++i) {
-          PictureLayer& layer = request.layers[i];
-          const auto& drawn = picture_.layers[i];
-          const auto error = asked.layers[i].map->drew(view_id, layer, drawn, now() - start);
-          layer.error = error.value_or(layer.error);
-          again = again || error;
-        }
-      }
+      const std::vector<PaintedMapPtr> maps = this->maps();
+      takeEdits(maps, interactive ? kEditBytesPerPicture : kEverything);
+      keepViews(maps, view_id, job.request->layers);
     }
-    for (std::size_t i = 0; i < asked.layers.size(); ++i) {
-      painting->maps[i].drawn = picture_.layers[i].drawn;
-      painting->maps[i].error = picture_.layers[i].error;
-      std::string& problem = painting->maps[i].detail_error;
-      if (!request.layers[i].levels || !problem.empty()) continue;
-      problem = asked.layers[i].map->detailProblem(view_id);
-    }
-    painting->profile = picture_.profile;
-    if (asked.window) {
-      painting->mesh = PictureMesh(asked.camera(), picture_);
-      painting->colour = colourLayer(picture_);
-      painting->behind = behindLayer(picture_);
-      painting->hiding = hidingLayer(picture_);
-      painting->surface = PaintedSurface(
-          asked.camera(), asked.asynchronous() ? std::move(picture_.depth) : picture_.depth);
-    }
-    if (!asked.asynchronous()) painting->picture = std::exchange(picture_, {});
-  } catch (const PictureError& error) {
-    painting->error = error.what();
-  } catch (const std::bad_alloc&) {
-    const SplatCamera& camera = job.request->camera();
-    painting->error = "there is no memory for a picture of " + std::to_string(camera.width) + "x" +
-                      std::to_string(camera.height) + " pixels";
+    whole = draw(view_id, job);
+  } catch (const std::exception& error) {
+    *job.painting = {};
+    job.painting->request = job.request;
+    job.painting->error = reason(error, job.request->camera());
   }
   workspace_ = rasterizer_.bytes();
-  painting->took = now() - start;
-  return painting;
+  return whole;
+}
+
+bool Painter::draw(const std::string& view_id, const Waiting& job) {
+  const double start = now();
+  Painting& painting = *job.painting = {};
+  painting.request = job.request;
+  painting.maps.resize(job.request->layers.size());
+  painting.asked = painting.due = job.asked;
+  if (job.takes > 0 && !job.request->motion.none()) {
+    // It will be shown from when it is painted until the next one is.
+    const double ahead = std::min(start - job.asked + 1.5 * job.takes, kFarthestAhead);
+    painting.request = movedOn(*job.request, ahead);
+    painting.due += ahead;
+  }
+  const PaintRequest& asked = *painting.request;
+  PictureRequest request = pictureOf(asked);
+  const PaintLayer& first = asked.layers.front();
+  if (first.order) request.order = first.order->slots;
+  request.mean_depth = true;
+  request.cancelled = &cancelled_;
+  chooseDetail(view_id, request, painting);
+  {
+    const LockedMaps maps(asked, request);
+    std::vector<std::uint32_t> all;
+    if (first.unsorted) {
+      all = first.map->slots().index().slots(maps.states().front().capacity);
+      request.order = all;
+    }
+    for (std::size_t i = 0; i < maps.states().size(); ++i) {
+      painting.maps[i].map = maps.states()[i];
+    }
+    bool again = true;
+    while (std::exchange(again, false)) {
+      if (!rasterizer_.draw(request, picture_)) return false;
+      for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+        PictureLayer& layer = request.layers[i];
+        const auto& drawn = picture_.layers[i];
+        const auto error = asked.layers[i].map->drew(view_id, layer, drawn, now() - start);
+        layer.error = error.value_or(layer.error);
+        again = again || error;
+      }
+    }
+  }
+  for (std::size_t i = 0; i < asked.layers.size(); ++i) {
+    painting.maps[i].drawn = picture_.layers[i].drawn;
+    painting.maps[i].error = picture_.layers[i].error;
+    std::string& problem = painting.maps[i].detail_error;
+    if (!request.layers[i].levels || !problem.empty()) continue;
+    problem = asked.layers[i].map->detailProblem(view_id);
+  }
+  painting.profile = picture_.profile;
+  if (asked.window) {
+    painting.mesh = PictureMesh(asked.camera(), picture_);
+    painting.colour = colourLayer(picture_);
+    painting.behind = behindLayer(picture_);
+    painting.hiding = hidingLayer(picture_);
+    painting.surface = PaintedSurface(
+        asked.camera(), asked.interactive() ? std::move(picture_.depth) : picture_.depth);
+  }
+  if (!asked.interactive()) painting.picture = std::exchange(picture_, {});
+  painting.took = now() - start;
+  return true;
 }
 
 std::vector<Pick> Painter::pick(PaintRequest asked) {
-  const std::lock_guard lock(mutex_);
-  PickJob& job = picks_.emplace_back();
+  PickJob job;
   job.slots.resize(asked.layers.size());
   job.asked = std::move(asked);
   const std::shared_ptr<void> wanted(nullptr, [up = job.given_up](void*) { *up = true; });
   std::vector<Pick> picks;
   for (auto& slots : job.slots) picks.emplace_back(slots.get_future(), wanted);
+  const std::lock_guard lock(mutex_);
+  picks_.push_back(std::move(job));
   cancelled_ = true;  // what is being painted comes after
   wake_.notify_one();
   return picks;
@@ -447,13 +480,12 @@ void Painter::find(PickJob& job) {
     request.cancelled = job.given_up.get();
     const LockedMaps maps(job.asked, request);
     const std::vector<PickedSplat> picked = rasterizer_.pick(request);
-    for (std::size_t layer = 0; layer < job.slots.size(); ++layer) {
-      Pick::Slots slots;
-      slots.reserve(picked.size());
-      for (const PickedSplat& splat : picked) {
-        slots.push_back(splat.layer == layer ? splat.slot : kNoSlot);
-      }
-      job.slots[layer].set_value(std::move(slots));
+    std::vector<Pick::Slots> found(job.slots.size(), Pick::Slots(picked.size(), kNoSlot));
+    for (std::size_t i = 0; i < picked.size(); ++i) {
+      if (picked[i].slot != kNoSlot) found[picked[i].layer][i] = picked[i].slot;
+    }
+    for (std::size_t layer = 0; layer < found.size(); ++layer) {
+      job.slots[layer].set_value(std::move(found[layer]));
     }
   } catch (...) {
     for (auto& slots : job.slots) slots.set_exception(std::current_exception());

@@ -54,9 +54,9 @@ def measure(plan: Plan) -> Iterator[Event]:
 
 
 def _shown(
-    renderer: Renderer, view: embedded.View, camera: Camera, asynchronous: bool = False
+    renderer: Renderer, view: embedded.View, camera: Camera, interactive: bool = False
 ) -> NDArray[np.float64]:
-    renderer.settings.asynchronous = asynchronous
+    renderer.settings.interactive = interactive
     view.look(camera)
     view.draw()
     picture: NDArray[np.float64] = renderer.read_color8() / 255
@@ -79,11 +79,11 @@ def _carried(name: str, picture: tuple[int, int]) -> Iterator[Event]:
             stale = _shown(renderer, view, cameras[0])
             for age in AGES:
                 exact = _shown(renderer, view, cameras[age])
-                renderer.settings.asynchronous = True
+                renderer.settings.interactive = True
                 view.look(cameras[0])
                 while not view.draw()["order_fresh"]:
                     pass
-                carried = _shown(renderer, view, cameras[age], asynchronous=True)
+                carried = _shown(renderer, view, cameras[age], interactive=True)
                 for what, seen in (("carried over", carried), ("as it is", stale)):
                     yield Measurement.of(
                         "PSNR", "dB", metrics.psnr(seen, exact), name, len(splats),
@@ -103,7 +103,7 @@ def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Eve
         renderer = embedded.open_renderer()
         renderer.settings.rasterizer = Rasterizer.PROCESSOR
         renderer.settings.detail = detail
-        renderer.settings.asynchronous = True
+        renderer.settings.interactive = True
         rendering.insert_all(renderer, splats)
         view = embedded.View(renderer)
         _rest(view, cameras[0])

@@ -234,7 +234,7 @@ RenderSettings DisplaySettings::get() const {
   settings.max_sh_degree = sh_degree_->getOptionInt();
   settings.only_band = sh_band_->getOptionInt();
   settings.order = static_cast<OrderSource>(order_->getOptionInt());
-  settings.asynchronous = true;
+  settings.interactive = true;
   settings.rasterizer = static_cast<Rasterizer>(rasterizer_->getOptionInt());
   settings.profile = profile_->getBool();
   settings.antialiasing = static_cast<Antialiasing>(antialiasing_->getOptionInt());

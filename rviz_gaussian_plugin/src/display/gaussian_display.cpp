@@ -310,7 +310,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
   }
   if (received.batches > 0) lines.push_back(mapStatus(map, scene.backlog()));
   const bool draws = cloud_->error().empty();
-  if (const std::string& error = draws ? scene.uploadError() : cloud_->error(); !error.empty()) {
+  if (const std::string error = draws ? scene.error() : cloud_->error(); !error.empty()) {
     lines.push_back({StatusProperty::Error, kGraphics, error});
   } else if (const std::string warning = scene.warning(); !warning.empty()) {
     lines.push_back({StatusProperty::Warn, kGraphics, warning});
@@ -323,6 +323,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
     lines.push_back(channelStatus(map, cloud_->settings()));
   }
   const Detail wanted = cloud_->settings().drawnDetail();
+  const DrawnBytes bytes = scene.bytes();
   std::vector<SplatCamera> cameras;
   for (const auto& [view, frame, camera] : views) {
     cameras.push_back(camera);
@@ -330,13 +331,12 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
     lines.push_back(orderStatus(frame, view));
     lines.push_back(frameStatus(frame, view));
     if (!(wanted == Detail{})) {
-      lines.push_back(detailStatus(wanted, frame, scene.levelsBytes(), view));
+      lines.push_back(detailStatus(wanted, frame, bytes.levels, view));
     }
   }
   const auto regimes = scene.hardRegimes(cloud_->settings(), cameras);
   if (!regimes.empty()) lines.push_back(accuracyStatus(regimes));
-  lines.push_back(memoryStatus(scene.gpuBytes() - scene.sharedGpuBytes(), scene.hostBytes(),
-                               scene.sharedGpuBytes(), scene.sharedHostBytes()));
+  lines.push_back(memoryStatus(bytes.gpu, bytes.host, bytes.shared_gpu, bytes.shared_host));
   return lines;
 }
 

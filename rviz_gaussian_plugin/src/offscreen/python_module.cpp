@@ -76,16 +76,17 @@ py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort
     const py::gil_scoped_release release;  // or orders would wait for the frame
     report = renderer.draw(view_id, sort_now);
   }
-  return py::dict(
-      "splats"_a = report.splats, "error"_a = report.error, "detail_error"_a = report.detail_error,
-      "order_source"_a = report.order_source, "order_fresh"_a = report.order_fresh,
-      "order_age"_a = report.order_age, "sort_time"_a = report.sort_time,
-      "draw_time"_a = report.draw_time, "paint_time"_a = report.paint_time,
-      "picture_age"_a = report.picture_age, "camera_off"_a = report.camera_off,
-      "rasterizer"_a = report.rasterizer, "profile"_a = report.profile, "map_id"_a = report.map.id,
-      "revision"_a = report.map.revision, "map_complete"_a = report.map.complete(),
-      "gpu_bytes"_a = renderer.scene().gpuBytes(), "map_bytes"_a = renderer.scene().mapBytes(),
-      "levels_bytes"_a = renderer.scene().levelsBytes());
+  const DrawnBytes bytes = renderer.scene().bytes();
+  return py::dict("splats"_a = report.splats, "error"_a = report.error,
+                  "detail_error"_a = report.detail_error, "order_source"_a = report.order_source,
+                  "order_fresh"_a = report.order_fresh, "order_age"_a = report.order_age,
+                  "sort_time"_a = report.sort_time, "draw_time"_a = report.draw_time,
+                  "paint_time"_a = report.paint_time, "picture_age"_a = report.picture_age,
+                  "camera_off"_a = report.camera_off, "rasterizer"_a = report.rasterizer,
+                  "profile"_a = report.profile, "map_id"_a = report.map.id,
+                  "revision"_a = report.map.revision, "map_complete"_a = report.map.complete(),
+                  "gpu_bytes"_a = bytes.gpu + bytes.shared_gpu, "map_bytes"_a = bytes.map,
+                  "levels_bytes"_a = bytes.levels);
 }
 
 py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>& slots) {

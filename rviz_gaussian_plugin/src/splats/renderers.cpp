@@ -1,5 +1,8 @@
 #include "renderers.hpp"
 
+#include "card_drawer.hpp"
+#include "processor_drawer.hpp"
+
 namespace rosplat {
 
 namespace {
@@ -21,5 +24,18 @@ std::shared_ptr<Renderers> Renderers::ofProcess(const ShaderSource& shaders) {
 std::shared_ptr<SplatRenderer> Renderers::onCard() { return shared(card_, shaders_); }
 
 std::shared_ptr<SoftwareRenderer> Renderers::onProcessor() { return shared(processor_, shaders_); }
+
+std::unique_ptr<Drawer> Renderers::makeDrawer(DrawnBy by, const Arrivals::Taker& taker,
+                                              BuiltInSorter& sorter) {
+  if (by == DrawnBy::kCard) return std::make_unique<CardDrawer>(onCard(), taker, sorter);
+  return std::make_unique<ProcessorDrawer>(onProcessor(), taker);
+}
+
+DrawnBy drawnBy(Rasterizer rasterizer) {
+  const bool by_processor = rasterizer == Rasterizer::kAuto
+                                ? !gl::accelerated() || !gl::unsupported().empty()
+                                : rasterizer == Rasterizer::kProcessor;
+  return by_processor ? DrawnBy::kProcessor : DrawnBy::kCard;
+}
 
 }  // namespace rosplat

@@ -3,7 +3,10 @@
 #include <memory>
 #include <utility>
 
+#include "drawer.hpp"
 #include "gl/shaders.hpp"
+#include "rosplat_core/map/arrivals.hpp"
+#include "rosplat_core/order/built_in_sorter.hpp"
 #include "software_renderer.hpp"
 #include "splat_renderer.hpp"
 
@@ -20,11 +23,18 @@ class Renderers {
   // Throw gl::Error where the driver can't do it.
   std::shared_ptr<SplatRenderer> onCard();
   std::shared_ptr<SoftwareRenderer> onProcessor();
+  // A map's side of one of them, without anything in it.
+  std::unique_ptr<Drawer> makeDrawer(DrawnBy by, const Arrivals::Taker& taker,
+                                     BuiltInSorter& sorter);
 
  private:
   ShaderSource shaders_;
   std::weak_ptr<SplatRenderer> card_;
   std::weak_ptr<SoftwareRenderer> processor_;
 };
+
+// Who draws what is to be rasterised so: the processor where no graphics card does, or none that
+// can. Render thread only.
+DrawnBy drawnBy(Rasterizer rasterizer);
 
 }  // namespace rosplat

@@ -16,14 +16,16 @@ double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-bool same(const MapState& a, const MapState& b) { return a.edits == b.edits; }
+bool same(const MapState& a, const MapState& b) { return a.edits == b.edits && a.torn == b.torn; }
 
+// Whether that is it, or failed.
 bool shows(const Painting& painting, const PaintRequest& request,
            const std::vector<ViewedMap>& maps) {
   const auto as = [](const Painting::OfMap& shown, const ViewedMap& map) {
     return same(shown.map, map.state);
   };
-  return *painting.request == request &&
+  if (!(*painting.request == request)) return false;
+  return !painting.error.empty() ||
          std::equal(painting.maps.begin(), painting.maps.end(), maps.begin(), maps.end(), as);
 }
 
@@ -62,7 +64,7 @@ PaintRequest SoftwareRenderer::requestOf(const std::vector<ViewedMap>& maps) con
     layer.settings = map.settings;
     layer.order = map.order;
     layer.unsorted = maps.size() == 1 && map.settings.order == OrderSource::kOff;
-    if (map.settings.asynchronous && map.settings.mode == DrawMode::kAge) {
+    if (map.settings.interactive && map.settings.mode == DrawMode::kAge) {
       layer.age_tick = static_cast<std::uint64_t>(painter_.clock());
     }
   }
@@ -99,7 +101,8 @@ bool SoftwareRenderer::ready(const ViewedMap& map) {
   auto request = std::make_shared<PaintRequest>(requestOf(maps));
   const View& view = views_[name];
   const PaintingPtr newest = painter_.newest(name);
-  if (newest && shows(*newest, *request, maps)) return true;
+  const bool good = newest && (newest->error.empty() || newest->request == view.asked);
+  if (good && shows(*newest, *request, maps)) return true;
   if (!asked(view, *request, maps)) ask(name, std::move(request), maps);
   return false;
 }
@@ -107,12 +110,12 @@ bool SoftwareRenderer::ready(const ViewedMap& map) {
 PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas canvas,
                                    const Surroundings& around) {
   const std::string& name = join(maps);
-  const bool asynchronous = maps.front().settings.asynchronous;
+  const bool interactive = maps.front().settings.interactive;
   auto request = std::make_shared<PaintRequest>(requestOf(maps));
   const SplatCamera& camera = request->camera();
   request->window = canvas != Canvas::kNone;
   View& view = views_[name];
-  if (asynchronous && request->window) request->motion = view.motion.follow(camera, now());
+  if (interactive && request->window) request->motion = view.motion.follow(camera, now());
   if (around.translucent) {
     request->translucent_depth =
         depthsOf(canvas, camera.width, camera.height, around.translucent_in, around.translucent);
@@ -124,11 +127,12 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   PaintingPtr painting = painter_.newest(name);
   exact_ = painting && shows(*painting, *request, maps);
   if (exact_ && !painting->error.empty()) {
-    view.asked = nullptr;  // another time it may succeed
-    painter_.ask(name, request);
-    throw PictureError(painting->error);
+    exact_ = false;  // another time it may succeed
+    if (std::exchange(view.asked, nullptr) == painting->request) {
+      throw PictureError(painting->error);
+    }
   }
-  if (!asynchronous && !exact_) {
+  if (!interactive && !exact_) {
     view.asked = nullptr;
     painting = painter_.paintNow(name, request);
     exact_ = true;
@@ -136,7 +140,7 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
     painter_.hurry(name);  // the camera rests
   } else if (!exact_) {
     ask(name, request, maps);
-  } else if (asynchronous && !painting->settled && painting->request == view.asked) {
+  } else if (interactive && !painting->settled && painting->request == view.asked) {
     request->rests = true;
     ask(name, request, maps);
   }
@@ -249,7 +253,7 @@ void SoftwareRenderer::drawPick(const std::vector<ViewedMap>& maps, Canvas canva
 }
 
 const std::vector<float>& SoftwareRenderer::readColor() const {
-  if (!drawn_ || drawn_->shown->request->asynchronous()) {
+  if (!drawn_ || drawn_->shown->request->interactive()) {
     throw PictureError("pictures that follow the camera are only shown");
   }
   return drawn_->shown->picture.colour;

@@ -23,7 +23,7 @@ using ViewedMap = Viewed<PaintedMap>;
 
 // Draws maps where no graphics card does: a painter makes their pictures, and OpenGL only lays them
 // over the window. Maps of one view are in one picture, by depth. Knows no Ogre; runs in the render
-// thread only, which waits for a picture if it isn't asynchronous, and never otherwise.
+// thread only, which waits for a picture if it isn't interactive, and never otherwise.
 class SoftwareRenderer {
  public:
   // Throws gl::Error where the driver can't do it.
@@ -52,7 +52,7 @@ class SoftwareRenderer {
   // After drawPick(), of each of its maps.
   std::vector<Pick> pick() { return painter_.pick(picked_); }
 
-  // What draw() showed last; see SplatRenderer. Throw PictureError where it is asynchronous.
+  // What draw() showed last; see SplatRenderer. Throw PictureError where it is interactive.
   const std::vector<float>& readColor() const;
   const std::vector<float>& readDepth() const;
 

@@ -306,7 +306,7 @@ void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
   if (turn == Turn::kBefore && !drawn_) drawTouched(manager, canvas);
 }
 
-std::optional<SplatScene::Part> SplatCloud::part(Ogre::Viewport* viewport) {
+std::optional<SplatScene::InView> SplatCloud::seen(Ogre::Viewport* viewport) {
   if (pauses()) return {};
   const SplatCamera camera = cameraIn(*viewport);
   const std::string view = on_view_(viewport, camera);
@@ -320,40 +320,38 @@ std::optional<SplatScene::Part> SplatCloud::part(Ogre::Viewport* viewport) {
     of = scene_->knows(of->first) ? std::next(of) : seen_.erase(of);
   }
   seen_[view] = camera;
-  return SplatScene::Part{scene_.get(), view, settings_};
+  return SplatScene::InView{scene_.get(), view, settings_};
 }
 
-std::optional<SplatScene::Touched> SplatCloud::touched(Ogre::Viewport* viewport) {
+std::optional<SplatScene::InView> SplatCloud::touched(Ogre::Viewport* viewport) {
   if (seen_.empty() || pauses()) return {};  // what isn't seen can't be touched
   SplatCamera camera = cameraIn(*viewport);
   auto view = seen_.begin();
   while (view != seen_.end() && !makePart(camera, view->second)) ++view;
   if (view == seen_.end()) view = seen_.begin();  // it has moved since
-  return SplatScene::Touched{scene_.get(), view->first, settings_, camera};
+  return SplatScene::InView{scene_.get(), view->first, settings_, camera};
 }
 
-template <typename Part, typename Draw>
-void SplatCloud::drawAll(Ogre::SceneManager& manager,
-                         std::optional<Part> (SplatCloud::*part)(Ogre::Viewport*),
-                         const Draw& draw) {
-  std::vector<Group<Part>> groups;
+void SplatCloud::drawAll(Ogre::SceneManager& manager, Find find,
+                         const std::function<void(const Group&)>& draw) {
+  std::vector<Group> groups;
   for (SplatCloud* cloud : cloudsIn(manager)) {
     cloud->drawn_ = true;
     try {
-      const std::optional<Part> found = (cloud->*part)(manager.getCurrentViewport());
+      const std::optional<SplatScene::InView> found = (cloud->*find)(manager.getCurrentViewport());
       if (!found) continue;
       found->scene->prepare(found->settings);
-      auto group = std::find_if(groups.begin(), groups.end(), [&found](const Group<Part>& other) {
-        return SplatScene::together(*other.parts.front().scene, *found->scene);
+      auto group = std::find_if(groups.begin(), groups.end(), [&found](const Group& other) {
+        return SplatScene::together(*other.maps.front().scene, *found->scene);
       });
-      if (group == groups.end()) group = groups.insert(group, Group<Part>{});
+      if (group == groups.end()) group = groups.insert(group, Group{});
       group->clouds.push_back(cloud);
-      group->parts.push_back(*found);
+      group->maps.push_back(*found);
     } catch (const std::exception& error) {
       cloud->fail(error);
     }
   }
-  for (const Group<Part>& group : groups) {
+  for (const Group& group : groups) {
     try {
       draw(group);
     } catch (const std::exception& error) {
@@ -386,9 +384,9 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas)
         reachOf(objects, *camera_, viewport.getActualWidth(), viewport.getActualHeight());
   }
   around.opaque = anyOpaque(manager);
-  drawAll(manager, &SplatCloud::part, [&](const Group<SplatScene::Part>& group) {
-    SplatScene::draw(group.parts, canvas, sort_now_, around);
-    if (around.translucent) group.clouds.front()->divided_ = group.parts.front().view_id;
+  drawAll(manager, &SplatCloud::seen, [&](const Group& group) {
+    SplatScene::draw(group.maps, canvas, sort_now_, around);
+    if (around.translucent) group.clouds.front()->divided_ = group.maps.front().view_id;
     for (SplatCloud* cloud : group.clouds) cloud->error_.clear();
   });
 }
@@ -397,11 +395,11 @@ void SplatCloud::drawTouched(Ogre::SceneManager& manager, Canvas canvas) {
   static std::uint32_t ticket = 0;
   const std::string& scheme = manager.getCurrentViewport()->getMaterialScheme();
   if (scheme == "Pick") ticket = ticket % kMostTickets + 1;
-  drawAll(manager, &SplatCloud::touched, [&](const Group<SplatScene::Touched>& group) {
+  drawAll(manager, &SplatCloud::touched, [&](const Group& group) {
     if (scheme == "Depth") {
-      return SplatScene::drawSurface(group.parts, canvas, camera_->getFarClipDistance());
+      return SplatScene::drawSurface(group.maps, canvas, camera_->getFarClipDistance());
     }
-    SplatScene::drawPick(group.parts, canvas, scheme == "Pick" ? pick_handle_ : ticket);
+    SplatScene::drawPick(group.maps, canvas, scheme == "Pick" ? pick_handle_ : ticket);
     group.clouds.front()->picked_with_ = group.clouds;
   });
 }

@@ -88,11 +88,10 @@ class SplatCloud : public Ogre::MovableObject {
     Turn turn_;
   };
 
-  // Clouds that are drawn together, and what of each is.
-  template <typename Part>
+  // Clouds that are drawn together, and their maps.
   struct Group {
     std::vector<SplatCloud*> clouds;
-    std::vector<Part> parts;
+    std::vector<SplatScene::InView> maps;
   };
 
   // That Ogre is drawing now, in the order in which they were made.
@@ -101,14 +100,14 @@ class SplatCloud : public Ogre::MovableObject {
   void drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas);
   // For rviz's mouse tools.
   void drawTouched(Ogre::SceneManager& manager, Canvas canvas);
-  // Draws all that Ogre is drawing now, what a method finds of each.
-  template <typename Part, typename Draw>
-  static void drawAll(Ogre::SceneManager& manager,
-                      std::optional<Part> (SplatCloud::*part)(Ogre::Viewport*), const Draw& draw);
-  // What a viewport sees of the map, if it is to be drawn; after an error it isn't for a while.
-  std::optional<SplatScene::Part> part(Ogre::Viewport* viewport);
+  // Draws all that Ogre is drawing now, as a method finds each.
+  using Find = std::optional<SplatScene::InView> (SplatCloud::*)(Ogre::Viewport*);
+  static void drawAll(Ogre::SceneManager& manager, Find find,
+                      const std::function<void(const Group&)>& draw);
+  // The map as a viewport sees it, if it is to be drawn; after an error it isn't for a while.
+  std::optional<SplatScene::InView> seen(Ogre::Viewport* viewport);
   // The same of a viewport of rviz's mouse tools, if the map was seen.
-  std::optional<SplatScene::Touched> touched(Ogre::Viewport* viewport);
+  std::optional<SplatScene::InView> touched(Ogre::Viewport* viewport);
   SplatCamera cameraIn(const Ogre::Viewport& viewport) const;
   bool pauses() const;
   void fail(const std::exception& error);

@@ -38,9 +38,11 @@ class EditQueue {
   // The oldest; there must be one.
   const Waiting& front() const { return waiting_.front(); }
   Waiting pop();
-  // The same of an edit that is larger, in parts that upload no more than so many bytes each, but a
+  // The same, of an edit that is larger in parts that upload no more than so many bytes each, but a
   // slot at least. While there are further ones, the state says that more is on its way.
-  Waiting pop(std::size_t most_bytes);
+  Node take(std::size_t most_bytes);
+  // What was taken last is the oldest again, unless a clear has come since.
+  void putBack(Node node) noexcept;
   void clear();
 
   bool empty() const { return waiting_.empty(); }
@@ -48,6 +50,7 @@ class EditQueue {
   std::size_t bytes() const { return bytes_; }
 
  private:
+  Node popNode() noexcept;
   void coalesce();
 
   std::size_t worthwhile_;

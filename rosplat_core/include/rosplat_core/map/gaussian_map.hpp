@@ -88,10 +88,12 @@ struct MapState {
   bool pulled = false;            // in part: more is on its way
   std::uint64_t missed = 0;       // batches, since the last clear or pull
   std::uint64_t dropped = 0;      // splats, since the last clear
+  // Of a map that is drawn: what comes next is in it in part, for memory was lacking.
+  bool torn = false;
 
   // Whether all that its publisher announced is there.
   bool complete() const {
-    return !pulled && missed == 0 && splats > 0 && splats + dropped >= expected;
+    return !torn && !pulled && missed == 0 && splats > 0 && splats + dropped >= expected;
   }
 };
 

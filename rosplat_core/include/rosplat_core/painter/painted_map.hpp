@@ -13,6 +13,7 @@
 
 #include "rosplat_core/levels/detail.hpp"
 #include "rosplat_core/levels/levels.hpp"
+#include "rosplat_core/map/arrivals.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/map/host_slots.hpp"
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
@@ -25,23 +26,20 @@ namespace rosplat {
 // detail made of it while some view wants any.
 class PaintedMap {
  public:
-  // Gives the next edit and the map's state after it; false where none waits. Any thread.
-  using NextEdit = std::function<bool(std::shared_ptr<const GaussianEdit>&, MapState&)>;
+  // Has the oldest edit that waits applied; false where none is to be taken. Any thread.
+  using TakeEdit = std::function<bool(const Arrivals::Apply&)>;
 
-  explicit PaintedMap(NextEdit next_edit);
+  explicit PaintedMap(TakeEdit take_edit);
 
   // All of these from any thread. now: the clock of `change` in packed_slot.hpp.
 
   // Begins with a map that another has drawn so far: its pages, and its state.
   void hold(const GaussianEdit& page, double now);
   void hold(const MapState& map);
-  // Asks for no more edits: once this has returned, none is being asked for.
-  void leave();
   // What writes the map elsewhere: where its groups are, then a page of it at a time.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   MapState state() const;
-  std::string error() const;  // why a part of it is missing, empty where none is
   std::size_t bytes() const;  // without levels
   std::size_t levelsBytes() const { return levels_bytes_; }
 
@@ -69,21 +67,21 @@ class PaintedMap {
   std::string detailProblem(const std::string& view_id) const;
   // Views that there are none of any more, or that don't want levels.
   void keepViews(const std::function<bool(const std::string& view_id)>& keep);
-  bool wantsLevels() const { return wants_levels_; }
-  // Until `stop`; whether the levels hold all of the map. Throws std::bad_alloc.
-  bool advanceLevels(const std::function<bool()>& stop);
+  // Goes on with levels until `stop`; where memory is lacking, not until a view wants them again.
+  void goOnWithLevels(const std::function<bool()>& stop);
 
  private:
-  void setState(const MapState& map, const std::string& error);
+  void apply(const GaussianEdit& edit, const MapState& after, double now);
+  void setState(const MapState& map);
+  // Whether the levels hold all of the map. Throws std::bad_alloc.
+  bool advanceLevels(const std::function<bool()>& stop);
   void dropLevels();
 
-  std::mutex edits_mutex_;
-  NextEdit next_edit_;
+  const TakeEdit take_edit_;
 
   // With another lock than the slots, for which nobody who shows pictures shall wait.
   mutable std::mutex state_mutex_;  // what follows
   MapState state_;                  // of the slots
-  std::string error_;
   std::size_t bytes_ = 0;
 
   mutable std::shared_mutex slots_mutex_;  // what follows; it is painted with a shared lock

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <deque>
 #include <future>
+#include <list>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -52,7 +53,7 @@ struct PaintRequest {
   bool rests = false;   // what is shown is of this camera and map already, in less detail
 
   const SplatCamera& camera() const { return layers.front().camera; }
-  bool asynchronous() const { return layers.front().settings.asynchronous; }
+  bool interactive() const { return layers.front().settings.interactive; }
   // How it sees a map; null where it doesn't show that.
   const PaintLayer* of(const PaintedMap& map) const;
 
@@ -91,7 +92,7 @@ struct Painting {
   bool settled = true;         // another picture would be the same
   std::map<std::string, double> profile;
 
-  SplatPicture picture;  // unless it is asynchronous: then only a window sees it
+  SplatPicture picture;  // unless it is interactive: then only a window sees it
   // For windows: premultiplied RGBA, as many bits as they have.
   PaintedLayer<std::uint8_t> colour, behind;
   PaintedLayer<float> hiding;  // window depth of what is behind translucent objects and hides them
@@ -139,6 +140,7 @@ class Painter {
   struct Waiting {
     std::uint64_t number = 0;
     PaintRequestPtr request;
+    std::shared_ptr<Painting> painting;  // what it is to become, or why that fails
     double asked = 0;
     double takes = 0;  // probably [s]
   };
@@ -157,6 +159,14 @@ class Painter {
 
   void run();
   bool hasWork() const { return stop_ || edits_ || !queue_.empty() || !picks_.empty(); }
+  bool paints(const std::string& view_id) const {
+    return !painting_.empty() && painting_.front() == view_id;
+  }
+  // Of the work that there is, with the lock of what follows; whatever fails, the next is tried.
+  void findNext(std::unique_lock<std::mutex>& lock);
+  void paintNext(std::unique_lock<std::mutex>& lock);
+  void goOnWithMaps();
+  std::vector<PaintedMapPtr> maps() const;
   void takeEdits(const std::vector<PaintedMapPtr>& maps, std::size_t most_bytes);
   PictureRequest pictureOf(const PaintRequest& asked) const;
   // Has maps know which views there are, of which one is to show these layers.
@@ -164,7 +174,9 @@ class Painter {
                  const std::vector<PaintLayer>& layers);
   void chooseDetail(const std::string& view_id, PictureRequest& request, Painting& painting) const;
   static PaintRequestPtr movedOn(const PaintRequest& request, double seconds);
-  std::shared_ptr<Painting> paint(const std::string& view_id, const Waiting& job);
+  // False where it was given up.
+  bool paint(const std::string& view_id, const Waiting& job);
+  bool draw(const std::string& view_id, const Waiting& job);
   void find(PickJob& job);
   std::uint64_t enqueue(const std::string& view_id, PaintRequestPtr&& request);
 
@@ -175,10 +187,10 @@ class Painter {
   bool stop_ = false, edits_ = false;
   std::vector<PaintedMapPtr> maps_;
   std::map<std::string, View> views_;
-  std::deque<std::string> queue_;  // views, those first that have waited longest
-  std::uint64_t asked_ = 0;        // that ever were
-  std::string painting_;           // the view
-  bool refining_ = false;          // it, for a camera that rests
+  std::list<std::string> queue_;     // views, those first that have waited longest
+  std::list<std::string> painting_;  // the view that was, if any
+  std::uint64_t asked_ = 0;          // that ever were
+  bool refining_ = false;            // it, for a camera that rests
   std::deque<PickJob> picks_;
   GivenUp picking_;  // what is being found, if anything
   std::atomic<bool> cancelled_{false};

@@ -80,8 +80,9 @@ struct RenderSettings {
   // In 32-bit floats instead of 16-bit ones: more exact ("blend" in docs/accuracy.md); quads take
   // two to five times as long. The processor always does.
   bool float_blending = false;
-  // On the processor: pictures follow the camera, and the newest is shown meanwhile.
-  bool asynchronous = false;
+  // Nobody waits for a picture. The processor's follow the camera, and the newest is shown
+  // meanwhile; a budget or a frame time is come to by small steps.
+  bool interactive = false;
   float scale = 1;    // of the splats' size
   float opacity = 1;  // of their opacity, 0 to 1
   Antialiasing antialiasing = Antialiasing::kAsTrained;
@@ -110,7 +111,7 @@ struct RenderSettings {
   // Whether levels of detail blend into one another, lest they pop: solids can't, and the budget of
   // a picture that is waited for has better uses.
   bool blendsLevels() const {
-    return !drawsBalls(mode) && (asynchronous || detail.kind != Detail::Kind::kSplats);
+    return !drawsBalls(mode) && (interactive || detail.kind != Detail::Kind::kSplats);
   }
 
   // Nodes have no values of channels: these are drawn in full.
@@ -123,7 +124,7 @@ inline double extentScale(const RenderSettings& settings) { return std::max(1.0f
 // The same without what is for the eye's speed alone: for the mouse, and for pictures that are
 // kept.
 inline RenderSettings inFull(RenderSettings settings) {
-  settings.asynchronous = false;
+  settings.interactive = false;
   settings.detail = {};
   return settings;
 }

@@ -58,7 +58,7 @@ CardMap::Chosen CardMap::chooseDetail(const std::string& view_id, const RenderSe
   }
   View& view = views_[view_id];
   DetailControl& control = view.control;
-  const bool at_once = !settings.asynchronous, rests = camera == view.camera;
+  const bool at_once = !settings.interactive, rests = camera == view.camera;
   view.camera = camera;
   view.chooses = false;
   Chosen chosen;

@@ -1,0 +1,93 @@
+#include "rosplat_core/map/arrivals.hpp"
+
+#include <algorithm>
+#include <new>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+constexpr std::chrono::milliseconds kRetry{500};
+
+}  // namespace
+
+void Arrivals::push(const Edit& edit, const MapState& state) {
+  auto arrival = EditQueue::node(edit, state);
+  MapState after = state;  // the last to need memory
+  const std::lock_guard lock(mutex_);
+  state_ = std::move(after);
+  waiting_.push(std::move(arrival));
+}
+
+void Arrivals::clear() {
+  const std::lock_guard lock(mutex_);
+  waiting_.clear();
+  error_ = nullptr;
+}
+
+bool Arrivals::take(std::uint64_t taker, const Apply& apply, const UploadBudget& budget) {
+  if (going_over_) return false;
+  const std::lock_guard taking(taking_);
+  if (taker != taker_) return false;
+  EditQueue::Node oldest;
+  std::exception_ptr error;
+  try {
+    {
+      const std::lock_guard lock(mutex_);
+      if (waiting_.empty() || (error_ && Clock::now() < retry_)) return false;
+      const std::size_t bytes = uploadBytes(*waiting_.front().edit);
+      if (budget.used > 0 && budget.used + std::min(bytes, budget.all) > budget.all) return false;
+      oldest = waiting_.take(budget.all);
+    }
+    apply(oldest.front());
+  } catch (...) {
+    error = std::current_exception();
+  }
+  const std::lock_guard lock(mutex_);
+  if (error) {
+    if (!oldest.empty()) waiting_.putBack(std::move(oldest));
+    retry_ = Clock::now() + kRetry;
+  }
+  error_ = error;
+  return !error;
+}
+
+void Arrivals::handOver(const Taker& to, const std::function<void()>& copy) {
+  going_over_ = true;
+  const std::shared_ptr<void> over(nullptr, [this](void*) { going_over_ = false; });
+  const std::lock_guard taking(taking_);
+  copy();
+  taker_ = to.number_;
+  const std::lock_guard lock(mutex_);
+  retry_ = Clock::now();
+}
+
+MapState Arrivals::state() const {
+  const std::lock_guard lock(mutex_);
+  return state_;
+}
+
+Backlog Arrivals::backlog() const {
+  const std::lock_guard lock(mutex_);
+  return {waiting_.size(), waiting_.bytes()};
+}
+
+std::string Arrivals::error() const {
+  std::exception_ptr error;
+  {
+    const std::lock_guard lock(mutex_);
+    error = error_;
+  }
+  if (!error) return "";
+  const std::string missing = "a part of the map isn't drawn: ";
+  try {
+    std::rethrow_exception(error);
+  } catch (const std::bad_alloc&) {
+    return missing + "memory is lacking";
+  } catch (const std::exception& why) {
+    return missing + why.what();
+  }
+}
+
+}  // namespace rosplat

@@ -1,0 +1,158 @@
+#include "card_drawer.hpp"
+
+#include <chrono>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+// What one frame uploads at most, so that a map that streams in doesn't stop the picture.
+constexpr std::size_t kUploadBytesPerFrame = 32u << 20;
+const OrderPtr kNoOrder = std::make_shared<const Order>();  // yet
+
+double now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+}  // namespace
+
+MapState CardDrawer::update(bool all) {
+  UploadBudget budget;
+  if (!all) budget.all = kUploadBytesPerFrame;
+  const auto upload = [&](const EditQueue::Waiting& arrival) {
+    take(arrival);
+    budget.used += uploadBytes(*arrival.edit);
+  };
+  while (taker_.take(upload, budget)) {
+  }
+  card_->advanceLevels(renderer_->clock());
+  return map_;
+}
+
+void CardDrawer::take(const EditQueue::Waiting& arrival) {
+  const auto& [edit, state, now, taken, more] = arrival;
+  if (edit->clear) {
+    // What replaces a map in parts doesn't show before it is whole.
+    const bool beside = more && map_.splats > 0;
+    next_card_ = beside ? std::make_shared<CardMap>() : nullptr;
+  }
+  MapState after = state;  // first, lest memory be lacking once the edit is there
+  if (next_card_) {
+    next_card_->apply(edit, renderer_->clock());
+    next_map_ = std::move(after);
+    if (!more) settle();
+    return;
+  }
+  auto for_sorter = EditQueue::node(edit, state);
+  map_.torn = true;
+  card_->apply(edit, renderer_->clock());
+  sorter_.apply(std::move(for_sorter));
+  map_ = std::move(after);
+}
+
+void CardDrawer::settle() {
+  if (!next_card_) return;
+  sorter_.rest();
+  card_ = std::exchange(next_card_, nullptr);
+  map_ = std::move(next_map_);
+}
+
+void CardDrawer::hold(const GaussianEdit& page) {
+  card_->apply(std::make_shared<const GaussianEdit>(page), renderer_->clock());
+}
+
+// A graphics card sorts in less time than another's order takes to be uploaded.
+bool CardDrawer::sorts(OrderSource source) const {
+  const bool may =
+      source == OrderSource::kGpu || (source == OrderSource::kAuto && renderer_->accelerated());
+  return may && renderer_->sorts();
+}
+
+bool CardDrawer::wantsOrders(OrderSource source) {
+  return source != OrderSource::kBuiltIn && source != OrderSource::kOff && !sorts(source);
+}
+
+std::optional<OrderBook::Choice> CardDrawer::choose(OrderBook& book, const std::string& view_id,
+                                                    OrderSource source, bool sort_now) {
+  if (sorts(source)) return {};
+  const bool ours_to_sort = source != OrderSource::kSidecar;
+  OrderBook::Choice choice = source == OrderSource::kOff ? OrderBook::Choice{unsorted(), false, 0}
+                             : ours_to_sort && sort_now  ? book.sortNow(view_id)
+                                                         : book.choose(view_id, now(), source);
+  if (!choice.order && !renderer_->sorts()) choice.order = kNoOrder;
+  return choice;
+}
+
+OrderPtr CardDrawer::unsorted() {
+  const SlotPages& pages = card_->pages();
+  const std::array<std::uint64_t, 3> of{map_.round, map_.capacity, pages.pages().size()};
+  if (unsorted_ && unsorted_of_ == of) return unsorted_;
+  auto order = std::make_shared<Order>();
+  order->map_id = map_.id;
+  order->source = "nobody";
+  order->slots = pages.slots(map_.capacity);
+  order->bound = map_.capacity;
+  unsorted_of_ = of;
+  return unsorted_ = std::move(order);
+}
+
+bool CardDrawer::drawsWith(const Drawer& other) {
+  const auto* const on_card = dynamic_cast<const CardDrawer*>(&other);
+  return on_card && on_card->renderer_ == renderer_ && renderer_->sorts();
+}
+
+std::vector<CardView> CardDrawer::views(const std::vector<Look>& looks) {
+  std::vector<CardView> views;
+  for (const Look& look : looks) {
+    const auto& of = static_cast<const CardDrawer&>(*look.drawer);
+    views.push_back({look.view_id, of.card_, look.camera, look.settings,
+                     look.order ? look.order->order : nullptr, of.map_});
+  }
+  return views;
+}
+
+std::vector<FrameReport> CardDrawer::draw(const std::vector<Look>& looks, Canvas canvas,
+                                          const Surroundings& around) {
+  const std::vector<CardView> views = CardDrawer::views(looks);
+  const auto drawn = renderer_->draw(views, canvas, around);
+  std::vector<FrameReport> reports(looks.size());
+  for (std::size_t i = 0; i < looks.size(); ++i) {
+    FrameReport& report = reports[i];
+    report.map = views[i].state;
+    report.error = drawn[i].error;
+    report.detail_error = drawn[i].detail_error;
+    report.rasterizer = renderer_->rasterizer();
+    report.profile = renderer_->profile();
+    if (!looks[i].order) {
+      report.splats = drawn[i].drawn;
+      report.order_source = "gpu";
+      report.order_fresh = true;
+      const auto sort = report.profile.find("sort");
+      if (sort != report.profile.end()) report.sort_time = sort->second;
+    } else if (const auto& [order, fresh, age] = *looks[i].order; order) {
+      report.splats = order->slots.size();
+      report.order_source = order->source;
+      report.order_fresh = fresh;
+      report.order_age = age;
+      report.sort_time = order->sort_time;
+    }
+  }
+  return reports;
+}
+
+void CardDrawer::forget(const std::string& view_id) {
+  renderer_->forget(view_id);
+  card_->forget(view_id);
+}
+
+DrawnBytes CardDrawer::bytes() const {
+  DrawnBytes bytes;
+  bytes.map = card_->bytes();
+  bytes.levels = card_->levelsBytes();
+  bytes.gpu = card_->gpuBytes();
+  bytes.shared_gpu = renderer_->gpuBytes();
+  return bytes;
+}
+
+}  // namespace rosplat

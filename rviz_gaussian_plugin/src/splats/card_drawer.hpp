@@ -1,0 +1,77 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "drawer.hpp"
+#include "rosplat_core/map/arrivals.hpp"
+#include "rosplat_core/order/built_in_sorter.hpp"
+#include "splat_renderer.hpp"
+
+namespace rosplat {
+
+// A map on the graphics card.
+class CardDrawer : public Drawer {
+ public:
+  // The sorter has what is uploaded, and must outlive it.
+  CardDrawer(std::shared_ptr<SplatRenderer> renderer, Arrivals::Taker taker, BuiltInSorter& sorter)
+      : renderer_(std::move(renderer)), taker_(std::move(taker)), sorter_(sorter) {}
+
+  DrawnBy by() const override { return DrawnBy::kCard; }
+
+  MapState update(bool all) override;
+  void settle() override;
+  MapState map() const override { return map_; }
+  void forEachPage(const std::function<void(const GaussianEdit&)>& take) const override {
+    card_->forEachPage(take);
+  }
+  std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const override {
+    return renderer_->readSlots(*card_, slots);
+  }
+
+  bool wantsOrders(OrderSource source) override;
+  std::optional<OrderBook::Choice> choose(OrderBook& book, const std::string& view_id,
+                                          OrderSource source, bool sort_now) override;
+
+  bool drawsWith(const Drawer& other) override;
+  bool ready(const Look&) override { return true; }
+  std::vector<FrameReport> draw(const std::vector<Look>& looks, Canvas canvas,
+                                const Surroundings& around) override;
+  void hideFarther(const std::string& view_id) const override { renderer_->hideFarther(view_id); }
+  void drawBefore(const std::string& view_id) const override { renderer_->drawBefore(view_id); }
+  void drawSurface(const std::vector<Look>& looks, Canvas canvas, double far_clip) override {
+    renderer_->drawSurface(views(looks), canvas, far_clip);
+  }
+  void drawPick(const std::vector<Look>& looks, Canvas canvas, std::uint32_t number) override {
+    renderer_->drawPick(views(looks), canvas, number);
+  }
+  std::vector<Pick> pick() override { return renderer_->readPick(); }
+  std::vector<float> readColor() const override { return renderer_->readColor(); }
+  std::vector<float> readDepth() override { return renderer_->readDepth(); }
+  void forget(const std::string& view_id) override;
+
+  std::string warning() const override { return renderer_->warning(); }
+  DrawnBytes bytes() const override;
+
+ private:
+  void hold(const GaussianEdit& page) override;
+  void hold(const MapState& map) override { map_ = map; }
+  void take(const EditQueue::Waiting& arrival);
+  bool sorts(OrderSource source) const;
+  OrderPtr unsorted();
+  static std::vector<CardView> views(const std::vector<Look>& looks);
+
+  std::shared_ptr<SplatRenderer> renderer_;
+  Arrivals::Taker taker_;
+  BuiltInSorter& sorter_;
+  std::shared_ptr<CardMap> card_ = std::make_shared<CardMap>();
+  MapState map_;
+  std::shared_ptr<CardMap> next_card_;  // what replaces that, until it is whole
+  MapState next_map_;
+  OrderPtr unsorted_;
+  std::array<std::uint64_t, 3> unsorted_of_{};  // round, capacity and number of pages
+};
+
+}  // namespace rosplat

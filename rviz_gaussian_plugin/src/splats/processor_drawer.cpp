@@ -1,0 +1,130 @@
+#include "processor_drawer.hpp"
+
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+namespace rosplat {
+
+namespace {
+
+double now() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+}  // namespace
+
+ProcessorDrawer::ProcessorDrawer(std::shared_ptr<SoftwareRenderer> renderer,
+                                 const Arrivals::Taker& taker)
+    : renderer_(std::move(renderer)),
+      taker_(taker),
+      painted_(std::make_shared<PaintedMap>(
+          [taker](const Arrivals::Apply& apply) { return taker.take(apply); })) {
+  painter().add(painted_);
+}
+
+// What has arrived is painted before anything that is waited for.
+MapState ProcessorDrawer::update(bool) {
+  painter().wake();
+  return taker_.from().state();
+}
+
+// The map as a picture that is waited for will show it: with all that has arrived, unless memory is
+// lacking for that.
+MapState ProcessorDrawer::reachable() const {
+  return taker_.from().error().empty() ? taker_.from().state() : painted_->state();
+}
+
+// A sidecar's order is drawn if asked for; else the painter finds its own.
+std::optional<OrderBook::Choice> ProcessorDrawer::choose(OrderBook& book,
+                                                         const std::string& view_id,
+                                                         OrderSource source, bool) {
+  if (source != OrderSource::kSidecar) return {};
+  return book.received(view_id, now());
+}
+
+bool ProcessorDrawer::drawsWith(const Drawer& other) {
+  const auto* const painted = dynamic_cast<const ProcessorDrawer*>(&other);
+  return painted && painted->renderer_ == renderer_;
+}
+
+ViewedMap ProcessorDrawer::view(const Look& look) {
+  const auto& of = static_cast<const ProcessorDrawer&>(*look.drawer);
+  return {look.view_id,
+          of.painted_,
+          look.camera,
+          look.settings,
+          look.order ? look.order->order : nullptr,
+          of.reachable()};
+}
+
+std::vector<ViewedMap> ProcessorDrawer::views(const std::vector<Look>& looks) {
+  std::vector<ViewedMap> views;
+  for (const Look& look : looks) views.push_back(view(look));
+  return views;
+}
+
+bool ProcessorDrawer::ready(const Look& look) {
+  ViewedMap waited_for = view(look);
+  waited_for.settings.interactive = false;
+  return renderer_->ready(waited_for);
+}
+
+std::vector<FrameReport> ProcessorDrawer::draw(const std::vector<Look>& looks, Canvas canvas,
+                                               const Surroundings& around) {
+  const PaintingPtr painting = renderer_->draw(views(looks), canvas, around);
+  std::vector<FrameReport> reports;
+  for (const Look& look : looks) {
+    const auto& of = static_cast<const ProcessorDrawer&>(*look.drawer);
+    reports.push_back(painting ? of.describe(look, *painting) : FrameReport{});
+    reports.back().rasterizer = "processor";
+  }
+  return reports;
+}
+
+FrameReport ProcessorDrawer::describe(const Look& look, const Painting& painting) const {
+  FrameReport report;
+  const PaintLayer* const layer = painting.request->of(*painted_);
+  if (!layer) return report;  // it isn't in the picture yet
+  const Painting::OfMap& of = painting.maps[std::size_t(layer - painting.request->layers.data())];
+  const bool exact = renderer_->exact();
+  report.map = of.map;
+  report.splats = of.drawn;
+  report.error = of.error;
+  report.detail_error = of.detail_error;
+  report.paint_time = painting.took;
+  if (look.settings.profile) report.profile = painting.profile;
+  if (!exact) {
+    report.picture_age = now() - painting.asked;
+    report.camera_off = std::fabs(now() - painting.due);
+  }
+  if (layer->order) {
+    report.splats = layer->order->slots.size();
+    report.order_source = layer->order->source;
+    report.order_fresh = exact && look.order && look.order->fresh;
+    report.order_age = look.order ? look.order->age : report.picture_age;
+    report.sort_time = layer->order->sort_time;
+  } else if (layer->unsorted) {
+    report.order_source = "nobody";
+  } else {
+    report.order_source = "processor";
+    report.order_fresh = exact;
+    report.order_age = report.picture_age;
+    if (const auto sort = painting.profile.find("sort"); sort != painting.profile.end()) {
+      report.sort_time = sort->second;
+    }
+  }
+  return report;
+}
+
+DrawnBytes ProcessorDrawer::bytes() const {
+  DrawnBytes bytes;
+  bytes.map = painted_->bytes();
+  bytes.levels = painted_->levelsBytes();
+  bytes.host = bytes.map + bytes.levels;
+  bytes.shared_gpu = renderer_->gpuBytes();
+  bytes.shared_host = renderer_->hostBytes();
+  return bytes;
+}
+
+}  // namespace rosplat

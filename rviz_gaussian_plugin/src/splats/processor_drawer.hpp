@@ -1,0 +1,68 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "drawer.hpp"
+#include "rosplat_core/map/arrivals.hpp"
+#include "software_renderer.hpp"
+
+namespace rosplat {
+
+// A map in the processor's memory. Its painter takes the edits, and draws while the render thread
+// shows what it has drawn before.
+class ProcessorDrawer : public Drawer {
+ public:
+  ProcessorDrawer(std::shared_ptr<SoftwareRenderer> renderer, const Arrivals::Taker& taker);
+  ~ProcessorDrawer() override { painter().remove(painted_); }
+
+  DrawnBy by() const override { return DrawnBy::kProcessor; }
+
+  MapState update(bool all) override;
+  MapState map() const override { return painted_->state(); }
+  void forEachPage(const std::function<void(const GaussianEdit&)>& take) const override {
+    painted_->forEachPage(take);
+  }
+  std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const override {
+    return painted_->read(slots);
+  }
+
+  bool wantsOrders(OrderSource source) override { return source == OrderSource::kSidecar; }
+  std::optional<OrderBook::Choice> choose(OrderBook& book, const std::string& view_id,
+                                          OrderSource source, bool sort_now) override;
+
+  bool drawsWith(const Drawer& other) override;
+  bool ready(const Look& look) override;
+  std::vector<FrameReport> draw(const std::vector<Look>& looks, Canvas canvas,
+                                const Surroundings& around) override;
+  void hideFarther(const std::string&) const override { renderer_->hideFarther(); }
+  void drawBefore(const std::string&) const override { renderer_->drawBefore(); }
+  void drawSurface(const std::vector<Look>& looks, Canvas canvas, double far_clip) override {
+    renderer_->drawSurface(views(looks), canvas, far_clip);
+  }
+  void drawPick(const std::vector<Look>& looks, Canvas canvas, std::uint32_t number) override {
+    renderer_->drawPick(views(looks), canvas, number);
+  }
+  std::vector<Pick> pick() override { return renderer_->pick(); }
+  std::vector<float> readColor() const override { return renderer_->readColor(); }
+  std::vector<float> readDepth() override { return renderer_->readDepth(); }
+  void forget(const std::string& view_id) override { renderer_->forget(view_id); }
+
+  DrawnBytes bytes() const override;
+
+ private:
+  void hold(const GaussianEdit& page) override { painted_->hold(page, painter().clock()); }
+  void hold(const MapState& map) override { painted_->hold(map); }
+  Painter& painter() const { return renderer_->painter(); }
+  MapState reachable() const;
+  static ViewedMap view(const Look& look);
+  static std::vector<ViewedMap> views(const std::vector<Look>& looks);
+  FrameReport describe(const Look& look, const Painting& painting) const;
+
+  std::shared_ptr<SoftwareRenderer> renderer_;
+  Arrivals::Taker taker_;
+  PaintedMapPtr painted_;
+};
+
+}  // namespace rosplat
