@@ -553,6 +553,7 @@ def test_the_processor_needs_no_newer_opengl_than_rviz(display: str, version: st
     program = """
 import hashlib, sys
 from rosplat_lab.bench import embedded, scenes
+from rosplat_core import rendering
 from rosplat_core.rendering import Rasterizer
 from rviz_gaussian_plugin.offscreen import Renderer
 renderer = Renderer()
