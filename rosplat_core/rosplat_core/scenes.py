@@ -27,6 +27,8 @@ def is_generated(name: str) -> bool:
 
 def check_scene(name: str) -> None:
     """Raises SceneError, before other work, for a file that isn't there, or is no scene."""
+    if not name:
+        raise SceneError("no scene is named")
     if is_generated(name):
         _numbers(name)
     else:

@@ -44,6 +44,8 @@ def test_what_is_no_scene_is_told_before_other_work(tmp_path: Path) -> None:
     for name, why in (("none.ply", "No such file"), ("text.ply", "not a scene"), ("\0", "no name")):
         with pytest.raises(SceneError, match=why):
             scenes.check_scene(str(tmp_path / name))
+    with pytest.raises(SceneError, match="no scene is named"):  # else the folder one is in
+        scenes.check_scene("")
     scenes.check_scene("procedural:7")
 
 

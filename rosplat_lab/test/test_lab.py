@@ -1,6 +1,7 @@
 """The laboratory's maths: blending models against closed forms, orders, the front."""
 
 import time
+from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -18,7 +19,7 @@ from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.splats import SceneError, Splats, concatenate
 from rosplat_core.view import View
 from rosplat_lab import reference
-from rosplat_lab.lab import charts, fragments, motion, orders, rays, viewers
+from rosplat_lab.lab import charts, command, fragments, motion, orders, rays, viewers
 from rosplat_lab.lab.fragments import Fragments
 from rosplat_lab.lab.pareto import front, summarise
 from rosplat_lab.lab.points import Point, Store, load, save, scene_key
@@ -316,6 +317,16 @@ def test_cameras_turn_to_their_right_and_orbit_at_a_distance() -> None:
     assert motion.before(straight, "dolly", 1.0, 0.5, target).position == pytest.approx(
         [0, 0, -2.5]
     )
+
+
+@pytest.mark.parametrize("up", [(1e300, 1e300, 0), (1e-300, 1e-300, 0)])
+def test_a_vertical_may_be_of_any_length(up: tuple[float, ...]) -> None:
+    plain, long = (
+        command.load("procedural:50", Namespace(up=one, cameras=2, width=64, height=48))
+        for one in ((1, 1, 0), up)
+    )
+    for one, other in zip(plain.cameras, long.cameras, strict=True):
+        np.testing.assert_allclose(one.world_to_camera, other.world_to_camera, atol=1e-12)
 
 
 # --- What comes of it -----------------------------------------------------------------------------

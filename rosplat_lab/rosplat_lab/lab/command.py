@@ -62,7 +62,8 @@ def load(path: str, options: argparse.Namespace) -> Scene:
     """A scene and the cameras around it. Raises SceneError."""
     generated = is_generated(path)
     splats = load_scene(path, lambda done: None, lambda text: print(text, file=sys.stderr))
-    up = options.up or ((0, 0, 1) if generated else (0, -1, 0))
+    up = np.array(options.up or ((0, 0, 1) if generated else (0, -1, 0)), float)
+    up /= np.abs(up).max()  # its square may be no number
     cameras = motion.around(splats, options.cameras, up, options.width, options.height)
     name = path if generated else Path(path).stem
     return Scene(path, f"{name}, {options.width}x{options.height}", splats, cameras)
