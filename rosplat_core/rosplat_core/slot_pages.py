@@ -1,4 +1,4 @@
-"""Where a map's slots are kept. Authors number them as they like, keyframe << 16 | i say."""
+"""Where a map's slots are kept. Authors number them as they like, keyframe << 12 | i say."""
 
 from __future__ import annotations
 

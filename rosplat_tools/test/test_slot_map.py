@@ -91,7 +91,7 @@ def test_two_kinds_of_filter_don_t_mix(random_splats: Maker) -> None:
 
 
 def test_memory_goes_to_the_pages_in_use(random_splats: Maker) -> None:
-    """Slots are numbered as authors like, keyframe << 16 | i say."""
+    """Slots are numbered as authors like."""
     slot_map = SlotMap()
     first, second = random_splats(3, 3), random_splats(2, 3, seed=1)
     slot_map.write(np.array([2**25 - 1, 7 << 16, (7 << 16) + 1]), first)

@@ -23,7 +23,7 @@ struct SlotPage {
 };
 
 // Which pages a map's slots lie in, and where the groups are that these belong to. Authors number
-// slots as they like (keyframe << 16 | i); what holds a map has memory for its pages alone, by
+// slots as they like (keyframe << 12 | i); what holds a map has memory for its pages alone, by
 // place, and goes through them in order of slots.
 class SlotPages {
  public:
