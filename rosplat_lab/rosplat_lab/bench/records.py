@@ -152,7 +152,7 @@ def load(paths: Iterable[Path]) -> list[Record]:
                 records.append(Record(**{name: entry[name] for name in known}))
         except OSError as error:
             raise RecordError(f"{path}: {error.strerror or error}") from error
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise RecordError(f"{path}: holds no records of a benchmark: {error}") from error
     return records
 
