@@ -25,6 +25,9 @@ ELSEWHERE = re.compile(
 )
 
 
+ENUMERATORS = re.compile(r"enum [^{]*{([^}]*)}")
+
+
 def sources(folder: Path) -> list[Path]:
     found = [p for p in folder.rglob("*") if p.suffix in (".py", ".pyi", ".cpp", ".hpp")]
     assert found
@@ -70,3 +73,23 @@ def test_rooms_of_the_engine_stand_in_a_line(room: str) -> None:
     assert found
     for path in found:
         assert not set(include.findall(path.read_text())) & later, path
+
+
+def test_constants_stand_once() -> None:
+    """What the table hands to GLSL is defined by no shader, and by no other header or kernel."""
+    table = CORE / "include/rosplat_core/slots/constants.hpp"
+    shared = set(re.findall(r"^constexpr \w+(?:::\w+)? (k\w+) =", table.read_text(), re.MULTILINE))
+    shared |= set(re.findall(r"\bk[A-Z]\w+", " ".join(ENUMERATORS.findall(table.read_text()))))
+    handed = ROOT / "rviz_gaussian_plugin/src/splats/gl/constants.cpp"
+    given = set(re.findall(r"(?:CONSTANT|MODE)\((k\w+)\);", handed.read_text()))
+    assert given <= shared
+    assert len(given) > 20
+    defined = re.compile(r"\bconst (?:u?int|float) ([^;]*);")
+    for shader in (ROOT / "rviz_gaussian_plugin/ogre_media").iterdir():
+        for names in defined.findall(shader.read_text()):
+            assert not given & set(re.findall(r"\b(k\w+)\s*=", names)), shader.name
+    for source in sources(CORE):
+        if source != table and source.suffix in (".cpp", ".hpp"):
+            # At the margin: of a room, not of a function or class.
+            found = re.findall(r"^constexpr [\w:]+ (k\w+) =", source.read_text(), re.MULTILINE)
+            assert not given & set(found), source

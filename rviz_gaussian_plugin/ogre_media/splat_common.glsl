@@ -1,16 +1,8 @@
-// What the passes share. Before it stand #version, PARTS and what else Shaders knows of the driver.
-
-// As in DrawMode.
-const int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNormals = 5, kOpacity = 6,
-          kAge = 7, kChannel = 8;
+// What the passes share. Before it stand #version, PARTS and what else Shaders knows of the driver,
+// and the engine's constants (rosplat_core/slots/constants.hpp).
 
 const float kTwoPi = 6.2831853;
-const float kLowPass = 0.3;  // [px^2], part of the trained model
-const float kCutoffAlpha = 1.0 / 255.0;
-const float kMaxSigmas = 4.08;  // where the most opaque node falls below the cutoff
-const float kMaxAlpha = 0.99;   // as in Kerbl et al. 2023; nothing is ever fully opaque
-const float kBallEdge = 0.22;   // of the peak: a ball ends at 1.74 sigma
-// Of a Gaussian that falls below the cutoff there, or a little beyond.
+// Of a Gaussian that falls below the cutoff at kBallEdge, or a little beyond.
 const float kBallOpacity = 0.0179;
 const uint kNone = 0xffffffffu;
 
@@ -21,7 +13,6 @@ uint invocation() { return workGroup() * 256u + gl_LocalInvocationIndex; }
 #endif
 
 const uint kBlock = 4096u;     // values that a work group sums up or sorts
-const uint kPageSlots = 1024u;  // as in slot_pages.hpp
 
 // A number that the CPU does not wait for, with the work that it makes; tally.hpp has the same.
 struct Tally {
@@ -63,7 +54,7 @@ struct PackedEllipse { uvec4 a, b; };
 // are the kind's bits.
 PackedEllipse packEllipse(Ellipse e) {
   if (e.opacity > 1.0) {
-    e.opacity /= 16.0;
+    e.opacity /= kMostNodeOpacity;
     e.minor = -e.minor;
   }
   uint kind = (e.kind & 1u) << 15 | (e.kind >> 1) << 31;
@@ -81,7 +72,7 @@ Ellipse unpackEllipse(PackedEllipse p) {
   e.minor = abs(uintBitsToFloat(p.b.z));
   e.colour = vec3(unpackHalf2x16(p.a.w & 0x7fff7fffu), unpackHalf2x16(p.b.w).x);
   e.kind = (p.a.w >> 15 & 1u) | p.a.w >> 31 << 1;
-  e.opacity = unpackUnorm2x16(p.b.w).y * (uintBitsToFloat(p.b.z) < 0.0 ? 16.0 : 1.0);
+  e.opacity = unpackUnorm2x16(p.b.w).y * (uintBitsToFloat(p.b.z) < 0.0 ? kMostNodeOpacity : 1.0);
   return e;
 }
 
@@ -92,7 +83,6 @@ vec2 minorAxis(Ellipse e) { return e.minor * minorDirection(e); }
 float cutoffSigmas(float opacity) { return min(kMaxSigmas, sqrt(2.0 * log(255.0 * opacity))); }
 
 // A Gaussian's falloff is exp(-x^2 / 2), x in lengths of its axes.
-const float kHalfLog2 = 0.84932180028801907;  // sqrt(log2(e) / 2)
 
 // Directions of the axes over their lengths, times kHalfLog2. [1/px]
 vec4 falloffAxes(Ellipse e) {

@@ -2,9 +2,11 @@
 layout(std430) readonly buffer Levels { uint levels[]; };  // where slots enter, a byte each
 
 // The cells of a level; those beyond the last, or of none, are wider than all. [m]
-float cellSize(uint level) { return uintBitsToFloat(((level < 28u ? 114u + level : 227u)) << 23); }
+float cellSize(uint level) {
+  return level < uint(kLevels) ? uintBitsToFloat((uint(127 + kFinestOctave) + level) << 23) : kBoundless;
+}
 
-float opacityUnit(Page page) { return page.level == kNone ? 1.0 : 16.0; }
+float opacityUnit(Page page) { return page.level == kNone ? 1.0 : kMostNodeOpacity; }
 
 // How wide the cell around a position is in the picture, at its nearest point. [px]
 float errorOf(uint group, vec3 mean, float cell) {

@@ -12,7 +12,6 @@ layout(binding = 0) uniform sampler2D scene_depth;
 uniform bool listed;     // the splats are listed by tiles; else they are all that is drawn
 uniform uint words;      // of the visible slots' bits
 
-const float kLeastContribution = 0.05;  // less than this nobody sees
 const uint kBatch = 256u;
 
 shared uint searching;  // pixels that a farther splat may still win
@@ -42,7 +41,7 @@ void main() {
   bool inside = all(lessThan(pixel, view.picture));
   ivec2 texel = texelOf(pixel, view.picture.y, view.top_first);
   float hidden_from = inside ? texelFetch(scene_depth, texel, 0).r : 0.0;
-  float transmittance = inside ? 1.0 : 0.0, most = kLeastContribution;
+  float transmittance = inside ? 1.0 : 0.0, most = kLeastPicked;
   uint winner = kNone;
 
   uint first = 0u, end = drawn_tally.count;

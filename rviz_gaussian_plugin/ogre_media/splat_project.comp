@@ -88,11 +88,11 @@ vec3 categoryColour(int category) {
 }
 
 vec3 channelColour(uint slot) {
-  if (map.channel_colours == 0) return vec3(0.5);
+  if (map.channel_colours == kNoColours) return vec3(0.5);
   uint bits = band1[slot];
   if ((bits & 0x7f800000u) == 0x7f800000u) return vec3(0.5);  // not finite: there is no value
   float value = uintBitsToFloat(bits);
-  if (map.channel_colours == 2) {
+  if (map.channel_colours == kCategories) {
     return categoryColour(int(floor(clamp(value, -1073741824.0, 1073741824.0) + 0.5)));
   }
   float above = clamp(value, map.channel_least, map.channel_most) - map.channel_least;

@@ -1,5 +1,4 @@
 // The picture's tiles of 16x16 pixels, and which of them a splat touches.
-const int kTile = 16;
 
 #ifndef EXACTLY
 #define EXACTLY

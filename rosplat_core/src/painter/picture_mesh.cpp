@@ -12,7 +12,7 @@ namespace rosplat {
 
 namespace {
 
-static_assert(PictureMesh::kCell == cpu::kTile, "SplatPicture::divided is told by cell");
+static_assert(PictureMesh::kCell == kTile, "SplatPicture::divided is told by cell");
 
 int cellsIn(int pixels) { return (pixels + PictureMesh::kCell - 1) / PictureMesh::kCell; }
 

@@ -6,22 +6,11 @@ namespace rosplat::cpu::ROSPLAT_TARGET {
 
 namespace {
 
-constexpr int kSlots = 1024;  // of a page
-
-// As in DrawMode.
-constexpr int kDepth = 1, kBillboard = 2, kFlatBall = 3, kGaussianBall = 4, kNormals = 5,
-              kOpacity = 6, kAge = 7, kChannel = 8;
-
-constexpr float kLowPass = 0.3f;  // [px^2], part of the trained model
-constexpr float kCutoffAlpha = 1.0f / 255.0f;
-constexpr float kMaxSigmas = 4.08f;      // where the most opaque node falls below the cutoff
-constexpr float kMaxAlpha = 0.99f;       // as in Kerbl et al. 2023; nothing is ever fully opaque
-constexpr float kBallSigmas = 1.74017f;  // where a ball ends: 0.22 of the peak
+constexpr int kSlots = kPageSlots;
+constexpr float kBallSigmas = 1.74017f;                // where a ball ends: kBallEdge of the peak
 constexpr float kBallEnd = -2.18442457f / kSquared;    // log2 of that
 constexpr float kCutoffEnd = -7.99435344f / kSquared;  // log2 of kCutoffAlpha
-constexpr float kHalfLog2 = 0.84932180f;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = exp2(-(k x)^2)
 constexpr float kLog2 = 0.69314718f;
-constexpr float kLeastPicked = 0.05f;  // contribution to a pixel; less nobody sees
 
 template <typename T>
 T least(T a, T b) {
@@ -191,7 +180,7 @@ Vec3 channelColour(const ProjectView& view, Floats value) {
   constexpr int kExponent = 0x7f800000;
   const Ints none = ((Ints)value & kExponent) == kExponent;  // not finite: there is no value
   Vec3 c;
-  if (view.channel_colours == 2) {
+  if (view.channel_colours == kCategories) {
     constexpr float kMost = 1 << 30;
     c = categoryColour(
         toInts(floor(clamp(none ? Floats{} : value, all(-kMost), all(kMost)) + 0.5f)));
@@ -200,7 +189,8 @@ Vec3 channelColour(const ProjectView& view, Floats value) {
         clamp(value, all(view.channel_least), all(view.channel_most)) - view.channel_least;
     c = turbo(above * view.channel_per_range);
   }
-  return select(view.channel_colours == 0 ? ~Ints{} : none, {all(0.5f), all(0.5f), all(0.5f)}, c);
+  return select(view.channel_colours == kNoColours ? ~Ints{} : none,
+                {all(0.5f), all(0.5f), all(0.5f)}, c);
 }
 
 // Never darker than black, but brighter than white may be.
@@ -261,23 +251,23 @@ Vec3 trainedColour(const ProjectView& view, const PageSlots& page, const Slot& s
 Vec3 colourOf(const ProjectView& view, const GroupView& group, const PageSlots& page,
               const Slot& slot, const Places& places, const Vec3& mean, Floats depth,
               const Vec3& scale, const Vec3* orientation, Floats opacity) {
-  if (view.mode == kOpacity) return turbo(opacity);
-  if (view.mode == kDepth) {
+  if (view.mode == DrawMode::kOpacity) return turbo(opacity);
+  if (view.mode == DrawMode::kDepth) {
     const float range = view.depth_range[1] - view.depth_range[0];
     return turbo(1.0f - (depth - view.depth_range[0]) / most(range, 1e-6f));
   }
-  if (view.mode == kAge) {
+  if (view.mode == DrawMode::kAge) {
     Floats ticks = view.now - toFloats((Ints)(slot.word[5] >> 16));
     ticks = ticks < 0.0f ? ticks + 65536.0f : ticks;
     return turbo(1.0f - 0.25f * ticks / view.age_range);
   }
-  if (view.mode == kChannel) return channelColour(view, places.of(page.channel));
+  if (view.mode == DrawMode::kChannel) return channelColour(view, places.of(page.channel));
   Vec3 direction = {all(group.eye[0]), all(group.eye[1]), all(group.eye[2])};
   if (!view.orthographic) {
     direction = mean + all(-1.0f) * direction;
     direction = (1.0f / sqrt(dot(direction, direction))) * direction;
   }
-  if (view.mode == kNormals) {
+  if (view.mode == DrawMode::kNormals) {
     const Vec3 normal = select((scale.x <= scale.y) & (scale.x <= scale.z), orientation[0],
                                select(scale.y <= scale.z, orientation[1], orientation[2]));
     const Floats half = dot(normal, direction) > 0.0f ? all(-0.5f) : all(0.5f);
@@ -369,10 +359,10 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
                     std::uint16_t* kept) {
   const ProjectView view = given;  // copies that no store below can alias
   const GroupView group = *page.group;
-  const bool balls = view.mode == kFlatBall || view.mode == kGaussianBall;
-  const float ball_share = view.mode == kFlatBall       ? kFlatBallShare
-                           : view.mode == kGaussianBall ? kGaussianBallShare
-                                                        : 0.0f;
+  const bool balls = view.mode == DrawMode::kFlatBall || view.mode == DrawMode::kGaussianBall;
+  const float ball_share = view.mode == DrawMode::kFlatBall       ? kFlatBallShare
+                           : view.mode == DrawMode::kGaussianBall ? kGaussianBallShare
+                                                                  : 0.0f;
   std::size_t n = 0;
   for (std::size_t first_of = 0; first_of < count; first_of += kLanes) {
     const int lanes = int(least(std::size_t(kLanes), count - first_of));
@@ -410,7 +400,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     Vec3 scale = {scaleOf(slot.word[0] >> 16), scaleOf(slot.word[1] & 0xffffu),
                   scaleOf(slot.word[1] >> 16)};
     scale = all(view.scale_modifier) * scale;
-    if (view.mode == kBillboard) {
+    if (view.mode == DrawMode::kBillboard) {
       scale.x = scale.y = scale.z = (scale.x + scale.y + scale.z) / 3.0f;
     }
     Vec3 orientation[3];

@@ -6,11 +6,11 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/views/group_view.hpp"
 
 namespace rosplat::cpu {
 
-constexpr int kTile = 16;       // [px], in width and height
 constexpr int kMostLanes = 16;  // of any target
 constexpr int kTilePixels = kTile * kTile;
 
@@ -59,8 +59,9 @@ struct ProjectView {
   float scale_modifier, opacity_modifier, now, age_range;
   float depth_range[2];
   float channel_least, channel_most, channel_per_range;
-  int channel_colours;  // ChannelColouring::Kind
-  int mode, sh_degree, only_band;
+  ChannelKind channel_colours;
+  DrawMode mode;
+  int sh_degree, only_band;
   bool orthographic, antialiased;
   CutView cut;
 };

@@ -156,8 +156,7 @@ bool CpuRasterizer::Work::project(const Slice& slice) {
 void CpuRasterizer::Work::findDepthRanges() {
   const auto wants = [](const SeenLayer& layer) {
     const ProjectView& view = layer.project;
-    return view.mode == static_cast<int>(DrawMode::kDepth) &&
-           !(view.depth_range[1] > view.depth_range[0]);
+    return view.mode == DrawMode::kDepth && !(view.depth_range[1] > view.depth_range[0]);
   };
   if (std::none_of(layers.begin(), layers.end(), wants)) return;
   constexpr float kInfinity = std::numeric_limits<float>::infinity();

@@ -64,7 +64,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLay
   p.channel_per_range = channel.per_range;
   p.depth_range[0] = settings.depth_range[0];
   p.depth_range[1] = settings.depth_range[1];
-  p.mode = static_cast<int>(settings.mode);
+  p.mode = settings.mode;
   p.sh_degree = std::min(layer.slots->shDegree(), settings.max_sh_degree);
   p.only_band = settings.only_band;
   p.orthographic = camera.orthographic;

@@ -19,7 +19,7 @@ ChannelColouring colouringOf(const std::vector<Channel>& channels, const RenderS
   const bool categories = settings.channel_colours == ChannelColours::kAuto
                               ? channel.whole
                               : settings.channel_colours == ChannelColours::kCategories;
-  colouring.kind = categories ? ChannelColouring::kCategories : ChannelColouring::kGradient;
+  colouring.kind = categories ? kCategories : kGradient;
   auto [least, most] = settings.channel_range;
   if (least >= most) least = channel.least, most = channel.most;
   colouring.least = std::clamp(least, -kFarthest, kFarthest);

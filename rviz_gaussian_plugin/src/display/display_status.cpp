@@ -171,13 +171,13 @@ StatusLine channelStatus(const MapState& map, const RenderSettings& settings) {
     return line(StatusProperty::Warn, "No splat of the map has come with a channel");
   }
   const ChannelColouring colouring = colouringOf(map.channels, settings);
-  if (colouring.kind == ChannelColouring::kNone) {
+  if (colouring.kind == kNoColours) {
     return line(StatusProperty::Warn,
                 concat("The map has no '", settings.channel, "', but ", joined(names)));
   }
   std::ostringstream text;
   text << names[colouring.channel];
-  if (colouring.kind == ChannelColouring::kCategories) {
+  if (colouring.kind == kCategories) {
     text << ", categories";
   } else {
     text << ", " << colouring.least << " (blue) to " << colouring.most << " (red)";

@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "rosplat_core/map/host_slots.hpp"
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
 
 namespace rosplat {
@@ -13,9 +14,6 @@ namespace rosplat {
 // cells sort by level, then in Morton's order; parents sort as their children do.
 using Cell = std::uint64_t;
 constexpr Cell kNoCell = ~Cell{0};
-
-constexpr int kLevels = 28;
-constexpr int kFinestOctave = -13;  // the smallest cells are 2^-13 m wide
 
 // Of a level's cells; kBoundless of those beyond the last level. [m]
 float cellSize(int level);

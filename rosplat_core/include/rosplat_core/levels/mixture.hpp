@@ -4,12 +4,10 @@
 #include <cstdint>
 
 #include "rosplat_core/levels/lattice.hpp"
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
 
 namespace rosplat {
-
-// The opacity of nodes goes farther than that of splats, and is clamped pixel by pixel.
-constexpr float kMostNodeOpacity = 16;
 
 // As extentOf().
 float nodeExtentOf(const PackedSlot& node);

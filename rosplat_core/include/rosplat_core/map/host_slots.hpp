@@ -10,13 +10,11 @@
 
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/map/slot_pages.hpp"
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
 #include "rosplat_core/threads/thread_team.hpp"
 
 namespace rosplat {
-
-// Wider than any camera is far away: of what has no cell. [m]
-constexpr float kBoundless = 0x1p100f;
 
 // The slots of a map in the processor's memory, page by page: 40 bytes a slot and those of its
 // further bands, 4 for each channel, and 4 where there are levels. Not for several threads at once,

@@ -7,12 +7,13 @@
 
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/map/groups.hpp"
+#include "rosplat_core/slots/constants.hpp"
 
 namespace rosplat {
 
 // Neighbouring slots, of which at least one was written since the map's last clear.
 struct SlotPage {
-  static constexpr std::uint32_t kSlots = 1024;
+  static constexpr std::uint32_t kSlots = kPageSlots;
 
   std::uint32_t first_slot = 0;
   std::uint32_t place = 0;  // pages are numbered as they come: 0, 1, 2, ...

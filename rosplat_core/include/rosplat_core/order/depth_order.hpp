@@ -19,6 +19,7 @@
 #include <utility>
 #include <vector>
 
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/threads/thread_team.hpp"
 #include "rosplat_core/views/sort_view.hpp"
 
@@ -42,7 +43,7 @@ namespace rosplat {
 // Neighbouring slots of a map, from first_slot on, and where they are kept: in rows from
 // place * kSlots on. A map has rows for its pages alone; authors number slots as they like.
 struct SortPage {
-  static constexpr std::uint32_t kSlots = 1024;
+  static constexpr std::uint32_t kSlots = kPageSlots;
 
   std::uint32_t first_slot;
   std::uint32_t place;

@@ -16,6 +16,7 @@
 #include "rosplat_core/map/gaussian_batch.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/map/host_slots.hpp"
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/threads/thread_team.hpp"
 #include "rosplat_core/views/render_settings.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
@@ -68,9 +69,6 @@ struct SplatPicture {
   std::vector<OfLayer> layers;
   std::map<std::string, double> profile;  // by stage [s]
 };
-
-// What a splat contributes to a pixel at least that is picked there; less nobody sees.
-constexpr float kLeastPicked = 0.05f;
 
 // Transmittance below which splats may count as hidden where contributions are found.
 constexpr float kLeastSeen = 0.01f;

@@ -10,9 +10,7 @@ namespace rosplat {
 
 // How the values of a channel become colours.
 struct ChannelColouring {
-  enum Kind { kNone, kGradient, kCategories };
-
-  Kind kind = kNone;  // of no channel: as of no value
+  ChannelKind kind = kNoColours;  // of no channel: as of no value
   std::size_t channel = 0;
   float least = 0, most = 0;  // ends of a gradient
   float per_range = 0;        // 1 / (most - least)

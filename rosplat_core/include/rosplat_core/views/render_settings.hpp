@@ -5,21 +5,9 @@
 #include <string>
 
 #include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/slots/constants.hpp"
 
 namespace rosplat {
-
-// What a splat is drawn as.
-enum class DrawMode {
-  kColor,         // as trained
-  kDepth,         // colour-mapped distance along the view's axis
-  kBillboard,     // isotropic, of the mean of its scales
-  kFlatBall,      // a solid ellipsoid in one colour
-  kGaussianBall,  // a solid ellipsoid, darker towards its rim
-  kNormals,       // the shortest axis, towards the camera: 0.5 + 0.5 n in the map's frame
-  kOpacity,       // colour-mapped peak opacity
-  kAge,           // colour-mapped time since a slot last changed, new is red
-  kChannel,       // colour-mapped values of a channel; grey where there are none
-};
 
 // How values of a channel become colours.
 enum class ChannelColours {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "gl/constants.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
 
 namespace rosplat {
@@ -38,7 +39,7 @@ std::string Shaders::text(const Stage& stage) const {
   text += "#define PARTS " + std::to_string(parts_) + "\n";
   text += "#define PART_SIZE " + std::to_string(part_size_) + "u\n";
   if (stage.stage == GL_COMPUTE_SHADER) text += "#define COMPUTE\n";
-  text += source_("splat_common.glsl") + source_("splat_view.glsl");
+  text += constantsInGlsl() + source_("splat_common.glsl") + source_("splat_view.glsl");
   for (const char* file : stage.files) text += "\n#line 1\n" + source_(file);
   return text;
 }
