@@ -232,9 +232,14 @@ def test_a_scene_that_is_not_there_is_named_before_anything_is_measured(
 
 def test_a_scene_that_is_none_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = tmp_path / "none.ply"
+    command = ["sort", "--sizes", "500", "--scenes", str(scene), "--out", str(tmp_path)]
     scene.write_text("?")
-    assert main(["sort", "--sizes", "500", "--scenes", str(scene), "--out", str(tmp_path)]) == 1
-    assert "none.ply: not a scene" in capsys.readouterr().out.replace("\n", "")
+    assert main(command) == 1
+    assert "none.ply: not a scene" in capsys.readouterr().err
+    assert not (tmp_path / "sort.json").exists()
+    scene.write_text("ply\n")
+    assert main(command) == 1
+    assert "none.ply: broken PLY" in capsys.readouterr().out.replace("\n", "")
     assert load([tmp_path / "sort.json"])  # what came before it is kept
 
 
