@@ -18,7 +18,7 @@ namespace {
 
 constexpr std::uint32_t kSlots = 3000;
 
-// What a receiver holds, slot by slot: all words, those of absent bands zero, position and extent.
+// What a receiver holds, slot by slot: all words, those of absent bands zero, and extent.
 class Model {
  public:
   void apply(const GaussianEdit& edit) {
@@ -45,7 +45,6 @@ class Model {
         };
         keep(edit.slots, kSlotWords);
         for (int band = 1; band <= kMaxShDegree; ++band) keep(edit.bands[band], kBandWords[band]);
-        for (int k = 0; k < 3; ++k) held.position[k] = edit.positions[3 * i + k];
         held.extent = edit.extents[i];
         for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
           const std::vector<float>& values = edit.channels[channel];
@@ -63,14 +62,13 @@ class Model {
  private:
   struct Slot {
     std::vector<std::uint32_t> words;
-    std::array<float, 3> position{};
     float extent = -1;
     std::array<float, kMostChannels> channels{};  // -1: none
     std::uint32_t group = 0;
     std::array<double, 3> origin{};
     bool operator==(const Slot& o) const {
-      return words == o.words && position == o.position && extent == o.extent &&
-             channels == o.channels && group == o.group && origin == o.origin;
+      return words == o.words && extent == o.extent && channels == o.channels && group == o.group &&
+             origin == o.origin;
     }
   };
   std::map<std::uint32_t, Slot> slots_;

@@ -115,7 +115,7 @@ TEST_F(GaussianMapTest, ADeleteCostsNoMoreThanTheMapHas) {
   const auto edit = apply(everything);
   EXPECT_EQ(map.state().splats, 0u);
   EXPECT_EQ(countSlots(edit->runs), 2u * SlotPage::kSlots);
-  EXPECT_TRUE(edit->slots.empty() && edit->positions.empty() && edit->extents.empty());
+  EXPECT_TRUE(edit->slots.empty() && edit->extents.empty());
 }
 
 TEST_F(GaussianMapTest, ListedSlotsBecomeRuns) {
@@ -213,7 +213,7 @@ TEST_F(GaussianMapTest, RebasesToTheOriginOfTheFirstBatch) {
   apply(first);
   Batch second(2, GaussianBatch::UPSERT, 1, 1);
   second.origin = {4.5e6 + 0.125, 0, 0};
-  EXPECT_EQ(apply(second)->positions[0], 0.125f);
+  EXPECT_EQ(apply(second)->position(0)[0], 0.125f);
 }
 
 TEST_F(GaussianMapTest, ExtentIsTheEllipsoidOfOneGreyLevel) {
@@ -304,7 +304,7 @@ TEST_F(GaussianMapTest, AGroupHasItsOwnOrigin) {
   again.origin = {4.5e6 + 0.125, 0, 0};
   const auto edit = apply(again);
   EXPECT_EQ(edit->origin, first.origin);
-  EXPECT_EQ(edit->positions[0], 0.125f);
+  EXPECT_EQ(edit->position(0)[0], 0.125f);
 }
 
 TEST_F(GaussianMapTest, PosesStayUntilTheMapBeginsAnew) {

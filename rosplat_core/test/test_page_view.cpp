@@ -15,6 +15,13 @@ namespace {
 
 constexpr std::size_t kSplats = 64;  // of a page
 
+// One slot more, at a position.
+void add(GaussianEdit& edit, const std::array<float, 3>& position, float extent) {
+  edit.slots.resize(edit.slots.size() + kSlotWords);
+  std::memcpy(&edit.slots[edit.slots.size() - kSlotWords], position.data(), sizeof(position));
+  edit.extents.push_back(extent);
+}
+
 // A page of splats around a place, with the arrays that sorters take.
 struct Page {
   Page(std::mt19937& random, const std::array<float, 3>& centre, float size, float extent) {
@@ -23,11 +30,12 @@ struct Page {
     edit.sh_degree = 0;
     edit.runs = {{0, kSplats}};
     for (std::size_t i = 0; i < kSplats; ++i) {
-      for (const float c : centre) edit.positions.push_back(c + size * within(random));
-      edit.extents.push_back(extent * std::abs(within(random)));
+      std::array<float, 3> position = centre;
+      for (float& x : position) x += size * within(random);
+      positions.insert(positions.end(), position.begin(), position.end());
+      add(edit, position, extent * std::abs(within(random)));
     }
     pages.apply(edit);
-    positions = edit.positions;
     extents = edit.extents;
   }
   const SlotPage& bounds() const { return pages.pages().front(); }
@@ -101,10 +109,11 @@ TEST(PageView, LosesNoPageWhoseBoundsAreBeyondFloat32) {
     GaussianEdit edit;
     edit.sh_degree = 0;
     edit.runs = {{kSplats, 1}};
-    for (int k = 0; k < 3; ++k) edit.positions.push_back(float(anywhere(127)));
-    edit.extents.push_back(std::fabs(float(anywhere(127))));
+    std::array<float, 3> position;
+    for (float& x : position) x = float(anywhere(127));
+    add(edit, position, std::fabs(float(anywhere(127))));
     page.pages.apply(edit);
-    page.positions.insert(page.positions.end(), edit.positions.begin(), edit.positions.end());
+    page.positions.insert(page.positions.end(), position.begin(), position.end());
     page.extents.push_back(edit.extents[0]);
 
     const SeenGroup of(from, group, {});

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <cstring>
 #include <vector>
 
 #include "rosplat_core/map/slot_pages.hpp"
@@ -14,7 +15,9 @@ GaussianEdit edit(std::vector<std::pair<std::uint32_t, std::uint32_t>> runs, flo
   edit.sh_degree = sh_degree;
   std::size_t slots = 0;
   for (const auto& [first, count] : edit.runs) slots += count;
-  edit.positions.assign(3 * slots, position);
+  std::uint32_t word;
+  std::memcpy(&word, &position, sizeof(word));
+  edit.slots.assign(kSlotWords * slots, word);
   edit.extents.assign(slots, extent);
   return edit;
 }

@@ -21,8 +21,8 @@ std::size_t bytesOf(const EditQueue::Waiting& waiting) {
   std::size_t bytes = sizeof(waiting) + sizeof(edit) + waiting.state.id.capacity();
   for (const auto& band : edit.bands) bytes += bytesOf(band);
   for (const auto& channel : edit.channels) bytes += bytesOf(channel);
-  return bytes + bytesOf(edit.runs) + bytesOf(edit.slots) + bytesOf(edit.positions) +
-         bytesOf(edit.extents) + bytesOf(edit.moves);
+  return bytes + bytesOf(edit.runs) + bytesOf(edit.slots) + bytesOf(edit.extents) +
+         bytesOf(edit.moves);
 }
 
 // Of `width` values each, those that are kept.
@@ -73,7 +73,6 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, bool rest,
   }
   taken->runs.shrink_to_fit();
   taken->slots = part(edit.slots, kSlotWords, kept, count);
-  taken->positions = part(edit.positions, 3, kept, count);
   taken->extents = part(edit.extents, 1, kept, count);
   for (std::size_t band = 1; band < edit.bands.size(); ++band) {
     taken->bands[band] = part(edit.bands[band], kBandWords[band], kept, count);
@@ -103,7 +102,6 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, std::size_t f
     to.assign(at, at + std::ptrdiff_t(width * count));
   };
   of(edit.slots, kSlotWords, taken->slots);
-  of(edit.positions, 3, taken->positions);
   of(edit.extents, 1, taken->extents);
   for (std::size_t band = 1; band < edit.bands.size(); ++band) {
     of(edit.bands[band], std::size_t(kBandWords[band]), taken->bands[band]);

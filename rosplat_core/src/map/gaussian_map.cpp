@@ -141,7 +141,6 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
   const std::size_t n = batch.count;
   edit.sh_degree = batch.sh_degree;
   edit.slots.assign(kSlotWords * n, 0u);
-  edit.positions.assign(3 * n, 0.0f);
   edit.extents.assign(n, -1.0f);
   for (int band = 1; band <= batch.sh_degree; ++band) {
     edit.bands[band].resize(kBandWords[band] * n);
@@ -181,7 +180,6 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
       bands[band] = &edit.bands[band][kBandWords[band] * i];
     }
     packSlot(splat, sh + 3, batch.sh_degree, &edit.slots[kSlotWords * i], bands);
-    std::copy_n(position, 3, &edit.positions[3 * i]);
     edit.extents[i] =
         extentOf(splat.opacity, *std::max_element(splat.scale.begin(), splat.scale.end()));
   }
@@ -293,12 +291,9 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     before[i] = used.set(slot, kept[i]);
     next.splats += int(kept[i]) - int(before[i]);
     if (kept[i]) {
-      const float* position = &edit->positions[3 * i];
       const float* scale = &splats.scales.data[3 * i];
-      sample.keep(slot, {{position[0], position[1], position[2]},
-                         std::max({scale[0], scale[1], scale[2]}),
-                         splats.opacities[i],
-                         group_index});
+      sample.keep(slot, {edit->position(i), std::max({scale[0], scale[1], scale[2]}),
+                         splats.opacities[i], group_index});
     } else {
       sample.drop(slot);
     }
@@ -355,14 +350,12 @@ GaussianEdit editOf(PackedRun run, ThreadTeam* team) {
   edit.slots = std::move(run.slots);
   edit.bands = std::move(run.bands);
   edit.channels = std::move(run.channels);
-  edit.positions.resize(3 * count);
   edit.extents.resize(count);
   constexpr std::size_t kPart = 4096;
   inParts(team, (count + kPart - 1) / kPart, [&](std::size_t part) {
     for (std::size_t i = kPart * part; i < std::min(count, kPart * (part + 1)); ++i) {
       std::uint32_t* const slot = &edit.slots[kSlotWords * i];
       slot[kChangeWord] &= 0xffffu;
-      std::memcpy(&edit.positions[3 * i], slot, 3 * sizeof(float));
       edit.extents[i] = extentOf(slotOpacity(slot), largestScale(slot));
     }
   });

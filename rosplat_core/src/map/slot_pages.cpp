@@ -61,10 +61,10 @@ void SlotPages::apply(const GaussianEdit& edit) {
         for (std::size_t k = i; k < i + in_page; ++k) {
           if (edit.extents[k] < 0) continue;
           of.extent = std::max(of.extent, edit.extents[k]);
-          for (int axis = 0; axis < 3; ++axis) {
-            const float x = edit.positions[3 * k + axis];
-            of.least[axis] = std::min(of.least[axis], x);
-            of.most[axis] = std::max(of.most[axis], x);
+          const std::array<float, 3> position = edit.position(k);
+          for (std::size_t axis = 0; axis < 3; ++axis) {
+            of.least[axis] = std::min(of.least[axis], position[axis]);
+            of.most[axis] = std::max(of.most[axis], position[axis]);
           }
         }
       }

@@ -181,7 +181,10 @@ void BuiltInSorter::hold(const GaussianEdit& edit) {
       if (const SlotPage* const page = pages_.find(slot)) {
         const std::size_t row = rowOf(*page) + slot % SlotPage::kSlots;
         if (edit.sh_degree >= 0) {
-          std::copy_n(&edit.positions[3 * source], 3 * count, &positions_[3 * row]);
+          for (std::size_t i = 0; i < count; ++i) {
+            const std::array<float, 3> position = edit.position(source + i);
+            std::copy_n(position.data(), 3, &positions_[3 * (row + i)]);
+          }
           std::copy_n(&edit.extents[source], count, &extents_[row]);
         } else {
           std::fill_n(&extents_[row], count, -1.0f);

@@ -132,7 +132,6 @@ void SplatScene::feedSorter() {
     edit.round = map.round;
     edit.revision = map.revision;
     edit.capacity = map.capacity;
-    edit.slots = {};
     edit.bands = {};
     edit.channels = {};
     sorter_.apply(EditQueue::node(std::make_shared<GaussianEdit>(std::move(edit)), map));

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <cstring>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -38,10 +39,16 @@ struct GaussianEdit {
   std::array<double, 3> origin{};    // of that group, in its frame [m]
   std::vector<std::uint32_t> slots;  // kSlotWords a slot
   std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // kBandWords[band] a slot
-  std::vector<float> positions;                            // 3 a slot [m], relative to the origin
-  std::array<std::vector<float>, kMostChannels> channels;  // a value a slot, or none: empty
+  std::array<std::vector<float>, kMostChannels> channels;          // a value a slot, or none: empty
   std::vector<float> extents;    // radius of the 1/255 ellipsoid along its longest axis [m], or -1
   std::vector<GroupMove> moves;  // each group once
+
+  // Of a slot, by its place in the arrays: relative to the origin [m].
+  std::array<float, 3> position(std::size_t i) const {
+    std::array<float, 3> position;
+    std::memcpy(position.data(), &slots[kSlotWords * i], sizeof(position));
+    return position;
+  }
 };
 
 // Neighbouring slots of a group, as they were packed once.
