@@ -69,8 +69,22 @@ class DisplayPull:
     def pulling(self) -> bool:
         return bool(self._pull.pulling)
 
+    @property
+    def held(self) -> bool:
+        return bool(self._pull.held)
+
+    @held.setter
+    def held(self, held: bool) -> None:
+        self._pull.held = held
+
     def hear(self, of: Label, batch: Any, now: float, served: bool) -> Step[Any]:
         return _step(self._pull.hear((*astuple(of), batch), now, served))
+
+    def miss(self, of: Label) -> None:
+        self._pull.miss((*astuple(of), None))
+
+    def doubt(self) -> None:
+        self._pull.doubt()
 
     def answer(self, number: int, batches: Any, block: int, now: float, served: bool) -> Step[Any]:
         labelled = [(*astuple(of), batch) for of, batch in batches]
@@ -151,7 +165,10 @@ class Receiver:
         """Something of what can happen next happens."""
         self._now += float(self._random.choice([0.01, 0.05, 0.2]))
         what = self._random.integers(5)
-        if what <= 1 and self.coming:
+        self._pull.held = loses
+        if what <= 1 and self.coming and loses:  # there is no room
+            self._pull.miss(label(self.coming.popleft()))
+        elif what <= 1 and self.coming:
             message = self.coming.popleft()
             self._do(self._pull.hear(label(message), message, self._now, served))
         elif what == 2 and self._request and served and wire.pull:
@@ -447,8 +464,9 @@ def test_of_a_round_that_is_over_nothing_is_missing() -> None:
     assert not pull.pulling
 
 
-def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
-    pull, request = beginning("sorter")
+@pytest.mark.parametrize("kind", PULLS)
+def test_what_there_was_no_room_for_is_pulled_once_there_is(kind: str) -> None:
+    pull, request = beginning(kind)
     pull.held = True
     pull.miss(Label("map", 6, False))
     step = pull.answer(request.number, [part(5)], 0, 1.2, True)
@@ -462,6 +480,18 @@ def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
     pull.miss(Label("another", 1, True))  # of a map that begins
     request = pull.tick(3.0, True).request
     assert (request.map_id, request.after_revision) == ("another", 0)
+
+
+def test_who_has_all_may_ask_whether_there_is_more() -> None:
+    pull = DisplayPull()
+    pull.hear(Label("map", 1, True), "one", 0.0, True)
+    assert not pull.tick(1.0, True).request
+    pull.doubt()
+    request = pull.tick(2.0, True).request
+    assert (request.map_id, request.after_revision) == ("map", 1)
+    step = pull.answer(request.number, [part(2)], 0, 2.1, True)
+    assert step == Step([("pulled 2", Arrival.LAST)])
+    assert not [now for now in np.arange(2.2, 6.0, 0.1) if pull.tick(now, True).request]
 
 
 @pytest.mark.parametrize("kind", PULLS)

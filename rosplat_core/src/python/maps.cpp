@@ -44,6 +44,11 @@ void defineMaps(py::module_& module) {
   py::class_<Pull>(module, "MapPull", "What a display pulls of a map, and when; see map_pull.py.")
       .def(py::init<>())
       .def_property_readonly("pulling", &Pull::pulling)
+      .def_readwrite("held", &Pull::held)
+      .def(
+          "miss", [](Pull& pull, const Labelled& heard) { pull.miss(labelled(heard).label); },
+          "heard"_a)
+      .def("doubt", &Pull::doubt)
       .def(
           "hear",
           [](Pull& pull, const Labelled& heard, double now, bool served) {

@@ -1,5 +1,6 @@
 #include "gaussian_client.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <iterator>
 #include <new>
@@ -16,6 +17,9 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr double kWatchPeriod = 1;  // [s]
+// Of edits that wait to be drawn: while there are more, what can be pulled later isn't taken.
+constexpr std::size_t kMostBacklog = std::size_t{1} << 26;
+constexpr std::size_t kServedDepth = 8;  // of a history, where what is missing can be pulled
 
 // As in rosplat_sorter's qos.py, which says why.
 rclcpp::QoS viewQos(std::size_t depth) {
@@ -74,13 +78,13 @@ rclcpp::QoS GaussianClient::mapQos() {
 
 GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
                                const rclcpp::QoS& qos, SplatScene& scene)
-    : node_(node), topic_(topic), scene_(scene), qos_(qos) {
+    : node_(node), topic_(topic), scene_(scene), qos_(qos), asked_qos_(qos) {
   group_ = node_->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false);
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
   remapped_ = node_->get_node_topics_interface()->resolve_topic_name(topic_);
   pull_client_ = PullClient::make(*node_, remapped_ + "/pull", group_);
-  map_ = subscribe(qos_);
+  subscribe(qosFor(false));
   status_.topic = remapped_;
   orders_ = node_->create_subscription<SplatOrder>(
       remapped_ + "/order", viewQos(8),
@@ -90,8 +94,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
       node_->create_publisher<rosplat_msgs::msg::ViewCamera>(remapped_ + "/view", viewQos(32));
   picked_publisher_ =
       node_->create_publisher<rosplat_msgs::msg::Gaussian>(remapped_ + "/picked", pickedQos());
-  pull_tick_ =
-      node_->create_wall_timer(100ms, [this] { act(pull_.tick(now(), served())); }, group_);
+  pull_tick_ = node_->create_wall_timer(100ms, [this] { tick(); }, group_);
   watch();
   executor_.add_callback_group(group_, node_->get_node_base_interface());
   thread_ = std::thread([this] {
@@ -112,18 +115,40 @@ GaussianClient::~GaussianClient() {
   thread_.join();
 }
 
-rclcpp::Subscription<GaussianClient::GaussianArray>::SharedPtr GaussianClient::subscribe(
-    const rclcpp::QoS& qos) {
+void GaussianClient::subscribe(const rclcpp::QoS& qos) {
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
-  return node_->create_subscription<GaussianArray>(
+  asked_qos_ = qos;
+  map_ = node_->create_subscription<GaussianArray>(
       topic_, qos,
-      [this](std::shared_ptr<const GaussianArray> message) {
-        note(message->map_id);
-        act(pull_.hear(labelled(std::move(message)), now(), served()));
-      },
-      options);
+      [this](std::shared_ptr<const GaussianArray> message) { hear(std::move(message)); }, options);
 }
+
+// Who can pull needs no history: of what comes faster than it is taken, only the newest waits.
+rclcpp::QoS GaussianClient::qosFor(bool all_are_volatile) const {
+  rclcpp::QoS qos(qos_);
+  if (serves_) qos.keep_last(std::clamp<std::size_t>(qos.depth(), 1, kServedDepth));
+  if (serves_ || all_are_volatile) qos.durability_volatile();
+  return qos;
+}
+
+void GaussianClient::hear(std::shared_ptr<const GaussianArray> message) {
+  note(message->map_id);
+  pull_.held = isFull();
+  // A REPLACE drops all that waits.
+  if (pull_.held && served() && message->operation != GaussianArray::REPLACE) {
+    return pull_.miss(labelled(std::move(message)).label);
+  }
+  act(pull_.hear(labelled(std::move(message)), now(), served()));
+}
+
+void GaussianClient::tick() {
+  if (doubts_.exchange(false)) pull_.doubt();
+  pull_.held = isFull();
+  act(pull_.tick(now(), served()));
+}
+
+bool GaussianClient::isFull() const { return scene_.backlog().bytes > kMostBacklog; }
 
 void GaussianClient::note(const std::string& map_id) {
   if (map_id == maps_[0]) return;
@@ -148,6 +173,7 @@ void GaussianClient::send(const Pull::Request& request) {
         for (const GaussianArray& batch : response->batches) {
           batches.push_back(labelled(std::shared_ptr<const GaussianArray>(response, &batch)));
         }
+        pull_.held = isFull();
         act(pull_.answer(number, std::move(batches), response->next_block, now(), served()));
       };
   pull_client_->ask(std::move(asked), answer);
@@ -249,11 +275,12 @@ void GaussianClient::watchPublishers() {
     any_best_effort |=
         publisher.qos_profile().reliability() == rclcpp::ReliabilityPolicy::BestEffort;
   }
-  const bool asks_latched = qos_.durability() == rclcpp::DurabilityPolicy::TransientLocal;
-  const bool make_volatile = any_volatile && !any_latched && asks_latched;
-  if (make_volatile != made_volatile_) {
-    made_volatile_ = make_volatile;
-    map_ = subscribe(make_volatile ? rclcpp::QoS(qos_).durability_volatile() : qos_);
+  serves_ = served() || (serves_ && !publishers.empty());
+  if (std::exchange(subscribed_, false)) doubts_ = true;  // by now all know the subscription
+  const rclcpp::QoS qos = qosFor(any_volatile && !any_latched);
+  if (qos != asked_qos_) {
+    subscribe(qos);
+    subscribed_ = serves_;
   }
   const std::lock_guard lock(mutex_);
   status_.publishers = std::move(names);
@@ -262,9 +289,10 @@ void GaussianClient::watchPublishers() {
   status_.unheard.clear();
   if (any_best_effort && qos_.reliability() == rclcpp::ReliabilityPolicy::Reliable) {
     status_.unheard = "best effort, so must the Reliability Policy be";
-  } else if (any_volatile && any_latched && asks_latched) {
+  } else if (any_volatile && any_latched &&
+             asked_qos_.durability() == rclcpp::DurabilityPolicy::TransientLocal) {
     status_.unheard = "volatile beside one that is not, so must the Durability Policy be";
-  } else if (any_volatile) {
+  } else if (any_volatile && !serves_) {
     status_.unheard = "volatile, what it sent before is not sent again";
   }
 }

@@ -65,7 +65,8 @@ class GaussianClient {
   static rclcpp::QoS mapQos();
 
   // The scene must outlive the client. Where all publishers are volatile, so is a subscription that
-  // should be transient local. Throws rclcpp's exceptions for a topic with an invalid name.
+  // should be transient local; where what is missing can be pulled, it is volatile and not deep.
+  // Throws rclcpp's exceptions for a topic with an invalid name.
   GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
                  const rclcpp::QoS& qos, SplatScene& scene);
   ~GaussianClient();
@@ -100,7 +101,11 @@ class GaussianClient {
   using Pull = MapPull<std::shared_ptr<const GaussianArray>>;
   static constexpr std::size_t kMostRequests = 64;  // for pictures, that wait
 
-  rclcpp::Subscription<GaussianArray>::SharedPtr subscribe(const rclcpp::QoS& qos);
+  void subscribe(const rclcpp::QoS& qos);
+  rclcpp::QoS qosFor(bool all_are_volatile) const;
+  void hear(std::shared_ptr<const GaussianArray> message);
+  void tick();
+  bool isFull() const;
   void note(const std::string& map_id);
   void act(Pull::Step step);
   void send(const Pull::Request& request);
@@ -117,9 +122,12 @@ class GaussianClient {
   std::string remapped_;                         // as ROS has it; the others' names begin with it
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
-  double watched_ = 0;          // when, last [s]
-  rclcpp::QoS qos_;             // that is asked for
-  bool made_volatile_ = false;  // what is asked for instead
+  double watched_ = 0;       // when, last [s]
+  rclcpp::QoS qos_;          // that is asked for
+  rclcpp::QoS asked_qos_;    // what is asked for instead
+  bool serves_ = false;      // someone answers pulls, or did while there were publishers
+  bool subscribed_ = false;  // anew, at the last look
+  std::atomic<bool> doubts_{false};
   rclcpp::Subscription<GaussianArray>::SharedPtr map_;
   Pull pull_;
   std::shared_ptr<PullClient> pull_client_;

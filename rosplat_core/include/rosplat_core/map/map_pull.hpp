@@ -73,22 +73,21 @@ class MapPull {
       step.batches.emplace_back(std::move(heard.batch), Arrival::kHeard);
       return step;
     }
-    if (label.map_id != map_id_) {
-      if (map_id_) stop();
-      begin(label.map_id);
-    }
-    const bool again = label.revision <= heard_;  // played once more, by a bag
-    heard_ = label.revision;
-    if (again) {
-      stop();
-      revision_ = label.revision - 1;
-      base_ = 0;
-      exact_ = label.replaces;
-    }
+    note(label);
     follow(std::move(heard), now, served || answered_, step);
     ask(now, served, step);
     return step;
   }
+
+  // A batch from the topic that there was no room for: it is pulled.
+  void miss(const Label& label) {
+    if (label.revision == 0) return;
+    note(label);
+    exact_ = false;
+  }
+
+  // A batch may have got lost without another after it: what there is since is pulled.
+  void doubt() { exact_ = false; }
 
   // An answer to a request, of which several servers may send one each. One to an earlier request
   // is ignored, and so is one after the first that has batches.
@@ -156,8 +155,24 @@ class MapPull {
   // Whether something is missing that is on its way.
   bool pulling() const { return pulling_; }
 
+  bool held = false;  // Whether to ask for nothing, because there is no room for answers.
+
  private:
   static constexpr double kNever = -std::numeric_limits<double>::infinity();
+
+  void note(const Label& label) {
+    if (label.map_id != map_id_) {
+      if (map_id_) stop();
+      begin(label.map_id);
+    }
+    const bool again = label.revision <= heard_;  // played once more, by a bag
+    heard_ = label.revision;
+    if (!again) return;
+    stop();
+    revision_ = label.revision - 1;
+    base_ = 0;
+    exact_ = label.replaces;
+  }
 
   // What was asked for while no map was known may be this one.
   void begin(const std::string& map_id) {
@@ -219,6 +234,7 @@ class MapPull {
     stop();
     exact_ = true;
     for (Labelled& heard : waiting) follow(std::move(heard), now, true, step);
+    if (revision_ < heard_ && !pulling_) exact_ = false;  // there was no room for the last
   }
 
   void giveUp(double now, Step& step) {
@@ -233,7 +249,7 @@ class MapPull {
     const bool lacks = !exact_ || !map_id_;
     if (lacks && (served || answered_) && now >= retry_from_ && !pulling_) pull();
     const bool blind = lacks && !pulling_ && now >= std::max(blind_from_, retry_from_);
-    if (asked_ || !(blind || (pulling_ && now >= ask_from_))) return;
+    if (held || asked_ || !(blind || (pulling_ && now >= ask_from_))) return;
     if (block_ == 0) ask_from_ = now + kPause;
     blind_from_ = now + kBlind;
     asked_ = now;
