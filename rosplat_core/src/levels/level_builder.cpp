@@ -1,6 +1,7 @@
 #include "rosplat_core/levels/level_builder.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <new>
@@ -14,9 +15,12 @@ namespace rosplat {
 
 namespace {
 
-// Steps of a few milliseconds, for which building goes on whatever waits.
-constexpr int kLeastSteps = 16;
+constexpr double kLeastTime = 0.05;  // for which building goes on whatever waits [s]
 constexpr std::uint64_t kNever = std::numeric_limits<std::uint64_t>::max();
+
+double seconds() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
 
 std::size_t bytesOf(const PackedRun& run) {
   std::size_t words = run.slots.capacity();
@@ -197,23 +201,25 @@ void LevelBuilder::takeWaiting() {
   bytes_ = bytes;
 }
 
-// step: of building, since what waited was taken.
-bool LevelBuilder::isInterrupted(int step) const {
+// had_time: building had its share.
+bool LevelBuilder::isInterrupted(bool had_time) const {
   const std::lock_guard lock(mutex_);
   const bool clears = !edits_.empty() && edits_.front().edit->clear;
-  return stop_ || clears || (step >= kLeastSteps && waits());
+  return stop_ || clears || (had_time && waits());
 }
 
-// Takes what waits, and that into the nodes, until more waits.
+// Takes what waits, and that into the nodes, until more waits: for as long as taking it took.
 void LevelBuilder::build() {
+  const double begin = seconds();
   takeWaiting();
   {
     const std::lock_guard lock(mutex_);
     if (more_) return;
   }
-  int step = 0;
+  const double from = seconds();
+  const double until = from + std::max(from - begin, kLeastTime);
   levels_.advance(
-      slots_, [&] { return isInterrupted(step++); },
+      slots_, [&] { return isInterrupted(seconds() >= until); },
       [this](const std::vector<std::uint32_t>& changed) { handOver(changed); });
 }
 

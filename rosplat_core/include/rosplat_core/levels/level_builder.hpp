@@ -40,8 +40,8 @@ struct LevelsUpdate {
 
 // Builds and repairs the levels of detail of a map that something else draws: in a thread of its
 // own, from a copy of the map in the processor's memory. What comes while it builds waits, without
-// what later edits overwrite, and goes into the copy between two steps; but there is always a share
-// of time for building, however much comes.
+// what later edits overwrite, and goes into the copy between two steps; but half of the time is for
+// building, however much comes.
 class LevelBuilder {
  public:
   LevelBuilder();
@@ -76,7 +76,7 @@ class LevelBuilder {
   void takeWaiting();
   void take(const GaussianEdit& edit, double now, std::uint64_t number);
   void take(Run run);
-  bool isInterrupted(int step) const;
+  bool isInterrupted(bool had_time) const;
   void handOver(const std::vector<std::uint32_t>& changed);
 
   mutable std::mutex mutex_;  // what follows
