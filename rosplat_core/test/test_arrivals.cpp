@@ -78,7 +78,6 @@ TEST(Arrivals, APartThatFailsComesBeforeTheRest) {
   edit->sh_degree = 0;
   edit->runs = {{0, 5}};
   edit->slots.resize(5 * kSlotWords);
-  edit->positions.resize(5 * 3);
   edit->extents.resize(5);
   arrivals->push(edit, {});
   std::vector<std::pair<SlotRuns, bool>> taken;  // and whether that is the last
