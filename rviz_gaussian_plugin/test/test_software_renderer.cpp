@@ -17,15 +17,14 @@
 
 #include "owned_batch.hpp"
 #include "software_renderer.hpp"
+#include "windowless_display.hpp"
 
 using namespace rosplat;
 
 namespace {
 
 bool makeContext() {
-  if (!epoxy_has_egl_extension(EGL_NO_DISPLAY, "EGL_MESA_platform_surfaceless")) return false;
-  const EGLDisplay display =
-      eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
+  const EGLDisplay display = windowlessDisplay();
   if (!eglInitialize(display, nullptr, nullptr) || !eglBindAPI(EGL_OPENGL_API)) return false;
   const EGLContext context = eglCreateContext(display, EGL_NO_CONFIG_KHR, EGL_NO_CONTEXT, nullptr);
   return context && eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, context);

@@ -25,6 +25,7 @@
 
 #include "owned_batch.hpp"
 #include "splat_scene.hpp"
+#include "windowless_display.hpp"
 
 using namespace rosplat;
 
@@ -36,9 +37,7 @@ constexpr std::uint32_t kSplats = 5000;  // of the map
 // rviz's kind of context, the compatibility profile, made current; null where there is none to be
 // had. It shares nothing with others.
 EGLContext makeContext() {
-  if (!epoxy_has_egl_extension(EGL_NO_DISPLAY, "EGL_MESA_platform_surfaceless")) return nullptr;
-  const EGLDisplay display =
-      eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
+  const EGLDisplay display = windowlessDisplay();
   const std::vector<EGLint> wanted{EGL_CONTEXT_MAJOR_VERSION,
                                    4,
                                    EGL_CONTEXT_MINOR_VERSION,
