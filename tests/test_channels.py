@@ -36,7 +36,9 @@ def target(request: pytest.FixtureRequest) -> Target:
         target.renderer.settings = rendering.RenderSettings()
         target.set(float_blending=True, rasterizer=SCENES[request.param])
     else:
-        target = Target(CpuRenderer(2, Instructions.__members__[request.param]))
+        target = Target(
+            CpuRenderer(threads=2, instructions=Instructions.__members__[request.param])
+        )
         if request.param != "BEST" and target.renderer.instructions != request.param.lower():
             pytest.skip(f"this machine has no {request.param}")
     return target

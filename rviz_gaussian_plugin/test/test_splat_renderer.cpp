@@ -1094,7 +1094,9 @@ TEST_F(SplatRendererTest, HasLevelsWhileAViewWantsThem) {
   SplatScene scene(shaders());
   fill(scene);
   cutPicture(scene, detailed("full", Rasterizer::kTiles));
-  const std::size_t bytes = gpuBytes(scene);
+  // What uploads lie in grows by itself while the card is busy.
+  const auto held = [&] { return scene.bytes().map + scene.bytes().shared_gpu; };
+  const std::size_t bytes = held();
   EXPECT_EQ(scene.bytes().levels, 0u);
   cutPicture(scene, detailed("20px", Rasterizer::kTiles));
   cutPicture(scene, detailed("5px", Rasterizer::kTiles), "other");
@@ -1103,7 +1105,7 @@ TEST_F(SplatRendererTest, HasLevelsWhileAViewWantsThem) {
   scene.forget("other");
   EXPECT_EQ(scene.bytes().levels, 0u);
   cutPicture(scene, detailed("full", Rasterizer::kTiles));
-  EXPECT_LE(gpuBytes(scene), bytes + bytes / 10);
+  EXPECT_LE(held(), bytes + bytes / 10);
   // An order that is given, and picks, show slots.
   cutPicture(scene, detailed("200px", Rasterizer::kTiles));
   EXPECT_LT(scene.report("view").splats, kSplats / 10);
