@@ -100,6 +100,8 @@ class Rviz(DrivenRviz):
         self, folder: Path, *arguments: str, config: str | None = None, **environment: str
     ) -> None:
         """Starts rviz2, with its logs in a folder, and waits until it can be driven."""
+        self.meanwhile: Callable[[], object] = lambda: time.sleep(0.03)
+        """What is done between two looks; a publisher that is pulled from answers then."""
         self._screen = own_screen()
         self.screen_name = self._screen.__enter__()
         super().__init__(
@@ -125,7 +127,7 @@ class Rviz(DrivenRviz):
             if found == level and all(word in text for word in words):
                 return text
             assert time.monotonic() < deadline, f"{entry} is not {level} {words}: {status}"
-            time.sleep(0.03)
+            self.meanwhile()
 
     # --- The screen -------------------------------------------------------------------------------
 
@@ -154,7 +156,7 @@ class Rviz(DrivenRviz):
                     f"not seen, {self.folder / 'not_seen.png'} was: "
                     + self.processes.said("rviz2")[-500:]
                 )
-            time.sleep(0.03)
+            self.meanwhile()
 
     def keep(self, name: str) -> None:
         """Writes the screen into the folder of the logs, to look at."""

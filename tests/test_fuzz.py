@@ -140,7 +140,7 @@ def receive() -> Claims:
 
     def check(case: int, rng: np.random.Generator) -> None:
         display, sorter, publisher = Display(), Sorter(), Twin()
-        drawing = CpuRenderer(1)
+        drawing = CpuRenderer(threads=1)
         numbered = True
         batches = fuzz.batches(rng)
         for number, message in enumerate(batches, 1):

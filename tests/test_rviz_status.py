@@ -257,9 +257,11 @@ def test_old_opengl_serves_the_processor_alone(tmp_path: Path, world: World) -> 
         rviz.until(lambda s: red(s).sum() > 3000)
         assert ask_for_picture(old, topic="/old/gaussians").success
         rviz.set("Map", "Rasterizer", value="Tiles")
-        rviz.until_status("Map", "OpenGL", "Error", "OpenGL 4.4 is needed", "3.0", "driver")
-        answer = ask_for_picture(old, topic="/old/gaussians")
-        assert not answer.success and "OpenGL 4.4 is needed" in answer.message
+        rviz.until_status(
+            "Map", "OpenGL", "Error", "another rasterizer draws", "OpenGL 4.4 is needed", "3.0"
+        )
+        # Who drew the map so far goes on.
+        assert ask_for_picture(old, topic="/old/gaussians").success
         rviz.set("Map", "Rasterizer", value="Auto")
         rviz.until(lambda s: red(s).sum() > 3000)
         assert ask_for_picture(old, topic="/old/gaussians").success

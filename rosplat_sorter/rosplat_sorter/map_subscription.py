@@ -9,7 +9,7 @@ from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -107,9 +107,17 @@ class MapSubscription:
         return bool(self._client.service_is_ready())
 
     def _server_is_known(self) -> bool:
-        """Whether ROS has told of one at any time, ready or not."""
-        services = self._node.get_service_names_and_types()
-        return f"{self.topic}/pull" in (name for name, _ in services)
+        """Whether some node serves pulls, ready or not. A service that has clients alone is listed,
+        too, but by no node.
+        """
+        for node, namespace in self._node.get_node_names_and_namespaces():
+            try:
+                services = self._node.get_service_names_and_types_by_node(node, namespace)
+            except NodeNameNonExistentError:  # it has just ended
+                continue
+            if any(name == f"{self.topic}/pull" for name, _ in services):
+                return True
+        return False
 
     def _do(self, step: Step[Any]) -> None:
         if step.request:  # first, so that it is answered meanwhile
@@ -121,9 +129,9 @@ class MapSubscription:
 
     def _send(self, request: Request) -> None:
         if not request.first_block:
+            missing = f"what map '{shown(request.map_id)}' has since {request.after_revision}"
             self._node.get_logger().info(
-                f"{self.topic}: what is missing of map '{shown(request.map_id)}' after revision "
-                f"{request.after_revision} is pulled",
+                f"{self.topic}: {missing if request.map_id else 'the map'} is pulled",
                 throttle_duration_sec=5.0,
             )
         if self._answer:  # it has come, or doesn't count any more

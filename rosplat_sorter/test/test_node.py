@@ -216,8 +216,11 @@ def test_the_map_is_pulled_though_nothing_is_heard(sorter, ros, make_batch, make
         peer.close()
 
 
-def test_a_sorter_that_joins_late_gets_the_latched_map(ros, make_batch, make_look):
+@pytest.mark.parametrize("beside", ["nobody", "a client of pulls that nobody serves"])
+def test_a_sorter_that_joins_late_gets_the_latched_map(ros, beside, make_batch, make_look):
     peer = Peer()
+    if beside != "nobody":
+        peer.node.create_client(PullMap, "gaussians/pull")
     peer.edit(make_batch(2, operation=GaussianArray.REPLACE))
     peer.edit(make_batch(2, revision=2, first_slot=2))
     process = subprocess.Popen(

@@ -85,13 +85,13 @@ inline void packSlots(const std::uint32_t* slots, std::size_t count, unsigned bi
 // several times what filling them does. For any thread.
 class SpareSlots {
  public:
-  // Some that were kept, as they were, or none.
+  // The largest that were kept, as they were, or none.
   std::vector<std::uint32_t> take() {
     const std::lock_guard<std::mutex> lock(mutex_);
-    for (std::vector<std::uint32_t>& kept : kept_) {
-      if (kept.capacity() > 0) return std::exchange(kept, {});
-    }
-    return {};
+    const auto largest = std::max_element(
+        kept_.begin(), kept_.end(),
+        [](const auto& one, const auto& other) { return one.capacity() < other.capacity(); });
+    return std::exchange(*largest, {});
   }
   // Not of an order that needed little of it: of a map that was replaced nothing stays.
   void keep(std::vector<std::uint32_t>&& slots) noexcept {
