@@ -267,8 +267,7 @@ def test_the_quality_of_service_of_the_topic_can_be_edited(rviz: Rviz, world: Wo
     time.sleep(1)
     assert not red(rviz.picture()).any()
     rviz.set("Map", "Topic", "Reliability Policy", value="Best Effort")
-    rviz.until_status("Map", "Topic", "Warn", "volatile", "Durability Policy")
-    rviz.set("Map", "Topic", "Durability Policy", value="Volatile")
+    # The map's own publisher serves pulls, so that a volatile one beside it is heard, too.
     revisions = itertools.count(2)
     rviz.until(lambda s: publish(next(revisions)) or red(s).sum() > 3000)
     world.node.destroy_publisher(publisher)
