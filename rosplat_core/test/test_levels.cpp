@@ -423,8 +423,10 @@ TEST(LevelBuilder, BuildsHoweverMuchComesAndKeepsLittleOfIt) {
   fill(batch, random);
   GaussianMap map;
   BatchReport report;
-  const auto edit = map.apply(batch, report);
   LevelBuilder builder;
+  builder.apply(map.apply(batch, report), 0);  // clears, as of any new map
+  const auto edit = map.apply(batch, report);
+  ASSERT_FALSE(edit->clear);  // which would end what is being built
   std::unique_ptr<LevelsUpdate> update;
   std::size_t most = 0;
   const auto begin = std::chrono::steady_clock::now();
