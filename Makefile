@@ -14,7 +14,7 @@ MINUTES ?= 60
 
 ENTER = . ./env.sh
 
-.PHONY: help setup demo render simplify bench lab test fuzz soak lint pictures clean
+.PHONY: help setup demo render simplify bench lab test fuzz soak lint docs pictures clean
 
 help: ## This list
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -59,6 +59,10 @@ lint: ## Format, lint and types
 test: ## Lint, then every test that this machine can run
 	@./setup.sh dev
 	@$(ENTER); tests/lint.sh && tests/run.sh
+
+docs: ## The documentation as a site: out/docs/index.html
+	@./setup.sh docs
+	@$(ENTER); python -m sphinx -q -W --keep-going -d out/doctrees docs out/docs
 
 pictures: ## Make the documentation's pictures, where rviz2 is: SCENE=playbot UPRIGHT=wolf.spz [ONLY="demo rviz"]
 	@./setup.sh lab imu

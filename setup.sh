@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Brings a machine to where the packages are built: system packages, Python environment, colcon build.
 # Safe to repeat; what is already there is left alone.
-# setup.sh [lab] [imu] [dev]: lab adds what rosplat_lab imports, imu QCustomPlot (GPL) for the IMU panel,
-# dev both and what the tests need.
+# setup.sh [lab] [imu] [dev] [docs]: lab adds what rosplat_lab imports, imu QCustomPlot (GPL) for the IMU panel,
+# dev both and what the tests need; docs adds what makes the documentation's site.
 set -euo pipefail
 cd "$(dirname "$0")"
 . ./env.sh
@@ -10,11 +10,11 @@ cd "$(dirname "$0")"
 say() { printf '\033[1m%s\033[0m\n' "$*"; }
 
 wanted=" $* "
-if [ -n "$(tr -s ' ' '\n' <<<"$wanted" | grep -vxE 'lab|imu|dev|')" ]; then
-  echo "setup.sh knows lab, imu and dev, not:$wanted" >&2
+if [ -n "$(tr -s ' ' '\n' <<<"$wanted" | grep -vxE 'lab|imu|dev|docs|')" ]; then
+  echo "setup.sh knows lab, imu, dev and docs, not:$wanted" >&2
   exit 1
 fi
-wants() { [[ $wanted == *" $1 "* || $wanted == *' dev '* ]]; }
+wants() { [[ $wanted == *" $1 "* || $wanted == *' dev '* && $1 != docs ]]; }
 
 installed() { dpkg-query -W -f '${Status}' "$1" 2>/dev/null | grep -q 'install ok installed'; }
 
@@ -30,6 +30,7 @@ else
   packages+=(libogre-1.12-dev)
 fi
 if wants dev; then packages+=(glslang-tools); fi # the tests' judge of shaders
+if wants docs; then packages+=(doxygen); fi      # reads the C++ headers
 missing=()
 for package in "${packages[@]}"; do
   installed "$package" || missing+=("$package")
@@ -56,7 +57,7 @@ if [ "$(cat .venv/ros 2>/dev/null)" != "$ROSPLAT_ROS" ]; then
 fi
 requirements=(requirements/runtime.txt)
 [ "$ROSPLAT_ROS" = wheels ] && requirements+=(requirements/ros.txt)
-for part in lab dev; do
+for part in lab dev docs; do
   if wants "$part"; then touch ".venv/$part"; fi
   [ -f ".venv/$part" ] && requirements+=("requirements/$part.txt")
 done
