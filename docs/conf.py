@@ -68,6 +68,11 @@ def complete(app: Sphinx, page: str, source: list[str]) -> None:
         text += "\n".join(rendered(path) for path in files)
     for path, there in PAGES.items():
         text = re.sub(rf"\]\((\.\./)+{path}(?=[)#])", f"]({there}", text)
+    text = re.sub(
+        r"\]\((\.\./)+rosplat_msgs/(msg|srv)/(\w+)\.\2",
+        lambda file: f"](/api/messages.md#{file[3].lower()}",
+        text,
+    )
     source[0] = re.sub(r"^{{ (\w+) }}$", _headers, text, flags=re.MULTILINE)
 
 
