@@ -10,10 +10,10 @@ from typing import Any, Protocol
 
 from geometry_msgs.msg import Point, Pose, Quaternion
 
+from rosplat_core.maps import Arrival
 from rosplat_core.payload import FORMAT
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.map_pull import Arrival
-from rosplat_tools.messages import decode, encode
+from rosplat_tools.testing.messages import decode, encode
 
 REPLACE, UPSERT, DELETE = GaussianArray.REPLACE, GaussianArray.UPSERT, GaussianArray.DELETE
 MOVE = GaussianArray.MOVE

@@ -17,9 +17,9 @@ from rosplat_core.rendering import posed
 from rosplat_core.splats import Splats
 from rosplat_lab.bench.embedded import View
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools import messages
+from rosplat_sorter import batches
 from rosplat_tools.messages import Slots
-from rviz_gaussian_plugin import from_messages
+from rosplat_tools.testing import messages
 
 Array = NDArray[Any]
 
@@ -116,7 +116,7 @@ class Target:
         return {"header": Header(), "map_id": str(self.map_id), "revision": self.revision}
 
     def _apply(self, batch: GaussianArray) -> None:
-        from_messages.apply(self.renderer, batch)
+        batches.apply(self.renderer, batch)
 
     def draw(self, camera: Camera = CAMERAS["outside"]) -> Array:
         """(height, width, 4) premultiplied RGBA."""

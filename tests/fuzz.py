@@ -26,9 +26,9 @@ from streamed_scene import write_scene
 
 from rosplat_core import formats, payload
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-from rosplat_sorter import edits
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, pack
 from rosplat_sorter.shared_orders import OrderBuffer
+from rosplat_tools.testing.messages import arrays_of, is_usable
 
 CASES = int(os.environ.get("ROSPLAT_FUZZ_CASES") or 2000)
 SEED = int(os.environ.get("ROSPLAT_FUZZ_SEED") or 0)
@@ -121,8 +121,8 @@ def _pose(rng: Generator) -> Pose:
 
 
 def _compress(message: GaussianArray) -> None:
-    arrays = edits.arrays_of(message)
-    message.payload = array("B", payload.encode(arrays, edits.is_usable(arrays)).tobytes())
+    arrays = arrays_of(message)
+    message.payload = array("B", payload.encode(arrays, is_usable(arrays)).tobytes())
     message.format = payload.FORMAT
     for name in ("positions", "orientations", "scales", "opacities", "sh"):
         setattr(message, name, array("f"))

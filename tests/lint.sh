@@ -9,7 +9,7 @@ git ls-files '*.cpp' '*.hpp' '*.cu' | xargs clang-format --dry-run -Werror
 (cd rosplat_core && mypy --config-file ../pyproject.toml --no-error-summary rosplat_core)
 export MYPYPATH=../rosplat_core
 (cd rosplat_sorter && mypy --config-file ../pyproject.toml --no-error-summary \
-  rosplat_sorter/{backends,camera.py,edits.py,map.py,map_pull.py,order_slots.py,shared_orders.py,worker.py})
+  rosplat_sorter/{backends,batches.py,camera.py,map.py,order_slots.py,shared_orders.py,worker.py})
 (cd rosplat_tools && mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_tools/{program/processes.py,emulation/{flight,mapping}.py,streaming/{detail,followed_view,slot_allocator,streamed_map}.py,convert.py,generate.py,inspect_scene.py})
 (cd rosplat_lab && MYPYPATH=../rosplat_core:../rosplat_tools mypy --config-file ../pyproject.toml --no-error-summary \

@@ -40,9 +40,10 @@ from rosplat_lab.bench import scenes
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.machine import machine
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.batches import apply
 from rosplat_tools.program.processes import Processes, interrupt_by_signals, node_command
 from rosplat_tools.view_messages import view_camera
-from rviz_gaussian_plugin.from_messages import apply, numbers
+from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 MOST_SPLATS = 1_500_000

@@ -20,9 +20,9 @@ from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_tools.emulation.mapping import Edit, Move, edits
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.messages import encode, encode_deletion, encode_move
 from rosplat_tools.poses import to_pose
 from rosplat_tools.program.running import run, spinning, wait_for_end
+from rosplat_tools.testing.messages import encode, encode_deletion, encode_move
 from rosplat_tools.testing.slot_map import SlotMap, apply
 
 RATE = 10.0  # messages a second

@@ -13,19 +13,18 @@ import pytest
 from conformance import CASES, Case, Receiver
 from numpy.typing import NDArray
 
-from rosplat_core.maps import GaussianMap
+from rosplat_core.maps import Arrival, GaussianMap
 from rosplat_core.publishing import PublishedBatch, PublishedMap
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.edits import EMPTY, decode, pose_values
+from rosplat_sorter.batches import apply, pose_values
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.map_pull import Arrival
-from rosplat_tools import messages
-from rosplat_tools.testing import slot_map
-from rviz_gaussian_plugin.from_messages import apply
+from rosplat_tools.testing import messages, slot_map
 
 
 class Display:
-    """The display's map."""
+    """A receiver's map in C++: a display's, or the sorter's, which keeps no harmonics."""
+
+    map: GaussianMap
 
     def __init__(self) -> None:
         self.map = GaussianMap()
@@ -62,45 +61,18 @@ class Display:
         return int(self.map.missed)
 
 
-class Sorter:
-    """The sidecar's map, which knows nothing of how splats are drawn."""
+class Sorter(Display):
+    """The sidecar's."""
 
-    antialiased = None
+    map: SplatMap
 
     def __init__(self) -> None:
         self.map = SplatMap()
 
-    def take(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> int:
-        self.map.apply(decode(message, arrival))
-        return self.map.rejected
-
-    def in_use(self, slot: int) -> bool:
-        return bool((self.map.extents[self.map.slots == slot] != EMPTY).any())
-
     def slots(self) -> NDArray[np.uint32]:
         """Those in use, ascending."""
-        return np.unique(self.map.slots[self.map.extents != EMPTY])
-
-    def place(self, group: int) -> tuple[float, float, float]:
-        x, y, z = self.map.poses.get(group, np.eye(4))[:3, 3].tolist()
-        return x, y, z
-
-    @property
-    def origin(self) -> tuple[float, float, float]:
-        x, y, z = self.map.origins.get(0, np.zeros(3)).tolist()
-        return x, y, z
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        return self.map.channels
-
-    @property
-    def revision(self) -> int:
-        return self.map.revision
-
-    @property
-    def missed(self) -> int:
-        return self.map.missed
+        slots = np.sort(self.map.slots_and_groups()[0])
+        return slots[[self.map.in_use(slot) for slot in slots.tolist()]]
 
 
 class Twin:

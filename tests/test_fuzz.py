@@ -23,6 +23,7 @@ from std_msgs.msg import Header
 from test_conformance import Display, Publisher, Sorter, Twin
 
 from rosplat_core import depth, formats
+from rosplat_core.maps import Arrival
 from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import SceneError, splat_bytes
@@ -31,14 +32,14 @@ from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
 from rosplat_sorter import camera
 from rosplat_sorter.backends import open_backend
-from rosplat_sorter.map_pull import Arrival
+from rosplat_sorter.batches import apply
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.qos import MAP, VIEW
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_tools.map_publisher import as_message
 from rosplat_tools.program.processes import Processes
 from rosplat_tools.streaming import detail
-from rviz_gaussian_plugin.from_messages import apply, numbers
+from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 
 # Of a build of the C++ with sanitizers: what has to be loaded first, and where its libraries are;
@@ -193,8 +194,8 @@ def look(sorter: Sorter, native: Any, asked: ViewCamera) -> None:
     assert levels == [1, 1] or min(levels) >= 0
     view = View.of(eye, sorter.map.frames)
     held = sorter.map
-    native.update(held, slice(0, held.pages.rows))
-    expected = depth.order(view, held.positions, held.extents, held.slots, held.groups)
+    native.update(held, slice(0, held.rows))
+    expected = depth.order(view, held.positions, held.extents, *held.slots_and_groups())
     np.testing.assert_array_equal(native.order(view), expected)
 
 

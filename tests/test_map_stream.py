@@ -7,27 +7,24 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import astuple, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rosplat_core import maps
-from rosplat_core.slot_pages import MixedGroupsError
+from rosplat_core.maps import Arrival, BatchError
 from rosplat_core.splats import Splats
 from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
-from rosplat_sorter import map_pull
-from rosplat_sorter.edits import EMPTY, decode
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.map_pull import Arrival, Label, Request, Step
-from rosplat_sorter.map_subscription import label
+from rosplat_sorter.map_subscription import labelled
 from rosplat_tools.map_publisher import MapPublisher
-from rviz_gaussian_plugin.from_messages import apply
 
+MOST_WAITING = 1 << 26  # of MapPull [bytes]
 BLOCK = GaussianArray.SLOTS_PER_BLOCK
 KINDS = [
     *["upsert"] * 12, *["delete"] * 6, *["delete a block"] * 6, *["move"] * 4,
@@ -59,48 +56,67 @@ class Model:
         return placed
 
 
-class DisplayPull:
-    """The display's, as the sorter's is called."""
+class Label(NamedTuple):
+    """What counts of a batch. bytes: the memory that it takes."""
+
+    map_id: str
+    revision: int
+    replaces: bool
+    bytes: int = 0
+
+
+class Request(NamedTuple):
+    number: int
+    map_id: str
+    after_revision: int
+    first_block: int
+
+
+@dataclass
+class Step:
+    """What to do now: batches to apply in turn, and a request to send."""
+
+    batches: list[tuple[Any, Arrival]] = field(default_factory=list)
+    request: Request | None = None
+
+
+class Pull:
+    """MapPull, by names."""
 
     def __init__(self) -> None:
         self._pull = maps.MapPull()
 
     @property
     def pulling(self) -> bool:
-        return bool(self._pull.pulling)
+        return self._pull.pulling
 
-    @property
-    def held(self) -> bool:
-        return bool(self._pull.held)
-
-    @held.setter
-    def held(self, held: bool) -> None:
+    def hold(self, held: bool) -> None:
         self._pull.held = held
 
-    def hear(self, of: Label, batch: Any, now: float, served: bool) -> Step[Any]:
-        return _step(self._pull.hear((*astuple(of), batch), now, served))
+    def hear(self, of: Label, batch: Any, now: float, served: bool) -> Step:
+        return _step(self._pull.hear((*of, batch), now, served))
 
     def miss(self, of: Label) -> None:
-        self._pull.miss((*astuple(of), None))
+        self._pull.miss((*of, None))
 
     def doubt(self) -> None:
         self._pull.doubt()
 
-    def answer(self, number: int, batches: Any, block: int, now: float, served: bool) -> Step[Any]:
-        labelled = [(*astuple(of), batch) for of, batch in batches]
+    def answer(self, number: int, batches: Any, block: int, now: float, served: bool) -> Step:
+        labelled = [(*of, batch) for of, batch in batches]
         return _step(self._pull.answer(number, labelled, block, now, served))
 
-    def tick(self, now: float, served: bool) -> Step[Any]:
+    def tick(self, now: float, served: bool) -> Step:
         return _step(self._pull.tick(now, served))
 
 
-def _step(result: Any) -> Step[Any]:
+def _step(result: Any) -> Step:
     batches, request = result
-    arrived = [(batch, Arrival(int(arrival))) for batch, arrival in batches]
-    return Step(arrived, Request(*request) if request else None)
+    return Step(batches, Request(*request) if request else None)
 
 
-PULLS = {"sorter": map_pull.MapPull, "display": DisplayPull}
+def label(message: GaussianArray) -> Label:
+    return Label(*labelled(message)[:4])
 
 
 class Wire:
@@ -142,10 +158,10 @@ class Wire:
 class Receiver:
     """Whoever hears the wire: maps that batches make, and what follows them."""
 
-    def __init__(self, kind: str, random: np.random.Generator) -> None:
-        self._pull = PULLS[kind]()
+    def __init__(self, random: np.random.Generator) -> None:
+        self._pull = Pull()
         self._random = random
-        self.map, self.display = SplatMap(), maps.GaussianMap()
+        self.map = SplatMap()
         self.coming: deque[GaussianArray] = deque()
         self._request: Request | None = None
         self._answer: tuple[int, PullMap.Response] | None = None
@@ -154,7 +170,7 @@ class Receiver:
     @property
     def exact(self) -> bool:
         """Whether it says that nothing of its revision is missing."""
-        return self.map.revision > 0 and not self.map.missed and not self.display.pulled
+        return self.map.revision > 0 and not self.map.missed and not self.map.pulled
 
     @property
     def at_rest(self) -> bool:
@@ -165,7 +181,7 @@ class Receiver:
         """Something of what can happen next happens."""
         self._now += float(self._random.choice([0.01, 0.05, 0.2]))
         what = self._random.integers(5)
-        self._pull.held = loses
+        self._pull.hold(loses)
         if what <= 1 and self.coming and loses:  # there is no room
             self._pull.miss(label(self.coming.popleft()))
         elif what <= 1 and self.coming:
@@ -189,17 +205,14 @@ class Receiver:
                 self._now += 10  # nobody waits for so long
             self._do(self._pull.tick(self._now, served))
 
-    def _do(self, step: Step[GaussianArray]) -> None:
+    def _do(self, step: Step) -> None:
         self._request = step.request or self._request
         for message, arrival in step.batches:
             try:
-                self.map.apply(decode(message, arrival))
-            except MixedGroupsError:  # it lacks a deletion
-                assert arrival is Arrival.HEARD
-                with pytest.raises(ValueError, match="group"):
-                    apply(self.display, message, arrival)
-                continue
-            apply(self.display, message, arrival)
+                self.map.take(message, arrival)
+            except BatchError as error:  # it lacks a deletion
+                assert "hold splats of group" in str(error)
+                assert arrival == Arrival.HEARD
 
 
 def splats_at(random: np.random.Generator, count: int) -> Splats:
@@ -214,10 +227,11 @@ def splats_at(random: np.random.Generator, count: int) -> Splats:
 
 
 def points_of(held: SplatMap) -> Points:
-    used = held.extents != EMPTY
-    frames = held.frames[held.groups[used]]
+    slots, groups = held.slots_and_groups()
+    used = np.array([held.in_use(slot) for slot in slots.tolist()], bool)
+    frames = held.frames[groups[used]]
     means = (frames[:, :3, :3] @ held.positions[used][:, :, None])[:, :, 0] + frames[:, :3, 3]
-    return dict(zip(held.slots[used].tolist(), means, strict=True))
+    return dict(zip(slots[used].tolist(), means, strict=True))
 
 
 def assert_same(points: Points, expected: Points) -> None:
@@ -226,17 +240,14 @@ def assert_same(points: Points, expected: Points) -> None:
         np.testing.assert_allclose(points[slot], mean, rtol=0, atol=1e-3)
 
 
-@pytest.mark.parametrize("kind", PULLS)
 @pytest.mark.parametrize("losses", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("chunk_bytes", [200, 2000, 10**6])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_whatever_is_lost_all_end_with_the_map(
-    kind: str, losses: float, chunk_bytes: int, seed: int
-) -> None:
+def test_whatever_is_lost_all_end_with_the_map(losses: float, chunk_bytes: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     wire, model = Wire(), Model()
     publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)
-    receivers = [Receiver(kind, random)]
+    receivers = [Receiver(random)]
     known: dict[tuple[str, int], Points] = {}
 
     def send(served: bool, losses: float) -> None:
@@ -256,7 +267,7 @@ def test_whatever_is_lost_all_end_with_the_map(
         expected = known.get((held.map_id, held.revision))
         if receiver.exact and expected is not None:
             assert_same(points_of(held), expected)
-            assert receiver.display.splats == len(expected)
+            assert held.splats == len(expected)
 
     for action in random.choice(KINDS, 60):
         group = int(random.integers(4))
@@ -265,7 +276,7 @@ def test_whatever_is_lost_all_end_with_the_map(
         splats = splats_at(random, count)
         before = publisher.revision
         if action == "join":
-            receivers = [*receivers[-2:], Receiver(kind, random)]
+            receivers = [*receivers[-2:], Receiver(random)]
         elif action == "restart":
             publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)
             model = Model()
@@ -314,9 +325,9 @@ def test_whatever_is_lost_all_end_with_the_map(
         check(receiver)
 
 
-def beginning(kind: str) -> tuple[Any, Request]:
+def beginning() -> tuple[Pull, Request]:
     """A receiver that has revision 1 and heard 5, and what it asks for."""
-    pull = PULLS[kind]()
+    pull = Pull()
     assert pull.hear(Label("map", 1, True), "one", 0.0, True).batches == [("one", Arrival.HEARD)]
     step = pull.hear(Label("map", 5, False, 100), "five", 1.0, True)
     assert not step.batches
@@ -330,7 +341,6 @@ def part(revision: int, map_id: str = "map", replaces: bool = False) -> tuple[La
     return Label(map_id, revision, replaces), f"pulled {revision}"
 
 
-@pytest.mark.parametrize("kind", PULLS)
 @pytest.mark.parametrize(
     ("batches", "next_block"),
     [
@@ -343,9 +353,9 @@ def part(revision: int, map_id: str = "map", replaces: bool = False) -> tuple[La
     ],
 )
 def test_an_answer_that_is_none_counts_for_nothing(
-    kind: str, batches: list[tuple[Label, str]], next_block: int
+    batches: list[tuple[Label, str]], next_block: int
 ) -> None:
-    pull, request = beginning(kind)
+    pull, request = beginning()
     step = pull.answer(request.number, batches, next_block, 1.1, True)
     assert step == Step([("five", Arrival.HEARD)])
     assert not pull.pulling
@@ -356,27 +366,23 @@ def test_an_answer_that_is_none_counts_for_nothing(
     assert pull.answer(again.number, [part(4)], 0, 2.6, True) == Step()
 
 
-@pytest.mark.parametrize("kind", PULLS)
-def test_a_server_without_the_map_leaves_others_time_to_answer(kind: str) -> None:
-    pull, request = beginning(kind)  # at 1.0
+def test_a_server_without_the_map_leaves_others_time_to_answer() -> None:
+    pull, request = beginning()  # at 1.0
     assert pull.answer(request.number, [], 0, 1.1, True) == Step()
     step = pull.answer(request.number, [part(5)], 0, 1.3, True)
     assert step.batches == [("pulled 5", Arrival.LAST)]
     assert not pull.pulling
-    pull, request = beginning(kind)
+    pull, request = beginning()
     assert pull.answer(request.number, [], 0, 1.1, True) == Step()
     assert pull.tick(1.5, True) == Step()
     assert pull.tick(1.7, True) == Step([("five", Arrival.HEARD)])  # nobody else has it
     assert pull.tick(2.8, True).request
 
 
-@pytest.mark.parametrize("kind", PULLS)
 @pytest.mark.parametrize("replaces", [False, True])
-def test_a_server_that_never_ends_is_asked_slowly_and_not_for_ever(
-    kind: str, replaces: bool
-) -> None:
+def test_a_server_that_never_ends_is_asked_slowly_and_not_for_ever(replaces: bool) -> None:
     """It answers at once, each time that there is more: of another revision, or from the first."""
-    pull, request = beginning(kind)
+    pull, request = beginning()
     now, times = 1.0, [1.0]
     while now < 10:
         now += 0.01
@@ -395,21 +401,17 @@ def test_a_server_that_never_ends_is_asked_slowly_and_not_for_ever(
     assert times[-1] - times[0] > 0.05 * (len(times) - 1)
 
 
-@pytest.mark.parametrize("kind", PULLS)
-def test_large_answers_follow_each_other_without_a_pause(kind: str) -> None:
-    pull, request = beginning(kind)
+def test_large_answers_follow_each_other_without_a_pause() -> None:
+    pull, request = beginning()
     for block in range(1, 100):
         answer = (Label("map", 5, False, 2_000_000), "much")
         request = pull.answer(request.number, [answer], block, 1.0 + 0.001 * block, True).request
         assert request.first_block == block
 
 
-@pytest.mark.parametrize("kind", PULLS)
 @pytest.mark.parametrize("served", [True, False])
-def test_who_joins_late_asks_though_it_hears_nothing_and_knows_of_no_server(
-    kind: str, served: bool
-) -> None:
-    pull = PULLS[kind]()
+def test_who_joins_late_asks_though_it_hears_nothing_and_knows_of_no_server(served: bool) -> None:
+    pull = Pull()
     request = pull.tick(0.0, served).request
     assert (request.map_id, request.after_revision, request.first_block) == ("", 0, 0)
     for now in np.arange(0.1, 1.0, 0.1):
@@ -417,7 +419,7 @@ def test_who_joins_late_asks_though_it_hears_nothing_and_knows_of_no_server(
     again = [now for now in np.arange(1.0, 5.0, 0.1) if pull.tick(now, served).request]
     assert again
     assert 0.9 < again[0] < 2.2  # it may have been lost
-    pull = PULLS[kind]()
+    pull = Pull()
     request = pull.tick(0.0, served).request
     step = pull.answer(request.number, [part(7)], 3, 0.2, served)
     assert step.batches == [("pulled 7", Arrival.PULLED)]
@@ -431,9 +433,8 @@ def test_who_joins_late_asks_though_it_hears_nothing_and_knows_of_no_server(
     assert not [now for now in np.arange(0.7, 20.0, 0.1) if pull.tick(now, served).request]
 
 
-@pytest.mark.parametrize("kind", PULLS)
-def test_batches_of_a_publisher_that_serves_no_pulls_do_not_wait(kind: str) -> None:
-    pull = PULLS[kind]()
+def test_batches_of_a_publisher_that_serves_no_pulls_do_not_wait() -> None:
+    pull = Pull()
     pull.tick(0.0, False)
     asked = []
     for revision in range(5, 105):
@@ -443,36 +444,59 @@ def test_batches_of_a_publisher_that_serves_no_pulls_do_not_wait(kind: str) -> N
     assert 3 <= len([request for request in asked if request]) <= 6  # in ten seconds
 
 
-@pytest.mark.parametrize("kind", PULLS)
-def test_a_map_without_a_name_is_pulled_once(kind: str) -> None:
-    pull = PULLS[kind]()
+def test_a_map_without_a_name_is_pulled_once() -> None:
+    pull = Pull()
     request = pull.tick(0.0, True).request
     step = pull.answer(request.number, [part(7, map_id="")], 0, 0.1, True)
     assert step.batches == [("pulled 7", Arrival.LAST)]
     assert not [now for now in np.arange(0.2, 5.0, 0.1) if pull.tick(now, True).request]
 
 
-def test_of_a_round_that_is_over_nothing_is_missing() -> None:
-    """Up to the revision of its first answer: blocks of later answers are newer."""
-    pull, request = beginning("sorter")
-    pull.answer(request.number, [part(6)], 3, 1.1, True)
-    assert pull.complete == 1
-    request = pull.answer(pull.tick(1.3, True).request.number, [part(8)], 0, 1.4, True).request
-    assert pull.complete == 6
-    pull.answer(request.number, [part(9)], 0, 1.5, True)
-    assert pull.complete == 9
+def test_a_round_whose_changes_all_wait_ends_the_pull() -> None:
+    """However fast the map changes: blocks of later answers are newer than those of the first."""
+    pull, request = beginning()
+    for revision in (6, 7):
+        assert pull.hear(Label("map", revision, False), revision, 1.05, True) == Step()
+    pull.answer(request.number, [part(6)], 3, 1.1, True)  # 6 is in all that follows
+    assert pull.hear(Label("map", 8, False), 8, 1.15, True) == Step()
+    assert pull.hear(Label("map", 9, False), 9, 1.16, True) == Step()
+    step = pull.answer(pull.tick(1.3, True).request.number, [part(8)], 0, 1.4, True)
+    assert step == Step(
+        [("pulled 8", Arrival.PULLED), (7, Arrival.PULLED), (8, Arrival.LAST), (9, Arrival.HEARD)]
+    )
     assert not pull.pulling
 
 
-@pytest.mark.parametrize("kind", PULLS)
-def test_what_there_was_no_room_for_is_pulled_once_there_is(kind: str) -> None:
-    pull, request = beginning(kind)
-    pull.held = True
+def test_a_change_that_comes_after_the_round_ends_the_pull_too() -> None:
+    pull, request = beginning()
+    pull.answer(request.number, [part(5)], 3, 1.1, True)
+    step = pull.answer(pull.tick(1.3, True).request.number, [part(7)], 0, 1.4, True)
+    assert step.batches == [("pulled 7", Arrival.PULLED)]
+    assert pull.hear(Label("map", 6, False), 6, 1.5, True) == Step()
+    assert pull.hear(Label("map", 7, False), 7, 1.5, True) == Step(
+        [(6, Arrival.PULLED), (7, Arrival.LAST)]
+    )
+    assert not pull.pulling
+
+
+def test_changes_with_a_gap_end_no_pull() -> None:
+    pull, request = beginning()
+    pull.answer(request.number, [part(5)], 3, 1.1, True)
+    assert pull.hear(Label("map", 7, False), 7, 1.15, True) == Step()
+    step = pull.answer(pull.tick(1.3, True).request.number, [part(7)], 0, 1.4, True)
+    assert step.batches == [("pulled 7", Arrival.PULLED)]
+    assert pull.pulling
+    assert step.request.after_revision == 5
+
+
+def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
+    pull, request = beginning()
+    pull.hold(True)
     pull.miss(Label("map", 6, False))
     step = pull.answer(request.number, [part(5)], 0, 1.2, True)
     assert step == Step([("pulled 5", Arrival.LAST)])
     assert not pull.tick(2.0, True).request
-    pull.held = False
+    pull.hold(False)
     request = pull.tick(2.1, True).request
     assert (request.after_revision, request.first_block) == (5, 0)
     step = pull.answer(request.number, [part(6)], 0, 2.2, True)
@@ -483,7 +507,7 @@ def test_what_there_was_no_room_for_is_pulled_once_there_is(kind: str) -> None:
 
 
 def test_who_has_all_may_ask_whether_there_is_more() -> None:
-    pull = DisplayPull()
+    pull = Pull()
     pull.hear(Label("map", 1, True), "one", 0.0, True)
     assert not pull.tick(1.0, True).request
     pull.doubt()
@@ -494,9 +518,8 @@ def test_who_has_all_may_ask_whether_there_is_more() -> None:
     assert not [now for now in np.arange(2.2, 6.0, 0.1) if pull.tick(now, True).request]
 
 
-@pytest.mark.parametrize("kind", PULLS)
-def test_answers_never_go_back_to_earlier_blocks(kind: str) -> None:
-    pull, request = beginning(kind)
+def test_answers_never_go_back_to_earlier_blocks() -> None:
+    pull, request = beginning()
     assert pull.answer(request.number, [part(5)], 7, 1.1, True) == Step(
         [("pulled 5", Arrival.PULLED)]
     )
@@ -506,9 +529,8 @@ def test_answers_never_go_back_to_earlier_blocks(kind: str) -> None:
     assert not pull.pulling
 
 
-@pytest.mark.parametrize("kind", PULLS)
-def test_who_does_not_answer_is_waited_for_a_while(kind: str) -> None:
-    pull, request = beginning(kind)  # at 1.0
+def test_who_does_not_answer_is_waited_for_a_while() -> None:
+    pull, request = beginning()  # at 1.0
     assert pull.tick(2.0, True) == Step()
     for now in (2.1, 4.2):  # the server may not have known it yet
         again = pull.tick(now, True).request
@@ -519,14 +541,13 @@ def test_who_does_not_answer_is_waited_for_a_while(kind: str) -> None:
     assert pull.tick(9.4, True).request  # with new patience
     assert pull.tick(10.3, True) == Step()
     assert pull.tick(10.5, True).request
-    pull, request = beginning(kind)
+    pull, request = beginning()
     assert pull.tick(1.1, False).batches == [("five", Arrival.HEARD)]  # it has ended
 
 
-@pytest.mark.parametrize("kind", PULLS)
-def test_what_waits_has_a_limit_and_what_is_dropped_is_pulled(kind: str) -> None:
-    pull, request = beginning(kind)
-    most = map_pull.MOST_WAITING // 2
+def test_what_waits_has_a_limit_and_what_is_dropped_is_pulled() -> None:
+    pull, request = beginning()
+    most = MOST_WAITING // 2
     for revision in (6, 7, 8):
         assert not pull.hear(Label("map", revision, False, most), revision, 1.1, True).batches
     step = pull.answer(request.number, [part(5)], 0, 1.2, True)

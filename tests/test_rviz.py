@@ -238,7 +238,7 @@ def test_the_quality_of_service_of_the_topic_can_be_edited(rviz: Rviz, world: Wo
     from std_msgs.msg import Header
 
     from rosplat_msgs.msg import GaussianArray
-    from rosplat_tools.messages import encode
+    from rosplat_tools.testing.messages import encode
 
     assert rviz.properties("Map", "Topic") == {
         "Depth": 1000,

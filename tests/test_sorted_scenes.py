@@ -12,11 +12,10 @@ from std_msgs.msg import Header
 
 from rosplat_core import depth, formats, view
 from rosplat_core.cameras import load_cameras
-from rosplat_core.slot_pages import Rows
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter import backends, camera, edits
+from rosplat_sorter import backends, camera
 from rosplat_sorter.map import SplatMap
-from rosplat_tools.messages import encode
+from rosplat_tools.testing.messages import encode
 from rosplat_tools.view_messages import view_camera
 
 
@@ -25,7 +24,6 @@ class Scene:
     """A trained scene, and the slots that each of its cameras sees, back to front."""
 
     map: SplatMap
-    changed: Rows
     orders: list[tuple[view.View, NDArray[np.integer]]]
 
 
@@ -42,7 +40,7 @@ def scene(request: pytest.FixtureRequest, data_folder: Path, reference_folder: P
         operation=GaussianArray.REPLACE, expected_slots=len(splats),
     )  # fmt: skip
     scene_map = SplatMap()
-    changed = scene_map.apply(edits.decode(message))
+    scene_map.take(message)
     orders = []
     for which in load_cameras(reference_folder / name / "cameras.json"):
         seen = view.View.of(camera.decode(view_camera(which)), scene_map.frames)
@@ -50,7 +48,7 @@ def scene(request: pytest.FixtureRequest, data_folder: Path, reference_folder: P
         visible = np.flatnonzero(depth.visible(seen, scene_map.positions, scene_map.extents))
         assert len(visible) > len(splats) / 2
         orders.append((seen, visible[np.argsort(depths[visible], kind="stable")][::-1]))
-    return Scene(scene_map, changed, orders)
+    return Scene(scene_map, orders)
 
 
 @pytest.mark.parametrize("name", backends.BACKENDS)
@@ -59,6 +57,6 @@ def test_order_equals_the_stable_argsort(scene: Scene, name: str) -> None:
         backend = backends.open_backend(name)
     except backends.Unavailable as error:
         pytest.skip(f"{name}: {error}")
-    backend.update(scene.map, scene.changed)
+    backend.update(scene.map, scene.map.changed_rows)
     for seen, expected in scene.orders:
         np.testing.assert_array_equal(backend.order(seen), expected)

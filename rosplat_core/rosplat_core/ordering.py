@@ -9,7 +9,7 @@ from rosplat_core import _core
 from rosplat_core.cameras import Camera
 from rosplat_core.depth import INVISIBLE, splat_extents
 from rosplat_core.posed_camera import PosedCamera
-from rosplat_core.slot_pages import SlotPages
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import Splats
 from rosplat_core.view import View, unmoved
 
@@ -20,11 +20,11 @@ def depth_order(splats: Splats, camera: Camera, *, threads: int = 0) -> NDArray[
     threads: to sort with, 0 for as many as the machine runs at once. The same as depth.order to the
     bit. Raises CameraError for a camera that float32 can't hold.
     """
-    pages = SlotPages()
-    pages.add(pages.touched(slice(0, len(splats))), group=0)
-    positions = np.zeros((pages.rows, 3), np.float32)
+    page = np.arange(-(-len(splats) // SLOTS_PER_PAGE), dtype=np.uint32)
+    rows = len(page) * SLOTS_PER_PAGE
+    positions = np.zeros((rows, 3), np.float32)
     positions[: len(splats)] = splats.positions
-    extents = np.full(pages.rows, INVISIBLE, np.float32)
+    extents = np.full(rows, INVISIBLE, np.float32)
     extents[: len(splats)] = splat_extents(splats.scales, splats.opacities)
     view = View.of(
         PosedCamera(
@@ -42,7 +42,6 @@ def depth_order(splats: Splats, camera: Camera, *, threads: int = 0) -> NDArray[
         ),
         unmoved(splats.origin),
     )
+    pages = np.stack([page * SLOTS_PER_PAGE, page, np.zeros_like(page)], axis=1)  # see SortMap
     sorter = _core.DepthOrder(threads)
-    return sorter.sort(
-        view, positions, extents, pages.table, lambda count: np.empty(count, np.uint32)
-    )
+    return sorter.sort(view, positions, extents, pages, lambda count: np.empty(count, np.uint32))

@@ -29,7 +29,7 @@ SplatCamera = _core.SplatCamera
 
 MOST_PSNR = 150.0  # what equal pictures count as in JSON, which knows no infinity [dB]
 
-REPLACE, UPSERT, DELETE = range(3)
+REPLACE, UPSERT, DELETE, MOVE = range(4)
 BATCH_BYTES = 8_000_000  # as publishers send them
 MAP = "map"
 

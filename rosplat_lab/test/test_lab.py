@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from rosplat_core import depth
+from rosplat_core import depth, rendering
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.depth import splat_extents
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.splats import SceneError, Splats, concatenate
 from rosplat_core.view import View
@@ -24,7 +23,6 @@ from rosplat_lab.lab.fragments import Fragments
 from rosplat_lab.lab.pareto import front, summarise
 from rosplat_lab.lab.points import Point, Store, load, save, scene_key
 from rosplat_lab.lab.workers import Workers
-from rosplat_sorter.edits import REPLACE, Edit
 from rosplat_sorter.map import SplatMap
 
 Make = Callable[..., Splats]
@@ -48,12 +46,7 @@ def view_and_map(splats: Splats, camera: Camera) -> tuple[View, SplatMap]:
         camera.width, camera.height, camera.near, camera.far,
     )  # fmt: skip
     known = SplatMap()
-    known.apply(
-        Edit(
-            "map", 1, "map", REPLACE, splats.origin, slice(0, len(splats)), len(splats),
-            splats.positions, splat_extents(splats.scales, splats.opacities), 0,
-        )
-    )  # fmt: skip
+    rendering.insert(known, splats, slice(0, len(splats)), 1)
     return View.of(seen, known.frames), known
 
 

@@ -2,166 +2,64 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.channels import joined
-from rosplat_core.slot_pages import SLOTS_PER_PAGE, Rows, SlotPages
-from rosplat_sorter.edits import EMPTY, MOVE, REPLACE, Edit
-from rosplat_sorter.map_pull import Arrival
+from rosplat_core._core import SortMap
+from rosplat_core.maps import Arrival
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
+from rosplat_sorter import batches
+
+if TYPE_CHECKING:
+    from rosplat_msgs.msg import GaussianArray
+
+# As NumPy indexes with them: a range, or one by one.
+Rows: TypeAlias = "slice | NDArray[np.int64]"
+
+_WITHIN = np.arange(SLOTS_PER_PAGE, dtype=np.uint32)
 
 
-class SplatMap:
-    """Positions and extents of the slots in use, in the rows of their pages.
+class SplatMap(SortMap):
+    """Positions and extents of splats, in rows, as the C++ map keeps them.
 
-    map_id, revision, frame_id: of the last edit; revision is 0 before any. origins: of each group
-    that was written, that of its first splats, float64 (3,) [m]. poses: where groups were placed,
-    float64 (4, 4). missed: how many batches of this map never arrived, and weren't pulled later.
-    rejected: how many splats of the last edit were left out. channels: the names of those that
-    splats have come with.
+    Each page of neighbouring slots that was ever written has a row for each of its slots. Arrays
+    are views of the map's memory, valid until the next batch.
     """
 
-    def __init__(self) -> None:
-        self.map_id = ""
-        self.revision = 0
-        self.frame_id = ""
-        self.missed = 0
-        self.rejected = 0
-        self._clear(SlotPages())
+    def take(self, batch: GaussianArray, arrival: Arrival = Arrival.HEARD) -> dict[str, int]:
+        """Applies a batch; returns how many batches were missed, and splats dropped.
 
-    def _clear(self, pages: SlotPages) -> None:
-        """Begins anew with these pages. Raises MemoryError, and changes nothing, without room."""
-        self._positions, self._extents = _room(pages.rows)
-        self._extents[:] = EMPTY
-        self.pages = pages
-        self.origins: dict[int, NDArray[np.float64]] = {}
-        self.poses: dict[int, NDArray[np.float64]] = {}
-        self.channels: tuple[str, ...] = ()
-        self._frames: NDArray[np.float64] | None = None
-        self._end = 0
-
-    @property
-    def positions(self) -> NDArray[np.float32]:
-        """Means relative to their group's origin, float32 (rows, 3) [m]; anything in an empty slot.
-
-        What lies between them and the map's frame is in frames.
+        Raises BatchError for a batch that contradicts itself or the map, and MemoryError where the
+        map can't grow so far. The map is as it was then.
         """
-        return self._positions[: self.pages.rows]
+        return batches.apply(self, batch, arrival)
 
     @property
-    def extents(self) -> NDArray[np.float32]:
-        """Radii of the splats, float32 (rows,) [m]; negative where nothing can be seen."""
-        return self._extents[: self.pages.rows]
+    def rows(self) -> int:
+        """How many rows there are."""
+        return len(self.extents)
 
     @property
-    def slots(self) -> NDArray[np.uint32]:
-        """The slot of each row, uint32 (rows,)."""
-        return self.pages.slots(np.arange(self.pages.rows))
-
-    @property
-    def groups(self) -> NDArray[np.int64]:
-        """The place in frames of each row's group, int64 (rows,)."""
-        return self.pages.groups_of(np.arange(self.pages.rows))
-
-    @property
-    def frames(self) -> NDArray[np.float64]:
-        """From what positions of a group are relative to into the map's frame, float64 (g, 4, 4).
-
-        For each of pages.groups.
-        """
-        if self._frames is None:
-            identity, nowhere = np.eye(4), np.zeros(3)
-            frames = np.zeros((len(self.pages.groups), 4, 4))
-            with np.errstate(over="ignore", invalid="ignore"):  # a view tells of it
-                for frame, group in zip(frames, self.pages.groups.tolist(), strict=True):
-                    frame[:] = self.poses.get(group, identity)
-                    frame[:3, 3] += frame[:3, :3] @ self.origins.get(group, nowhere)
-            self._frames = frames
-        return self._frames
-
-    def __len__(self) -> int:
-        """One more than the highest slot that was written; slots below may be empty."""
-        return self._end
-
-    def apply(self, edit: Edit) -> Rows:
-        """Applies an edit; answers which rows it changed.
-
-        The rows by which the map grew count as changed even where the answer leaves them out.
-        Raises, without applying the edit, MemoryError where the map can't grow so far,
-        MixedGroupsError for splats in a page that holds those of another group, and ChannelError
-        for more channels than a map has.
-        """
-        begins = edit.map_id != self.map_id or self.revision == 0
-        heard = edit.arrival is Arrival.HEARD
-        back = heard and not begins and edit.revision <= self.revision
-        clears = begins or edit.operation == REPLACE
-        pages = SlotPages() if clears else self.pages
-        channels = () if clears else self.channels
-        if edit.writes:
-            touched = pages.touched(edit.slots)
-            pages.check(touched, edit.group, lambda rows: (self._extents[rows] != EMPTY).any())
-            if len(edit.positions):
-                channels = joined(channels, edit.channels)
-            if not clears:
-                self._reserve(pages.rows + len(pages.lacking(touched)) * SLOTS_PER_PAGE)
-            pages.add(touched, edit.group)
-        if clears:
-            self._clear(pages)
-        if begins or back:  # played once more; not from its beginning, it lacks all before
-            self.revision = self.missed = 0
-        if edit.operation == REPLACE or edit.arrival is Arrival.LAST:
-            self.missed = 0  # of what came before
-        elif heard:
-            self.missed += edit.revision - self.revision - 1
-        self._frames = None
-        self.channels = channels
-        self.map_id = edit.map_id
-        self.revision = edit.revision
-        self.rejected = edit.rejected
-        self.frame_id = edit.frame_id
-        if edit.writes:
-            changed = self._write(edit)
-        elif edit.operation == MOVE:
-            self.poses.update(edit.poses)
-            changed = slice(0, 0)
-        else:
-            changed = self._delete(edit)
-        return slice(0, self.pages.rows) if clears else changed
-
-    def _write(self, edit: Edit) -> Rows:
-        if len(edit.positions):
-            self.origins.setdefault(edit.group, edit.origin)
-        origin = self.origins.get(edit.group, edit.origin)
-        positions, extents = edit.positions, edit.extents
-        if (edit.origin != origin).any():  # in float64, before float32 loses the difference
-            with np.errstate(over="ignore", invalid="ignore"):
-                positions = (positions + (edit.origin - origin)).astype(np.float32)
-            beyond = (extents != EMPTY) & ~np.isfinite(positions).all(axis=1)
-            extents = np.where(beyond, EMPTY, extents)
-            self.rejected += int(np.count_nonzero(beyond))
-        rows = self.pages.find(edit.slots)
-        self._end = max(self._end, edit.end)
-        self._positions[rows] = positions
-        self._extents[rows] = extents
+    def changed_rows(self) -> Rows:
+        """The rows that the last batch changed."""
+        first, count = self.changed.T
+        if len(first) == 1:
+            return slice(int(first[0]), int(first[0] + count[0]))
+        before = np.cumsum(count) - count
+        rows: NDArray[np.int64] = np.arange(count.sum()) + np.repeat(first - before, count)
         return rows
 
-    def _delete(self, edit: Edit) -> Rows:
-        rows = self.pages.find(edit.slots)
-        self._extents[rows] = EMPTY
-        return rows
+    def by_place(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        """The first slot and the group of each page, by the place of its rows, uint32 (p,)."""
+        first_slots, groups = np.empty((2, len(self.pages)), np.uint32)
+        slot, place, group = self.pages.T
+        first_slots[place], groups[place] = slot, group
+        return first_slots, groups
 
-    def _reserve(self, rows: int) -> None:
-        """Makes room for so many rows, at least doubling what there is; what is new is empty.
-
-        Room beyond them takes no memory before it is written.
-        """
-        if rows > len(self._extents):
-            positions, extents = _room(max(rows, 2 * len(self._extents)))
-            positions[: self.pages.rows] = self.positions
-            extents[: self.pages.rows] = self.extents
-            self._positions, self._extents = positions, extents
-        self._extents[self.pages.rows : rows] = EMPTY
-
-
-def _room(rows: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    return np.zeros((rows, 3), np.float32), np.zeros(rows, np.float32)
+    def slots_and_groups(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        """The slot of each row, and the place in frames of its group, uint32 (rows,)."""
+        first_slots, groups = self.by_place()
+        slots = (first_slots[:, None] + _WITHIN).ravel()
+        return slots, np.repeat(groups, SLOTS_PER_PAGE)

@@ -15,10 +15,10 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from rosplat_core.log_text import shown
+from rosplat_core.maps import Arrival, MapPull
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
-from rosplat_sorter.edits import array_bytes
-from rosplat_sorter.map_pull import Arrival, Label, MapPull, Request, Step
+from rosplat_sorter.batches import array_bytes
 from rosplat_sorter.qos import MAP, MAP_VOLATILE, SERVED_MAP
 
 WATCH_PERIOD = 1.0  # [s]
@@ -26,36 +26,31 @@ PULL_PERIOD = 0.1  # [s]
 
 
 class MapSubscription:
-    """Hears the publishers of a map's topic, and pulls what is missing from who serves that.
+    """Hears the publishers of a map's topic, and pulls what is missing from their servers.
 
-    A subscription that asks for what was sent before doesn't match a publisher that keeps nothing:
-    where there is no other, it asks for less; and so it does where pulls are known to be served
-    when it begins. It never hears one batch twice, which would take the map back to it.
+    A subscription that asks for what was sent before doesn't match a publisher that keeps nothing.
+    So the subscription asks for less where all publishers are such, or where pulls are known to be
+    served when it begins. It never hears one batch twice, which would take the map back to it.
     """
 
     def __init__(
         self,
         node: Node,
-        on_batch: Callable[[Any, Arrival], None],
+        on_batch: Callable[[GaussianArray, Arrival], None],
         callback_group: CallbackGroup | None = None,
         *,
-        keep: Callable[[GaussianArray], tuple[Any, int]] = lambda m: (m, array_bytes(m)),
         busy: Callable[[], bool] = lambda: False,
     ) -> None:
         """Subscribes to `gaussians`. on_batch is called for one batch at a time, whatever threads
         the node has.
 
-        keep: what on_batch wants of a message, and the memory that it takes [bytes]; by default all
-        of it. busy: whether there is no room for batches: they are dropped then, and pulled later.
+        busy: whether there is no room for batches. They are dropped then, and pulled later.
         """
-        self._node, self._on_batch, self._group = node, on_batch, callback_group
-        self._keep, self._busy = keep, busy
+        self._node, self._on_batch, self._group, self._busy = node, on_batch, callback_group, busy
         self.topic = node.resolve_topic_name("gaussians")
-        self.complete = 0
-        """The last revision of which on_batch was handed all; what came since is of later ones."""
         self._mixed = False  # what publishers keep
         self._maps = ("", "")  # of the last batch, and the one before that
-        self._pull: MapPull[Any] = MapPull()
+        self._pull = MapPull()
         self._lock = RLock()  # the answers to requests come outside of the group
         self._qos = SERVED_MAP if self._server_is_known() else MAP
         self._client = node.create_client(
@@ -89,19 +84,14 @@ class MapSubscription:
         with self._lock:
             self._pull.held = self._busy()
             if self._pull.held:
-                self._pull.miss(label(message))
+                self._pull.miss(labelled(message))
             else:
-                batch = self._batch(message)
-                self._do(self._pull.hear(*batch, time.monotonic(), self._served()))
+                self._do(self._pull.hear(labelled(message), time.monotonic(), self._served()))
 
     def _tick(self) -> None:
         with self._lock:
             self._pull.held = self._busy()
             self._do(self._pull.tick(time.monotonic(), self._served()))
-
-    def _batch(self, message: GaussianArray) -> tuple[Label, Any]:
-        batch, size = self._keep(message)
-        return label(message, size), batch
 
     def _served(self) -> bool:
         return bool(self._client.service_is_ready())
@@ -119,33 +109,28 @@ class MapSubscription:
                 return True
         return False
 
-    def _do(self, step: Step[Any]) -> None:
-        if step.request:  # first, so that it is answered meanwhile
-            self._send(step.request)
-        self.complete = min(self.complete, self._pull.complete)
-        for batch, arrival in step.batches:
+    def _do(self, step: tuple[Any, Any]) -> None:
+        batches, request = step
+        if request:  # first, so that it is answered meanwhile
+            self._send(*request)
+        for batch, arrival in batches:
             self._on_batch(batch, arrival)
-        self.complete = self._pull.complete
 
-    def _send(self, request: Request) -> None:
-        if not request.first_block:
-            missing = f"what map '{shown(request.map_id)}' has since {request.after_revision}"
+    def _send(self, number: int, map_id: str, after_revision: int, first_block: int) -> None:
+        if not first_block:
+            missing = f"what map '{shown(map_id)}' has since {after_revision}"
             self._node.get_logger().info(
-                f"{self.topic}: {missing if request.map_id else 'the map'} is pulled",
+                f"{self.topic}: {missing if map_id else 'the map'} is pulled",
                 throttle_duration_sec=5.0,
             )
         if self._answer:  # it has come, or doesn't count any more
             self._client.remove_pending_request(self._answer)
         self._answer = self._client.call_async(
-            PullMap.Request(
-                map_id=request.map_id,
-                after_revision=request.after_revision,
-                first_block=request.first_block,
-            )
+            PullMap.Request(map_id=map_id, after_revision=after_revision, first_block=first_block)
         )
         pending = self._client._pending_requests  # all that tells of the number that ROS gave it
         sequence = next((key for key, asked in pending.items() if asked is self._answer), 0)
-        self._answer.add_done_callback(lambda answer: self._take(request.number, sequence, answer))
+        self._answer.add_done_callback(lambda answer: self._take(number, sequence, answer))
 
     def _take(self, number: int, sequence: int, answer: Future) -> None:
         response: PullMap.Response = answer.result()
@@ -156,7 +141,7 @@ class MapSubscription:
             if not response.batches:  # rclpy takes the first answer for the only one
                 self._answer = self._client._pending_requests[sequence] = Future()
                 self._answer.add_done_callback(lambda other: self._take(number, sequence, other))
-            batches = [self._batch(message) for message in response.batches]
+            batches = [labelled(message) for message in response.batches]
             now, served = time.monotonic(), self._served()
             self._do(self._pull.answer(number, batches, response.next_block, now, served))
 
@@ -181,7 +166,8 @@ class MapSubscription:
             self._subscription = self._subscribe()
 
 
-def label(message: GaussianArray, size: int = 0) -> Label:
-    """What counts of a batch where others may be missing. size: of its arrays. [bytes]"""
+def labelled(message: GaussianArray) -> tuple[str, int, bool, int, GaussianArray]:
+    """A batch as MapPull takes it: map, revision, whether it replaces, bytes, the batch."""
     replaces = message.operation == GaussianArray.REPLACE
-    return Label(message.map_id, message.revision, replaces, size + 1000)  # and the rest of it
+    size = array_bytes(message) + 1000  # with the rest of the message
+    return message.map_id, message.revision, replaces, size, message

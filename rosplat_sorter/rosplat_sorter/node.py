@@ -24,12 +24,10 @@ from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter import qos
 from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_sorter.backends import AUTO, BACKENDS
-from rosplat_sorter.edits import Edit
-from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.memory import give_back_large_blocks
 from rosplat_sorter.order_slots import pack
-from rosplat_sorter.worker import Answer, Refused, Worker, read
+from rosplat_sorter.worker import Answer, Worker
 
 THROTTLE = 5.0  # least time between two lines of the log of one kind [s]
 FORGET_AFTER = 60.0  # the map, when no view has wanted an order [s]
@@ -43,11 +41,8 @@ class _AtWork:
 
     def __init__(self, node: SorterNode, backend: str, threads: int) -> None:
         self.worker = worker = Worker(node, backend, threads)
-        self._map = MapSubscription(node, self._edit, keep=read, busy=lambda: worker.busy)
+        self._map = MapSubscription(node, worker.edit, busy=lambda: worker.busy)
         self.wanted = time.monotonic()  # an order, the last time
-
-    def _edit(self, batch: Edit | Refused, arrival: Arrival) -> None:
-        self.worker.edit(batch, arrival, self._map.complete)
 
 
 class SorterNode(Node):

@@ -11,16 +11,14 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.channels import ChannelError
 from rosplat_core.log_text import shown
+from rosplat_core.maps import Arrival, BatchError
 from rosplat_core.posed_camera import CameraError, PosedCamera
-from rosplat_core.slot_pages import MixedGroupsError
 from rosplat_core.view import View
-from rosplat_sorter import backends, camera, edits
+from rosplat_sorter import backends, camera
 from rosplat_sorter.backends import AUTO, Backend, Unavailable
-from rosplat_sorter.edits import Edit
+from rosplat_sorter.batches import array_bytes
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 
 if TYPE_CHECKING:
@@ -36,7 +34,7 @@ MAX_VIEWS = 32
 
 MOST_SHOWN = 300  # characters of an error in a line of the log
 
-# Of edits that wait: while there are more, none is to be handed over. [bytes]
+# Of batches that wait: while there are more, none is to be handed over. [bytes]
 MOST_WAITING = 1 << 25
 
 
@@ -72,38 +70,12 @@ class Host(Protocol):
     def warn(self, subject: str, text: str) -> None: ...
 
 
-@dataclass(frozen=True)
-class Refused:
-    """A batch that can't be applied, and why."""
-
-    map_id: str
-    revision: int
-    error: Exception
-
-
-def read(message: GaussianArray) -> tuple[Edit | Refused, int]:
-    """What sorting needs of a batch, and the memory that it takes [bytes]; never raises."""
-    try:
-        edit = edits.decode(message)
-        return edit, edit.nbytes
-    except Exception as error:  # no message may end the node
-        return Refused(message.map_id, message.revision, error), 0
-
-
 @dataclass
 class _Inbox:
-    edits: list[tuple[Edit, int]] = field(default_factory=list)  # and what is complete before it
-    edit_bytes: int = 0
+    batches: list[tuple[GaussianArray, Arrival]] = field(default_factory=list)
+    batch_bytes: int = 0
     views: dict[str, ViewCamera] = field(default_factory=dict)  # the newest of each view
     backend: tuple[str, int] | None = None
-
-    def add(self, edit: Edit, complete: int) -> None:
-        """Adds an edit. What a REPLACE forgets needn't be applied before it."""
-        if edit.operation == edits.REPLACE:
-            self.edits.clear()
-            self.edit_bytes = 0
-        self.edits.append((edit, complete))
-        self.edit_bytes += edit.nbytes
 
     def look(self, message: ViewCamera) -> None:
         """Keeps a camera, the newest of each view, and of no more views than are answered."""
@@ -113,7 +85,7 @@ class _Inbox:
             del self.views[next(iter(self.views))]
 
     def __bool__(self) -> bool:
-        return bool(self.edits or self.views or self.backend)
+        return bool(self.batches or self.views or self.backend)
 
 
 @dataclass
@@ -122,9 +94,7 @@ class _Viewer:
     camera: PosedCamera
     seen: float
     answer: Answer | None = None
-    answered: tuple[PosedCamera, int] | None = (
-        None  # what it was sorted for: camera, number of edits
-    )
+    answered: tuple[PosedCamera, int] | None = None  # by camera, and number of batches
     buffer: OrderBuffer | None = None  # in shared memory, if the viewer reads that
 
     def unshare(self) -> None:
@@ -137,15 +107,15 @@ class Worker:
     """Keeps one map and answers each view with an order, the newest camera first and only.
 
     A view is answered when it shows a camera with a new sequence, and when the map changed; what
-    hasn't changed isn't sorted again. While a part of the map is being pulled, orders name the last
-    revision of which nothing was missing: viewers merge into them what has changed since.
+    hasn't changed isn't sorted again. While a pull is under way, the map is of no revision that an
+    order could name: views are answered at its end.
     """
 
     def __init__(self, host: Host, backend: str = AUTO, threads: int = 0) -> None:
         self._host = host
         self._map = SplatMap()
-        self._complete = 0  # the last revision of which nothing was missing
-        self._edits = 0  # that were applied
+        self._frame_id = ""  # of the map
+        self._batches = 0  # that were applied
         self._viewers: dict[str, _Viewer] = {}  # the one seen longest ago first
         self._due: dict[str, None] = {}  # views to answer, in turn
         self._backend: Backend | None = None  # that has the whole map
@@ -165,21 +135,14 @@ class Worker:
 
     @property
     def busy(self) -> bool:
-        """Whether too many edits wait."""
-        return self._inbox.edit_bytes > MOST_WAITING
+        """Whether too many batches wait."""
+        return self._inbox.batch_bytes > MOST_WAITING
 
-    def edit(
-        self, batch: Edit | Refused, arrival: Arrival = Arrival.HEARD, complete: int = 0
-    ) -> None:
-        """Takes a batch of the map, as it was read. Waits for nothing.
-
-        complete: of one that was pulled, the last revision of which nothing was missing.
-        """
-        if isinstance(batch, Refused):
-            self._drop_batch(batch.map_id, batch.revision, batch.error)
-            return
+    def edit(self, batch: GaussianArray, arrival: Arrival = Arrival.HEARD) -> None:
+        """Takes a batch of the map. Waits for nothing."""
         with self._wake:
-            self._inbox.add(replace(batch, arrival=arrival), complete)
+            self._inbox.batches.append((batch, arrival))
+            self._inbox.batch_bytes += array_bytes(batch)
             self._wake.notify_all()
 
     def look(self, message: ViewCamera) -> None:
@@ -221,8 +184,9 @@ class Worker:
                 inbox, self._inbox = self._inbox, _Inbox()
             if inbox.backend is not None:
                 self._attempt(self._use, inbox.backend)
-            for waiting in inbox.edits:
-                self._attempt(self._apply, waiting)
+            inbox.batches.reverse()
+            while inbox.batches:  # each message goes as soon as it is applied
+                self._attempt(self._apply, inbox.batches.pop())
             for message in inbox.views.values():
                 self._attempt(self._see, message)
             self._attempt(self._forget_silent, time.monotonic())
@@ -245,58 +209,47 @@ class Worker:
                 del self._viewers[view_id]
                 self._due.pop(view_id, None)
 
-    # --- Edits ------------------------------------------------------------------------------------
+    # --- Batches ----------------------------------------------------------------------------------
 
-    def _drop_batch(self, map_id: str, revision: int, error: Exception) -> None:
-        self._dropped_batches += 1
-        self._host.warn(
-            "batch",
-            f"gaussians: batch {revision} of map '{shown(map_id)}' dropped: "
-            f"{shown(error, MOST_SHOWN) or 'out of memory'} "
-            f"({self._dropped_batches} dropped so far)",
-        )
-
-    def _apply(self, waiting: tuple[Edit, int]) -> None:
-        edit, complete = waiting
-        known_map, known_missed, known_revision = (
-            self._map.map_id,
-            self._map.missed,
-            self._map.revision,
-        )
+    def _apply(self, waiting: tuple[GaussianArray, Arrival]) -> None:
+        batch, arrival = waiting
+        splats, known_map = self._map, self._map.map_id
         try:
-            changed = self._map.apply(edit)
-        except (MemoryError, MixedGroupsError, ChannelError) as error:
-            self._drop_batch(edit.map_id, edit.revision, error)
-            return
-        self._edits += 1
-        self._complete = complete if edit.arrival is Arrival.PULLED else edit.revision
-        again = edit.map_id != known_map or edit.revision <= known_revision
-        if again and edit.arrival is Arrival.HEARD:
-            known_missed = 0
-        if edit.map_id != known_map:
-            self._host.inform(
-                "map", f"map '{shown(edit.map_id)}' begins, in frame '{shown(edit.frame_id)}'"
+            report = splats.take(batch, arrival)
+        except (MemoryError, BatchError) as error:
+            self._dropped_batches += 1
+            self._host.warn(
+                "batch",
+                f"gaussians: batch {batch.revision} of map '{shown(batch.map_id)}' dropped: "
+                f"{shown(error, MOST_SHOWN) or 'out of memory'} "
+                f"({self._dropped_batches} dropped so far)",
             )
-        if self._map.missed > known_missed:
+            return
+        self._batches += 1
+        self._frame_id = batch.header.frame_id
+        if batch.map_id != known_map:
+            self._host.inform(
+                "map", f"map '{shown(batch.map_id)}' begins, in frame '{shown(self._frame_id)}'"
+            )
+        if report["missed"]:
             self._host.warn(
                 "gap",
-                f"gaussians: missed {self._map.missed - known_missed} batches before "
-                f"{edit.revision} of map '{shown(edit.map_id)}'; the map may be incomplete "
-                f"({self._map.missed} missed so far)",
+                f"gaussians: missed {report['missed']} batches before {batch.revision} of map "
+                f"'{shown(batch.map_id)}'; the map may be incomplete "
+                f"({splats.missed} missed so far)",
             )
-        rejected = self._map.rejected
-        if rejected:
-            self._dropped_splats += rejected
+        if report["dropped"]:
+            self._dropped_splats += report["dropped"]
             self._host.warn(
                 "splats",
-                f"gaussians: {rejected} splats of batch {edit.revision} dropped: a value is not "
-                "finite, or a quaternion is zero, or a scale negative "
+                f"gaussians: {report['dropped']} splats of batch {batch.revision} dropped: a value "
+                "is not finite, or a quaternion is zero, or a scale negative "
                 f"({self._dropped_splats} dropped so far)",
             )
         self._due.update(dict.fromkeys(self._viewers))
         if self._backend:
             try:
-                self._backend.update(self._map, changed)
+                self._backend.update(splats, splats.changed_rows)
                 return
             except Exception as error:
                 self._leave(self._backend, error)
@@ -335,17 +288,17 @@ class Worker:
         del self._due[view_id]
         viewer = self._viewers[view_id]
         header, splats = viewer.message.header, self._map
-        if not self._complete:
-            return  # answered when a map begins, or all of it is there
-        if header.frame_id not in ("", splats.frame_id):
+        if not splats.revision or splats.pulled:
+            return  # it is due again when a map begins, or all of it is there
+        if header.frame_id not in ("", self._frame_id):
             self._drop_view(
                 viewer.message,
                 f"header.frame_id is '{shown(header.frame_id)}', "
-                f"the map's '{shown(splats.frame_id)}'",
+                f"the map's '{shown(self._frame_id)}'",
             )
             return
         last = viewer.answer
-        if last is None or viewer.answered != (viewer.camera, self._edits):
+        if last is None or viewer.answered != (viewer.camera, self._batches):
             try:
                 view = View.of(viewer.camera, splats.frames)
             except CameraError as error:
@@ -362,7 +315,7 @@ class Worker:
         viewer.answer = replace(
             last, header=header, view_id=view_id, sequence=viewer.message.sequence
         )
-        viewer.answered = viewer.camera, self._edits
+        viewer.answered = viewer.camera, self._batches
         self._host.publish(viewer.answer)
 
     def _sort(self, viewer: _Viewer, view: View) -> Answer:
@@ -381,12 +334,12 @@ class Worker:
         known_map, known_backend, known_size = self._introduced
         if (
             (known_map, known_backend) != (self._map.map_id, backend.name)
-            or len(self._map) >= 2 * known_size  # a map that arrives in chunks is soon introduced
+            or self._map.splats >= 2 * known_size  # a map that arrives in chunks is soon introduced
         ):
-            self._introduced = (self._map.map_id, backend.name, max(1, len(self._map)))
+            self._introduced = (self._map.map_id, backend.name, max(1, self._map.splats))
             self._host.inform(
                 f"sort {backend.name}",
-                f"map '{shown(self._map.map_id)}': {len(slots)} of {len(self._map)} splats in "
+                f"map '{shown(self._map.map_id)}': {len(slots)} of {self._map.splats} splats in "
                 f"view, sorted in {1000 * sort_time:.1f} ms with {_describe(backend)}",
             )
         answer = Answer(
@@ -394,11 +347,11 @@ class Worker:
             view_id=viewer.message.view_id,
             sequence=viewer.message.sequence,
             map_id=self._map.map_id,
-            revision=self._complete,
+            revision=self._map.revision,
             backend=backend.name,
             sort_time=sort_time,
             slots=slots,
-            slot_bits=max(1, (len(self._map) - 1).bit_length()),
+            slot_bits=max(1, (self._map.capacity - 1).bit_length()),
         )
         return self._placed(viewer, answer)
 
@@ -456,7 +409,7 @@ class Worker:
                 self._failed = frozenset()  # another map may not be too large for them
                 raise
             try:
-                backend.update(self._map, slice(0, len(self._map)))
+                backend.update(self._map, slice(0, self._map.rows))
                 self._backend = backend
             except Exception as error:
                 self._leave(backend, error)

@@ -2,35 +2,54 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point, Pose, Quaternion
 
 from rosplat_msgs.msg import GaussianArray, ViewCamera
-from rosplat_sorter.edits import UPSERT, Edit
 
 pytest_plugins = ["core_fixtures"]
 
 
+RADII = math.sqrt(2 * math.log(255))  # of an opaque splat, in standard deviations
+
+
 @pytest.fixture
 def make_edit():
-    """An edit that writes positions (n, 3) with extents (n,) or one for all."""
+    """A batch that writes positions (n, 3) with extents (n,) or one for all; below 0: invisible.
 
-    def make(positions, extents=0.1, slots=None, **given) -> Edit:
+    poses: position and quaternion of groups, by number.
+    """
+
+    def make(
+        positions, extents=0.1, slots=None, poses=(), origin=(0.0, 0.0, 0.0), **given
+    ) -> GaussianArray:
         positions = np.asarray(positions, np.float32).reshape(-1, 3)
-        slots = slice(0, len(positions)) if slots is None else np.asarray(slots, np.uint32)
-        values = {
-            "map_id": "map",
-            "revision": 1,
-            "frame_id": "map",
-            "operation": UPSERT,
-            "origin": np.zeros(3),
-            "slots": slots,
-            "end": slots.stop if isinstance(slots, slice) else int(slots.max()) + 1,
-            "positions": positions,
-            "extents": np.broadcast_to(np.float32(extents), len(positions)),
-            "rejected": 0,
-        }
-        return Edit(**(values | given))
+        count = len(positions)
+        batch = GaussianArray(map_id="map", revision=1, operation=GaussianArray.UPSERT, count=count)
+        for name, value in given.items():
+            setattr(batch, name, value)
+        if slots is not None:
+            batch.slots = np.asarray(slots, np.uint32)
+        batch.origin = Point(**dict(zip("xyz", map(float, origin), strict=True)))
+        for group, (position, orientation) in dict(poses).items():
+            batch.groups.append(group)
+            at = Point(**dict(zip("xyz", map(float, position), strict=True)))
+            turn = Quaternion(**dict(zip("xyzw", map(float, orientation), strict=True)))
+            batch.poses.append(Pose(position=at, orientation=turn))
+        if batch.operation in (GaussianArray.REPLACE, GaussianArray.UPSERT):
+            extents = np.broadcast_to(np.float32(extents), count)
+            scales = np.maximum(extents, 0) / np.float32(RADII)
+            batch.positions = positions.ravel()
+            batch.orientations = np.tile(np.float32([0, 0, 0, 1]), count)
+            batch.scales = np.repeat(scales, 3)
+            batch.opacities = np.where(extents < 0, np.float32(0.001), np.float32(1))
+            batch.sh = np.zeros(3 * count, np.float32)
+        else:
+            batch.count = count if batch.operation == GaussianArray.DELETE else 0
+        return batch
 
     return make
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib.util
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rosplat_core import depth
-from rosplat_core.slot_pages import SLOTS_PER_PAGE, MixedGroupsError
-from rosplat_core.view import View, frame_at
+from rosplat_core.maps import BatchError
+from rosplat_core.rendering import DELETE, MOVE, REPLACE, UPSERT
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
+from rosplat_core.view import View
 from rosplat_sorter import backends
 from rosplat_sorter.backends import (
     AUTO,
@@ -22,7 +23,6 @@ from rosplat_sorter.backends import (
     new_array,
     open_backend,
 )
-from rosplat_sorter.edits import DELETE, MOVE, REPLACE, UPSERT
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import Memory, OrderBuffer, SharedOrders, memory_of
 
@@ -60,13 +60,18 @@ def cameras(make_camera, random):
             )
 
 
+def take(backend, splats, batch):
+    splats.take(batch)
+    backend.update(splats, splats.changed_rows)
+
+
 def assert_equal_to_reference(backend, splats, camera):
     view = View.of(camera, splats.frames)
-    memory = np.zeros(splats.pages.rows + 1, np.uint32)
+    memory = np.zeros(splats.rows + 1, np.uint32)
     order = backend.order(view, lambda count: memory[1 : count + 1])
     assert order.base is memory
     assert order.dtype == np.uint32
-    expected = depth.order(view, splats.positions, splats.extents, splats.slots, splats.groups)
+    expected = depth.order(view, splats.positions, splats.extents, *splats.slots_and_groups())
     np.testing.assert_array_equal(order, expected)
     return len(order)
 
@@ -81,8 +86,8 @@ def test_random_maps(backend, make_camera, make_edit, step, origin):
         positions = np.round(positions / step) * step
     splats = SplatMap()
     extents = random.uniform(-0.02, 0.1, count).astype(np.float32)
-    splats.apply(make_edit(positions, extents, origin=np.full(3, origin)))
-    backend.update(splats, slice(0, count))
+    splats.take(make_edit(positions, extents, origin=np.full(3, origin)))
+    backend.update(splats, slice(0, splats.rows))
     visible = 0
     for camera in cameras(make_camera, random):
         moved = make_camera(**vars(camera) | {"position": tuple(np.add(camera.position, origin))})
@@ -96,8 +101,8 @@ def test_depths_of_any_magnitude(backend, make_camera, make_edit):
     positions = np.zeros((count, 3))
     positions[:, 2] = 10.0 ** random.uniform(-44, 38, count)
     splats = SplatMap()
-    splats.apply(make_edit(positions))
-    backend.update(splats, slice(0, count))
+    splats.take(make_edit(positions))
+    backend.update(splats, slice(0, splats.rows))
     far = float(np.finfo(np.float32).max)
     for near in (1e-45, 0.1, 1e30):
         camera = make_camera(near_clip=near, far_clip=far)
@@ -115,7 +120,7 @@ def test_a_map_that_grows(backend, make_camera, make_edit):
         slots = np.arange(end, end + size)
         end += size
         positions = random.normal(size=(size, 3))
-        backend.update(splats, splats.apply(make_edit(positions, slots=slots, revision=revision)))
+        take(backend, splats, make_edit(positions, slots=slots, revision=revision))
         assert assert_equal_to_reference(backend, splats, camera) == end
 
 
@@ -130,17 +135,17 @@ def test_slots_far_apart_in_pages_that_come_in_any_order(backend, make_camera, m
             slots=(keyframe << 16) + np.arange(count),
             revision=revision,
         )
-        backend.update(splats, splats.apply(edit))
+        take(backend, splats, edit)
         if revision in (1, 2, 200):
             for camera in cameras(make_camera, random):
                 assert_equal_to_reference(backend, splats, camera)
     assert_equal_to_reference(backend, splats, make_camera(orthographic=True, fx=1.0, fy=1.0))
-    backend.update(splats, splats.apply(make_edit([[0, 0, 5]], revision=201, operation=REPLACE)))
+    take(backend, splats, make_edit([[0, 0, 5]], revision=201, operation=REPLACE))
     assert assert_equal_to_reference(backend, splats, make_camera()) == 1
 
 
 def pose(random):
-    return frame_at(random.normal(size=3) * 5, random.normal(size=4))
+    return random.normal(size=3) * 5, random.normal(size=4)
 
 
 @pytest.mark.parametrize("groups", [2, 40])
@@ -156,14 +161,14 @@ def test_groups_of_splats_are_in_one_order(backend, make_camera, make_edit, grou
             revision=revision,
             group=int(page % groups) * 100,
         )
-        backend.update(splats, splats.apply(edit))
+        take(backend, splats, edit)
     for revision in (121, 122):
         shifts = random.integers(-9, 9, (groups, 3)).astype(float)
-        poses = {100 * group: frame_at(shift) for group, shift in enumerate(shifts)}
+        poses = {100 * group: (shift, (0, 0, 0, 1)) for group, shift in enumerate(shifts)}
         if revision == 122:
             poses = {group: pose(random) for group in poses}
         moved = make_edit([], revision=revision, operation=MOVE, poses=poses)
-        backend.update(splats, splats.apply(moved))
+        take(backend, splats, moved)
         for camera in cameras(make_camera, random):
             assert_equal_to_reference(backend, splats, camera)
 
@@ -179,17 +184,17 @@ def test_a_group_far_beyond_all_hides_no_other(backend, make_camera, make_edit, 
             revision=group + 1,
             group=group,
         )
-        splats.apply(edit)
+        splats.take(edit)
         if group != 1:
-            without.apply(edit)
-    away = {1: frame_at((far, -far, far))}
-    splats.apply(make_edit([], revision=4, operation=MOVE, poses=away))
-    backend.update(splats, slice(0, splats.pages.rows))
+            without.take(edit)
+    away = {1: ((far, -far, far), (0, 0, 0, 1))}
+    splats.take(make_edit([], revision=4, operation=MOVE, poses=away))
+    backend.update(splats, slice(0, splats.rows))
     seen = 0
     for camera in cameras(make_camera, random):
         view = View.of(camera, without.frames)
         expected = depth.order(
-            view, without.positions, without.extents, without.slots, without.groups
+            view, without.positions, without.extents, *without.slots_and_groups()
         )
         assert assert_equal_to_reference(backend, splats, camera) == len(expected)
         seen += len(expected)
@@ -200,8 +205,8 @@ def test_orders_in_shared_memory(backend, make_camera, make_edit):
     random = np.random.default_rng(10)
     count = 10_000
     splats = SplatMap()
-    splats.apply(make_edit(random.normal(size=(count, 3)) * 8))
-    backend.update(splats, slice(0, count))
+    splats.take(make_edit(random.normal(size=(count, 3)) * 8))
+    backend.update(splats, slice(0, splats.rows))
     for camera in cameras(make_camera, random):
         view = View.of(camera, splats.frames)
         expected = depth.order(view, splats.positions, splats.extents)
@@ -223,8 +228,8 @@ def test_one_splat_nothing_visible_and_no_map(backend, make_camera, make_edit):
     splats = SplatMap()
     backend.update(splats, slice(0, 0))
     assert assert_equal_to_reference(backend, splats, make_camera()) == 0
-    splats.apply(make_edit([[0, 0, 5]]))
-    backend.update(splats, slice(0, 1))
+    splats.take(make_edit([[0, 0, 5]]))
+    backend.update(splats, slice(0, splats.rows))
     assert assert_equal_to_reference(backend, splats, make_camera()) == 1
     assert assert_equal_to_reference(backend, splats, make_camera(far_clip=1.0)) == 0
 
@@ -250,8 +255,8 @@ def test_memory_that_cupy_pinned_is_unpinned_when_its_segment_goes(make_camera, 
     import cupy
 
     splats = SplatMap()
-    splats.apply(make_edit([[0, 0, 3]]))
-    backend.update(splats, slice(0, 1))
+    splats.take(make_edit([[0, 0, 3]]))
+    backend.update(splats, slice(0, splats.rows))
     orders = SharedOrders()
     slots = backend.order(View.of(make_camera()), OrderBuffer(orders).begin)
     orders.close()
@@ -263,16 +268,16 @@ def test_memory_that_cupy_pinned_is_unpinned_when_its_segment_goes(make_camera, 
 
 def test_zeros_of_both_signs_tie(backend, make_camera, make_edit):
     splats = SplatMap()
-    splats.apply(make_edit([[0, 0, z] for z in (0.0, -0.0, 1e-40, 0.0, -1e-40, -0.0)]))
-    backend.update(splats, slice(0, 6))
+    splats.take(make_edit([[0, 0, z] for z in (0.0, -0.0, 1e-40, 0.0, -1e-40, -0.0)]))
+    backend.update(splats, slice(0, splats.rows))
     camera = make_camera(orthographic=True, near_clip=-1.0, far_clip=1.0)
     assert assert_equal_to_reference(backend, splats, camera) == 6
 
 
 def test_what_overflows_float32_is_not_visible(backend, make_camera, make_edit):
     splats = SplatMap()
-    splats.apply(make_edit([[3e38, -3e38, 3e38], [0, 0, 5], [np.inf, np.inf, 1]]))
-    backend.update(splats, slice(0, 3))
+    splats.take(make_edit([[3e38, -3e38, 3e38], [0, 0, 5], [np.inf, np.inf, 1]]))
+    backend.update(splats, slice(0, splats.rows))
     camera = make_camera(orientation=(0.1, 0.2, 0.0, 1.0))
     assert assert_equal_to_reference(backend, splats, camera) == 1
 
@@ -288,22 +293,23 @@ def test_any_history_of_edits(backend, make_camera, make_edit, data):
         count = int(random.integers(1, 40))
         slots = random.choice(int(random.integers(count, 300)), count, replace=False)
         slots = slots * data.draw(st.sampled_from([1, 1, 50, 1 << 16]), "apart")
+        operation = data.draw(
+            st.sampled_from([REPLACE, UPSERT, UPSERT, UPSERT, DELETE, MOVE]), "operation"
+        )
+        group = data.draw(st.sampled_from([0, 0, 1, 700]), "group")
         edit = make_edit(
             np.round(random.normal(size=(count, 3)) * 4),
             random.uniform(-0.02, 0.1, count).astype(np.float32),
-            slots=slots,
+            slots=None if operation == MOVE else slots,
+            poses={group: pose(random)} if operation == MOVE else {},
             map_id=data.draw(st.sampled_from(["a", "a", "a", "b"]), "map"),
             revision=revision,
-            operation=data.draw(
-                st.sampled_from([REPLACE, UPSERT, UPSERT, UPSERT, DELETE, MOVE]), "operation"
-            ),
+            operation=operation,
             origin=random.normal(size=3) * 10,
-            group=data.draw(st.sampled_from([0, 0, 1, 700]), "group"),
+            group=group,
         )
-        if edit.operation == MOVE:
-            edit = replace(edit, poses={edit.group: pose(random)})
-        with contextlib.suppress(MixedGroupsError):
-            backend.update(splats, splats.apply(edit))
+        with contextlib.suppress(BatchError):
+            take(backend, splats, edit)
         for camera in cameras(make_camera, random):
             assert_equal_to_reference(backend, splats, camera)
 

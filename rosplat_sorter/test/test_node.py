@@ -167,7 +167,7 @@ def test_it_hears_the_map_only_while_views_want_orders(ros, make_batch, make_loo
         peer.edit(make_batch(3, operation=GaussianArray.REPLACE))
         settings = peer.node.create_client(SetParameters, "sorter/set_parameters")
         peer.wait(settings.service_is_ready, "no sorter")
-        backend = Parameter("backend", value="numpy-reference").to_parameter_msg()
+        backend = Parameter("backend", value="numpy").to_parameter_msg()
         settings.call_async(SetParameters.Request(parameters=[backend]))
         files = []
         for sequence in (1, 2):
@@ -178,7 +178,7 @@ def test_it_hears_the_map_only_while_views_want_orders(ros, make_batch, make_loo
             assert not hears()
             peer.meet()
             peer.look(make_look(sequence=sequence))
-            assert peer.order(sequence).backend == "numpy-reference"
+            assert peer.order(sequence).backend == "numpy"
             peer.wait(lambda: not hears(), "it hears the map for ever")
         peer.meet()
         assert files[1] - files[0] < 3  # as many as Fast DDS leaves open each time
@@ -396,11 +396,11 @@ def test_the_backend_is_a_parameter_that_can_change(sorter, peer, make_batch, ma
     [result] = sorter.set_parameters([Parameter("backend", value="no such")])
     assert not result.successful
     assert result.reason.startswith("unknown backend 'no such', known are auto, cupy")
-    [result] = sorter.set_parameters([Parameter("backend", value="numpy-reference")])
+    [result] = sorter.set_parameters([Parameter("backend", value="numpy")])
     assert result.successful
     peer.edit(make_batch())
     peer.look(make_look())
-    assert peer.order(1).backend == "numpy-reference"
+    assert peer.order(1).backend == "numpy"
     [result] = sorter.set_parameters([Parameter("threads", value=-1)])
     assert not result.successful
 

@@ -9,15 +9,15 @@ import types
 import numpy as np
 import pytest
 
+from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import SplatOrder
 from rosplat_sorter import backends
 from rosplat_sorter.backends import BACKENDS, Entry
 from rosplat_sorter.backends.native_backend import NativeBackend
 from rosplat_sorter.backends.numpy_backend import NumpyBackend
-from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.shared_orders import FOLDER
-from rosplat_sorter.worker import FORGET_AFTER, MAX_VIEWS, Worker, read
+from rosplat_sorter.worker import FORGET_AFTER, MAX_VIEWS, Worker
 
 PATIENCE = 180.0  # with threads, however busy the machine is [s]
 
@@ -67,11 +67,6 @@ class Recorder:
         self.wait(lambda: any(text in line for line in self.lines))
 
 
-def edit(worker, message, arrival=Arrival.HEARD, complete=0):
-    """Hands over a message as it was heard."""
-    worker.edit(read(message)[0], arrival, complete)
-
-
 class GatedBackend(NumpyBackend):
     """Sorts when it may; counts."""
 
@@ -94,7 +89,7 @@ class BrokenBackend(NumpyBackend):
     where = "order"
 
     def update(self, splats, changed):
-        if self.where == "update" and len(splats):
+        if self.where == "update" and splats.splats:
             raise RuntimeError("CUDA out of memory")
         super().update(splats, changed)
 
@@ -108,7 +103,7 @@ def has_room_for(count, update):
     """A backend's update, of maps that are no larger."""
 
     def limited(self, splats, changed):
-        if len(splats) > count:
+        if splats.splats > count:
             raise MemoryError
         update(self, splats, changed)
 
@@ -146,7 +141,7 @@ def start():
 
 def test_an_order_answers_its_view(start, make_batch, make_look):
     worker, host = start()
-    edit(worker, make_batch(3, frame_id="map"))
+    worker.edit(make_batch(3, frame_id="map"))
     look = make_look(sequence=7)
     look.header.stamp.sec = 42
     worker.look(look)
@@ -160,18 +155,18 @@ def test_an_order_answers_its_view(start, make_batch, make_look):
 def test_a_view_is_answered_once_a_map_begins_and_when_it_changes(start, make_batch, make_look):
     worker, host = start()
     worker.look(make_look())
-    edit(worker, make_batch(3, operation=0))
+    worker.edit(make_batch(3, operation=0))
     assert len(host.answer(revision=1).slots) == 3
-    edit(worker, make_batch(2, revision=2, operation=2))
+    worker.edit(make_batch(2, revision=2, operation=2))
     assert list(host.answer(revision=2).slots) == [2]
-    edit(worker, make_batch(1, revision=3, first_slot=7, positions=[0.0, 0.0, 1.5]))
+    worker.edit(make_batch(1, revision=3, first_slot=7, positions=[0.0, 0.0, 1.5]))
     assert list(host.answer(revision=3).slots) == [2, 7]
 
 
 def test_of_a_burst_only_the_newest_view_is_sorted(start, make_batch, make_look):
     worker, host = start()
     GatedBackend.gate.clear()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look(sequence=1))
     assert GatedBackend.sorting.wait(PATIENCE)
     for sequence in range(2, 102):
@@ -184,68 +179,51 @@ def test_of_a_burst_only_the_newest_view_is_sorted(start, make_batch, make_look)
 
 def test_who_asks_for_no_order_gets_none(start, make_batch, make_look):
     worker, host = start()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look(view_id="sorts itself", sequence=0))
     worker.look(make_look(view_id="asks", sequence=1))
     host.answer(1, view_id="asks")
     assert [answer.view_id for answer in host.answers] == ["asks"]
 
 
-def test_of_a_burst_of_maps_only_the_newest_waits(start, make_batch, make_look):
-    worker, host = start()
-    GatedBackend.gate.clear()
-    edit(worker, make_batch())
-    worker.look(make_look())
-    assert GatedBackend.sorting.wait(PATIENCE)
-    for revision in range(2, 100, 2):
-        edit(worker, make_batch(4, revision=revision, operation=0))
-        edit(worker, make_batch(1, revision=revision + 1, first_slot=4))
-    assert [edit.revision for edit, _ in worker._inbox.edits] == [98, 99]
-    GatedBackend.gate.set()
-    assert len(host.answer(revision=99).slots) == 5
-    assert not [line for line in host.lines if "missed" in line]
-
-
 def test_what_is_pulled_is_sorted_once_it_is_all_there(start, make_batch, make_look):
     """Its parts are all of one revision: viewers couldn't tell their orders from that of all."""
     worker, host = start()
-    edit(worker, make_batch(operation=0, revision=5), Arrival.PULLED)
+    worker.edit(make_batch(operation=0, revision=5), Arrival.PULLED)
     worker.look(make_look(sequence=1))
-    edit(worker, make_batch(1, revision=5, first_slot=3), Arrival.PULLED)
+    worker.edit(make_batch(1, revision=5, first_slot=3), Arrival.PULLED)
     worker.look(make_look(sequence=2))
-    edit(worker, make_batch(1, revision=5, first_slot=4), Arrival.LAST)
+    worker.edit(make_batch(1, revision=5, first_slot=4), Arrival.LAST)
     worker.look(make_look(sequence=3))
     assert len(host.answer(3).slots) == 5
     assert {len(answer.slots) for answer in host.answers} == {5}
     assert not [line for line in host.lines if "missed" in line]
 
 
-def test_orders_of_a_map_that_is_being_pulled_name_what_is_complete(start, make_batch, make_look):
-    """Viewers merge into them what has changed since."""
+def test_no_order_is_of_a_map_that_is_pulled_in_part(start, make_batch, make_look):
+    """A viewer would draw it as one of the revision that it names."""
     worker, host = start()
-    edit(worker, make_batch(operation=0, revision=5))
+    worker.edit(make_batch(operation=0, revision=5))
     worker.look(make_look(sequence=1))
     assert host.answer(1).revision == 5
-    edit(worker, make_batch(1, revision=9, first_slot=3), Arrival.PULLED, complete=5)
+    worker.edit(make_batch(1, revision=9, first_slot=3), Arrival.PULLED)
     worker.look(make_look(sequence=2))
-    assert (host.answer(2).revision, len(host.answer(2).slots)) == (5, 4)
-    edit(worker, make_batch(1, revision=12, first_slot=4), Arrival.PULLED, complete=9)
-    assert len(host.answer(2, revision=9).slots) == 5
-    edit(worker, make_batch(1, revision=12, first_slot=5), Arrival.LAST, complete=9)
-    assert len(host.answer(2, revision=12).slots) == 6
+    worker.edit(make_batch(1, revision=12, first_slot=4), Arrival.LAST)
+    assert (host.answer(2).revision, len(host.answer(2).slots)) == (12, 5)
+    assert [answer.revision for answer in host.answers] == [5, 12]
 
 
 def test_it_says_when_too_much_waits(start, make_batch, make_look, monkeypatch):
-    monkeypatch.setattr("rosplat_sorter.worker.MOST_WAITING", 10 * 50 * 16)
+    monkeypatch.setattr("rosplat_sorter.worker.MOST_WAITING", 10 * 50 * 56)
     worker, host = start()
     GatedBackend.gate.clear()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look())
     assert GatedBackend.sorting.wait(PATIENCE)
     revision = 1
     while not worker.busy:
         revision += 1
-        edit(worker, make_batch(50, revision=revision))
+        worker.edit(make_batch(50, revision=revision))
     assert revision == 12
     GatedBackend.gate.set()
     assert len(host.answer(revision=12).slots) == 50
@@ -254,7 +232,7 @@ def test_it_says_when_too_much_waits(start, make_batch, make_look, monkeypatch):
 
 def test_views_do_not_displace_each_other(start, make_batch, make_look):
     worker, host = start()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     for view_id in "abc":
         worker.look(make_look(view_id=view_id))
     for view_id in "abc":
@@ -263,7 +241,7 @@ def test_views_do_not_displace_each_other(start, make_batch, make_look):
 
 def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch, make_look):
     worker, host = start()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look(sequence=1))
     first = host.answer(1)
     worker.look(make_look(sequence=1))  # a sign of life
@@ -281,46 +259,46 @@ def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch,
 
 def test_a_map_that_is_played_once_more_is_sorted_again(start, make_batch, make_look):
     worker, host = start()
-    edit(worker, make_batch(operation=0))
+    worker.edit(make_batch(operation=0))
     worker.look(make_look(sequence=1))
     assert len(host.answer(1).slots) == 3
-    edit(worker, make_batch(5, operation=0))  # of the same revision
+    worker.edit(make_batch(5, operation=0))  # of the same revision
     worker.look(make_look(sequence=2))
     assert len(host.answer(2).slots) == 5
 
 
 def test_silent_views_are_forgotten(start, make_batch, make_look, monkeypatch):
     worker, host = start()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look(view_id="gone"))
     host.answer(view_id="gone")
     now = time.monotonic() + FORGET_AFTER + 1
     monkeypatch.setattr(time, "monotonic", lambda: now)
     worker.look(make_look(view_id="here"))
     host.answer(view_id="here")
-    edit(worker, make_batch(revision=2))
+    worker.edit(make_batch(revision=2))
     host.answer(view_id="here", revision=2)
     assert [answer.view_id for answer in host.answers] == ["gone", "here", "here"]
 
 
 def test_views_without_end_do_not_pile_up(start, make_batch, make_look):
     worker, host = start()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     for number in range(MAX_VIEWS + 20):
         worker.look(make_look(view_id=str(number)))
         host.answer(view_id=str(number))
     host.answers.clear()
-    edit(worker, make_batch(revision=2))
+    worker.edit(make_batch(revision=2))
     host.answer(revision=2, view_id=str(MAX_VIEWS + 19))
     assert len(host.answers) == MAX_VIEWS
 
 
 def test_bad_messages_are_reported_and_survived(start, make_batch, make_look):
     worker, host = start()
-    edit(worker, make_batch(count=3))
-    edit(worker, make_batch(revision=2, positions=[0.0]))
-    host.said("batch 2 of map 'map' dropped: positions has 1 values, 9 expected")
-    edit(worker, make_batch(revision=3, opacities=[1.0, float("nan"), 1.0]))
+    worker.edit(make_batch(count=3))
+    worker.edit(make_batch(revision=2, positions=[0.0]))
+    host.said("batch 2 of map 'map' dropped: positions holds 1 values, not the 9")
+    worker.edit(make_batch(revision=3, opacities=[1.0, float("nan"), 1.0]))
     host.said("missed 1 batches before 3")
     host.said("1 splats of batch 3 dropped")
     worker.look(make_look(view_id="bad", fx=0.0))
@@ -335,7 +313,7 @@ def test_bad_messages_are_reported_and_survived(start, make_batch, make_look):
 def test_a_backend_that_fails_is_left_for_the_best_other(start, make_batch, make_look, where):
     BrokenBackend.where = where
     worker, host = start("broken")
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look())
     answer = host.answer()
     assert answer.backend in BACKENDS.keys() - {"broken"}
@@ -349,8 +327,8 @@ def test_what_replaces_a_backend_may_fail_too(start, make_batch, make_look, monk
     BrokenBackend.where = "update"
     worker, host = start("broken")
     with worker._wake:  # all at once
-        edit(worker, make_batch())
-        edit(worker, make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
+        worker.edit(make_batch())
+        worker.edit(make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
         worker.look(make_look())
     answer = host.answer(revision=2)
     assert (answer.backend, list(answer.slots)) == ("numpy", [2, 1, 7, 0])
@@ -361,12 +339,12 @@ def test_what_replaces_a_backend_may_fail_too(start, make_batch, make_look, monk
 def test_a_backend_that_can_t_take_the_map_is_never_used(start, make_batch, make_look):
     BrokenBackend.where = "update"
     worker, host = start("numpy")
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look())
     host.answer()
     with worker._wake:
         worker.use("broken", 1)
-        edit(worker, make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
+        worker.edit(make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
     assert list(host.answer(revision=2).slots) == [2, 1, 7, 0]
     host.said("backend 'broken' failed: CUDA out of memory")
     assert not [answer for answer in host.answers if answer.backend == "broken"]
@@ -380,16 +358,16 @@ def test_a_map_that_no_backend_takes_leaves_room_for_the_next(
         monkeypatch.setattr(backend, "update", has_room_for(3, backend.update))
     worker, host = start("native")
     worker.look(make_look())
-    edit(worker, make_batch(5, operation=0))
+    worker.edit(make_batch(5, operation=0))
     host.said("could not sort: Unavailable")
-    edit(worker, make_batch(3, operation=0, revision=2))
+    worker.edit(make_batch(3, operation=0, revision=2))
     assert len(host.answer(revision=2).slots) == 3
     assert len(host.answers) == 1
 
 
 def test_backends_change_while_running(start, make_batch, make_look):
     worker, host = start("numpy")
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look(sequence=1))
     assert host.answer(1).backend == "numpy"
     worker.use("native", 1)
@@ -402,7 +380,7 @@ def test_a_viewer_that_shows_the_key_is_answered_through_shared_memory(
 ):
     worker, host = start()
     reader = OrderReader()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look(sequence=1))
     first = host.answer(1)
     assert (first.generation, first.slot_bits) == (0, 2)
@@ -437,7 +415,7 @@ def test_a_viewer_that_shows_the_key_is_answered_through_shared_memory(
 def test_a_lost_key_brings_the_last_order_again(start, make_batch, make_look):
     """The sequence is the same: the viewer could not read what answered it."""
     worker, host = start()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look(sequence=1))
     first = host.answer(1)
     key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
@@ -451,7 +429,7 @@ def test_a_lost_key_brings_the_last_order_again(start, make_batch, make_look):
 
 def test_without_room_orders_travel_in_messages(start, make_batch, make_look, monkeypatch):
     worker, host = start()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look(sequence=1))
     first = host.answer(1)
     key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
@@ -467,9 +445,9 @@ def test_without_room_orders_travel_in_messages(start, make_batch, make_look, mo
 def test_what_peers_send_makes_no_more_than_a_line(start, make_batch, make_look):
     worker, host = start()
     long = "a\n\x1b[31m" * 100_000
-    edit(worker, make_batch(map_id=long, frame_id=long))
-    edit(worker, make_batch(map_id=long, revision=0))
-    edit(worker, make_batch(map_id=long, revision=5))
+    worker.edit(make_batch(map_id=long, frame_id=long))
+    worker.edit(make_batch(map_id=long, revision=0))
+    worker.edit(make_batch(map_id=long, revision=5))
     worker.look(make_look(view_id=long, frame_id=long))
     host.said("header.frame_id is 'a\\n\\x1b[31ma")
     worker.look(make_look(view_id=long, fx=0.0))
@@ -482,7 +460,7 @@ def test_what_peers_send_makes_no_more_than_a_line(start, make_batch, make_look)
 def test_views_that_wait_do_not_pile_up(start, make_batch, make_look):
     worker, _ = start()
     GatedBackend.gate.clear()
-    edit(worker, make_batch())
+    worker.edit(make_batch())
     worker.look(make_look())
     assert GatedBackend.sorting.wait(PATIENCE)
     for number in range(1000):

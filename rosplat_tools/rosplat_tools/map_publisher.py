@@ -22,7 +22,7 @@ from rosplat_core.splats import Splats, concatenate
 from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
-from rosplat_sorter.edits import pose_values
+from rosplat_sorter.batches import pose_values
 from rosplat_sorter.qos import PULLED_MAP
 from rosplat_tools.messages import NONE, Slots, as_array
 from rosplat_tools.poses import to_pose

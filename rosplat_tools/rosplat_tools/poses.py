@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.view import frame_at
-from rosplat_sorter.edits import pose_values
+from rosplat_sorter.batches import pose_values
 
 # How far a matrix may be from a rotation, as SLAM back ends keep it in float32.
 TOLERANCE = 1e-4

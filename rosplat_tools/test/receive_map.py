@@ -10,8 +10,8 @@ import time
 import numpy as np
 import rclpy
 
+from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.testing.slot_map import SlotMap, apply
 

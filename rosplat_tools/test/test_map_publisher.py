@@ -26,12 +26,12 @@ from rosplat_core import payload
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
-from rosplat_sorter.edits import array_bytes
+from rosplat_sorter.batches import array_bytes
 from rosplat_sorter.qos import MAP_VOLATILE
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
-from rosplat_tools.messages import chunks
 from rosplat_tools.program.running import Cancelled
 from rosplat_tools.testing import PATIENCE, Listener
+from rosplat_tools.testing.messages import chunks
 
 Maker = Callable[..., Splats]
 Received = dict[str, np.ndarray]

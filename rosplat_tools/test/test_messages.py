@@ -9,8 +9,9 @@ from std_msgs.msg import Header
 
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.edits import array_bytes
-from rosplat_tools.messages import COMPRESSIONS, Slots, chunks, decode, encode, encode_deletion
+from rosplat_sorter.batches import array_bytes
+from rosplat_tools.messages import COMPRESSIONS, Slots
+from rosplat_tools.testing.messages import chunks, decode, encode, encode_deletion
 
 Maker = Callable[..., Splats]
 

@@ -15,12 +15,12 @@ from PIL import Image
 from rclpy.node import Node
 
 from rosplat_core.cameras import Camera
+from rosplat_core.maps import Arrival
 from rosplat_core.rendering import SplatCamera
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.camera import decode
-from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.running import spinning

@@ -135,14 +135,14 @@ SlotRuns runsOf(const GaussianBatch& batch) {
   return runs;
 }
 
-// Lays the splats of a batch out, relative to an origin; which of them mean something.
+// Lays the splats of a batch out, relative to an origin, in bands up to edit.sh_degree. Returns
+// which of them mean something.
 std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin,
                          GaussianEdit& edit) {
   const std::size_t n = batch.count;
-  edit.sh_degree = batch.sh_degree;
   edit.slots.assign(kSlotWords * n, 0u);
   edit.extents.assign(n, -1.0f);
-  for (int band = 1; band <= batch.sh_degree; ++band) {
+  for (int band = 1; band <= edit.sh_degree; ++band) {
     edit.bands[band].resize(kBandWords[band] * n);
   }
   std::vector<bool> kept(n, false);
@@ -176,10 +176,10 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
     std::copy_n(sh, 3, splat.color.begin());
     splat.opacity = std::clamp(batch.opacities[i], 0.0f, 1.0f);
     std::array<std::uint32_t*, kMaxShDegree + 1> bands{};
-    for (int band = 1; band <= batch.sh_degree; ++band) {
+    for (int band = 1; band <= edit.sh_degree; ++band) {
       bands[band] = &edit.bands[band][kBandWords[band] * i];
     }
-    packSlot(splat, sh + 3, batch.sh_degree, &edit.slots[kSlotWords * i], bands);
+    packSlot(splat, sh + 3, edit.sh_degree, &edit.slots[kSlotWords * i], bands);
     edit.extents[i] =
         extentOf(splat.opacity, *std::max_element(splat.scale.begin(), splat.scale.end()));
   }
@@ -258,16 +258,27 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   DecodedPayload decoded;
   GaussianBatch splats;
   std::vector<bool> kept;
+  std::vector<std::uint32_t> of_others;
   if (values) {
-    checkBlocks(used, edit->runs, batch.group);
+    // A block that was pulled may be ahead of the batches that follow: what it holds is written
+    // again by a later one of them.
+    of_others = blocksOfOthers(used, edit->runs, batch.group);
+    if (heard && !of_others.empty()) {
+      const std::uint32_t begin = of_others.front();
+      throw BatchError(
+          "group is " + std::to_string(batch.group) + ", but slots " + std::to_string(begin) +
+          " to " + std::to_string(begin + SlotSet::kPage - 1) + " hold splats of group " +
+          std::to_string(block_groups_[begin / SlotSet::kPage]) + ": delete them first");
+    }
     splats = decoded.decode(batch);
+    edit->sh_degree = std::min<int>(batch.sh_degree, most_sh_degree_);
     kept = layOut(splats, edit->origin, *edit);
     report.dropped = static_cast<std::uint64_t>(std::count(kept.begin(), kept.end(), false));
     if (batch.count > 0) {
       next.channels = joined(std::move(next.channels), batch.channel_names);
       layOutChannels(batch, kept, next.channels, *edit);
     }
-    next.sh_degree = std::max<int>(next.sh_degree, batch.sh_degree);
+    next.sh_degree = std::max(next.sh_degree, edit->sh_degree);
     used.makeRoom(edit->runs);
     for (const auto& [first, count] : edit->runs) {
       next.capacity = std::max(next.capacity, first + count);
@@ -285,7 +296,17 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   next.dropped += report.dropped;
 
   MapSample sample = edit->clear ? MapSample() : sample_;
+  std::vector<std::uint32_t> emptied;
+  emptied.reserve(of_others.size() * SlotSet::kPage);
   std::vector<bool> before(kept.size());
+  for (const std::uint32_t block : of_others) {
+    for (std::uint32_t slot = block; slot < block + SlotSet::kPage; ++slot) {
+      if (!used.set(slot, false)) continue;
+      emptied.push_back(slot);
+      sample.drop(slot);
+      --next.splats;
+    }
+  }
   std::size_t i = 0;
   forEachSlot(edit->runs, [&](std::uint32_t slot) {
     before[i] = used.set(slot, kept[i]);
@@ -305,6 +326,7 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     for (auto run = edit->runs.rbegin(); run != edit->runs.rend(); ++run) {
       for (std::uint32_t k = run->second; k > 0; --k) used.set(run->first + k - 1, before[--i]);
     }
+    for (const std::uint32_t slot : emptied) used.set(slot, true);
     throw;
   }
   if (edit->clear) used_ = std::move(fresh);
@@ -323,21 +345,18 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   return edit;
 }
 
-void GaussianMap::checkBlocks(const SlotSet& used, const SlotRuns& runs,
-                              std::uint32_t group) const {
+std::vector<std::uint32_t> GaussianMap::blocksOfOthers(const SlotSet& used, const SlotRuns& runs,
+                                                       std::uint32_t group) const {
+  std::vector<std::uint32_t> blocks;
   for (const auto& [first, count] : runs) {
     for (std::uint32_t block = first / SlotSet::kPage; block * SlotSet::kPage < first + count;
          ++block) {
-      if (block >= block_groups_.size() || block_groups_[block] == group || !used.any(block)) {
-        continue;
+      if (block < block_groups_.size() && block_groups_[block] != group && used.any(block)) {
+        blocks.push_back(block * SlotSet::kPage);
       }
-      const std::uint32_t begin = block * SlotSet::kPage;
-      throw BatchError("group is " + std::to_string(group) + ", but slots " +
-                       std::to_string(begin) + " to " + std::to_string(begin + SlotSet::kPage - 1) +
-                       " hold splats of group " + std::to_string(block_groups_[block]) +
-                       ": delete them first");
     }
   }
+  return blocks;
 }
 
 GaussianEdit editOf(PackedRun run, ThreadTeam* team) {

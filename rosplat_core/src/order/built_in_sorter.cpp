@@ -8,9 +8,6 @@ namespace rosplat {
 
 namespace {
 
-// A page's first row.
-std::size_t rowOf(const SlotPage& page) { return std::size_t{page.place} * SlotPage::kSlots; }
-
 // With room for a quarter more, where doubling would take as much again as there is.
 template <typename T>
 void grow(std::vector<T>& values, std::size_t size, T value) {
@@ -111,8 +108,7 @@ void BuiltInSorter::run() {
       apply(std::move(edit));
       lock.lock();
     }
-    bytes_ = (positions_.capacity() + extents_.capacity()) * sizeof(float) +
-             changed_at_.capacity() * sizeof(std::uint64_t) + pages_.bytes();
+    bytes_ = rows_.bytes() + changed_at_.capacity() * sizeof(std::uint64_t);
     if (requests_.empty()) continue;
     const auto node = requests_.extract(requests_.begin());
     lock.unlock();
@@ -127,9 +123,7 @@ void BuiltInSorter::run() {
 void BuiltInSorter::apply(EditQueue::Waiting item) noexcept {
   const GaussianEdit& edit = *item.edit;
   const auto forget = [this] {
-    pages_ = SlotPages();
-    positions_ = std::vector<float>();
-    extents_ = std::vector<float>();
+    rows_ = SplatRows();
     changed_at_ = std::vector<std::uint64_t>();
     page_changed_ = std::vector<std::uint64_t>();
     capacity_ = 0;
@@ -157,44 +151,15 @@ void BuiltInSorter::apply(EditQueue::Waiting item) noexcept {
 }
 
 void BuiltInSorter::hold(const GaussianEdit& edit) {
-  pages_.apply(edit);
+  const SplatRows::Runs changed = rows_.apply(edit);
   capacity_ = edit.capacity;
-  const std::size_t rows = pages_.pages().size() * SlotPage::kSlots;
-  grow(positions_, 3 * rows, 0.0f);
-  grow(extents_, rows, -1.0f);
-  grow(changed_at_, rows, std::uint64_t{0});
-  grow(page_changed_, pages_.pages().size(), std::uint64_t{0});
-  const auto changed = [&](const SlotPage& page, std::size_t in_page, std::size_t count) {
-    std::fill_n(&changed_at_[rowOf(page) + in_page], count, edit.revision);
-    page_changed_[page.place] = edit.revision;
-  };
-  for (const std::uint32_t first_slot : pages_.emptied()) {
-    const SlotPage& page = *pages_.find(first_slot);
-    std::fill_n(&extents_[rowOf(page)], SlotPage::kSlots, -1.0f);
-    changed(page, 0, SlotPage::kSlots);
-  }
-  std::size_t source = 0;
-  for (const auto& [first, run_count] : edit.runs) {
-    std::uint32_t slot = first, left = run_count;
-    while (left > 0) {
-      const std::uint32_t count = std::min(left, SlotPage::kSlots - slot % SlotPage::kSlots);
-      if (const SlotPage* const page = pages_.find(slot)) {
-        const std::size_t row = rowOf(*page) + slot % SlotPage::kSlots;
-        if (edit.sh_degree >= 0) {
-          for (std::size_t i = 0; i < count; ++i) {
-            const std::array<float, 3> position = edit.position(source + i);
-            std::copy_n(position.data(), 3, &positions_[3 * (row + i)]);
-          }
-          std::copy_n(&edit.extents[source], count, &extents_[row]);
-        } else {
-          std::fill_n(&extents_[row], count, -1.0f);
-        }
-        changed(*page, slot % SlotPage::kSlots, count);
-      }
-      slot += count;
-      left -= count;
-      source += count;
-    }
+  grow(changed_at_, rows_.size(), std::uint64_t{0});
+  grow(page_changed_, rows_.size() / SlotPage::kSlots, std::uint64_t{0});
+  for (const auto& [first, count] : changed) {
+    std::fill_n(&changed_at_[first], count, edit.revision);
+    const std::size_t page = first / SlotPage::kSlots;
+    const std::size_t last = (first + count - 1) / SlotPage::kSlots;
+    std::fill_n(&page_changed_[page], last - page + 1, edit.revision);
   }
 }
 
@@ -226,7 +191,7 @@ OrderPtr BuiltInSorter::sort(const Request& request) noexcept {
 
 std::vector<SortView> BuiltInSorter::viewsOf(const SplatCamera& camera) const {
   std::vector<SortView> views;
-  for (const Group& group : pages_.groups()) {
+  for (const Group& group : rows_.pages().groups()) {
     views.push_back(sortView(inFrameOf(group.place, camera), group.originOrZero()));
   }
   return views;
@@ -235,11 +200,11 @@ std::vector<SortView> BuiltInSorter::viewsOf(const SplatCamera& camera) const {
 void BuiltInSorter::sortAll(const Request& request, std::vector<std::uint32_t>& slots) {
   const std::vector<SortView> views = viewsOf(request.camera);
   std::vector<SortPage> pages;
-  pages.reserve(pages_.pages().size());
-  for (const SlotPage& page : pages_.pages()) {
+  pages.reserve(rows_.pages().pages().size());
+  for (const SlotPage& page : rows_.pages().pages()) {
     pages.push_back({page.first_slot, page.place, page.group});
   }
-  depth_order_.sort(views.data(), positions_.data(), extents_.data(), pages.data(), pages.size(),
+  depth_order_.sort(views.data(), rows_.positions(), rows_.extents(), pages.data(), pages.size(),
                     [&slots](std::size_t total) {
                       slots.resize(total);
                       return slots.data();
@@ -252,16 +217,17 @@ void BuiltInSorter::merge(const Request& request, std::vector<std::uint32_t>& me
   std::vector<const SlotPage*> page_of(capacity_ / SlotPage::kSlots + 1, nullptr);
   std::vector<std::uint32_t> changed, view_of;
   std::vector<float> positions, extents;  // of these
-  for (const SlotPage& page : pages_.pages()) {
-    const std::size_t first = rowOf(page);
+  for (const SlotPage& page : rows_.pages().pages()) {
+    const std::size_t first = SplatRows::rowOf(page);
     page_of[page.first_slot / SlotPage::kSlots] = &page;
     if (page_changed_[page.place] <= known) continue;
     for (std::size_t row = first; row < first + SlotPage::kSlots; ++row) {
       if (changed_at_[row] <= known) continue;
       changed.push_back(page.first_slot + static_cast<std::uint32_t>(row - first));
       view_of.push_back(page.group);
-      positions.insert(positions.end(), &positions_[3 * row], &positions_[3 * row] + 3);
-      extents.push_back(extents_[row]);
+      const float* const position = rows_.positions() + 3 * row;
+      positions.insert(positions.end(), position, position + 3);
+      extents.push_back(rows_.extents()[row]);
     }
   }
   const std::vector<std::uint32_t>& fresh =
@@ -277,12 +243,12 @@ void BuiltInSorter::merge(const Request& request, std::vector<std::uint32_t>& me
   };
   const auto depth = [&](std::uint32_t slot) {
     const SlotPage& page = *pageOf(slot);
-    return DepthOrder::depth(views[page.group],
-                             &positions_[3 * (rowOf(page) + slot % SlotPage::kSlots)]);
+    const std::size_t row = SplatRows::rowOf(page) + slot % SlotPage::kSlots;
+    return DepthOrder::depth(views[page.group], rows_.positions() + 3 * row);
   };
   for (const std::uint32_t slot : request.base->slots) {
     const SlotPage* const page = pageOf(slot);
-    if (!page || changed_at_[rowOf(*page) + slot % SlotPage::kSlots] > known) continue;
+    if (!page || changed_at_[SplatRows::rowOf(*page) + slot % SlotPage::kSlots] > known) continue;
     const float here = depth(slot);
     while (next != fresh.end()) {
       const float there = depth(*next);

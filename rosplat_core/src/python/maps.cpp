@@ -2,6 +2,7 @@
 
 #include "python/module.hpp"
 #include "rosplat_core/map/map_pull.hpp"
+#include "rosplat_core/order/splat_rows.hpp"
 #include "rosplat_core/python/bindings.hpp"
 
 namespace rosplat::python {
@@ -12,6 +13,54 @@ namespace {
 Group groupOf(const GaussianMap& map, std::uint32_t number) {
   const Group* const group = map.groups().find(number);
   return group ? *group : Group{};
+}
+
+// A map as sorting needs it: harmonics are checked, and not kept.
+struct SortMap : GaussianMap {
+  SortMap() : GaussianMap(0) {}
+
+  SplatRows rows;
+  SplatRows::Runs changed;  // by the last batch
+};
+
+// A view of what a map holds.
+template <typename T>
+Array<T> viewOf(const py::object& map, const T* values, std::vector<py::ssize_t> shape) {
+  return Array<T>(std::move(shape), values, map);
+}
+
+// The frames of a map's groups by index: from what positions are relative to into the map's frame.
+Array<double> framesOf(const SortMap& map) {
+  const std::vector<Group>& groups = map.rows.pages().groups();
+  std::vector<double> frames;
+  frames.reserve(16 * groups.size());
+  for (const Group& group : groups) {
+    const std::array<double, 3> origin = group.place(group.originOrZero());
+    for (std::size_t row = 0; row < 3; ++row) {
+      const double* const rotation = &group.place.rotation[3 * row];
+      frames.insert(frames.end(), {rotation[0], rotation[1], rotation[2], origin[row]});
+    }
+    frames.insert(frames.end(), {0, 0, 0, 1});
+  }
+  return toArray(std::move(frames), {static_cast<py::ssize_t>(groups.size()), 4, 4});
+}
+
+// First slot, place and group of each page, by ascending slots.
+Array<std::uint32_t> pagesOf(const SortMap& map) {
+  std::vector<std::uint32_t> table;
+  for (const SlotPage& page : map.rows.pages().pages()) {
+    table.insert(table.end(), {page.first_slot, page.place, page.group});
+  }
+  const auto pages = static_cast<py::ssize_t>(table.size() / 3);
+  return toArray(std::move(table), {pages, 3});
+}
+
+Array<std::int64_t> changedOf(const SortMap& map) {
+  std::vector<std::int64_t> runs;
+  for (const auto& [first, count] : map.changed) {
+    runs.insert(runs.end(), {static_cast<std::int64_t>(first), static_cast<std::int64_t>(count)});
+  }
+  return toArray(std::move(runs), {static_cast<py::ssize_t>(map.changed.size()), 2});
 }
 
 // Whatever Python calls a batch, with its label: map_id, revision, whether it replaces, bytes.
@@ -41,7 +90,7 @@ void defineMaps(py::module_& module) {
       .value("HEARD", Arrival::kHeard)
       .value("PULLED", Arrival::kPulled)
       .value("LAST", Arrival::kLast);
-  py::class_<Pull>(module, "MapPull", "What a display pulls of a map, and when; see map_pull.py.")
+  py::class_<Pull>(module, "MapPull", "What a receiver pulls of a map, and when.")
       .def(py::init<>())
       .def_property_readonly("pulling", &Pull::pulling)
       .def_readwrite("held", &Pull::held)
@@ -71,6 +120,8 @@ void defineMaps(py::module_& module) {
   py::class_<GaussianMap> map(module, "GaussianMap", "A map's books, without what draws it.");
   map.def(py::init<>())
       .def("in_use", &GaussianMap::inUse, "slot"_a)
+      .def_property_readonly("map_id", [](const GaussianMap& m) { return m.state().id; })
+      .def_property_readonly("capacity", [](const GaussianMap& m) { return m.state().capacity; })
       .def_property_readonly("revision", [](const GaussianMap& m) { return m.state().revision; })
       .def_property_readonly("splats", [](const GaussianMap& m) { return m.state().splats; })
       .def_property_readonly("missed", [](const GaussianMap& m) { return m.state().missed; })
@@ -100,6 +151,38 @@ void defineMaps(py::module_& module) {
   defineApply(map, [](GaussianMap& m, const GaussianBatch& batch) {
     BatchReport report;
     m.apply(batch, report);
+    return report;
+  });
+  py::class_<SortMap, GaussianMap> sorted(module, "SortMap",
+                                          "A map as sorting needs it. What it holds may be looked "
+                                          "at until the next batch.");
+  sorted.def(py::init<>())
+      .def_property_readonly(
+          "positions",
+          [](const py::object& self) {
+            const auto& rows = self.cast<const SortMap&>().rows;
+            return viewOf(self, rows.positions(), {static_cast<py::ssize_t>(rows.size()), 3});
+          },
+          "By row, relative to the group's origin, float32 (rows, 3) [m].")
+      .def_property_readonly(
+          "extents",
+          [](const py::object& self) {
+            const auto& rows = self.cast<const SortMap&>().rows;
+            return viewOf(self, rows.extents(), {static_cast<py::ssize_t>(rows.size())});
+          },
+          "By row, float32 (rows,) [m]; negative where nothing can be seen.")
+      .def_property_readonly("pages", &pagesOf,
+                             "First slot, place and group of each page, by slots, uint32 (p, 3).")
+      .def_property_readonly(
+          "frames", &framesOf,
+          "By group, from what positions are relative to into the map's frame, float64 (g, 4, 4).")
+      .def_property_readonly("changed", &changedOf,
+                             "Runs of rows that the last batch changed: first, count.");
+  defineApply(sorted, [](SortMap& m, const GaussianBatch& batch) {
+    BatchReport report;
+    m.apply(batch, report, [&m](const std::shared_ptr<const GaussianEdit>& edit, const MapState&) {
+      m.changed = m.rows.apply(*edit);
+    });
     return report;
   });
 }

@@ -179,7 +179,7 @@ void defineOrders(py::module_& module) {
           py::arg("pages"), py::arg("allocate"),
           "The visible slots back to front, uint32 (m,), in the array that allocate(m) returns.\n\n"
           "view: a rosplat_core.view.View. positions: float32 (rows, 3) [m]. extents: float32\n"
-          "(rows,) [m], negative for what is never visible. pages: SlotPages.table, uint32 (p, "
+          "(rows,) [m], negative for what is never visible. pages: as SortMap.pages, uint32 (p, "
           "3).\n"
           "All contiguous; other types raise TypeError, other sizes ValueError. One thread at a\n"
           "time.");

@@ -15,7 +15,6 @@ from rosplat_lab.bench import embedded, live, scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
-from rosplat_sorter.edits import MOVE
 from rviz_gaussian_plugin.offscreen import Renderer
 
 SIZES, QUICK_SIZES = (5_000_000,), (20_000,)
@@ -111,8 +110,8 @@ def _poses(random: np.random.Generator) -> NDArray[np.float64]:
 
 def _move(renderer: Renderer, poses: NDArray[np.float64], revision: int) -> None:
     renderer.apply(
-        MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), *[_NO_FLOATS] * 5, rendering.MAP,
-        revision, groups=np.arange(SUBMAPS, dtype=np.uint32), poses=poses,
+        rendering.MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), *[_NO_FLOATS] * 5,
+        rendering.MAP, revision, groups=np.arange(SUBMAPS, dtype=np.uint32), poses=poses,
     )  # fmt: skip
 
 

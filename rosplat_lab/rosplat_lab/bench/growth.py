@@ -12,7 +12,6 @@ from collections.abc import Iterator
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
-from rosplat_core.depth import splat_extents
 from rosplat_core.scenes import PROCEDURAL
 from rosplat_core.splats import Splats
 from rosplat_lab import machine
@@ -22,7 +21,6 @@ from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
 from rosplat_lab.bench.sort import view_of
 from rosplat_sorter.backends import BACKENDS, open_backend
-from rosplat_sorter.edits import UPSERT, Edit
 from rosplat_sorter.map import SplatMap
 from rosplat_tools.emulation.mapping import around
 from rosplat_tools.program.processes import ProcessError
@@ -149,7 +147,6 @@ class SortingThread:
     def __init__(self, backend: str, splats: Splats, view: embedded.View) -> None:
         self._backend = open_backend(backend)
         self._splats = splats
-        self._extents = splat_extents(splats.scales, splats.opacities)
         self._view = view
         self._map = SplatMap()
         self._wake = threading.Condition()
@@ -192,19 +189,10 @@ class SortingThread:
                 self._given += 1
 
     def _grow(self, count: int) -> None:
-        first = len(self._map)
-        if count == first:
-            return
-        new = slice(first, count)
-        changed = self._map.apply(
-            Edit(
-                map_id=rendering.MAP, revision=-(-count // BATCH), frame_id="map",
-                operation=UPSERT, origin=self._splats.origin, slots=new, end=count,
-                positions=self._splats.positions[new], extents=self._extents[new], rejected=0,
-            )
-        )  # fmt: skip
-        if changed is not None:
-            self._backend.update(self._map, changed)
+        new = slice(self._map.capacity, count)
+        if new.start < new.stop:
+            rendering.insert(self._map, self._splats, new, -(-count // BATCH))
+            self._backend.update(self._map, self._map.changed_rows)
 
 
 def _report(size: int, backend: str, by: str, seen: live.Watched) -> Iterator[Measurement]:

@@ -13,10 +13,10 @@ from typing import TextIO
 
 import numpy as np
 
+from rosplat_core.maps import Arrival
 from rosplat_lab.bench.embedded import gl_finish
 from rosplat_lab.bench.scenes import STEP
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-from rosplat_sorter.map_pull import Arrival
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning
 from rosplat_tools.view_messages import view_camera

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,15 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, Header
 
 from rosplat_core.generated import generate
-from rosplat_core.payload import FORMAT
+from rosplat_core.payload import FORMAT, decode
+from rosplat_core.publishing import PublishedBatch, PublishedMap
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, OrderReader, pack
 from rosplat_sorter.qos import ORDER
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
-from rosplat_tools.messages import decode, encode
+from rosplat_tools.map_publisher import as_message
+from rosplat_tools.messages import NONE
 from rosplat_tools.program.running import run, spinning, wait_for_end
 
 try:
@@ -74,20 +77,32 @@ class Orders:
             self._buffer.close()
 
 
-def make_batch(splats: Splats, header: Header) -> GaussianArray:
+def batches_of(
+    splats: Splats, header: Header, compression: str, chunk_bytes: int = 2**40
+) -> list[GaussianArray]:
+    """The messages of a map, as its publisher makes them; by default one."""
+    batches: list[PublishedBatch] = []
+    published = PublishedMap(chunk_bytes, compression, batches.append, print, lambda: None)
+    published.replace(splats, True, None, None)
+    return [as_message(batch, header) for batch in batches]
+
+
+def make_batch(splats: Splats, header: Header, compression: str = NONE) -> GaussianArray:
     """All of the splats: 59 numbers each with three bands of harmonics."""
-    return encode(
-        splats, range(len(splats)), header=header, map_id="bench", revision=1,
-        operation=GaussianArray.UPSERT,
-    )  # fmt: skip
+    return batches_of(splats, header, compression)[0]
 
 
-def make_payload(splats: Splats, header: Header) -> GaussianArray:
-    """The same as a payload, which is decoded when it is read."""
-    return encode(
-        splats, range(len(splats)), header=header, map_id="bench", revision=1,
-        operation=GaussianArray.UPSERT, compression=FORMAT,
-    )  # fmt: skip
+def read_batch(message: GaussianArray) -> Any:
+    """Its numbers: views of its arrays, or what is decoded of its payload."""
+    if message.format:
+        packed = np.frombuffer(message.payload, np.uint8)
+        return decode(packed, message.count, message.sh_degree)
+    return [
+        np.frombuffer(values, np.float32)
+        for values in (
+            message.positions, message.orientations, message.scales, message.opacities, message.sh,
+        )
+    ]  # fmt: skip
 
 
 def make_poses(splats: Splats, header: Header) -> PoseArray:
@@ -151,8 +166,8 @@ ORDERS = {"inline": Orders(SLOTS), "packed": Orders(PACKED), "shared memory": Or
 # What is sent, by name: message, how it is made, how its numbers are taken out again.
 KINDS: dict[str, tuple[Any, Callable[..., Any], Callable[..., Any]]] = {
     **{kind: (SplatOrder, orders.make, orders.read) for kind, orders in ORDERS.items()},
-    "gaussians": (GaussianArray, make_batch, decode),
-    "payload": (GaussianArray, make_payload, decode),
+    "gaussians": (GaussianArray, make_batch, read_batch),
+    "payload": (GaussianArray, partial(make_batch, compression=FORMAT), read_batch),
     "poses": (PoseArray, make_poses, read_poses),
 }
 if MarkerArray is not None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core import depth
+from rosplat_core import depth, rendering
 from rosplat_core.cameras import Camera
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.splats import SceneError, Splats
@@ -27,7 +27,6 @@ from rosplat_sorter.backends import (
     new_array,
     open_backend,
 )
-from rosplat_sorter.edits import REPLACE, Edit
 from rosplat_sorter.map import SplatMap
 
 SIZES = (100_000, 250_000, 500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000)
@@ -101,7 +100,7 @@ def methods(
 
 def _ours(sorted_map: SplatMap, name: str, threads: int) -> list[Way]:
     backend = open_backend(name, threads)
-    backend.update(sorted_map, slice(0, len(sorted_map)))
+    backend.update(sorted_map, slice(0, sorted_map.rows))
     label = f"{name}, {backend.device}"
     ways = [Way(HOST, label, partial(backend.order, allocate=InTurn(new_array)))]
     finish = _finish(backend)
@@ -153,7 +152,7 @@ def _pinned(name: str) -> Allocate:
 def _others(
     sorted_map: SplatMap, quantity: str, label: str, make: Callable[[Any], baselines.Sort]
 ) -> list[Way]:
-    return [Way(quantity, label, make(sorted_map.positions[: len(sorted_map)]), culls=False)]
+    return [Way(quantity, label, make(sorted_map.positions[: sorted_map.splats]), culls=False)]
 
 
 def _finish(backend: Backend) -> Callable[[], object] | None:
@@ -184,7 +183,7 @@ def _timed(
         lambda index: milliseconds(lambda: way.sort(views[index % len(views)]))
     )
     return Measurement.of(
-        way.quantity, "ms", times, scene, len(sorted_map),
+        way.quantity, "ms", times, scene, sorted_map.splats,
         method=way.label, view=kind, visible=int(visible), culls=way.culls,
     )  # fmt: skip
 
@@ -192,20 +191,7 @@ def _timed(
 def map_of(splats: Splats) -> SplatMap:
     """What the sorter would hold after a REPLACE with all of them."""
     sorted_map = SplatMap()
-    sorted_map.apply(
-        Edit(
-            map_id="bench",
-            revision=1,
-            frame_id="map",
-            operation=REPLACE,
-            origin=splats.origin,
-            slots=slice(0, len(splats)),
-            end=len(splats),
-            positions=splats.positions,
-            extents=depth.splat_extents(splats.scales, splats.opacities),
-            rejected=0,
-        )
-    )
+    rendering.insert(sorted_map, splats, slice(0, len(splats)), 1)
     return sorted_map
 
 

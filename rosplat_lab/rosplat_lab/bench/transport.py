@@ -9,6 +9,7 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -18,16 +19,15 @@ from std_msgs.msg import Header
 from rosplat_core import payload
 from rosplat_core.payload import Arrays
 from rosplat_lab.bench import live, scenes
-from rosplat_lab.bench.peer import KINDS, ORDERS, QUESTIONS, topic
+from rosplat_lab.bench.peer import KINDS, ORDERS, QUESTIONS, batches_of, topic
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
-from rosplat_msgs.msg import GaussianArray, ViewCamera
+from rosplat_msgs.msg import ViewCamera
 from rosplat_msgs.srv import LoadScene
-from rosplat_sorter import edits
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.qos import ORDER
 from rosplat_tools.map_publisher import CHUNK_BYTES
-from rosplat_tools.messages import chunks, encode
+from rosplat_tools.messages import NONE
 from rosplat_tools.program.processes import ProcessError, Processes
 
 ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
@@ -143,20 +143,12 @@ class Asker:
 def _ingest(plan: Plan, name: str) -> Measurement:
     """How fast the sorter's side checks batches and takes them over, without the way there."""
     splats = scenes.load(name).without_empty_bands()
-    messages = [
-        encode(
-            splats[part], range(part.start, part.stop), header=Header(frame_id="map"),
-            map_id="bench", revision=number + 1,
-            operation=GaussianArray.UPSERT if number else GaussianArray.REPLACE,
-            expected_slots=len(splats),
-        )
-        for number, part in enumerate(chunks(splats, CHUNK_BYTES))
-    ]  # fmt: skip
+    messages = batches_of(splats, Header(frame_id="map"), NONE, CHUNK_BYTES)
 
     def take() -> None:
         taken = SplatMap()
         for message in messages:
-            taken.apply(edits.decode(message))
+            taken.take(message)
 
     times = plan.budget.spend(lambda _: milliseconds(take))
     rates = [len(splats) / 1e3 / time_ms for time_ms in times]
@@ -169,7 +161,7 @@ def _compress(plan: Plan, name: str) -> Iterator[Measurement]:
     arrays = Arrays(
         splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh
     )
-    usable = edits.is_usable(arrays)
+    usable = np.ones(len(splats), bool)
     packed = payload.encode(arrays, usable)
     degree = splats.sh_degree
     for doing, run in (

@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
-from rosplat_core.depth import splat_extents
 from rosplat_core.posed_camera import PosedCamera
-from rosplat_core.rendering import OrderSource, Rasterizer, RenderSettings, pose
+from rosplat_core.rendering import (
+    REPLACE,
+    OrderSource,
+    Rasterizer,
+    RenderSettings,
+    insert,
+    pose,
+)
 from rosplat_core.splats import Splats
 from rosplat_core.view import View
 from rosplat_lab.bench.baselines import Positions
@@ -22,7 +28,6 @@ from rosplat_lab.bench.embedded import gl_finish
 from rosplat_lab.lab.motion import FRAME_RATE
 from rosplat_lab.lab.orders import Order
 from rosplat_sorter.backends import BACKENDS, Backend, Unavailable, open_backend
-from rosplat_sorter.edits import REPLACE, Edit
 from rosplat_sorter.map import SplatMap
 from rviz_gaussian_plugin.offscreen import Renderer
 
@@ -99,16 +104,9 @@ class Bench:
         self._revision = 0
         self.edit(REPLACE, 0, splats)
         self.map = SplatMap()
-        self.map.apply(
-            Edit(
-                map_id=str(self._maps), revision=1, frame_id="map", operation=REPLACE,
-                origin=splats.origin, slots=slice(0, len(splats)), end=len(splats),
-                positions=splats.positions,
-                extents=splat_extents(splats.scales, splats.opacities), rejected=0,
-            )
-        )  # fmt: skip
+        insert(self.map, splats, slice(0, len(splats)), 1)
         for backend in self.backends.values():
-            backend.update(self.map, slice(0, self.map.pages.rows))
+            backend.update(self.map, slice(0, self.map.rows))
 
     def edit(self, operation: int, first: int, splats: Splats) -> None:
         """Sends a batch to the renderer alone: an edit that no sorter has heard of yet."""

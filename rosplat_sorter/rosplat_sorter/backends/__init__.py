@@ -16,9 +16,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.slot_pages import Rows
 from rosplat_core.view import View
-from rosplat_sorter.map import SplatMap
+from rosplat_sorter.map import Rows, SplatMap
 
 Allocate = Callable[[int], NDArray[np.uint32]]
 """Makes the array, uint32 (m,), that an order of m slots is written to."""
@@ -44,9 +43,9 @@ class Backend(Protocol):
     """What it runs on, for people."""
 
     def update(self, splats: SplatMap, changed: Rows) -> None:
-        """Takes over which rows changed since the last call, and those that the map grew by.
+        """Takes over the rows that changed since the last call, and those that the map grew by.
 
-        A backend on the CPU may keep the map's arrays, they change only between calls.
+        A backend on the CPU may keep the map itself: it changes only between calls.
         """
 
     def close(self) -> None:
@@ -82,7 +81,6 @@ BACKENDS = {
     "torch": Entry("torch_backend", "TorchBackend", gpu=True),
     "native": Entry("native_backend", "NativeBackend"),
     "numpy": Entry("numpy_backend", "NumpyBackend"),
-    "numpy-reference": Entry("numpy_backend", "NumpyReferenceBackend", automatic=False),
 }
 
 

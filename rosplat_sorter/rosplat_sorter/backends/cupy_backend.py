@@ -11,10 +11,10 @@ import cupyx
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.slot_pages import SLOTS_PER_PAGE, Rows
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.view import View
 from rosplat_sorter.backends import Allocate, new_array, room_for
-from rosplat_sorter.map import SplatMap
+from rosplat_sorter.map import Rows, SplatMap
 from rosplat_sorter.shared_orders import Memory, memory_of
 
 # Sorted by digits, the lowest first; where the last is the same for all, it is left out.
@@ -97,7 +97,7 @@ class CupyBackend:
         self._count = 0
 
     def update(self, splats: SplatMap, changed: Rows) -> None:
-        count = splats.pages.rows
+        count = splats.rows
         room = room_for(count, len(self._extents))
         if room != len(self._extents):
             self._reserve(room)
@@ -105,7 +105,7 @@ class CupyBackend:
             index = rows if isinstance(rows, slice) else cupy.asarray(rows)
             self._positions[index] = cupy.asarray(splats.positions[rows])
             self._extents[index] = cupy.asarray(splats.extents[rows])
-        self._pages = cupy.asarray(splats.pages.table)
+        self._pages = cupy.asarray(splats.pages)
         self._count = count
 
     def close(self) -> None:

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import _core
-from rosplat_core.slot_pages import Rows
 from rosplat_core.view import View
 from rosplat_sorter.backends import Allocate, new_array
-from rosplat_sorter.map import SplatMap
+from rosplat_sorter.map import Rows, SplatMap
 
 
 class NativeBackend:
@@ -31,4 +30,4 @@ class NativeBackend:
 
     def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         splats = self._splats
-        return self._sort.sort(view, splats.positions, splats.extents, splats.pages.table, allocate)
+        return self._sort.sort(view, splats.positions, splats.extents, splats.pages, allocate)

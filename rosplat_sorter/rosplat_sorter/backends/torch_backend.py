@@ -7,10 +7,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rosplat_core.slot_pages import SLOTS_PER_PAGE, Rows
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.view import View
 from rosplat_sorter.backends import Allocate, Unavailable, new_array, room_for
-from rosplat_sorter.map import SplatMap
+from rosplat_sorter.map import Rows, SplatMap
 
 ALL_THREADS = torch.get_num_threads()
 
@@ -44,13 +44,14 @@ class TorchBackend:
 
     @torch.inference_mode()
     def update(self, splats: SplatMap, changed: Rows) -> None:
-        pages, count = splats.pages, splats.pages.rows
+        count = splats.rows
         room = room_for(count, len(self._extents))
         if room != len(self._extents):
             self._reserve(room)
-        self._first_slots = self._upload(pages.first_slots.view(np.int32))
-        self._groups = self._upload(pages.group_of)
-        self._ascending = pages.ascending
+        first_slots, groups = splats.by_place()
+        self._first_slots = self._upload(first_slots.view(np.int32))
+        self._groups = self._upload(groups.astype(np.int64))
+        self._ascending = bool((np.diff(first_slots.astype(np.int64)) > 0).all())
         for rows in (changed, slice(self._count, count)):  # what changed, what is new
             index = rows if isinstance(rows, slice) else self._upload(rows)
             self._positions[index] = self._upload(splats.positions[rows])

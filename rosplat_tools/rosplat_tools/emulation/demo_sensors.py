@@ -27,13 +27,13 @@ from sensor_msgs.msg import CameraInfo, Image, Imu
 from std_msgs.msg import Header
 
 from rosplat_core.cameras import Camera
+from rosplat_core.maps import Arrival
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
-from rosplat_sorter.map_pull import Arrival
+from rosplat_sorter.batches import positions_of
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
-from rosplat_tools.messages import decode
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning, wait_for_end
 from rosplat_tools.view_messages import view_camera
@@ -176,15 +176,16 @@ class DemoSensors(Node):
         if self._begun is None:
             return
         try:
-            _, splats = decode(message)
+            positions = positions_of(message)
         except ValueError as error:
             self.get_logger().error(
                 f"{self._topic}: a batch is refused: {error}", throttle_duration_sec=5.0
             )
             return
-        positions = splats.positions[:: len(splats) // MAP_SAMPLES + 1]
-        self._samples.append(positions[np.isfinite(positions).all(axis=1)] + splats.origin)
-        self._received += len(splats)
+        self._received += len(positions)
+        positions = positions[:: len(positions) // MAP_SAMPLES + 1]
+        origin = np.array([message.origin.x, message.origin.y, message.origin.z])
+        self._samples.append(positions[np.isfinite(positions).all(axis=1)] + origin)
         waited = time.monotonic() - self._begun
         if self._received < message.expected_slots and waited < MAP_TIMEOUT:
             return

@@ -19,8 +19,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.map_pull import Arrival
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_tools.testing.slot_map import SlotMap, apply
 

@@ -18,16 +18,17 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 from rosplat_core.log_text import shown
+from rosplat_core.maps import Arrival
 from rosplat_core.rendering import OrderSource, RenderSettings
 from rosplat_core.splats import SceneError
+from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
-from rosplat_sorter.edits import arrays_of, poses_of
-from rosplat_sorter.map_pull import Arrival
+from rosplat_sorter.batches import apply, array, pose_values, positions_of
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.program.parameters import declare
-from rviz_gaussian_plugin.from_messages import apply, array, numbers
+from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 from rviz_gaussian_plugin.viewer.orbit import Sample
 
@@ -173,9 +174,9 @@ class Viewer(Node):
         if message.operation == GaussianArray.REPLACE:
             self._sample = Sample()
         origin = np.array([message.origin.x, message.origin.y, message.origin.z])
-        self._sample.add(arrays_of(message).positions, origin, message.group)
-        for group, frame in poses_of(message).items():
-            self._sample.place(group, frame)
+        self._sample.add(positions_of(message), origin, message.group)
+        for group, pose in zip(message.groups, message.poses, strict=True):
+            self._sample.place(group, frame_at(*pose_values(pose)))
         self.frame_id = message.header.frame_id
         self.last_batch = time.monotonic()
 

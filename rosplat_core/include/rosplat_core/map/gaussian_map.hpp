@@ -133,6 +133,9 @@ class GaussianMap {
   // Gets an edit, and the state after it, before the map knows of it, one after the other.
   using Keep = std::function<void(const std::shared_ptr<const GaussianEdit>&, const MapState&)>;
 
+  // most_sh_degree: of what edits hold; higher bands are checked, and left out.
+  explicit GaussianMap(int most_sh_degree = kMaxShDegree) : most_sh_degree_(most_sh_degree) {}
+
   // Checks a batch and turns it into an edit. Throws BatchError, or what `keep` throws, or
   // std::bad_alloc: then the map is unchanged, and the next batch misses this one.
   std::shared_ptr<const GaussianEdit> apply(const GaussianBatch& batch, BatchReport& report,
@@ -151,7 +154,9 @@ class GaussianMap {
   bool inUse(std::uint32_t slot) const { return used_.has(slot); }
 
  private:
-  void checkBlocks(const SlotSet& used, const SlotRuns& runs, std::uint32_t group) const;
+  // First slots of the blocks that runs touch and that hold splats of another group.
+  std::vector<std::uint32_t> blocksOfOthers(const SlotSet& used, const SlotRuns& runs,
+                                            std::uint32_t group) const;
 
   // A copy of the map has its own.
   struct Locks {
@@ -163,6 +168,7 @@ class GaussianMap {
     std::mutex exchanging;  // of state_, sample_ and groups_, once the batch is packed
   };
 
+  int most_sh_degree_;
   mutable Locks locks_;
   MapState state_;
   MapSample sample_;

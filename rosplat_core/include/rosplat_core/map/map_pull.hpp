@@ -15,15 +15,20 @@
 namespace rosplat {
 
 // What a receiver of a map asks its publisher for, and when: all that it lacks, until it has it.
-// Follows the batches of a map, which may be of any type, by their labels. What is pulled is the
-// map as it is at that moment, block by block; meanwhile it goes on changing, and what is heard
-// waits. When all blocks are there, and the map was another at the first of them, what has changed
-// since is pulled, and so on: usually that fits into one answer. Then the map is that of one
-// revision, and what was heard above it follows. Where nothing can be pulled, batches are taken as
-// they come. Nothing has to be heard first: who knows no map asks for whichever there is. Nor does
-// anybody have to be known to serve: ROS tells late of a server, and of none while one of several
-// is half known, so that what is missing is asked for now and then all the same.
-// rosplat_sorter/map_pull.py is the same for Python. All times are of one monotonic clock.
+// The class follows the batches of a map, which may be of any type, by their labels. All times are
+// of one monotonic clock.
+//
+// An answer is the map as it is at that moment, in parts, block by block. The map goes on changing
+// meanwhile, and what is heard waits. Once all blocks are there, a round has ended: each block is
+// as it was at the first answer of the round, or at a later one. A pull ends with a round
+// - in which the map did not change, or
+// - of which all changes wait: applied in turn, they make the map that of the last answer.
+// Otherwise the next round asks for what has changed since the last one began. At the end of a pull
+// the map is that of one revision, and what was heard above that follows. Where nothing can be
+// pulled, batches are taken as they come.
+//
+// A receiver that knows no map asks for whichever there is. It asks now and then even where no
+// server is known: ROS tells late of a server, and of none while one of several is half known.
 template <typename Batch>
 class MapPull {
  public:
@@ -105,6 +110,7 @@ class MapPull {
       giveUp(now, step);
       return step;
     }
+    ended_at_ = 0;
     pulling_ = answered_ = true;
     refused_ = false;
     patience_ = kPatience;
@@ -114,6 +120,7 @@ class MapPull {
     if (block_ == 0) {
       round_ = first.revision;
       ++rounds_;
+      while (!waiting_.empty() && waiting_.front().label.revision <= round_) dropFirst();
     }
     revision_ = first.revision;
     std::size_t bytes = 0;
@@ -126,13 +133,9 @@ class MapPull {
       ask_from_ = bytes < kSmall ? now + kPause : now;
     } else {
       base_ = round_;
+      ended_at_ = first.revision;
     }
-    if (next_block == 0 && round_ == first.revision) {
-      step.batches.back().second = Arrival::kLast;
-      goOn(now, step);
-    } else if (rounds_ > kMostRounds) {
-      giveUp(now, step);
-    }
+    if (!finish(now, step) && rounds_ > kMostRounds) giveUp(now, step);
     ask(now, served, step);
     return step;
   }
@@ -189,18 +192,22 @@ class MapPull {
     patience_ = kPatience;
     block_ = 0;
     rounds_ = 0;
+    ended_at_ = 0;
     waiting_.clear();
     waiting_bytes_ = 0;
   }
 
   void follow(Labelled heard, double now, bool served, Step& step) {
     const Label& label = heard.label;
+    if (pulling_ && !label.replaces) {
+      if (label.revision > round_) wait(std::move(heard));
+      finish(now, step);
+      return;
+    }
     if (label.revision <= revision_) return;  // what was pulled has overtaken it
     if (label.replaces) {
       stop();
       exact_ = true;
-    } else if (pulling_) {
-      return wait(std::move(heard));
     } else if (label.revision - revision_ > 1) {
       if (served && now >= retry_from_) {
         pull();
@@ -215,6 +222,7 @@ class MapPull {
 
   void pull() {
     pulling_ = true;
+    round_ = revision_;
     asked_.reset();  // what was asked for blindly may be lost
   }
 
@@ -222,10 +230,29 @@ class MapPull {
     waiting_bytes_ += heard.label.bytes;
     waiting_.push_back(std::move(heard));
     // The oldest go: what then lacks is a gap.
-    while (waiting_bytes_ > kMostWaiting && waiting_.size() > 1) {
-      waiting_bytes_ -= waiting_.front().label.bytes;
-      waiting_.pop_front();
+    while (waiting_bytes_ > kMostWaiting && waiting_.size() > 1) dropFirst();
+  }
+
+  void dropFirst() {
+    waiting_bytes_ -= waiting_.front().label.bytes;
+    waiting_.pop_front();
+  }
+
+  // Ends the pull where a round has ended, and all that changed in its course is there.
+  bool finish(double now, Step& step) {
+    if (ended_at_ == 0) return false;
+    std::uint64_t known = base_;
+    for (const Labelled& heard : waiting_) {
+      if (known < ended_at_ && heard.label.revision == known + 1) ++known;
     }
+    if (known < ended_at_) return false;
+    while (!waiting_.empty() && waiting_.front().label.revision <= ended_at_) {
+      step.batches.emplace_back(std::move(waiting_.front().batch), Arrival::kPulled);
+      dropFirst();
+    }
+    step.batches.back().second = Arrival::kLast;
+    goOn(now, step);
+    return true;
   }
 
   // With what was heard meanwhile, all before it being there.
@@ -276,6 +303,7 @@ class MapPull {
   std::uint64_t round_ = 0;      // revision of the first answer of this pull
   std::uint32_t block_ = 0;      // to go on with
   int rounds_ = 0;               // that this pull has begun
+  std::uint64_t ended_at_ = 0;   // revision of the last answer of a round, 0 in its course
   std::uint64_t number_ = 0;     // of the last request
   std::optional<double> asked_;  // when it was sent, if it wasn't answered [s]
   bool refused_ = false;         // by a server that has no such map

@@ -14,9 +14,9 @@
 
 #include "rosplat_core/map/edit_queue.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
-#include "rosplat_core/map/slot_pages.hpp"
 #include "rosplat_core/order/depth_order.hpp"
 #include "rosplat_core/order/order.hpp"
+#include "rosplat_core/order/splat_rows.hpp"
 #include "rosplat_core/views/sort_view.hpp"
 
 namespace rosplat {
@@ -89,10 +89,8 @@ class BuiltInSorter {
   std::uint64_t begun_at_ = 0;  // revision since which slots alone have changed
   bool out_of_memory_ = false;  // until the next clear
   std::uint32_t capacity_ = 0;  // as GaussianEdit::capacity
-  SlotPages pages_;
-  // Rows of the pages' slots, by place.
-  std::vector<float> positions_, extents_;
-  std::vector<std::uint64_t> changed_at_;    // revision of a slot's last change
+  SplatRows rows_;
+  std::vector<std::uint64_t> changed_at_;    // revision of a row's last change
   std::vector<std::uint64_t> page_changed_;  // of a page's, by place
   DepthOrder depth_order_{ThreadTeam::ofViewers()};
   std::thread thread_;

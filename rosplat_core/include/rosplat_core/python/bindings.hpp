@@ -57,8 +57,8 @@ inline SplatCamera cameraOf(const std::array<double, 3>& position,
 }
 
 // A method `apply` with the fields of a GaussianArray. take: a function of the target and a batch.
-template <typename Target, typename Take>
-void defineApply(py::class_<Target>& type, Take take) {
+template <typename Target, typename... Bases, typename Take>
+void defineApply(py::class_<Target, Bases...>& type, Take take) {
   type.def(
       "apply",
       [take](Target& target, std::uint8_t operation, std::uint32_t first_slot, std::uint32_t count,

@@ -29,7 +29,7 @@ inline bool allFinite(const float* values, std::size_t count) {
 }
 
 // Whether a splat means something; whoever holds a map leaves the others out. position: relative to
-// the map's origin. edits.py has it for Python.
+// the map's origin.
 template <typename Float>
 bool isUsable(const SplatArrays<Float>& splats, std::size_t i, const float* position) {
   const float* const q = splats.orientations + 4 * i;

@@ -1,75 +1,151 @@
-"""Edits of a map: GaussianArray messages, checked, reduced to what sorting needs."""
+"""Splats to GaussianArray batches and back in plain NumPy: the twin of the C++ that checks them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
 
 import numpy as np
+from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
+from std_msgs.msg import Header
 
 from rosplat_core import channels, payload
-from rosplat_core.depth import splat_extents
-from rosplat_core.log_text import shown
 from rosplat_core.payload import Arrays, PayloadError
-from rosplat_core.slot_pages import MAX_SLOTS, Slots
+from rosplat_core.slot_pages import MAX_SLOTS
+from rosplat_core.splats import Splats
 from rosplat_core.view import frame_at
-from rosplat_sorter.map_pull import Arrival
-
-if TYPE_CHECKING:
-    from geometry_msgs.msg import Pose
-
-    from rosplat_msgs.msg import GaussianArray
+from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.batches import pose_values
+from rosplat_tools.messages import NONE, Slots, as_array
 
 REPLACE, UPSERT, DELETE, MOVE = range(4)
-MAX_GROUPS = 1 << 15  # as GaussianArray.MAX_GROUPS
+MAX_GROUPS = GaussianArray.MAX_GROUPS
 MAX_SH_DEGREE = 3
-
-EMPTY = np.float32(-2)
-"""The extent of an empty slot; that of a splat too faint to be drawn is depth.INVISIBLE."""
 
 
 class EditError(ValueError):
     """A message that can't be applied as a whole; the text names the field."""
 
 
-@dataclass(frozen=True)
-class Edit:
-    """One batch of edits.
+def encode(
+    splats: Splats,
+    slots: Slots,
+    *,
+    header: Header,
+    map_id: str,
+    revision: int,
+    operation: int,
+    group: int = 0,
+    expected_slots: int = 0,
+    compression: str = NONE,
+) -> GaussianArray:
+    """A REPLACE or UPSERT that writes the i-th splat to the i-th slot, all in one group.
 
-    origin: float64 (3,) [m]. slots: the n slots touched, all below `end`. positions: float32 (n, 3)
-    [m], relative to the origin. extents: float32 (n,) [m], see depth.splat_extents; EMPTY where the
-    slot becomes empty. Only a REPLACE or UPSERT has these, and a group. rejected: how many splats
-    were not usable and become empty slots. poses: of a MOVE, by group: its frame in the map's,
-    float64 (4, 4). channels: the names of those that its splats have.
+    The message holds the bands of spherical harmonics that splats holds. compression: NONE, or the
+    format to send them in, unless that would not show them as they are. Raises ValueError where
+    slots and splats differ in number.
     """
+    if len(slots) != len(splats):
+        raise ValueError(f"{len(splats)} splats for {len(slots)} slots")
+    message = _batch(slots, header, map_id, revision, operation, expected_slots)
+    message.group = group
+    message.sh_degree = splats.sh_degree
+    message.antialiased = splats.antialiased
+    message.origin.x, message.origin.y, message.origin.z = splats.origin.tolist()
+    message.channel_names = list(splats.channels)
+    for values in splats.channels.values():
+        message.channels.extend(as_array("f", values))
+    if compression != NONE:
+        arrays = Arrays(
+            splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh
+        )
+        usable = is_usable(arrays)
+        if payload.suits(arrays, usable):
+            message.format = compression
+            message.payload = as_array("B", payload.encode(arrays, usable))
+            return message
+    message.positions = as_array("f", splats.positions)
+    message.orientations = as_array("f", splats.orientations)
+    message.scales = as_array("f", splats.scales)
+    message.opacities = as_array("f", splats.opacities)
+    message.sh = as_array("f", splats.sh)
+    return message
 
-    map_id: str
-    revision: int
-    frame_id: str
-    operation: int
-    origin: NDArray[np.float64]
-    slots: Slots
-    end: int
-    positions: NDArray[np.float32]
-    extents: NDArray[np.float32]
-    rejected: int
-    arrival: Arrival = Arrival.HEARD
-    group: int = 0
-    poses: dict[int, NDArray[np.float64]] = field(default_factory=dict)
-    channels: tuple[str, ...] = ()
 
-    @property
-    def writes(self) -> bool:
-        """Whether it brings splats, were it none."""
-        return self.operation in (REPLACE, UPSERT)
+def encode_deletion(
+    slots: Slots, *, header: Header, map_id: str, revision: int, expected_slots: int = 0
+) -> GaussianArray:
+    """A DELETE that empties the slots."""
+    return _batch(slots, header, map_id, revision, GaussianArray.DELETE, expected_slots)
 
-    @property
-    def nbytes(self) -> int:
-        """Memory that it takes until it is applied. [bytes]"""
-        listed = 0 if isinstance(self.slots, slice) else self.slots.nbytes
-        poses = sum(pose.nbytes for pose in self.poses.values())
-        return self.positions.nbytes + self.extents.nbytes + listed + poses
+
+def encode_move(
+    poses: Mapping[int, Pose],
+    *,
+    header: Header,
+    map_id: str,
+    revision: int,
+    expected_slots: int = 0,
+) -> GaussianArray:
+    """A MOVE that places groups."""
+    message = _batch(range(0), header, map_id, revision, GaussianArray.MOVE, expected_slots)
+    message.groups = list(poses)
+    message.poses = list(poses.values())
+    return message
+
+
+def decode(message: GaussianArray) -> tuple[Slots, Splats]:
+    """The slots that a batch touches and, of a REPLACE or UPSERT, what it writes there.
+
+    The arrays are views of the message's, but for those of a payload. Raises ValueError where it is
+    wrong in structure.
+    """
+    check(message)
+    first, count = message.first_slot, message.count
+    slots = (
+        np.frombuffer(message.slots, np.uint32) if message.slots else range(first, first + count)
+    )
+    arrays = arrays_of(message)
+    channels = np.frombuffer(message.channels, np.float32).reshape(
+        len(message.channel_names), count
+    )
+    origin = message.origin
+    return slots, Splats(
+        **vars(arrays),
+        origin=np.array([origin.x, origin.y, origin.z]),
+        antialiased=message.antialiased,
+        channels=dict(zip(message.channel_names, channels, strict=True)),
+    )
+
+
+def chunks(splats: Splats, chunk_bytes: int) -> Iterator[slice]:
+    """Cuts splats into slices whose arrays take chunk_bytes at most, but one splat at least.
+
+    There is always a first slice, empty where there are no splats.
+    """
+    step = max(1, chunk_bytes * len(splats) // max(1, splats.nbytes))
+    for start in range(0, max(1, len(splats)), step):
+        yield slice(start, min(start + step, len(splats)))
+
+
+def _batch(
+    slots: Slots, header: Header, map_id: str, revision: int, operation: int, expected_slots: int
+) -> GaussianArray:
+    message = GaussianArray(
+        header=header,
+        map_id=map_id,
+        revision=revision,
+        operation=operation,
+        expected_slots=expected_slots,
+        count=len(slots),
+    )
+    if isinstance(slots, range):
+        if slots.step != 1:
+            raise ValueError(f"slots: a range must be contiguous, got {slots}")
+        message.first_slot = slots.start
+    else:
+        message.slots = as_array("I", np.asarray(slots, np.uint32))
+    return message
 
 
 def check(message: GaussianArray) -> None:
@@ -79,7 +155,7 @@ def check(message: GaussianArray) -> None:
     if message.operation not in (REPLACE, UPSERT, DELETE, MOVE):
         raise EditError(f"operation is {message.operation}, known are 0 to 3")
     if message.format not in ("", payload.FORMAT):
-        raise EditError(f"format is '{shown(message.format, 40)}', known is '{payload.FORMAT}'")
+        raise EditError(f"format is '{message.format}', known is '{payload.FORMAT}'")
     if message.group >= MAX_GROUPS:
         raise EditError(f"group is {message.group}, a map has at most {MAX_GROUPS} groups")
     if message.sh_degree > MAX_SH_DEGREE:
@@ -163,58 +239,12 @@ def arrays_of(message: GaussianArray) -> Arrays:
     )
 
 
-def array_bytes(message: GaussianArray) -> int:
-    """Memory that a batch's arrays take: nearly all of it. [bytes]"""
-    arrays = (
-        message.slots,
-        message.payload,
-        message.channels,
-        *(getattr(message, name) for name in _columns(message)),
-    )
-    return sum(len(values) * values.itemsize for values in arrays)
-
-
-def decode(message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> Edit:
-    """The edit of a message. Raises EditError where the message is wrong in structure."""
-    check(message)
-    listed = np.asarray(message.slots, np.uint32)
-    end = int(listed.max()) + 1 if listed.size else message.first_slot + message.count
-    slots: Slots = listed if listed.size else slice(message.first_slot, end)
-    arrays = arrays_of(message)
-    usable = is_usable(arrays)
-    with np.errstate(invalid="ignore", over="ignore"):  # of splats that are not usable
-        extents = np.where(usable, splat_extents(arrays.scales, arrays.opacities), EMPTY)
-    origin = message.origin
-    return Edit(
-        map_id=message.map_id,
-        revision=message.revision,
-        frame_id=message.header.frame_id,
-        operation=message.operation,
-        origin=np.array([origin.x, origin.y, origin.z]),
-        slots=slots,
-        end=end,
-        positions=arrays.positions,
-        extents=extents,
-        rejected=len(usable) - int(np.count_nonzero(usable)),
-        arrival=arrival,
-        group=message.group,
-        poses=poses_of(message),
-        channels=tuple(message.channel_names),
-    )
-
-
 def poses_of(message: GaussianArray) -> dict[int, NDArray[np.float64]]:
     """Where a checked MOVE places groups: their frames in the map's, float64 (4, 4)."""
     return {
         group: frame_at(*pose_values(pose))
         for group, pose in zip(message.groups, message.poses, strict=True)
     }
-
-
-def pose_values(pose: Pose) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Position x y z [m] and quaternion x y z w of a geometry_msgs Pose."""
-    p, q = pose.position, pose.orientation
-    return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
 
 
 def _columns(message: GaussianArray) -> dict[str, int]:
@@ -232,14 +262,5 @@ def is_usable(arrays: Arrays) -> NDArray[np.bool_]:
     )
     sh = arrays.sh.reshape(len(arrays.sh), 3 * arrays.sh.shape[1])
     for values in (arrays.positions, arrays.orientations, arrays.scales, sh):
-        usable &= _finite_rows(values)
+        usable &= np.isfinite(values).all(axis=1)
     return usable
-
-
-def _finite_rows(values: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether all values of a row are finite, bool (n,), of float32 (n, any)."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        finite: NDArray[np.bool_] = np.isfinite(values.sum(axis=1))  # never, where one is not
-    doubtful = np.flatnonzero(~finite)
-    finite[doubtful] = np.isfinite(values[doubtful]).all(axis=1)
-    return finite
