@@ -275,7 +275,7 @@ def _sorted(splats: Splats, cameras: list[Camera]) -> list[NDArray[np.uint32]]:
     from rosplat_sorter.backends import open_backend
 
     sorter, sorted_map = open_backend("native"), map_of(splats)
-    sorter.update(sorted_map, slice(0, len(sorted_map)))
+    sorter.update(sorted_map, slice(0, sorted_map.rows))
     return [np.array(sorter.order(view_of(camera, splats))) for camera in cameras]
 
 
