@@ -68,5 +68,5 @@ pictures: ## Make the documentation's pictures, where rviz2 is: SCENE=playbot UP
 	@./setup.sh lab imu
 	@$(ENTER); python docs/pictures.py "$(SCENE)" "$(UPRIGHT)" $(if $(ONLY),--only $(ONLY))
 
-clean: ## Forget builds and pictures; .venv stays
-	rm -rf build install log out
+clean: ## Forget builds and pictures; the Python environments stay
+	rm -rf .ros/*/{build,install,log} out

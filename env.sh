@@ -1,6 +1,7 @@
 # Sourced by bash: puts ROS 2, the project's Python and its built packages on the paths.
-# A sourced ROS 2 wins, then the newest in /opt/ros, then the wheels that setup.sh puts into .venv
-# (at once with ROSPLAT_ROS=wheels).
+# ROSPLAT_ROS names the ROS 2: a distribution's name, or wheels, which is Jazzy from PyPI. Unset, it is
+# the sourced one, else the newest in /opt/ros, else wheels. Each has its environment and its build in
+# a folder of its own: .ros/NAME/{venv,build,install,log}.
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 
@@ -13,13 +14,27 @@ source_unset_ok() { # ROS's own setup files read variables that may not be set
 }
 
 if [ -z "${ROS_DISTRO:-}" ] && [ "${ROSPLAT_ROS:-}" != wheels ]; then
-  ros_setup=$(compgen -G '/opt/ros/*/setup.bash' | tail -n 1 || true)
+  ros_setup=$(compgen -G "/opt/ros/${ROSPLAT_ROS:-*}/setup.bash" | tail -n 1 || true)
   if [ -n "$ros_setup" ]; then source_unset_ok "$ros_setup"; fi
 fi
 export ROSPLAT_ROS=${ROSPLAT_ROS:-${ROS_DISTRO:-wheels}}
 
-if [ -f "$root/.venv/bin/activate" ]; then source_unset_ok "$root/.venv/bin/activate"; fi
-if [ "$ROSPLAT_ROS" = wheels ]; then
-  export ROS_VERSION=2 ROS_DISTRO=jazzy ROS_PYTHON_VERSION=3 AMENT_PREFIX_PATH="$root/.venv"
+# A checkout that was built when there was one folder for all: that build is its ROS's.
+if [ -f "$root/.venv/ros" ] && [ ! -e "$root/.ros" ]; then
+  built=$root/.ros/$(cat "$root/.venv/ros")
+  mkdir -p "$built"
+  ln -s ../../.venv "$built/venv"
+  for folder in build install log; do
+    if [ -d "$root/$folder" ]; then ln -s "../../$folder" "$built/$folder"; fi
+  done
 fi
-if [ -f "$root/install/local_setup.bash" ]; then source_unset_ok "$root/install/local_setup.bash"; fi
+
+ros_folder=$root/.ros/$ROSPLAT_ROS
+export COLCON_DEFAULTS_FILE=$ros_folder/colcon.yaml # `colcon build` and `colcon test` find the folders
+if [ -f "$ros_folder/venv/bin/activate" ]; then source_unset_ok "$ros_folder/venv/bin/activate"; fi
+if [ "$ROSPLAT_ROS" = wheels ]; then
+  export ROS_VERSION=2 ROS_DISTRO=jazzy ROS_PYTHON_VERSION=3 AMENT_PREFIX_PATH="$ros_folder/venv"
+fi
+if [ -f "$ros_folder/install/local_setup.bash" ]; then
+  source_unset_ok "$ros_folder/install/local_setup.bash"
+fi

@@ -16,6 +16,11 @@ if [ -n "$(tr -s ' ' '\n' <<<"$wanted" | grep -vxE 'lab|imu|dev|docs|')" ]; then
 fi
 wants() { [[ $wanted == *" $1 "* || $wanted == *' dev '* && $1 != docs ]]; }
 
+if [ "$ROSPLAT_ROS" != wheels ] && [ "$ROSPLAT_ROS" != "${ROS_DISTRO:-}" ]; then
+  echo "ROSPLAT_ROS asks for $ROSPLAT_ROS, and ${ROS_DISTRO:-no ROS 2} is sourced." >&2
+  exit 1
+fi
+
 installed() { dpkg-query -W -f '${Status}' "$1" 2>/dev/null | grep -q 'install ok installed'; }
 
 # --- System packages ------------------------------------------------------------------------------
@@ -36,60 +41,76 @@ for package in "${packages[@]}"; do
   installed "$package" || missing+=("$package")
 done
 if [ ${#missing[@]} -gt 0 ]; then
+  as_root=$([ "$(id -u)" = 0 ] || echo 'sudo ')
   install="apt-get install -y --no-install-recommends ${missing[*]}"
-  if [ "$(id -u)" = 0 ]; then as_root=; elif sudo -n true 2>/dev/null; then as_root='sudo -n'; else
-    echo "These system packages are missing, and only root can install them. Run:" >&2
-    echo "  sudo apt-get update && sudo $install" >&2
+  say "These system packages are missing. To install them:"
+  echo "  ${as_root}apt-get update && $as_root$install"
+  if [ -t 0 ]; then
+    read -rp 'Run this now? [Y/n] ' answer
+    case ${answer:-y} in [yY]*) ;; *) exit 1 ;; esac
+  elif [ -n "$as_root" ] && ! sudo -n true 2>/dev/null; then
+    echo "Only root can." >&2
     exit 1
   fi
-  say "Installing system packages: ${missing[*]}"
-  $as_root apt-get update -qq
-  $as_root env DEBIAN_FRONTEND=noninteractive $install -qq >/dev/null
+  ${as_root}apt-get update -qq
+  ${as_root}env DEBIAN_FRONTEND=noninteractive $install -qq >/dev/null
 fi
 
 # --- Python environment ---------------------------------------------------------------------------
-if [ "$(cat .venv/ros 2>/dev/null)" != "$ROSPLAT_ROS" ]; then
-  say "Creating .venv (ROS 2: $ROSPLAT_ROS)"
-  rm -rf .venv build install log
+folder=.ros/$ROSPLAT_ROS
+venv=$folder/venv
+if [ ! -f "$venv/bin/activate" ]; then
+  say "Creating $venv"
   system_packages=$([ "$ROSPLAT_ROS" = wheels ] || echo --system-site-packages)
-  python3 -m venv $system_packages .venv
-  echo "$ROSPLAT_ROS" >.venv/ros
+  python3 -m venv $system_packages "$venv"
 fi
 requirements=(requirements/runtime.txt)
 [ "$ROSPLAT_ROS" = wheels ] && requirements+=(requirements/ros.txt)
 for part in lab dev docs; do
-  if wants "$part"; then touch ".venv/$part"; fi
-  [ -f ".venv/$part" ] && requirements+=("requirements/$part.txt")
+  if wants "$part"; then touch "$venv/$part"; fi
+  [ -f "$venv/$part" ] && requirements+=("requirements/$part.txt")
 done
 . ./env.sh
-if ! cat "${requirements[@]}" | cmp -s - .venv/installed; then
-  say "Installing ${requirements[*]} into .venv"
-  .venv/bin/python -m pip install -qq --disable-pip-version-check "${requirements[@]/#/--requirement=}"
-  cat "${requirements[@]}" >.venv/installed
+if ! cat "${requirements[@]}" | cmp -s - "$venv/installed"; then
+  say "Installing ${requirements[*]} into $venv"
+  "$venv/bin/python" -m pip install -qq --disable-pip-version-check "${requirements[@]/#/--requirement=}"
+  cat "${requirements[@]}" >"$venv/installed"
 fi
 # ROS 2 as a robot has it may lack the tools that build packages.
-if ! command -v colcon >/dev/null; then
-  .venv/bin/python -m pip install -qq --disable-pip-version-check colcon-common-extensions catkin_pkg
+if ! python3 -c 'import colcon_cmake, colcon_defaults, colcon_ros' 2>/dev/null; then
+  "$venv/bin/python" -m pip install -qq --disable-pip-version-check colcon-common-extensions catkin_pkg
 fi
-if [ "$ROSPLAT_ROS" = wheels ] && [ ! -f .venv/exports-rewritten ]; then
+if [ "$ROSPLAT_ROS" = wheels ] && [ ! -f "$venv/exports-rewritten" ]; then
   # The wheels' CMake exports name the include folders of the machine that built them.
-  read -r python_include numpy_include < <(.venv/bin/python -c \
+  read -r python_include numpy_include < <("$venv/bin/python" -c \
     'import numpy, sysconfig; print(sysconfig.get_paths()["include"], numpy.get_include())')
-  grep -rlE '/opt/python/cp3' .venv/share --include='*.cmake' | xargs -r sed -E -i \
+  grep -rlE '/opt/python/cp3' "$venv/share" --include='*.cmake' | xargs -r sed -E -i \
     -e "s#/opt/python/cp[0-9]+-cp[0-9]+/include/python[0-9.]+#$python_include#g" \
     -e "s#/opt/python/cp[0-9]+-cp[0-9]+/lib/[^;\"]*/numpy/(_core|core)/include#$numpy_include#g"
-  touch .venv/exports-rewritten
+  touch "$venv/exports-rewritten"
 fi
 
 # --- Packages -------------------------------------------------------------------------------------
-say "Building the packages (log/latest_build)"
-dev=$([ -f .venv/dev ] && echo ON || echo OFF)
+say "Building the packages ($folder/log/latest_build)"
+dev=$([ -f "$venv/dev" ] && echo ON || echo OFF)
+cat >"$COLCON_DEFAULTS_FILE" <<YAML
+"": {log-base: $folder/log}
+build:
+  build-base: $folder/build
+  install-base: $folder/install
+  executor: sequential
+  cmake-args:
+    - -DCMAKE_BUILD_TYPE=Release
+    - -DPython3_EXECUTABLE=$PWD/$venv/bin/python
+    - -DBUILD_TESTING=$dev
+    - -DCMAKE_COMPILE_WARNING_AS_ERROR=$dev
+    - --no-warn-unused-cli
+test: {build-base: $folder/build, install-base: $folder/install, executor: sequential}
+test-result: {test-result-base: $folder/build}
+YAML
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
-if ! colcon build --executor sequential --event-handlers console_direct+ --base-paths rosplat_core \
-  rosplat_msgs rosplat_sorter rosplat_tools rviz_gaussian_plugin rosplat_lab --cmake-args -DCMAKE_BUILD_TYPE=Release \
-  -DPython3_EXECUTABLE="$PWD/.venv/bin/python" -DBUILD_TESTING=$dev -DCMAKE_COMPILE_WARNING_AS_ERROR=$dev \
-  --no-warn-unused-cli >"$log" 2>&1; then
+if ! colcon build --event-handlers console_direct+ >"$log" 2>&1; then
   grep -E 'error|Error|ERROR' -A5 "$log" | tail -n 60 >&2 || tail -n 60 "$log" >&2
   exit 1
 fi

@@ -1,0 +1,102 @@
+"""setup.sh and env.sh in a copy of the checkout, with stand-ins for what installs and builds."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PROGRAMS = {
+    "dpkg-query": "[ -e present ] && echo install ok installed",
+    "id": "echo 1000",
+    "sudo": '[ "$1" = -n ] && exit $(cat needs_password); echo "$@" >>as_root',
+    "python3": 'case "$*" in *" venv "*) for folder; do :; done; mkdir -p "$folder"/{bin,share}; '
+    'cp "$0" "$folder/bin/python"; touch "$folder/bin/activate"; '
+    'echo /opt/python/cp3 >"$folder/share/a.cmake" ;; -c*) echo include include ;; esac',
+    "colcon": "echo Summary",
+}
+
+
+class Checkout:
+    """A folder with the two scripts, and a machine that has the given ROS 2."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for name in ("setup.sh", "env.sh", "requirements"):
+            source = ROOT / name
+            (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
+        (folder / "programs").mkdir()
+        for name, text in PROGRAMS.items():
+            program = folder / "programs" / name
+            program.write_text(f"#!/bin/bash\n{text}\n")
+            program.chmod(0o755)
+        (folder / "present").touch()
+
+    def bash(self, command: str, ros: str, **variables: str) -> subprocess.CompletedProcess[str]:
+        kept = ("HOME", "LANG", "TMPDIR")
+        environment = {name: os.environ[name] for name in kept if name in os.environ}
+        environment["PATH"] = f"{self.folder}/programs:/usr/bin:/bin"
+        return subprocess.run(
+            ["bash", "-c", command],
+            cwd=self.folder,
+            env=environment | {"ROSPLAT_ROS": ros} | variables,
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+
+    def setup(self, ros: str, **variables: str) -> subprocess.CompletedProcess[str]:
+        return self.bash("./setup.sh", ros, **variables)
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Checkout:
+    return Checkout(tmp_path)
+
+
+def test_each_ros_keeps_its_environment_and_its_build(checkout: Checkout) -> None:
+    kept = []
+    for ros, sourced in (("wheels", ""), ("jazzy", "jazzy"), ("wheels", "jazzy")):
+        done = checkout.setup(ros, ROS_DISTRO=sourced)
+        assert done.returncode == 0, done.stderr
+        folder = checkout.folder / ".ros" / ros
+        assert f"build-base: .ros/{ros}/build" in (folder / "colcon.yaml").read_text()
+        for name in ("venv", "build", "install", "log"):
+            kept.append(folder / name / "mine")
+            kept[-1].parent.mkdir(exist_ok=True)
+            kept[-1].touch()
+        assert all(path.exists() for path in kept)
+
+
+def test_a_ros_that_is_not_there_is_an_error(checkout: Checkout) -> None:
+    for sourced, named in (("", "no ROS 2"), ("humble", "humble")):
+        done = checkout.setup("iron", ROS_DISTRO=sourced)
+        assert done.returncode == 1
+        assert f"asks for iron, and {named} is sourced" in done.stderr
+    assert not (checkout.folder / ".ros").exists()
+
+
+def test_env_says_where_colcon_finds_this_ros(checkout: Checkout) -> None:
+    for ros in ("wheels", "jazzy"):
+        done = checkout.bash('. ./env.sh; echo "$COLCON_DEFAULTS_FILE"', ros, ROS_DISTRO="jazzy")
+        assert done.stdout == f"{checkout.folder}/.ros/{ros}/colcon.yaml\n"
+
+
+def test_what_sudo_installs_is_said_first(checkout: Checkout) -> None:
+    (checkout.folder / "present").unlink()
+    (checkout.folder / "needs_password").write_text("1")
+    refused = checkout.setup("wheels")
+    assert refused.returncode == 1
+    assert not (checkout.folder / "as_root").exists()
+    (checkout.folder / "needs_password").write_text("0")
+    done = checkout.setup("wheels")
+    assert done.returncode == 0, done.stderr
+    for command in ("apt-get update", "apt-get install -y --no-install-recommends cmake"):
+        assert f"sudo {command}" in refused.stdout
+        assert f"sudo {command}" in done.stdout
+    assert "install" in (checkout.folder / "as_root").read_text()
