@@ -13,7 +13,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from rosplat_core.maps import Arrival
 from rosplat_core.payload import FORMAT
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools.testing.messages import decode, encode
+from rosplat_testing.messages import decode, encode
 
 REPLACE, UPSERT, DELETE = GaussianArray.REPLACE, GaussianArray.UPSERT, GaussianArray.DELETE
 MOVE = GaussianArray.MOVE

@@ -12,7 +12,7 @@ from drawing import Target
 from rosplat_lab.bench.embedded import View
 from rviz_harness import MARKERS, Rviz, World, configuration, map_display
 
-pytest_plugins = ["core_fixtures", "rosplat_tools.testing"]
+pytest_plugins = ["core_fixtures", "ros_fixtures"]
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

@@ -18,8 +18,8 @@ from rosplat_core.splats import Splats
 from rosplat_lab.bench.embedded import View
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter import batches
+from rosplat_testing import messages
 from rosplat_tools.messages import Slots
-from rosplat_tools.testing import messages
 
 Array = NDArray[Any]
 

@@ -28,7 +28,7 @@ from rosplat_core import formats, payload
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, pack
 from rosplat_sorter.shared_orders import OrderBuffer
-from rosplat_tools.testing.messages import arrays_of, is_usable
+from rosplat_testing.messages import arrays_of, is_usable
 
 CASES = int(os.environ.get("ROSPLAT_FUZZ_CASES") or 2000)
 SEED = int(os.environ.get("ROSPLAT_FUZZ_SEED") or 0)

@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 from rosplat_lab.driven_rviz import DrivenRviz, is_here
+from rosplat_testing import PATIENCE
 from rosplat_tools.program.processes import Processes
-from rosplat_tools.testing import PATIENCE
 
 SCREEN = (1000, 800)
 

@@ -22,8 +22,10 @@ from rosplat_tools.emulation.mapping import Edit, Move, edits
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.poses import to_pose
 from rosplat_tools.program.running import run, spinning, wait_for_end
-from rosplat_tools.testing.messages import encode, encode_deletion, encode_move
-from rosplat_tools.testing.slot_map import SlotMap, apply
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "rosplat_tools/test"))
+from rosplat_testing.messages import encode, encode_deletion, encode_move
+from rosplat_testing.slot_map import SlotMap, apply
 
 RATE = 10.0  # messages a second
 BATCH = 1000  # splats of a message

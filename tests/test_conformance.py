@@ -18,7 +18,7 @@ from rosplat_core.publishing import PublishedBatch, PublishedMap
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.batches import apply, pose_values
 from rosplat_sorter.map import SplatMap
-from rosplat_tools.testing import messages, slot_map
+from rosplat_testing import messages, slot_map
 
 
 class Display:

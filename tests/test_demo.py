@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rosplat_tools.testing import PATIENCE
+from rosplat_testing import PATIENCE
 
 
 def start(scene: str, out: Path) -> subprocess.Popen[str]:

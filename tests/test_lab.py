@@ -13,7 +13,7 @@ import pytest
 
 from rosplat_lab.lab.command import main
 from rosplat_lab.lab.points import load
-from rosplat_tools.testing import PATIENCE
+from rosplat_testing import PATIENCE
 
 AGE = re.compile(r", \d+ frames old")
 

@@ -83,9 +83,7 @@ def used(package: str) -> set[str]:
 
 def libraries(package: str) -> set[Library]:
     """What the package's Python imports from elsewhere when it runs."""
-    files = (ROOT / package / package).rglob("*.py")
-    # rosplat_tools.testing is for tests.
-    names = imports(path for path in files if path.parent.name != "testing")
+    names = imports((ROOT / package / package).rglob("*.py"))
     ros = set(get_packages_with_prefixes()) | named(package)  # here, or said to be elsewhere
     elsewhere = names - sys.stdlib_module_names - ros - OPTIONAL
     assert elsewhere <= LIBRARIES.keys()
@@ -130,7 +128,7 @@ def test_a_robot_s_packages_need_nothing_that_draws_or_measures() -> None:
     modules = ", ".join(
         f"rosplat_tools.{path.stem}"
         for path in folder.glob("*")
-        if path.stem not in ("__init__", "__pycache__", "testing")
+        if path.stem not in ("__init__", "__pycache__")
     )
     code = f"import sys, {modules}; print(*sys.modules)"
     imported = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)

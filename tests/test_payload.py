@@ -17,7 +17,7 @@ from rosplat_core.payload import Arrays, decode, encode, size, suits
 from rosplat_core.rendering import insert_all, posed
 from rosplat_core.splats import Splats
 from rosplat_lab.metrics import psnr
-from rosplat_tools.testing.messages import is_usable
+from rosplat_testing.messages import is_usable
 
 LEAST = 55.0  # [dB]
 CHECKOUT = Path(__file__).resolve().parents[1]

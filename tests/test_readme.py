@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rosplat_core import generate, load, save
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
-from rosplat_tools.testing import PATIENCE, Listener
+from rosplat_testing import PATIENCE, Listener
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 

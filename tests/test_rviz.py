@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_tools.testing import PATIENCE
+from rosplat_testing import PATIENCE
 from rviz_harness import (
     Rviz,
     World,
@@ -238,7 +238,7 @@ def test_the_quality_of_service_of_the_topic_can_be_edited(rviz: Rviz, world: Wo
     from std_msgs.msg import Header
 
     from rosplat_msgs.msg import GaussianArray
-    from rosplat_tools.testing.messages import encode
+    from rosplat_testing.messages import encode
 
     assert rviz.properties("Map", "Topic") == {
         "Depth": 1000,

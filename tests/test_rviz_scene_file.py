@@ -12,8 +12,8 @@ import pytest
 
 from rosplat_core import formats
 from rosplat_core.generated import generate
+from rosplat_testing import PATIENCE
 from rosplat_tools.program.processes import Processes
-from rosplat_tools.testing import PATIENCE
 from rviz_harness import (
     Rviz,
     World,

@@ -58,7 +58,7 @@ def test_a_stamp_that_tf_does_not_have(rviz: Rviz, world: World) -> None:
 
     from rosplat_msgs.msg import GaussianArray
     from rosplat_sorter.qos import MAP
-    from rosplat_tools.testing.messages import encode
+    from rosplat_testing.messages import encode
 
     now = world.node.get_clock().now().to_msg()
 

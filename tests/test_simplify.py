@@ -22,7 +22,7 @@ from rosplat_core.simplification.views import views
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import Splats
 from rosplat_lab.simplify.command import main
-from rosplat_tools.testing import PATIENCE
+from rosplat_testing import PATIENCE
 
 GARDEN = "procedural:3000"
 

@@ -15,7 +15,7 @@ from rosplat_core.cameras import load_cameras
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter import backends, camera
 from rosplat_sorter.map import SplatMap
-from rosplat_tools.testing.messages import encode
+from rosplat_testing.messages import encode
 from rosplat_tools.view_messages import view_camera
 
 

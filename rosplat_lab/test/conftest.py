@@ -1,3 +1,3 @@
-"""What tests share: see core_fixtures and rosplat_tools.testing."""
+"""What tests share: see core_fixtures and ros_fixtures."""
 
-pytest_plugins = ["core_fixtures", "rosplat_tools.testing"]
+pytest_plugins = ["core_fixtures", "ros_fixtures"]

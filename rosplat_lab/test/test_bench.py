@@ -20,7 +20,7 @@ from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.bench.records import Record, load
 from rosplat_lab.bench.renderers import RENDERERS
-from rosplat_tools.testing import PATIENCE
+from rosplat_testing import PATIENCE
 
 
 def bench(out: Path, *arguments: str) -> list[Record]:

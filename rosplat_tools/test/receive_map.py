@@ -13,7 +13,7 @@ import rclpy
 from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_tools.testing.slot_map import SlotMap, apply
+from rosplat_testing.slot_map import SlotMap, apply
 
 TIMEOUT = 100.0
 

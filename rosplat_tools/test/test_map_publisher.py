@@ -28,10 +28,10 @@ from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_sorter.batches import array_bytes
 from rosplat_sorter.qos import MAP_VOLATILE
+from rosplat_testing import PATIENCE, Listener
+from rosplat_testing.messages import chunks
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.program.running import Cancelled
-from rosplat_tools.testing import PATIENCE, Listener
-from rosplat_tools.testing.messages import chunks
 
 Maker = Callable[..., Splats]
 Received = dict[str, np.ndarray]

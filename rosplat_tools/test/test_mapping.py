@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rosplat_core.splats import Splats
+from rosplat_testing.slot_map import SlotMap
 from rosplat_tools.emulation.mapping import Edit, Move, around, edits
-from rosplat_tools.testing.slot_map import SlotMap
 
 Maker = Callable[..., Splats]
 ALL_KINDS: dict[str, Any] = {

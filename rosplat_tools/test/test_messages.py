@@ -10,8 +10,8 @@ from std_msgs.msg import Header
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.batches import array_bytes
+from rosplat_testing.messages import chunks, decode, encode, encode_deletion
 from rosplat_tools.messages import COMPRESSIONS, Slots
-from rosplat_tools.testing.messages import chunks, decode, encode, encode_deletion
 
 Maker = Callable[..., Splats]
 

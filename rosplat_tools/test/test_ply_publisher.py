@@ -19,10 +19,10 @@ from rosplat_core import formats
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import Splats
 from rosplat_msgs.srv import LoadScene, PullMap, SaveMap
+from rosplat_testing import PATIENCE
 from rosplat_tools.ply_publisher import THREADS, PlyPublisher
 from rosplat_tools.program.processes import quoted
 from rosplat_tools.program.running import spinning
-from rosplat_tools.testing import PATIENCE
 
 Maker = Callable[..., Splats]
 Start = Callable[..., subprocess.Popen[str]]

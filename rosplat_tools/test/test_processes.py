@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from rosplat_testing import PATIENCE
 from rosplat_tools.program.processes import ProcessError, Processes, fast_dds_profile, run_module
-from rosplat_tools.testing import PATIENCE
 
 SLEEP = ["sh", "-c", "echo awake; exec sleep 600"]
 # Ignores the signal of Ctrl-C, and has a child.

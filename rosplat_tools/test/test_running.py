@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-from rosplat_tools.testing import PATIENCE
+from rosplat_testing import PATIENCE
 
 INTERRUPTED_AS_IT_BEGINS = """
 import time

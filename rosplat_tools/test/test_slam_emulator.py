@@ -11,7 +11,7 @@ import pytest
 from rosplat_core import formats
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools.testing import PATIENCE
+from rosplat_testing import PATIENCE
 
 Start = Callable[..., subprocess.Popen[str]]
 

@@ -9,7 +9,7 @@ import pytest
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import Splats
 from rosplat_core.view import frame_at
-from rosplat_tools.testing.slot_map import SlotMap
+from rosplat_testing.slot_map import SlotMap
 
 Maker = Callable[..., Splats]
 

@@ -14,8 +14,8 @@ from streamed_scene import APART, LEVELS, edited, write_scene
 from rosplat_core.cameras import Camera, look_at
 from rosplat_msgs.msg import ViewCamera
 from rosplat_sorter.qos import VIEW
+from rosplat_testing import PATIENCE
 from rosplat_tools.streaming.slot_allocator import slots_for
-from rosplat_tools.testing import PATIENCE
 from rosplat_tools.view_messages import view_camera
 
 Start = Callable[..., subprocess.Popen[str]]

@@ -12,9 +12,9 @@ from test_detail import camera
 from rosplat_core.formats.streamed_sog import open_streamed
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.splats import SceneError, Splats
+from rosplat_testing.slot_map import SlotMap
 from rosplat_tools.streaming.slot_allocator import slots_for
 from rosplat_tools.streaming.streamed_map import StreamedMap
-from rosplat_tools.testing.slot_map import SlotMap
 
 EVERYTHING = 1 << 25
 SLOTS = tuple(map(slots_for, LEVELS))

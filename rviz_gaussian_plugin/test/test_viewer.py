@@ -22,9 +22,9 @@ from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.camera import decode
 from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
+from rosplat_testing import PATIENCE
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.running import spinning
-from rosplat_tools.testing import PATIENCE
 from rosplat_tools.view_messages import view_camera
 
 offscreen = pytest.importorskip(

@@ -1,71 +1,21 @@
-"""For tests of what hears or sends maps: a ROS node, what a map's topic adds up to.
-
-A conftest.py names it: `pytest_plugins = ["rosplat_tools.testing"]`.
-"""
+"""For tests of what hears or sends maps: what a map's topic adds up to, in plain NumPy."""
 
 from __future__ import annotations
 
 import contextlib
-import signal
-import subprocess
-import sys
 import time
-import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
-import pytest
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_tools.testing.slot_map import SlotMap, apply
+from rosplat_testing.slot_map import SlotMap, apply
 
 PATIENCE = 180.0  # with programs, however busy the machine is [s]
-
-
-@pytest.fixture
-def node() -> Iterator[Node]:
-    """A node in a context and a namespace of its own, where no other test is heard."""
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    made = rclpy.create_node("test", namespace=f"/test_{uuid.uuid4().hex}", context=context)
-    yield made
-    made.destroy_node()
-    context.try_shutdown()
-
-
-@pytest.fixture
-def start(node: Node) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts a program of rosplat_tools, or package.module, in the namespace of `node`."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(program: str, **parameters: object) -> subprocess.Popen[str]:
-        arguments = ["--ros-args", "-r", f"__ns:={node.get_namespace()}"]
-        for name, value in parameters.items():
-            arguments += ["-p", f"{name}:={value}"]
-        module, main = (program, "main") if "." in program else ("rosplat_tools.commands", program)
-        process = subprocess.Popen(
-            [sys.executable, "-c", f"from {module} import {main}; exit({main}())", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
-        started.append(process)
-        return process
-
-    yield start
-    for process in started:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.communicate(timeout=PATIENCE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            raise
 
 
 class Listener:
@@ -123,8 +73,3 @@ class Listener:
 
         self.wait(answered)
         return next(future.result() for future in futures if future.done())
-
-
-@pytest.fixture
-def listener(node: Node) -> Listener:
-    return Listener(node)

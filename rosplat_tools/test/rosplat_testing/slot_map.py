@@ -11,8 +11,8 @@ from rosplat_core.channels import joined
 from rosplat_core.payload import Arrays
 from rosplat_core.splats import Splats, concatenate, sh_coefficients
 from rosplat_msgs.msg import GaussianArray
-from rosplat_tools.testing.messages import decode, is_usable, poses_of
-from rosplat_tools.testing.slot_pages import SLOTS_PER_PAGE, SlotPages
+from rosplat_testing.messages import decode, is_usable, poses_of
+from rosplat_testing.slot_pages import SLOTS_PER_PAGE, SlotPages
 
 
 @dataclass(frozen=True, eq=False)
