@@ -193,6 +193,7 @@ class Antialiasing:
     OFF: ClassVar[Antialiasing]
 
 class OrderSource:
+    __members__: ClassVar[dict[str, OrderSource]]
     AUTO: ClassVar[OrderSource]
     SIDECAR: ClassVar[OrderSource]
     BUILT_IN: ClassVar[OrderSource]
@@ -200,6 +201,7 @@ class OrderSource:
     GPU: ClassVar[OrderSource]
 
 class Rasterizer:
+    __members__: ClassVar[dict[str, Rasterizer]]
     AUTO: ClassVar[Rasterizer]
     QUADS: ClassVar[Rasterizer]
     TILES: ClassVar[Rasterizer]

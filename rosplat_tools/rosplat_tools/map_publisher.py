@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 
 from rosplat_core.publishing import PublishedBatch, PublishedMap
@@ -277,7 +278,7 @@ class _Wire:
         self.frame_id = frame_id
         self._node = node
         self._topic = topic
-        self._publisher = None
+        self._publisher: Publisher | None = None
         self._call = _Call()
 
     def advertise(self) -> None:

@@ -84,7 +84,8 @@ class PlyPublisher(Node):
         """The answer to a new request, which ends an older one that is still reading."""
         with self._asking:
             self._answer.cancel()
-            self._answer = answer = Future()
+            answer: Future[str] = Future()
+            self._answer = answer
         return answer
 
     def _serve(self, answer: Future[str], path: str) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rosplat_tools.program.processes import end_with_parent
-from rviz_gaussian_plugin import _offscreen
+from rviz_gaussian_plugin import _offscreen  # type: ignore[attr-defined]
 from rviz_gaussian_plugin._config import OGRE_PLUGINS
 
 

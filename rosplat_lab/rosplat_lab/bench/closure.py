@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,8 +66,9 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
 
         frames = budget.spend(frame, embedded.WARM_UP)
         closures = budget.spend(closure)
-        common = {"scene": name, "splats": len(splats), "gpu": renderer.renderer_info}
-        parameters = {"submaps": SUBMAPS, "width": picture[0], "height": picture[1]}
+        common: dict[str, Any] = {"scene": name, "splats": len(splats)}
+        common |= {"gpu": renderer.renderer_info}
+        parameters: dict[str, Any] = {"submaps": SUBMAPS, "width": picture[0], "height": picture[1]}
         if live.has_ros():
             size = _message_bytes(_poses(random))
             yield Measurement.of("message of a closure", "bytes", size, **common, **parameters)
@@ -75,7 +77,7 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
         yield Measurement.of("to take it", "ms", took, **common, **parameters)
         yield Measurement.of("to the picture", "ms", closures, **common, **parameters)
         yield Measurement.of("a frame after a turn", "ms", frames, **common, **parameters)
-        renderer = view = None  # before the display
+        renderer = view = None  # type: ignore[assignment] # before the display
 
 
 def _insert(renderer: Renderer, splats: Splats) -> int:

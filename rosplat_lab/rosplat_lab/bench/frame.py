@@ -96,12 +96,13 @@ def measure(plan: Plan) -> Iterator[Event]:
         with ensure_display():
             (drawing,) = isolated(embedded.hardware)
             software = isinstance(drawing, Measurement) and "llvmpipe" in drawing.gpu
-            sizes, chosen = SIZES, (*variants(), *RENDERERS)
+            sizes: tuple[int, ...] = SIZES
+            usual: tuple[str, ...] = tuple(variants())
             if software:
-                sizes, chosen = SOFTWARE_SIZES, (*SOFTWARE_VARIANTS, *RENDERERS)
+                sizes, usual = SOFTWARE_SIZES, SOFTWARE_VARIANTS
             if plan.quick:
-                sizes, chosen = QUICK_SIZES, (*QUICK_VARIANTS, *RENDERERS)
-            chosen = plan.variants or chosen
+                sizes, usual = QUICK_SIZES, QUICK_VARIANTS
+            chosen = plan.variants or (*usual, *RENDERERS)
             ours = [variant for variant in chosen if variant in variants()]
             jobs = []
             # Where walls hide much, beside the garden, where little does.

@@ -59,7 +59,6 @@ class Processor:
     """Draws without a graphics card."""
 
     def __init__(self) -> None:
-
         self._pose = lambda camera: posed(camera)
         self.renderer = rendering.CpuRenderer()
         self.device = f"CPU, {self.renderer.instructions}"
@@ -170,7 +169,7 @@ def _scene(
 
             times = budget.spend(frame, embedded.WARM_UP)
             drawn = drawer.draw(camera)
-            shown = {"view": view, "detail": detail, "px": drawn["error"]}
+            shown: dict[str, Any] = {"view": view, "detail": detail, "px": drawn["error"]}
             shown |= {"drawn": drawn["splats"]}
             yield of("frame", "ms", times, **shown)
             if detail == "full":
@@ -232,9 +231,8 @@ def _path(camera: Camera, length: int) -> Iterator[Camera]:
     for index in range(length):
         turn = index * TURN
         step = np.eye(4)
-        step[:3, :3] = [
-            [math.cos(turn), 0, math.sin(turn)], [0, 1, 0], [-math.sin(turn), 0, math.cos(turn)],
-        ]  # fmt: skip
+        step[0, ::2] = math.cos(turn), math.sin(turn)
+        step[2, ::2] = -math.sin(turn), math.cos(turn)
         step[2, 3] = -index * STEP
         yield replace(camera, world_to_camera=step @ camera.world_to_camera)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +108,7 @@ def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Eve
         view = embedded.View(renderer)
         _rest(view, cameras[0])
 
-        frames = []
+        frames: list[tuple[Camera, NDArray[np.float32], dict[str, Any]]] = []
         began = time.monotonic()
         while (now := time.monotonic() - began) < seconds or len(frames) < LEAST_FRAMES:
             turned = SPEED * now % (2 * SWEEP)
@@ -124,7 +124,7 @@ def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Eve
             np.mean(np.square(shown - _shown(renderer, view, camera)))
             for camera, shown, _ in (frames[i] for i in picked)
         ]
-        labels = {"view": motion, "detail": detail, "speed": SPEED}
+        labels: dict[str, Any] = {"view": motion, "detail": detail, "speed": SPEED}
         of = (name, len(splats), renderer.renderer_info)
         psnr = -10 * np.log10(max(np.mean(errors), 1e-12))
         yield Measurement.of("PSNR in motion", "dB", psnr, *of, **labels)

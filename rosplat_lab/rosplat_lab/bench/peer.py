@@ -8,7 +8,6 @@ frame_id, and as its stamp the time at which making it began.
 from __future__ import annotations
 
 import time
-from array import array
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -29,7 +28,7 @@ from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, OrderReader, pack
 from rosplat_sorter.qos import ORDER
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_tools.map_publisher import as_message
-from rosplat_tools.messages import NONE
+from rosplat_tools.messages import NONE, as_array
 from rosplat_tools.program.running import run, spinning, wait_for_end
 
 try:
@@ -54,9 +53,7 @@ class Orders:
             self._slots = np.arange(count, dtype=np.uint32)
         message = SplatOrder(header=header, encoding=self._encoding, count=count)
         if self._encoding == SLOTS:
-            slots = array("I")
-            slots.frombytes(memoryview(self._slots).cast("B"))
-            message.slots = slots
+            message.slots = as_array("I", self._slots)
         elif self._encoding == PACKED:
             message.slot_bits = max(1, (count - 1).bit_length())
             message.packed = pack(self._slots, message.slot_bits)

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +84,9 @@ def _scene(name: str) -> Iterator[Event]:
                 # Ours goes on from the map before, others begin anew.
                 spent = spent + took if method == "simplify" else took
                 quality = simplification.judge(kept)
-                labels = {"scene": name, "splats": len(kept), "method": method, "share": share}
+                labels: dict[str, Any] = {
+                    "scene": name, "splats": len(kept), "method": method, "share": share,
+                }  # fmt: skip
                 yield Measurement.of("PSNR", "dB", quality.psnr, **labels)
                 yield Measurement.of("PSNR of the worst view", "dB", quality.worst, **labels)
                 yield Measurement.of("processor time", "s", spent, **labels)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +79,7 @@ def measure(plan: Plan) -> Iterator[Event]:
 def _scene(path: Path, budget: int, out: Path, quick: bool) -> Iterator[Event]:
     scene = open_streamed(path)
     course = Course(scene, *(QUICK_PICTURE if quick else PICTURE))
-    common = {"scene": scene.path.parent.name, "splats": scene.splats}
+    common: dict[str, Any] = {"scene": scene.path.parent.name, "splats": scene.splats}
     sights: list[Sight] = []
     with Watched(path, budget, out / "log") as watched:
         flight = QUICK_FLIGHT if quick else FLIGHT

@@ -6,8 +6,10 @@ import itertools
 import sys
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -106,7 +108,7 @@ class Asker:
         self._times: dict[int, float] = {}
         for kind, (message, _, read) in KINDS.items():
             self._node.create_subscription(
-                message, topic(kind), lambda answer, read=read: self._receive(answer, read), ORDER
+                message, topic(kind), partial(self._receive, read), ORDER
             )
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -131,11 +133,11 @@ class Asker:
                 self._processes.check()
         raise TimeoutError(f"no answer to {kind} of {count}")
 
-    def _receive(self, answer: object, read: object) -> None:
-        read(answer)  # type: ignore[operator]
+    def _receive(self, read: Callable[[Any], object], answer: Any) -> None:
+        read(answer)
         now = time.time_ns()
         markers = getattr(answer, "markers", None)
-        header: Header = (markers[0] if markers else answer).header  # type: ignore[attr-defined]
+        header: Header = (markers[0] if markers else answer).header
         began = header.stamp.sec * 10**9 + header.stamp.nanosec
         self._times[int(header.frame_id)] = (now - began) / 1e6
 
@@ -164,12 +166,13 @@ def _compress(plan: Plan, name: str) -> Iterator[Measurement]:
     usable = np.ones(len(splats), bool)
     packed = payload.encode(arrays, usable)
     degree = splats.sh_degree
-    for doing, run in (
-        ("encoded", lambda: payload.encode(arrays, usable)),
-        ("decoded", lambda: payload.decode(packed, len(splats), degree)),
-    ):
-        times = plan.budget.spend(lambda _, run=run: milliseconds(run))
-        yield Measurement.of(doing, "ms", times, name, len(splats), sh_degree=degree)
+
+    def took(doing: str, run: Callable[[], object]) -> Measurement:
+        times = plan.budget.spend(lambda _: milliseconds(run))
+        return Measurement.of(doing, "ms", times, name, len(splats), sh_degree=degree)
+
+    yield took("encoded", lambda: payload.encode(arrays, usable))
+    yield took("decoded", lambda: payload.decode(packed, len(splats), degree))
     for way, nbytes in (("arrays", splats.nbytes), (payload.FORMAT, packed.nbytes)):
         size = nbytes / max(1, len(splats))
         yield Measurement.of("a splat", "bytes", [size], name, len(splats), way=way)

@@ -233,7 +233,7 @@ def _pixels(path: Path) -> NDArray[np.unsignedinteger]:
     pixels = cv2.imdecode(data, flags) if len(data) else None
     if pixels is None:
         raise SceneError(f"{path}: not a picture")
-    return pixels
+    return pixels  # type: ignore[return-value]
 
 
 def write_picture(path: Path, color: NDArray[np.float32], form: str) -> Path:
@@ -246,8 +246,9 @@ def write_picture(path: Path, color: NDArray[np.float32], form: str) -> Path:
         with replacing(path) as partial, partial.open("wb") as file:
             np.save(file, color)
         return path
-    bits = {"png8": np.uint8, "png16": np.uint16}[form]
-    scaled = np.rint(np.clip(color[..., 2::-1], 0, 1) * np.iinfo(bits).max).astype(bits)
+    bits = np.dtype({"png8": np.uint8, "png16": np.uint16}[form])
+    most = 2 ** (8 * bits.itemsize) - 1
+    scaled = np.rint(np.clip(color[..., 2::-1], 0, 1) * most).astype(bits)
     path = path.with_suffix(".png")
     with replacing(path) as partial:
         partial.write_bytes(cv2.imencode(".png", scaled)[1].tobytes())

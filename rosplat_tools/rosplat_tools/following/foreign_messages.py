@@ -87,7 +87,7 @@ def from_splat_array(message: Any, name: str, warn: Warn) -> Splats:
         covariances[i] = np.reshape(pose.covariance, (6, 6))[:3, :3]
         opacities[i] = splat.opacity / 255
         sh[i] = np.reshape(splat.spherical_harmonics, (k, 3))
-    finite = np.isfinite(covariances).all(axis=(1, 2))
+    finite = np.all(np.isfinite(covariances), axis=(1, 2))
     variances, vectors = np.linalg.eigh(np.where(finite[:, None, None], covariances, 0))
     vectors[np.linalg.det(vectors) < 0, :, 0] *= -1  # a rotation, not a reflection
     scales = np.sqrt(np.maximum(variances, 0)).astype(np.float32)

@@ -27,6 +27,7 @@ from rosplat_msgs.srv import RenderView
 from rosplat_sorter.batches import apply, array, pose_values, positions_of
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW
+from rosplat_tools.messages import as_array
 from rosplat_tools.program.parameters import declare
 from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
@@ -145,7 +146,11 @@ class Viewer(Node):
         self._order_topic = f"{topic}/order"
         self._views = self.create_publisher(ViewCamera, f"{topic}/view", VIEW)
         self.create_subscription(
-            SplatOrder, self._order_topic, self._on_order, ORDER, callback_group=own()
+            SplatOrder,
+            self._order_topic,
+            self._on_order,  # type: ignore[arg-type] # its result is for others
+            ORDER,
+            callback_group=own(),
         )
         if self.serves:
             self.create_service(
@@ -370,5 +375,5 @@ class _Request:
 def _image(pixels: NDArray[np.float32], encoding: str) -> Image:
     image = Image(encoding=encoding, height=pixels.shape[0], width=pixels.shape[1])
     image.step = pixels.nbytes // pixels.shape[0]
-    image.data.frombytes(memoryview(np.ascontiguousarray(pixels)).cast("B"))
+    image.data = as_array("B", pixels)
     return image
