@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
-# Formats, style and types.
+# Formats, style, types and licences.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 ruff format --check --quiet . || { echo 'Run: ruff format .' >&2; exit 1; }
 ruff check --quiet .
 git ls-files '*.cpp' '*.hpp' '*.cu' | xargs clang-format --dry-run -Werror
+reuse lint --lines
 # The parts that know no ROS. From the packages' own folders: from here, they would hide each other.
 (cd rosplat_core && mypy --config-file ../pyproject.toml --no-error-summary rosplat_core)
 export MYPYPATH=../rosplat_core

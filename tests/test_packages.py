@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -33,7 +34,6 @@ LIBRARIES = {
     "flip_evaluator": Library(None, "flip-evaluator"),
     "matplotlib": Library("python3-matplotlib", "matplotlib"),
     "numpy": Library("python3-numpy", "numpy"),
-    "plyfile": Library("python3-plyfile-pip", "plyfile"),
     "pygame": Library("python3-pygame", "pygame"),
     "rich": Library("python3-rich", "rich"),
     "scipy": Library("python3-scipy", "scipy"),
@@ -125,11 +125,9 @@ def test_a_robot_s_packages_need_nothing_that_draws_or_measures() -> None:
     while more := set().union(*(named(package) for package in needed & set(OURS))) - needed:
         needed |= more
     folder = ROOT / "rosplat_tools/rosplat_tools"
-    modules = ", ".join(
-        f"rosplat_tools.{path.stem}"
-        for path in folder.glob("*")
-        if path.stem not in ("__init__", "__pycache__")
-    )
+    names = [path.stem for path in folder.glob("*.py") if path.stem != "__init__"]
+    names += [path.parent.name for path in folder.glob("*/__init__.py")]
+    modules = ", ".join(f"rosplat_tools.{name}" for name in names)
     code = f"import sys, {modules}; print(*sys.modules)"
     imported = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
     loaded = set(imported.stdout.decode().split())
@@ -145,3 +143,29 @@ def test_no_module_is_called_like_one_of_python_s_own() -> None:
 
 def test_no_package_depends_on_one_that_depends_on_it() -> None:
     TopologicalSorter({package: named(package) & set(OURS) for package in OURS}).prepare()
+
+
+@pytest.mark.parametrize("package", OURS)
+def test_a_package_is_fit_for_release(package: str) -> None:
+    """It brings licence and changelog, has the version of all, and needs nothing from pip."""
+    folder = ROOT / package
+    manifest = ElementTree.parse(folder / "package.xml")
+    version = manifest.findtext("version")
+    core = (ROOT / "rosplat_core/pyproject.toml").read_text()
+    assert f'version = "{version}"' in core
+    headings = re.findall(r"^(\d+\.\d+\.\d+) \(", (folder / "CHANGELOG.rst").read_text(), re.M)
+    assert headings[0] == version
+    assert (folder / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
+    kinds = {url.get("type") for url in manifest.iter("url")}
+    assert kinds == {"website", "repository", "bugtracker"}
+    assert not [key for key in named(package) if key.endswith("-pip")]  # bloom refuses them
+
+
+@pytest.mark.parametrize("package", ("rosplat_core", "rosplat_sorter", "rosplat_tools"))
+def test_a_public_interface_has_what_it_names(package: str) -> None:
+    module = importlib.import_module(package)
+    assert module.__all__ == sorted(module.__all__)
+    for name in module.__all__:
+        assert getattr(module, name).__doc__
+    assert not hasattr(module, "anything_else")
+    assert (Path(module.__file__ or "").parent / "py.typed").exists()

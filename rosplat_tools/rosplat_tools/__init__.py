@@ -1,1 +1,29 @@
-"""Scenes of 3D Gaussians: formats, publishers, an emulated SLAM node and robot."""
+"""Scenes of 3D Gaussians: publishers, an emulated SLAM node and robot.
+
+What stands here is the public interface, loaded when it is first used; the modules are private.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rosplat_tools.following.whole_maps import WholeMaps
+    from rosplat_tools.map_publisher import MapPublisher
+
+__all__ = [
+    "MapPublisher",
+    "WholeMaps",
+]
+
+_MODULES = {
+    "MapPublisher": "map_publisher",
+    "WholeMaps": "following.whole_maps",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

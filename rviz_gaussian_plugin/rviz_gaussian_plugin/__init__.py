@@ -1,1 +1,1 @@
-"""The splat renderer of the rviz2 Display, for Python."""
+"""The splat renderer of the rviz2 Display, for Python. Its modules are private."""

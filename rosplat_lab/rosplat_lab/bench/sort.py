@@ -99,7 +99,7 @@ def methods(
 
 
 def _ours(sorted_map: SplatMap, name: str, threads: int) -> list[Way]:
-    backend = open_backend(name, threads)
+    backend: Any = open_backend(name, threads)  # the GPU's have more than a Backend has
     backend.update(sorted_map, slice(0, sorted_map.rows))
     label = f"{name}, {backend.device}"
     ways = [Way(HOST, label, partial(backend.order, allocate=InTurn(new_array)))]
