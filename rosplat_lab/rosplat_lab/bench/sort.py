@@ -105,7 +105,7 @@ def _ours(sorted_map: SplatMap, name: str, threads: int) -> list[Way]:
     ways = [Way(HOST, label, partial(backend.order, allocate=InTurn(new_array)))]
     finish = _finish(backend)
     if finish:
-        on_device = backend.order_on_device  # type: ignore[attr-defined] # a GPU's have it
+        on_device = backend.order_on_device
 
         def sort(view: View) -> None:
             on_device(view)
