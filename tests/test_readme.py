@@ -1,25 +1,55 @@
-"""The README's code is what it says: it runs, block after block, as a newcomer would paste it."""
+"""What the README and the guides show runs as it stands there, block after block."""
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from ament_index_python.packages import get_packages_with_prefixes
+import rclpy
+from ament_index_python.packages import (
+    get_package_prefix,
+    get_package_share_directory,
+    get_packages_with_prefixes,
+)
 from rclpy.node import Node
 
-from rosplat_core import generate, load, save
-from rosplat_msgs.msg import GaussianArray
+from rosplat_core import Camera, generate, load, look_at, save
+from rosplat_lab.driven_rviz import is_here
+from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import PullMap, RepeatMap
+from rosplat_sorter import qos
 from rosplat_testing import PATIENCE, Listener
+from rosplat_tools.view_messages import view_camera
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+ROOT = Path(__file__).resolve().parents[1]
+README = ROOT / "README.md"
+GUIDES = ROOT / "docs" / "guides"
+PAGES = [README, ROOT / "docs" / "reference.md", *sorted(GUIDES.glob("*.md"))]
 
 WITHOUT_ROS = "import rosplat_core"
+SCENE = "/path/to/scene.ply"
+
+# `ros2` where ROS 2 comes from PyPI, which lacks it.
+ROS2 = f"""#!{sys.executable}
+import os, sys
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+match sys.argv[1:]:
+    case ["run", package, program, *rest]:
+        path = f"{{get_package_prefix(package)}}/lib/{{package}}/{{program}}"
+        os.execv(path, [path, *rest])
+    case ["pkg", "prefix", "--share", package]:
+        print(get_package_share_directory(package))
+    case unknown:
+        sys.exit(f"not in this stand-in for ros2: {{unknown}}")
+"""
 
 # What its text leaves to the reader.
 OF_THE_READER = """
@@ -54,14 +84,18 @@ target_link_libraries(slam rclcpp_lifecycle::rclcpp_lifecycle)
 """
 
 
-def blocks_of(language: str) -> list[str]:
-    text = README.read_text(encoding="utf-8")
-    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+def blocks_of(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
-def test_its_python_runs() -> None:
-    blocks = [block for block in blocks_of("python") if WITHOUT_ROS not in block]
+def test_the_readme_is_short() -> None:
+    assert len(README.read_text(encoding="utf-8").split()) <= 900
+
+
+def test_python_publishes_a_map() -> None:
+    blocks = [block for block in blocks_of(README, "python") if WITHOUT_ROS not in block]
     assert "rclpy.spin(node)" in blocks[0]
+    blocks += blocks_of(GUIDES / "publish.md", "python")
     script = OF_THE_READER + "\n".join(blocks).replace("rclpy.spin(node)", "pass") + SAYS
     run = subprocess.run(
         [sys.executable, "-c", script],
@@ -74,27 +108,28 @@ def test_its_python_runs() -> None:
     assert run.stdout == "2000 4071 label confidence\n"
 
 
-def test_its_python_without_ros_runs(tmp_path: Path) -> None:
-    (block,) = (block for block in blocks_of("python") if WITHOUT_ROS in block)
+def test_python_draws_without_ros(tmp_path: Path) -> None:
+    blocks = [block for block in blocks_of(README, "python") if WITHOUT_ROS in block]
+    blocks += blocks_of(GUIDES / "draw-without-ros.md", "python")
     save(tmp_path / "scene.ply", generate(5000, seed=1))
-    says = "print(picture.shape, picture.dtype, len(order) > 0)"
+    says = "print(picture.shape, picture.dtype, len(order) > 0, len(pictures))"
     run = subprocess.run(
-        [sys.executable, "-c", block + says],
-        capture_output=True, text=True, timeout=120, check=False, cwd=tmp_path,
+        [sys.executable, "-c", "\n".join([*blocks, says])],
+        capture_output=True, text=True, timeout=PATIENCE, check=False, cwd=tmp_path,
     )  # fmt: skip
     assert run.stderr == ""
-    assert run.stdout == "(720, 1280, 4) float32 True\n"
+    assert run.stdout == "(720, 1280, 4) float32 True 8\n"
     assert 0 < len(load(tmp_path / "smaller.ply")) < 5000
+    assert len(load(tmp_path / "scene.spz")) == 5000
 
 
 @pytest.mark.parametrize("library", ["rclcpp", "rclcpp_lifecycle"])
-def test_its_cpp_publishes_a_map(
-    library: str, tmp_path: Path, node: Node, listener: Listener
-) -> None:
+def test_cpp_publishes_a_map(library: str, tmp_path: Path, node: Node, listener: Listener) -> None:
     if library not in get_packages_with_prefixes():
         pytest.skip(f"no {library} here")
-    (source,), cmake = blocks_of("cpp"), CMAKE
-    assert CMAKE.splitlines()[-1] in " ".join(README.read_text(encoding="utf-8").split())
+    guide = GUIDES / "publish.md"
+    (source,), cmake = blocks_of(guide, "cpp"), CMAKE
+    assert CMAKE.splitlines()[-1] in " ".join(guide.read_text(encoding="utf-8").split())
     if library == "rclcpp_lifecycle":
         cmake += CMAKE_OF_LIFECYCLE
         for plain, other in LIFECYCLE.items():
@@ -120,3 +155,130 @@ def test_its_cpp_publishes_a_map(
         finally:
             slam.send_signal(signal.SIGINT)
     assert slam.returncode == 0
+
+
+# --- The path of a ROS workspace ------------------------------------------------------------------
+
+
+def block_with(words: str) -> list[str]:
+    (block,) = (block for block in blocks_of(README, "bash") if words in block)
+    return block.splitlines()
+
+
+def test_the_workspace_builds_what_it_runs() -> None:
+    lines = block_with("colcon build")
+    (rosdep,) = (line for line in lines if line.startswith("rosdep"))
+    braces = rosdep.split("--from-paths ")[1].split(" --")[0].replace("src/rosplat", str(ROOT))
+    expand = ["bash", "-c", f"ls -d {braces}/package.xml 2>&1; basename -a {braces}"]
+    folders = subprocess.run(expand, capture_output=True, text=True, check=False).stdout.split()
+    (build,) = (line for line in lines if line.startswith("colcon build"))
+    listed = build.replace("colcon build", "colcon list --names-only")
+    names = subprocess.run(
+        [*listed.split(), "--base-paths", ROOT], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert {name for name in folders if "/" not in name} == set(names)
+    assert set(names) <= get_packages_with_prefixes().keys()
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
+    """A node in a domain where the README's programs are alone; beside it, their scene."""
+    domain = 215 + os.getpid() % 17  # above those that others choose
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    if not shutil.which("ros2"):
+        (tmp_path / "ros2").write_text(ROS2)
+        (tmp_path / "ros2").chmod(0o755)
+        monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    save(tmp_path / "scene.ply", generate(5000, seed=1))
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node("newcomer", context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
+
+
+@pytest.fixture
+def run(workspace: Node, tmp_path: Path) -> Iterator[Callable[[str], None]]:
+    """Runs the README's line that begins with these words until the test ends."""
+    running: list[subprocess.Popen[bytes]] = []
+
+    def run(beginning: str) -> None:
+        lines = block_with("ros2 run rosplat_sorter")
+        (line,) = (line for line in lines if line.startswith(beginning))
+        command = line.replace(SCENE, str(tmp_path / "scene.ply"))
+        running.append(subprocess.Popen(["bash", "-c", command], start_new_session=True))
+
+    yield run
+    early = [program.args for program in running if program.poll() is not None]
+    for program in running:
+        with suppress(ProcessLookupError):
+            os.killpg(program.pid, signal.SIGINT)
+    for program in running:
+        program.wait(PATIENCE)
+    assert not early
+
+
+def test_the_workspace_publishes_and_sorts(
+    workspace: Node, run: Callable[[str], None], tmp_path: Path
+) -> None:
+    run("ros2 run rosplat_sorter")
+    run("ros2 run rosplat_tools ply_publisher")
+    listener = Listener(workspace)
+    listener.wait_for(5000)
+    orders: list[SplatOrder] = []
+    workspace.create_subscription(SplatOrder, "/gaussians/order", orders.append, qos.ORDER)
+    views = workspace.create_publisher(ViewCamera, "/gaussians/view", qos.VIEW)
+    camera = Camera(0, 640, 480, 400.0, 400.0, 320.0, 240.0, look_at((0, -20, 5), (0, 0, 0)))
+    view = view_camera(camera)
+    view.header.frame_id, view.view_id = "map", "newcomer"
+
+    def sorted_all() -> bool:
+        view.sequence += 1
+        views.publish(view)
+        return any(order.count > 1000 for order in orders)
+
+    listener.wait(sorted_all)
+
+
+@pytest.mark.rviz
+@pytest.mark.skipif(not is_here(), reason="no rviz2: the README's line is not run")
+def test_the_workspace_shows_the_map(
+    workspace: Node,
+    run: Callable[[str], None],
+    display: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("DISPLAY", display)
+    run("ros2 run rosplat_tools ply_publisher")
+    run("rviz2")
+    listener = Listener(workspace)
+    views: list[ViewCamera] = []
+    workspace.create_subscription(ViewCamera, "/gaussians/view", views.append, qos.VIEW)
+    listener.wait_for(5000)
+    listener.wait(lambda: views)  # of a display that knows the map
+    assert views[-1].width > 100
+
+
+# --- Commands -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_and_their_parameters_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for package, program, rest in re.findall(
+        r"ros2 run (rosplat_\w+|rviz_\w+) (\w+)([^\n`]*)", text
+    ):
+        assert (Path(get_package_prefix(package)) / "lib" / package / program).exists(), program
+        sources = "".join(path.read_text() for path in (ROOT / package).rglob("*.py"))
+        for name in re.findall(r"-p (\w+):=", rest):
+            assert f'"{name}"' in sources, f"{program}: {name}"
+    for package, file, rest in re.findall(r"ros2 launch (\w+) (\S+)([^\n`]*)", text):
+        launch = (Path(get_package_share_directory(package)) / "launch" / file).read_text()
+        for name in re.findall(r"(\w+):=", rest):
+            assert f'"{name}"' in launch, f"{file}: {name}"
+    makefile = (ROOT / "Makefile").read_text()
+    for target, rest in re.findall(r"(?:`|^|&& )make ([a-z]+)([^\n`#]*)", text, re.MULTILINE):
+        recipe = makefile.split(f"\n{target}: ## ")[1].split("\n\n")[0]
+        for name in re.findall(r"\b([A-Z]+)=", rest):
+            assert f"$({name})" in recipe, f"{target}: {name}"
