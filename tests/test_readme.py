@@ -165,17 +165,18 @@ def block_with(words: str) -> list[str]:
     return block.splitlines()
 
 
-def test_the_workspace_builds_what_it_runs() -> None:
+def test_the_workspace_builds_what_it_runs(tmp_path: Path) -> None:
     lines = block_with("colcon build")
     (rosdep,) = (line for line in lines if line.startswith("rosdep"))
     braces = rosdep.split("--from-paths ")[1].split(" --")[0].replace("src/rosplat", str(ROOT))
     expand = ["bash", "-c", f"ls -d {braces}/package.xml 2>&1; basename -a {braces}"]
     folders = subprocess.run(expand, capture_output=True, text=True, check=False).stdout.split()
     (build,) = (line for line in lines if line.startswith("colcon build"))
-    listed = build.replace("colcon build", "colcon list --names-only")
+    listed = build.replace("colcon build", "colcon --log-base /dev/null list --names-only")
     names = subprocess.run(
-        [*listed.split(), "--base-paths", ROOT], capture_output=True, text=True, check=True
-    ).stdout.split()
+        [*listed.split(), "--base-paths", ROOT],
+        capture_output=True, text=True, check=True, cwd=tmp_path,
+    ).stdout.split()  # fmt: skip
     assert {name for name in folders if "/" not in name} == set(names)
     assert set(names) <= get_packages_with_prefixes().keys()
 
