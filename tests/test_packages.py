@@ -72,6 +72,8 @@ def imports(files: Iterable[Path]) -> set[str]:
 def used(package: str) -> set[str]:
     """First names of modules and headers that the package's sources name."""
     files = list((ROOT / package).rglob("*"))
+    if package == "rosplat_lab":  # whose tests those across packages are
+        files += (ROOT / "tests").glob("*.py")
     names = imports(path for path in files if path.suffix == ".py")
     for path in files:
         if path.suffix in (".cpp", ".hpp"):

@@ -55,6 +55,15 @@ def test_only_the_binding_knows_python() -> None:
             assert not re.search(r"pybind11|Python\.h", path.read_text()), path
 
 
+def test_what_touches_the_gpl_is_the_imu_panel_alone() -> None:
+    plugin = ROOT / "rviz_gaussian_plugin/src"
+    qcustomplot = re.compile(r"qcustomplot|\bQCP|\bQCustomPlot|imu_panel", re.IGNORECASE)
+    touching = {path.parent for path in sources(plugin) if qcustomplot.search(path.read_text())}
+    assert touching == {plugin / "imu_panel"}
+    for manifest in ROOT.glob("*/package.xml"):
+        assert not re.search(r"depend>[^<]*qcustomplot", manifest.read_text())
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_packages_stand_in_a_line(package: str) -> None:
     """Tests may look up: they hold an engine against what draws with it."""

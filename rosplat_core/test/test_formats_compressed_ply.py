@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import numpy.lib.recfunctions as structured
 import pytest
-from plyfile import PlyData, PlyElement
 
 from rosplat_core.formats import SceneError, format_of, load, save
 from rosplat_core.splats import Splats
+
+plyfile = pytest.importorskip("plyfile")  # apt has none
+PlyData, PlyElement = plyfile.PlyData, plyfile.PlyElement
 
 Make = Callable[..., Splats]
 

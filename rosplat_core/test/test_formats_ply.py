@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from rosplat_core.formats import SceneError, load, ply, save
 from rosplat_core.splats import Splats
 
-plyfile = pytest.importorskip("plyfile")  # apt has none: it judges where PyPI is
+plyfile = pytest.importorskip("plyfile")  # apt has none
+PlyData, PlyElement = plyfile.PlyData, plyfile.PlyElement
 
 Make = Callable[..., Splats]
 
@@ -30,7 +31,7 @@ def assert_same(a: Splats, b: Splats, tolerance: float = 1e-6) -> None:
 
 
 def rows_of(path: Path) -> NDArray[np.void]:
-    return np.array(plyfile.PlyData.read(path)["vertex"].data)
+    return np.array(PlyData.read(path)["vertex"].data)
 
 
 def without(rows: NDArray[np.void], name: str) -> NDArray[np.void]:
@@ -38,7 +39,7 @@ def without(rows: NDArray[np.void], name: str) -> NDArray[np.void]:
 
 
 def write_rows(path: Path, rows: NDArray[np.void], **form: object) -> None:
-    plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")], **form).write(path)
+    PlyData([PlyElement.describe(rows, "vertex")], **form).write(path)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

@@ -3,7 +3,7 @@
 #include <cmath>
 #include <limits>
 
-#include "../src/display/imu_history.hpp"
+#include "../src/imu_panel/imu_history.hpp"
 
 using namespace rosplat;
 
