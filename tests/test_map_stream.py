@@ -22,6 +22,7 @@ from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.map_subscription import labelled
+from rosplat_tools import map_publisher
 from rosplat_tools.map_publisher import MapPublisher
 
 MOST_WAITING = 1 << 26  # of MapPull [bytes]
@@ -129,9 +130,13 @@ class Wire:
     def create_publisher(self, *_: object) -> Wire:
         return self
 
-    def create_service(self, kind: type, _: str, serve: Any, **__: object) -> None:
-        if kind is PullMap:
-            self.pull = serve
+    def create_service(self, *_: object, **__: object) -> None: ...
+
+    def serve_pulls(self, _: str, serve: Any) -> Wire:
+        self.pull = serve
+        return self
+
+    def close(self) -> None: ...
 
     def resolve_topic_name(self, name: str) -> str:
         return name
@@ -243,7 +248,10 @@ def assert_same(points: Points, expected: Points) -> None:
 @pytest.mark.parametrize("losses", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("chunk_bytes", [200, 2000, 10**6])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_whatever_is_lost_all_end_with_the_map(losses: float, chunk_bytes: int, seed: int) -> None:
+def test_whatever_is_lost_all_end_with_the_map(
+    monkeypatch: pytest.MonkeyPatch, losses: float, chunk_bytes: int, seed: int
+) -> None:
+    monkeypatch.setattr(map_publisher, "PullServer", Wire.serve_pulls)
     random = np.random.default_rng(seed)
     wire, model = Wire(), Model()
     publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)

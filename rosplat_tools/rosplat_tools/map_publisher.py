@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from types import TracebackType
 
 import numpy as np
@@ -27,6 +29,7 @@ from rosplat_sorter.batches import pose_values
 from rosplat_sorter.qos import PULLED_MAP
 from rosplat_tools.messages import NONE, Slots, as_array
 from rosplat_tools.poses import to_pose
+from rosplat_tools.pull_server import PullServer
 
 CHUNK_BYTES = 8_000_000
 # How long `repeat` waits for a subscriber that acknowledges nothing: the middleware has given up
@@ -44,10 +47,10 @@ class MapPublisher:
 
     Batches go out as they are made, and nobody is waited for. Who joins late, or misses some,
     pulls what has changed since the last revision that it has, as it is now, from the service
-    <topic>/pull. It is answered by the node's executor between its other callbacks; where that has
-    several threads, beside them. Only splats that a client lacks are copied, 2 MB for an answer at
-    most. Who just listens to the topic, a bag say, hears the whole map from
-    `repeat` or the service <topic>/repeat.
+    <topic>/pull. A thread of its own and a hidden node answer it, whether the node is spun or not.
+    Only splats that a client lacks are copied, 2 MB for an answer at most. Who just listens to the
+    topic, a bag say, hears the whole map from `repeat` or the service <topic>/repeat, which the
+    node's executor answers.
 
     Splats may be written in groups, submaps say, and groups placed by `move`: what a loop closure
     takes is a pose for each, no splats. A group that was never placed is where the map's frame is.
@@ -85,24 +88,20 @@ class MapPublisher:
             self._wire.settle,
         )
         self._wire.advertise()
-        self._services = [
-            node.create_service(
-                kind,
-                f"{self._topic}/{name}",
-                serve,
-                callback_group=MutuallyExclusiveCallbackGroup(),
-            )
-            for kind, name, serve in (
-                (PullMap, "pull", self._on_pull),
-                (RepeatMap, "repeat", self._on_repeat),
-            )
-        ]
+        self._repeat = node.create_service(
+            RepeatMap,
+            f"{self._topic}/repeat",
+            self._on_repeat,
+            callback_group=MutuallyExclusiveCallbackGroup(),
+        )
+        pulls = PullServer(node, self._topic, partial(_answer, self._map, self._wire))
+        # With the publisher at the latest: the server knows it not, and doesn't keep it.
+        self._end_pulls = weakref.finalize(self, pulls.close)
 
     def close(self) -> None:
         """Ends the topic and its services: subscribers keep what they have. No edit may follow."""
-        for service in self._services:
-            self._node.destroy_service(service)
-        self._services.clear()
+        self._end_pulls()
+        self._node.destroy_service(self._repeat)
         self._wire.close()
 
     def __enter__(self) -> MapPublisher:
@@ -243,25 +242,6 @@ class MapPublisher:
             values[number] = (*position, *orientation)
         self._map.move(values, when)
 
-    # --- Services ---------------------------------------------------------------------------------
-
-    def _on_pull(self, request: PullMap.Request, response: PullMap.Response) -> PullMap.Response:
-        if request.map_id not in ("", self.map_id) and self._node.count_publishers(self._topic) > 1:
-            self._node.get_logger().warning(
-                f"{self._topic}: is published by others, too, and receivers see one map in place "
-                "of the other: end all publishers but one",
-                throttle_duration_sec=5.0,
-            )
-        try:
-            batches, response.next_block = self._map.pull(
-                request.map_id, request.after_revision, request.first_block
-            )
-            response.batches = [self._wire.message(batch) for batch in batches]
-        except MemoryError:  # no request may end the node
-            self._node.get_logger().error(f"{self._topic}/pull: memory is lacking")
-            response = PullMap.Response()
-        return response
-
     def _on_repeat(self, _: RepeatMap.Request, response: RepeatMap.Response) -> RepeatMap.Response:
         try:
             self.repeat()
@@ -269,6 +249,26 @@ class MapPublisher:
         except Exception as error:  # no request may end the node
             response.message = str(error) or "not enough memory"
         return response
+
+
+def _answer(
+    published: PublishedMap, wire: _Wire, request: PullMap.Request, response: PullMap.Response
+) -> PullMap.Response:
+    """What a pull asks for."""
+    if request.map_id not in ("", published.map_id) and wire.rivals:
+        wire.warn(
+            "is published by others, too, and receivers see one map in place of the other: "
+            "end all publishers but one"
+        )
+    try:
+        batches, response.next_block = published.pull(
+            request.map_id, request.after_revision, request.first_block
+        )
+        response.batches = [wire.message(batch) for batch in batches]
+    except Exception as error:  # no request may end the thread
+        wire.warn(f"a pull is not answered: {error or 'memory is lacking'}")
+        response = PullMap.Response()
+    return response
 
 
 class _Wire:
@@ -316,6 +316,11 @@ class _Wire:
             self._call.ended = self._call.replaces and not isinstance(error, Exception)
             raise
         self._call.progress = progress
+
+    @property
+    def rivals(self) -> bool:
+        """Whether others publish to the topic, too."""
+        return bool(self._node.count_publishers(self._topic) > 1)
 
     def warn(self, text: str) -> None:
         self._node.get_logger().warning(f"{self._topic}: {text}", throttle_duration_sec=5.0)

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
@@ -40,22 +39,11 @@ ANSWER_BYTES = 2_000_000  # as PullMap.srv says
 
 
 @contextmanager
-def spun(node: Node) -> Iterator[None]:
-    """Has the node's services answer while the block runs."""
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    try:
-        yield
-    finally:
-        executor.shutdown()
-        thread.join()
-
-
-@contextmanager
 def receiver(node: Node, until: int, out: Path) -> Iterator[Received]:
-    """A subscriber in a process of its own, there in the block; what it got is there after it."""
+    """A subscriber in a process of its own, there in the block; what it got is there after it.
+
+    Nobody spins the node.
+    """
     topic = node.resolve_topic_name("gaussians")
     command = [sys.executable, str(RECEIVER), topic, str(until), str(out)]
 
@@ -67,7 +55,7 @@ def receiver(node: Node, until: int, out: Path) -> Iterator[Received]:
         )
 
     before = matched()
-    with spun(node), subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout
         assert process.stdout.readline() == "listening\n"
         patient_until = time.monotonic() + 5  # another receiver may leave meanwhile
@@ -352,6 +340,22 @@ def test_batches_stay_below_their_size(
     assert all(array_bytes(batch) <= CHUNK_BYTES for batch in sent)
     assert sum(batch.count for batch in sent[2:-1]) == 5_000_000
     assert [batch.revision for batch in sent] == list(range(1, 7))
+
+
+def test_a_pull_doesn_t_wait_for_a_map_that_is_being_sent(
+    node: Node, random_splats: Maker, listener: Listener
+) -> None:
+    publisher = MapPublisher(node, chunk_bytes=50_000)
+    answers: list[PullMap.Response] = []
+
+    def ask(_: int) -> None:  # the parts that are still to go are pulled as well
+        answers.append(listener.call(PullMap, "gaussians/pull", map_id=publisher.map_id))
+
+    publisher.replace(random_splats(1000, 1), progress=ask)
+    assert len(answers) > 1
+    for part, answer in enumerate(answers):
+        assert sum(batch.count for batch in answer.batches) == 1000
+        assert answer.batches[0].revision == part + 1
 
 
 def test_a_map_without_a_batch_is_not_pulled(node: Node, listener: Listener) -> None:
@@ -668,6 +672,8 @@ def test_a_publisher_ends_with_its_block(node: Node, random_splats: Maker) -> No
         publisher.replace(splats, shared=True)
         kept = weakref.ref(splats.sh)
     assert node.count_publishers("gaussians") == 0
+    topic = node.resolve_topic_name("gaussians")
+    assert topic not in {thread.name for thread in threading.enumerate()}
     assert not [service for service in node.services if "gaussians" in service.srv_name]
     with pytest.raises(RuntimeError, match=r"gaussians: its publisher is closed"):
         publisher.delete([3])

@@ -262,15 +262,15 @@ void PublishedMap::replace(const SplatsView& splats, const std::shared_ptr<const
     write(*map, slots, splats, prepared(*map, slots, splats, 0), 0, 0);
   }
   map->expected_slots = expected_slots.value_or(static_cast<std::uint32_t>(n));
-  Lock lock(mutex_);
+  Lock turn(turns_), lock(mutex_);
   warnOf(n - map->used);
   std::swap(map_, map);
   try {
-    sendMap(lock, stamp, false);
+    sendMap(turn, lock, stamp, false);
   } catch (...) {
     map_ = std::move(map);
     try {  // to whom a part of the other has come; where that fails, it is pulled
-      sendMap(lock, stamp, false);
+      sendMap(turn, lock, stamp, false);
     } catch (const std::exception&) {
     }
     throw;
@@ -278,8 +278,8 @@ void PublishedMap::replace(const SplatsView& splats, const std::shared_ptr<const
 }
 
 void PublishedMap::repeat() {
-  Lock lock(mutex_);
-  sendMap(lock, std::nullopt, true);
+  Lock turn(turns_), lock(mutex_);
+  sendMap(turn, lock, std::nullopt, true);
 }
 
 void PublishedMap::expect(std::uint32_t slots) {
@@ -317,7 +317,7 @@ void PublishedMap::upsert(const NamedSlots& slots, const SplatsView& splats, std
                                 std::to_string(slots.size()) + " slots");
   }
   const std::vector<std::string> channels = namesOf(splats);
-  const Lock lock(mutex_);
+  const Lock turn(turns_), lock(mutex_);
   const Plan plan = prepared(*map_, slots, splats, group);
   const std::size_t bytes =
       map_->splatBytes(std::max(plan.sh_degree, map_->sh_degree), channels.size(), slots.listed());
@@ -339,7 +339,7 @@ void PublishedMap::erase(std::uint32_t first_slot, std::uint32_t count, const Wh
 }
 
 void PublishedMap::erase(const NamedSlots& slots, const When& stamp) {
-  const Lock lock(mutex_);
+  const Lock turn(turns_), lock(mutex_);
   for (const auto& [number, count] : slots.touched()) {
     const auto found = map_->pages.find(number);
     if (found != map_->pages.end() && count < kPageSlots) found->second.changed.reserve();
@@ -375,7 +375,7 @@ void PublishedMap::move(const Poses& poses, const When& stamp) {
     placed.emplace(group, checkedPose(pose, group));
   }
   if (placed.empty()) return;
-  const Lock lock(mutex_);
+  const Lock turn(turns_), lock(mutex_);
   for (const auto& [group, pose] : placed) map_->groups[group];
   const Numbering numbering(revision_, beginnings() + 1);
   for (const auto& [group, pose] : placed) {
@@ -506,20 +506,21 @@ void PublishedMap::warnOf(std::size_t left_out) {
 
 // --- Sending -------------------------------------------------------------------------------------
 
-// Sends all of the map, from its beginning. waits: for those who hear it, and lets others at the
+// Sends all of the map, from its beginning. waits: for those who hear it, and lets others edit the
 // map meanwhile. Where it fails, nobody has the map.
-void PublishedMap::sendMap(Lock& lock, const When& stamp, bool waits) {
+void PublishedMap::sendMap(Lock& turn, Lock& lock, const When& stamp, bool waits) {
   const std::uint64_t begun = begun_ = revision_ + 1;
   try {
-    sendSplats(lock, stamp, waits);
+    sendSplats(turn, lock, stamp, waits);
   } catch (...) {
+    if (!turn.owns_lock()) turn.lock();
     if (!lock.owns_lock()) lock.lock();
     if (begun_ == begun) begun_ = ++revision_;
     throw;
   }
 }
 
-void PublishedMap::sendSplats(Lock& lock, const When& stamp, bool waits) {
+void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool waits) {
   const std::uint64_t begun = begun_;
   std::map<std::uint32_t, std::vector<std::uint32_t>> pages;  // by group
   for (auto& [number, page] : map_->pages) {
@@ -545,11 +546,16 @@ void PublishedMap::sendSplats(Lock& lock, const When& stamp, bool waits) {
       }
     }
     const auto operation = revision_ < begun ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
-    send(writing(operation, named, group, map_->channels, stamp));
+    Batch batch = writing(operation, named, group, map_->channels, stamp);
+    batch.revision = ++revision_;
     slots.clear();
-    if (!waits) return;
     lock.unlock();
-    wire_.settle();
+    wire_.send(std::move(batch));
+    if (waits) {
+      turn.unlock();
+      wire_.settle();
+      turn.lock();
+    }
     lock.lock();
     ended = begun_ != begun;  // what has begun meanwhile is sent by another
   };

@@ -38,7 +38,7 @@ struct Stamp {
 //
 // Batches go out as they are made, and nobody is waited for. Who joins late, or misses some, pulls
 // what has changed since the last revision that it has, as it is now. Calls are serialised, from
-// any thread.
+// any thread; who pulls or looks doesn't wait for a map that is being sent.
 //
 // What is wrong in an argument throws std::invalid_argument, which names it, and nothing is sent
 // then. Where sending an edit ends by another exception, it is part of the map all the same: who
@@ -162,8 +162,8 @@ class PublishedMap {
                     const std::shared_ptr<const void>& keeper);
   void warnOf(std::size_t left_out);
 
-  void sendMap(Lock& lock, const When& stamp, bool waits);
-  void sendSplats(Lock& lock, const When& stamp, bool waits);
+  void sendMap(Lock& turn, Lock& lock, const When& stamp, bool waits);
+  void sendSplats(Lock& turn, Lock& lock, const When& stamp, bool waits);
   std::size_t beginnings() const;
   void begin(const When& stamp);
   void send(Batch&& batch);
@@ -182,7 +182,9 @@ class PublishedMap {
   const std::string compression_;
   const Wire wire_;
   const std::string map_id_;
-  mutable std::recursive_mutex mutex_;  // what takes a batch may ask for the map's size
+  // What takes a batch may ask for the map's size.
+  std::recursive_mutex turns_;          // of those who edit and send, taken before the other
+  mutable std::recursive_mutex mutex_;  // the map; pulls come in between while it is sent
   std::uint64_t revision_ = 0;
   std::uint64_t begun_ = 0;  // revision of the last REPLACE: older clients need all of the map
   std::unique_ptr<Content> map_;

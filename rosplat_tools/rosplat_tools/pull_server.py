@@ -1,0 +1,56 @@
+"""A service that is answered whatever its author's node does, spun or not."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+
+from rosplat_msgs.srv import PullMap
+
+Serve = Callable[[PullMap.Request, PullMap.Response], PullMap.Response]
+
+PATIENCE = 5.0  # for the thread to end [s]
+
+
+class PullServer:
+    """Answers a map's pulls in a thread of its own, until it is closed or ROS ends.
+
+    rclpy's executors take whole nodes: the service has a hidden one beside the publisher's.
+    """
+
+    def __init__(self, node: Node, topic: str, serve: Serve) -> None:
+        self._node = rclpy.create_node(
+            f"_{node.get_name()}{topic.replace('/', '_')}",
+            namespace=node.get_namespace(),
+            context=node.context,
+            use_global_arguments=False,  # which would rename it, too
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self._node.create_service(PullMap, f"{topic}/pull", serve)
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._node)
+        self._end = Future()
+        self._thread = threading.Thread(target=self._run, name=topic, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._executor.spin_until_future_complete(self._end)
+        except ExternalShutdownException:
+            pass
+        finally:
+            self._executor.shutdown()
+            self._node.destroy_node()
+
+    def close(self) -> None:
+        """Ends the service after the answer that it is at."""
+        if not self._end.done():
+            self._end.set_result(None)
+        if self._thread is not threading.current_thread():
+            self._thread.join(PATIENCE)
