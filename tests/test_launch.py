@@ -1,16 +1,17 @@
-"""What view.launch.xml starts, without starting it."""
+"""What view.launch.py starts, without starting it."""
 
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
 
-pytest.importorskip("launch_xml")
-LAUNCH = Path(__file__).resolve().parents[1] / "rviz_gaussian_plugin/launch/view.launch.xml"
+pytest.importorskip("launch_ros")
+LAUNCH = Path(__file__).resolve().parents[1] / "rviz_gaussian_plugin/launch/view.launch.py"
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 
@@ -20,16 +21,17 @@ class Program(NamedTuple):
     words: list[str]  # rviz2's own
     profile: str  # of Fast DDS
     sim_time: bool
-    remappings: list[tuple[str, str]]
+    name: str  # of the node, with its namespace
+    remappings: dict[str, str]
 
 
-def started(**arguments: str) -> dict[str, Program]:
+def started(namespace: str = "", **arguments: str) -> dict[str, Program]:
     """Each program by its name."""
     from launch import LaunchContext
-    from launch.actions import IncludeLaunchDescription
+    from launch.actions import GroupAction, IncludeLaunchDescription
     from launch.launch_description_sources import AnyLaunchDescriptionSource
     from launch.utilities import perform_substitutions
-    from launch_ros.actions import Node
+    from launch_ros.actions import Node, PushRosNamespace
 
     context = LaunchContext()
     context.launch_configurations.update(arguments)
@@ -40,18 +42,20 @@ def started(**arguments: str) -> dict[str, Program]:
             for part in entity.visit(context) or []:
                 visit(part)
         elif entity.condition is None or entity.condition.evaluate(context):
-            name = perform_substitutions(context, entity.node_executable)
+            name = entity.node_executable
             own = entity.cmd[1:4] if name == "rviz2" else []  # before what ROS adds
             words = [perform_substitutions(context, word) for word in own]
-            shared = context.launch_configurations  # of a group, for what ROS adds
+            entity._perform_substitutions(context)
             programs[name] = Program(
                 words,
                 context.environment.get(PROFILE, ""),
-                dict(shared["global_params"])["use_sim_time"],
-                shared["ros_remaps"],
+                dict(context.launch_configurations["global_params"])["use_sim_time"],
+                entity.node_name,
+                dict(entity.expanded_remapping_rules or []),
             )
 
-    visit(IncludeLaunchDescription(AnyLaunchDescriptionSource(str(LAUNCH))))
+    included = IncludeLaunchDescription(AnyLaunchDescriptionSource(str(LAUNCH)))
+    visit(GroupAction([*([PushRosNamespace(namespace)] if namespace else []), included]))
     return programs
 
 
@@ -87,13 +91,28 @@ def test_the_frame_of_the_scene_is_seen() -> None:
 
 def test_topic_and_time_are_those_of_all() -> None:
     for program in started(scene="a.ply", sensors="true").values():
-        assert program.remappings == [("/gaussians", "/gaussians")]
+        assert program.remappings["gaussians"] == "gaussians"
         assert program.sim_time is False
     bag = started(topic="/robot/map", use_sim_time="true")
     assert len(bag) == 2
     for program in bag.values():
-        assert program.remappings == [("/gaussians", "/robot/map")]
+        assert program.remappings["gaussians"] == "/robot/map"
         assert program.sim_time is True
+    assert bag["rviz2"].remappings["/gaussians"] == "/robot/map"
+
+
+def test_in_a_namespace_all_meet() -> None:
+    """rviz2's configuration has whole names, which are led to the others' there."""
+    robot = started("robot", scene="a.ply", sensors="true")
+    for name, program in robot.items():
+        assert program.name == f"/robot/{name}"
+    shown = started("robot", sensors="true")["rviz2"]
+    config = Path(shown.words[1]).read_text()
+    topics = set(re.findall(r"(?:Topic|Value): /([\w/]+)", config))
+    assert {"gaussians", "imu/data", "camera/image_raw"} <= topics
+    for topic in topics:
+        assert shown.remappings[f"/{topic}"] == topic  # in rviz2's namespace
+    assert "/imu/data" not in started("robot")["rviz2"].remappings  # a real robot's
 
 
 def test_fast_dds_gets_room_where_there_is_any_and_only_here(

@@ -78,8 +78,8 @@ def used(package: str) -> set[str]:
     for path in files:
         if path.suffix in (".cpp", ".hpp"):
             names |= set(re.findall(r"#include [<\"](\w+)/", path.read_text()))
-        elif path.name.endswith((".launch.xml", ".rviz")):  # plugins are classes of packages
-            names |= set(re.findall(r"(?:pkg=\"|Class: )(\w+)", path.read_text()))
+        elif path.suffix == ".rviz":  # plugins are classes of packages
+            names |= set(re.findall(r"Class: (\w+)", path.read_text()))
     return names
 
 

@@ -1,0 +1,130 @@
+"""Shows a map in rviz2. Publishes it where a scene is given, and starts what sorts it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    OpaqueFunction,
+    SetEnvironmentVariable,
+)
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node, SetParameter, SetRemap
+from launch_ros.parameter_descriptions import ParameterValue
+
+from rosplat_tools.program.processes import fast_dds_profile
+
+# By name: the default, and what it means. Names of topics are in the namespace that the launch file
+# is included in, unless they begin with a slash.
+ARGUMENTS = {
+    "scene": (
+        "",
+        "Scene file to publish: .ply, .spz, .sog, .splat, .ksplat or a SOG folder; a lod-meta.json "
+        "is streamed; empty: the map comes from elsewhere",
+    ),
+    "max_splats": ("2000000", "The most splats of a streamed scene that the map holds"),
+    "topic": (
+        "gaussians",
+        "Topic of the map; those of its views, orders and pictures begin with it",
+    ),
+    "frame_id": ("map", "Frame that the scene is published in"),
+    "fixed_frame": (
+        "",
+        "rviz2's Fixed Frame; by default frame_id, or what the configuration has where that is map",
+    ),
+    "sorter": ("true", "Start a sorter; without one, rviz2 sorts by itself"),
+    "backend": ("auto", "What sorts: auto, cupy, torch, native, numpy"),
+    "sensors": (
+        "false",
+        "Start a robot that circles the map, with an IMU and a camera: for show, not beside a real "
+        "one",
+    ),
+    "use_sim_time": ("false", "Take the time from /clock, as a bag or a simulator gives it"),
+    "config": (
+        "",
+        "rviz2 configuration; by default the map alone, or with the sensors that are started",
+    ),
+}
+
+# Of demo_sensors, which sensors.rviz shows.
+SENSORS = ("imu/data", "camera/image_raw", "camera/camera_info", "camera/pose", "camera/path")
+
+
+def generate_launch_description() -> LaunchDescription:
+    """What `ros2 launch` reads."""
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=_programs)])
+
+
+def _programs(context: LaunchContext) -> list[GroupAction]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+
+    def is_true(name: str) -> bool:
+        return bool(IfCondition(given[name]).evaluate(context))
+
+    def program(package: str, executable: str, **parameters: object) -> Node:
+        typed = {  # a path of digits stays a text
+            name: ParameterValue(value, value_type=type(value))
+            for name, value in parameters.items()
+        }
+        return Node(
+            package=package,
+            executable=executable,
+            name=executable,
+            parameters=[typed],
+            output="screen",
+        )
+
+    scene, frame = given["scene"], given["frame_id"]
+    programs = []
+    # One that waited for a scene would hide a SLAM node that keeps nothing for who joins late.
+    if scene.endswith("lod-meta.json"):
+        most = int(given["max_splats"])
+        programs.append(
+            program(
+                "rosplat_tools", "stream_publisher", path=scene, frame_id=frame, max_splats=most
+            )
+        )
+    elif scene:
+        programs.append(program("rosplat_tools", "ply_publisher", path=scene, frame_id=frame))
+    if is_true("sorter"):
+        programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
+    if is_true("sensors"):
+        programs.append(program("rosplat_tools", "demo_sensors", frame_id=frame))
+    programs.append(_rviz(given, is_true("sensors")))
+    # Room for maps in Fast DDS's shared memory, where there is any.
+    profile = fast_dds_profile(context.environment)
+    return [
+        GroupAction(
+            [
+                *(SetEnvironmentVariable(name, value) for name, value in profile.items()),
+                SetParameter("use_sim_time", is_true("use_sim_time")),
+                SetRemap("gaussians", given["topic"]),
+                *programs,
+            ]
+        )
+    ]
+
+
+def _rviz(given: dict[str, str], sensors: bool) -> Node:
+    frame = given["frame_id"]
+    fixed_frame = given["fixed_frame"] or ("" if frame == "map" else frame)
+    name = "sensors.rviz" if sensors else "rosplat.rviz"
+    config = given["config"] or str(Path(__file__).parents[1] / "config" / name)
+    # A configuration's names begin with a slash: they mean what the others have in their namespace.
+    shown = {"gaussians": given["topic"]} | {topic: topic for topic in SENSORS if sensors}
+    return Node(
+        package="rviz2",
+        executable="rviz2",
+        name="rviz2",
+        arguments=["-d", config, f"--fixed-frame={fixed_frame}"],
+        remappings=[(f"/{topic}", meant) for topic, meant in shown.items()],
+        output="screen",
+    )
