@@ -1,7 +1,8 @@
 # Sourced by bash: puts ROS 2, the project's Python and its built packages on the paths.
-# ROSPLAT_ROS names the ROS 2: a distribution's name, or wheels, which is Jazzy from PyPI. Unset, it is
-# the sourced one, else the newest in /opt/ros, else wheels. Each has its environment and its build in
-# a folder of its own: .ros/NAME/{venv,build,install,log}.
+# ROSPLAT_ROS names the ROS 2: an installed distribution, or wheels, which is Jazzy from PyPI, or
+# kilted-wheels, Kilted from there. Unset, it is the sourced one, else the newest in /opt/ros, else
+# wheels. Each has its environment and its build in a folder of its own:
+# .ros/NAME/{venv,build,install,log}.
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 
@@ -13,11 +14,16 @@ source_unset_ok() { # ROS's own setup files read variables that may not be set
   case $flags in *u*) set -u ;; esac
 }
 
-if [ -z "${ROS_DISTRO:-}" ] && [ "${ROSPLAT_ROS:-}" != wheels ]; then
+if [ -z "${ROS_DISTRO:-}" ] && [[ ${ROSPLAT_ROS:-} != *wheels ]]; then
   ros_setup=$(compgen -G "/opt/ros/${ROSPLAT_ROS:-*}/setup.bash" | tail -n 1 || true)
   if [ -n "$ros_setup" ]; then source_unset_ok "$ros_setup"; fi
 fi
 export ROSPLAT_ROS=${ROSPLAT_ROS:-${ROS_DISTRO:-wheels}}
+case $ROSPLAT_ROS in # what comes from PyPI, if it does
+  wheels) wheels_of=jazzy ;;
+  *-wheels) wheels_of=${ROSPLAT_ROS%-wheels} ;;
+  *) wheels_of= ;;
+esac
 
 # A checkout that was built when there was one folder for all: that build is its ROS's.
 if [ -f "$root/.venv/ros" ] && [ ! -e "$root/.ros" ]; then
@@ -32,8 +38,8 @@ fi
 ros_folder=$root/.ros/$ROSPLAT_ROS
 export COLCON_DEFAULTS_FILE=$ros_folder/colcon.yaml # `colcon build` and `colcon test` find the folders
 if [ -f "$ros_folder/venv/bin/activate" ]; then source_unset_ok "$ros_folder/venv/bin/activate"; fi
-if [ "$ROSPLAT_ROS" = wheels ]; then
-  export ROS_VERSION=2 ROS_DISTRO=jazzy ROS_PYTHON_VERSION=3 AMENT_PREFIX_PATH="$ros_folder/venv"
+if [ -n "$wheels_of" ]; then
+  export ROS_VERSION=2 ROS_DISTRO=$wheels_of ROS_PYTHON_VERSION=3 AMENT_PREFIX_PATH="$ros_folder/venv"
 fi
 if [ -f "$ros_folder/install/local_setup.bash" ]; then
   source_unset_ok "$ros_folder/install/local_setup.bash"

@@ -16,7 +16,10 @@ if [ -n "$(tr -s ' ' '\n' <<<"$wanted" | grep -vxE 'lab|imu|dev|docs|')" ]; then
 fi
 wants() { [[ $wanted == *" $1 "* || $wanted == *' dev '* && $1 != docs ]]; }
 
-if [ "$ROSPLAT_ROS" != wheels ] && [ "$ROSPLAT_ROS" != "${ROS_DISTRO:-}" ]; then
+if [ -n "$wheels_of" ] && [ ! -f "requirements/$wheels_of.txt" ]; then
+  echo "ROSPLAT_ROS asks for $ROSPLAT_ROS, and requirements/ has jazzy and kilted." >&2
+  exit 1
+elif [ -z "$wheels_of" ] && [ "$ROSPLAT_ROS" != "${ROS_DISTRO:-}" ]; then
   echo "ROSPLAT_ROS asks for $ROSPLAT_ROS, and ${ROS_DISTRO:-no ROS 2} is sourced." >&2
   exit 1
 fi
@@ -61,11 +64,11 @@ folder=.ros/$ROSPLAT_ROS
 venv=$folder/venv
 if [ ! -f "$venv/bin/activate" ]; then
   say "Creating $venv"
-  system_packages=$([ "$ROSPLAT_ROS" = wheels ] || echo --system-site-packages)
+  system_packages=$([ -n "$wheels_of" ] || echo --system-site-packages)
   python3 -m venv $system_packages "$venv"
 fi
 requirements=(requirements/runtime.txt)
-[ "$ROSPLAT_ROS" = wheels ] && requirements+=(requirements/ros.txt)
+[ -n "$wheels_of" ] && requirements+=("requirements/$wheels_of.txt")
 for part in lab dev docs; do
   if wants "$part"; then touch "$venv/$part"; fi
   [ -f "$venv/$part" ] && requirements+=("requirements/$part.txt")
@@ -80,7 +83,7 @@ fi
 if ! python3 -c 'import colcon_cmake, colcon_defaults, colcon_ros' 2>/dev/null; then
   "$venv/bin/python" -m pip install -qq --disable-pip-version-check colcon-common-extensions catkin_pkg
 fi
-if [ "$ROSPLAT_ROS" = wheels ] && [ ! -f "$venv/exports-rewritten" ]; then
+if [ -n "$wheels_of" ] && [ ! -f "$venv/exports-rewritten" ]; then
   # The wheels' CMake exports name the include folders of the machine that built them.
   read -r python_include numpy_include < <("$venv/bin/python" -c \
     'import numpy, sysconfig; print(sysconfig.get_paths()["include"], numpy.get_include())')

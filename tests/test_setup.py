@@ -61,7 +61,12 @@ def checkout(tmp_path: Path) -> Checkout:
 
 def test_each_ros_keeps_its_environment_and_its_build(checkout: Checkout) -> None:
     kept = []
-    for ros, sourced in (("wheels", ""), ("jazzy", "jazzy"), ("wheels", "jazzy")):
+    for ros, sourced in (
+        ("wheels", ""),
+        ("jazzy", "jazzy"),
+        ("kilted-wheels", "jazzy"),
+        ("wheels", "kilted"),
+    ):
         done = checkout.setup(ros, ROS_DISTRO=sourced)
         assert done.returncode == 0, done.stderr
         folder = checkout.folder / ".ros" / ros
@@ -78,6 +83,7 @@ def test_a_ros_that_is_not_there_is_an_error(checkout: Checkout) -> None:
         done = checkout.setup("iron", ROS_DISTRO=sourced)
         assert done.returncode == 1
         assert f"asks for iron, and {named} is sourced" in done.stderr
+    assert "requirements/ has" in checkout.setup("iron-wheels").stderr
     assert not (checkout.folder / ".ros").exists()
 
 
