@@ -115,6 +115,27 @@ def test_a_bound_that_the_format_breaks(tmp_path: Path, capsys: pytest.CaptureFi
     assert not out.exists()
 
 
+def test_refitting_makes_what_is_left_better(out: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    arguments = [GARDEN, str(out), "--max-splats", "1000", "--report", str(report)]
+    assert main([*arguments, "--refine", "0.05"]) == 0
+    found = json.loads(report.read_text())
+    before = found["steps"][-2]
+    assert found["splats"] == before["splats"] <= 1000
+    assert found["psnr"] > before["psnr"]
+    assert found["worst"] >= before["worst"]
+
+
+def test_fewer_splats_keep_a_bound_where_they_are_refitted(
+    garden: Splats, tmp_path: Path
+) -> None:
+    merged, refitted = tmp_path / "merged.ply", tmp_path / "refitted.ply"
+    assert main([GARDEN, str(merged), "--psnr", "33"]) == 0
+    assert main([GARDEN, str(refitted), "--psnr", "33", "--refine", "0.3"]) == 0
+    assert len(load(refitted)) < len(load(merged))
+    assert Simplification(garden).judge(load(refitted)).psnr >= 33
+
+
 def test_bounds_that_exclude_each_other(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([GARDEN, str(out), "--psnr", "50", "--max-splats", "300"]) == 1
     said = capsys.readouterr().err

@@ -248,6 +248,19 @@ class Contributions:
     energy: NDArray[np.float32]
     error: NDArray[np.float32]
 
+class RefitRates:
+    def __init__(self, **rates: float) -> None: ...
+
+class Refit:
+    def __init__(self, *arrays: Any, **settings: Any) -> None: ...
+    def step(
+        self, camera: SplatCamera, target: NDArray[np.float32], rates: RefitRates
+    ) -> float: ...
+    def gradient_at(
+        self, camera: SplatCamera, target: NDArray[np.float32]
+    ) -> tuple[float, NDArray[np.float32]]: ...
+    def splats(self) -> dict[str, NDArray[np.float32]]: ...
+
 class CpuRenderer:
     settings: RenderSettings
     def __init__(self, threads: int, instructions: Instructions) -> None: ...

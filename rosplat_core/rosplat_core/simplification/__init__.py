@@ -5,11 +5,18 @@ from __future__ import annotations
 from rosplat_core.splats import SceneError, Splats
 
 
-def simplify(splats: Splats, *, psnr: float | None = None, max_splats: int | None = None) -> Splats:
+def simplify(
+    splats: Splats,
+    *,
+    psnr: float | None = None,
+    max_splats: int | None = None,
+    refine: float = 0.0,
+) -> Splats:
     """The fewest splats whose pictures have a PSNR of `psnr`, or at most `max_splats` of them.
 
     Neighbours that look most like one are merged, those first that views from in and around the map
-    miss least. psnr: of other views, against the map as it is [dB]. Raises SceneError unless one of
+    miss least. psnr: of other views, against the map as it is [dB]. refine: how long what
+    is left is refitted to pictures of the map, which makes it better than psnr asks for [s]. Raises SceneError unless one of
     the two is given, and it is positive.
     """
     from rosplat_core.simplification.search import Simplification  # scipy takes its time
@@ -22,4 +29,6 @@ def simplify(splats: Splats, *, psnr: float | None = None, max_splats: int | Non
         work.shrink(psnr)
     elif max_splats is not None:
         work.reduce(max_splats)
+    if refine > 0:
+        work.refine(refine)
     return work.splats

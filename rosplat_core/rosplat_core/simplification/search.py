@@ -15,7 +15,6 @@ from rosplat_core.rendering import (
     MOST_PSNR,
     UPSERT,
     CpuRenderer,
-    SplatCamera,
     edit,
     insert_all,
     posed,
@@ -31,12 +30,13 @@ from rosplat_core.simplification.merging import (
     find_pairs,
     merge,
 )
+from rosplat_core.simplification.refitting import picture, refit
 from rosplat_core.simplification.views import FOCAL, HEIGHT, WIDTH, views, whereabouts
 from rosplat_core.splats import Splats
 
 LEARNT = 24  # views that contributions are found in, of half the size: more gain more than larger
 CHECKED = 8  # other views, which maps are held to
-SEEDS = (0, 1)  # of these
+SEEDS = (0, 1, 2)  # of these, and of the views that maps are refitted to
 UNSEEN = 0.03  # transmittance that each splat counts as seen through beside what views see of it
 CONTRAST = 0.09  # mean square by which what no view sees counts as different from what is behind it
 LEAST = 1e-30  # error whose logarithm is taken
@@ -78,7 +78,7 @@ class Judge:
 
     def __init__(self, trial: Trial, cameras: list[Camera]) -> None:
         self._poses = [posed(camera) for camera in cameras]
-        self._pictures = [_clipped(trial.renderer, camera) for camera in self._poses]
+        self._pictures = [picture(trial.renderer, camera) for camera in self._poses]
 
     def __call__(self, splats: Splats) -> Quality:
         """PSNR of what a screen shows, over black."""
@@ -89,7 +89,7 @@ class Judge:
         views = range(len(self._poses)) if which is None else which
         return np.array(
             [
-                np.mean(np.square(_clipped(trial.renderer, self._poses[i]) - self._pictures[i]))
+                np.mean(np.square(picture(trial.renderer, self._poses[i]) - self._pictures[i]))
                 for i in views
             ]
         )
@@ -185,6 +185,33 @@ class Simplification:
             if count < len(pairs) or _decibels(before) < bound + NEAR:
                 return
 
+    def refine(self, seconds: float, bound: float = MOST_PSNR) -> None:
+        """Refits the map for so long, or until it has a PSNR of bound [dB].
+
+        Keeps only what is better in all views to check together, and in the worst no worse. Ctrl-C
+        ends it, and keeps what is best so far.
+        """
+        self._trial = None  # with its memory
+        whole = self._whole[0]
+        first = best = self.judge(self.splats)
+        self.steps.append(Step(len(self.splats), first))
+        fitted = refit(
+            self.splats, Trial(whole).renderer,
+            lambda count, seed: views(whole, count, seed), seconds,
+            lambda part: self._progress(f"refitting {len(self.splats):,} splats", part), SEEDS[2],
+        )  # fmt: skip
+        try:
+            for splats in fitted:
+                quality = self.judge(splats)
+                if quality.psnr > best.psnr and quality.worst >= first.worst:
+                    self.splats, best = splats, quality
+                if best.psnr >= bound:
+                    break
+        except KeyboardInterrupt:
+            if best is first:
+                raise
+        self.steps.append(Step(len(self.splats), best))
+
     def _most(self, pairs: Pairs, bound: float, before: float) -> tuple[int, float]:
         """How many pairs may be merged, and the mean square of errors then. before: that of now."""
         costs = np.log10(np.cumsum(pairs.costs, dtype=np.float64) / self._values + LEAST)
@@ -241,13 +268,6 @@ class Simplification:
 
     def _merge(self, pairs: Pairs, count: int) -> None:
         self.splats, self._contributions = merge(self.splats, self._contributions, pairs, count)
-
-
-def _clipped(renderer: CpuRenderer, camera: SplatCamera) -> NDArray[np.float32]:
-    """(height, width, 3) as a screen shows it."""
-    picture = renderer.draw(camera)["colour"][..., :3]
-    clipped: NDArray[np.float32] = np.clip(picture, 0, 1)
-    return clipped
 
 
 def _decibels(error: float) -> float:

@@ -7,4 +7,5 @@ PYBIND11_MODULE(_core, module) {
   rosplat::python::definePayloads(module);
   rosplat::python::definePublishing(module);
   rosplat::python::defineRendering(module);
+  rosplat::python::defineRefitting(module);
 }

@@ -8,6 +8,7 @@ void defineMaps(pybind11::module_& module);
 void defineOrders(pybind11::module_& module);
 void definePayloads(pybind11::module_& module);
 void definePublishing(pybind11::module_& module);
+void defineRefitting(pybind11::module_& module);
 void defineRendering(pybind11::module_& module);
 
 }  // namespace rosplat::python

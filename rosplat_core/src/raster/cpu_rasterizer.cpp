@@ -21,22 +21,16 @@ constexpr int kLongestSide = 16384;  // [px], as makeCamera() has it
 constexpr float kTransparent = 1e-4f;
 
 const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
-#if defined(__x86_64__) && defined(__GNUC__)
-  using Instructions = CpuRasterizer::Instructions;
-  __builtin_cpu_init();
-  if (wanted >= Instructions::kAvx512 && __builtin_cpu_supports("avx512f") &&
-      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
-      __builtin_cpu_supports("avx512bw")) {
-    return avx512::kKernels;
-  }
-  if (wanted >= Instructions::kAvx2 && __builtin_cpu_supports("avx2") &&
-      __builtin_cpu_supports("fma")) {
-    return avx2::kKernels;
-  }
-#else
-  static_cast<void>(wanted);
+  switch (available(wanted)) {
+#if defined(__x86_64__)
+    case CpuRasterizer::Instructions::kAvx512:
+      return avx512::kKernels;
+    case CpuRasterizer::Instructions::kAvx2:
+      return avx2::kKernels;
 #endif
-  return plain::kKernels;
+    default:
+      return plain::kKernels;
+  }
 }
 
 // Runs something that may find no memory.
@@ -221,6 +215,25 @@ std::size_t CpuRasterizer::bytes() const {
   }
   for (const Work::Member& member : w.members) bytes += sizeof(member) + member.spare.bytes();
   return bytes;
+}
+
+CpuRasterizer::Instructions available(CpuRasterizer::Instructions wanted) {
+  using Instructions = CpuRasterizer::Instructions;
+#if defined(__x86_64__) && defined(__GNUC__)
+  __builtin_cpu_init();
+  if (wanted >= Instructions::kAvx512 && __builtin_cpu_supports("avx512f") &&
+      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
+      __builtin_cpu_supports("avx512bw")) {
+    return Instructions::kAvx512;
+  }
+  if (wanted >= Instructions::kAvx2 && __builtin_cpu_supports("avx2") &&
+      __builtin_cpu_supports("fma")) {
+    return Instructions::kAvx2;
+  }
+#else
+  static_cast<void>(wanted);
+#endif
+  return Instructions::kPlain;
 }
 
 void toBytes(const float* values, std::size_t count, std::uint8_t* bytes) {

@@ -129,6 +129,9 @@ class CpuRasterizer {
   std::unique_ptr<Work> work_;
 };
 
+// The best vector instructions that this machine has, of those up to the wanted ones.
+CpuRasterizer::Instructions available(CpuRasterizer::Instructions wanted);
+
 // Values of 0 to 1 as bytes, rounded; what is beyond is clamped.
 void toBytes(const float* values, std::size_t count, std::uint8_t* bytes);
 
