@@ -49,8 +49,8 @@ def refit(
 ) -> Iterator[Splats]:
     """Fits splats to pictures of the map that `full` holds; yields CHECKS maps on the way.
 
-    The rates fall to nothing with the last step. progress: hears how much is done, 0 to 1. Raises MemoryError where Adam's moments, two
-    numbers for each of a splat's, have no room.
+    The rates fall to nothing with the last step. progress: hears how much is done, 0 to 1. Raises
+    MemoryError where Adam's moments, two numbers for each of a splat's, have no room.
     """
     fitting = Refit(
         start.positions, start.orientations, start.scales, start.opacities, start.sh,

@@ -22,6 +22,8 @@ from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
 
 SIZES, QUICK_SIZES = (200_000,), (5_000,)
 SHARES = (0.9, 0.8, 0.7, 0.5, 0.3, 0.1)  # of the splats that are kept
+REFITTED = "simplify, refitted"
+REFIT_SHARES, REFIT_S = (0.5, 0.3, 0.1), 60.0
 OTHER = "splat-transform"  # PlayCanvas's, by npm install -g @playcanvas/splat-transform
 ITS_MODES = ("decimate", "decimate-adaptive")
 
@@ -57,12 +59,19 @@ def _scene(name: str) -> Iterator[Event]:
         simplification.reduce(round(share * len(splats)))
         return simplification.splats
 
+    def refitted(share: float) -> Splats:
+        work = Simplification(splats)
+        work.reduce(round(share * len(splats)))
+        work.refine(REFIT_S)
+        return work.splats
+
     def first(order: np.ndarray, share: float) -> Splats:
         return splats[np.sort(order[: round(share * len(splats))])]
 
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         ways: dict[str, Fewer] = {
             "simplify": simplified,
+            REFITTED: refitted,
             "the most opaque": partial(first, np.argsort(-splats.opacities, kind="stable")),
             "random": partial(first, random),
         }
@@ -72,7 +81,7 @@ def _scene(name: str) -> Iterator[Event]:
                 ways[f"{OTHER} --{mode}"] = partial(_decimated, Path(folder), mode)
         for number, (method, fewer) in enumerate(ways.items()):
             spent = looked if method == "simplify" else 0.0
-            for share in SHARES:
+            for share in REFIT_SHARES if method == REFITTED else SHARES:
                 yield Doing(f"{name}, {method}, {share:.0%}", number / len(ways))
                 began = _processor_time()
                 try:
