@@ -126,7 +126,9 @@ def test_gradients_are_those_of_the_reference(
         if degree and part.start == 0:
             continue  # colours change with the direction of view, which positions leave out
         largest = np.abs(expected[:, part]).max()
-        np.testing.assert_allclose(found[:, part], expected[:, part], rtol=2e-3, atol=2e-4 * largest)
+        np.testing.assert_allclose(
+            found[:, part], expected[:, part], rtol=2e-3, atol=2e-4 * largest
+        )
 
 
 def test_vector_instructions_make_no_difference() -> None:

@@ -126,9 +126,7 @@ def test_refitting_makes_what_is_left_better(out: Path, tmp_path: Path) -> None:
     assert found["worst"] >= before["worst"]
 
 
-def test_fewer_splats_keep_a_bound_where_they_are_refitted(
-    garden: Splats, tmp_path: Path
-) -> None:
+def test_fewer_splats_keep_a_bound_where_they_are_refitted(garden: Splats, tmp_path: Path) -> None:
     merged, refitted = tmp_path / "merged.ply", tmp_path / "refitted.ply"
     assert main([GARDEN, str(merged), "--psnr", "33"]) == 0
     assert main([GARDEN, str(refitted), "--psnr", "33", "--refine", "0.3"]) == 0

@@ -17,7 +17,9 @@ PACKAGES = (
     "rviz_gaussian_plugin",
     "rosplat_lab",
 )
-ROOMS = ("threads", "slots", "map", "views", "order", "levels", "raster", "refit", "painter", "python")
+ROOMS = (
+    "threads", "slots", "map", "views", "order", "levels", "raster", "refit", "painter", "python",
+)  # fmt: skip
 ELSEWHERE = re.compile(
     r"#include <(?:Ogre|epoxy/|GL/|rcl|rclcpp/|rviz_|[a-z_]+_msgs/)|^\s*(?:from|import) "
     r"(?:rclpy|ament_|rviz_|[a-z_]+_msgs|OpenGL|moderngl)\b",

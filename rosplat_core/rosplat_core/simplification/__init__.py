@@ -15,9 +15,9 @@ def simplify(
     """The fewest splats whose pictures have a PSNR of `psnr`, or at most `max_splats` of them.
 
     Neighbours that look most like one are merged, those first that views from in and around the map
-    miss least. psnr: of other views, against the map as it is [dB]. refine: how long what
-    is left is refitted to pictures of the map, which makes it better than psnr asks for [s]. Raises SceneError unless one of
-    the two is given, and it is positive.
+    miss least. psnr: of other views, against the map as it is [dB]. refine: how long what is left
+    is then refitted to pictures of the map, which raises its PSNR [s]. Raises SceneError unless
+    either psnr or max_splats is given, above 0.
     """
     from rosplat_core.simplification.search import Simplification  # scipy takes its time
 

@@ -254,7 +254,7 @@ def _as_good_as(work: Simplification, output: Output, psnr: float) -> tuple[Writ
 def _refitted(
     work: Simplification, output: Output, psnr: float, seconds: float
 ) -> tuple[Written, Quality] | None:
-    """Splats that have a PSNR since they were refitted, fewer than without; None where none have."""
+    """Fewer splats, refitted until they have a PSNR; None where refitting doesn't reach it."""
     for gain in GAINS:
         if psnr <= gain:
             continue
