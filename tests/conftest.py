@@ -79,8 +79,5 @@ def world(request: pytest.FixtureRequest) -> Iterator[World]:
 @pytest.fixture
 def rviz(running_rviz: Rviz, world: World) -> Rviz:
     """A view from above on the map of the world, and its markers."""
-    import rclpy
-
-    running_rviz.meanwhile = lambda: rclpy.spin_once(world.node, timeout_sec=0.03)
     running_rviz.load(configuration(MARKERS, map_display()))
     return running_rviz

@@ -24,6 +24,7 @@ from rosplat_testing import PATIENCE
 from rosplat_tools.program.processes import Processes
 
 SCREEN = (1000, 800)
+LOOK = 0.03  # between two looks [s]
 
 needs_rviz = [
     pytest.mark.rviz,
@@ -100,8 +101,6 @@ class Rviz(DrivenRviz):
         self, folder: Path, *arguments: str, config: str | None = None, **environment: str
     ) -> None:
         """Starts rviz2, with its logs in a folder, and waits until it can be driven."""
-        self.meanwhile: Callable[[], object] = lambda: time.sleep(0.03)
-        """What is done between two looks; a publisher that is pulled from answers then."""
         self._screen = own_screen()
         self.screen_name = self._screen.__enter__()
         super().__init__(
@@ -127,7 +126,7 @@ class Rviz(DrivenRviz):
             if found == level and all(word in text for word in words):
                 return text
             assert time.monotonic() < deadline, f"{entry} is not {level} {words}: {status}"
-            self.meanwhile()
+            time.sleep(LOOK)
 
     # --- The screen -------------------------------------------------------------------------------
 
@@ -156,7 +155,19 @@ class Rviz(DrivenRviz):
                     f"not seen, {self.folder / 'not_seen.png'} was: "
                     + self.processes.said("rviz2")[-500:]
                 )
-            self.meanwhile()
+            time.sleep(LOOK)
+
+    def until_still(self, seconds: float = 1.5) -> np.ndarray:
+        """The picture, once it has not changed for some seconds."""
+        since, before = time.monotonic(), self.picture()
+
+        def still(picture: np.ndarray) -> bool:
+            nonlocal since, before
+            if not np.array_equal(picture, before):
+                since, before = time.monotonic(), picture
+            return time.monotonic() - since > seconds
+
+        return self.until(still)
 
     def keep(self, name: str) -> None:
         """Writes the screen into the folder of the logs, to look at."""
@@ -270,7 +281,7 @@ class World:
         deadline = time.monotonic() + PATIENCE
         while not reached():
             assert time.monotonic() < deadline, "nothing arrived"
-            rclpy.spin_once(self.node, timeout_sec=0.05)
+            rclpy.spin_once(self.node, timeout_sec=LOOK)
 
 
 def disc(
@@ -314,5 +325,5 @@ def blue(picture: np.ndarray) -> np.ndarray:
 
 
 def centre(mask: np.ndarray) -> np.ndarray:
-    """(row, column) of what is in a mask."""
-    return np.argwhere(mask).mean(axis=0)
+    """(row, column) of what is in a mask, NaN where nothing is."""
+    return np.argwhere(mask).mean(axis=0) if mask.any() else np.full(2, np.nan)

@@ -107,7 +107,7 @@ def test_add_by_topic(rviz: Rviz, world: World) -> None:
     rviz.load(configuration(map_display(), panels=displays))
     world.map.replace(disc((1, 0, 0)))
     # The dialog lists what rviz2 has discovered when it opens.
-    rviz.until_status("Map", "Topic", "Ok", "1 batch received")
+    rviz.until_status("Map", "Map", "Ok", "1 splats")
     rviz.ask("open add dialog")
     world.spin_until(lambda: "GaussianMap" in str(offered(rviz)))
     rviz.ask("add topic", path=["/gaussians", "GaussianMap"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -105,9 +104,8 @@ def test_two_maps_look_like_the_map_of_all_their_splats(
     other.place()
     world.map.replace(splats)
     rviz.until_status("Map", "Order", "Ok", f"by {by}, fresh")
-    whole = rviz.until(lambda s: s.max() > 100)
-    while (whole != (whole := rviz.picture())).any():
-        time.sleep(1)
+    rviz.until(lambda s: s.max() > 100)
+    whole = rviz.until_still()
     rviz.set("Map", value=False)
     rviz.until(lambda s: s.max() < 20)
     world.map.replace(splats[half])

@@ -80,7 +80,7 @@ class RealCamera:
         camera.header.frame_id = self.frame
         camera.pose.orientation.w = 1.0
         client = self.world.node.create_client(RenderView, "/gaussians/render")
-        assert client.wait_for_service(10)
+        self.world.spin_until(client.service_is_ready)
         future = client.call_async(RenderView.Request(camera=camera))
         self.world.spin_until(future.done)
         response = future.result()

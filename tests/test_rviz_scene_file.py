@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import time
 from collections.abc import Iterator
@@ -182,10 +183,13 @@ def test_publishers_that_clear_each_others_map_are_named(rviz: Rviz, world: Worl
     topic = world.node.resolve_topic_name("gaussians")
     senders = [sender for sender in world.node.publishers if sender.topic_name == topic]
     world.spin_until(lambda: all(sender.get_subscription_count() for sender in senders))
-    for x in range(2):
-        for publisher in others:
-            publisher.upsert(range(x, x + 1), disc((1, 0, 0), x=x))
-            time.sleep(0.1)  # or they might arrive in another order
+    turns = itertools.cycle(others)
+
+    def named() -> bool:
+        next(turns).upsert(range(1), disc((1, 0, 0)))
+        return "clear each other's map" in rviz.status("Map").get("Topic", ("", ""))[1]
+
+    world.spin_until(named)
     rviz.until_status("Map", "Topic", "Warn", "clear each other's map", "world, world")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import time
 
 import numpy as np
 import pytest
@@ -59,14 +58,7 @@ def test_each_property_acts(rviz: Rviz, world: World) -> None:
     rviz.until(lambda s: s.max() > 150)
     rviz.until_status("Map", "Order", "Ok", "4 splats")
 
-    def steady() -> np.ndarray:
-        last = rviz.picture()
-        while True:
-            time.sleep(0.15)
-            if (last == (last := rviz.picture())).all():
-                return last
-
-    plain = steady()
+    plain = rviz.until_still()
 
     def differs(picture: np.ndarray) -> bool:
         return bool((np.abs(picture - plain).max(axis=2) > 8).sum() >= 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -178,9 +177,8 @@ def test_what_waits_for_a_picture_is_told_when_the_display_is_removed(
         picture = request_picture(world, order_timeout=60.0)
         world.spin_until(lambda: any(view.width == 16 for view in views))
         rviz.ask("remove", path=["Map"])
-        asked = time.monotonic()
-        world.spin_until(lambda: picture.done() or time.monotonic() - asked > 5)
-        return picture.done() and "removed" in picture.result().message
+        world.spin_until(picture.done)
+        return "removed" in picture.result().message
 
     world.map.replace(disc((1, 0, 0)))
     # A service that ended before the middleware had sent took one answer in ten along.
@@ -201,7 +199,7 @@ def test_a_refused_batch_is_said_until_a_good_one_comes(tmp_path: Path, world: W
         rviz.until_status("Map", "Topic", "Error", "1 refused", "because")
         assert "a batch is refused" in rviz.processes.said("rviz2")
         world.map.replace(disc((1, 0, 0)))
-        rviz.until_status("Map", "Topic", "Ok", "1 batch received, 1 refused")
+        rviz.until_status("Map", "Topic", "Ok", "received, 1 refused")
     finally:
         rviz.close()
 
