@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import rclpy
+from ament_index_python.packages import get_package_share_directory
 from geometry_msgs.msg import TransformStamped
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,6 +22,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
+from rosplat_lab.driven_rviz import DrivenRviz
 from rosplat_tools.program.processes import Processes, quoted
 from rviz_gaussian_plugin.offscreen import ensure_display
 
@@ -93,9 +95,15 @@ Window Geometry: {Width: 1400, Height: 640}
 """
 
 
-def shoot(name: str, display: str, crop: tuple[int, int, int, int] | None = None) -> None:
-    """A picture of the screen into docs/, small enough for a README."""
-    picture = ImageGrab.grab(xdisplay=display).convert("RGB")
+def shoot(name: str, rviz: DrivenRviz, crop: tuple[int, int, int, int] | None = None) -> None:
+    """A picture of the screen into docs/, small enough for a README.
+
+    SystemExit where a display in it isn't Ok.
+    """
+    rviz.processes.check()
+    picture = ImageGrab.grab(xdisplay=os.environ["DISPLAY"]).convert("RGB")
+    if complaints := rviz.complaints():
+        raise SystemExit("\n".join([f"no {name}: rviz2 isn't well", *complaints]))
     picture.crop(crop or (0, 0, *SIZE)).save(DOCS / name, quality=82, optimize=True)
     print(f"wrote {DOCS / name}, {(DOCS / name).stat().st_size >> 10} KiB")
 
@@ -149,18 +157,21 @@ def _bars(axes: Axes, values: dict[tuple[int, str, str], float], unit: str) -> N
     axes.spines[["top", "right", "bottom"]].set_visible(False)
 
 
-def shipped_configuration(display: str, folder: Path, seconds: float) -> None:
+def shipped_configuration(folder: Path, seconds: float) -> None:
     """The demo: the procedural garden and the sensors that circle it."""
+    share = Path(get_package_share_directory("rviz_gaussian_plugin"))
     with Processes(folder) as processes:
-        processes.start(
-            "demo", [sys.executable, "-m", "rviz_gaussian_plugin.demo", "--out", str(folder)]
+        processes.node(
+            "rosplat_tools", "ply_publisher", "--ros-args", "-p", "path:=procedural:200000"
         )
+        processes.node("rosplat_sorter", "sorter")
+        processes.node("rosplat_tools", "demo_sensors")
+        rviz = DrivenRviz(processes, (share / "config/sensors.rviz").read_text())
         time.sleep(seconds)
-        processes.check()
-        shoot("rviz.jpg", display)
+        shoot("rviz.jpg", rviz)
 
 
-def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
+def occlusion(folder: Path, scene: Path, seconds: float) -> None:
     """A scene in a frame of its own; an opaque and a translucent cube in it; who sorted it."""
     rclpy.init()
     node = Node("pictures")
@@ -181,59 +192,50 @@ def occlusion(display: str, folder: Path, scene: Path, seconds: float) -> None:
         cubes.markers.append(cube)
     markers = node.create_publisher(MarkerArray, "/markers", LATCHED)
     markers.publish(cubes)
-    config = folder / "occlusion.rviz"
-    config.write_text(OCCLUSION_CONFIG)
     with Processes(folder) as processes:
         processes.node(
             "rosplat_tools", "ply_publisher", "--ros-args",
             "-p", f"path:={quoted(scene)}", "-p", "frame_id:=scene",
         )  # fmt: skip
-        processes.start("rviz2", ["rviz2", "-d", str(config)])
+        rviz = DrivenRviz(processes, OCCLUSION_CONFIG)
         time.sleep(seconds)
-        processes.check()
         # Widen the panel and unfold the display's Status: rviz doesn't remember that.
         for step in ("mousemove 342 600", "mousedown 1", "mousemove 400 600", "mousemove 460 600",
                      "mouseup 1", "mousemove 31 208 click 1"):  # fmt: skip
             subprocess.run(["xdotool", *step.split()], check=True)
             time.sleep(seconds / 20)  # as long as frames take in software
         time.sleep(seconds / 2)
-        shoot("occlusion.jpg", display)
+        shoot("occlusion.jpg", rviz)
     node.destroy_node()
     rclpy.shutdown()
 
 
-def selection(display: str, folder: Path, seconds: float) -> None:
+def selection(folder: Path, seconds: float) -> None:
     """Splats that a box of the Select tool has selected, one of them unfolded in the panel."""
-    config = folder / "selection.rviz"
-    config.write_text(SELECTION_CONFIG)
     with Processes(folder) as processes:
         processes.node(
             "rosplat_tools", "ply_publisher", "--ros-args", "-p", "path:=procedural:6000"
         )
-        processes.start("rviz2", ["rviz2", "-d", str(config)])
+        rviz = DrivenRviz(processes, SELECTION_CONFIG)
         time.sleep(seconds)
-        processes.check()
         drag = ["mousemove", "820", "330", "mousedown", "1", "mousemove", "840", "350"]
         subprocess.run(["xdotool", *drag, "mousemove", "860", "370", "mouseup", "1"], check=True)
         time.sleep(seconds / 4)
         subprocess.run(["xdotool", "mousemove", "12", "92", "click", "1"], check=True)
         time.sleep(seconds / 4)
-        shoot("selection.jpg", display)
+        shoot("selection.jpg", rviz)
 
 
-def channels(display: str, folder: Path, seconds: float) -> None:
+def channels(folder: Path, seconds: float) -> None:
     """A map in the colours of the keyframes that its splats came with, as SLAM sends them."""
-    config = folder / "channels.rviz"
-    config.write_text(CHANNELS_CONFIG)
     with Processes(folder) as processes:
         processes.node(
             "rosplat_tools", "slam_emulator", "--ros-args", "-p", "path:=procedural:60000",
             "-p", "batch_size:=3000", "-p", "prune_fraction:=0.0",
         )  # fmt: skip
-        processes.start("rviz2", ["rviz2", "-d", str(config)])
+        rviz = DrivenRviz(processes, CHANNELS_CONFIG)
         time.sleep(seconds)
-        processes.check()
-        shoot("channels.jpg", display, (0, 0, 1400, 640))
+        shoot("channels.jpg", rviz, (0, 0, 1400, 640))
 
 
 def embedded_viewer(folder: Path, scene: Path) -> None:
@@ -271,15 +273,15 @@ def main() -> None:
     if "demo" in options.only:
         embedded_viewer(folder, options.upright)
     os.environ.pop("DISPLAY", None)
-    with ensure_display(*SIZE) as display:
+    with ensure_display(*SIZE):
         if "occlusion" in options.only:
-            occlusion(display, folder, options.scene, options.seconds)
+            occlusion(folder, options.scene, options.seconds)
         if "selection" in options.only:
-            selection(display, folder, options.seconds)
+            selection(folder, options.seconds)
         if "channels" in options.only:
-            channels(display, folder, options.seconds)
+            channels(folder, options.seconds)
         if "rviz" in options.only:
-            shipped_configuration(display, folder, options.seconds)
+            shipped_configuration(folder, options.seconds)
 
 
 if __name__ == "__main__":

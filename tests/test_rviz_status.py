@@ -8,7 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from rviz_harness import TOP, Rviz, World, configuration, disc, map_display, needs_rviz, red
+from rviz_harness import (
+    TOP,
+    Rviz,
+    World,
+    configuration,
+    disc,
+    display,
+    map_display,
+    needs_rviz,
+    red,
+)
 
 pytestmark = needs_rviz
 
@@ -46,6 +56,22 @@ def test_bad_input_is_explained(rviz: Rviz, world: World, tmp_path: Path) -> Non
     rviz.until_status("Map", "Transform", "Ok")
     rviz.until_status("Map", "Topic", "Ok")
     assert rviz.status("Map").get("Scene File", ("Ok", ""))[0] == "Ok"
+
+
+def test_all_that_a_user_would_see_in_yellow_or_red_is_listed(rviz: Rviz, world: World) -> None:
+    """A picture of the documentation shows none of it."""
+    lost, grid = display("Nothing", "Lost"), display("Grid", "Grid")
+    rviz.load(configuration(lost, grid, map_display(topic="/nobody")))
+    world.place()
+    rviz.until_status("Grid", "Transform", "Ok")
+    nobody = rviz.until_status("Map", "Topic", "Warn", "Nobody publishes on /nobody")
+    loading = "Lost: rviz could not load it"
+    world.spin_until(lambda: rviz.complaints() == [loading, f"Map, Status: Warn, Topic: {nobody}"])
+    rviz.set("Map", value=False)
+    assert rviz.complaints() == [loading]
+    rviz.load(configuration(grid, map_display()))
+    world.map.replace(disc((1, 0, 0)))
+    world.spin_until(lambda: rviz.status("Map").get("Map") and not rviz.complaints())
 
 
 def request_picture(

@@ -132,3 +132,24 @@ class DrivenRviz:
             if child["name"].startswith("Status")
             for entry in child["children"]
         }
+
+    def complaints(self) -> list[str]:
+        """What a user would see in yellow or red: each entry of a Status that isn't Ok, rviz's own
+        Global Status too, and each display that rviz could not load. None of a disabled display.
+        """
+        found: list[str] = []
+
+        def visit(property: dict[str, Any], path: str) -> None:
+            if not property["children"] and property.get("level", "Ok") != "Ok":
+                found.append(f"{path}: {property['value']}")
+            for child in property["children"]:
+                visit(child, f"{path}, {child['name']}")
+
+        for display in self.ask("tree", path=[], root="displays")["children"]:
+            if display["value"] is False:
+                continue
+            if display["children"]:
+                visit(display, display["name"])
+            else:
+                found.append(f"{display['name']}: rviz could not load it")
+        return found
