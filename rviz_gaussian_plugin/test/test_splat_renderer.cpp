@@ -17,12 +17,15 @@
 #include <map>
 #include <memory>
 #include <numeric>
+#include <random>
 #include <sstream>
 #include <string>
 #include <thread>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
+#include "gpu/slot_store.hpp"
 #include "owned_batch.hpp"
 #include "splat_scene.hpp"
 #include "windowless_display.hpp"
@@ -394,26 +397,37 @@ class Disguise {
   static inline GLint subgroup_size_ = 0;
 };
 
-// Counts how often the graphics card is waited for.
-class Waits {
+// Counts the calls of a function of the driver.
+template <auto* function>
+class Calls {
  public:
-  Waits() {
-    waits = 0;
-    real_ = epoxy_glFinish;
-    epoxy_glFinish = [] {
-      ++waits;
-      real_();
-    };
+  Calls() : real_(*function) {
+    count_ = 0;
+    driver_ = real_;
+    *function = counting(real_);
   }
-  ~Waits() { epoxy_glFinish = real_; }
-  Waits(const Waits&) = delete;
-  Waits& operator=(const Waits&) = delete;
+  ~Calls() { *function = real_; }
+  Calls(const Calls&) = delete;
+  Calls& operator=(const Calls&) = delete;
 
-  static inline int waits = 0;
+  static int count() { return count_; }
 
  private:
-  static inline PFNGLFINISHPROC real_ = nullptr;
+  using Pointer = std::remove_reference_t<decltype(*function)>;
+
+  template <typename... Args>
+  static Pointer counting(void (*)(Args...)) {
+    return [](Args... args) {
+      ++count_;
+      driver_(args...);
+    };
+  }
+
+  static inline int count_ = 0;
+  static inline Pointer driver_ = nullptr;
+  Pointer real_;
 };
+using Waits = Calls<&epoxy_glFinish>;  // for the graphics card
 
 class SplatRendererTest : public testing::Test {
  protected:
@@ -693,7 +707,7 @@ TEST_F(SplatRendererTest, UploadsEditsWithoutWaitingForTheCard) {
     scene.apply(one.batch(2 + edit, {131 * edit}));
     picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
   }
-  EXPECT_EQ(Waits::waits, 0);
+  EXPECT_EQ(Waits::count(), 0);
 }
 
 TEST_F(SplatRendererTest, AMapThatGrowsWaitsOnceForEachArenaThatGrows) {
@@ -716,7 +730,159 @@ TEST_F(SplatRendererTest, AMapThatGrowsWaitsOnceForEachArenaThatGrows) {
     bytes = scene.bytes().map;
   }
   EXPECT_GT(grown, 3);
-  EXPECT_LE(Waits::waits, grown + 7);  // and for its own memory
+  EXPECT_LE(Waits::count(), grown + 7);  // and for its own memory
+}
+
+namespace {
+
+// What a store holds, arena by arena: of pages that are new only their slots are written at once.
+std::vector<std::vector<std::uint32_t>> contents(const SlotStore& store, bool all = true) {
+  std::vector<std::vector<std::uint32_t>> contents;
+  const auto read = [&](const gl::Buffer& buffer) {
+    contents.emplace_back(buffer.bytes() / sizeof(std::uint32_t));
+    if (buffer.bytes() > 0) buffer.read(0, contents.back().data(), buffer.bytes());
+  };
+  for (const SlotStore::Arena& arena : store.arenas()) {
+    read(arena.slots);
+    if (!all) continue;
+    for (const gl::Buffer& band : arena.bands) read(band);
+    for (const gl::Buffer& channel : arena.channels) read(channel);
+    read(arena.levels);
+  }
+  return contents;
+}
+
+// Splats of many values, with a channel.
+OwnedBatch variedSplats(std::uint32_t count, std::uint8_t sh_degree, std::minstd_rand& random) {
+  std::uniform_real_distribution<float> part(0.01f, 1);
+  OwnedBatch batch = splatsInARow(count, sh_degree);
+  batch.channel_names = {"age"};
+  batch.values.resize(count);
+  for (auto* values : {&batch.position, &batch.orientation, &batch.scale, &batch.opacity,
+                       &batch.harmonics, &batch.values}) {
+    for (float& value : *values) value = part(random);
+  }
+  return batch;
+}
+
+// Adds a splat of another batch, if that has any.
+void addFrom(const OwnedBatch& from, std::uint32_t i, OwnedBatch& to) {
+  for (const auto values : {&OwnedBatch::position, &OwnedBatch::orientation, &OwnedBatch::scale,
+                            &OwnedBatch::opacity, &OwnedBatch::harmonics, &OwnedBatch::values}) {
+    const std::size_t width = (from.*values).size() / from.count;
+    const auto at = (from.*values).begin() + std::ptrdiff_t(width * i);
+    (to.*values).insert((to.*values).end(), at, at + std::ptrdiff_t(width));
+  }
+  to.sh_degree = from.sh_degree;
+  to.channel_names = from.channel_names;
+  ++to.count;
+}
+
+// A map's books, and its slots on the card.
+struct Uploaded {
+  Uploaded(gl::UploadRing& ring, const gl::Program& scatter) : store(ring, scatter) {}
+
+  void apply(OwnedBatch batch, std::uint8_t operation) {
+    batch.revision = books.state().revision + 1;
+    batch.operation = operation;
+    BatchReport report;
+    store.apply(*books.apply(batch.look(), report), 7);
+  }
+
+  GaussianMap books;
+  SlotStore store;
+};
+
+}  // namespace
+
+// To the bit, in arenas of 16 pages. What is uploaded one by one is copied.
+TEST_F(SplatRendererTest, ScatteredEditsLeaveTheBuffersAsOtherUploadsDo) {
+  constexpr std::uint32_t kMany = 40 * SlotPage::kSlots, kSome = 900;
+  const Disguise driver(1 << 20, 0);
+  Shaders compiled(shaders());
+  const gl::Program& scatter = compiled.compute({"slot_scatter.comp"});
+  gl::UploadRing ring;
+  Uploaded scattered(ring, scatter), whole(ring, scatter);
+  std::minstd_rand random(1);
+
+  // All but each seventh anew, in no order, and some of them with other values before that.
+  const OwnedBatch before = variedSplats(kMany, 3, random), other = variedSplats(kMany, 3, random),
+                   after = variedSplats(kMany, 3, random);
+  OwnedBatch anew, all;
+  std::vector<std::uint32_t> slots(kMany);
+  std::iota(slots.begin(), slots.end(), 0u);
+  for (const std::uint32_t slot : slots) addFrom(slot % 7 == 0 ? before : after, slot, all);
+  std::shuffle(slots.begin(), slots.end(), random);
+  for (const OwnedBatch* from : {&other, &after}) {
+    for (const std::uint32_t slot : slots) {
+      if (slot % 7 == 0 || (from == &other && slot % 3 != 0)) continue;
+      addFrom(*from, slot, anew);
+      anew.slot_list.push_back(slot);
+    }
+  }
+  scattered.apply(before, GaussianBatch::REPLACE);
+  scattered.apply(anew, GaussianBatch::UPSERT);
+  whole.apply(all, GaussianBatch::REPLACE);
+  ASSERT_EQ(whole.store.arenas().size(), 3u);
+  EXPECT_TRUE(contents(scattered.store) == contents(whole.store));
+
+  // Then fewer bands and no channel, beside levels of detail; none at all; and in pages that are
+  // new.
+  EntryLevels levels;
+  for (std::size_t i = 0; i < levels.size(); ++i) levels[i] = std::uint8_t(i % 5);
+  for (Uploaded* map : {&scattered, &whole}) {
+    for (const std::uint32_t page : {0, 1, 20}) {
+      map->store.setLevels(page * SlotPage::kSlots, levels);
+    }
+  }
+  const auto both = [&](OwnedBatch batch, std::uint8_t operation, std::uint32_t first,
+                        std::uint32_t range) {
+    for (std::uint32_t i = 0; i < kSome; ++i) {
+      batch.slot_list.push_back(first + i * 7919 % range / 2 * 2);
+    }
+    scattered.apply(batch, operation);
+    for (std::uint32_t i = 0; i < kSome; ++i) {
+      OwnedBatch one(0, operation, batch.slot_list[i]);
+      addFrom(batch, i, one);
+      whole.apply(one, operation);
+    }
+  };
+  OwnedBatch some = variedSplats(kSome, 1, random), none;
+  some.channel_names.clear();
+  some.values.clear();
+  none.count = kSome;
+  both(some, GaussianBatch::UPSERT, 0, kMany);
+  EXPECT_TRUE(contents(scattered.store) == contents(whole.store));
+  both(none, GaussianBatch::DELETE, 0, kMany);
+  EXPECT_TRUE(contents(scattered.store) == contents(whole.store));
+  both(some, GaussianBatch::UPSERT, kMany, 2 * SlotPage::kSlots);
+  EXPECT_TRUE(contents(scattered.store, false) == contents(whole.store, false));
+}
+
+TEST_F(SplatRendererTest, ScatteredEditsTakeFewCommands) {
+  SplatScene scene(shaders());
+  fill(scene);
+  picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  Splats some;
+  std::vector<std::uint32_t> slots;
+  for (std::uint32_t i = 0; i < 1000; ++i) {
+    some.add({0, 0, 5}, {1, 0, 0});
+    slots.push_back(5 * i);
+  }
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  const Calls<&epoxy_glCopyBufferSubData> copies;
+  const Calls<&epoxy_glClearBufferSubData> clears;
+  const Calls<&epoxy_glDispatchCompute> dispatches;
+  scene.apply(some.batch(2, slots));
+  scene.upload(settings);
+  OwnedBatch none(3, GaussianBatch::DELETE);
+  none.count = 1000;
+  none.slot_list = slots;
+  scene.apply(none.look());
+  scene.upload(settings);
+  EXPECT_EQ(scene.readSlots({5})[0].opacity, 0);
+  EXPECT_LT(copies.count() + clears.count() + dispatches.count(), 20);
 }
 
 // More than there is to upload from, some of it twice: what is written anew waits its turn.
@@ -957,6 +1123,13 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
   fill(scene);
   const Framebuffer window(GL_DEPTH24_STENCIL8, 4, windowDepth(6));
   const Surroundings around{true, [] {}};
+  // Some of the same once more, which a shader uploads.
+  OwnedBatch again(1, GaussianBatch::UPSERT);
+  const OwnedBatch all = manySplats().batch(1, {});
+  for (std::uint32_t i = 0; i < kSplats; i += 2) {
+    addFrom(all, i, again);
+    again.slot_list.push_back(i);
+  }
   for (const Rasterizer rasterizer :
        {Rasterizer::kQuads, Rasterizer::kTiles, Rasterizer::kProcessor}) {
     RenderSettings settings;
@@ -965,6 +1138,8 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     const auto depth = scene.readDepth();
     const OthersState others;
     const State before = state();
+    ++again.revision;
+    scene.apply(again.look());
     EXPECT_EQ(picture(scene, rasterizer, OrderSource::kGpu, Canvas::kWindow), expected);
     EXPECT_EQ(changed(before), State());
     const auto depth_now = scene.readDepth();

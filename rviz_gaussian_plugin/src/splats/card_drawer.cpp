@@ -35,7 +35,7 @@ void CardDrawer::take(const EditQueue::Waiting& arrival) {
   if (edit->clear) {
     // What replaces a map in parts doesn't show before it is whole.
     const bool beside = more && map_.splats > 0;
-    next_card_ = beside ? std::make_shared<CardMap>() : nullptr;
+    next_card_ = beside ? renderer_->makeMap() : nullptr;
   }
   MapState after = state;  // first, lest memory be lacking once the edit is there
   if (next_card_) {

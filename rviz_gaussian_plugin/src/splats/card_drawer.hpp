@@ -66,7 +66,7 @@ class CardDrawer : public Drawer {
   std::shared_ptr<SplatRenderer> renderer_;
   Arrivals::Taker taker_;
   BuiltInSorter& sorter_;
-  std::shared_ptr<CardMap> card_ = std::make_shared<CardMap>();
+  std::shared_ptr<CardMap> card_ = renderer_->makeMap();
   MapState map_;
   std::shared_ptr<CardMap> next_card_;  // what replaces that, until it is whole
   MapState next_map_;

@@ -37,6 +37,7 @@ bool missesBudget(Frame& frame, const std::vector<std::size_t>& drawn,
 SplatRenderer::SplatRenderer(const ShaderSource& source)
     : accelerated_(gl::accelerated()),
       shaders_(checked(source)),
+      scatter_(shaders_.compute({"slot_scatter.comp"})),
       reader_(shaders_),
       sort_(shaders_),
       picker_(shaders_),

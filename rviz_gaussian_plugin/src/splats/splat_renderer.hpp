@@ -42,6 +42,9 @@ class SplatRenderer {
 
   double clock() const;  // of `change` in packed_slot.hpp
 
+  // A map without slots, for no other renderer.
+  std::shared_ptr<CardMap> makeMap() const { return std::make_shared<CardMap>(scatter_); }
+
   // What draw() drew of each map.
   struct OfMap {
     std::size_t drawn = 0;     // splats, and nodes that stand for some
@@ -130,6 +133,7 @@ class SplatRenderer {
 
   bool accelerated_;
   Shaders shaders_;
+  const gl::Program& scatter_;  // slot_scatter.comp
   SlotReader reader_;
   RadixSort sort_;
   std::optional<bool> sorts_;

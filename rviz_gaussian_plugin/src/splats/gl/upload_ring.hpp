@@ -31,12 +31,9 @@ class UploadRing {
   void write(const Buffer& to, std::size_t first, std::size_t count, std::size_t width,
              const Fill& fill) {
     const std::size_t bytes = width * sizeof(Value);
-    for (std::size_t done = 0, n; done < count; done += n) {
-      void* const memory = room(bytes);
-      n = std::min(count - done, (part_.bytes - used_) / bytes);
-      fill(static_cast<Value*>(memory), done, n);
+    lend<Value>(count, width, fill, [&](std::size_t done, std::size_t n) {
       copy(to, (first + done) * bytes, n * bytes);
-    }
+    });
   }
   // The same of items that lie in memory.
   template <typename Value>
@@ -44,6 +41,16 @@ class UploadRing {
              const Value* items) {
     write<Value>(to, first, count, width, [&](Value* values, std::size_t from, std::size_t n) {
       std::memcpy(values, items + from * width, n * width * sizeof(Value));
+    });
+  }
+  // Has a shader read `count` items, each of `width` values, that fill() writes as above: some at a
+  // time, read(from, first, n) gets n of them, which begin at the first-th value of `from`. That is
+  // no larger than any driver lets a shader read.
+  template <typename Value, typename Fill, typename Read>
+  void show(std::size_t count, std::size_t width, const Fill& fill, const Read& read) {
+    lend<Value>(count, width, fill, [&](std::size_t, std::size_t n) {
+      read(Slice{part_.buffer.id(), 0, part_.bytes}, used_ / sizeof(Value), n);
+      use(n * width * sizeof(Value));
     });
   }
   // Writes one value everywhere.
@@ -69,11 +76,24 @@ class UploadRing {
     GLsync read = nullptr;  // left to its context in the end
   };
 
+  // Has items filled, some at a time, and then taken: take(done, n).
+  template <typename Value, typename Fill, typename Take>
+  void lend(std::size_t count, std::size_t width, const Fill& fill, const Take& take) {
+    const std::size_t bytes = width * sizeof(Value);
+    for (std::size_t done = 0, n; done < count; done += n) {
+      void* const memory = room(bytes);
+      n = std::min(count - done, (part_.bytes - used_) / bytes);
+      fill(static_cast<Value*>(memory), done, n);
+      take(done, n);
+    }
+  }
   Part makePart();
   // Where to write at least so many bytes.
   void* room(std::size_t bytes);
   // Has what was written there copied.
   void copy(const Buffer& to, std::size_t offset, std::size_t bytes);
+  // What is there is not written again before the card is through with it.
+  void use(std::size_t bytes);
 
   Part part_;              // that is written to
   std::size_t used_ = 0;   // of it

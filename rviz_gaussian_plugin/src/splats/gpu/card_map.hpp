@@ -20,6 +20,9 @@ namespace rosplat {
 // any. now: the clock of `change` in packed_slot.hpp.
 class CardMap {
  public:
+  // scatter: slot_scatter.comp; stays.
+  explicit CardMap(const gl::Program& scatter) : store_(ring_, scatter) {}
+
   // Uploads what the edit changes; its slots are new from now on. Throws gl::Error when the driver
   // has no memory left.
   void apply(const std::shared_ptr<const GaussianEdit>& edit, double now);
@@ -73,7 +76,7 @@ class CardMap {
   void endLevels();
 
   gl::UploadRing ring_;
-  SlotStore store_{ring_};
+  SlotStore store_;
   std::optional<CardLevels> levels_;
   std::string levels_error_;  // why there are none although they were to be made
   std::map<std::string, View> views_;

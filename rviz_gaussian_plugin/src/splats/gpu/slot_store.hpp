@@ -20,8 +20,9 @@ class SlotStore {
   using Arena = SlotArenas::Arena;
   using Place = SlotArenas::Place;
 
-  // ring: to write with; stays.
-  explicit SlotStore(gl::UploadRing& ring) : ring_(ring), arenas_(ring) {}
+  // ring, scatter: slot_scatter.comp, to write with; stay.
+  SlotStore(gl::UploadRing& ring, const gl::Program& scatter)
+      : ring_(ring), scatter_(scatter), arenas_(ring) {}
   SlotStore(const SlotStore&) = delete;
   SlotStore& operator=(const SlotStore&) = delete;
 
@@ -71,12 +72,22 @@ class SlotStore {
     std::size_t first, source, count;
   };
 
+  // A slot of an edit, and of an arena.
+  struct Spot {
+    std::size_t source;
+    std::uint32_t place;
+  };
+
   void change();
   void empty(const SlotPage& page);
   std::vector<Piece> pieces(const GaussianEdit& edit);
   void write(const GaussianEdit& edit, const Piece& piece, std::uint32_t change);
+  void scatter(const GaussianEdit& edit, const std::vector<Piece>& pieces, std::uint32_t change);
+  void scatter(const GaussianEdit& edit, const Arena& arena, const std::vector<Spot>& spots,
+               std::uint32_t change);
 
   gl::UploadRing& ring_;
+  const gl::Program& scatter_;
   SlotPages pages_;
   SlotArenas arenas_;
   std::vector<bool> held_;              // by a page's place
