@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import subprocess
@@ -14,8 +13,6 @@ from pathlib import Path
 import rclpy
 from ament_index_python.packages import get_package_share_directory
 from geometry_msgs.msg import TransformStamped
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from PIL import Image, ImageGrab
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -106,55 +103,6 @@ def shoot(name: str, rviz: DrivenRviz, crop: tuple[int, int, int, int] | None = 
         raise SystemExit("\n".join([f"no {name}: rviz2 isn't well", *complaints]))
     picture.crop(crop or (0, 0, *SIZE)).save(DOCS / name, quality=82, optimize=True)
     print(f"wrote {DOCS / name}, {(DOCS / name).stat().st_size >> 10} KiB")
-
-
-SCENES = {"wolf.spz": "wolf", "playbot": "playbot"}  # others are the procedural garden
-
-
-def comparison() -> None:
-    """Frames of rviz2 with this display and with RVizSplat, and their errors: overviews."""
-    records = json.loads((DOCS / "results/h100/rviz.json").read_text())
-    figure = Figure(figsize=(9.6, 3.3), layout="constrained")
-    times, errors = figure.subplots(1, 2, width_ratios=[3, 2])
-    for axes, name, chosen, unit in (
-        (times, "frame", {"camera": "moving"}, "{:.1f} ms"),
-        (errors, "PSNR", {}, "{:.0f} dB"),
-    ):
-        wanted = {"view": "overview", **chosen}
-        values = {
-            (record["splats"], _scene(record), record["parameters"]["display"]): record["value"]
-            for record in records
-            if record["name"] == name and wanted.items() <= record["parameters"].items()
-        }
-        _bars(axes, values, unit)
-    times.set_title("Time between two frames of rviz2, moving view (less is better)", fontsize=9)
-    errors.set_title("PSNR against a float64 reference (more is better)", fontsize=9)
-    handles, labels = times.get_legend_handles_labels()
-    times.legend(handles[::-1], labels[::-1], loc="upper right", fontsize=9, frameon=False)
-    card, picture = records[0]["gpu"].split("/")[0], records[0]["parameters"]["picture"]
-    figure.supxlabel(f"overviews, {picture}, {card}", fontsize=8, color="#606060")
-    figure.savefig(DOCS / "comparison.png", dpi=130)
-    print(f"wrote {DOCS / 'comparison.png'}")
-
-
-def _scene(record: dict[str, str]) -> str:
-    return SCENES.get(record["scene"].rsplit("/")[-1], "garden")
-
-
-def _bars(axes: Axes, values: dict[tuple[int, str, str], float], unit: str) -> None:
-    """A group of bars for each scene, a bar for each display."""
-    scenes = sorted({(splats, scene) for splats, scene, _ in values}, reverse=True)
-    displays = {"RVizSplat, CPU": "#c9c9c9", "RVizSplat, CUDA": "#8f8f8f", "ROSplat": "#1f77b4"}
-    for row, (display, colour) in enumerate(displays.items()):
-        lengths = [values[splats, scene, display] for splats, scene in scenes]
-        places = [place + 0.27 * (row - 1) for place in range(len(scenes))]
-        bars = axes.barh(places, lengths, 0.25, color=colour, label=display)
-        axes.bar_label(bars, [unit.format(length) for length in lengths], padding=3, fontsize=7)
-    axes.set_yticks(range(len(scenes)), [f"{scene}, {splats:,}" for splats, scene in scenes])
-    axes.tick_params(labelsize=8)
-    axes.margins(x=0.12)
-    axes.xaxis.set_visible(False)
-    axes.spines[["top", "right", "bottom"]].set_visible(False)
 
 
 def shipped_configuration(folder: Path, seconds: float) -> None:
@@ -253,23 +201,19 @@ def embedded_viewer(folder: Path, scene: Path) -> None:
     print(f"wrote {DOCS / 'demo.jpg'}")
 
 
-PICTURES = ("comparison", "demo", "occlusion", "selection", "channels", "rviz")
+PICTURES = ("demo", "occlusion", "selection", "channels", "rviz")
 
 
 def main() -> None:
     """Makes all of them, or some."""
     parser = argparse.ArgumentParser(prog="make pictures", description=__doc__)
-    parser.add_argument("scene", type=Path, help="trained scene with y down, playbot in the README")
-    parser.add_argument(
-        "upright", type=Path, help="trained scene with y up, wolf.spz in the README"
-    )
+    parser.add_argument("scene", type=Path, help="trained scene with y down: playbot here")
+    parser.add_argument("upright", type=Path, help="trained scene with y up: wolf.spz here")
     parser.add_argument("--only", nargs="+", choices=PICTURES, default=PICTURES, metavar="PICTURE")
     parser.add_argument("--seconds", type=float, default=60, help="for rviz2 to come to rest")
     options = parser.parse_args()
     folder = Path("out/pictures")
     folder.mkdir(parents=True, exist_ok=True)
-    if "comparison" in options.only:
-        comparison()
     if "demo" in options.only:
         embedded_viewer(folder, options.upright)
     os.environ.pop("DISPLAY", None)
