@@ -282,7 +282,7 @@ def test_old_opengl_serves_the_processor_alone(tmp_path: Path, world: World) -> 
         assert ask_for_picture(old, topic="/old/gaussians").success
         rviz.set("Map", "Rasterizer", value="Tiles")
         rviz.until_status(
-            "Map", "OpenGL", "Error", "another rasterizer draws", "OpenGL 4.4 is needed", "3.0"
+            "Map", "OpenGL", "Error", "the rasterizer wasn't changed", "OpenGL 4.4 is needed", "3.0"
         )
         # Who drew the map so far goes on.
         assert ask_for_picture(old, topic="/old/gaussians").success

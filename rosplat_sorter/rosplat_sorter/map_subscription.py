@@ -118,9 +118,9 @@ class MapSubscription:
 
     def _send(self, number: int, map_id: str, after_revision: int, first_block: int) -> None:
         if not first_block:
-            missing = f"what map '{shown(map_id)}' has since {after_revision}"
+            what = f"map '{shown(map_id)}' after revision {after_revision}" if map_id else "the map"
             self._node.get_logger().info(
-                f"{self.topic}: {missing if map_id else 'the map'} is pulled",
+                f"{self.topic}: pulling {what}",
                 throttle_duration_sec=5.0,
             )
         if self._answer:  # it has come, or doesn't count any more

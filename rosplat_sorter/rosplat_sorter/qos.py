@@ -1,4 +1,4 @@
-"""How messages travel. BEST_EFFORT loses a map's large messages on the default transport."""
+"""QoS profiles. BEST_EFFORT loses a map's large messages on the default transport."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -14,17 +14,17 @@ def _map_qos(
     )
 
 
-# Who hears `gaussians`: a publisher that can't be pulled from may keep many batches.
+# For a subscription to `gaussians`: a publisher without pulls may keep many batches.
 MAP = _map_qos(1000)
 
-# The same of publishers that keep nothing for them.
+# The same for publishers that are volatile.
 MAP_VOLATILE = _map_qos(1000, DurabilityPolicy.VOLATILE)
 
-# Whoever is pulled from: a late joiner hears of the map by the last batch. The others are for
-# readers that lag behind.
+# For a publisher that answers pulls: a late joiner learns of the map by the last batch. The others
+# are for readers that lag behind.
 PULLED_MAP = _map_qos(8)
 
-# Who knows that it can pull: of what it is too slow for, only the newest wait.
+# For a subscription that can pull: if it is too slow, only the newest batches wait.
 SERVED_MAP = _map_qos(8, DurabilityPolicy.VOLATILE)
 
 

@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
     say(f"{options.output}: {len(back):,} splats, SH degree {back.sh_degree}")
     say(errors)
     if written_up not in (None, up):
-        warn(f"readers of {options.output} take its axes for {axes(options.output).text}")
+        warn(f"programs that read {options.output} take its axes for {axes(options.output).text}")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Publishes a map of Gaussians and its edits: what a SLAM back end links to be seen in rviz."""
+"""Publishes a map of Gaussians and its edits, for SLAM back ends that want theirs in rviz2."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ CHUNK_BYTES = 8_000_000
 PATIENCE = 30.0
 
 Progress = Callable[[int], None]
-"""Is told how many more splats have gone out; what it raises ends the sending."""
+"""Called with the number of splats that were sent since the last call. An exception from it ends
+the sending.
+"""
 
 _Time = tuple[int, int]
 
@@ -45,21 +47,22 @@ _Time = tuple[int, int]
 class MapPublisher:
     """Owns the topic of one map: a map_id, its revisions, and a copy of the map by slot.
 
-    Batches go out as they are made, and nobody is waited for. Who joins late, or misses some,
-    pulls what has changed since the last revision that it has, as it is now, from the service
-    <topic>/pull. A thread of its own and a hidden node answer it, whether the node is spun or not.
-    Only splats that a client lacks are copied, 2 MB for an answer at most. Who just listens to the
-    topic, a bag say, hears the whole map from `repeat` or the service <topic>/repeat, which the
-    node's executor answers.
+    A batch is sent as soon as it is made; the publisher waits for nobody. A receiver that joins
+    late or misses batches pulls what has changed since its last revision from the service
+    <topic>/pull. A thread with a hidden node of its own answers pulls, so the node needn't be
+    spun. An answer copies only splats that the client lacks, at most 2 MB. For listeners that
+    can't pull, such as a recorder, `repeat` sends the whole map again; so does the service
+    <topic>/repeat, which the node's executor answers.
 
-    Splats may be written in groups, submaps say, and groups placed by `move`: what a loop closure
-    takes is a pose for each, no splats. A group that was never placed is where the map's frame is.
+    Splats may be written in groups, one for each submap for example, and `move` places groups: a
+    loop closure sends a pose for each group and no splats. A group that was never placed is at
+    the identity.
 
-    Calls are serialised, from any thread; they return when the middleware has taken the batches.
-    Where sending an edit ends by an exception, it is part of the map all the same: who hears the
-    next batch pulls it.
+    Calls may come from any thread and run one after another. They return when the middleware has
+    taken the batches. If sending an edit raises an exception, the edit stays part of the map:
+    receivers of the next batch pull it.
 
-    `with MapPublisher(node) as publisher:` closes it at the end.
+    `with MapPublisher(node) as publisher:` closes the publisher at the end.
     """
 
     def __init__(
@@ -71,11 +74,11 @@ class MapPublisher:
         chunk_bytes: int = CHUNK_BYTES,
         compression: str = NONE,
     ) -> None:
-        """Advertises the topic and its services; the map is empty, and nothing is sent yet.
+        """Advertises the topic and its services. The map is empty, and nothing is sent yet.
 
-        chunk_bytes: of a message's arrays, at most. compression: NONE, or one of
-        messages.COMPRESSIONS: for subscribers beyond a network. Raises ValueError for another, or a
-        chunk_bytes under 1.
+        chunk_bytes: the most bytes of a message's arrays. compression: NONE, or another of
+        messages.COMPRESSIONS for subscribers across a network. Raises ValueError for an unknown
+        compression, or a chunk_bytes under 1.
         """
         self._node = node
         self._topic = node.resolve_topic_name(topic)
@@ -95,11 +98,11 @@ class MapPublisher:
             callback_group=MutuallyExclusiveCallbackGroup(),
         )
         pulls = PullServer(node, self._topic, partial(_answer, self._map, self._wire))
-        # With the publisher at the latest: the server knows it not, and doesn't keep it.
+        # Ends with the publisher at the latest: the server holds no reference to it.
         self._end_pulls = weakref.finalize(self, pulls.close)
 
     def close(self) -> None:
-        """Ends the topic and its services: subscribers keep what they have. No edit may follow."""
+        """Ends the topic and its services. Subscribers keep what they have. No edit may follow."""
         self._end_pulls()
         self._node.destroy_service(self._repeat)
         self._wire.close()
@@ -117,7 +120,7 @@ class MapPublisher:
 
     @property
     def frame_id(self) -> str:
-        """The map's frame: that of the batches to come, too, where it is set."""
+        """The map's frame. A new value holds from the next batch on."""
         return self._wire.frame_id
 
     @frame_id.setter
@@ -126,7 +129,7 @@ class MapPublisher:
 
     @property
     def map_id(self) -> str:
-        """Names this publisher's run."""
+        """Identifies this run of the publisher."""
         return self._map.map_id
 
     @property
@@ -163,13 +166,12 @@ class MapPublisher:
         progress: Progress | None = None,
         shared: bool = False,
     ) -> None:
-        """Makes splats the map, in slots 0 to n - 1 and group 0; forgets where groups were placed.
+        """Makes splats the map, in slots 0 to n - 1 and group 0, and forgets the poses of groups.
 
-        expected_slots is how many slots the finished map will need, by default n; stamp is the time
-        of the map, by default now. shared: the map goes on in the splats' own arrays, which can't
-        be written to any more, in place of a copy of them. Raises ValueError for more splats, or
-        expected slots, than a map has slots. Where sending fails, the map before stays, and is sent
-        again.
+        expected_slots: how many slots the finished map will need, by default n. stamp: time of the
+        map, by default now. shared: the map uses the splats' own arrays instead of a copy, and
+        makes them read-only. Raises ValueError if splats or expected_slots exceed MAX_SLOTS. If
+        sending fails, the map before stays and is sent again.
         """
         _check_type(splats)
         if expected_slots is not None:
@@ -182,17 +184,17 @@ class MapPublisher:
                 array.flags.writeable = False
 
     def repeat(self) -> None:
-        """Sends the whole map once more, as it is: for bags, and others that only listen.
+        """Sends the whole map again, for listeners that can't pull, such as a recorder.
 
-        Each batch waits until all who listen have the one before. Other calls, and pulls, come in
+        Waits after each batch until the subscribers have it. Other calls and pulls are served in
         between.
         """
         self._map.repeat()
 
     def expect(self, slots: int) -> None:
-        """Has the next batches say that the finished map will need so many slots, 0: who knows.
+        """Says how many slots the finished map will need, 0 if unknown, from the next batch on.
 
-        Raises ValueError for more than a map has.
+        Raises ValueError for more than MAX_SLOTS.
         """
         self._map.expect(_whole("expected_slots", slots, GaussianArray.MAX_SLOTS))
 
@@ -204,12 +206,12 @@ class MapPublisher:
         group: int = 0,
         stamp: Time | None = None,
     ) -> None:
-        """Writes the i-th splat to the i-th slot, in use or not; all are in one group.
+        """Writes the i-th splat to the i-th slot, in use or not. All belong to one group.
 
-        Slots come in blocks of GaussianArray.SLOTS_PER_BLOCK, whose splats are of one group. Raises
-        ValueError, and sends nothing, where a slot is named twice or can't be one, where slots and
-        splats differ in number, where a block holds splats of another group, or where some of the
-        map is antialiased and some is not.
+        Slots form blocks of GaussianArray.SLOTS_PER_BLOCK; the splats of a block belong to one
+        group. Raises ValueError, and sends nothing, if a slot is named twice or isn't below
+        MAX_SLOTS, if slots and splats differ in number, if a block holds splats of another group,
+        or if the splats' `antialiased` differs from the map's.
         """
         _check_type(splats)
         when = _checked_stamp(stamp)
@@ -221,7 +223,7 @@ class MapPublisher:
         self._map.upsert(named, splats, group, when)
 
     def delete(self, slots: range | ArrayLike, *, stamp: Time | None = None) -> None:
-        """Empties slots. Raises ValueError where one is named twice, or can't be one."""
+        """Empties slots. Raises ValueError if a slot is named twice or isn't below MAX_SLOTS."""
         when = _checked_stamp(stamp)
         slots = _checked(slots)
         if isinstance(slots, range):
@@ -232,7 +234,7 @@ class MapPublisher:
     def move(self, poses: Mapping[int, Pose | ArrayLike], *, stamp: Time | None = None) -> None:
         """Places groups in the map's frame: {group: a Pose or a rigid transform (4, 4)}.
 
-        Raises ValueError, and sends nothing, for a pose that is none.
+        Raises ValueError, and sends nothing, if a pose isn't a rigid transform.
         """
         when = _checked_stamp(stamp)
         values = {}
@@ -272,7 +274,7 @@ def _answer(
 
 
 class _Wire:
-    """How batches become messages and go out. Knows no map, which so ends with its publisher."""
+    """Sends batches as messages. Holds no reference to the map, which ends with its publisher."""
 
     def __init__(self, node: Node, topic: str, frame_id: str) -> None:
         self.frame_id = frame_id
@@ -291,9 +293,9 @@ class _Wire:
 
     @contextmanager
     def replacing(self, progress: Progress | None) -> Iterator[None]:
-        """What this thread sends in the block is told to progress.
+        """Reports what this thread sends in the block to progress.
 
-        After an exception that is no Exception, somebody is in a hurry: nothing more goes out.
+        A KeyboardInterrupt, or another exception that is no Exception, ends the sending at once.
         """
         self._call.progress, self._call.replaces = progress, True
         try:

@@ -37,7 +37,7 @@ def test_a_file_is_followed_where_simulated_time_stands_still(
     path = tmp_path / "map.ply"
     process = start("follow", path=path, period=0.05, use_sim_time=True)
     assert process.stdout
-    assert f"following {path}, of which there is none yet" in process.stdout.readline()
+    assert f"waiting for {path}" in process.stdout.readline()
     formats.save(path, random_splats(50, 1))
     listener.wait_for(50)
     assert "50 of them sent" in process.stdout.readline()

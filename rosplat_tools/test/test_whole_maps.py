@@ -141,7 +141,7 @@ def test_ids_may_be_hashes(maps: WholeMaps) -> None:
 
 def test_ids_that_are_none_are_refused(maps: WholeMaps) -> None:
     splats = random_splats(3, 0)
-    with pytest.raises(ValueError, match="once"):
+    with pytest.raises(ValueError, match="ids: one is there twice"):
         maps.show(splats, [1, 2, 1])
     with pytest.raises(ValueError, match="ids: expected integers, got float64"):
         maps.show(splats, [0.2, 0.7, 1.2])

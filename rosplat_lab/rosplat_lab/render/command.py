@@ -260,7 +260,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="render", description=__doc__)
     parser.add_argument("scene", help=f"scene: {NAMES}")
     parser.add_argument(
-        "cameras", type=Path, help="camera file: OpenCV world_to_camera, see README"
+        "cameras", type=Path, help="camera file (docs/guides/measure.md has its fields)"
     )
     parser.add_argument("out", type=Path, help="folder for the pictures and report.json")
     parser.add_argument("--via", choices=["host", "rviz"], default="host", help="what draws")

@@ -87,7 +87,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("output", metavar="OUT", help=f"scene to write ({SUFFIXES})")
     parser.add_argument(
         "--psnr", type=_decibels, metavar="DB",
-        help="as few splats as have this PSNR, as the file holds them: 50 is next to invisible",
+        help="keep the fewest splats whose file reaches this PSNR; at 50 a difference is "
+        "hardly visible",
     )  # fmt: skip
     parser.add_argument(
         "--max-splats", type=whole(1), metavar="N", help="no more splats than these"
@@ -97,8 +98,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--refine", type=_minutes, default=0.0, metavar="MINUTES",
-        help="then refit what is left to pictures of the scene for so long: fewer splats meet a "
-        "PSNR, as many have a higher one",
+        help="then refit the remaining splats to pictures of the scene for so long: fewer splats "
+        "reach a PSNR",
     )  # fmt: skip
     parser.add_argument(
         "--report", type=Path, metavar="FILE", help="write all maps that were tried as JSON"

@@ -16,22 +16,22 @@ namespace rosplat {
 struct MapOptions {
   std::string frame_id = "map";
   std::string topic = "gaussians";      // its services are <topic>/pull and <topic>/repeat
-  std::size_t chunk_bytes = 8'000'000;  // of a message's arrays, at most
-  std::string compression = "none";     // or "quantised", for subscribers beyond a network
+  std::size_t chunk_bytes = 8'000'000;  // the most bytes of a message's arrays
+  std::string compression = "none";     // or "quantised", for subscribers across a network
 };
 
-// Publishes a map of Gaussians and its edits: what a SLAM back end links to be seen in rviz.
+// Publishes a map of Gaussians and its edits. A SLAM back end links this to show its map in rviz2.
 //
-// Owns the topic of one map and its services, which a thread of its own answers, whether the node
-// is spun or not. Who just listens to the topic, a bag say, hears the whole map from repeat() or
-// the service <topic>/repeat.
+// A MapPublisher owns the topic of one map and its services. A thread of its own answers the
+// services, so the node needn't be spun. For listeners that can't pull, such as a recorder,
+// repeat() or the service <topic>/repeat sends the whole map again.
 class MapPublisher : public PublishedMap {
  public:
-  // Advertises the topic and its services; the map is empty, and nothing is sent yet. Throws
-  // std::invalid_argument for an option that is none.
+  // Advertises the topic and its services. The map is empty, and nothing is sent yet. Throws
+  // std::invalid_argument for an option that isn't allowed.
   //
-  // node: an rclcpp::Node, an rclcpp_lifecycle::LifecycleNode, whose state doesn't matter, or
-  // whatever else has their interfaces.
+  // node: an rclcpp::Node, an rclcpp_lifecycle::LifecycleNode in any state, or another type with
+  // the same interfaces.
   template <typename Node>
   explicit MapPublisher(Node& node, const MapOptions& options = {})
       : MapPublisher(Interfaces{node.get_node_base_interface(), node.get_node_topics_interface(),
@@ -41,7 +41,7 @@ class MapPublisher : public PublishedMap {
                      options, std::make_shared<std::atomic<bool>>(false)) {}
   ~MapPublisher();
 
-  // Places groups in the map's frame. One that was never placed is where the map's frame is.
+  // Places groups in the map's frame. A group that was never placed is at the identity.
   void move(const std::map<std::uint32_t, geometry_msgs::msg::Pose>& poses,
             const When& stamp = std::nullopt);
 

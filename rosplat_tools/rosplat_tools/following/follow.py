@@ -1,6 +1,6 @@
-"""Shows maps as others make them: a file that is written again and again, other packages' messages.
+"""Publishes maps that other programs write: a file, again and again, or their messages.
 
-Parameter `path`: a scene file, or a pattern of which the newest counts; taken when it was written.
+Parameter `path`: a scene file, or a pattern of which the newest match is read, once it is written.
 Topic `cloud`: sensor_msgs/PointCloud2 with a PLY's properties for fields. A message is a whole map.
 Topic `splat_array`: gsplat_msgs/SplatArray, where that package is installed.
 """
@@ -32,10 +32,10 @@ class Follow(Node):
     def __init__(self) -> None:
         super().__init__("follow")
         path = declare(
-            self, "path", "", "Scene file to follow, or a pattern of which the newest counts."
+            self, "path", "", "Scene file to follow, or a pattern: its newest match is read."
         )
-        period = declare(self, "period", 0.5, "Between two looks at the file. [s]", 0.05, 60.0)
-        frame_id = declare(self, "frame_id", "", "Frame of the map; empty: the message's, or map.")
+        period = declare(self, "period", 0.5, "Time between two looks at the file. [s]", 0.05, 60.0)
+        frame_id = declare(self, "frame_id", "", "Of the map; empty: that of the message, or map.")
         self._frame_id = frame_id
         self._publisher = MapPublisher(
             self, frame_id=frame_id or "map", compression=declare_compression(self)
@@ -45,8 +45,8 @@ class Follow(Node):
             self._file = WatchedFile(path)
             steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
             self.create_timer(period, self._look, clock=steady)
-            none = "" if self._file.is_there() else ", of which there is none yet"
-            self.get_logger().info(f"following {shown(path)}{none}")
+            doing = "following" if self._file.is_there() else "waiting for"
+            self.get_logger().info(f"{doing} {shown(path)}")
         self._subscribe(PointCloud2, "cloud", self._on_cloud)
         try:
             from gsplat_msgs.msg import SplatArray

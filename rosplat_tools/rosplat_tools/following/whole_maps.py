@@ -1,4 +1,4 @@
-"""Maps that their author gives whole again and again, as trainers do: what differs is sent."""
+"""Publishes complete maps, as trainers write them, by their differences."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DRAWN = ("positions", "orientations", "scales", "opacities", "sh")
 
 @dataclass(frozen=True)
 class _Shown:
-    """A map as it was sent: what its author calls splats, where they are."""
+    """A map as it was sent: its splats, their ids, and their slots."""
 
     splats: Splats
     """(n,) by id, a copy: authors go on in the same arrays."""
@@ -28,29 +28,28 @@ class _Shown:
 
 
 class WholeMaps:
-    """Publishes each map in place of the one before, as edits where that is less.
+    """If you only have complete maps, pass each to `show`: it sends the differences.
 
-    A splat keeps its slot for as long as its id is there; slots that are free are taken again. So
-    arrays may shrink, grow and be put in another order from one map to the next. The first map is
-    put in slot order.
+    A splat keeps its slot while its id exists. Free slots are used again. So arrays may shrink,
+    grow and change their order from one map to the next.
     """
 
     def __init__(self, publisher: MapPublisher) -> None:
-        """Nothing is sent yet. The publisher's map must be changed by nobody else."""
+        """Sends nothing yet. Nobody else may edit the publisher's map."""
         self._publisher = publisher
         self._shown: _Shown | None = None
 
     def show(self, splats: Splats, ids: ArrayLike | None = None) -> int:
-        """Makes splats the map; returns how many were sent.
+        """Makes splats the map; returns how many splats were sent.
 
-        ids: (n,) integers, what the author calls them, by default their rows. Raises ValueError for
-        an id that is there twice, and whatever MapPublisher raises.
+        ids: (n,) integers that identify splats from map to map, by default their rows. Raises
+        ValueError if an id is there twice, and what MapPublisher raises.
         """
         ids = _checked(np.arange(len(splats)) if ids is None else np.asarray(ids), len(splats))
         rows = np.argsort(ids)
         ids = ids[rows]
         if np.any(ids[1:] == ids[:-1]):
-            raise ValueError("ids: each may be there once")
+            raise ValueError("ids: one is there twice")
         shown, self._shown = self._shown, None  # where sending fails, all is sent the next time
         sent = self._edit(shown, splats, ids, rows) if shown else None
         if sent is None:

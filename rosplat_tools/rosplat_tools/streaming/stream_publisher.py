@@ -1,6 +1,6 @@
-"""Publishes of a scene larger than memory what the viewers of its topic look at.
+"""Publishes the parts of a large scene that viewers look at.
 
-Chunks of a streamed SOG come and go at the levels of detail that views ask for, within a budget.
+Chunks of a streamed SOG come and go at the level of detail that each view needs, within a budget.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class StreamPublisher(Node):
         path = declare(self, "path", "", "Streamed SOG to publish: a lod-meta.json.")
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
         most = declare(
-            self, "max_splats", 2_000_000, "The most that the map holds, in strips of 128 slots.",
+            self, "max_splats", 2_000_000, "The most splats of the map, in strips of 128.",
             1, GaussianArray.MAX_SLOTS,
         )  # fmt: skip
         target = declare(
-            self, "error", 1.0, "Chunks are made finer while splats are farther apart [px].",
+            self, "error", 1.0, "Chunks get finer while their splats are farther apart. [px]",
             1e-3, 1e3,
         )  # fmt: skip
         if not path:
@@ -71,7 +71,7 @@ class StreamPublisher(Node):
             try:
                 changed = self._map.step(self._seen())
             except SceneError as error:
-                self.get_logger().error(f"done without: {error}")
+                self.get_logger().error(f"a chunk is left out: {error}")
                 continue
             if changed:
                 self.get_logger().info(str(self._map), throttle_duration_sec=TELL_EVERY)

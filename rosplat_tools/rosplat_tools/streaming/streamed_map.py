@@ -89,8 +89,8 @@ class StreamedMap:
         chunks = sum(held is not None for held in self._held)
         text = (
             f"{self.splats:,} of {self._scene.splats:,} splats, {chunks:,} of "
-            f"{len(self._held):,} chunks, splats at most {self._error:.3g} px apart where finer "
-            "ones are to be had"
+            f"{len(self._held):,} chunks, splats at most {self._error:.3g} px apart where the "
+            "scene has finer levels"
         )
         if not self._to_come:
             return text

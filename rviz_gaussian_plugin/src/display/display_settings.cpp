@@ -56,8 +56,8 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       number("Age Range", 10.0f, "Time after which a slot is drawn as old. [s]", mode_, 0.001f);
   channel_ = new EditableEnumProperty(
       "Channel", "",
-      "Which values that come with the splats are coloured; empty: the map's first. Splats without "
-      "one are grey, and all are drawn in full.",
+      "The channel that colours the splats; empty: the map's first. Splats without a value are "
+      "grey. Levels of detail have no channels, so all splats are drawn.",
       mode_);
   channel_colours_ = choice<ChannelColours>(
       "Colors", "Auto",
@@ -67,17 +67,17 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       {{"Auto", ChannelColours::kAuto},
        {"Categories", ChannelColours::kCategories},
        {"Gradient", ChannelColours::kGradient}});
-  auto_bounds_ = new BoolProperty(
-      "Autocompute Value Bounds", true,
-      "A gradient goes from the least to the most that the channel has had.", mode_);
-  least_value_ = new FloatProperty("Min Value", 0.0f, "What is drawn blue.", mode_);
-  most_value_ = new FloatProperty("Max Value", 1.0f, "What is drawn red.", mode_);
+  auto_bounds_ =
+      new BoolProperty("Autocompute Value Bounds", true,
+                       "Colour from the least to the greatest value since the map began.", mode_);
+  least_value_ = new FloatProperty("Min Value", 0.0f, "Value that is drawn blue.", mode_);
+  most_value_ = new FloatProperty("Max Value", 1.0f, "Value that is drawn red.", mode_);
   detail_ =
       new EditableEnumProperty("Detail", "Full",
-                               "How much of the map is drawn. Full: all. Pixels (2 px): what "
-                               "is no wider than that may be one "
-                               "Gaussian. Splats (1M): so many Gaussians at most. A time (100 "
-                               "ms): while camera or map move, what is painted within it.",
+                               "How much of the map is drawn. Full: every splat. An error (2 px): "
+                               "splats within that width may be one Gaussian. A budget (1M): at "
+                               "most so many Gaussians. A time (100 ms): while the camera or the "
+                               "map moves, what can be drawn in that time.",
                                display);
   for (const char* example : {"Full", "1 px", "2 px", "4 px", "1M", "100 ms"}) {
     detail_->addOptionStd(example);
@@ -93,8 +93,8 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
                          sh_degree_, {{"All", -1}, {"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}});
   order_ = choice<OrderSource>(
       "Order Source", "Auto",
-      "Whose depth order is drawn. Auto: that of what blends. Sidecar: its own while it answers. "
-      "Off: the order of the slots, which shows what sorting is for.",
+      "Which depth order is drawn. Auto: the rasterizer's own. Sidecar: the sorter's, while it "
+      "answers. Off: the order of the slots, which shows what sorting is for.",
       display,
       {{"Auto", OrderSource::kAuto},
        {"Sidecar", OrderSource::kSidecar},
@@ -103,15 +103,16 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
        {"Off", OrderSource::kOff}});
   rasterizer_ = choice<Rasterizer>(
       "Rasterizer", "Auto",
-      "What blends the splats. Tiles: the graphics card. Processor: its own vector instructions, "
-      "beside rviz: pictures follow the camera, and the newest is shown meanwhile. Auto: Tiles "
-      "where a graphics card draws, else Processor.",
+      "What draws the splats. Tiles: the graphics card. Processor: vector instructions, in a "
+      "thread "
+      "beside rviz, which shows the newest finished picture. Auto: Tiles if there is a graphics "
+      "card, else Processor.",
       display,
       {{"Auto", Rasterizer::kAuto},
        {"Tiles", Rasterizer::kTiles},
        {"Processor", Rasterizer::kProcessor}});
   profile_ = new BoolProperty("Profile", false,
-                              "Show the time of each stage of a frame in the Status; frames then "
+                              "Show the time of each stage of a frame in the Status. Frames then "
                               "wait for the graphics card.",
                               rasterizer_);
   antialiasing_ = choice<Antialiasing>(
@@ -124,13 +125,12 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
        {"Off", Antialiasing::kOff}});
   float_blending_ = new BoolProperty(
       "Float Blending", false,
-      "Keep 32-bit instead of 16-bit floats, as the processor always does. Tiles blend in "
-      "32 bits anyway and only round their sum.",
+      "Keep pictures in 32-bit instead of 16-bit floats. Tiles blend in 32 bits either way; the "
+      "processor always keeps 32.",
       display);
   near_fade_ = number("Near Fade", 0.0f, "Splats closer than this to the near plane fade out. [m]",
                       display, 0.0f);
-  clip_ = new BoolProperty("Clip Box", false, "Draw only the splats with their mean in a box.",
-                           display);
+  clip_ = new BoolProperty("Clip Box", false, "Draw only splats whose mean is in a box.", display);
   clip_centre_ = new VectorProperty("Center", Ogre::Vector3::ZERO,
                                     "Centre of the box in the map's frame. [m]", clip_);
   clip_size_ = new VectorProperty("Size", Ogre::Vector3(1, 1, 1),

@@ -288,12 +288,12 @@ void GaussianClient::watchPublishers() {
   status_.other_type = other_type;
   status_.unheard.clear();
   if (any_best_effort && qos_.reliability() == rclcpp::ReliabilityPolicy::Reliable) {
-    status_.unheard = "best effort, so must the Reliability Policy be";
+    status_.unheard = "best effort: set Reliability Policy to Best Effort";
   } else if (any_volatile && any_latched &&
              asked_qos_.durability() == rclcpp::DurabilityPolicy::TransientLocal) {
-    status_.unheard = "volatile beside one that is not, so must the Durability Policy be";
+    status_.unheard = "volatile and another is transient local: set Durability Policy to Volatile";
   } else if (any_volatile && !serves_) {
-    status_.unheard = "volatile, what it sent before is not sent again";
+    status_.unheard = "volatile: what it sent before is lost";
   }
 }
 

@@ -81,7 +81,7 @@ void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter) {
         const auto results = future.get();
         answer.failed = results.empty() || !results.front().successful;
         if (results.empty()) {
-          answer.text = name + " knows no backends";
+          answer.text = name + " has no parameter 'backend'";
         } else if (answer.failed) {
           answer.text = name + ": " + results.front().reason;
         } else {

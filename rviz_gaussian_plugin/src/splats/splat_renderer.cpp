@@ -64,13 +64,14 @@ bool SplatRenderer::sorts() {
 std::string SplatRenderer::warning() const {
   std::string text;
   if (sorts_ && !*sorts_) {
-    text = "the graphics driver sorts wrongly: the processor does it, and quads are drawn";
+    text = "the graphics driver sorts wrongly; the processor sorts instead, and quads are drawn";
   } else if (sort_.lostBallots()) {
-    text = "the graphics driver's subgroups don't serve for sorting, which does without them";
+    text = "the graphics driver's subgroups don't work; sorting avoids them";
   }
   if (refused_depth_) {
     text += text.empty() ? "" : "; ";
-    text += "the graphics driver keeps the depth of the opaque scene: nothing hides splats";
+    text +=
+        "the graphics driver doesn't give the depth of the opaque scene; no object hides splats";
   }
   return text;
 }

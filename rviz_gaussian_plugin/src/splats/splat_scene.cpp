@@ -89,7 +89,7 @@ void SplatScene::prepare(const RenderSettings& settings) {
       if (unusable_) arrivals_->clear();
       throw;
     }
-    refusal_ = "another rasterizer draws: ";
+    refusal_ = "the rasterizer wasn't changed: ";
     refusal_ += memory ? "memory is lacking" : error.what();
   }
   asked_ = settings.rasterizer;

@@ -33,24 +33,23 @@ struct Stamp {
               static_cast<std::uint32_t>(time.nanoseconds() % 1'000'000'000)) {}
 };
 
-// A living map of Gaussians as its author has it: its copy by slot, and the batches that tell
-// others of its edits.
+// The publisher's side of a map: a copy of it by slot, and the batches that tell receivers of its
+// edits.
 //
-// Batches go out as they are made, and nobody is waited for. Who joins late, or misses some, pulls
-// what has changed since the last revision that it has, as it is now. Calls are serialised, from
-// any thread; who pulls or looks doesn't wait for a map that is being sent.
+// A batch is sent as soon as it is made; the publisher waits for nobody. A receiver that joins late
+// or misses batches pulls what has changed since its last revision. Calls may come from any thread
+// and run one after another; pulls and getters don't wait while a map is being sent.
 //
-// What is wrong in an argument throws std::invalid_argument, which names it, and nothing is sent
-// then. Where sending an edit ends by another exception, it is part of the map all the same: who
-// hears the next batch pulls it.
+// A wrong argument throws std::invalid_argument, which names it, and sends nothing. If sending
+// throws anything else, the edit stays part of the map: receivers of the next batch pull it.
 class PublishedMap {
  public:
   using Slots = std::vector<std::uint32_t>;
   using Poses = std::map<std::uint32_t, Pose>;  // by group
   using When = std::optional<Stamp>;            // none: now
 
-  // The fields of a rosplat_msgs/GaussianArray, but for its frame. Its arrays take chunk_bytes at
-  // most, or what one splat takes; of a MOVE 60 bytes a group.
+  // The fields of a rosplat_msgs/GaussianArray without its frame. Its arrays take at most
+  // chunk_bytes, or the bytes of one splat; those of a MOVE 60 bytes a group.
   struct Batch {
     When stamp;
     std::string map_id;
@@ -68,11 +67,11 @@ class PublishedMap {
     std::vector<std::string> channel_names;
     std::vector<float> channels;
   };
-  // The way to those who hear of the map.
+  // How batches are sent.
   struct Wire {
     std::function<void(Batch&&)> send;
     std::function<void(const std::string&)> warn;
-    // Returns once all who listen have what was sent, or once there is no more waiting for them.
+    // Returns once all subscribers have what was sent, or once waiting for them is given up.
     std::function<void()> settle;
   };
   // The splats of a group, in its frame, and their slots.
@@ -82,20 +81,20 @@ class PublishedMap {
     Slots slots;               // ascending
     Splats splats;
   };
-  // To a pull: see PullMap.srv.
+  // The answer to a pull: see PullMap.srv.
   struct Answer {
     std::vector<Batch> batches;
     std::uint32_t next_block = 0;
   };
 
-  // chunk_bytes: of a batch's arrays, at most. compression: "none", or "quantised", for subscribers
-  // beyond a network. Throws std::invalid_argument for an option that is none.
+  // chunk_bytes: the most bytes of a batch's arrays. compression: "none", or "quantised" for
+  // subscribers across a network. Throws std::invalid_argument for a value that isn't allowed.
   PublishedMap(std::size_t chunk_bytes, const std::string& compression, Wire wire);
   ~PublishedMap();
   PublishedMap(const PublishedMap&) = delete;
   PublishedMap& operator=(const PublishedMap&) = delete;
 
-  // Names this publisher's run.
+  // Identifies this run of the publisher.
   const std::string& mapId() const { return map_id_; }
   // Revision of the last batch that was sent, 0 before the first.
   std::uint64_t revision() const;
@@ -106,22 +105,23 @@ class PublishedMap {
   // Where groups were placed.
   Poses poses() const;
 
-  // Makes splats the map, in slots 0 to n - 1 and group 0; forgets where groups were placed.
-  // expected_slots: how many slots the finished map will need, by default n. Where sending fails,
-  // the map before stays, and is sent again.
+  // Makes splats the map, in slots 0 to n - 1 and group 0, and forgets the poses of groups.
+  // expected_slots: how many slots the finished map will need, by default n. If sending fails, the
+  // map before stays and is sent again.
   void replace(const Splats& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
                const When& stamp = std::nullopt);
-  // The map goes on in the splats' own memory.
+  // Moves the splats into the map without a copy.
   void replace(Splats&& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
                const When& stamp = std::nullopt);
-  // keeper: what keeps the arrays, which stay as they are, where the map shall go on in their
-  // memory, else null.
+  // keeper: owner of the arrays, if the map is to use them in place; they must not change then.
+  // Null: the map copies them.
   void replace(const SplatsView& splats, const std::shared_ptr<const void>& keeper,
                std::optional<std::uint32_t> expected_slots, const When& stamp);
-  // Sends the whole map once more, as it is, and waits for those who hear it: for bags, and others
-  // that only listen. Meanwhile the map may be edited.
+  // Sends the whole map again, for listeners that can't pull, such as a recorder. Waits after each
+  // batch until the subscribers have it. Other threads may edit the map meanwhile.
   void repeat();
-  // Has the next batches say that the finished map will need so many slots, 0: who knows.
+  // Sets expected_slots of the batches to come: how many slots the finished map will need, 0 if
+  // unknown.
   void expect(std::uint32_t slots);
   // Writes the i-th splat to the i-th slot, or to the i-th from first_slot on, in use or not. All
   // are in one group. Slots come in blocks of GaussianArray::SLOTS_PER_BLOCK, whose splats are of
@@ -136,11 +136,11 @@ class PublishedMap {
   // Empties slots.
   void erase(const Slots& slots, const When& stamp = std::nullopt);
   void erase(std::uint32_t first_slot, std::uint32_t count, const When& stamp = std::nullopt);
-  // Places groups in the map's frame. One that was never placed is where the map's frame is.
+  // Places groups in the map's frame. A group that was never placed is at the identity.
   void move(const Poses& poses, const When& stamp = std::nullopt);
 
-  // What a client lacks that has all of a revision of a map, from a block on; map_id: empty where
-  // it knows none. An answer takes 2 MB at most, and has no batch where the client has another map.
+  // What a client lacks that holds all of a revision, from a block on. map_id: the client's map,
+  // empty if it knows none. An answer takes 2 MB at most. It is empty if the map is another.
   Answer pull(const std::string& map_id, std::uint64_t after_revision,
               std::uint32_t first_block) const;
 
