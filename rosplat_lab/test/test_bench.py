@@ -153,12 +153,16 @@ def test_a_picture_is_whole_when_nothing_is_added_and_its_order_knows_all() -> N
 
 def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:
     records = bench(tmp_path, "chain", "--sizes", "2000", "--backends", "native")
-    by_name = {record.name: record for record in records if record.name != "RAM"}
+    by_name = {record.name: record for record in records if "RAM" not in record.name}
     assert by_name["pose to picture"].p50 > by_name["of which sorting"].p50
     assert by_name["pose to picture"].splats == 2000
     programs = {r.parameters["process"]: r.value for r in records if r.name == "RAM"}
     assert programs.keys() == {"publisher", "sorter", "viewer"}
     assert min(programs.values()) > 20
+    most = {r.parameters["process"]: r.value for r in records if r.name == "most RAM"}
+    assert all(most[name] >= programs[name] for name in programs)
+    (idle,) = (record for record in records if record.name == "idle RAM")
+    assert 20 < idle.value < programs["sorter"]
 
 
 @pytest.mark.parametrize("way", [[], ["--one-process"]])

@@ -24,7 +24,7 @@ ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
 
 def measure(plan: Plan) -> Iterator[Event]:
     """Latencies and memory by scene, rate of the camera and backend."""
-    backends, missing = live.backends(plan.backends, live.GPU)
+    backends, missing = live.backends(plan.backends, live.GPU, live.PROCESSOR)
     yield from missing
     if plan.quick and not plan.backends:
         backends = backends[:1]
@@ -84,3 +84,8 @@ def _report(name: str, backend: str, rate: float, seen: live.Watched) -> Iterato
         ]  # fmt: skip
         values = settled or [used[-1] / 1e6]
         yield Measurement.of("RAM", "MB", values, **common, process=program)
+        yield Measurement.of(
+            "most RAM", "MB", seen.most_ram[program] / 1e6, **common, process=program
+        )
+    if seen.idle_ram:
+        yield Measurement.of("idle RAM", "MB", seen.idle_ram / 1e6, **common, process="sorter")

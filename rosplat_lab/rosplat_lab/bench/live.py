@@ -19,6 +19,7 @@ from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
 from rosplat_tools.program.processes import Processes, quoted
 
 GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
+PROCESSOR = "processor"  # the viewer's rasteriser sorts, without a graphics card and a sorter
 SAMPLE = 0.2  # between looks at the processes' memory [s]
 BUILT_IN = "built-in"  # the viewer sorts by itself, no sorter runs
 START_TIMEOUT = 300.0  # until the first frame of a complete map, or its growth begins [s]
@@ -31,12 +32,15 @@ Frame = dict[str, Any]
 class Watched:
     """What was seen.
 
-    ram: time, program, bytes. gpu_bytes: time, bytes that all programs use on the GPU beyond what
-    was used before. Times are of time.time().
+    ram: time, program, bytes. most_ram: the most bytes that each program had. idle_ram: bytes of
+    the sorter before any view asked for an order, 0 without a sorter. gpu_bytes: time, bytes that
+    all programs use on the GPU beyond what was used before. Times are of time.time().
     """
 
     frames: list[Frame] = field(default_factory=list)
     ram: list[tuple[float, str, int]] = field(default_factory=list)
+    most_ram: dict[str, int] = field(default_factory=dict)
+    idle_ram: int = 0
     gpu_bytes: list[tuple[float, int]] = field(default_factory=list)
 
 
@@ -65,7 +69,16 @@ def watch(
     gpu_before = machine.gpu_bytes_used()
     with Processes(log) as processes:
         trace.unlink(missing_ok=True)
-        viewer = processes.start(
+        programs = {}
+        if backend in BACKENDS:
+            programs["sorter"] = processes.node(
+                "rosplat_sorter", "sorter", *remap, "-p", f"backend:={backend}"
+            )
+            while "waits for a view" not in processes.said("sorter"):
+                processes.check()
+                time.sleep(0.05)
+            seen.idle_ram = machine.resident_bytes(programs["sorter"].pid)
+        programs["viewer"] = processes.start(
             "viewer",
             [
                 sys.executable, "-m", "rosplat_lab.bench.moving_viewer", *remap,
@@ -74,11 +87,6 @@ def watch(
                 "-p", f"order_source:={order_source(backend).lower()}",
             ],
         )  # fmt: skip
-        programs = {"viewer": viewer}
-        if backend in BACKENDS:
-            programs["sorter"] = processes.node(
-                "rosplat_sorter", "sorter", *remap, "-p", f"backend:={backend}"
-            )
         while not trace.exists():  # the viewer is ready, and misses nothing
             processes.check()
             time.sleep(0.05)
@@ -95,6 +103,7 @@ def watch(
                 now = time.time()
                 for name, process in programs.items():
                     seen.ram.append((now, name, machine.resident_bytes(process.pid)))
+                    seen.most_ram[name] = machine.peak_bytes(process.pid)
                 gpu_now = machine.gpu_bytes_used()
                 if gpu_now is not None and gpu_before is not None:
                     seen.gpu_bytes.append((now, gpu_now - gpu_before))
@@ -116,7 +125,7 @@ def has_ros() -> bool:
 
 def order_source(backend: str) -> str:
     """The OrderSource by which a viewer draws this backend's orders, and nobody else's."""
-    return {BUILT_IN: "BUILT_IN", GPU: "GPU"}.get(backend, "SIDECAR")
+    return {BUILT_IN: "BUILT_IN", GPU: "GPU", PROCESSOR: "AUTO"}.get(backend, "SIDECAR")
 
 
 def is_answered(frame: Frame) -> bool:
@@ -156,14 +165,15 @@ def _after(reached: Callable[[Frame], bool], seconds: float) -> Callable[[Watche
 
 
 def backends(asked: Sequence[str], *own: str) -> tuple[list[str], list[records.Skipped]]:
-    """Those that run here, and why others don't; own: the viewer's, BUILT_IN or GPU.
+    """Those that run here, and why others don't; own: the viewer's, of BUILT_IN, GPU, PROCESSOR.
 
     What needs a GPU is there where an NVIDIA one is, or where it is asked for by name. Raises
     SceneError for an unknown name.
     """
     names = list(asked) or [name for name, entry in BACKENDS.items() if entry.automatic]
     if not asked:
-        names += [name for name in own if name != GPU or machine.nvidia_gpu()[0]]
+        card = bool(machine.nvidia_gpu()[0])
+        names += [name for name in own if name != (PROCESSOR if card else GPU)]
     found, missing = [], []
     for name in names:
         if name not in (*BACKENDS, *own):

@@ -84,7 +84,7 @@ def methods(
     """All ways by name, made when they are called; backends: which of the sorter's."""
     found: list[tuple[str, Callable[[], list[Way]]]] = []
     for name in backends or tuple(BACKENDS):
-        if name in (live.BUILT_IN, live.GPU):
+        if name in (live.BUILT_IN, live.GPU, live.PROCESSOR):
             continue  # the viewer's, which `frame` measures
         if name not in BACKENDS:
             raise SceneError(f"unknown backend '{name}', known are {', '.join(BACKENDS)}")
