@@ -62,7 +62,7 @@ class CpuRenderer(_core.CpuRenderer):
 def render(splats: Splats, camera: Camera) -> NDArray[np.float32]:
     """A picture of splats: premultiplied RGBA over nothing, float32 (height, width, 4).
 
-    Who draws several pictures of the same splats keeps a CpuRenderer.
+    To draw several pictures of the same splats, keep a CpuRenderer.
     """
     return CpuRenderer(splats).render(camera)
 

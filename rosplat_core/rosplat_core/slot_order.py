@@ -1,8 +1,8 @@
-"""Splats in an order in which those that are drawn together are neighbours in the map.
+"""The order of a map's slots: splats that are drawn together become neighbours.
 
-Whoever draws a map leaves out pages of consecutive slots that a picture can't show, which are small
-in space only where slots lie in space order. With levels of detail, pages are left out whose splats
-are all too fine, too: a single large one keeps its page.
+A renderer leaves out pages of consecutive slots that a picture can't show. A page is small in space
+only if its slots are in space order. With levels of detail, it also leaves out pages whose splats
+are all too fine; one large splat would keep its page. So splats are ordered by size, then in space.
 """
 
 from __future__ import annotations

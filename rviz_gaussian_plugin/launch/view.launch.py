@@ -84,7 +84,7 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
 
     scene, frame = given["scene"], given["frame_id"]
     programs = []
-    # One that waited for a scene would hide a SLAM node that keeps nothing for who joins late.
+    # No publisher without a scene: beside it, a volatile publisher of a SLAM node isn't heard.
     if scene.endswith("lod-meta.json"):
         most = int(given["max_splats"])
         programs.append(

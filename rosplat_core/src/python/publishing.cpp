@@ -1,4 +1,4 @@
-// The map of who publishes, for Python.
+// The publisher's side of a map, for Python.
 
 #include <pybind11/functional.h>
 
@@ -60,7 +60,7 @@ struct HeldSplats {
   }
 };
 
-// Keeps them beyond the call; whoever ends it has the interpreter's lock or takes it.
+// Keeps the arrays beyond the call. Their release takes the interpreter's lock.
 std::shared_ptr<const void> keeperOf(HeldSplats&& splats) {
   return {new HeldSplats(std::move(splats)), [](const HeldSplats* held) {
             const py::gil_scoped_acquire gil;

@@ -175,7 +175,7 @@ def _scene(plan: Plan, name: str, chosen: Sequence[str], maps: int) -> Iterator[
     for number in range(maps):
         target = renderer.add_map() if number else renderer
         rendering.insert_all(target, splats[number::maps])
-    # Whoever sorts without a graphics card sorts one map alone.
+    # Sorters other than a graphics card sort one map alone.
     kinds = {kind: order for kind, order in ORDERS.items() if maps == 1 or kind == ON_CARD}
     looks = _looks(plan, name)
     for index, (picture, view) in enumerate(looks):

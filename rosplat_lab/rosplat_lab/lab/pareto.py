@@ -1,4 +1,4 @@
-"""Methods by what their points have in common: medians, spreads, and who is beaten by nobody."""
+"""Methods by what their points have in common: medians, spreads, and the Pareto frontier."""
 
 from __future__ import annotations
 

@@ -220,7 +220,7 @@ class DemoSensors(Node):
         now = self.get_clock().now().nanoseconds
         motions = [(stamp, self._motion(flight, stamp)) for stamp in self._imu_beat.due(now)]
         if motions and self._tf:
-            # First, and of the newest: who draws the measurements asks for it.
+            # Before the measurements, and for the newest: displays look it up for each of them.
             stamp, motion = motions[-1]
             transform = _transform(
                 _time(stamp), self._frame_id, BODY, motion.position, motion.attitude

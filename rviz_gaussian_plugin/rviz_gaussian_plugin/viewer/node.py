@@ -262,7 +262,7 @@ class Viewer(Node):
         self._published = time.monotonic()
 
     def _views_followed(self) -> bool:
-        """Whether views are heard by others than sorters: who publishes what they show, say."""
+        """Whether others than sorters hear the views, a streaming publisher for example."""
         listeners = self._views.get_subscription_count()
         return listeners > 0 and listeners > self.count_publishers(self._order_topic)
 

@@ -8,7 +8,7 @@
 
 namespace rosplat {
 
-// Requests that wait, a bounded number of them. Clients are served in turn, whoever has asked most.
+// A bounded number of waiting requests. Clients are served in turn, however many each has sent.
 template <typename Client, typename Request>
 class FairQueue {
  public:

@@ -64,36 +64,36 @@ class GaussianClient {
   // keep.
   static rclcpp::QoS mapQos();
 
-  // The scene must outlive the client. Where all publishers are volatile, so is a subscription that
-  // should be transient local; where what is missing can be pulled, it is volatile and not deep.
+  // The scene must outlive the client. If all publishers are volatile, the subscription is volatile
+  // even if qos is transient local. If the map can be pulled, it is volatile with a short history.
   // Throws rclcpp's exceptions for a topic with an invalid name.
   GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
                  const rclcpp::QoS& qos, SplatScene& scene);
   ~GaussianClient();
 
-  // Looks who publishes, once a second at most. To be called again and again, from the thread that
-  // made this: what a node has must be made by one thread alone.
+  // Looks at the topic's publishers, at most once a second. Call it again and again from the thread
+  // that constructed this: only one thread may make a node's subscriptions and clients.
   void watch();
-  // Asks for an order of a view, or tells of one whose sequence is 0.
+  // Publishes a view. A sequence above 0 asks for an order.
   void publish(rosplat_msgs::msg::ViewCamera view);
-  // Whether views are heard by others than sorters: who publishes of a map what they show, say.
+  // Whether others than sorters hear the views, a streaming publisher for example.
   bool viewsFollowed() const { return views_followed_; }
-  // A view is gone: orders that still come for it aren't read.
+  // Forgets a view: orders that still come for it aren't read.
   void forget(const std::string& view_id);
-  // What was picked with the mouse.
+  // Publishes a splat that the mouse has picked.
   void publish(const rosplat_msgs::msg::Gaussian& picked) { picked_publisher_->publish(picked); }
-  // The pose of a view, and the path it has taken, for other displays.
+  // Publishes the pose of a view and its path, for other displays.
   void publishPose(const rosplat_msgs::msg::ViewCamera& view);
-  // Has the parameter `backend` set of whoever publishes the orders, now or later; empty: no more.
+  // Sets the parameter `backend` of all nodes that publish orders, now or later; empty: stops that.
   void switchBackend(const std::string& backend) { sidecar_->ask(backend); }
-  // Whether others may ask for pictures, from now on.
+  // Starts or ends the render service.
   void setServing(bool serving);
-  // The next that waits; clients take turns.
+  // The next waiting request; clients take turns.
   std::optional<RenderRequest> takeRenderRequest();
   bool renderRequestsWait() const;
   Status status() const;
   std::string frameId() const;           // of the map
-  std_msgs::msg::Header header() const;  // of what is said of the map now
+  std_msgs::msg::Header header() const;  // the map's frame, and the time now
 
  private:
   using GaussianArray = rosplat_msgs::msg::GaussianArray;

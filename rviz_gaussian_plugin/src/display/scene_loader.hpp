@@ -11,9 +11,9 @@
 
 namespace rosplat {
 
-// Has a scene file published on a topic: by whoever publishes there already, else by a
-// ply_publisher of its own, which ends with the loader; that nobody publishes it only believes some
-// seconds after the process began. Never blocks; status() tells how it goes.
+// Publishes a scene file on a topic: by the topic's publisher, if that can load scenes, else by a
+// ply_publisher that it starts and that ends with it. In the first seconds of the process it waits
+// for a publisher to appear. Never blocks; status() tells how it goes.
 class SceneLoader {
  public:
   SceneLoader(rclcpp::Node::SharedPtr node, std::string topic);

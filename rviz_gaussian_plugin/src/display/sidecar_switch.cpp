@@ -33,8 +33,8 @@ void SidecarSwitch::tell() {
   const std::lock_guard lock(mutex_);
   if (backend_.empty()) return;
   const auto sorters = node_->get_publishers_info_by_topic(order_topic_);
-  // Whoever has a client last destroys it, the thread that hears answers, say. Nothing may be made
-  // meanwhile: who is new is told the next time.
+  // The thread that hears answers may be the last to hold a client, and destroy it. Nothing may be
+  // made meanwhile, so a new sorter is told the next time.
   const bool gone = forgetGone(sorters);
   for (auto sorter = sorters.begin(); !gone && sorter != sorters.end(); ++sorter) tell(*sorter);
   note();

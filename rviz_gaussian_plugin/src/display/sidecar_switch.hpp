@@ -16,21 +16,21 @@ namespace rosplat {
 // Has the parameter `backend` of all who publish a map's orders set, and of who comes after.
 class SidecarSwitch {
  public:
-  // What became of it, empty while nothing is asked for.
+  // The result, empty while nothing is asked for.
   struct Report {
     std::string text;
     bool failed = false;
   };
 
-  // What others answer is heard in the group, by another thread.
+  // Answers are heard in the group, by another thread.
   SidecarSwitch(rclcpp::Node::SharedPtr node, std::string order_topic,
                 rclcpp::CallbackGroup::SharedPtr group);
 
-  // Empty: no more. From any thread, as report().
+  // Asks all sorters for a backend; empty: stops that. From any thread, as report().
   void ask(const std::string& backend);
   Report report() const;
-  // Tells who is there and was not told. Now and then, from the thread that makes all that the node
-  // has.
+  // Asks sorters that weren't asked yet. Call it now and then, from the thread that makes the
+  // node's clients.
   void tell();
 
  private:

@@ -33,8 +33,8 @@ class Renderers {
   std::weak_ptr<SoftwareRenderer> processor_;
 };
 
-// Who draws what is to be rasterised so: the processor where no graphics card does, or none that
-// can. Render thread only.
+// Where a rasterizer draws. Auto: on the processor if there is no graphics card that can. Render
+// thread only.
 DrawnBy drawnBy(Rasterizer rasterizer);
 
 }  // namespace rosplat

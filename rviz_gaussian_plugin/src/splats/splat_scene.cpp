@@ -95,7 +95,7 @@ void SplatScene::prepare(const RenderSettings& settings) {
   asked_ = settings.rasterizer;
 }
 
-// Who draws next holds all that who draws now does, or that one goes on.
+// The next Drawer takes over all that the present one holds, or the present one goes on.
 void SplatScene::exchange(DrawnBy by) {
   const Arrivals::Taker taker = arrivals_->makeTaker();
   std::unique_ptr<Drawer> next = renderers_->makeDrawer(by, taker, sorter_);

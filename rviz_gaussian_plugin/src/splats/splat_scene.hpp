@@ -22,42 +22,43 @@
 
 namespace rosplat {
 
-// A map, the cameras and orders of its views, and what draws it. apply() and offer() may be called
-// from any thread; whatever touches OpenGL happens in the render thread, in draw() and the reads.
+// A map, the cameras and orders of its views, and its Drawer. apply() and offer() may be called
+// from any thread. Only the render thread touches OpenGL, in draw() and the reads.
 class SplatScene {
  public:
   explicit SplatScene(std::shared_ptr<Renderers> renderers) : renderers_(std::move(renderers)) {}
-  // Drawn together with no other.
+  // A scene that shares its renderer with no other.
   explicit SplatScene(ShaderSource shaders)
       : SplatScene(std::make_shared<Renderers>(std::move(shaders))) {}
   ~SplatScene();
 
   // Any thread: checks a batch and queues it for the next frame. Throws BatchError.
   BatchReport apply(const GaussianBatch& batch);
-  // Any thread: an order to fill, and a sidecar's to be drawn.
+  // Any thread: an order to fill; hands in a sidecar's order.
   std::shared_ptr<Order> newOrder() { return pool_.make(); }
   void offer(OrderPtr order);
-  // Any thread: how many slots an order of a map can have.
+  // Any thread: the most slots that an order of a map can have.
   std::size_t mostSlots(const std::string& map_id, std::uint64_t revision) const;
-  // Any thread: the map as queued so far.
+  // Any thread: the map including all queued edits.
   MapState state() const;
-  // Any thread: what of it waits to be drawn.
+  // Any thread: the edits that wait to be drawn.
   Backlog backlog() const { return arrivals_->backlog(); }
-  // Any thread: where that map and cameras in its frame are hard to draw; see hardRegimes().
+  // Any thread: in which ways this map and cameras in its frame are hard to draw; see
+  // hardRegimes().
   std::vector<std::string> hardRegimes(const RenderSettings& settings,
                                        const std::vector<SplatCamera>& cameras) const;
 
   // Render thread: the camera of a view; sequence grows by one with each.
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
-  // Render thread: has it drawn by what the settings ask for. If that can't, who draws it goes on,
-  // until another rasterizer is asked for; throws gl::Error where nobody does.
+  // Render thread: makes the Drawer that the settings ask for. If that fails, the present one goes
+  // on until the settings name another rasterizer. Throws gl::Error if there is none.
   void prepare(const RenderSettings& settings);
-  // Render thread: uploads some of what waits, for a map that isn't to be seen. Throws gl::Error.
+  // Render thread: uploads some of the waiting edits of a map that no view shows. Throws gl::Error.
   void upload(const RenderSettings& settings);
-  // Render thread: whether a sidecar's orders are drawn, or only its own. Throws gl::Error.
+  // Render thread: whether it draws a sidecar's orders. Throws gl::Error.
   bool wantsOrders(const RenderSettings& settings);
-  // Render thread: uploads what waits; whether an order of the sidecar is there for the view's
-  // newest camera and the whole map. Throws gl::Error.
+  // Render thread: uploads what waits. Returns whether the sidecar has answered the view's newest
+  // camera for the whole map. Throws gl::Error.
   bool answered(const std::string& view_id, const RenderSettings& settings);
 
   // The map in a view.
@@ -67,50 +68,50 @@ class SplatScene {
     RenderSettings settings;
     std::optional<SplatCamera> camera = {};  // if it isn't the view's
   };
-  // Render thread: whether draw() with these settings, which aren't interactive, doesn't have to
-  // wait for the processor; has it begin otherwise. Throws gl::Error.
+  // Render thread: whether draw() with these settings, which aren't interactive, need not wait for
+  // the processor; begins the picture otherwise. Throws gl::Error.
   bool ready(const std::string& view_id, const RenderSettings& settings, bool sort_now);
   // Render thread: uploads what waits, chooses an order and draws into the current framebuffer.
-  // With sort_now none is waited for: it is sorted here, on the graphics card if there is one,
-  // unless the settings name another. Throws gl::Error.
+  // sort_now: doesn't wait for an order but sorts here, on the graphics card if there is one,
+  // unless the settings name another source. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
                           bool sort_now = false, const Surroundings& around = {});
-  // Render thread: the same of several maps in one picture, in one order by depth; whose cameras
-  // are one camera, and which are together().
+  // Render thread: the same for several maps in one picture, sorted together. They must be
+  // together(), and their cameras the same camera.
   static void draw(const std::vector<InView>& maps, Canvas canvas, bool sort_now,
                    const Surroundings& around);
-  // Render thread: whether maps that are prepared are drawn by the same, and so in one picture. A
-  // graphics card has to sort for it.
+  // Render thread: whether two prepared maps are drawn by one renderer, in one picture. On a
+  // graphics card, only if the card sorts.
   static bool together(const SplatScene& one, const SplatScene& other) {
     return one.drawer_->drawsWith(*other.drawer_);
   }
   // Render thread: after a draw() of a view with translucent objects; see SplatRenderer.
   void hideFarther(const std::string& view_id) const { drawer_->hideFarther(view_id); }
   void drawBefore(const std::string& view_id) const { drawer_->drawBefore(view_id); }
-  // Render thread: what draw() drew last of a view; of no order source before.
+  // Render thread: the report of a view's last draw(); without an order source before the first.
   FrameReport report(const std::string& view_id) const;
-  // Render thread, for rviz's mouse tools: writes where the surface is that a view shows; see
-  // SplatRenderer. A graphics card draws it anew, in the order that it waits for.
+  // Render thread, for rviz's mouse tools: writes the depth of the surface that a view shows; see
+  // SplatRenderer. A graphics card draws it anew, and waits for its order.
   static void drawSurface(const std::vector<InView>& maps, Canvas canvas, double far_clip);
-  // Render thread: writes a number where splats are seen, as pick() finds them; see SplatRenderer.
-  // A graphics card sorts for it; without one it is where a view shows some.
+  // Render thread: writes a number where pick() finds splats; see SplatRenderer. A graphics card
+  // sorts for it. The processor uses the picture that the view shows.
   static void drawPick(const std::vector<InView>& maps, Canvas canvas, std::uint32_t number);
-  // Render thread, after drawPick() of this map and others: which they are, of each. Without a
-  // graphics card, they are found beside.
+  // Render thread, after drawPick() of this map and others: the picked splats of each. The
+  // painter's thread finds them where there is no graphics card.
   std::vector<Pick> pick() { return drawer_->pick(); }
   // Render thread: the values of slots as they are drawn, in the map's frame.
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const;
   // Render thread: the map as it is drawn.
   MapState drawnMap() const { return drawer_ ? drawer_->map() : MapState{}; }
-  // Render thread: whether a view has a camera, and is not forgotten since.
+  // Render thread: whether a view has a camera and wasn't forgotten.
   bool knows(const std::string& view_id) const { return cameras_.count(view_id) > 0; }
   void forget(const std::string& view_id);
 
-  // Whether the driver can't draw at all; what is received is then forgotten.
+  // Whether the driver can't draw at all. The map is not kept then.
   bool unusable() const { return unusable_; }
   // Render thread: what the driver can't do; see SplatRenderer.
   std::string warning() const { return drawer_ ? drawer_->warning() : ""; }
-  // Render thread: why not all of the map is drawn, or not as it is asked for; empty where it is.
+  // Render thread: why the map isn't drawn in full or as asked for; empty if it is.
   std::string error() const;
 
   // Render thread: what draw() drew last; see SplatRenderer.
@@ -120,9 +121,9 @@ class SplatScene {
   DrawnBytes bytes() const;
 
  private:
-  // What was drawn of a view lately.
+  // A view's recent frames.
   struct Pace {
-    // Of the frames; of their pictures, and of these pictures' cameras. [s]
+    // Times of frames, ages of their pictures, and lags of these pictures' cameras. [s]
     std::deque<double> times, ages, offs;
   };
 
@@ -133,7 +134,7 @@ class SplatScene {
   void keepPace(const std::string& view_id, FrameReport& report);
   void feedSorter();
 
-  // Gives memory back to the system: what the painter's threads have freed, glibc keeps for them.
+  // Returns memory to the system: glibc keeps what the painter's threads have freed.
   struct Trim {
     ~Trim();
   } trim_;  // first, so that all else is gone by then
@@ -149,14 +150,14 @@ class SplatScene {
   std::shared_ptr<Renderers> renderers_;
   BuiltInSorter sorter_{pool_, [this] { feedSorter(); }};
   OrderBook book_{sorter_};
-  MapState booked_;  // of which it takes orders
+  MapState booked_;  // the state that book_ takes orders of
   std::map<std::string, SplatCamera> cameras_;
   std::map<std::string, FrameReport> reports_;
   std::map<std::string, Pace> paces_;
   std::uint64_t touches_ = 0;
   std::unique_ptr<Drawer> drawer_;
-  std::optional<Rasterizer> asked_;  // for last
-  std::string refusal_;              // why another draws
+  std::optional<Rasterizer> asked_;  // by the last settings
+  std::string refusal_;              // why drawer_ isn't the one asked for
 };
 
 }  // namespace rosplat

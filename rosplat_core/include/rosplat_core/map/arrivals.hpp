@@ -22,25 +22,25 @@ struct Backlog {
   std::size_t bytes = 0;
 };
 
-// What of edits is to be uploaded at once, and how much of that already is. [bytes]
+// How much of edits to upload at once, and how much of that is done. [bytes]
 struct UploadBudget {
   std::size_t all = std::numeric_limits<std::size_t>::max(), used = 0;
 };
 
-// The edits of a map on their way to who draws it. An edit is here until it is all in that map: who
-// takes it applies it under the lock under which the map goes over to another, and one that fails
-// comes first again. So none is lost, whoever draws. All of it from any thread.
+// The edits of a map on their way to its Drawer. An edit stays here until the drawn map holds all
+// of it. It is applied under the lock that handOver() takes, and one that fails is tried again
+// before later ones. So no edit is lost when the Drawer changes. For any thread.
 class Arrivals : public std::enable_shared_from_this<Arrivals> {
  public:
   using Edit = std::shared_ptr<const GaussianEdit>;
-  // Has an edit in the map. May throw, in the middle of it; is then called with it again.
+  // Applies an edit. May throw, even halfway; it is then called with that edit again.
   using Apply = std::function<void(const EditQueue::Waiting& arrival)>;
 
-  // Who may take edits, from handOver() to this one until handOver() to another.
+  // The right to take edits, from handOver() to this taker until handOver() to another.
   class Taker {
    public:
-    // Has the oldest edit applied, or as much of it as a whole budget is; false where none is to be
-    // taken now, or it is more than is left of that.
+    // Applies the oldest edit, or a whole budget's part of it. False if there is nothing to take
+    // now, or if the edit exceeds what is left of the budget.
     bool take(const Apply& apply, const UploadBudget& budget = {}) const {
       return from_->take(number_, apply, budget);
     }
@@ -58,17 +58,16 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
   void push(const Edit& edit, const MapState& state);
   void clear();
 
-  // One who takes nothing yet.
+  // A taker that takes nothing yet.
   Taker makeTaker() { return {shared_from_this(), ++takers_}; }
-  // Lets another take edits once the map is copied, while nobody does. If the copy throws, this
-  // does, and who took edits before goes on.
+  // Runs copy while nobody takes edits, then lets another taker take them. If copy throws, so does
+  // this, and the taker before goes on.
   void handOver(const Taker& to, const std::function<void()>& copy);
 
-  // The map after all that waits.
+  // The map after all waiting edits.
   MapState state() const;
   Backlog backlog() const;
-  // Why the oldest isn't in the map yet, although it was tried; empty where nothing is wrong. It is
-  // tried again twice a second.
+  // Why the oldest edit failed, empty if it didn't. It is tried again twice a second.
   std::string error() const;
 
  private:
@@ -76,16 +75,16 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
 
   bool take(std::uint64_t taker, const Apply& apply, const UploadBudget& budget);
 
-  std::mutex taking_;  // while an edit is applied, or the map goes over
+  std::mutex taking_;  // held while an edit is applied or the map is handed over
   std::uint64_t taker_ = 0;
   std::atomic<std::uint64_t> takers_{0};
-  std::atomic<bool> going_over_{false};  // let in whoever hands the map over
+  std::atomic<bool> going_over_{false};  // makes takers let handOver() in
 
   mutable std::mutex mutex_;  // what follows
   EditQueue waiting_;
   MapState state_;
   std::exception_ptr error_;
-  Clock::time_point retry_;  // from when on, if there is an error
+  Clock::time_point retry_;  // when to try again after an error
 };
 
 }  // namespace rosplat

@@ -164,7 +164,7 @@ class GaussianMap {
     Locks(const Locks&) {}
     Locks& operator=(const Locks&) { return *this; }
 
-    std::mutex applying;    // for all of a batch: only who has it writes anything
+    std::mutex applying;    // held for a whole batch: only its holder writes anything
     std::mutex exchanging;  // of state_, sample_ and groups_, once the batch is packed
   };
 

@@ -69,9 +69,8 @@ class HostSlots {
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   // What writes a page elsewhere.
   GaussianEdit edit(const SlotPage& page) const;
-  // Says how wide the cells are whose nodes stand for what a page's slots hold now; of less than 0,
-  // what was said before holds. Of interest to who draws nodes alone, as is the memory.
-  // Needs memory, unless that was made before.
+  // Sets the widths of the cells whose nodes stand for a page's slots; a width below 0 leaves the
+  // one before. Only maps with levels need this and its memory, which makeParents() makes.
   void setParents(const SlotPage& page, const PerSlot<float>& sizes);
   void makeParents(const SlotPage& page);
   // There are no nodes any more.

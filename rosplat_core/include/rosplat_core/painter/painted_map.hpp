@@ -79,7 +79,7 @@ class PaintedMap {
 
   const TakeEdit take_edit_;
 
-  // With another lock than the slots, for which nobody who shows pictures shall wait.
+  // Under a lock of its own: showing a picture must never wait for the slots.
   mutable std::mutex state_mutex_;  // what follows
   MapState state_;                  // of the slots
   std::size_t bytes_ = 0;

@@ -101,7 +101,7 @@ struct Painting {
 };
 using PaintingPtr = std::shared_ptr<const Painting>;
 
-// Paints the pictures of maps in a thread of its own, so that who shows them never waits. Knows no
+// Paints pictures of maps in a thread of its own, so that the render thread never waits. Knows no
 // OpenGL.
 class Painter {
  public:
@@ -112,16 +112,16 @@ class Painter {
 
   // Takes the edits of a map from now on.
   void add(PaintedMapPtr map);
-  // Takes none any more.
+  // Takes no more edits of a map.
   void remove(const PaintedMapPtr& map);
-  // There are edits. They are taken before the next picture, and where there is none.
+  // Says that there are edits. They are taken before the next picture, or at once if none waits.
   void wake();
-  // Has a view painted; in the place of what waits for it.
+  // Asks for a picture of a view, in place of the request that waits for it.
   void ask(const std::string& view_id, PaintRequestPtr request);
-  // Has what is being painted of a view given up, for something that is asked for already; not
-  // twice in a row.
+  // Gives up the picture that is being painted of a view, if a newer one was asked for; never twice
+  // in a row.
   void hurry(const std::string& view_id);
-  // The newest finished picture of a view; null where there is none.
+  // The newest finished picture of a view, null if there is none.
   PaintingPtr newest(const std::string& view_id) const;
   // Waits for the whole maps and a picture of them. Throws PictureError.
   PaintingPtr paintNow(const std::string& view_id, PaintRequestPtr request);
