@@ -127,12 +127,12 @@ class Wire:
         self.pull: Callable[..., PullMap.Response] | None = None
         self.sent: list[GaussianArray] = []
 
-    def create_publisher(self, *_: object) -> Wire:
+    def create_publisher(self, *_: object, **__: object) -> Wire:
         return self
 
     def create_service(self, *_: object, **__: object) -> None: ...
 
-    def serve_pulls(self, _: str, serve: Any) -> Wire:
+    def serve_pulls(self, _: str, serve: Any, __: object) -> Wire:
         self.pull = serve
         return self
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import os
+from pathlib import Path
 
 _M_MMAP_THRESHOLD = -3  # of malloc.h
 _LARGE = 1 << 20  # [bytes]
@@ -15,3 +17,9 @@ def give_back_large_blocks() -> None:
     small ones between messages of megabytes hold them: programs grow for as long as they run.
     """
     ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE)
+
+
+def resident_bytes() -> int:
+    """Memory that this process has in RAM."""
+    pages = Path("/proc/self/statm").read_text().split()[1]  # proc(5)
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")

@@ -24,6 +24,7 @@ from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter import qos
 from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_sorter.backends import AUTO, BACKENDS
+from rosplat_sorter.diagnostics import Diagnostics, Report
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.memory import give_back_large_blocks
 from rosplat_sorter.order_slots import pack
@@ -34,6 +35,7 @@ FORGET_AFTER = 60.0  # the map, when no view has wanted an order [s]
 WATCH_PERIOD = 1.0  # whether one has [s]
 CHOICES = (AUTO, *BACKENDS)
 SETTINGS = ("backend", "threads")
+LOSSES = ("Batches dropped", "Splats dropped", "Views dropped")
 
 
 class _AtWork:
@@ -42,7 +44,21 @@ class _AtWork:
     def __init__(self, node: SorterNode, backend: str, threads: int) -> None:
         self.worker = worker = Worker(node, backend, threads)
         self._map = MapSubscription(node, worker.edit, busy=lambda: worker.busy)
+        self._spoilt = 0  # figures of what is lost, together, at the last report
         self.wanted = time.monotonic()  # an order, the last time
+
+    def report(self) -> Report:
+        """Warns of a backlog, a map that isn't whole, and of losses since the last report."""
+        figures = self.worker.figures()
+        spoilt, before = sum(figures[name] for name in LOSSES), self._spoilt
+        self._spoilt = spoilt
+        if self.worker.busy:
+            return Report("more batches wait than may", figures, warns=True)
+        if spoilt > before:
+            return Report("batches, splats or views were dropped", figures, warns=True)
+        if figures["Batches missed"]:
+            return Report("the map is incomplete", figures, warns=True)
+        return Report("the map is pulled" if self._map.pulling else "sorts", figures)
 
 
 class SorterNode(Node):
@@ -81,6 +97,7 @@ class SorterNode(Node):
         self._at_work: _AtWork | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_subscription(ViewCamera, f"{topic}/view", self._look, qos.VIEW)
+        Diagnostics(self, topic, self._report)
         self.get_logger().info(f"waits for a view that wants an order, on {topic}/view")
 
     def destroy_node(self) -> None:
@@ -97,6 +114,9 @@ class SorterNode(Node):
             self.create_timer(WATCH_PERIOD, self._watch, clock=steady)
         self._at_work.wanted = time.monotonic()
         self._at_work.worker.look(message)
+
+    def _report(self) -> Report:
+        return self._at_work.report() if self._at_work else Report("no view wants an order", {})
 
     def _watch(self) -> None:
         wanted = self._at_work and time.monotonic() - self._at_work.wanted <= FORGET_AFTER

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,7 @@ class Worker:
         self._map = SplatMap()
         self._frame_id = ""  # of the map
         self._batches = 0  # that were applied
+        self._applied = time.monotonic()  # the last of them, or when there was none yet
         self._viewers: dict[str, _Viewer] = {}  # the one seen longest ago first
         self._due: dict[str, None] = {}  # views to answer, in turn
         self._backend: Backend | None = None  # that has the whole map
@@ -161,6 +162,23 @@ class Worker:
         with self._wake:
             self._inbox.backend = (backend, threads)
             self._wake.notify_all()
+
+    def figures(self) -> dict[str, Any]:
+        """Where the work is, for diagnostics. From any thread."""
+        splats, backend = self._map, self._backend
+        return {
+            "Map": splats.map_id,
+            "Revision": splats.revision,
+            "Splats": splats.splats,
+            "Age (s)": round(time.monotonic() - self._applied, 3),
+            "Backlog (bytes)": self._inbox.batch_bytes,
+            "Batches missed": splats.missed,
+            "Batches dropped": self._dropped_batches,
+            "Splats dropped": self._dropped_splats,
+            "Views": len(self._viewers),
+            "Views dropped": self._dropped_views,
+            "Backend": backend.name if backend else "",
+        }
 
     def close(self) -> None:
         """Ends the thread after the sort it is at."""
@@ -226,6 +244,7 @@ class Worker:
             )
             return
         self._batches += 1
+        self._applied = time.monotonic()
         self._frame_id = batch.header.frame_id
         if batch.map_id != known_map:
             self._host.inform(

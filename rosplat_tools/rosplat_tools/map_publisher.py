@@ -25,7 +25,8 @@ from rosplat_core.splats import Splats, concatenate
 from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
-from rosplat_sorter.batches import pose_values
+from rosplat_sorter.batches import array_bytes, pose_values
+from rosplat_sorter.diagnostics import Report
 from rosplat_sorter.qos import PULLED_MAP
 from rosplat_tools.messages import NONE, Slots, as_array
 from rosplat_tools.poses import to_pose
@@ -97,7 +98,12 @@ class MapPublisher:
             self._on_repeat,
             callback_group=MutuallyExclusiveCallbackGroup(),
         )
-        pulls = PullServer(node, self._topic, partial(_answer, self._map, self._wire))
+        pulls = PullServer(
+            node,
+            self._topic,
+            partial(_answer, self._map, self._wire),
+            partial(_report, self._map, self._wire),
+        )
         # Ends with the publisher at the latest: the server holds no reference to it.
         self._end_pulls = weakref.finalize(self, pulls.close)
 
@@ -267,10 +273,26 @@ def _answer(
             request.map_id, request.after_revision, request.first_block
         )
         response.batches = [wire.message(batch) for batch in batches]
+        wire.pulls += 1
+        wire.pulled_bytes += sum(map(array_bytes, response.batches))
     except Exception as error:  # no request may end the thread
         wire.warn(f"a pull is not answered: {error or 'memory is lacking'}")
         response = PullMap.Response()
     return response
+
+
+def _report(published: PublishedMap, wire: _Wire) -> Report:
+    values = {
+        "Map": published.map_id,
+        "Revision": published.revision(),
+        "Splats": len(published),
+        "Subscribers": wire.subscribers,
+        "Bytes sent": wire.sent_bytes + wire.pulled_bytes,
+        "Pulls answered": wire.pulls,
+    }
+    if wire.rivals:
+        return Report("others publish to the topic, too", values, warns=True)
+    return Report("publishes" if published.revision() else "nothing is published yet", values)
 
 
 class _Wire:
@@ -282,6 +304,8 @@ class _Wire:
         self._topic = topic
         self._publisher: Publisher | None = None
         self._call = _Call()
+        self.sent_bytes = 0  # of arrays, on the topic
+        self.pulls = self.pulled_bytes = 0  # that were answered
 
     def advertise(self) -> None:
         self._publisher = self._node.create_publisher(GaussianArray, self._topic, PULLED_MAP)
@@ -311,13 +335,20 @@ class _Wire:
             raise RuntimeError(f"{self._topic}: sending was ended")
         progress, self._call.progress = self._call.progress, None  # what it raises ends the sending
         try:
-            publisher.publish(self.message(batch))
+            message = self.message(batch)
+            publisher.publish(message)
+            self.sent_bytes += array_bytes(message)
             if progress and batch.count:
                 progress(batch.count)
         except BaseException as error:
             self._call.ended = self._call.replaces and not isinstance(error, Exception)
             raise
         self._call.progress = progress
+
+    @property
+    def subscribers(self) -> int:
+        """How many hear the topic."""
+        return self._publisher.get_subscription_count() if self._publisher else 0
 
     @property
     def rivals(self) -> bool:

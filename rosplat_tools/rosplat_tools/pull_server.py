@@ -1,4 +1,4 @@
-"""A service that is answered whatever its author's node does, spun or not."""
+"""What a publisher of a map answers and says whatever its author's node does, spun or not."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from rosplat_msgs.srv import PullMap
+from rosplat_sorter.diagnostics import Diagnostics, Report
 
 Serve = Callable[[PullMap.Request, PullMap.Response], PullMap.Response]
 
@@ -20,10 +21,11 @@ PATIENCE = 5.0  # for the thread to end [s]
 class PullServer:
     """Answers a map's pulls in a thread of its own, until it is closed or ROS ends.
 
-    rclpy's executors take whole nodes: the service has a hidden one beside the publisher's.
+    The thread reports the publisher's diagnostics, too. rclpy's executors take whole nodes: the
+    thread has a hidden one beside the publisher's.
     """
 
-    def __init__(self, node: Node, topic: str, serve: Serve) -> None:
+    def __init__(self, node: Node, topic: str, serve: Serve, report: Callable[[], Report]) -> None:
         self._node = rclpy.create_node(
             f"_{node.get_name()}{topic.replace('/', '_')}",
             namespace=node.get_namespace(),
@@ -33,6 +35,7 @@ class PullServer:
             enable_rosout=False,
         )
         self._node.create_service(PullMap, f"{topic}/pull", serve)
+        self._diagnostics = Diagnostics(node, topic, report, spun=self._node)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
         self._end = Future()
@@ -54,3 +57,4 @@ class PullServer:
             self._end.set_result(None)
         if self._thread is not threading.current_thread():
             self._thread.join(PATIENCE)
+        self._diagnostics.close()

@@ -16,8 +16,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, Pose, Quaternion
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
@@ -731,3 +734,42 @@ def test_who_is_in_a_hurry_is_not_kept_by_the_map_before(
     assert (sent, len(publisher)) == ([2], 3)
     publisher.upsert([0], random_splats(1))
     assert publisher.revision > 2
+
+
+def test_diagnostics_tell_of_the_map_though_nobody_spins_its_node(
+    node: Node, random_splats: Maker
+) -> None:
+    heard: list[DiagnosticStatus] = []
+    other = rclpy.create_node("other", namespace=node.get_namespace(), context=node.context)
+    other.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: heard.extend(array.status), 10
+    )
+    name = f"{node.get_namespace()[1:]}/test: {node.resolve_topic_name('gaussians')}"
+
+    def last(level: bytes) -> dict[str, str]:
+        heard.clear()
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(other)
+        deadline = time.monotonic() + PATIENCE
+        while not (mine := [s for s in heard if (s.name, s.level) == (name, level)]):
+            assert time.monotonic() < deadline
+            executor.spin_once(0.1)
+        executor.shutdown()
+        return {value.key: value.value for value in mine[-1].values}
+
+    with MapPublisher(node) as publisher:
+        publisher.replace(random_splats(100, 0))
+        values = last(DiagnosticStatus.OK)
+        assert (values["Splats"], values["Map"]) == ("100", publisher.map_id)
+        assert int(values["Revision"]) == publisher.revision
+        assert int(values["Bytes sent"]) == 100 * 56
+        assert (values["Subscribers"], values["Pulls answered"]) == ("0", "0")
+        Listener(other).wait_for(100)  # which pulls
+        values = last(DiagnosticStatus.OK)
+        assert (values["Subscribers"], values["Pulls answered"]) == ("1", "1")
+        assert int(values["Bytes sent"]) == 2 * 100 * 56
+        rival = other.create_publisher(GaussianArray, "gaussians", 1)
+        last(DiagnosticStatus.WARN)
+        other.destroy_publisher(rival)
+    assert not [p for p in node.publishers if p.topic_name == "/diagnostics"]
+    other.destroy_node()
