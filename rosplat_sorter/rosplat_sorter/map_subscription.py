@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from copy import copy
+from enum import Enum
 from threading import RLock
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node, NodeNameNonExistentError
-from rclpy.qos import DurabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
@@ -19,7 +21,7 @@ from rosplat_core.maps import Arrival, MapPull
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
 from rosplat_sorter.batches import array_bytes
-from rosplat_sorter.qos import MAP, MAP_VOLATILE, SERVED_MAP
+from rosplat_sorter.qos import MAP, SERVED_MAP, overridable
 
 WATCH_PERIOD = 1.0  # [s]
 PULL_PERIOD = 0.1  # [s]
@@ -28,9 +30,10 @@ PULL_PERIOD = 0.1  # [s]
 class MapSubscription:
     """Hears the publishers of a map's topic, and pulls what is missing from their servers.
 
-    A subscription that asks for what was sent before doesn't match a publisher that keeps nothing.
-    So the subscription asks for less where all publishers are such, or where pulls are known to be
-    served when it begins. It never hears one batch twice, which would take the map back to it.
+    A subscription that asks for what was sent before doesn't match a publisher that keeps nothing,
+    nor a reliable one a publisher that is best effort. So the subscription asks for less where all
+    publishers are such, or where pulls are known to be served when it begins. It never hears one
+    batch twice, which would take the map back to it.
     """
 
     def __init__(
@@ -48,11 +51,12 @@ class MapSubscription:
         """
         self._node, self._on_batch, self._group, self._busy = node, on_batch, callback_group, busy
         self.topic = node.resolve_topic_name("gaussians")
-        self._mixed = False  # what publishers keep
+        self._mixed: set[str] = set()  # policies in which publishers differ
         self._maps = ("", "")  # of the last batch, and the one before that
         self._pull = MapPull()
         self._lock = RLock()  # the answers to requests come outside of the group
-        self._qos = SERVED_MAP if self._server_is_known() else MAP
+        self._pulls = self._server_is_known()  # from the beginning on
+        self._qos = self._qos_for(self._publishers())
         self._client = node.create_client(
             PullMap, f"{self.topic}/pull", callback_group=callback_group
         )
@@ -69,8 +73,25 @@ class MapSubscription:
 
     def _subscribe(self) -> Subscription:
         return self._node.create_subscription(
-            GaussianArray, "gaussians", self._hear, self._qos, callback_group=self._group
+            GaussianArray,
+            "gaussians",
+            self._hear,
+            callback_group=self._group,
+            **overridable(MAP, self._qos),
         )
+
+    def _publishers(self) -> list[QoSProfile]:
+        """What publishers offer."""
+        known = self._node.get_publishers_info_by_topic(self.topic)
+        return [publisher.qos_profile for publisher in known]
+
+    def _qos_for(self, publishers: list[QoSProfile]) -> QoSProfile:
+        qos = copy(SERVED_MAP if self._pulls else MAP)
+        if publishers and all(p.durability != qos.durability for p in publishers):
+            qos.durability = DurabilityPolicy.VOLATILE
+        if publishers and all(p.reliability != qos.reliability for p in publishers):
+            qos.reliability = ReliabilityPolicy.BEST_EFFORT
+        return qos
 
     def _hear(self, message: GaussianArray) -> None:
         now, before = self._maps
@@ -146,24 +167,31 @@ class MapSubscription:
             self._do(self._pull.answer(number, batches, response.next_block, now, served))
 
     def _meet_publishers(self) -> None:
-        publishers = self._node.get_publishers_info_by_topic(self.topic)
+        publishers = self._publishers()
         if not publishers:
             return
-        durabilities = {publisher.qos_profile.durability for publisher in publishers}
-        qos = MAP if DurabilityPolicy.TRANSIENT_LOCAL in durabilities else MAP_VOLATILE
-        mixed = len(durabilities) > 1
-        if self._qos is SERVED_MAP and self._server_is_known():
-            return  # it hears all of them
-        if mixed and not self._mixed:
-            self._node.get_logger().warning(
-                f"{self.topic}: a publisher is volatile beside one that is transient local, and "
-                "isn't heard: end one of them, or make it transient local, too"
-            )
-        self._mixed = mixed
-        if qos is not self._qos:
+        self._pulls = self._pulls and self._server_is_known()
+        qos = self._qos_for(publishers)
+        for policy in ("durability", "reliability"):
+            asked = getattr(qos, policy)
+            others = {getattr(publisher, policy) for publisher in publishers} - {asked}
+            if others and asked in (DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE):
+                if policy not in self._mixed:
+                    self._warn_of_unheard(others.pop(), asked)
+                self._mixed.add(policy)
+            else:
+                self._mixed.discard(policy)
+        if qos != self._qos:
             self._qos = qos
             self._node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe()
+
+    def _warn_of_unheard(self, policy: Enum, asked: Enum) -> None:
+        lesser, better = (each.name.lower().replace("_", " ") for each in (policy, asked))
+        self._node.get_logger().warning(
+            f"{self.topic}: a publisher is {lesser} beside one that is {better}, and isn't heard: "
+            f"end one of them, or make it {better}, too"
+        )
 
 
 def labelled(message: GaussianArray) -> tuple[str, int, bool, int, GaussianArray]:

@@ -92,11 +92,15 @@ class SorterNode(Node):
             raise InvalidParameterValueException("backend", backend, _unknown(backend))
         # Remapping the map's topic takes the others along.
         topic = self.resolve_topic_name("gaussians")
-        self._order = self.create_publisher(SplatOrder, f"{topic}/order", qos.ORDER)
+        self._order = self.create_publisher(
+            SplatOrder, f"{topic}/order", **qos.overridable(qos.ORDER)
+        )
         self.unwanted = Future()
         self._at_work: _AtWork | None = None
         self.add_on_set_parameters_callback(self._on_parameters)
-        self.create_subscription(ViewCamera, f"{topic}/view", self._look, qos.VIEW)
+        self.create_subscription(
+            ViewCamera, f"{topic}/view", self._look, **qos.overridable(qos.VIEW)
+        )
         Diagnostics(self, topic, self._report)
         self.get_logger().info(f"waits for a view that wants an order, on {topic}/view")
 
@@ -218,6 +222,10 @@ def main() -> None:
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         print(f"sorter: {error}", file=sys.stderr)
         sys.exit(1)
+    except RuntimeError as error:  # of a QoS override, say
+        if rclpy.ok():
+            print(f"sorter: {error}", file=sys.stderr)
+            sys.exit(1)
     except Exception:
         if rclpy.ok():  # else it was told to end while it began
             raise

@@ -1,6 +1,13 @@
 """QoS profiles. BEST_EFFORT loses a map's large messages on the default transport."""
 
+from __future__ import annotations
+
+from copy import copy
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
 
 def _map_qos(
@@ -42,3 +49,23 @@ def _view_qos(depth: int) -> QoSProfile:
 # misses its own asks again.
 VIEW = _view_qos(32)
 ORDER = _view_qos(8)
+
+
+def overridable(profile: QoSProfile, adapted: QoSProfile | None = None) -> dict[str, Any]:
+    """Arguments of create_publisher and create_subscription: QoS with parameters that override it.
+
+    The parameters are qos_overrides.<topic>.<publisher or subscription>.{history,depth,
+    reliability}, and profile has their defaults. adapted: what holds instead of profile, policy by
+    policy, where no parameter says otherwise; another the next time, if need be.
+    """
+
+    def adapt(chosen: QoSProfile) -> SetParametersResult:
+        for policy in ("history", "depth", "reliability", "durability"):
+            if adapted and getattr(chosen, policy) == getattr(profile, policy):
+                setattr(chosen, policy, getattr(adapted, policy))
+        return SetParametersResult(successful=True)
+
+    return {
+        "qos_profile": copy(profile),  # which rclpy writes to
+        "qos_overriding_options": QoSOverridingOptions.with_default_policies(callback=adapt),
+    }

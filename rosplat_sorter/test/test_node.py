@@ -9,6 +9,8 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
+from copy import copy
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,7 @@ from ament_index_python.packages import get_package_prefix
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import PullMap
@@ -272,6 +275,7 @@ def test_it_ends_in_silence(ros, stop):
         ("backend:=3", "'backend' to '3'"),
         ("threads:=-1", "(-1)"),
         ("threads:=x", "'threads' to 'x'"),
+        ("qos_overrides./gaussians/view.subscription.reliability:=x", "`reliability`: `x`"),
     ],
 )
 def test_a_parameter_that_makes_no_sense_is_one_line_and_code_1(parameter, reason):
@@ -322,14 +326,74 @@ def test_a_publisher_that_does_not_latch_is_received(sorter, make_batch, make_lo
         peer.close()
 
 
-def test_a_volatile_publisher_beside_another_is_told_of(sorter, peer, capfd):
+def test_a_best_effort_publisher_is_received(sorter, make_batch, make_look):
+    """Whether it was there before the sorter heard of the map, or comes in place of another."""
+    best_effort = copy(qos.MAP_VOLATILE)
+    best_effort.reliability = ReliabilityPolicy.BEST_EFFORT
+    for revision, map_qos in enumerate((best_effort, qos.MAP, best_effort), start=1):
+        peer = Peer(map_qos)
+        try:
+            peer.meet()
+            peer.edit(make_batch(2, revision=revision, map_id=f"map {revision}"))
+            peer.look(make_look(sequence=revision))
+            assert peer.slots(revision, revision) == [1, 0]
+        finally:
+            peer.close()
+
+
+def test_qos_overrides_are_parameters_and_outlive_what_adapts(make_batch, make_look):
+    name = f"/test_{uuid.uuid4().hex}"
+    wanted = {"gaussians": "subscription", "gaussians/view": "subscription"}
+    wanted["gaussians/order"] = "publisher"
+    words = ["--ros-args", "-r", f"__ns:={name}"]
+    for topic, kind in wanted.items():
+        words += ["-p", f"qos_overrides.{name}/{topic}.{kind}.reliability:=best_effort"]
+        words += ["-p", f"qos_overrides.{name}/{topic}.{kind}.depth:=3"]
+    rclpy.init(args=words)
+    sorter, peer = SorterNode(), rclpy.create_node("peer")
+    executor = SingleThreadedExecutor()
+    executor.add_node(sorter)
+
+    def found():
+        """What the sorter has on the three topics."""
+        return [
+            info.qos_profile
+            for topic, kind in wanted.items()
+            for info in getattr(peer, f"get_{kind}s_info_by_topic")(f"{name}/{topic}")
+            if info.node_name == "sorter"
+        ]
+
+    try:
+        sorter._look(make_look())
+        adapts = sorter._at_work._map
+        peer.create_publisher(GaussianArray, f"{name}/gaussians", qos.MAP_VOLATILE)
+        deadline = time.monotonic() + PATIENCE
+        while adapts._qos.durability != DurabilityPolicy.VOLATILE or len(found()) < 3:
+            assert time.monotonic() < deadline
+            executor.spin_once(0.1)
+        assert {each.reliability for each in found()} == {ReliabilityPolicy.BEST_EFFORT}
+        assert adapts._subscription.qos_profile.depth == 3
+        assert adapts._subscription.qos_profile.durability == DurabilityPolicy.VOLATILE
+        assert (qos.MAP.depth, qos.VIEW.depth, qos.ORDER.depth) == (1000, 32, 8)
+    finally:
+        executor.shutdown()
+        sorter.destroy_node()
+        rclpy.shutdown()
+
+
+@pytest.mark.parametrize("policy", ["volatile", "best effort"])
+def test_a_lesser_publisher_beside_another_is_told_of(sorter, peer, capfd, policy):
     """One subscription can't hear both."""
-    silent = Peer(qos.MAP_VOLATILE)
+    lesser = copy(qos.MAP_VOLATILE)
+    if policy == "best effort":
+        lesser = copy(qos.MAP)
+        lesser.reliability = ReliabilityPolicy.BEST_EFFORT
+    silent = Peer(lesser)
     said = []
 
     def told():
         said.append(capfd.readouterr().err)
-        return "a publisher is volatile" in "".join(said)
+        return f"a publisher is {policy}" in "".join(said)
 
     try:
         peer.wait(told, "no warning")

@@ -27,7 +27,7 @@ from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_sorter.batches import array_bytes, pose_values
 from rosplat_sorter.diagnostics import Report
-from rosplat_sorter.qos import PULLED_MAP
+from rosplat_sorter.qos import PULLED_MAP, overridable
 from rosplat_tools.messages import NONE, Slots, as_array
 from rosplat_tools.poses import to_pose
 from rosplat_tools.pull_server import PullServer
@@ -308,7 +308,9 @@ class _Wire:
         self.pulls = self.pulled_bytes = 0  # that were answered
 
     def advertise(self) -> None:
-        self._publisher = self._node.create_publisher(GaussianArray, self._topic, PULLED_MAP)
+        self._publisher = self._node.create_publisher(
+            GaussianArray, self._topic, **overridable(PULLED_MAP)
+        )
 
     def close(self) -> None:
         publisher, self._publisher = self._publisher, None

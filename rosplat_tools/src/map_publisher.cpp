@@ -115,8 +115,10 @@ PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const MapOptions& optio
                                         const std::shared_ptr<std::atomic<bool>>& closing) {
   // A late joiner hears of the map by the last batch. The others are for readers that lag behind.
   const auto qos = rclcpp::QoS(8).reliable().transient_local();
-  const auto publisher =
-      rclcpp::create_publisher<Message>(node.parameters, node.topics, options.topic, qos);
+  rclcpp::PublisherOptions overridable;
+  overridable.qos_overriding_options = rclcpp::QosOverridingOptions::with_default_policies();
+  const auto publisher = rclcpp::create_publisher<Message>(node.parameters, node.topics,
+                                                           options.topic, qos, overridable);
   const rclcpp::Logger logger = node.logging->get_logger();
   const rclcpp::Clock::SharedPtr clock = node.clock->get_clock();
   Wire wire;

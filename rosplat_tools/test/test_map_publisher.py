@@ -22,6 +22,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, Pose, Quaternion
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 
 from rosplat_core import payload
@@ -29,7 +30,7 @@ from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_sorter.batches import array_bytes
-from rosplat_sorter.qos import MAP_VOLATILE
+from rosplat_sorter.qos import MAP_VOLATILE, PULLED_MAP
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.messages import chunks
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
@@ -773,3 +774,20 @@ def test_diagnostics_tell_of_the_map_though_nobody_spins_its_node(
         other.destroy_publisher(rival)
     assert not [p for p in node.publishers if p.topic_name == "/diagnostics"]
     other.destroy_node()
+
+
+def test_a_parameter_overrides_qos_of_each_publisher_in_turn(random_splats: Maker) -> None:
+    """Of the second one, too, whose parameters are declared already."""
+    context = rclpy.Context()
+    policy = "qos_overrides./gaussians.publisher.reliability"
+    rclpy.init(args=["--ros-args", "-p", f"{policy}:=best_effort"], context=context)
+    node = rclpy.create_node("test", context=context)
+    for _ in range(2):
+        with MapPublisher(node) as publisher:
+            publisher.replace(random_splats(1))
+            (own,) = [p for p in node.publishers if p.topic_name == "/gaussians"]
+            assert own.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            assert own.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert PULLED_MAP.reliability == ReliabilityPolicy.RELIABLE
+    node.destroy_node()
+    context.try_shutdown()

@@ -33,6 +33,7 @@ from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.batches import positions_of
 from rosplat_sorter.map_subscription import MapSubscription
+from rosplat_sorter.qos import overridable
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning, wait_for_end
@@ -142,18 +143,20 @@ class DemoSensors(Node):
         self._trail: deque[PoseStamped] = deque(maxlen=round(self._period * image_rate))
         self._picture: _Picture | None = None
 
-        self._imu = self.create_publisher(Imu, "imu/data", SENSOR)
-        self._image = self.create_publisher(Image, "camera/image_raw", SENSOR)
-        self._info = self.create_publisher(CameraInfo, "camera/camera_info", SENSOR)
-        self._pose = self.create_publisher(PoseStamped, "camera/pose", SENSOR)
+        self._imu = self.create_publisher(Imu, "imu/data", **overridable(SENSOR))
+        self._image = self.create_publisher(Image, "camera/image_raw", **overridable(SENSOR))
+        self._info = self.create_publisher(CameraInfo, "camera/camera_info", **overridable(SENSOR))
+        self._pose = self.create_publisher(PoseStamped, "camera/pose", **overridable(SENSOR))
         self._path = self._tf = self._tf_static = None
         if Path:
-            self._path = self.create_publisher(Path, "camera/path", SENSOR)
+            self._path = self.create_publisher(Path, "camera/path", **overridable(SENSOR))
         else:
             self.get_logger().info("no nav_msgs here: camera/path is left out")
         if TFMessage:
-            self._tf = self.create_publisher(TFMessage, "/tf", TF)
-            self._tf_static = self.create_publisher(TFMessage, "/tf_static", TF_STATIC)
+            self._tf = self.create_publisher(TFMessage, "/tf", **overridable(TF))
+            self._tf_static = self.create_publisher(
+                TFMessage, "/tf_static", **overridable(TF_STATIC)
+            )
         else:
             self.get_logger().info("no tf2_msgs here: TF is left out")
 

@@ -18,7 +18,7 @@ from rosplat_core.posed_camera import CameraError, PosedCamera
 from rosplat_core.splats import SceneError, splat_bytes
 from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_sorter.camera import decode
-from rosplat_sorter.qos import VIEW
+from rosplat_sorter.qos import VIEW, overridable
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import run, spinning
@@ -61,7 +61,7 @@ class StreamPublisher(Node):
                 f"{splat_bytes(scene.sh_degree)} bytes each, at their coarsest, so some are missing"
             )
         topic = self.resolve_topic_name("gaussians")  # remapping it takes the views along
-        self.create_subscription(ViewCamera, f"{topic}/view", self._on_view, VIEW)
+        self.create_subscription(ViewCamera, f"{topic}/view", self._on_view, **overridable(VIEW))
 
     def stream(self) -> None:
         """Follows the views until ROS ends, by a thread that hears none of them meanwhile."""

@@ -26,7 +26,7 @@ from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.batches import apply, array, pose_values, positions_of
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_sorter.qos import ORDER, VIEW
+from rosplat_sorter.qos import ORDER, VIEW, overridable
 from rosplat_tools.messages import as_array
 from rosplat_tools.program.parameters import declare
 from rviz_gaussian_plugin.from_messages import numbers
@@ -144,13 +144,13 @@ class Viewer(Node):
         self._map = MapSubscription(self, self._on_batch, own())
         topic = self._map.topic
         self._order_topic = f"{topic}/order"
-        self._views = self.create_publisher(ViewCamera, f"{topic}/view", VIEW)
+        self._views = self.create_publisher(ViewCamera, f"{topic}/view", **overridable(VIEW))
         self.create_subscription(
             SplatOrder,
             self._order_topic,
             self._on_order,  # type: ignore[arg-type] # its result is for others
-            ORDER,
             callback_group=own(),
+            **overridable(ORDER),
         )
         if self.serves:
             self.create_service(

@@ -11,8 +11,11 @@ constexpr auto kPathPeriod = 200ms;
 
 CameraTrail::CameraTrail(rclcpp::Node& node, const std::string& topic) {
   const auto qos = rclcpp::QoS(1).transient_local();
-  pose_publisher_ = node.create_publisher<geometry_msgs::msg::PoseStamped>(topic + "/pose", qos);
-  path_publisher_ = node.create_publisher<nav_msgs::msg::Path>(topic + "/path", qos);
+  rclcpp::PublisherOptions options;
+  options.qos_overriding_options = rclcpp::QosOverridingOptions::with_default_policies();
+  pose_publisher_ =
+      node.create_publisher<geometry_msgs::msg::PoseStamped>(topic + "/pose", qos, options);
+  path_publisher_ = node.create_publisher<nav_msgs::msg::Path>(topic + "/path", qos, options);
 }
 
 void CameraTrail::publish(const geometry_msgs::msg::PoseStamped& pose) {

@@ -80,8 +80,12 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
                                const rclcpp::QoS& qos, SplatScene& scene)
     : node_(node), topic_(topic), scene_(scene), qos_(qos), asked_qos_(qos) {
   group_ = node_->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false);
+  const auto overridable = rclcpp::QosOverridingOptions::with_default_policies();
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
+  options.qos_overriding_options = overridable;
+  rclcpp::PublisherOptions publishing;
+  publishing.qos_overriding_options = overridable;
   remapped_ = node_->get_node_topics_interface()->resolve_topic_name(topic_);
   pull_client_ = PullClient::make(*node_, remapped_ + "/pull", group_);
   subscribe(qosFor(false));
@@ -90,10 +94,10 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
       remapped_ + "/order", viewQos(8),
       [this](std::unique_ptr<SplatOrder> message) { receive(*message); }, options);
   sidecar_ = std::make_unique<SidecarSwitch>(node_, remapped_ + "/order", group_);
-  view_publisher_ =
-      node_->create_publisher<rosplat_msgs::msg::ViewCamera>(remapped_ + "/view", viewQos(32));
-  picked_publisher_ =
-      node_->create_publisher<rosplat_msgs::msg::Gaussian>(remapped_ + "/picked", pickedQos());
+  view_publisher_ = node_->create_publisher<rosplat_msgs::msg::ViewCamera>(remapped_ + "/view",
+                                                                           viewQos(32), publishing);
+  picked_publisher_ = node_->create_publisher<rosplat_msgs::msg::Gaussian>(remapped_ + "/picked",
+                                                                           pickedQos(), publishing);
   pull_tick_ = node_->create_wall_timer(100ms, [this] { tick(); }, group_);
   watch();
   executor_.add_callback_group(group_, node_->get_node_base_interface());
