@@ -97,7 +97,10 @@ class SorterNode(Node):
         )
         self.unwanted = Future()
         self._at_work: _AtWork | None = None
-        self.add_on_set_parameters_callback(self._on_parameters)
+        self._is_told = hasattr(self, "add_post_set_parameters_callback")  # of what was set: Iron
+        self.add_on_set_parameters_callback(self._validate)
+        if self._is_told:
+            self.add_post_set_parameters_callback(self._use)
         self.create_subscription(
             ViewCamera, f"{topic}/view", self._look, **qos.overridable(qos.VIEW)
         )
@@ -169,16 +172,20 @@ class SorterNode(Node):
 
     # --- What ROS calls ---------------------------------------------------------------------------
 
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         values = {parameter.name: parameter.value for parameter in parameters}
         if values.get("backend", AUTO) not in CHOICES:
             return SetParametersResult(successful=False, reason=_unknown(values["backend"]))
+        if not self._is_told:
+            self._use(parameters)
+        return SetParametersResult(successful=True)
+
+    def _use(self, parameters: list[Parameter]) -> None:
+        values = {parameter.name: parameter.value for parameter in parameters}
         if self._at_work and values.keys() & set(SETTINGS):
             self._at_work.worker.use(
-                values.get("backend", self.get_parameter("backend").value),
-                values.get("threads", self.get_parameter("threads").value),
+                *(values.get(name, self.get_parameter(name).value) for name in SETTINGS)
             )
-        return SetParametersResult(successful=True)
 
 
 def _unknown(backend: str) -> str:

@@ -16,8 +16,10 @@ from pathlib import Path
 import pytest
 import rclpy
 from ament_index_python.packages import get_package_prefix
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
@@ -456,7 +458,14 @@ def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypat
     assert peer.slots(5, 2) == [2, 1, 0]
 
 
-def test_the_backend_is_a_parameter_that_can_change(sorter, peer, make_batch, make_look):
+@pytest.fixture(params=["Humble", "Iron and later"])
+def release(request, monkeypatch):
+    """Up to Humble, a node is asked of parameters that are to be set, and not told of any."""
+    if request.param == "Humble":
+        monkeypatch.delattr(Node, "add_post_set_parameters_callback")
+
+
+def test_the_backend_is_a_parameter_that_can_change(release, sorter, peer, make_batch, make_look):
     [result] = sorter.set_parameters([Parameter("backend", value="no such")])
     assert not result.successful
     assert result.reason.startswith("unknown backend 'no such', known are auto, cupy")
@@ -467,6 +476,19 @@ def test_the_backend_is_a_parameter_that_can_change(sorter, peer, make_batch, ma
     assert peer.order(1).backend == "numpy"
     [result] = sorter.set_parameters([Parameter("threads", value=-1)])
     assert not result.successful
+
+
+def test_a_parameter_that_another_refuses_has_no_effect(sorter, peer, make_batch, make_look):
+    refusal = SetParametersResult(successful=False)
+    sorter._on_set_parameters_callbacks.append(lambda _: refusal)  # asked last
+    peer.edit(make_batch())
+    peer.look(make_look())
+    before = peer.order(1).backend
+    other = next(name for name in ("numpy", "native") if name != before)
+    [result] = sorter.set_parameters([Parameter("backend", value=other)])
+    assert not result.successful
+    peer.edit(make_batch(revision=2))
+    assert peer.order(1, 2).backend == before
 
 
 def test_remapping_the_map_takes_views_and_orders_along(make_look):
