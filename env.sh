@@ -35,6 +35,11 @@ if [ -f "$root/.venv/ros" ] && [ ! -e "$root/.ros" ]; then
   done
 fi
 
+# What this ROS has nothing to build with.
+ROSPLAT_CMAKE_ARGS="-DROSPLAT_RCLCPP=$([ -z "$wheels_of" ] && echo ON || echo OFF)"
+ROSPLAT_CMAKE_ARGS+=" -DROSPLAT_DISPLAY=$(command -v rviz2 >/dev/null && echo ON || echo OFF)"
+export ROSPLAT_CMAKE_ARGS
+
 ros_folder=$root/.ros/$ROSPLAT_ROS
 export COLCON_DEFAULTS_FILE=$ros_folder/colcon.yaml # `colcon build` and `colcon test` find the folders
 if [ -f "$ros_folder/venv/bin/activate" ]; then source_unset_ok "$ros_folder/venv/bin/activate"; fi

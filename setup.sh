@@ -107,6 +107,7 @@ build:
     - -DPython3_EXECUTABLE=$PWD/$venv/bin/python
     - -DBUILD_TESTING=$dev
     - -DCMAKE_COMPILE_WARNING_AS_ERROR=$dev
+$(printf '    - %s\n' $ROSPLAT_CMAKE_ARGS)
     - --no-warn-unused-cli
 test: {build-base: $folder/build, install-base: $folder/install, executor: sequential}
 test-result: {test-result-base: $folder/build}

@@ -16,7 +16,7 @@ trap 'rm -f "$log"' EXIT
 sanitized=.ros/$ROSPLAT_ROS/sanitized
 sanitized() { # PACKAGES TESTING
   colcon build --build-base "$sanitized/build" --install-base "$sanitized/install" \
-    --base-paths $1 --cmake-args -DCMAKE_BUILD_TYPE=None "-DBUILD_TESTING=$2" \
+    --base-paths $1 --cmake-args $ROSPLAT_CMAKE_ARGS -DCMAKE_BUILD_TYPE=None "-DBUILD_TESTING=$2" \
     "-DCMAKE_CXX_FLAGS=-O1 -g1 -fno-omit-frame-pointer -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all" \
     -DPython3_EXECUTABLE="$(command -v python)" --no-warn-unused-cli >"$log" 2>&1 || { tail -n 60 "$log" >&2; exit 1; }
 }

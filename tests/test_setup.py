@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -106,3 +107,34 @@ def test_what_sudo_installs_is_said_first(checkout: Checkout) -> None:
         assert f"sudo {command}" in refused.stdout
         assert f"sudo {command}" in done.stdout
     assert "install" in (checkout.folder / "as_root").read_text()
+
+
+def test_what_this_ros_lacks_is_left_out(checkout: Checkout) -> None:
+    """All else that a manifest asks for must be there."""
+    checkout.setup("wheels")
+    built = (checkout.folder / ".ros/wheels/colcon.yaml").read_text()
+    assert "    - -DROSPLAT_RCLCPP=OFF\n    - -DROSPLAT_DISPLAY=OFF\n" in built
+    rviz = checkout.folder / "programs/rviz2"
+    rviz.touch(0o755)
+    checkout.setup("jazzy", ROS_DISTRO="jazzy")
+    built = (checkout.folder / ".ros/jazzy/colcon.yaml").read_text()
+    assert "    - -DROSPLAT_RCLCPP=ON\n    - -DROSPLAT_DISPLAY=ON\n" in built
+
+
+@pytest.mark.parametrize(
+    ("package", "switch", "lacking"),
+    [
+        ("rosplat_tools", "ROSPLAT_RCLCPP", "rclcpp"),
+        ("rosplat_lab", "ROSPLAT_DISPLAY", "rviz_common"),
+        ("rviz_gaussian_plugin", "ROSPLAT_DISPLAY", "rviz_common"),
+    ],
+)
+def test_a_build_fails_without_what_its_manifest_asks_for(
+    tmp_path: Path, package: str, switch: str, lacking: str
+) -> None:
+    command = ["cmake", "-S", ROOT / package, "-B", tmp_path, f"-D{switch}=ON",
+               f"-DCMAKE_DISABLE_FIND_PACKAGE_{lacking}=ON",
+               f"-DPython3_EXECUTABLE={sys.executable}", "-DBUILD_TESTING=OFF"]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode
+    assert lacking in done.stderr
