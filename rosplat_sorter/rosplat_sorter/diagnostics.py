@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -52,12 +53,21 @@ class Diagnostics:
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        self._timer = self._spun.create_timer(PERIOD, self._publish, clock=steady)
+        self._timer = self._spun.create_timer(PERIOD, self._tell, clock=steady)
 
     def close(self) -> None:
         """Says no more. Not while the spun node's executor may be at a report."""
         self._spun.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
+
+    def _tell(self) -> None:
+        try:
+            self._publish()
+        except InvalidHandle:  # the node was destroyed
+            self._timer.cancel()
+        except Exception:
+            if self._node.context.ok():  # else ROS has ended meanwhile
+                raise
 
     def _publish(self) -> None:
         message, values, warns = self._report()

@@ -30,6 +30,7 @@ from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_sorter.batches import array_bytes
+from rosplat_sorter.diagnostics import PERIOD
 from rosplat_sorter.qos import MAP_VOLATILE, PULLED_MAP
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.messages import chunks
@@ -791,3 +792,14 @@ def test_a_parameter_overrides_qos_of_each_publisher_in_turn(random_splats: Make
     assert PULLED_MAP.reliability == ReliabilityPolicy.RELIABLE
     node.destroy_node()
     context.try_shutdown()
+
+
+def test_a_node_that_ends_before_its_publisher_ends_no_thread(node: Node) -> None:
+    own = rclpy.create_node("gone", namespace=node.get_namespace(), context=node.context)
+    publisher = MapPublisher(own)
+    (thread,) = [t for t in threading.enumerate() if t.name == own.resolve_topic_name("gaussians")]
+    own.destroy_node()
+    time.sleep(2 * PERIOD)
+    assert thread.is_alive()
+    publisher.close()
+    assert not thread.is_alive()
