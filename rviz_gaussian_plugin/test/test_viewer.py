@@ -152,9 +152,7 @@ def test_a_publisher_that_doesn_t_latch_is_heard_and_a_broken_batch_survived(
     listener.wait(lambda: publisher.get_subscription_count() == 2)  # and the listener's
     source = MapPublisher(node, topic="elsewhere")
     sent: list[GaussianArray] = []
-    source._wire._publisher = SimpleNamespace(
-        publish=sent.append, get_subscription_count=lambda: 0
-    )
+    source._wire._publisher = SimpleNamespace(publish=sent.append, get_subscription_count=lambda: 0)
     source.replace(discs((RED, 2.0)))
     broken = GaussianArray(map_id="broken", revision=1, count=1_000_000)
     publisher.publish(broken)
