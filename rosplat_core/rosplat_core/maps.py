@@ -8,3 +8,5 @@ Arrival = _core.Arrival
 BatchError = _core.BatchError
 GaussianMap = _core.GaussianMap
 MapPull = _core.MapPull
+
+REPLACE, UPSERT, DELETE, MOVE = range(4)  # what a batch does, as in GaussianArray

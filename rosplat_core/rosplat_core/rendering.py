@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import _core
 from rosplat_core.cameras import Camera
+from rosplat_core.maps import REPLACE, UPSERT
 from rosplat_core.splats import Splats
 
 Antialiasing = _core.Antialiasing
@@ -29,7 +30,6 @@ SplatCamera = _core.SplatCamera
 
 MOST_PSNR = 150.0  # what equal pictures count as in JSON, which knows no infinity [dB]
 
-REPLACE, UPSERT, DELETE, MOVE = range(4)
 BATCH_BYTES = 8_000_000  # as publishers send them
 MAP = "map"
 

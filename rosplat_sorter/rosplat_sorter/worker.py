@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.log_text import shown
-from rosplat_core.maps import Arrival, BatchError
+from rosplat_core.maps import REPLACE, Arrival, BatchError
 from rosplat_core.posed_camera import CameraError, PosedCamera
 from rosplat_core.view import View
 from rosplat_sorter import backends, camera
@@ -36,6 +37,9 @@ MOST_SHOWN = 300  # characters of an error in a line of the log
 
 # Of batches that wait: while there are more, none is to be handed over. [bytes]
 MOST_WAITING = 1 << 25
+
+# Of batches that are applied from one answer to the next, if one alone isn't larger. [bytes]
+SLICE = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -72,10 +76,18 @@ class Host(Protocol):
 
 @dataclass
 class _Inbox:
-    batches: list[tuple[GaussianArray, Arrival]] = field(default_factory=list)
-    batch_bytes: int = 0
+    batches: deque[tuple[GaussianArray, Arrival]] = field(default_factory=deque)
+    batch_bytes: int = 0  # of these and of the one that is being applied
     views: dict[str, ViewCamera] = field(default_factory=dict)  # the newest of each view
     backend: tuple[str, int] | None = None
+
+    def edit(self, batch: GaussianArray, arrival: Arrival) -> None:
+        """Keeps a batch; forgets those that it replaces."""
+        if batch.operation == REPLACE:
+            self.batch_bytes -= sum(array_bytes(replaced) for replaced, _ in self.batches)
+            self.batches.clear()
+        self.batches.append((batch, arrival))
+        self.batch_bytes += array_bytes(batch)
 
     def look(self, message: ViewCamera) -> None:
         """Keeps a camera, the newest of each view, and of no more views than are answered."""
@@ -107,8 +119,9 @@ class Worker:
     """Keeps one map and answers each view with an order, the newest camera first and only.
 
     A view is answered when it shows a camera with a new sequence, and when the map changed; what
-    hasn't changed isn't sorted again. While a pull is under way, the map is of no revision that an
-    order could name: views are answered at its end.
+    hasn't changed isn't sorted again. While many batches wait, views are answered between them, in
+    turn. While a pull is under way, the map is of no revision that an order could name: views are
+    answered at its end.
     """
 
     def __init__(self, host: Host, backend: str = AUTO, threads: int = 0) -> None:
@@ -142,8 +155,7 @@ class Worker:
     def edit(self, batch: GaussianArray, arrival: Arrival = Arrival.HEARD) -> None:
         """Takes a batch of the map. Waits for nothing."""
         with self._wake:
-            self._inbox.batches.append((batch, arrival))
-            self._inbox.batch_bytes += array_bytes(batch)
+            self._inbox.edit(batch, arrival)
             self._wake.notify_all()
 
     def look(self, message: ViewCamera) -> None:
@@ -199,14 +211,13 @@ class Worker:
                 )
                 if self._closing:
                     return
-                inbox, self._inbox = self._inbox, _Inbox()
-            if inbox.backend is not None:
-                self._attempt(self._use, inbox.backend)
-            inbox.batches.reverse()
-            while inbox.batches:  # each message goes as soon as it is applied
-                self._attempt(self._apply, inbox.batches.pop())
-            for message in inbox.views.values():
+                backend, self._inbox.backend = self._inbox.backend, None
+                views, self._inbox.views = self._inbox.views, {}
+            if backend is not None:
+                self._attempt(self._use, backend)
+            for message in views.values():
                 self._attempt(self._see, message)
+            self._apply_slice()
             self._attempt(self._forget_silent, time.monotonic())
             if self._due:
                 self._attempt(self._answer, next(iter(self._due)))
@@ -228,6 +239,21 @@ class Worker:
                 self._due.pop(view_id, None)
 
     # --- Batches ----------------------------------------------------------------------------------
+
+    def _apply_slice(self) -> None:
+        """Applies the next batches that wait, as many as views may wait for."""
+        applied = 0
+        while applied < SLICE:
+            with self._wake:
+                if not self._inbox.batches:
+                    return
+                waiting = self._inbox.batches.popleft()
+            size = array_bytes(waiting[0])
+            self._attempt(self._apply, waiting)
+            applied += size
+            del waiting  # its memory goes before it counts no more
+            with self._wake:
+                self._inbox.batch_bytes -= size
 
     def _apply(self, waiting: tuple[GaussianArray, Arrival]) -> None:
         batch, arrival = waiting

@@ -9,8 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rosplat_core import depth
-from rosplat_core.maps import BatchError
-from rosplat_core.rendering import DELETE, MOVE, REPLACE, UPSERT
+from rosplat_core.maps import DELETE, MOVE, REPLACE, UPSERT, BatchError
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.view import View
 from rosplat_sorter import backends

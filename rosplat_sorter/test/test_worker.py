@@ -230,6 +230,49 @@ def test_it_says_when_too_much_waits(start, make_batch, make_look, monkeypatch):
     assert not worker.busy
 
 
+def test_views_are_answered_between_batches_that_wait(start, make_batch, make_look, monkeypatch):
+    monkeypatch.setattr("rosplat_sorter.worker.SLICE", 2 * 50 * 56)
+    views = [str(number) for number in range(30)]
+    worker, host = start()
+    worker.edit(make_batch(50))
+    for view_id in views:
+        worker.look(make_look(view_id=view_id))
+    for view_id in views:
+        host.answer(view_id=view_id, revision=1)
+    GatedBackend.gate.clear()
+    GatedBackend.sorting.clear()
+    worker.edit(make_batch(50, revision=2))
+    assert GatedBackend.sorting.wait(PATIENCE)
+    for revision in range(3, 63):
+        worker.edit(make_batch(50, revision=revision))
+    assert worker._inbox.batch_bytes == 60 * 50 * 56
+    GatedBackend.gate.set()
+    for view_id in views:
+        host.answer(view_id=view_id, revision=62)
+    revisions = [answer.revision for answer in host.answers[len(views) :]]
+    assert max(np.diff(revisions)) <= 2
+    waiting = host.answers[len(views) : 2 * len(views)]
+    assert {answer.view_id for answer in waiting} == set(views)  # each in its turn
+    assert worker._inbox.batch_bytes == 0
+
+
+def test_of_batches_that_wait_none_is_applied_that_another_replaces(start, make_batch, make_look):
+    worker, host = start()
+    worker.edit(make_batch())
+    GatedBackend.gate.clear()
+    worker.look(make_look())
+    assert GatedBackend.sorting.wait(PATIENCE)
+    for revision in range(2, 20):
+        worker.edit(make_batch(50, revision=revision))
+    worker.edit(make_batch(5, operation=0, revision=20))
+    worker.edit(make_batch(1, revision=21, first_slot=5))
+    assert worker._inbox.batch_bytes == 6 * 56
+    GatedBackend.gate.set()
+    assert len(host.answer(revision=21).slots) == 6
+    assert worker._batches == 3
+    assert not [line for line in host.lines if "missed" in line]
+
+
 def test_views_do_not_displace_each_other(start, make_batch, make_look):
     worker, host = start()
     worker.edit(make_batch())

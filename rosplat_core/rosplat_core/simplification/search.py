@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
+from rosplat_core.maps import DELETE, UPSERT
 from rosplat_core.rendering import (
-    DELETE,
     MOST_PSNR,
-    UPSERT,
     CpuRenderer,
     edit,
     insert_all,

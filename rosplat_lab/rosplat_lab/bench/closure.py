@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core import rendering
+from rosplat_core import maps, rendering
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import Splats
 from rosplat_lab.bench import embedded, live, scenes
@@ -84,14 +84,14 @@ def _insert(renderer: Renderer, splats: Splats) -> int:
     """A map of submaps, each of neighbours in space; returns its revision."""
     revision, first = 1, 0
     renderer.apply(
-        rendering.REPLACE, 0, 0, _NO_SLOTS, 0, splats.antialiased, (0.0, 0.0, 0.0),
+        maps.REPLACE, 0, 0, _NO_SLOTS, 0, splats.antialiased, (0.0, 0.0, 0.0),
         *[_NO_FLOATS] * 5, rendering.MAP, revision, len(splats),
     )  # fmt: skip
     for group in range(SUBMAPS):
         part = slice(len(splats) * group // SUBMAPS, len(splats) * (group + 1) // SUBMAPS)
         revision += 1
         renderer.apply(
-            rendering.UPSERT, first, part.stop - part.start, _NO_SLOTS, splats.sh_degree,
+            maps.UPSERT, first, part.stop - part.start, _NO_SLOTS, splats.sh_degree,
             splats.antialiased, tuple(splats.origin.tolist()), splats.positions[part].ravel(),
             splats.orientations[part].ravel(), splats.scales[part].ravel(),
             splats.opacities[part], splats.sh[part].ravel(), rendering.MAP, revision, len(splats),
@@ -112,7 +112,7 @@ def _poses(random: np.random.Generator) -> NDArray[np.float64]:
 
 def _move(renderer: Renderer, poses: NDArray[np.float64], revision: int) -> None:
     renderer.apply(
-        rendering.MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), *[_NO_FLOATS] * 5,
+        maps.MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), *[_NO_FLOATS] * 5,
         rendering.MAP, revision, groups=np.arange(SUBMAPS, dtype=np.uint32), poses=poses,
     )  # fmt: skip
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
+from rosplat_core.maps import REPLACE
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.rendering import (
-    REPLACE,
     OrderSource,
     Rasterizer,
     RenderSettings,

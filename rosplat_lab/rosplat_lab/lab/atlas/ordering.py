@@ -12,6 +12,7 @@ import numpy as np
 
 from rosplat_core.cameras import Camera
 from rosplat_core.generated import generate
+from rosplat_core.maps import UPSERT
 from rosplat_core.rendering import OrderSource, Rasterizer
 from rosplat_core.splats import concatenate
 from rosplat_core.view import OVERSCAN
@@ -35,7 +36,6 @@ from rosplat_lab.lab.methods import widened
 from rosplat_lab.lab.orders import Order
 
 CASES = Cases()
-UPSERT = 1
 
 KEYS = {
     "float32 (ours)": orders.full,
