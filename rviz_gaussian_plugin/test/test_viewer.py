@@ -209,7 +209,7 @@ def test_it_ends_quietly_in_the_middle_of_a_request(
 def test_without_a_display_it_draws_a_still_and_a_turn(
     start: Start, node: Node, listener: Any, tmp_path: Path, random_splats: Callable[..., Splats]
 ) -> None:
-    process = start("rviz_gaussian_plugin.viewer", output=tmp_path / "out", order_timeout=0.0)
+    process = start("rviz_gaussian_plugin.viewer", output=tmp_path / "out")
     assert process.stdout
     said = next(line for line in process.stdout if "waiting" in line)
     assert f"waiting for a map on {node.resolve_topic_name('gaussians')}" in said
@@ -231,7 +231,7 @@ def test_a_map_of_any_size_is_drawn(
     splats = discs((RED, 2.0), (GREEN, -1e15), (RED, 1e15))
     publisher = MapPublisher(node)
     publisher.replace(splats)
-    process = start("rviz_gaussian_plugin.viewer", output=tmp_path, order_timeout=0.0)
+    process = start("rviz_gaussian_plugin.viewer", output=tmp_path)
     listener.wait(lambda: process.poll() is not None)  # meanwhile the publisher is pulled from
     output, _ = process.communicate()
     assert process.returncode == 0, output

@@ -29,6 +29,7 @@ from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
 STILL = (1280, 720)
 ORBIT = (480, 270)
 ORBIT_FRAMES = 36
+ORDER_TIMEOUT = 2.0  # how long a still waits for a sorter's order [s]
 BACKGROUND = (0.125, 0.133, 0.149)  # as in the shipped rviz configuration
 
 
@@ -57,13 +58,13 @@ def show_stills(viewer: Viewer, folder: Path) -> None:
         raise SceneError(f"parameter output: {folder}: {error.strerror}") from error
     _wait_for_map(viewer)
     orbit = _framed(viewer)
-    figures = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", viewer.order_timeout)
+    figures = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", ORDER_TIMEOUT)
     still = Picture.fromarray(viewer.renderer.read_color8(BACKGROUND))
     with replacing(folder / "demo.png") as partial:
         still.save(partial, "PNG")
     frames = []
     for _ in range(ORBIT_FRAMES):
-        viewer.draw_still(view_camera(orbit.camera(*ORBIT)), "orbit", viewer.order_timeout)
+        viewer.draw_still(view_camera(orbit.camera(*ORBIT)), "orbit", ORDER_TIMEOUT)
         frames.append(Picture.fromarray(viewer.renderer.read_color8(BACKGROUND)))
         orbit.turn(2 * math.pi / ORBIT_FRAMES, 0)
     turn = {"save_all": True, "append_images": frames[1:], "duration": 80, "loop": 0, "quality": 60}

@@ -93,14 +93,6 @@ class Viewer(Node):
         order_source: str = declare(
             self, "order_source", "auto", "Whose order is drawn: " + ", ".join(ORDER_SOURCES)
         )
-        self.order_timeout: float = declare(
-            self,
-            "order_timeout",
-            2.0,
-            "How long a still waits for a sorter's order. [s]",
-            0.0,
-            LONGEST_WAIT,
-        )
         self.window_size = (
             declare(self, "width", WINDOW[0], "Width of the window. [px]", 64, 8192),
             declare(self, "height", WINDOW[1], "Height of the window. [px]", 64, 8192),
