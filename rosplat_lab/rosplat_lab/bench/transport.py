@@ -19,18 +19,20 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
 from rosplat_core import payload
+from rosplat_core.cameras import Camera, look_at
 from rosplat_core.payload import Arrays
 from rosplat_lab.bench import live, scenes
 from rosplat_lab.bench.peer import KINDS, ORDERS, QUESTIONS, batches_of, topic
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
-from rosplat_msgs.msg import ViewCamera
+from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.qos import ORDER
+from rosplat_sorter.qos import ORDER, VIEW
 from rosplat_tools.map_publisher import CHUNK_BYTES
 from rosplat_tools.messages import NONE
 from rosplat_tools.program.processes import ProcessError, Processes
+from rosplat_tools.view_messages import view_camera
 
 ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 QUICK_ORDER_SIZES = (100_000, 500_000)
@@ -87,6 +89,8 @@ def _maps(plan: Plan) -> Iterator[Event]:
         try:
             repeats = QUICK_MAP_REPEATS if plan.quick else MAP_REPEATS
             yield from _visible(plan.out, name, repeats)
+            ways = [_first_order(plan.out, name) for _ in range(repeats)]
+            yield Measurement.of("view to first order", "ms", ways, name, backend="native")
         except (ProcessError, TimeoutError) as error:
             yield Skipped(f"{name}: {error}")
 
@@ -204,3 +208,42 @@ def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
     node.destroy_node()
     yield Measurement.of("publish to visible", "ms", shown, name, splats, gpu, backend="native")
     yield Measurement.of("received by the viewer", "M splats/s", rates, name, splats)
+
+
+def _first_order(out: Path, name: str) -> float:
+    """From the first view that wants an order to that order, by a sorter without a map. [ms]
+
+    Raises ProcessError where a program ends, TimeoutError where one doesn't answer.
+    """
+    namespace = f"/bench_{uuid.uuid4().hex[:8]}"
+    remap = ["--ros-args", "-r", f"__ns:={namespace}"]
+    node = Node("viewer", namespace=namespace)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    orders: list[SplatOrder] = []
+    node.create_subscription(SplatOrder, "gaussians/order", orders.append, ORDER)
+    views = node.create_publisher(ViewCamera, "gaussians/view", VIEW)
+    load = node.create_client(LoadScene, "ply_publisher/load")
+    view = view_camera(Camera(0, 640, 360, 450, 450, 320, 180, look_at((5, 5, 3), (0, 0, 0))))
+    view.view_id, view.sequence = "first", 1
+    with Processes(out / "log") as processes:
+        processes.node("rosplat_tools", "ply_publisher", *remap, name="publisher")
+        processes.node("rosplat_sorter", "sorter", *remap, "-p", "backend:=native")
+        if not load.wait_for_service(PATIENCE):
+            raise TimeoutError("the publisher did not start")
+        loaded = load.call_async(LoadScene.Request(path=name))
+        executor.spin_until_future_complete(loaded, live.START_TIMEOUT)
+        time.sleep(ACQUAINTANCE)
+        began = time.perf_counter()
+        while not orders and time.perf_counter() < began + PATIENCE:
+            views.publish(view)  # again each second, as viewers do
+            again = time.perf_counter() + 1.0
+            while not orders and time.perf_counter() < again:
+                executor.spin_once(0.1)
+            processes.check()
+        took = time.perf_counter() - began
+    executor.shutdown()
+    node.destroy_node()
+    if not orders:
+        raise TimeoutError("the sorter did not answer")
+    return 1e3 * took
