@@ -14,7 +14,7 @@ from rosplat_core.generated import generate
 from rosplat_core.rendering import CpuRenderer, Instructions, posed
 from rosplat_core.simplification.refitting import RATES, picture
 from rosplat_core.simplification.search import Judge, Trial
-from rosplat_core.simplification.views import views
+from rosplat_core.simplification.views import Around, resized
 from rosplat_core.splats import Splats
 from rosplat_lab.reference import render
 
@@ -156,7 +156,7 @@ def test_steps_bring_back_what_was_changed() -> None:
     start = replace(
         full, scales=1.3 * full.scales, opacities=0.8 * full.opacities, sh=full.sh + np.float32(0.1)
     )
-    cameras = views(full, 240, 3, 160, 90)
+    cameras = [resized(seen, 160 * 90) for seen in Around(full).cameras(240, 3)]
     renderer = CpuRenderer(full)
     fitting = Refit(
         start.positions, start.orientations, start.scales, start.opacities, start.sh,
@@ -165,7 +165,7 @@ def test_steps_bring_back_what_was_changed() -> None:
     rates = RefitRates(**{name: 3 * rate for name, rate in RATES.items()})
     for seen in map(posed, cameras):
         fitting.step(seen, picture(renderer, seen), rates)
-    judge = Judge(Trial(full), views(full, 6, 4, 160, 90))
+    judge = Judge(Trial(full), [resized(seen, 160 * 90) for seen in Around(full).cameras(6, 4)])
     fitted = replace(start, **fitting.splats())
     assert judge(fitted).psnr > judge(start).psnr + 6
 

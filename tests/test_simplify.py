@@ -17,8 +17,8 @@ import pytest
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
 from rosplat_core.simplification.merging import find_pairs, merge
-from rosplat_core.simplification.search import Judge, Simplification, Trial, contributions
-from rosplat_core.simplification.views import views
+from rosplat_core.simplification.search import Judge, Simplification, Trial, learn
+from rosplat_core.simplification.views import Around, resized
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import Splats
 from rosplat_lab.simplify.command import main
@@ -41,7 +41,7 @@ def out(tmp_path: Path) -> Path:
 
 
 def test_views_are_those_of_their_seed_and_of_no_other(garden: Splats) -> None:
-    first, again, others = (views(garden, 6, seed) for seed in (0, 0, 1))
+    first, again, others = (Around(garden).cameras(6, seed) for seed in (0, 0, 1))
     assert all(
         (a.world_to_camera == b.world_to_camera).all() for a, b in zip(first, again, strict=True)
     )
@@ -51,7 +51,6 @@ def test_views_are_those_of_their_seed_and_of_no_other(garden: Splats) -> None:
 
 def test_what_no_view_sees_counts_for_little(garden: Splats) -> None:
     """But for more than nothing: other views will."""
-    cameras = views(garden, 4, 0, 320, 180)
     hidden = replace(garden[:1], positions=garden.positions[:1] + np.float32(1e4))
     splats = Splats(
         *(
@@ -59,7 +58,7 @@ def test_what_no_view_sees_counts_for_little(garden: Splats) -> None:
             for name in ("positions", "orientations", "scales", "opacities", "sh")
         )
     )
-    found = contributions(Trial(splats), cameras, lambda what, part: None)
+    found = learn(Trial(splats), Around(splats), lambda what, part: None).contributions
     assert 0 < found.weight[-1] < 0.1 * found.weight[0]
     assert 0 < found.energy[-1] < 0.1 * found.energy[0]
     assert found.error[-1] > 0
@@ -67,9 +66,9 @@ def test_what_no_view_sees_counts_for_little(garden: Splats) -> None:
 
 def test_a_trial_shows_what_merging_makes(garden: Splats) -> None:
     """Whether more of the pairs are merged than before, or fewer."""
-    cameras = views(garden, 4, 0, 320, 180)
+    cameras = [resized(camera, 320 * 180) for camera in Around(garden).cameras(4, 0)]
     trial = Trial(garden)
-    found = contributions(trial, cameras, lambda what, part: None)
+    found = learn(trial, Around(garden), lambda what, part: None).contributions
     pairs = find_pairs(garden, found, 0.01)
     judge = Judge(trial, cameras)
     for count in (100, 700, 300, 0):
@@ -257,7 +256,7 @@ def test_interrupted_it_leaves_nothing(tmp_path: Path, number: int) -> None:
 
 
 def test_a_judge_tells_what_differs(garden: Splats) -> None:
-    cameras = views(garden, 3, 5, 160, 90)
+    cameras = [resized(camera, 160 * 90) for camera in Around(garden).cameras(3, 5)]
     judge = Judge(Trial(garden), cameras)
     assert judge(garden).psnr == judge(garden).worst == 150
     darker = replace(garden, sh=garden.sh * np.float32(0.9))

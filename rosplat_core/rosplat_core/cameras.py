@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.program.files import write_text
-from rosplat_core.quaternions import from_matrices
+from rosplat_core.quaternions import from_matrices, to_matrices
 from rosplat_core.splats import SceneError, Splats
 
 UP = (0.0, 0.0, 1.0)  # REP-103
@@ -144,6 +144,38 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
         write_text(Path(path), json.dumps(entries, indent=1) + "\n")
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
+
+
+def load_trajectory(path: str | Path, camera: Camera) -> list[Camera]:
+    """A camera at each pose of its optical frame in a trajectory as the TUM benchmark writes it.
+
+    A line is time x y z qx qy qz qw [s, m] (Sturm et al. 2012). Raises SceneError naming the file
+    and the line.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise SceneError(f"{path}: is no text") from error
+    cameras: list[Camera] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        values = line.partition("#")[0].split()
+        if not values:
+            continue
+        try:
+            _, *pose = (float(value) for value in values)
+        except ValueError:
+            pose = []
+        if len(pose) != 7 or not np.isfinite(pose).all() or not any(pose[3:]):
+            raise SceneError(f"{path}: line {number}: expected time x y z qx qy qz qw")
+        world_to_camera = np.eye(4)
+        world_to_camera[:3, :3] = to_matrices(pose[3:]).T
+        world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ pose[:3]
+        cameras.append(replace(camera, id=len(cameras), world_to_camera=world_to_camera))
+    if not cameras:
+        raise SceneError(f"{path}: holds no poses")
+    return cameras
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = UP) -> NDArray[np.float64]:

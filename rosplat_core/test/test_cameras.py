@@ -11,7 +11,14 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from rosplat_core.cameras import Camera, load_cameras, look_at, orbit, save_cameras
+from rosplat_core.cameras import (
+    Camera,
+    load_cameras,
+    load_trajectory,
+    look_at,
+    orbit,
+    save_cameras,
+)
 from rosplat_core.splats import SceneError
 
 points = st.tuples(*[st.floats(-100, 100)] * 3)
@@ -127,3 +134,37 @@ def test_an_orbit_sees_all_of_the_bounds(up: tuple[float, ...]) -> None:
 def test_a_real_camera_file(reference: Callable[[str], Path]) -> None:
     cameras = load_cameras(reference("wolf/cameras.json"))
     assert [(c.id, c.image) for c in cameras] == [(0, "0.png"), (2, "2.png")]
+
+
+def test_a_trajectory_has_a_camera_at_each_pose(tmp_path: Path) -> None:
+    seen = [camera(), replace(camera(), id=0, world_to_camera=look_at((0, -2, 1), (5, 5, 5)))]
+    lines = [
+        " ".join(map(repr, [1.5, *one.position.tolist(), *(-2 * one.orientation).tolist()]))
+        for one in seen
+    ]
+    path = tmp_path / "poses.txt"
+    path.write_text("# time x y z qx qy qz qw\n\n" + "\n".join(lines) + " # the last\n")
+    found = load_trajectory(path, camera())
+    for number, (one, other) in enumerate(zip(found, seen, strict=True)):
+        np.testing.assert_allclose(one.world_to_camera, other.world_to_camera, atol=1e-12)
+        assert (one.id, one.width, one.fx, one.cy) == (number, 640, 500, 240)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "holds no poses"),
+        ("# only a comment", "holds no poses"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0", "line 2: expected time x y z qx qy qz qw"),
+        ("0 1 2 3 0 0 0 0", "line 1: expected"),
+        ("0 1 2 nan 0 0 0 1", "line 1: expected"),
+        ("time x y z qx qy qz qw", "line 1: expected"),
+    ],
+)
+def test_a_trajectory_that_is_none(tmp_path: Path, text: str, reason: str) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(text)
+    with pytest.raises(SceneError, match=f"poses.txt: {reason}"):
+        load_trajectory(path, camera())
+    with pytest.raises(SceneError, match=r"none\.txt: No such file"):
+        load_trajectory(tmp_path / "none.txt", camera())

@@ -143,7 +143,7 @@ def find_pairs(
     progress(0.4)
     field = _Field.of(splats, contributions, pixel)
     progress(0.6)
-    costs = np.concatenate(_in_chunks(len(low), lambda part: field.cost(low[part], high[part])))
+    costs = np.concatenate(in_chunks(len(low), lambda part: field.cost(low[part], high[part])))
     progress(0.8)
     alone = np.arange(count)
     low, high = np.concatenate([low, alone]), np.concatenate([high, alone])
@@ -202,7 +202,7 @@ def _neighbours(positions: NDArray[np.float32]) -> tuple[Indices, Indices]:
     count = len(positions)
     tree = cKDTree(positions, balanced_tree=False)
     most = min(NEIGHBOURS + 1, count)
-    found = _in_chunks(count, lambda part: tree.query(positions[part], most)[1].astype(np.int32))
+    found = in_chunks(count, lambda part: tree.query(positions[part], most)[1].astype(np.int32))
     nearest = np.concatenate(found)
 
     def pairs(part: slice) -> NDArray[np.int32]:
@@ -212,11 +212,11 @@ def _neighbours(positions: NDArray[np.float32]) -> tuple[Indices, Indices]:
         once = (one < other) | ((one > other) & ~mutual)
         return np.stack([np.minimum(one, other)[once], np.maximum(one, other)[once]])
 
-    low, high = np.concatenate(_in_chunks(count, pairs), axis=1).astype(np.intp)
+    low, high = np.concatenate(in_chunks(count, pairs), axis=1).astype(np.intp)
     return low, high
 
 
-def _in_chunks(count: int, work: Callable[[slice], Any]) -> list[Any]:
+def in_chunks(count: int, work: Callable[[slice], Any]) -> list[Any]:
     """What work gives for each part of count things, in order, in as many threads as cores.
 
     An interrupt waits for them, where libraries' own would go on with memory that is gone.
@@ -259,7 +259,7 @@ class _Field:
                 alone,
             )
 
-        parts = _in_chunks(len(splats), part_of)
+        parts = in_chunks(len(splats), part_of)
         return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
     def cost(self, i: Indices, j: Indices) -> Array:

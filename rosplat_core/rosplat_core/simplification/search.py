@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,12 +30,15 @@ from rosplat_core.simplification.merging import (
     merge,
 )
 from rosplat_core.simplification.refitting import picture, refit
-from rosplat_core.simplification.views import FOCAL, HEIGHT, WIDTH, views, whereabouts
-from rosplat_core.splats import Splats
+from rosplat_core.simplification.views import HEIGHT, WIDTH, Along, Around, Views, resized
+from rosplat_core.splats import SceneError, Splats
 
-LEARNT = 24  # views that contributions are found in, of half the size: more gain more than larger
-CHECKED = 8  # other views, which maps are held to
-SEEDS = (0, 1, 2)  # of these, and of the views that maps are refitted to
+PIXELS = WIDTH * HEIGHT // 4  # of a view that contributions are found in: more views gain more
+VALUES = 3 * PIXELS
+LEARNT, MOST_LEARNT = 24, 768  # of these views, at first and in the end
+STILL = 1.0  # by which held-back views gain less where there are enough [dB]
+LEARNT_SEED = 0
+REFIT_SEED = 2  # of the views that maps are refitted to
 UNSEEN = 0.03  # transmittance that each splat counts as seen through beside what views see of it
 CONTRAST = 0.09  # mean square by which what no view sees counts as different from what is behind it
 LEAST = 1e-30  # error whose logarithm is taken
@@ -121,49 +124,102 @@ class Trial:
             edit(self.renderer, operation, slots, splats, self._revision)
 
 
-def contributions(trial: Trial, cameras: list[Camera], progress: Progress) -> Contributions:
-    """What each splat is to the views' pictures.
+@dataclass(frozen=True)
+class Learnt:
+    """What views tell of splats, and how many of them did."""
 
-    And a little for what none of them sees: other views will.
+    contributions: Contributions
+    hidden: Indices
+    """Splats that need not show, since they do in no view: those first that are missed least."""
+    pixel: float
+    """Size of one where views look, in those that maps are held to. [m]"""
+    views: int
+
+
+def learn(trial: Trial, places: Views, progress: Progress) -> Learnt:
+    """Finds contributions in as many views as it takes: twice as many, as long as that tells more.
+
+    Views held back are asked what they would lose with the half that contributes least. Raises
+    SceneError where nothing shows along a path.
     """
-    splats = trial.splats
-    found = Sums()
-    for number, camera in enumerate(cameras):
-        progress("finding what contributes", number / len(cameras))
-        trial.renderer.contribute(posed(camera), found)
-    picture = cameras[0].width * cameras[0].height
-    pixel = whereabouts(splats).radius / cameras[0].fx  # [m]
-    unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixel**2, picture)
-    weight = len(cameras) * UNSEEN * unhidden
+    held = []
+    for number, camera in enumerate(places.held):
+        progress("looking from the views to check", number / len(places.held))
+        seen = _look(trial, camera, Sums())
+        slots = np.flatnonzero(seen).astype(np.uint32)
+        held.append((slots, seen[slots]))
+    sums, views, before = Sums(), 0, 0.0
+    learnt: Learnt | None = None
+    while True:
+        more = max(LEARNT, views)
+        for number, camera in enumerate(places.cameras(views + more, LEARNT_SEED)[views:]):
+            progress(f"finding what contributes in {views + more} views", number / more)
+            errors = _look(trial, camera, sums)
+        least = errors <= np.median(errors)
+        worst = _decibels(max(float(lost[least[slots]].sum()) for slots, lost in held) / VALUES)
+        if learnt and worst < before + STILL:
+            return learnt
+        views, before = views + more, worst
+        learnt = _learnt(trial.splats, places, sums, views)
+        if views >= MOST_LEARNT:
+            return learnt
+
+
+def _look(trial: Trial, camera: Camera, sums: Sums) -> NDArray[np.float32]:
+    """(n,) squares by which pictures change without each splat, once a view is added to sums."""
+    trial.renderer.contribute(posed(resized(camera, PIXELS)), sums)
+    return sums.error[: len(trial.splats)]
+
+
+def _learnt(splats: Splats, places: Views, sums: Sums, views: int) -> Learnt:
+    """With a little for what no view sees: others will, unless these are all that matter."""
+    found = [array[: len(splats)] for array in (sums.weight, sums.energy, sums.error)]
+    hidden = found[0] == 0
+    if places.complete and hidden.all():
+        raise SceneError("no camera of the path sees a splat: is it in the scene's coordinates?")
+    pixels = places.pixels * math.sqrt(WIDTH * HEIGHT / PIXELS)
+    unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixels**2, PIXELS)
+    weight = views * UNSEEN * unhidden
+    if places.complete:
+        weight *= hidden
     energy = weight * UNSEEN * splats.opacities / 2  # a Gaussian's squares have half its integral
-    part = slice(len(splats))
-    return Contributions(
-        found.weight[part] + weight,
-        found.energy[part] + energy,
-        found.error[part] + CONTRAST * energy,
+    missed = (weight, energy, CONTRAST * energy)
+    which = np.flatnonzero(hidden & places.complete)
+    return Learnt(
+        Contributions(*(array + more for array, more in zip(found, missed, strict=True))),
+        which[np.argsort(energy[which])],
+        float(np.average(places.pixels, weights=found[0])) if found[0].any() else places.pixels[0],
+        views,
     )
 
 
 class Simplification:
     """A map on its way to fewer splats, and what was tried."""
 
-    def __init__(self, splats: Splats, progress: Progress = lambda what, part: None) -> None:
-        """Looks at the map."""
+    def __init__(
+        self,
+        splats: Splats,
+        progress: Progress = lambda what, part: None,
+        path: Sequence[Camera] | None = None,
+        margin: float | None = None,
+    ) -> None:
+        """Looks at the map: along a path, as Along, or where none is given, from all around."""
         self.splats = splats
         self.steps: list[Step] = []
         self._progress = progress
+        self.views: Views = Around(splats) if path is None else Along(splats, path, margin)
         self._trial: Trial | None = Trial(splats)
-        self._pixel = whereabouts(splats).radius / FOCAL  # [m]
-        learnt = views(splats, LEARNT, SEEDS[0], WIDTH // 2, HEIGHT // 2)
-        self._values = 3 * sum(camera.width * camera.height for camera in learnt)
-        self._contributions = contributions(self._trial, learnt, progress)
+        self.learnt = learn(self._trial, self.views, progress)
+        self._contributions = self.learnt.contributions
+        self._values = self.learnt.views * VALUES
         self._whole = splats, self._contributions
-        self._first = self._pairs()
+        hidden = self.learnt.hidden
+        self._first = self._without(hidden) if len(hidden) else self._pairs()
         progress("drawing the views to check", 0.0)
-        self.judge = Judge(self._trial, views(splats, CHECKED, SEEDS[1]))
+        self.judge = Judge(self._trial, self.views.held)
         # What the tries so far say: errors go about with a power of the sum of the pairs' costs.
         self._slope, self._offset = 1.0, COHERENT
-        self._telling, self._others = np.arange(CHECKED), 1.0
+        self._telling, self._others = np.arange(len(self.views.held)), 1.0
 
     def reduce(self, count: int) -> None:
         """To count splats, or a few fewer."""
@@ -196,8 +252,8 @@ class Simplification:
         self.steps.append(Step(len(self.splats), first))
         fitted = refit(
             self.splats, Trial(whole).renderer,
-            lambda count, seed: views(whole, count, seed), seconds,
-            lambda part: self._progress(f"refitting {len(self.splats):,} splats", part), SEEDS[2],
+            self.views.cameras, seconds,
+            lambda part: self._progress(f"refitting {len(self.splats):,} splats", part), REFIT_SEED,
         )  # fmt: skip
         try:
             for splats in fitted:
@@ -259,9 +315,13 @@ class Simplification:
             yield pairs
             pairs = self._pairs()
 
+    def _without(self, which: Indices) -> Pairs:
+        costs = self._contributions.error[which]
+        return Pairs(self.splats, self._contributions, which, which, costs, self.learnt.pixel)
+
     def _pairs(self) -> Pairs:
         return find_pairs(
-            self.splats, self._contributions, self._pixel,
+            self.splats, self._contributions, self.learnt.pixel,
             lambda part: self._progress(f"pairing {len(self.splats):,} splats", part),
         )  # fmt: skip
 

@@ -1,13 +1,19 @@
-"""Cameras that look at a map of which nothing is known but its splats."""
+"""Cameras that look at a map: anywhere, or as those of a path do."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from rosplat_core.cameras import Camera, Place, look_at, place
+from rosplat_core.simplification.merging import in_chunks
 from rosplat_core.splats import SceneError, Splats
 
 WIDTH, HEIGHT = 1280, 720  # [px]
@@ -18,6 +24,14 @@ REMOTEST = 1e12  # of its radii, how far it is from zero: cameras are in 64-bit 
 CELLS = 16  # of the grid that tells free places, in a radius
 OPAQUE = 0.3  # opacity of splats that no camera is put beside
 PATIENCE = 64  # tries to find a free place for a camera
+CHECKED = 8  # views that maps are held to
+HELD = 30  # as many along a path
+HELD_SEED = 1
+LEAST_BETWEEN = 10  # cameras of a path from one that is held back to the next
+MARGIN = 0.25  # of neighbours from the path, as a part of the way to what is nearest
+TURN = 10  # by which neighbours are turned at most [deg]
+TURNED = 0.25  # part of the neighbours that look anywhere around
+GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 def whereabouts(splats: Splats) -> Place:
@@ -38,40 +52,142 @@ def whereabouts(splats: Splats) -> Place:
     return Place(here.centre, min(max(here.radius, 2 * largest), WIDEST))
 
 
-def views(
-    splats: Splats, count: int, seed: int, width: int = WIDTH, height: int = HEIGHT
-) -> list[Camera]:
-    """Cameras at free places in and around the bulk of a map, each of which looks at some splat.
+class Views(Protocol):
+    """Where a map is looked at from."""
 
-    The same seed has the same cameras; with another, no camera is the same.
-    """
-    random = np.random.default_rng(seed)
-    here = whereabouts(splats)
-    offsets = splats.positions + (splats.origin - here.centre)
-    targets = offsets[np.linalg.norm(offsets, axis=1) <= here.radius]
-    if not len(targets):
-        targets = np.zeros((1, 3))
-    taken = _cells(offsets[splats.opacities >= OPAQUE], here.radius)
-    focal = FOCAL * height / HEIGHT
-    cameras = []
-    for index in range(count):
-        for _ in range(PATIENCE):
-            outward = random.normal(size=3)
-            outward *= random.uniform(NEAREST, FARTHEST) * here.radius / np.linalg.norm(outward)
-            target = targets[random.integers(len(targets))]
-            far_enough = np.linalg.norm(outward - target) > NEAREST * here.radius
-            if far_enough and not _beside(outward, taken, here.radius):
-                break
-        else:
-            outward = FARTHEST * here.radius * outward / np.linalg.norm(outward)
-        world_to_camera = look_at(here.centre + outward, here.centre + target)
-        cameras.append(
-            Camera(
-                index, width, height, focal, focal, width / 2, height / 2, world_to_camera,
-                near=0.001 * here.radius,
-            )
-        )  # fmt: skip
-    return cameras
+    margin: float | None
+    """Of views from a path, where there is one. [m]"""
+    complete: bool
+    """Whether what shows in none of many such views need not show in any."""
+    held: list[Camera]
+    """That maps are held to, and nothing is learnt from."""
+    pixels: NDArray[np.float64]
+    """(n,) how large a pixel is where each splat is. [m]"""
+
+    def cameras(self, count: int, seed: int) -> list[Camera]:
+        """The first so many of a seed; with another seed, no camera is the same."""
+
+
+class Around:
+    """Cameras at free places in and around the bulk of a map, each of which looks at some splat."""
+
+    margin: float | None = None
+    complete: bool = False
+
+    def __init__(self, splats: Splats) -> None:
+        """Raises SceneError, as whereabouts."""
+        self._here = whereabouts(splats)
+        radius = self._here.radius
+        offsets = splats.positions + (splats.origin - self._here.centre)
+        targets = offsets[np.linalg.norm(offsets, axis=1) <= radius].astype(np.float32)
+        self._targets = targets if len(targets) else np.zeros((1, 3), np.float32)
+        self._taken = _cells(offsets[splats.opacities >= OPAQUE], radius)
+        self.pixels = np.broadcast_to(radius / FOCAL, len(splats))
+        self.held = self.cameras(CHECKED, HELD_SEED)
+
+    def cameras(self, count: int, seed: int) -> list[Camera]:
+        """The first so many of a seed; with another seed, no camera is the same."""
+        random = np.random.default_rng(seed)
+        radius = self._here.radius
+        cameras = []
+        for index in range(count):
+            for _ in range(PATIENCE):
+                outward = random.normal(size=3)
+                outward *= random.uniform(NEAREST, FARTHEST) * radius / np.linalg.norm(outward)
+                target = self._targets[random.integers(len(self._targets))]
+                far_enough = np.linalg.norm(outward - target) > NEAREST * radius
+                if far_enough and not _beside(outward, self._taken, radius):
+                    break
+            else:
+                outward = FARTHEST * radius * outward / np.linalg.norm(outward)
+            centre = self._here.centre
+            cameras.append(
+                Camera(
+                    index, WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2,
+                    look_at(centre + outward, centre + target), near=0.001 * radius,
+                )
+            )  # fmt: skip
+        return cameras
+
+
+class Along:
+    """Cameras along a path, and neighbours of them: beside the path, and turned."""
+
+    complete: bool = True
+
+    def __init__(self, splats: Splats, path: Sequence[Camera], margin: float | None = None) -> None:
+        """margin: of neighbours from the path [m]; MARGIN of the way to what is nearest to the
+        path, in its median, where none is given. Raises SceneError for a path of no camera.
+        """
+        if not path:
+            raise SceneError("the path has no camera")
+        path = [resized(camera, WIDTH * HEIGHT) for camera in path]
+        away, free = _clearances(splats, np.array([camera.position for camera in path]))
+        self.margin: float | None = MARGIN * float(np.median(free)) if margin is None else margin
+        focal = float(np.median([max(camera.fx, camera.fy) for camera in path]))
+        depth = 1.0 if path[0].orthographic else np.maximum(away, path[0].near)
+        self.pixels = np.broadcast_to(depth / focal, len(splats))
+        up = -np.mean([camera.world_to_camera[1, :3] for camera in path], axis=0)
+        self._up = up / max(float(np.linalg.norm(up)), 1e-9)
+        every = max(LEAST_BETWEEN, math.ceil(len(path) / (HELD // 2)))
+        learnt = np.arange(len(path)) % every != every // 2
+        self._path = [path[i] for i in np.flatnonzero(learnt)]
+        self._reach = np.minimum(self.margin, free[learnt] / 2)
+        self.held = [path[i] for i in np.flatnonzero(~learnt)]
+        self.held += self.cameras(HELD - len(self.held), HELD_SEED)
+
+    def cameras(self, count: int, seed: int) -> list[Camera]:
+        """The first so many of a seed; with another seed, no camera is the same."""
+        random = np.random.default_rng(seed)
+        start = random.uniform()
+        cameras = []
+        for index in range(count):
+            # Steps of the golden ratio: any number of them is spread evenly.
+            number = int(len(self._path) * ((start + GOLDEN * index) % 1))
+            camera, reach = self._path[number], self._reach[number]
+            aside = reach * random.uniform() ** (1 / 3) * _direction(random)
+            turn = Rotation.from_rotvec(math.radians(TURN) * random.uniform() * _direction(random))
+            around = 2 * math.pi * random.uniform()
+            if random.uniform() < TURNED:
+                turn *= Rotation.from_rotvec(around * self._up)
+            moved = np.eye(4)
+            moved[:3, :3] = camera.world_to_camera[:3, :3] @ turn.as_matrix()
+            moved[:3, 3] = -moved[:3, :3] @ (camera.position + aside)
+            cameras.append(replace(camera, world_to_camera=moved))
+        return cameras
+
+
+def resized(camera: Camera, pixels: int) -> Camera:
+    """What a camera sees, in a picture of no more than about so many pixels."""
+    factor = min(1.0, math.sqrt(pixels / (camera.width * camera.height)))
+    return replace(
+        camera,
+        width=max(1, round(factor * camera.width)), height=max(1, round(factor * camera.height)),
+        fx=factor * camera.fx, fy=factor * camera.fy, cx=factor * camera.cx, cy=factor * camera.cy,
+    )  # fmt: skip
+
+
+def _clearances(
+    splats: Splats, places: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) from each splat to the nearest place, (m,) from each place to an opaque splat. [m]"""
+    places = places - splats.origin
+    tree = cKDTree(places)
+    found = in_chunks(len(splats), lambda part: tree.query(splats.positions[part]))
+    away, nearest = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    opaque = splats.opacities >= min(OPAQUE, splats.opacities.max())
+    bounds = np.zeros(len(places))  # what is nearest to a place may be nearer to another
+    bounds[nearest[opaque]] = np.inf
+    np.minimum.at(bounds, nearest[opaque], away[opaque])
+    reach = bounds.max()
+    near = splats.positions[opaque & (away <= reach)]
+    return away, np.minimum(cKDTree(near).query(places)[0], reach)
+
+
+def _direction(random: np.random.Generator) -> NDArray[np.float64]:
+    """(3,) of unit length, each as likely."""
+    direction = random.normal(size=3)
+    return direction / np.linalg.norm(direction)
 
 
 def _cells(offsets: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:

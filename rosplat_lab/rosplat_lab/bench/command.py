@@ -134,6 +134,7 @@ def _measure(arguments: list[str], console: Console) -> int:
         backends=tuple(options.backends),
         variants=tuple(options.variants),
         displays=tuple(options.displays),
+        cameras=options.cameras,
         one_process=options.one_process,
         budget=QUICK_BUDGET if options.quick else FULL_BUDGET,
     )
@@ -223,6 +224,10 @@ def _parser() -> argparse.ArgumentParser:
         "--displays", type=Path, nargs="+", default=[], metavar="FILE",
         help="rviz: YAML lists of displays to measure as well, as `Displays` of an .rviz file; "
         "{ply}, {topic} and {sh_degree} stand for what is measured",
+    )  # fmt: skip
+    parser.add_argument(
+        "--cameras", type=Path, metavar="FILE",
+        help="simplify: also for the views along this path, by which every way is then judged",
     )  # fmt: skip
     parser.add_argument(
         "--seconds", type=seconds, metavar="S", help="how long to repeat each measurement"

@@ -16,8 +16,8 @@ class Plan:
     """Empty sizes, backends and variants: each subject's own choice.
 
     sizes: of procedural scenes. scenes: by name, besides. backends: of the sorter. variants: what
-    `frame` draws, see there. displays: files that list others, for rviz. one_process: growth
-    without ROS 2. out: a folder for logs.
+    `frame` draws, see there. displays: files that list others, for rviz. cameras: a path for
+    simplify. one_process: growth without ROS 2. out: a folder for logs.
     """
 
     out: Path = Path("out/bench")
@@ -27,5 +27,6 @@ class Plan:
     backends: tuple[str, ...] = ()
     variants: tuple[str, ...] = ()
     displays: tuple[Path, ...] = ()
+    cameras: Path | None = None
     one_process: bool = False
     budget: Budget = field(default=FULL_BUDGET)

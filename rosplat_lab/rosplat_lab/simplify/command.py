@@ -1,7 +1,8 @@
 """Writes a scene with fewer splats that looks the same, from the scene alone.
 
 Synthetic views tell what each splat contributes; neighbours that look most like one are merged,
-those first that are missed least. PSNR is that of other views, against the scene as it was.
+those first that are missed least. PSNR is that of other views, against the scene as it was. Where
+a path of cameras is given, views are those along it, and what never shows there is left out first.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import shlex
 import sys
 import tempfile
@@ -25,15 +27,16 @@ from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import bar, watched
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.scenes import NAMES, load_scene
-from rosplat_core.simplification.search import CHECKED, LEARNT, Progress, Quality, Simplification
-from rosplat_core.simplification.views import HEIGHT, WIDTH, whereabouts
+from rosplat_core.simplification.search import LEARNT, Progress, Quality, Simplification
+from rosplat_core.simplification.views import CHECKED, HEIGHT, HELD, MARGIN, WIDTH, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
 from rosplat_lab.arguments import whole
-from rosplat_lab.machine import commit, machine
+from rosplat_lab.machine import commit, machine, peak_bytes
+from rosplat_lab.simplify.path import along
 
 TRIES = 8  # to come below a number of bytes, or to make up for what a format loses
-MARGIN = 0.05  # by which it is to be made up for [dB]
+EXCESS = 0.05  # by which it is to be made up for [dB]
 GAINS = (2.5, 1.2)  # by refitting, as far as it is tried [dB]
 SPARE = 0.01  # part that is left out more than a number of bytes seems to take
 
@@ -79,8 +82,10 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="simplify", description=__doc__,
-        epilog=f"Contributions are found in {LEARNT} views of {WIDTH // 2}x{HEIGHT // 2} pixels, "
-        f"PSNR in {CHECKED} others of {WIDTH}x{HEIGHT}, at free places in and around the scene. "
+        epilog=f"Contributions are found in {LEARNT} or more views of {WIDTH // 2}x{HEIGHT // 2} "
+        f"pixels, until what {CHECKED} others tell no longer changes ({HELD} others along a path). "
+        f"PSNR is that of all pixels of these others, drawn in {WIDTH}x{HEIGHT}; that of the worst "
+        "is printed, too. "
         "Where a bound can't be met, nothing is written, and the error says what could be.",
     )  # fmt: skip
     parser.add_argument("input", metavar="IN", help=f"scene: {NAMES}")
@@ -96,6 +101,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--max-bytes", type=_bytes, metavar="SIZE", help="no larger file: 20000000, or 20M"
     )
+    parser.add_argument(
+        "--cameras", type=Path, metavar="FILE",
+        help="only views along a path matter: a camera file (JSON); with --trajectory its first "
+        "camera's intrinsics, or those of a camera_info file (YAML)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--trajectory", type=Path, metavar="FILE",
+        help="poses of the optical frame along the path, each a line of time x y z qx qy qz qw",
+    )  # fmt: skip
+    parser.add_argument(
+        "--margin", type=_metres, metavar="METRES",
+        help="how far from the path views are at most (default: "
+        f"{MARGIN:g} of the way to what is nearest to it); never nearer to things than half way",
+    )  # fmt: skip
     parser.add_argument(
         "--refine", type=_minutes, default=0.0, metavar="MINUTES",
         help="then refit the remaining splats to pictures of the scene for so long: fewer splats "
@@ -128,6 +147,16 @@ def _minutes(text: str) -> float:
     return value
 
 
+def _metres(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"'{text}' is no distance in metres")
+    return value
+
+
 def _bytes(text: str) -> int:
     unit = {"k": 10**3, "M": 10**6, "G": 10**9}.get(text[-1:], 1)
     return whole(1)(text if unit == 1 else text[:-1]) * unit
@@ -147,6 +176,9 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         raise SceneError(f"{options.report}: is no file that could be replaced")
     with _folder_beside(out):
         pass  # or it would be refused when all is done
+    path = along(options.cameras, options.trajectory)
+    if path is None and options.margin is not None:
+        raise SceneError("--margin is of a path: give --cameras")
     began = time.monotonic()
     with watched("reading") as progress:
         splats = load_scene(options.input, progress, _warn)
@@ -158,7 +190,7 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     read, processor = time.monotonic(), time.process_time()
     with ExitStack() as drafts, _shown() as tell:
         output = Output(out, drafts)
-        work = Simplification(splats, tell)
+        work = Simplification(splats, tell, path, options.margin)
         written, quality = _within(work, output, *bounds, 60 * options.refine)
         output.draft.replace(out)
     seconds = time.monotonic() - read
@@ -166,6 +198,10 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         say(f"{'splats':>12} {'of all':>7} {'PSNR':>6} {'worst view':>10}")
     for step in sorted(work.steps, key=lambda step: -step.splats):
         say(_row(step.splats, len(splats), step.quality))
+    views = {"learnt": work.learnt.views, "checked": len(work.views.held)}
+    margin = work.views.margin
+    within = "" if margin is None else f" within {margin:.2g} m of the path"
+    say(f"learnt in {views['learnt']} views, checked in {views['checked']} others{within}")
     say(
         f"{out}: {len(work.splats):,} of {len(splats):,} splats, {written.bytes:,} bytes, "
         f"{quality.psnr:.1f} dB, {quality.worst:.1f} in the view that differs most; {seconds:.1f} s"
@@ -178,10 +214,12 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
             "of": len(splats),
             "bytes": written.bytes,
             **asdict(quality),
+            "views": views | ({} if margin is None else {"margin_m": margin}),
             "steps": [{"splats": s.splats, **asdict(s.quality)} for s in work.steps],
             "reading_s": read - began,
             "seconds": seconds,
             "processor_seconds": time.process_time() - processor,
+            "peak_bytes": peak_bytes(os.getpid()),
             "machine": machine(),
             "commit": commit(),
             "command": command,
@@ -244,7 +282,7 @@ def _as_good_as(work: Simplification, output: Output, psnr: float) -> tuple[Writ
             break
         # Errors of merging and of the format add up, about.
         left = max(10 ** (-psnr / 10) - 10 ** (-of_all / 10), 1e-15)
-        bound = max(bound + short + MARGIN, -10 * math.log10(left))
+        bound = max(bound + short + EXCESS, -10 * math.log10(left))
     tried = max(work.steps, key=lambda step: step.splats, default=None)
     could = f": {tried.splats:,} have {tried.quality.psnr:.1f} dB" if tried else ""
     raise SceneError(
@@ -260,7 +298,7 @@ def _refitted(
         if psnr <= gain:
             continue
         work.shrink(psnr - gain)
-        work.refine(seconds / len(GAINS), psnr + MARGIN)
+        work.refine(seconds / len(GAINS), psnr + EXCESS)
         written = output.write(work.splats)
         quality = work.judge(written.splats)
         if quality.psnr >= psnr:
