@@ -78,6 +78,9 @@ def test_pictures_are_measured_with_each_kind_of_order(tmp_path: Path) -> None:
     assert {"given", "sorted in the frame, CPU", "sorted beside it, CPU"} <= frames.keys()
     assert all(record.parameters["drawn"] == 2000 for record in frames.values())
     assert {r.parameters["variant"] for r in records if r.name == "frame"} == set(variants)
+    errors = {r.parameters["variant"]: r.value for r in records if r.name == "PSNR"}
+    assert errors.keys() == {"default"}  # the reference knows no box
+    assert errors["default"] > 60
     by_name = {record.name: record for record in records}
     # Position, shape, opacity and 16 harmonics of three colours, and the picture, are somewhere.
     assert by_name["GPU memory"].value * 1e6 > 2000 * 59 * 4 + 1280 * 720 * 8
@@ -86,10 +89,21 @@ def test_pictures_are_measured_with_each_kind_of_order(tmp_path: Path) -> None:
     assert "OpenGL" in records[0].gpu
 
 
+def test_frames_are_measured_for_the_sorters_that_are_asked_for(tmp_path: Path) -> None:
+    records = bench(
+        tmp_path, "frame", "--sizes", "2000", "--variants", "default", "--backends", "gpu"
+    )
+    orders = {r.parameters["order"] for r in records if r.name == "frame"}
+    assert orders == {"sorted in the frame, GPU"}
+
+
 def test_other_renderers_are_measured_beside_the_display_s(tmp_path: Path) -> None:
     records = bench(tmp_path, "frame", "--sizes", "2000", "--variants", *RENDERERS)
     assert {r.parameters["variant"] for r in records} >= {"cpu"}
-    assert all((r.name, r.splats) == ("frame", 2000) and r.gpu for r in records)
+    assert all(r.splats == 2000 and r.gpu for r in records)
+    by_cpu = {r.name: r.value for r in records if r.parameters["variant"] == "cpu"}
+    assert by_cpu.keys() == {"frame", "PSNR"}
+    assert by_cpu["PSNR"] > 70
 
 
 def test_levels_of_detail_trade_error_for_splats(tmp_path: Path) -> None:

@@ -212,8 +212,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--backends", nargs="+", default=[], metavar="NAME",
-        help=f"of the sorter: {', '.join(BACKENDS)}; or the viewer itself: {live.GPU} (chain, "
-        f"growth), {live.PROCESSOR} (chain), {live.BUILT_IN} (growth); all by default",
+        help=f"of the sorter: {', '.join(BACKENDS)}; or the viewer itself: {live.GPU} (chain, growth, "
+        f"frame), {live.PROCESSOR} (chain), {live.BUILT_IN} (growth, frame); all by default",
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",

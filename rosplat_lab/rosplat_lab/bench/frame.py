@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import multiprocessing
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -16,8 +19,8 @@ from rosplat_core import rendering
 from rosplat_core.cameras import Camera, Place, place
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import SceneError, Splats
-from rosplat_lab import machine
-from rosplat_lab.bench import embedded, scenes, streaming
+from rosplat_lab import machine, metrics, reference
+from rosplat_lab.bench import embedded, live, scenes, streaming
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
@@ -31,7 +34,9 @@ SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 SOFTWARE_SIZES = (100_000, 500_000)  # where no GPU draws
 QUICK_SIZES = (50_000,)
 STREAMED, QUICK_STREAMED = 5_000_000, 100_000
+CARD_PICTURES = (*scenes.PICTURES, (3840, 2160))
 STEPS = 8  # cameras that take turns
+COMPARED = (640, 360)  # of the middle of each picture, held against the reference [px]
 PROFILED = Budget(least=3, most=30, seconds=0.5)  # frames whose stages are measured
 
 QUICK_VARIANTS = ("default",)
@@ -65,8 +70,10 @@ def variants() -> dict[str, Variant]:
 
 @dataclass(frozen=True)
 class Order:
-    """Whose order frames have. given: a sorter's, for each camera; waits: sorted in the frame."""
+    """Whose order frames have. backend: who sorts, as `--backends` names it. given: a sorter's, for
+    each camera; waits: sorted in the frame."""
 
+    backend: str
     settings: dict[str, Any] = field(default_factory=dict)
     given: bool = False
     waits: bool = False
@@ -74,15 +81,23 @@ class Order:
 
 ON_CARD = "sorted in the frame, GPU"
 ORDERS = {
-    "given": Order({"order": "SIDECAR"}, given=True),  # what a frame costs beside sorting
-    "sorted in the frame, CPU": Order({"order": "BUILT_IN"}, waits=True),
-    "sorted beside it, CPU": Order({"order": "BUILT_IN"}),  # for a camera of some frames ago
-    ON_CARD: Order({"order": "GPU"}),
+    # What a frame costs beside sorting.
+    "given": Order("native", {"order": "SIDECAR"}, given=True),
+    "sorted in the frame, CPU": Order(live.BUILT_IN, {"order": "BUILT_IN"}, waits=True),
+    # For a camera of some frames ago.
+    "sorted beside it, CPU": Order(live.BUILT_IN, {"order": "BUILT_IN"}),
+    ON_CARD: Order(live.GPU, {"order": "GPU"}),
 }
+
+Look = tuple[tuple[int, int], str]
+"""A size of pictures, and a view."""
+Truths = dict[Look, NDArray[np.float32]]
+"""RGB of the first camera of a look by the reference renderer, where it is COMPARED."""
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Frame times by scene, picture, view, settings and order; memory; frames of a growing map."""
+    """Frame times and errors by scene, picture, view, settings and order; memory; frames of a
+    growing map."""
     try:
         from rviz_gaussian_plugin.offscreen import ensure_display
     except ImportError as error:
@@ -97,9 +112,11 @@ def measure(plan: Plan) -> Iterator[Event]:
             (drawing,) = isolated(embedded.hardware)
             software = isinstance(drawing, Measurement) and "llvmpipe" in drawing.gpu
             sizes: tuple[int, ...] = SIZES
+            pictures: tuple[tuple[int, int], ...] = CARD_PICTURES
             usual: tuple[str, ...] = tuple(variants())
             if software:
                 sizes, usual = SOFTWARE_SIZES, SOFTWARE_VARIANTS
+                pictures = scenes.PICTURES
             if plan.quick:
                 sizes, usual = QUICK_SIZES, QUICK_VARIANTS
             chosen = plan.variants or (*usual, *RENDERERS)
@@ -108,11 +125,14 @@ def measure(plan: Plan) -> Iterator[Event]:
             # Where walls hide much, beside the garden, where little does.
             rooms = () if plan.quick or plan.sizes else (f"{ROOMS}{max(sizes)}",)
             for name in scenes.names(plan.sizes or sizes, plan.scenes or rooms):
+                looks = _looks(plan, name, pictures)
+                truths: Truths = {}
+                jobs.append(partial(_tell_truths, name, looks, truths))
                 for maps in sorted({variants()[variant].maps for variant in ours}):
                     alike = [variant for variant in ours if variants()[variant].maps == maps]
-                    jobs.append(partial(isolated, _scene, plan, name, alike, maps))
-                beside = [renderer for renderer in chosen if renderer in RENDERERS]
-                jobs += [partial(isolated, _beside, plan, name, renderer) for renderer in beside]
+                    jobs.append(partial(isolated, _scene, plan, name, looks, truths, alike, maps))
+                if beside := [renderer for renderer in chosen if renderer in RENDERERS]:
+                    jobs.append(partial(isolated, _beside, plan, name, looks, truths, beside))
             if ours:
                 streamed = max(plan.sizes, default=QUICK_STREAMED if plan.quick else STREAMED)
                 jobs.append(partial(isolated, streaming.measure, streamed))
@@ -130,41 +150,104 @@ def _part_of(events: Iterator[Event], number: int, jobs: int) -> Iterator[Event]
         yield event
 
 
-def _looks(plan: Plan, name: str) -> list[tuple[tuple[int, int], str]]:
-    """Sizes of pictures and views to measure a scene with."""
+def _looks(plan: Plan, name: str, pictures: Sequence[tuple[int, int]]) -> list[Look]:
+    """What a scene is measured with."""
     views = scenes.views(name)
     if plan.quick:
-        return [(scenes.PICTURES[0], views[0])]
-    return [(picture, view) for picture in scenes.PICTURES for view in views]
+        return [(pictures[0], views[0])]
+    return [(picture, view) for picture in pictures for view in views]
 
 
-def _beside(plan: Plan, name: str, which: str) -> Iterator[Event]:
-    """Frames of one scene by one of the RENDERERS."""
-    yield Doing(f"{name}: loading", 0.0)
-    try:
-        renderer = RENDERERS[which]()
-    except (ImportError, RuntimeError) as error:
-        yield Skipped(f"{which}: {error}")
-        return
+def _tell_truths(name: str, looks: Sequence[Look], truths: Truths) -> Iterator[Event]:
+    """Fills truths for these looks at a scene, one in a process."""
+    yield Doing(f"{name}: reference", 0.0)
+    workers = min(len(looks), len(os.sched_getaffinity(0)))
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        truths.update(zip(looks, pool.map(partial(_truth, name), looks), strict=True))
+
+
+def _truth(name: str, look: Look) -> NDArray[np.float32]:
+    picture, view = look
     splats = scenes.load(name)
-    renderer.show(splats)
-    looks = _looks(plan, name)
-    for index, (picture, view) in enumerate(looks):
-        cameras = scenes.VIEWS[view](splats, *picture, STEPS)
-        size = f"{picture[0]}x{picture[1]}"
-        yield Doing(f"{name}, {size}, {view}, {which}", index / len(looks))
-
-        def frame(number: int, cameras: list[Camera] = cameras) -> float:
-            return milliseconds(partial(renderer.draw, cameras[number % STEPS]))
-
-        times = plan.budget.spend(frame, embedded.WARM_UP)
-        yield Measurement.of(
-            "frame", "ms", times, name, len(splats), renderer.device,
-            picture=size, view=view, variant=which, order="its own",
-        )  # fmt: skip
+    camera = scenes.VIEWS[view](splats, *picture, STEPS)[0]
+    rows, columns = _compared(picture)
+    window = replace(
+        camera, width=columns.stop - columns.start, height=rows.stop - rows.start,
+        cx=camera.cx - columns.start, cy=camera.cy - rows.start,
+    )  # fmt: skip
+    seen = splats[np.sort(_sorted(splats, [window])[0])]
+    crop = (columns.start, rows.start, columns.stop, rows.stop)
+    return reference.render(seen, camera, crop=crop).rgba[..., :3].astype(np.float32)
 
 
-def _scene(plan: Plan, name: str, chosen: Sequence[str], maps: int) -> Iterator[Event]:
+def _compared(picture: tuple[int, int]) -> tuple[slice, slice]:
+    """Rows and columns of what is COMPARED."""
+    left, top = ((size - part) // 2 for size, part in zip(picture, COMPARED, strict=True))
+    return slice(top, top + COMPARED[1]), slice(left, left + COMPARED[0])
+
+
+def _psnr(drawn: NDArray[np.float32], truth: NDArray[np.float32], look: Look) -> float:
+    """Of what a screen shows of a picture, (height, width, 3) RGB. [dB]"""
+    found = metrics.psnr(np.clip(drawn[_compared(look[0])], 0, 1), np.clip(truth, 0, 1))
+    return min(found, rendering.MOST_PSNR)
+
+
+def _beside(
+    plan: Plan, name: str, looks: Sequence[Look], truths: Truths, chosen: Sequence[str]
+) -> Iterator[Event]:
+    """Frames of one scene by some of the RENDERERS."""
+    yield Doing(f"{name}: loading", 0.0)
+    splats = scenes.load(name)
+    for number, which in enumerate(chosen):
+        try:
+            renderer = RENDERERS[which]()
+            renderer.show(splats)
+        except (ImportError, RuntimeError, ValueError) as error:
+            yield Skipped(f"{name}, {which}: {error}")
+            continue
+        for index, look in enumerate(looks):
+            picture, view = look
+            cameras = scenes.VIEWS[view](splats, *picture, STEPS)
+            size = f"{picture[0]}x{picture[1]}"
+            done = (number + index / len(looks)) / len(chosen)
+            yield Doing(f"{name}, {size}, {view}, {which}", done)
+
+            def frame(
+                index: int, renderer: Renderer = renderer, cameras: list[Camera] = cameras
+            ) -> float:
+                renderer.look(cameras[index % STEPS])
+                return milliseconds(renderer.draw)
+
+            times = plan.budget.spend(frame, embedded.WARM_UP)
+            labels = {
+                "scene": name, "splats": len(splats), "gpu": renderer.device,
+                "picture": size, "view": view, "variant": which, "order": "its own",
+            }  # fmt: skip
+            yield Measurement.of("frame", "ms", times, **labels)
+            frame(0)
+            yield Measurement.of(
+                "PSNR", "dB", _psnr(renderer.picture(), truths[look], look), **labels
+            )
+        if memory := renderer.graphics_memory():
+            labels = {
+                "scene": name, "splats": len(splats), "gpu": renderer.device, "variant": which,
+            }  # fmt: skip
+            yield from _memory(
+                {"GPU memory of the map": memory[0], "GPU memory": memory[1]}, labels
+            )
+        del renderer, frame  # the next one's memory is its own
+
+
+def _memory(used: dict[str, int], labels: dict[str, Any]) -> Iterator[Measurement]:
+    """Bytes that a map takes, by what takes them: all of them, and for each splat."""
+    for what, count in used.items():
+        yield Measurement.of(what, "MB", count / 1e6, **labels)
+        yield Measurement.of(f"{what} a splat", "bytes", count / labels["splats"], **labels)
+
+
+def _scene(
+    plan: Plan, name: str, looks: Sequence[Look], truths: Truths, chosen: Sequence[str], maps: int
+) -> Iterator[Event]:
     """All measurements of one scene, as so many maps, by the display's renderer."""
     yield Doing(f"{name}: loading", 0.0)
     renderer = embedded.open_renderer()
@@ -175,12 +258,18 @@ def _scene(plan: Plan, name: str, chosen: Sequence[str], maps: int) -> Iterator[
     for number in range(maps):
         target = renderer.add_map() if number else renderer
         rendering.insert_all(target, splats[number::maps])
-    # Sorters other than a graphics card sort one map alone.
-    kinds = {kind: order for kind, order in ORDERS.items() if maps == 1 or kind == ON_CARD}
-    looks = _looks(plan, name)
-    for index, (picture, view) in enumerate(looks):
+    kinds = {
+        kind: order
+        for kind, order in ORDERS.items()
+        # Sorters other than a graphics card sort one map alone.
+        if (maps == 1 or kind == ON_CARD) and order.backend in (plan.backends or [order.backend])
+    }
+    orders: list[NDArray[np.uint32]] = []
+    for index, look in enumerate(looks):
+        picture, view = look
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
-        orders = _sorted(splats, cameras)
+        if any(order.given for order in kinds.values()):
+            orders = _sorted(splats, cameras)
         bench.view.look(cameras[0])
         bench.view.draw(sort_now=True)  # which uploads all that waits
         for variant in chosen:
@@ -197,6 +286,10 @@ def _scene(plan: Plan, name: str, chosen: Sequence[str], maps: int) -> Iterator[
                 yield from bench.frames(
                     plan.budget, cameras, orders, order, labels | {"order": kind}
                 )
+            if not drawn.translucent:  # the reference knows no box
+                bench.use(drawn.settings)
+                found = _psnr(bench.picture(cameras[0]), truths[look], look)
+                yield Measurement.of("PSNR", "dB", found, **labels)
     if maps > 1:
         return  # the memory of one map is what is compared
     bench.put_box(None)
@@ -207,10 +300,7 @@ def _scene(plan: Plan, name: str, chosen: Sequence[str], maps: int) -> Iterator[
         "host memory": _trimmed_memory() - before,
         "GPU memory of the map": report["map_bytes"],
     }
-    for what, used in memory.items():
-        labels = {"scene": name, "splats": count, "gpu": renderer.renderer_info}
-        yield Measurement.of(what, "MB", used / 1e6, **labels)
-        yield Measurement.of(f"{what} a splat", "bytes", used / count, **labels)
+    yield from _memory(memory, {"scene": name, "splats": count, "gpu": renderer.renderer_info})
 
 
 class Bench:
@@ -234,6 +324,13 @@ class Bench:
             self._renderer.set_box(tuple(place.centre.tolist()), (place.radius,) * 3, 0.5)
         else:
             self._renderer.set_box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    def picture(self, camera: Camera) -> NDArray[np.float32]:
+        """Premultiplied RGB over black, (height, width, 3), exactly sorted."""
+        self.view.look(camera)
+        self.view.draw(sort_now=True)
+        colour: NDArray[np.float32] = self._renderer.read_color()
+        return colour[..., :3]
 
     def frames(
         self, budget: Budget, cameras: list[Camera], orders: list[NDArray[np.uint32]],

@@ -1,8 +1,9 @@
-"""Renderers to time beside the display's own: a class each, and a row in RENDERERS."""
+"""Renderers to time beside the display's own: a class each, and rows in RENDERERS."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,26 +21,43 @@ class Renderer(Protocol):
     """What draws."""
 
     def show(self, splats: Splats) -> None:
-        """Takes a map."""
+        """Takes a map. Raises ValueError for one that it can't draw."""
 
-    def draw(self, camera: Camera) -> None:
+    def look(self, camera: Camera) -> None:
+        """Takes the camera of the pictures to come."""
+
+    def draw(self) -> None:
         """Sorts and draws; returns when the picture is whole."""
+
+    def picture(self) -> NDArray[np.float32]:
+        """The one drawn last: premultiplied RGB over black, (height, width, 3)."""
+
+    def graphics_memory(self) -> tuple[int, int] | None:
+        """GPU memory of the map, and the most so far with what drawing took; None where there is
+        none. [bytes]"""
 
 
 class CpuRenderer:
     """The plugin's rasteriser on the processor. Its times include the copy into NumPy's arrays."""
 
     def __init__(self) -> None:
-
-        self._camera = rendering.SplatCamera
         self._renderer = rendering.CpuRenderer()
         self.device = f"CPU, {self._renderer.instructions}"
 
     def show(self, splats: Splats) -> None:
         rendering.insert_all(self._renderer, splats)
 
-    def draw(self, camera: Camera) -> None:
-        self._renderer.draw(self._camera(*rendering.pose(camera)))
+    def look(self, camera: Camera) -> None:
+        self._camera = rendering.posed(camera)
+
+    def draw(self) -> None:
+        self._colour: NDArray[np.float32] = self._renderer.draw(self._camera)["colour"]
+
+    def picture(self) -> NDArray[np.float32]:
+        return self._colour[..., :3]
+
+    def graphics_memory(self) -> None:
+        return None
 
 
 class GsplatRenderer:
@@ -55,35 +73,100 @@ class GsplatRenderer:
         self.device = f"{torch.cuda.get_device_name()}, gsplat {gsplat.__version__}"
 
     def show(self, splats: Splats) -> None:
-        def put(values: NDArray[np.float32]) -> Any:
-            return self._torch.from_numpy(np.ascontiguousarray(values)).cuda()
-
         self._origin = splats.origin
-        self._degree = splats.sh_degree
-        self._mode = "antialiased" if splats.antialiased else "classic"
-        self._splats = [
-            put(splats.positions),
-            put(np.roll(splats.orientations, 1, axis=1)),  # w first
-            put(splats.scales),
-            put(splats.opacities),
-            put(splats.sh),
-        ]
+        self._antialiased = splats.antialiased
+        self._take(
+            self._put(splats.positions),
+            self._put(np.roll(splats.orientations, 1, axis=1)),  # w first
+            self._put(splats.scales),
+            self._put(splats.opacities),
+            self._put(splats.sh),
+            splats.sh_degree,
+        )
+        self._torch.cuda.reset_peak_memory_stats()
+        self._map_bytes = int(self._torch.cuda.memory_allocated())
 
-    def draw(self, camera: Camera) -> None:
-        torch = self._torch
+    def look(self, camera: Camera) -> None:
         view = camera.world_to_camera.copy()
         view[:3, 3] += view[:3, :3] @ self._origin
         lens = [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]
-        with torch.no_grad():
-            self._gsplat.rasterization(
-                *self._splats,
-                torch.tensor(view[None], dtype=torch.float32, device="cuda"),
-                torch.tensor([lens], dtype=torch.float32, device="cuda"),
-                camera.width, camera.height, near_plane=camera.near, far_plane=camera.far,
-                sh_degree=self._degree, packed=False, rasterize_mode=self._mode,
-                camera_model="ortho" if camera.orthographic else "pinhole",
-            )  # fmt: skip
-        torch.cuda.synchronize()
+        self._camera = camera
+        self._view, self._lens = self._put(view[None]), self._put(np.array([lens]))
+
+    def draw(self) -> None:
+        with self._torch.no_grad():
+            self._drawn = self._rasterise(self._camera)
+        self._torch.cuda.synchronize()
+
+    def picture(self) -> NDArray[np.float32]:
+        drawn: NDArray[np.float32] = self._drawn[0, ..., :3].float().cpu().numpy()
+        return drawn
+
+    def graphics_memory(self) -> tuple[int, int]:
+        return self._map_bytes, int(self._torch.cuda.max_memory_allocated())
+
+    def _put(self, values: NDArray[Any]) -> Any:
+        return self._torch.from_numpy(np.ascontiguousarray(values, np.float32)).cuda()
+
+    def _take(
+        self, means: Any, quats: Any, scales: Any, opacities: Any, sh: Any, degree: int
+    ) -> None:
+        self._splats = (means, quats, scales, opacities, sh)
+        self._degree = degree
+
+    def _rasterise(self, camera: Camera) -> Any:
+        """The picture on the GPU, (1, height, width, 3 or more)."""
+        return self._gsplat.rasterization(
+            *self._splats, self._view, self._lens, camera.width, camera.height,
+            near_plane=camera.near, far_plane=camera.far, sh_degree=self._degree, packed=False,
+            rasterize_mode="antialiased" if self._antialiased else "classic",
+            camera_model="ortho" if camera.orthographic else "pinhole",
+        )[0]  # fmt: skip
 
 
-RENDERERS: dict[str, Callable[[], Renderer]] = {"cpu": CpuRenderer, "gsplat": GsplatRenderer}
+class GsplatInferenceRenderer(GsplatRenderer):
+    """gsplat 1.6's experimental path for inference: half floats, macro tiles, packed harmonics.
+
+    tile: 8 or 16 [px]. harmonics: "none" keeps them in half floats; "32b" and "16b" pack those of
+    degree 3 into 32 and 16 bytes.
+    """
+
+    def __init__(self, tile: int, harmonics: str) -> None:
+        super().__init__()
+        from gsplat.experimental.render import GaussianInferenceRenderer
+        from gsplat.scene import GaussianInferenceScene
+
+        self._scene, self._renderer = GaussianInferenceScene, GaussianInferenceRenderer
+        self._tile, self._harmonics = tile, harmonics
+
+    def _take(
+        self, means: Any, quats: Any, scales: Any, opacities: Any, sh: Any, degree: int
+    ) -> None:
+        if self._antialiased:
+            raise ValueError("it has no opacity compensation")
+        if degree != 3 and self._harmonics != "none":
+            raise ValueError("it packs harmonics of degree 3 alone")
+        unit = quats / quats.norm(dim=-1, keepdim=True)
+        scene = self._scene.from_gaussian_tensors(
+            means, unit, scales, opacities, sh, degree, self._harmonics, id="map"
+        )
+        self._native = self._renderer(scene, tile_size=self._tile)
+
+    def _rasterise(self, camera: Camera) -> Any:
+        return self._native.render(
+            viewmats=self._view, Ks=self._lens, width=camera.width, height=camera.height,
+            near_plane=camera.near, far_plane=camera.far,
+        ).frame  # fmt: skip
+
+
+RENDERERS: dict[str, Callable[[], Renderer]] = {
+    "cpu": CpuRenderer,
+    "gsplat": GsplatRenderer,
+    **{
+        f"gsplat-inference-{tile}" + ("" if packed == "none" else f"-{packed}"): partial(
+            GsplatInferenceRenderer, tile, packed
+        )
+        for tile in (8, 16)
+        for packed in ("none", "32b", "16b")
+    },
+}
