@@ -45,6 +45,22 @@ def test_matches_the_float64_twin(renderer: CpuRenderer, view: str, antialiased:
 
 
 @pytest.mark.parametrize("view", CAMERAS)
+def test_the_median_depth_is_the_twin_s(renderer: CpuRenderer, view: str) -> None:
+    insert_all(renderer, cloud())
+    drawn = draw(renderer, CAMERAS[view], median_depth=True)
+    expected = reference.render(cloud(), CAMERAS[view])
+    median = drawn["depth"][..., 0]
+    assert np.isfinite(median).mean() > 0.2  # there was something to see
+    # Next to half, one takes the splat before.
+    same = np.isclose(median, expected.median, rtol=1e-5, equal_nan=True)
+    assert same.mean() > 0.999
+    clear = np.abs(expected.rgba[..., 3] - 0.5) > 1e-3
+    np.testing.assert_array_equal(np.isnan(median)[clear], np.isnan(expected.median)[clear])
+    with pytest.raises(ValueError, match="a picture has one depth"):
+        draw(renderer, CAMERAS[view], median_depth=True, mean_depth=True)
+
+
+@pytest.mark.parametrize("view", CAMERAS)
 def test_maps_beside_each_other_match_the_twin_of_their_union(
     renderer: CpuRenderer, view: str
 ) -> None:
@@ -107,6 +123,20 @@ def test_contributions_are_those_of_the_twin(renderer: CpuRenderer, view: str) -
     np.testing.assert_allclose(found.weight / 2, weights, rtol=2e-3, atol=0.02)
     np.testing.assert_allclose(found.energy / 2, energies, rtol=4e-3, atol=1e-3)
     np.testing.assert_allclose(found.error / 2, errors, rtol=5e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("view", CAMERAS)
+def test_a_residual_is_dealt_as_by_the_twin(renderer: CpuRenderer, view: str) -> None:
+    camera = CAMERAS[view]
+    insert_all(renderer, cloud())
+    values = np.random.default_rng(1).uniform(size=(camera.height, camera.width))
+    found = rendering.Contributions()
+    renderer.contribute(posed(camera), found, residual=values.astype(np.float32))
+    expected = reference.dealt(cloud(), camera, values)
+    # Contributions end where a hundredth is left.
+    assert np.abs(found.residual - expected).max() < 0.01 * expected.max()
+    with pytest.raises(RuntimeError, match="numbers of 4 pixels do not fit"):
+        renderer.contribute(posed(camera), found, residual=np.zeros((2, 2), np.float32))
 
 
 def test_contributions_of_slices_of_depth_add_up() -> None:

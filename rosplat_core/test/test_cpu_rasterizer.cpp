@@ -122,7 +122,7 @@ SplatPicture draw(CpuRasterizer&& with, const PictureRequest& request) {
 TEST(CpuRasterizer, draws_nothing_of_an_empty_map) {
   const Scene scene;
   PictureRequest wanted = request(3, 2, scene);
-  wanted.mean_depth = true;
+  wanted.depth = PictureDepth::kMean;
   const SplatPicture picture = draw(rasterizer(), wanted);
   EXPECT_EQ(picture.layers[0].drawn, 0u);
   EXPECT_EQ(picture.colour, std::vector<float>(24));
@@ -135,7 +135,7 @@ TEST(CpuRasterizer, draws_one_splat_on_one_pixel) {
   scene.add({0, 0, 5}, 100, 0.6f, {1, 0.5f, 0.25f});
   scene.write();
   PictureRequest wanted = request(1, 1, scene);
-  wanted.mean_depth = true;
+  wanted.depth = PictureDepth::kMean;
   const SplatPicture picture = draw(rasterizer(), wanted);
   ASSERT_EQ(picture.colour.size(), 4u);
   EXPECT_NEAR(picture.colour[0], 0.6f, 1e-3);
@@ -354,7 +354,7 @@ struct Union {
 TEST(CpuRasterizer, draws_maps_in_one_order) {
   const Union maps;
   PictureRequest wanted = request(150, 110, maps.first, maps.second);
-  wanted.mean_depth = true;
+  wanted.depth = PictureDepth::kMean;
   const SplatPicture picture = draw(rasterizer(2), wanted);
   wanted.layers = request(maps.both).layers;
   const SplatPicture expected = draw(rasterizer(1), wanted);
@@ -473,7 +473,7 @@ TEST(CpuRasterizer, draws_slices_of_depth_as_it_draws_all_at_once) {
   }
   scene.write();
   PictureRequest wanted = request(320, 320, scene);
-  wanted.mean_depth = true;
+  wanted.depth = PictureDepth::kMean;
   const SplatPicture whole = draw(rasterizer(2), wanted);
   EXPECT_LT(whole.layers[0].drawn, 900000u);  // what is behind isn't looked at
   const SplatPicture again = draw(rasterizer(1), wanted);

@@ -349,7 +349,7 @@ struct Drawn {
     if (with_levels) layer.levels = &levels, layer.error = 3;
     depth.assign(60 * 40, 0.9f);
     request.scene_depth = request.translucent_depth = depth;
-    request.mean_depth = true;
+    request.depth = PictureDepth::kMean;
   }
 
   GaussianMap map;

@@ -414,7 +414,7 @@ bool Painter::draw(const std::string& view_id, const Waiting& job) {
   PictureRequest request = pictureOf(asked);
   const PaintLayer& first = asked.layers.front();
   if (first.order) request.order = first.order->slots;
-  request.mean_depth = true;
+  request.depth = PictureDepth::kMean;
   request.cancelled = &cancelled_;
   chooseDetail(view_id, request, painting);
   {

@@ -126,6 +126,7 @@ void defineMaps(py::module_& module) {
       .def_property_readonly("splats", [](const GaussianMap& m) { return m.state().splats; })
       .def_property_readonly("missed", [](const GaussianMap& m) { return m.state().missed; })
       .def_property_readonly("pulled", [](const GaussianMap& m) { return m.state().pulled; })
+      .def_property_readonly("complete", [](const GaussianMap& m) { return m.state().complete(); })
       .def(
           "origin",
           [](const GaussianMap& m, std::uint32_t group) { return groupOf(m, group).origin; },

@@ -73,14 +73,16 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
 }
 
 py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
-                   const std::optional<Array<float>>& scene_depth,
+                   bool median_depth, const std::optional<Array<float>>& scene_depth,
                    const std::optional<Array<float>>& translucent_depth,
                    const std::optional<Array<std::uint32_t>>& order,
                    const std::vector<CpuRenderer*>& beside) {
+  if (mean_depth && median_depth) throw std::invalid_argument("a picture has one depth");
   if (order && !beside.empty()) throw std::invalid_argument("an order is of one map alone");
   PictureRequest request = requestOf(renderer, camera, scene_depth, translucent_depth, order);
   for (const CpuRenderer* other : beside) request.layers.push_back(layerOf(*other, camera));
-  request.mean_depth = mean_depth;
+  if (mean_depth) request.depth = PictureDepth::kMean;
+  if (median_depth) request.depth = PictureDepth::kMedian;
   SplatPicture& picture = renderer.picture;
   {
     const py::gil_scoped_release release;
@@ -116,8 +118,10 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
 }
 
 void contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera, Contributions& sums,
-                     const std::optional<Array<float>>& scene_depth) {
-  const PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
+                     const std::optional<Array<float>>& scene_depth,
+                     const std::optional<Array<float>>& residual) {
+  PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
+  if (residual) request.residual = *residual;
   const py::gil_scoped_release release;
   renderer.rasterizer.contribute(request, sums);
 }
@@ -250,22 +254,28 @@ void defineRendering(py::module_& module) {
       .def(py::init<>())
       .def_property_readonly("weight", [=](const Contributions& c) { return sums_of(c.weight); })
       .def_property_readonly("energy", [=](const Contributions& c) { return sums_of(c.energy); })
-      .def_property_readonly("error", [=](const Contributions& c) { return sums_of(c.error); });
+      .def_property_readonly("error", [=](const Contributions& c) { return sums_of(c.error); })
+      .def_property_readonly("residual",
+                             [=](const Contributions& c) { return sums_of(c.residual); });
   py::class_<CpuRenderer> cpu_renderer(module, "CpuRenderer");
   defineApply(cpu_renderer, take);
   cpu_renderer
       .def(py::init<unsigned, CpuRasterizer::Instructions>(), "threads"_a = 0,
            "instructions"_a = CpuRasterizer::Instructions::kBest)
       .def_readwrite("settings", &CpuRenderer::settings)
-      .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "scene_depth"_a = py::none(),
-           "translucent_depth"_a = py::none(), "order"_a = py::none(),
+      .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "median_depth"_a = false,
+           "scene_depth"_a = py::none(), "translucent_depth"_a = py::none(), "order"_a = py::none(),
            "beside"_a = std::vector<CpuRenderer*>(),
            "Draws the map; and, in one order with it, those of other renderers in the same frame.")
       .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
       .def("nodes", &nodesOf, "level"_a, "group"_a = 0)
       .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })
       .def("pick", &pickOnCpu, "camera"_a, "scene_depth"_a = py::none())
-      .def("contribute", &contributeOnCpu, "camera"_a, "sums"_a, "scene_depth"_a = py::none())
+      .def("contribute", &contributeOnCpu, "camera"_a, "sums"_a, "scene_depth"_a = py::none(),
+           "residual"_a = py::none())
+      .def_property_readonly(
+          "map", [](CpuRenderer& r) -> GaussianMap& { return r.map; },
+          py::return_value_policy::reference_internal, "The books of the map that it draws.")
       .def_property_readonly("map_bytes", [](CpuRenderer& r) { return r.slots.bytes(); })
       .def_property_readonly("instructions",
                              [](CpuRenderer& r) { return r.rasterizer.instructions(); });

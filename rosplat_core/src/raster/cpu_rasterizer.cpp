@@ -61,9 +61,10 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
                        std::to_string(kLongestSide));
   }
   const std::size_t pixels = std::size_t(camera.width) * std::size_t(camera.height);
-  for (const ArrayView<float>* depths : {&request.scene_depth, &request.translucent_depth}) {
+  for (const ArrayView<float>* depths :
+       {&request.scene_depth, &request.translucent_depth, &request.residual}) {
     if (!depths->empty() && depths->size != pixels) {
-      throw PictureError("depths of " + std::to_string(depths->size) +
+      throw PictureError("numbers of " + std::to_string(depths->size) +
                          " pixels do not fit a picture of " + std::to_string(pixels));
     }
   }
@@ -74,6 +75,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     wanted.contributions->weight.resize(capacity);
     wanted.contributions->energy.resize(capacity);
     wanted.contributions->error.resize(capacity);
+    wanted.contributions->residual.resize(capacity);
   }
   across = (camera.width + kTile - 1) / kTile;
   down = (camera.height + kTile - 1) / kTile;
@@ -82,7 +84,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     const bool kept = picture->width == camera.width && picture->height == camera.height;
     picture->width = picture->height = 0;  // until there is memory for all of it
     picture->colour.resize(4 * pixels);
-    picture->depth.resize(request.mean_depth ? pixels : 0);
+    picture->depth.resize(request.depth == PictureDepth::kNone ? 0 : pixels);
     const std::size_t divided = request.translucent_depth.empty() ? 0 : pixels;
     if (!kept || picture->behind.size() != 4 * divided) {
       picture->behind.assign(4 * divided, 0.0f);
@@ -158,9 +160,11 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   if (blends) {
     inParts(picture->depth.size(), 1 << 14, [&](const Part& part, Member&) {
       for (std::size_t i = part.begin; i < part.end; ++i) {
+        float& depth = picture->depth[i];
         const float alpha = picture->colour[4 * i + 3];
-        picture->depth[i] =
-            alpha > 0 ? picture->depth[i] / alpha : std::numeric_limits<float>::quiet_NaN();
+        const bool there = request.depth == PictureDepth::kMean ? alpha > 0 : depth > 0;
+        if (!there) depth = std::numeric_limits<float>::quiet_NaN();
+        if (request.depth == PictureDepth::kMean) depth /= alpha;
       }
     });
     for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].error = layers[i].error;

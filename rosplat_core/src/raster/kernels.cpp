@@ -585,26 +585,35 @@ bool walk(const Listed* listed, std::size_t count, const Record* records, int le
   return ended(transmittance, behind, ends_at);
 }
 
-template <bool kDepth, bool kOpaque, bool kDivided>
+// A vector of pixels under a splat.
+template <PictureDepth kDepth>
+void blendInto(TilePixels& into, int pixel, Floats falloff, Ints where, const Floats (&colour)[3],
+               Floats depth, float share) {
+  Floats alpha = min(falloff, all(kMaxAlpha));
+  if (share < 1.0f) {
+    alpha = share < 0.0f ? all(1.0f) : 1.0f - exp2(share * log2(1.0f - alpha));
+  }
+  alpha = where ? alpha : Floats{};
+  const Floats transmittance = load(into.transmittance + pixel);
+  Floats weight = transmittance * alpha;
+  const Floats behind = transmittance - weight;
+  store(into.transmittance + pixel, behind);
+  if (kDepth == PictureDepth::kMean) {
+    store(into.depth + pixel, fma(weight, depth, load(into.depth + pixel)));
+  }
+  if (kDepth == PictureDepth::kMedian) {
+    const Floats so_far = load(into.depth + pixel);
+    store(into.depth + pixel, (so_far == 0.0f) & (behind <= 0.5f) ? depth : so_far);
+  }
+  if (share == kGaussianBallShare) weight = where ? weight * falloff : Floats{};
+  for (int i = 0; i < 3; ++i) {
+    float* const channel = into.colour[i] + pixel;
+    store(channel, fma(weight, colour[i], load(channel)));
+  }
+}
+
+template <PictureDepth kDepth, bool kOpaque, bool kDivided>
 bool blendAs(const BlendTile& tile) {
-  // A vector of pixels under a splat.
-  const auto blend = [](TilePixels& into, int pixel, Floats falloff, Ints where,
-                        const Floats(&colour)[3], Floats depth, float share) {
-    Floats alpha = min(falloff, all(kMaxAlpha));
-    if (share < 1.0f) {
-      alpha = share < 0.0f ? all(1.0f) : 1.0f - exp2(share * log2(1.0f - alpha));
-    }
-    alpha = where ? alpha : Floats{};
-    const Floats transmittance = load(into.transmittance + pixel);
-    Floats weight = transmittance * alpha;
-    store(into.transmittance + pixel, transmittance - weight);
-    if (kDepth) store(into.depth + pixel, fma(weight, depth, load(into.depth + pixel)));
-    if (share == kGaussianBallShare) weight = where ? weight * falloff : Floats{};
-    for (int i = 0; i < 3; ++i) {
-      float* const channel = into.colour[i] + pixel;
-      store(channel, fma(weight, colour[i], load(channel)));
-    }
-  };
   TilePixels& pixels = *tile.pixels;
   return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
               kDivided ? tile.behind->transmittance : nullptr, tile.ends_at, [&](const Record& e) {
@@ -614,24 +623,30 @@ bool blendAs(const BlendTile& tile) {
                 return [=, &pixels, &tile](int pixel, Floats exponent, Ints covered) {
                   const Floats falloff = falloffOf(exponent);
                   if (kOpaque) covered &= window_depth <= load(tile.opaque + pixel);
-                  if (!kDivided)
-                    return blend(pixels, pixel, falloff, covered, colour, depth, share);
+                  if (!kDivided) {
+                    blendInto<kDepth>(pixels, pixel, falloff, covered, colour, depth, share);
+                    return;
+                  }
                   const Ints before = window_depth <= load(tile.divided + pixel);
-                  blend(pixels, pixel, falloff, covered & before, colour, depth, share);
-                  blend(*tile.behind, pixel, falloff, covered & ~before, colour,
-                        1.0f - window_depth, share);
+                  blendInto<kDepth>(pixels, pixel, falloff, covered & before, colour, depth, share);
+                  blendInto<PictureDepth::kMean>(*tile.behind, pixel, falloff, covered & ~before,
+                                                 colour, 1.0f - window_depth, share);
                 };
               });
 }
 
-bool blend(const BlendTile& tile, bool with_depth) {
+template <PictureDepth kDepth>
+bool blendWith(const BlendTile& tile) {
   if (tile.divided) {
-    return tile.opaque ? blendAs<true, true, true>(tile) : blendAs<true, false, true>(tile);
+    return tile.opaque ? blendAs<kDepth, true, true>(tile) : blendAs<kDepth, false, true>(tile);
   }
-  if (with_depth) {
-    return tile.opaque ? blendAs<true, true, false>(tile) : blendAs<true, false, false>(tile);
-  }
-  return tile.opaque ? blendAs<false, true, false>(tile) : blendAs<false, false, false>(tile);
+  return tile.opaque ? blendAs<kDepth, true, false>(tile) : blendAs<kDepth, false, false>(tile);
+}
+
+bool blend(const BlendTile& tile, PictureDepth depth) {
+  if (depth == PictureDepth::kMean) return blendWith<PictureDepth::kMean>(tile);
+  if (depth == PictureDepth::kMedian) return blendWith<PictureDepth::kMedian>(tile);
+  return blendWith<PictureDepth::kNone>(tile);
 }
 
 bool pick(const PickTile& tile) {
@@ -668,11 +683,11 @@ float sumOf(Floats v) {
 bool contribute(const ContributeTile& tile) {
   TilePixels& pixels = *tile.pixels;
   Contribution* next = tile.splats;
-  Floats weights = {}, energies = {}, errors = {};  // of the splat that is being walked over
+  Floats weights = {}, energies = {}, errors = {}, residuals = {};  // of the splat that is walked
   const auto finish = [&] {
     if (next == tile.splats) return;
-    next[-1] = {sumOf(weights), sumOf(energies), sumOf(errors)};
-    weights = energies = errors = Floats{};
+    next[-1] = {sumOf(weights), sumOf(energies), sumOf(errors), sumOf(residuals)};
+    weights = energies = errors = residuals = Floats{};
   };
   const bool has_ended =
       walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
@@ -680,7 +695,7 @@ bool contribute(const ContributeTile& tile) {
              finish();
              ++next;
              const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
-             return [=, &pixels, &tile, &weights, &energies, &errors, &e](
+             return [=, &pixels, &tile, &weights, &energies, &errors, &residuals, &e](
                         int pixel, Floats exponent, Ints covered) {
                if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
                const Floats alpha = covered ? min(falloffOf(exponent), all(kMaxAlpha)) : Floats{};
@@ -689,6 +704,9 @@ bool contribute(const ContributeTile& tile) {
                store(pixels.transmittance + pixel, transmittance - weight);
                weights += weight;
                energies = fma(weight, weight, energies);
+               if (tile.residual) {
+                 residuals = fma(weight, load(tile.residual + pixel), residuals);
+               }
                // Without it, what is behind would be seen by 1 / (1 - alpha) as much.
                const Floats uncovers = alpha / (1.0f - alpha);
                for (int i = 0; i < 3; ++i) {

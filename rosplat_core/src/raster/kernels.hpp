@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "rosplat_core/raster/picture_depth.hpp"
 #include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/views/group_view.hpp"
 
@@ -116,7 +117,7 @@ struct Listed {
 struct alignas(64) TilePixels {
   float transmittance[kTilePixels];
   float colour[3][kTilePixels];
-  float depth[kTilePixels];  // weighted sum
+  float depth[kTilePixels];  // weighted sum; of a median the depth, 0 where there is none so far
 };
 
 struct BlendTile {
@@ -144,9 +145,10 @@ struct PickTile {
 
 // What a splat is to a picture: sums over its pixels.
 struct Contribution {
-  float weight;  // of alpha x transmittance: of how many pixels it is the colour
-  float energy;  // of the squares of these
-  float error;   // of the squares by which red, green and blue change without it
+  float weight;    // of alpha x transmittance: of how many pixels it is the colour
+  float energy;    // of the squares of these
+  float error;     // of the squares by which red, green and blue change without it
+  float residual;  // of weights times ContributeTile::residual
 };
 
 struct ContributeTile {
@@ -154,10 +156,11 @@ struct ContributeTile {
   std::size_t count;
   const Record* records;
   int left, top;
-  float ends_at;         // as BlendTile
-  const float* opaque;   // or null
-  TilePixels* pixels;    // their colour: what is still to come of the picture's
-  Contribution* splats;  // of the listed, one for each
+  float ends_at;          // as BlendTile
+  const float* opaque;    // or null
+  const float* residual;  // or null
+  TilePixels* pixels;     // their colour: what is still to come of the picture's
+  Contribution* splats;   // of the listed, one for each
 };
 
 struct Kernels {
@@ -175,7 +178,7 @@ struct Kernels {
                          const std::uint16_t* places, std::size_t count, Record* records,
                          Footprint* footprints, std::uint16_t* kept);
   // Blends until nothing behind can be seen; returns whether that is so.
-  bool (*blend)(const BlendTile& tile, bool with_depth);
+  bool (*blend)(const BlendTile& tile, PictureDepth depth);
   bool (*pick)(const PickTile& tile);
   bool (*contribute)(const ContributeTile& tile);
   // Of 0 to 1, rounded; what is beyond is clamped.

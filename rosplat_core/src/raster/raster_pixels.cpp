@@ -50,7 +50,7 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
     });
   };
   read(member.pixels, picture.colour);
-  if (request.mean_depth && !first) {
+  if (request.depth != PictureDepth::kNone && !first) {
     rect.forEach(
         [&](std::size_t i, std::size_t pixel) { member.pixels.depth[i] = picture.depth[pixel]; });
   }
@@ -69,7 +69,7 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   tile.pixels = &member.pixels;
   tile.behind = divided ? &member.behind : nullptr;
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
-  const bool ended = kernels.blend(tile, request.mean_depth);
+  const bool ended = kernels.blend(tile, request.depth);
   if (ended) open[number] = kEnded;
 
   const auto write = [&](const TilePixels& pixels, std::vector<float>& colour) {
@@ -80,7 +80,7 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
     });
   };
   write(member.pixels, picture.colour);
-  if (request.mean_depth) {
+  if (request.depth != PictureDepth::kNone) {
     rect.forEach(
         [&](std::size_t i, std::size_t pixel) { picture.depth[pixel] = member.pixels.depth[i]; });
   }
@@ -135,6 +135,13 @@ void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatP
   tile.top = rect.top;
   tile.ends_at = ends_at;
   tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
+  tile.residual = nullptr;
+  if (!request.residual.empty()) {
+    std::fill_n(member.most, kTilePixels, 0.0f);
+    rect.forEach(
+        [&](std::size_t i, std::size_t pixel) { member.most[i] = request.residual[pixel]; });
+    tile.residual = member.most;
+  }
   tile.pixels = &member.pixels;
   tile.splats = of_listed.get() + begins[number];
   std::memset(&member.pixels, 0, sizeof(member.pixels));
@@ -159,6 +166,7 @@ void CpuRasterizer::Work::addUp(Contributions& contributions) {
     sum.weight += of_listed[i].weight;
     sum.energy += of_listed[i].energy;
     sum.error += of_listed[i].error;
+    sum.residual += of_listed[i].residual;
   }
   for (const Part& part : parts) {
     for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
@@ -166,6 +174,7 @@ void CpuRasterizer::Work::addUp(Contributions& contributions) {
       contributions.weight[slot] += of_records[i].weight;
       contributions.energy[slot] += of_records[i].energy;
       contributions.error[slot] += of_records[i].error;
+      contributions.residual[slot] += of_records[i].residual;
     }
   }
 }

@@ -5,6 +5,6 @@ Written to be read, yet half a million splats in 1280x720 take but some seconds.
 """
 
 from rosplat_lab.reference import channels, levels
-from rosplat_lab.reference.renderer import Picture, contributions, pick, render
+from rosplat_lab.reference.renderer import Picture, contributions, dealt, pick, render
 
-__all__ = ["Picture", "channels", "contributions", "levels", "pick", "render"]
+__all__ = ["Picture", "channels", "contributions", "dealt", "levels", "pick", "render"]

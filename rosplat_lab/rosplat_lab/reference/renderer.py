@@ -24,6 +24,8 @@ class Picture:
     """(height, width, 4) premultiplied linear RGBA; colours may exceed 1."""
     depth: Array
     """(height, width) opacity-weighted mean of z [m]; NaN where nothing is."""
+    median: Array
+    """(height, width) z of the splat that leaves half of the light or less; NaN: none does."""
 
 
 def render(
@@ -51,16 +53,19 @@ def render(
     projected = project(splats, camera, shares)
     projected = projected[_front_to_back(projected, order, len(splats))]
     rgba = np.zeros((bottom - top, right - left, 4))
-    depth = np.full((bottom - top, right - left), np.nan)
+    depth, median = np.full((2, bottom - top, right - left), np.nan)
     for y, x, members in _tiles(projected, left, top, right, bottom):
         ys = np.arange(y, min(y + TILE, bottom))
         xs = np.arange(x, min(x + TILE, right))
-        tile_rgba, weighted_z = _blend(projected[members], xs, ys, max_alpha, min_transmittance)
+        tile_rgba, weighted_z, middle = _blend(
+            projected[members], xs, ys, max_alpha, min_transmittance
+        )
         window = np.s_[y - top : y - top + len(ys), x - left : x - left + len(xs)]
         rgba[window] = tile_rgba
         alpha = tile_rgba[..., 3]
         np.divide(weighted_z, alpha, out=depth[window], where=alpha > 0)
-    return Picture(rgba, depth)
+        median[window] = middle
+    return Picture(rgba, depth, median)
 
 
 def pick(splats: Splats, camera: Camera) -> tuple[NDArray[np.int64], Array]:
@@ -111,6 +116,20 @@ def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array, Array]:
     return weights, energies, errors
 
 
+def dealt(splats: Splats, camera: Camera, values: Array) -> Array:
+    """What each splat gets, (n,), of values (height, width) of pixels, by what it contributes."""
+    sums = np.zeros(len(splats))
+    projected = project(splats, camera)
+    projected = projected[_front_to_back(projected, None, len(splats))]
+    for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
+        ys = np.arange(y, min(y + TILE, camera.height))
+        xs = np.arange(x, min(x + TILE, camera.width))
+        for part, weights in _weights(projected[members], xs, ys, 0.99, 0.0):
+            of_splats = (weights * values[np.ix_(ys, xs)]).sum(axis=(1, 2))
+            sums[projected.slots[members[part]]] += of_splats
+    return sums
+
+
 def _front_to_back(
     projected: Projected, order: NDArray[np.integer] | None, count: int
 ) -> NDArray[np.intp]:
@@ -155,13 +174,17 @@ def _blend(
     ys: NDArray[np.intp],
     max_alpha: float,
     min_transmittance: float,
-) -> tuple[Array, Array]:
-    """(h, w, 4) premultiplied RGBA and (h, w) sum of weight * z of splats, nearest first."""
+) -> tuple[Array, Array, Array]:
+    """Of splats, nearest first: (h, w, 4) premultiplied RGBA, (h, w) sum of weight * z, median."""
     values = np.column_stack([splats.colors, np.ones(len(splats.slots)), splats.depths])
     blended = np.zeros((len(ys), len(xs), 5))
+    median = np.full((len(ys), len(xs)), np.nan)
     for part, weights in _weights(splats, xs, ys, max_alpha, min_transmittance):
+        half = blended[..., 3] + np.cumsum(weights, axis=0) >= 0.5
+        crossed = np.isnan(median) & half.any(axis=0)
+        median[crossed] = splats.depths[part][half.argmax(axis=0)][crossed]
         blended += np.tensordot(weights, values[part], axes=(0, 0))
-    return blended[..., :4], blended[..., 4]
+    return blended[..., :4], blended[..., 4], median
 
 
 def _weights(

@@ -16,6 +16,7 @@
 #include "rosplat_core/map/gaussian_batch.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/map/host_slots.hpp"
+#include "rosplat_core/raster/picture_depth.hpp"
 #include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/threads/thread_team.hpp"
 #include "rosplat_core/views/render_settings.hpp"
@@ -49,7 +50,9 @@ struct PictureRequest {
   // Slots of the one layer that there is then, farthest first, to be drawn in this order; what it
   // leaves out isn't drawn. Unset: by depth, with the sorters' ties.
   std::optional<ArrayView<std::uint32_t>> order;
-  bool mean_depth = false;  // of the splats, too
+  PictureDepth depth = PictureDepth::kNone;
+  // Of contribute(): a number for each pixel that is dealt to the splats. Empty: none is.
+  ArrayView<float> residual;
   // Set by another thread to have the picture given up.
   const std::atomic<bool>* cancelled = nullptr;
 };
@@ -61,7 +64,7 @@ struct SplatPicture {
   std::vector<float> behind;    // the same behind translucent objects; colour is before them
   std::vector<float> nearness;  // of these: (1 - window depth) * alpha, alpha; as splat_hide.frag
   std::vector<std::uint8_t> divided;  // tiles that may have either; they are 0 in the others
-  std::vector<float> depth;           // weighted mean [m], NaN where nothing is
+  std::vector<float> depth;           // PictureDepth [m], NaN where there is none
   struct OfLayer {
     std::size_t drawn = 0;  // splats in the picture, as far as it was looked
     double error = 0;       // that it was drawn to, 0 in full [px]
@@ -85,6 +88,8 @@ struct Contributions {
   std::vector<float> weight;  // of alpha x transmittance: of how many pixels a splat is the colour
   std::vector<float> energy;  // of the squares of these
   std::vector<float> error;   // of the squares by which red, green and blue change without it
+  // Of weights times the request's residual; zeros where that has none.
+  std::vector<float> residual;
 };
 
 // A picture that can't be drawn; the text says why.
