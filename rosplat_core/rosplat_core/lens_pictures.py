@@ -1,0 +1,92 @@
+"""Pictures that a calibrated camera takes of a map: colours, depths, normals. Knows no ROS.
+
+A pixel has a surface where less than half of the light comes from behind the splats that it shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_core.lenses import Warp
+from rosplat_core.rendering import CpuRenderer, DrawMode, posed
+
+MEDIAN, EXPECTED = "median", "expected"
+DEPTHS = (MEDIAN, EXPECTED)
+
+Pixels = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class LensPicture:
+    """What a camera sees; None of what wasn't asked for."""
+
+    colour: Pixels
+    """(height, width, 3) RGB over black, 0 and more."""
+    depth: Pixels | None = None
+    """(height, width) along the camera's z [m]; inf where no surface is, NaN where the lens has no
+    ray that leads to something in front of it."""
+    normals: Pixels | None = None
+    """(height, width, 3) unit vectors in the camera's optical frame, towards the camera; NaN where
+    no surface is."""
+
+
+def take_picture(
+    renderer: CpuRenderer,
+    warp: Warp,
+    world_to_lens: NDArray[np.float64],
+    *,
+    near: float = 0.01,
+    far: float = 1e10,
+    depth: str = "",
+    normals: bool = False,
+) -> LensPicture:
+    """Draws the renderer's map through a lens at a pose (4, 4).
+
+    near, far: splats whose centres lie between these depths are drawn. [m]
+    depth: "median", of the splat with which half of the light or less is left; "expected", the mean
+    of the splats, weighted by what they contribute; "", none. Raises ValueError for another.
+    """
+    if depth not in ("", *DEPTHS):
+        raise ValueError(f"depth is '{depth}', expected one of {', '.join(DEPTHS)}")
+    cameras = warp.cameras(world_to_lens, near, far)
+    wanted = {"median_depth": depth == MEDIAN, "mean_depth": depth == EXPECTED}
+    drawn = [renderer.draw(posed(camera), **wanted) for camera in cameras]
+    colour = warp.colour([each["colour"][..., :3] for each in drawn])
+    depths = warp.depth([_depth(each) for each in drawn]) if depth else None
+    facing = None
+    if normals:
+        facing = warp.nearest(_in_mode(renderer, DrawMode.NORMALS, lambda: [
+            _normals(renderer.draw(posed(camera))["colour"]) for camera in cameras
+        ]))  # fmt: skip
+        facing = facing @ world_to_lens[:3, :3].T.astype(np.float32)
+    return LensPicture(colour, depths, facing)
+
+
+def _in_mode(renderer: CpuRenderer, mode: DrawMode, draw: Callable[[], Any]) -> Any:
+    before = renderer.settings.mode
+    renderer.settings.mode = mode
+    try:
+        return draw()
+    finally:
+        renderer.settings.mode = before
+
+
+def _depth(drawn: dict[str, Any]) -> Pixels:
+    depth: Pixels = drawn["depth"][..., 0]
+    surface = np.isfinite(depth) & (drawn["colour"][..., 3] >= 0.5)
+    return np.where(surface, depth, np.float32(np.inf))
+
+
+def _normals(colour: Pixels) -> Pixels:
+    """(h, w, 3) unit vectors in the map of a picture of (normal + 1) / 2, premultiplied."""
+    alpha = colour[..., 3:]
+    normals = 2 * colour[..., :3] - alpha
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    with np.errstate(all="ignore"):
+        unit: Pixels = np.where(alpha >= 0.5, normals / length, np.float32(np.nan))
+    return unit

@@ -1,0 +1,374 @@
+"""Lenses: where a calibrated camera has a ray in its picture, and pinhole pictures warped to it.
+
+The models are those of sensor_msgs/distortion_models.hpp, as OpenCV defines them: plumb_bob and
+rational_polynomial (Brown 1966; cv::projectPoints), equidistant (Kannala and Brandt 2006;
+cv::fisheye). Pixels are ROS's: the centre of the top left one is (0, 0). Knows no ROS.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_matrix
+
+from rosplat_core.cameras import Camera
+
+Array = NDArray[np.float64]
+
+PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT = "", "plumb_bob", "rational_polynomial", "equidistant"
+# How many coefficients a model has; what is left out is 0.
+COEFFICIENTS = {PINHOLE: 0, PLUMB_BOB: 5, RATIONAL: 8, EQUIDISTANT: 4}
+
+LONGEST_SIDE = 8192  # [px]
+WIDEST = math.tan(math.radians(50))  # beyond, splats lose their shape in one pinhole picture
+STEEPEST = math.radians(84)  # of rays that a polynomial of their tangents may have [rad]
+NEWTON_STEPS = 4
+TOLERANCE = 1e-4  # of a ray's place in the picture, found and meant [px]
+MARGIN = 3  # pixels around what is warped, for the taps of the filter
+
+
+class LensError(ValueError):
+    """A calibration that no camera has; the text names the field."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """A calibrated camera without its pose. Raises LensError for values that can't be one's."""
+
+    width: int
+    """Of the picture. [px]"""
+    height: int
+    fx: float
+    """Focal lengths, at the centre where there is distortion. [px]"""
+    fy: float
+    cx: float
+    """Principal point. [px]"""
+    cy: float
+    model: str = PINHOLE
+    coefficients: tuple[float, ...] = ()
+    """As CameraInfo.d: plumb_bob k1 k2 p1 p2 k3; rational_polynomial k1 k2 p1 p2 k3 k4 k5 k6;
+    equidistant k1 k2 k3 k4."""
+
+    def __post_init__(self) -> None:
+        """Checks every value."""
+        for name in ("width", "height"):
+            if not 1 <= getattr(self, name) <= LONGEST_SIDE:
+                raise LensError(f"{name} is {getattr(self, name)}, expected 1 to {LONGEST_SIDE}")
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
+        if not all(map(math.isfinite, numbers)):
+            raise LensError("a number is not finite")
+        if not (self.fx > 0 and self.fy > 0):
+            raise LensError(f"k: focal lengths are {self.fx}, {self.fy}, expected more than 0")
+        if self.model not in COEFFICIENTS:
+            known = ", ".join(filter(None, COEFFICIENTS))
+            raise LensError(f"distortion_model is '{self.model}', known are {known}")
+        most = COEFFICIENTS[self.model]
+        if any(self.coefficients[most:]):
+            count = len(self.coefficients)
+            raise LensError(f"d has {count} numbers, expected {most} of '{self.model}'")
+        padded = (*self.coefficients, *[0.0] * most)[:most]
+        object.__setattr__(self, "coefficients", padded)
+
+    @classmethod
+    def of_view(cls, width: int, height: int, angle: float) -> Lens:
+        """A pinhole camera that sees a horizontal angle [rad], with square pixels."""
+        if not 0 < angle < math.pi:
+            raise LensError(f"angle of view is {angle}, expected more than 0 and less than pi")
+        focal = width / 2 / math.tan(angle / 2)
+        return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether straight lines stay straight."""
+        return self.model != EQUIDISTANT and not any(self.coefficients)
+
+    def project(self, rays: ArrayLike) -> Array:
+        """Pixels (..., 2) where rays (..., 3) of any length arrive; optical axes, see Camera.
+
+        NaN for rays that don't: from behind, or from beyond where the distortion folds.
+        """
+        rays = np.asarray(rays, np.float64)
+        ahead, beside = rays[..., 2], np.linalg.norm(rays[..., :2], axis=-1)
+        with np.errstate(all="ignore"):
+            if self.model == EQUIDISTANT:
+                radius = np.arctan2(beside, ahead)
+                scale = np.where(beside > 0, self._profile(radius) / beside, 1 / ahead)
+                points = rays[..., :2] * scale[..., None]
+            else:
+                radius = np.where(ahead > 0, beside / ahead, np.inf)
+                points = self._distorted(rays[..., :2] / ahead[..., None])
+            points = np.where((radius <= self._reach[0][-1])[..., None], points, np.nan)
+        return points * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Rays (..., 3) that arrive at pixels (..., 2); z is 1, of equidistant lenses their length.
+
+        NaN where none does, because the distortion folds before.
+        """
+        pixels = np.asarray(pixels, np.float64)
+        goals = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
+        if self.is_pinhole:
+            return np.concatenate([goals, np.ones((*goals.shape[:-1], 1))], axis=-1)
+        radii = np.linalg.norm(goals, axis=-1)
+        found = np.interp(radii, self._reach[1], self._reach[0])
+        with np.errstate(all="ignore"):
+            turn = np.where(radii[..., None] > 0, goals / radii[..., None], 0)
+        if self.model == EQUIDISTANT:
+            for _ in range(NEWTON_STEPS):
+                found = found - (self._profile(found) - radii) / self._slope(found)
+            rays = np.concatenate(
+                [turn * np.sin(found)[..., None], np.cos(found)[..., None]], axis=-1
+            )
+        else:
+            points = turn * found[..., None]
+            for _ in range(NEWTON_STEPS):
+                points = points - self._newton_step(points, goals)
+            rays = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
+        miss = np.abs(self.project(rays) - pixels).max(axis=-1)
+        rays[~(miss < TOLERANCE)] = np.nan
+        return rays
+
+    # --- Polynomials of the radius: the tangent of a ray, or its angle ---------------------------
+
+    def _profile(self, radius: Array) -> Array:
+        """Where the radial part of the distortion takes a radius."""
+        square = radius * radius
+        if self.model == EQUIDISTANT:
+            return radius * _polynomial(square, (1, *self.coefficients))
+        return radius * self._radial(square)[0]
+
+    def _slope(self, angle: Array) -> Array:
+        odd = [(2 * i + 1) * k for i, k in enumerate((1, *self.coefficients))]
+        return _polynomial(angle * angle, odd)
+
+    @cached_property
+    def _reach(self) -> tuple[Array, Array]:
+        """Radii up to where the distortion folds, and where each is taken to, both ascending."""
+        angles = np.linspace(0, math.pi if self.model == EQUIDISTANT else STEEPEST, 8192)
+        radii = angles if self.model == EQUIDISTANT else np.tan(angles)
+        with np.errstate(all="ignore"):
+            taken = self._profile(radii)
+        falls = ~(np.diff(taken) > 0)
+        end = int(np.argmax(falls)) + 1 if falls.any() else len(radii)
+        return radii[:end], taken[:end]
+
+    def _radial(self, square: Array) -> tuple[Array, Array]:
+        """The factor of a squared radius, and its derivative by that."""
+        k1, k2, _, _, k3, *below = self.coefficients or (0.0,) * 5
+        above, denominator = (1, k1, k2, k3), (1, *below)
+        a, b = _polynomial(square, above), _polynomial(square, denominator)
+        da, db = _polynomial(square, _derived(above)), _polynomial(square, _derived(denominator))
+        return a / b, (da * b - a * db) / (b * b)
+
+    def _distorted(self, points: Array) -> Array:
+        """Points (..., 2) at z 1 as the lens has them, there."""
+        _, _, p1, p2, *_ = self.coefficients or (0.0,) * 5
+        x, y = points[..., 0], points[..., 1]
+        square = x * x + y * y
+        factor, _ = self._radial(square)
+        return np.stack(
+            [
+                x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+                y * factor + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+
+    def _newton_step(self, points: Array, goals: Array) -> Array:
+        """By how much points miss the ones that are taken to the goals, to first order."""
+        _, _, p1, p2, *_ = self.coefficients
+        x, y = points[..., 0], points[..., 1]
+        factor, slope = self._radial(x * x + y * y)
+        xx = factor + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+        yy = factor + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        with np.errstate(all="ignore"):
+            missed = (self._distorted(points) - goals) / (xx * yy - xy * xy)[..., None]
+        u, v = missed[..., 0], missed[..., 1]
+        return np.stack([yy * u - xy * v, xx * v - xy * u], axis=-1)
+
+
+def _polynomial(x: Array, coefficients: Sequence[float]) -> Array:
+    value = np.zeros_like(x)
+    for coefficient in reversed(coefficients):
+        value = value * x + coefficient
+    return value
+
+
+def _derived(coefficients: Sequence[float]) -> list[float]:
+    return [i * c for i, c in enumerate(coefficients)][1:]
+
+
+# --- Pinhole pictures to the lens's ---------------------------------------------------------------
+
+_FACES = (  # of a cube around the camera: right, down and forward of each
+    ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+    ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """What of the lens's picture is warped from one pinhole picture."""
+
+    camera: Camera  # at the lens's own pose
+    pixels: NDArray[np.intp]  # (n,) of the lens's picture, flat
+    taps: csr_matrix  # (n, pixels of the pinhole picture)
+    nearest: NDArray[np.intp]  # (n,) of the pinhole picture, flat
+    along: NDArray[np.float32]  # (n,) a point's depth for the lens, over its depth for the pinhole
+
+
+class Warp:
+    """Makes the picture of a lens of those of one to six pinhole cameras at its place.
+
+    Straight lenses take one picture, and nothing is warped. Up to 50 degrees off the axis, one
+    wider picture is enough; beyond, the faces of a cube are drawn. Colours are resampled by cubic
+    convolution (Keys 1981), depths and normals by their nearest pixel.
+    """
+
+    def __init__(self, lens: Lens) -> None:
+        """Raises LensError where the distortion folds within the picture.
+
+        Around the round picture of an equidistant lens, though, may be pixels that no ray meets.
+        """
+        self.lens = lens
+        self.met: NDArray[np.bool_] = np.ones((lens.height, lens.width), bool)
+        """(height, width) whether a ray arrives at a pixel."""
+        self._straight: Camera | None = None
+        self._parts: list[_Part] = []
+        if lens.is_pinhole:
+            centre = lens.cx + 0.5, lens.cy + 0.5  # of Camera, whose first pixel ends at 1
+            self._straight = Camera(
+                0, lens.width, lens.height, lens.fx, lens.fy, *centre, np.eye(4)
+            )
+            return
+        columns, rows = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
+        every = np.stack([columns, rows], axis=-1).reshape(-1, 2)
+        rays = lens.rays(every)
+        met = np.isfinite(rays).all(axis=1)
+        if not met.all() and (lens.model != EQUIDISTANT or not met.any()):
+            x, y = every[np.argmin(met)]
+            raise LensError(f"d: the distortion folds: no ray arrives at pixel {x}, {y}")
+        self.met = met.reshape(lens.height, lens.width)
+        faces = np.array(_FACES, np.float64)
+        of = np.where(met, np.argmax(rays @ faces[:, 2].T, axis=1), -1)
+        with np.errstate(all="ignore"):
+            steep = np.abs(rays[:, :2] / rays[:, 2:]).max(axis=1)
+        if ((rays[:, 2] > 0) & (steep <= WIDEST))[met].all():
+            of[met] = 0
+        for number, face in enumerate(faces):
+            pixels = np.flatnonzero(of == number)
+            if len(pixels):
+                self._parts.append(self._part(rays[pixels], pixels, face))
+
+    def cameras(self, world_to_lens: NDArray[np.float64], near: float, far: float) -> list[Camera]:
+        """The pinhole cameras to draw, for a pose (4, 4) of the lens and depths [m]."""
+        cameras = [self._straight] if self._straight else [part.camera for part in self._parts]
+        return [
+            replace(
+                camera, world_to_camera=camera.world_to_camera @ world_to_lens, near=near, far=far
+            )
+            for camera in cameras
+        ]
+
+    def colour(self, pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """(height, width, c) from one (h, w, c) for each camera; 0 where no ray arrives."""
+        if self._straight:
+            return pictures[0]
+        channels = pictures[0].shape[2]
+        warped = np.zeros((self.lens.height * self.lens.width, channels), np.float32)
+        for part, picture in zip(self._parts, pictures, strict=True):
+            warped[part.pixels] = part.taps @ picture.reshape(-1, channels)
+        return warped.reshape(self.lens.height, self.lens.width, channels)
+
+    def depth(self, pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """(height, width) along the lens's axis [m] from one (h, w) for each camera.
+
+        NaN where the point is not in front of the lens, and where pictures are.
+        """
+        if self._straight:
+            return pictures[0]
+        warped = np.full(self.lens.height * self.lens.width, np.nan, np.float32)
+        for part, picture in zip(self._parts, pictures, strict=True):
+            warped[part.pixels] = part.along * picture.ravel()[part.nearest]
+        return warped.reshape(self.lens.height, self.lens.width)
+
+    def nearest(self, pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """(height, width, c) from one (h, w, c) for each camera, without mixing pixels."""
+        if self._straight:
+            return pictures[0]
+        channels = pictures[0].shape[2]
+        warped = np.full((self.lens.height * self.lens.width, channels), np.nan, np.float32)
+        for part, picture in zip(self._parts, pictures, strict=True):
+            warped[part.pixels] = picture.reshape(-1, channels)[part.nearest]
+        return warped.reshape(self.lens.height, self.lens.width, channels)
+
+    def back(self, values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """(h, w) for each camera from (height, width): the adjoint of colour().
+
+        What a pixel of the lens has is dealt to the pixels that it is made of, by their shares.
+        """
+        if self._straight:
+            return [values]
+        flat = values.ravel()
+        return [
+            np.asarray(part.taps.T @ flat[part.pixels], np.float32).reshape(
+                part.camera.height, part.camera.width
+            )
+            for part in self._parts
+        ]
+
+    def _part(self, rays: Array, pixels: NDArray[np.intp], rotation: Array) -> _Part:
+        turned = rays @ rotation.T
+        depths = turned[:, 2]
+        places = turned[:, :2] / depths[:, None] * (self.lens.fx, self.lens.fy)
+        low = np.floor(places.min(axis=0)).astype(int) - MARGIN
+        width, height = (np.ceil(places.max(axis=0)).astype(int) + MARGIN - low + 1).tolist()
+        if max(width, height) > LONGEST_SIDE:
+            raise LensError(f"d: the lens needs a picture of {width} x {height} pixels")
+        places = places - low
+        pose = np.eye(4)
+        pose[:3, :3] = rotation
+        left, top = (0.5 - low).tolist()
+        camera = Camera(0, width, height, self.lens.fx, self.lens.fy, left, top, pose)
+        x, y = np.rint(places).astype(int).T
+        with np.errstate(all="ignore"):
+            along = np.where(rays[:, 2] > 0, rays[:, 2] / depths, np.nan).astype(np.float32)
+        return _Part(camera, pixels, _taps(places, width, height), y * width + x, along)
+
+
+def _taps(places: Array, width: int, height: int) -> csr_matrix:
+    """Rows of 16 shares that pixels have at places (n, 2) between them: cubic convolution."""
+    first = np.floor(places)
+    wx, wy = np.moveaxis(_cubic((places - first).astype(np.float32)), 1, 0)
+    near = np.arange(-1, 3, dtype=np.int32)
+    beside = (near[:, None] * np.int32(width) + near).reshape(-1)
+    columns = (first @ (1, width)).astype(np.int32)[:, None] + beside
+    shares = wy[:, :, None] * wx[:, None, :]
+    ends = np.arange(0, 16 * len(places) + 1, 16, dtype=np.int32)
+    taps = (shares.reshape(-1), columns.reshape(-1), ends)
+    return csr_matrix(taps, shape=(len(places), width * height))
+
+
+def _cubic(t: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Shares (..., 4) of the neighbours at -1, 0, 1 and 2 of a place t, 0 to 1. Keys, a = -1/2."""
+    t2, t3 = t * t, t * t * t
+    shares: NDArray[np.float32] = np.stack(
+        [
+            -0.5 * t3 + t2 - 0.5 * t,
+            1.5 * t3 - 2.5 * t2 + 1,
+            -1.5 * t3 + 2 * t2 + 0.5 * t,
+            0.5 * t3 - 0.5 * t2,
+        ],
+        axis=-1,
+    )
+    return shares

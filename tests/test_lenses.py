@@ -1,0 +1,219 @@
+"""Lenses against OpenCV's, and their pictures against pictures drawn at once and the reference."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from drawing import CAMERAS, cloud, decibels
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.generated import generate
+from rosplat_core.lens_pictures import take_picture
+from rosplat_core.lenses import Lens, LensError, Warp
+from rosplat_core.rendering import CpuRenderer, DrawMode
+from rosplat_lab import reference
+
+SIZE = {"width": 320, "height": 240, "fx": 210.0, "fy": 205.0, "cx": 161.3, "cy": 119.7}
+# As calibrations of real cameras have them.
+LENSES = {
+    "plumb_bob": Lens(**SIZE, model="plumb_bob", coefficients=(-0.28, 0.07, 3e-4, -5e-4, 0.01)),
+    "rational_polynomial": Lens(
+        **SIZE,
+        model="rational_polynomial",
+        coefficients=(0.45, -2.6, 8e-4, -1e-4, 1.5, 0.33, -2.4, 1.45),
+    ),
+    "equidistant": Lens(**SIZE, model="equidistant", coefficients=(-0.02, 0.01, -0.005, 0.001)),
+}
+EYE = look_at((2.0, 1.0, 0.7), (0, 0, 0))
+
+
+def pixels_of(lens: Lens) -> np.ndarray:
+    columns, rows = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
+    return np.stack([columns, rows], axis=-1).astype(np.float64)
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_rays_arrive_where_opencv_has_them(model: str) -> None:
+    lens = LENSES[model]
+    rays = lens.rays(pixels_of(lens))
+    matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
+    flat, d = rays.reshape(-1, 3), np.array(lens.coefficients)
+    if model == "equidistant":
+        points = (flat[:, :2] / flat[:, 2:])[None]
+        arrives = cv2.fisheye.distortPoints(points, matrix, d)[0]
+    else:
+        arrives = cv2.projectPoints(flat, np.zeros(3), np.zeros(3), matrix, d)[0][:, 0]
+    np.testing.assert_allclose(arrives, pixels_of(lens).reshape(-1, 2), atol=1e-4)
+    np.testing.assert_allclose(lens.project(rays), pixels_of(lens), atol=1e-4)
+
+
+def test_rays_that_do_not_arrive_are_none() -> None:
+    behind = np.array([[0.1, 0.2, -1.0]])
+    for lens in LENSES.values():
+        assert np.isnan(lens.project(np.array([[30.0, 0.0, 1.0]]))).all() or lens.model in (
+            "equidistant", "rational_polynomial",
+        )  # fmt: skip
+        if lens.model != "equidistant":
+            assert np.isnan(lens.project(behind)).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"width": 0}, "width is 0, expected 1 to 8192"),
+        ({"fx": 0.0, "fy": 0.0}, "k: focal lengths are 0.0, 0.0, expected more than 0"),
+        ({"cx": math.nan}, "a number is not finite"),
+        ({"model": "fisheye"}, "distortion_model is 'fisheye', known are plumb_bob"),
+        ({"model": "equidistant", "coefficients": (0, 0, 0, 0, 1)}, "d has 5 numbers, expected 4"),
+    ],
+)
+def test_what_is_no_lens_names_the_field(changes: dict[str, object], said: str) -> None:
+    with pytest.raises(LensError, match=said):
+        Lens(**(SIZE | changes))  # type: ignore[arg-type]
+
+
+def test_a_distortion_that_folds_is_refused() -> None:
+    with pytest.raises(LensError, match="the distortion folds: no ray arrives at pixel 0, 0"):
+        Warp(Lens(**SIZE, model="plumb_bob", coefficients=(-0.6,)))
+
+
+def test_around_a_fisheye_s_picture_nothing_is() -> None:
+    lens = Lens(320, 320, 70.0, 70.0, 159.5, 159.5, "equidistant", (0.0, -0.02))
+    warp = Warp(lens)
+    away = np.linalg.norm(pixels_of(lens) - 159.5, axis=-1)
+    assert warp.met[away < 99].all() and not warp.met[0, 0]
+    picture = take_picture(CpuRenderer(cloud()), warp, EYE, depth="median")
+    assert not picture.colour[~warp.met].any() and np.isnan(picture.depth[~warp.met]).all()
+
+
+def test_a_warped_picture_is_the_one_drawn_at_once() -> None:
+    """A distortion of next to nothing: what is left is what the warp costs."""
+    renderer = CpuRenderer(cloud())
+    straight = take_picture(renderer, Warp(Lens(**SIZE)), EYE, depth="median").colour
+    bent = Lens(**SIZE, model="plumb_bob", coefficients=(1e-12,))
+    warped = take_picture(renderer, Warp(bent), EYE, depth="median").colour
+    assert not np.array_equal(straight, warped)
+    assert decibels(warped, straight) >= 50
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_points_are_where_the_lens_has_them(lens: Lens) -> None:
+    """Small, opaque splats: each is brightest where project() takes it."""
+    random = np.random.default_rng(5)
+    splats = generate(1)
+    pixels = np.array([(12.0, 9.0), (160.0, 120.0), (300.0, 20.0), (40.0, 200.0), (310.0, 231.0)])
+    rays = lens.rays(pixels)
+    places = rays / rays[:, 2:] * random.uniform(2, 4, (len(rays), 1))
+    splats = splats[np.zeros(len(places), int)]
+    splats.origin[:] = 0
+    splats.positions[:] = places
+    splats.scales[:] = 0.004
+    splats.opacities[:] = 1
+    splats.sh[:] = 0
+    splats.sh[:, 0] = 1
+    picture = take_picture(CpuRenderer(splats), Warp(lens), np.eye(4), depth="median")
+    for (x, y), place in zip(pixels.astype(int), places, strict=True):
+        window = picture.colour[max(y - 4, 0) : y + 5, max(x - 4, 0) : x + 5, 0]
+        brightest = np.unravel_index(window.argmax(), window.shape)
+        assert (brightest[0] + max(y - 4, 0), brightest[1] + max(x - 4, 0)) == (y, x)
+        assert picture.depth is not None
+        assert picture.depth[y, x] == pytest.approx(place[2], rel=1e-5)
+
+
+def test_a_wide_fisheye_sees_what_narrow_cameras_see() -> None:
+    """Beyond 50 degrees off the axis, the faces of a cube are drawn."""
+    splats = cloud()  # around the camera, small and far: the others' shapes differ by camera
+    splats.positions[:] *= 3 / np.linalg.norm(splats.positions, axis=1, keepdims=True)
+    splats.scales[:] = np.random.default_rng(6).uniform(0.05, 0.2, (len(splats), 1))
+    renderer = CpuRenderer(splats)
+    fisheye = Lens(300, 300, 90.0, 90.0, 149.5, 149.5, "equidistant", (0.0,) * 4)
+    warp = Warp(fisheye)
+    assert len(warp.cameras(np.eye(4), 0.01, 100.0)) == 6
+    inside = look_at((0.1, 0.0, 0.0), (1.0, 0.0, 0.0))
+    wide = take_picture(renderer, warp, inside).colour
+    # To the right: what a pinhole camera sees that looks 80 degrees aside.
+    angle = math.radians(80)
+    turn = np.eye(4)
+    turn[:3, :3] = [
+        [math.cos(angle), 0, -math.sin(angle)],
+        [0, 1, 0],
+        [math.sin(angle), 0, math.cos(angle)],
+    ]
+    narrow = Lens(60, 60, 90.0, 90.0, 29.5, 29.5)
+    aside = take_picture(renderer, Warp(narrow), turn @ inside).colour
+    rays = narrow.rays(pixels_of(narrow)) @ turn[:3, :3]
+    x, y = np.moveaxis(fisheye.project(rays), -1, 0).astype(np.float32)
+    seen = cv2.remap(wide, x, y, cv2.INTER_CUBIC)
+    assert aside.std() > 0.05  # there was something to see
+    assert decibels(seen, aside) >= 28  # each picture blurs by 0.3 px^2 of its own pixels
+
+
+@pytest.mark.parametrize("kind", ["median", "expected"])
+def test_depths_are_the_reference_s(kind: str) -> None:
+    camera = CAMERAS["outside"]
+    lens = Lens(camera.width, camera.height, camera.fx, camera.fy, camera.cx - 0.5, camera.cy - 0.5)
+    renderer = CpuRenderer(cloud())
+    depth = take_picture(renderer, Warp(lens), camera.world_to_camera, depth=kind).depth
+    assert depth is not None
+    twin = reference.render(cloud(), camera)
+    expected = twin.median if kind == "median" else twin.depth
+    surface = twin.rgba[..., 3] >= 0.5
+    clear = np.abs(twin.rgba[..., 3] - 0.5) > 1e-3
+    np.testing.assert_array_equal(np.isinf(depth)[clear], ~surface[clear])
+    both = surface & np.isfinite(depth)
+    assert np.isclose(depth[both], expected[both], rtol=1e-3).mean() > 0.998
+
+
+def test_an_unknown_depth_is_refused() -> None:
+    with pytest.raises(ValueError, match="depth is 'mean', expected one of median, expected"):
+        take_picture(CpuRenderer(cloud()), Warp(Lens(**SIZE)), EYE, depth="mean")
+
+
+def test_normals_look_at_the_camera() -> None:
+    """Of flat splats on a wall, however the camera is turned."""
+    wall = generate(1)[np.zeros(400, int)]
+    wall.origin[:] = 0
+    grid = np.linspace(-1, 1, 20)
+    wall.positions[:] = np.stack([*np.meshgrid(grid, grid), np.zeros((20, 20))], -1).reshape(-1, 3)
+    wall.scales[:] = (0.1, 0.1, 0.001)
+    wall.orientations[:] = (0, 0, 0, 1)
+    wall.opacities[:] = 0.9
+    renderer = CpuRenderer(wall)
+    for eye in ((0.5, 0.3, 2.0), (0.5, 0.3, -2.0)):
+        pose = look_at(eye, (0, 0, 0))
+        normals = take_picture(renderer, Warp(Lens(**SIZE)), pose, normals=True).normals
+        assert normals is not None
+        seen = np.isfinite(normals).all(axis=-1)
+        assert seen.mean() > 0.2
+        expected = pose[:3, :3] @ (0, 0, math.copysign(1, eye[2]))
+        np.testing.assert_allclose(normals[seen], np.tile(expected, (seen.sum(), 1)), atol=1e-3)
+        assert expected[2] < 0  # towards the camera
+    assert renderer.settings.mode == DrawMode.COLOR
+
+
+@pytest.mark.parametrize("lens", [*LENSES.values(), Lens(**SIZE)], ids=[*LENSES, "pinhole"])
+def test_what_pixels_have_goes_back_to_those_they_are_made_of(lens: Lens) -> None:
+    """back() is the adjoint of colour(): both have the same inner product."""
+    random = np.random.default_rng(3)
+    warp = Warp(lens)
+    pictures = [
+        random.normal(size=(c.height, c.width, 1)).astype(np.float32)
+        for c in warp.cameras(np.eye(4), 0.01, 100.0)
+    ]
+    values = random.normal(size=(lens.height, lens.width)).astype(np.float32)
+    there = np.sum(warp.colour(pictures)[..., 0] * values, dtype=np.float64)
+    back = sum(
+        np.sum(picture[..., 0] * dealt, dtype=np.float64)
+        for picture, dealt in zip(pictures, warp.back(values), strict=True)
+    )
+    assert there == pytest.approx(back, rel=1e-3, abs=0.1)
+
+
+def test_cameras_of_a_pinhole_lens_are_the_lens() -> None:
+    (camera,) = Warp(Lens(**SIZE)).cameras(EYE, 0.5, 7.0)
+    assert isinstance(camera, Camera)
+    assert (camera.cx, camera.near, camera.far) == (SIZE["cx"] + 0.5, 0.5, 7.0)
+    np.testing.assert_array_equal(camera.world_to_camera, EYE)
