@@ -66,6 +66,13 @@ def test_what_touches_the_gpl_is_the_imu_panel_alone() -> None:
         assert not re.search(r"depend>[^<]*qcustomplot", manifest.read_text())
 
 
+def test_releases_of_ros_are_told_apart_in_one_header() -> None:
+    asked = [path for package in PACKAGES for path in (ROOT / package).rglob("*.[ch]pp")]
+    version = re.compile(r"^#.*_VERSION(_MAJOR)? [<>=]", re.MULTILINE)
+    telling = [path.name for path in asked if version.search(path.read_text())]
+    assert telling == ["ros_versions.hpp"]
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_packages_stand_in_a_line(package: str) -> None:
     """Tests may look up: they hold an engine against what draws with it."""

@@ -1,7 +1,5 @@
 #include "rosplat_tools/map_publisher.hpp"
 
-#include <rclcpp/version.h>
-
 #include <chrono>
 #include <future>
 #include <rosplat_msgs/msg/gaussian_array.hpp>
@@ -11,6 +9,8 @@
 #include <thread>
 #include <utility>
 #include <vector>
+
+#include "rosplat_tools/ros_versions.hpp"
 
 namespace rosplat {
 
@@ -26,12 +26,6 @@ constexpr int kWarningPeriod = 5000;  // [ms]
 // one that is gone by then. It looks every so often whether there is still a reason to wait.
 constexpr std::chrono::seconds kPatience(30);
 constexpr std::chrono::milliseconds kLook(100);
-
-#if RCLCPP_VERSION_MAJOR >= 17  // Iron
-rclcpp::QoS serviceQos() { return rclcpp::ServicesQoS(); }
-#else
-rmw_qos_profile_t serviceQos() { return rmw_qos_profile_services_default; }
-#endif
 
 geometry_msgs::msg::Pose messageOf(const Pose& pose) {
   geometry_msgs::msg::Pose message;

@@ -4,7 +4,7 @@
 #include <rviz_common/frame_position_tracking_view_controller.hpp>
 
 #include "fly_motion.hpp"
-#include "ros_versions.hpp"
+#include "rosplat_tools/ros_versions.hpp"
 
 class QKeyEvent;
 

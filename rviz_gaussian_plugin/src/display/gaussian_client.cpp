@@ -8,7 +8,7 @@
 
 #include "messages.hpp"
 #include "printable.hpp"
-#include "ros_versions.hpp"
+#include "rosplat_tools/ros_versions.hpp"
 
 namespace rosplat {
 

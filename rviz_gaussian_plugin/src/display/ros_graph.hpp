@@ -9,7 +9,4 @@ namespace rosplat {
 // known yet, for endpoints are heard of before their nodes.
 std::string nodeOf(const rclcpp::TopicEndpointInfo& endpoint);
 
-// After clients, services or subscriptions of a group were destroyed, for whoever spins it.
-void collectEntities(rclcpp::CallbackGroup& group) noexcept;
-
 }  // namespace rosplat

@@ -6,6 +6,7 @@
 #include <ament_index_cpp/get_package_prefix.hpp>
 
 #include "ros_graph.hpp"
+#include "rosplat_tools/ros_versions.hpp"
 
 namespace rosplat {
 
