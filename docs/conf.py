@@ -29,7 +29,10 @@ myst_enable_extensions = ["html_image"]
 default_role = "literal"
 
 # Without ROS 2, pages of modules that use it are made all the same.
-ROS = ("rclpy", "builtin_interfaces", "geometry_msgs", "sensor_msgs", "std_msgs", "rosplat_msgs")
+ROS = (
+    "rclpy", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces",
+    "rosplat_msgs", "sensor_msgs", "std_msgs",
+)  # fmt: skip
 autodoc_mock_imports = [] if find_spec("rclpy") else list(ROS)
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True}

@@ -163,7 +163,10 @@ def test_a_package_is_fit_for_release(package: str) -> None:
     assert not [key for key in named(package) if key.endswith("-pip")]  # bloom refuses them
 
 
-@pytest.mark.parametrize("package", ("rosplat_core", "rosplat_sorter", "rosplat_tools"))
+PUBLIC = ("rosplat_core", "rosplat_sorter", "rosplat_tools", "rviz_gaussian_plugin")
+
+
+@pytest.mark.parametrize("package", PUBLIC)
 def test_a_public_interface_has_what_it_names(package: str) -> None:
     module = importlib.import_module(package)
     assert module.__all__ == sorted(module.__all__)
@@ -171,3 +174,25 @@ def test_a_public_interface_has_what_it_names(package: str) -> None:
         assert getattr(module, name).__doc__
     assert not hasattr(module, "anything_else")
     assert (Path(module.__file__ or "").parent / "py.typed").exists()
+
+
+def test_the_api_s_page_has_the_public_interface_and_nothing_else() -> None:
+    page = (ROOT / "docs/api/python.md").read_text()
+    shown = re.findall(r"^\.\. auto\w+:: (\S+)$", page, re.MULTILINE)
+    public = {
+        f"{package}.{name}"
+        for package in PUBLIC
+        for name in importlib.import_module(package).__all__
+    }
+    assert set(shown) == public
+    assert len(shown) == len(public)
+
+
+def test_readme_and_guides_use_the_public_interface_alone() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs/guides").glob("*.md")]
+    used = re.compile(r"^(?:from|import) (rosplat_(?:core|sorter|tools)\.\w+)", re.MULTILINE)
+    assert not [found for page in pages for found in used.findall(page.read_text())]
+    headers = re.compile(r"#include <(rosplat_\S+)>")
+    for page in pages:
+        for header in headers.findall(page.read_text()):
+            assert f"`{header}`" in (ROOT / "CONTRIBUTING.md").read_text()

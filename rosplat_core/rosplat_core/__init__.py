@@ -1,6 +1,6 @@
 """Maps of 3D Gaussians without ROS: files, edits, depth order, pictures, simplification.
 
-What stands here is the public interface, loaded when it is first used; _core is private.
+What stands here is the public interface, loaded when it is first used; the modules are private.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rosplat_core.ordering import depth_order
     from rosplat_core.rendering import CpuRenderer, render
     from rosplat_core.simplification import simplify
+    from rosplat_core.slot_order import put_in_slot_order
     from rosplat_core.splats import SceneError, Splats, concatenate
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "load_cameras",
     "look_at",
     "orbit",
+    "put_in_slot_order",
     "render",
     "save",
     "save_cameras",
@@ -42,6 +44,7 @@ _MODULES = {
     "ordering": ("depth_order",),
     "rendering": ("CpuRenderer", "render"),
     "simplification": ("simplify",),
+    "slot_order": ("put_in_slot_order",),
     "splats": ("SceneError", "Splats", "concatenate"),
 }
 

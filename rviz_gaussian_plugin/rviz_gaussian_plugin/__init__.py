@@ -1,1 +1,6 @@
-"""The splat renderer of the rviz2 Display, for Python. Its modules are private."""
+"""The splat renderer of the rviz2 Display, for Python, a viewer and a demo.
+
+The modules are private; the programs are what is public.
+"""
+
+__all__: list[str] = []
