@@ -45,6 +45,10 @@ class Listener:
             assert time.monotonic() < deadline, "timed out"
             self._executor.spin_once(0.1)
 
+    def spin_once(self) -> None:
+        """Receives what comes next, if something does soon."""
+        self._executor.spin_once(0.1)
+
     def wait_for(self, count: int) -> None:
         """Until the map holds exactly count splats."""
         self.wait(lambda: self.map is not None and len(self.map) == count)

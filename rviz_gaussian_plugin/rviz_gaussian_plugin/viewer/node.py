@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from sensor_msgs.msg import Image
 
 from rosplat_core.log_text import shown
 from rosplat_core.maps import Arrival
@@ -27,7 +26,7 @@ from rosplat_msgs.srv import RenderView
 from rosplat_sorter.batches import apply, array, pose_values, positions_of
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW, overridable
-from rosplat_tools.messages import as_array
+from rosplat_tools.images import to_image
 from rosplat_tools.program.parameters import declare
 from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
@@ -331,8 +330,8 @@ class Viewer(Node):
             figures = self.draw_still(
                 request.camera, "render", min(request.order_timeout, LONGEST_WAIT)
             )
-            response.color = _image(self.renderer.read_color(), "32FC4")
-            response.depth = _image(self.renderer.read_depth(), "32FC1")
+            response.color = to_image(self.renderer.read_color(), "32FC4")
+            response.depth = to_image(self.renderer.read_depth(), "32FC1")
         except ExternalShutdownException:
             raise
         except Exception as error:  # no request may end the viewer
@@ -362,10 +361,3 @@ class _Request:
 
     def __post_init__(self) -> None:
         self.done = threading.Event()
-
-
-def _image(pixels: NDArray[np.float32], encoding: str) -> Image:
-    image = Image(encoding=encoding, height=pixels.shape[0], width=pixels.shape[1])
-    image.step = pixels.nbytes // pixels.shape[0]
-    image.data = as_array("B", pixels)
-    return image

@@ -1,0 +1,121 @@
+"""Calibrations of cameras: CameraInfo messages, the files of camera_calibration, and lenses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo
+
+from rosplat_core.lenses import Lens, LensError
+from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError
+
+# By field of CameraInfo: the key in the file, and how many numbers there are.
+_MATRICES = {
+    "k": ("camera_matrix", 9),
+    "d": ("distortion_coefficients", None),
+    "r": ("rectification_matrix", 9),
+    "p": ("projection_matrix", 12),
+}
+_OPTIONAL = ("r", "p")
+
+
+def of_lens(lens: Lens) -> CameraInfo:
+    """The message for a lens, of a camera that isn't one of a stereo pair."""
+    k = [lens.fx, 0.0, lens.cx, 0.0, lens.fy, lens.cy, 0.0, 0.0, 1.0]
+    return CameraInfo(
+        width=lens.width,
+        height=lens.height,
+        distortion_model=lens.model or "plumb_bob",
+        d=list(lens.coefficients) or [0.0] * 5,
+        k=k,
+        r=np.eye(3).ravel(),
+        p=[*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0],
+    )
+
+
+def lens_of(info: CameraInfo) -> Lens:
+    """The lens of a camera's own, distorted pictures. Raises LensError, naming the field."""
+    _check_window(info)
+    k = info.k
+    return Lens(
+        info.width, info.height, k[0], k[4], k[2], k[5], info.distortion_model, tuple(info.d)
+    )
+
+
+def rectified(info: CameraInfo) -> tuple[Lens, NDArray[np.float64]]:
+    """The lens of rectified pictures, and the rotation (3, 3) of the camera's rays into its own.
+
+    Raises LensError, naming the field.
+    """
+    _check_window(info)
+    rotation, p = np.reshape(info.r, (3, 3)), info.p
+    if not np.allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=1e-4):
+        raise LensError("r: expected a rotation")
+    try:
+        return Lens(info.width, info.height, p[0], p[5], p[2], p[6]), rotation
+    except LensError as error:
+        raise LensError(str(error).replace("k:", "p:")) from error
+
+
+def _check_window(info: CameraInfo) -> None:
+    """Whether pictures are of all pixels."""
+    if max(info.binning_x, info.binning_y) > 1:
+        raise LensError(f"binning is {info.binning_x} x {info.binning_y}, expected none")
+    roi = info.roi
+    if (roi.width or roi.height) and (roi.width, roi.height) != (info.width, info.height):
+        raise LensError(f"roi is {roi.width} x {roi.height}, expected the whole picture")
+
+
+def load(path: str) -> CameraInfo:
+    """Reads a calibration as camera_calibration and camera_info_manager write it, YAML.
+
+    Raises SceneError, naming the file and the key.
+    """
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"{shown(path)}: {error.strerror or error}") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise SceneError(f"{shown(path)}: no YAML: {shown(error, 200)}") from error
+    try:
+        info = _read(content)
+        lens_of(info)
+    except LensError as error:
+        raise SceneError(f"{shown(path)}: {error}") from error
+    return info
+
+
+def _read(content: Any) -> CameraInfo:
+    if not isinstance(content, dict):
+        raise LensError("expected keys and values")
+    info = CameraInfo()
+    for field, key in (("width", "image_width"), ("height", "image_height")):
+        value = content.get(key)
+        if not isinstance(value, int) or not 0 < value < 1 << 31:
+            raise LensError(f"{key} is {shown(value)!r}, expected a whole number of pixels")
+        setattr(info, field, value)
+    model = content.get("distortion_model", "")
+    if not isinstance(model, str):
+        raise LensError(f"distortion_model is {shown(model)!r}, expected a name")
+    info.distortion_model = model
+    for field, (key, count) in _MATRICES.items():
+        if field in _OPTIONAL and key not in content:
+            continue
+        setattr(info, field, _numbers(content.get(key), key, count))
+    if not info.r.any():
+        info.r = np.eye(3).ravel()
+    return info
+
+
+def _numbers(matrix: Any, key: str, count: int | None) -> list[float]:
+    data = matrix.get("data") if isinstance(matrix, dict) else None
+    if not isinstance(data, list) or not all(isinstance(value, int | float) for value in data):
+        raise LensError(f"{key}: no data, or not of numbers")
+    if count is not None and len(data) != count:
+        raise LensError(f"{key}: {len(data)} numbers, expected {count}")
+    return [float(value) for value in data]

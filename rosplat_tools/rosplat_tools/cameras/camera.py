@@ -1,0 +1,246 @@
+"""Takes pictures of a map where TF, or a topic of poses, has a robot's cameras.
+
+Hears `gaussians`. For each NAME of the parameter `cameras`, publishes NAME/camera_info and, where
+somebody hears them, NAME/image_raw, NAME/depth/image_raw and NAME/normals, at the time of the pose.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from copy import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.time import Time
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+
+from rosplat_core.lens_pictures import DEPTHS, LensPicture, take_picture
+from rosplat_core.lenses import Lens, LensError, Warp
+from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError
+from rosplat_tools.cameras import calibrations
+from rosplat_tools.cameras.drawn_map import DrawnMap
+from rosplat_tools.cameras.health import Diagnostics, Health
+from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
+from rosplat_tools.cameras.poses import NEVER, Poses, declare_poses
+from rosplat_tools.images import to_bytes, to_image
+from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.running import run, spinning
+
+# Reliable: readers that ask for best effort are served as well.
+PICTURES = QoSProfile(depth=5)
+POLL = 0.005  # how often TF is asked [s]
+TOPIC = "topic"  # in place of a calibration file
+
+
+class CameraNode(Node):
+    """Holds one map for all of its cameras. Callbacks hand over; film() draws."""
+
+    def __init__(self) -> None:
+        """Raises SceneError for a parameter that makes no sense."""
+        super().__init__("camera")
+        names = declare(self, "cameras", ["camera"], "Names of the cameras.")
+        rate = declare(self, "rate", 10.0, "Pictures of each camera at most. [Hz]", 0.01, 1000.0)
+        near = declare(self, "near", 0.01, "Splats nearer than this are left out. [m]", 1e-4, 1e6)
+        far = declare(self, "far", 1e6, "Splats farther than this are left out. [m]", 1e-3, 1e10)
+        depth = declare(self, "depth", DEPTHS[0], "Which depth: " + ", ".join(DEPTHS))
+        if len(set(names)) < len(names) or not all(name.isidentifier() for name in names):
+            raise SceneError(f"parameter cameras: expected names, each once, got {names}")
+        if not near < far:
+            raise SceneError(f"parameters near, far: {near} is not less than {far}")
+        if depth not in DEPTHS:
+            known = ", ".join(DEPTHS)
+            raise SceneError(f"parameter depth: expected one of {known}, got '{shown(depth)}'")
+        self._came = threading.Event()
+        poses = declare_poses(self, names, self._came.set)
+        self._map = DrawnMap(self, self._came.set)
+        self._cameras = [
+            _Camera(self, name, poses, self._map, Shot(1 / rate, near, far, depth))
+            for name in names
+        ]
+        Diagnostics(self, [camera.health for camera in self._cameras])
+
+    def film(self) -> None:
+        """Takes pictures until ROS ends."""
+        while self.context.ok():
+            self._came.wait(POLL)
+            self._came.clear()
+            self._map.take()
+            for camera in self._cameras:
+                camera.film()
+
+
+@dataclass(frozen=True)
+class Shot:
+    """How pictures are taken."""
+
+    period: int
+    """Between two of a camera, at least. [ns]"""
+    near: float
+    """Depths between which splats are drawn. [m]"""
+    far: float
+    depth: str
+    """Of lens_pictures.DEPTHS."""
+
+
+class _NoPicture(Exception):
+    """Why there is none: a kind of reason to count, and a line to say."""
+
+    def __init__(self, kind: str, text: object) -> None:
+        super().__init__(str(text))
+        self.kind = kind
+
+
+class _Camera:
+    """One camera: its parameters, topics and lens."""
+
+    def __init__(
+        self, node: CameraNode, name: str, poses: Poses, drawn_map: DrawnMap, shot: Shot
+    ) -> None:
+        self._node, self._name, self._poses, self._map = node, name, poses, drawn_map
+        self._shot = shot
+        self.health = Health(name, node.get_logger().warning)
+        self._frame_id: str = declare(
+            node, f"{name}.frame_id", f"{name}_optical", "Its optical frame, of TF and of pictures."
+        )
+        self._info = self._calibration()
+        self._warp: Warp | None = None
+        self._fault = ""  # why there is none
+        self._warped: CameraInfo | None = None  # what the warp is of
+        self._last = self._due = 0  # of pictures' times [ns]
+        self._looked = time.monotonic()
+        self._rests_until = 0.0  # after trouble, so that it is counted once a period
+        advertise = node.create_publisher
+        self._infos = [
+            advertise(CameraInfo, f"{name}/{topic}", PICTURES)
+            for topic in ("camera_info", "depth/camera_info")
+        ]
+        self._image = advertise(Image, f"{name}/image_raw", PICTURES)
+        self._depth = advertise(Image, f"{name}/depth/image_raw", PICTURES)
+        self._normals = advertise(Image, f"{name}/normals", PICTURES)
+
+    def _calibration(self) -> CameraInfo | None:
+        def of(what: str, *rest: Any) -> Any:
+            return declare(self._node, f"{self._name}.{what}", *rest)
+
+        path = of("calibration", "", "A file of camera_calibration; topic: NAME/calibration.")
+        width = of("width", 640, "Of pictures without a calibration. [px]", 1, 8192)
+        height = of("height", 360, "Of pictures without a calibration. [px]", 1, 8192)
+        angle = of("fov", 1.2, "Horizontal, without a calibration. [rad]", 0.01, 3.1)
+        if path == TOPIC:
+            topic = f"{self._name}/calibration"
+            hear, qos = self._on_calibration, qos_profile_sensor_data
+            self._node.create_subscription(CameraInfo, topic, hear, qos)
+            return None
+        return (
+            calibrations.load(path)
+            if path
+            else calibrations.of_lens(Lens.of_view(width, height, angle))
+        )
+
+    def _on_calibration(self, info: CameraInfo) -> None:
+        info.header = Header()  # whatever its time, it is the same calibration
+        if info != self._info:
+            self._info = info
+
+    def film(self) -> None:
+        """Takes a picture, if there is a pose that has none, and if it is time for one."""
+        now = time.monotonic()
+        passed, self._looked = now - self._looked, now
+        self.health.counts["skipped"] += int(passed * SECOND / self._shot.period)
+        if now < self._rests_until:
+            return
+        try:
+            self._film()
+        except _NoPicture as none:
+            self.health.trouble(none.kind, none)
+            self._rests_until = now + self._shot.period / SECOND
+
+    def _film(self) -> None:
+        began = time.perf_counter()
+        warp = self._lens()
+        if problem := self._map.problem():
+            raise _NoPicture("without a map", problem)
+        try:
+            stamp, pose = self._poses.newest(self._name, self._frame_id, self._map.frame_id)
+        except PoseError as error:
+            raise _NoPicture("without a pose", error) from error
+        now = self._node.get_clock().now().nanoseconds
+        stamp = now if stamp == NEVER else stamp
+        if stamp < self._last - SECOND:  # simulated time has begun again
+            self._last = self._due = 0
+        if stamp <= self._last or stamp < self._due - self._shot.period // 4:
+            return
+        picture = self._draw(warp, pose)
+        self._last, self._due = stamp, max(self._due + self._shot.period, stamp)
+        self._publish(
+            picture, Header(stamp=Time(nanoseconds=stamp).to_msg(), frame_id=self._frame_id)
+        )
+        latency = (self._node.get_clock().now().nanoseconds - stamp) / SECOND
+        self.health.well(latency, time.perf_counter() - began)
+
+    def _lens(self) -> Warp:
+        info = self._info
+        if info is None:
+            raise _NoPicture("without a lens", "no CameraInfo has come on its topic calibration")
+        if info is not self._warped:
+            self._warp, self._warped = None, info
+            try:
+                self._warp = Warp(calibrations.lens_of(info))
+            except LensError as error:
+                self._fault = f"the calibration is refused: {error}"
+        if self._warp is None:
+            raise _NoPicture("without a lens", self._fault)
+        return self._warp
+
+    def _draw(self, warp: Warp, pose: Pose) -> LensPicture | None:
+        listened = [
+            t.get_subscription_count() > 0 for t in (self._image, self._depth, self._normals)
+        ]
+        if not any(listened):
+            return None
+        depth, shot = self._shot.depth if listened[1] else "", self._shot
+        try:
+            return take_picture(
+                self._map.renderer, warp, np.linalg.inv(pose).astype(np.float64),
+                near=shot.near, far=shot.far, depth=depth, normals=listened[2],
+            )  # fmt: skip
+        except (RuntimeError, MemoryError) as error:
+            raise _NoPicture("not drawn", shown(error, 300) or "out of memory") from error
+
+    def _publish(self, picture: LensPicture | None, header: Header) -> None:
+        assert self._warped
+        info = copy(self._warped)
+        info.header = header
+        for publisher in self._infos:
+            publisher.publish(info)
+        if not picture:
+            return
+        images = [(self._image, to_image(to_bytes(picture.colour), "rgb8"))]
+        if picture.depth is not None:
+            images.append((self._depth, to_image(picture.depth, "32FC1")))
+        if picture.normals is not None:
+            images.append((self._normals, to_image(picture.normals, "32FC3")))
+        for publisher, image in images:
+            image.header = header
+            publisher.publish(image)
+
+
+def main() -> None:
+    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
+    run("camera", _film)
+
+
+def _film() -> None:
+    node = CameraNode()
+    with spinning(node):
+        node.film()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Where something was: poses by their times, with what lies between two of them. Pure."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_core.quaternions import from_matrices, to_matrices
+
+SECOND = 10**9  # [ns]
+
+Pose = NDArray[np.float64]
+"""(4, 4), from the frame of what moves into that in which it does. [m]"""
+
+
+class PoseError(LookupError):
+    """A pose that isn't known; the text says why."""
+
+
+class PoseHistory:
+    """Poses of the last seconds. Times are in nanoseconds; one of 0 holds until the next pose."""
+
+    def __init__(self, keeps: float = 10.0) -> None:
+        """keeps: how far back. [s]"""
+        self._keeps = round(keeps * SECOND)
+        self._poses: list[tuple[int, Pose]] = []
+
+    def add(self, stamp: int, pose: Pose) -> None:
+        """Takes a pose. Where time has gone back by more than is kept, the others are forgotten."""
+        if not stamp or (self._poses and stamp < self._poses[-1][0] - self._keeps):
+            self._poses.clear()
+        if stamp and self._poses and not self._poses[0][0]:
+            self._poses.clear()  # what held until now
+        self._poses = [each for each in self._poses if each[0] != stamp]
+        insort(self._poses, (stamp, pose), key=lambda each: each[0])
+        oldest = self._poses[-1][0] - self._keeps
+        self._poses = [each for each in self._poses if each[0] >= oldest]
+
+    def newest(self) -> tuple[int, Pose]:
+        """The last pose and its time. Raises PoseError before the first one."""
+        if not self._poses:
+            raise PoseError("no pose has come yet")
+        return self._poses[-1]
+
+    def at(self, stamp: int) -> Pose:
+        """The pose at a time: position linear, rotation by the shortest turn (slerp).
+
+        Raises PoseError outside of the times that are known.
+        """
+        newest, pose = self.newest()
+        oldest = self._poses[0][0]
+        if not newest:
+            return pose
+        if not oldest <= stamp <= newest:
+            side, apart = (
+                ("after", stamp - newest) if stamp > newest else ("before", oldest - stamp)
+            )
+            raise PoseError(f"{apart / SECOND:.3f} s {side} all poses that are known")
+        number = bisect_left(self._poses, stamp, key=lambda each: each[0])
+        after, second = self._poses[number]
+        if after == stamp:
+            return second
+        before, first = self._poses[number - 1]
+        return between(first, second, (stamp - before) / (after - before))
+
+
+def between(first: Pose, second: Pose, share: float) -> Pose:
+    """The pose at a share, 0 to 1, of the way from one to another."""
+    a, b = from_matrices(np.stack([first, second])[:, :3, :3])
+    cosine = float(a @ b)
+    if cosine < 0:  # the other quaternion of the same rotation
+        b, cosine = -b, -cosine
+    angle = np.arccos(min(cosine, 1.0))
+    if angle < 1e-6:
+        weights = 1 - share, share
+    else:
+        weights = np.sin((1 - share) * angle), np.sin(share * angle)
+    pose = np.eye(4)
+    pose[:3, :3] = to_matrices(weights[0] * a + weights[1] * b)
+    pose[:3, 3] = (1 - share) * first[:3, 3] + share * second[:3, 3]
+    return pose

@@ -1,0 +1,241 @@
+"""The program camera, in a process of its own, against pictures drawn here."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image
+
+from rosplat_core.cameras import look_at
+from rosplat_core.generated import generate
+from rosplat_core.lens_pictures import take_picture
+from rosplat_core.lenses import Lens, Warp
+from rosplat_core.rendering import CpuRenderer
+from rosplat_testing import PATIENCE, Listener
+from rosplat_tools.cameras.calibrations import of_lens
+from rosplat_tools.images import from_image, to_bytes
+from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.poses import to_pose
+
+SPLATS = generate(3000, seed=2)
+EYE = look_at((6.0, 1.0, 2.0), (0.0, 0.0, 0.5))
+BESIDE = look_at((0.0, 6.0, 2.0), (0.0, 0.0, 0.5))
+LENS = Lens.of_view(160, 120, 1.0)
+BARREL = Lens(160, 120, 150.0, 150.0, 80.0, 60.0, "plumb_bob", (-0.2, 0.03, 1e-3, 0, 0))
+PINHOLE = {"camera.width": 160, "camera.height": 120, "camera.fov": 1.0}
+
+
+class Studio:
+    """Poses and calibrations for a camera's program, and what it publishes."""
+
+    def __init__(self, node: Node, listener: Listener, name: str = "camera") -> None:
+        self.node, self.listener, self.name = node, listener, name
+        self.heard: dict[str, list[Any]] = {}
+        self._poses = node.create_publisher(PoseStamped, f"{name}/pose", 10)
+        self._infos = node.create_publisher(CameraInfo, f"{name}/calibration", 10)
+
+    def hear(self, topic: str, kind: Any = Image) -> None:
+        messages: list[Any] = self.heard.setdefault(topic, [])
+        self.node.create_subscription(kind, f"{self.name}/{topic}", messages.append, 10)
+
+    def pose(self, world_to_camera: np.ndarray, seconds: int = 0, frame: str = "map") -> None:
+        """seconds: 0, the pose holds."""
+        message = PoseStamped(pose=to_pose(np.linalg.inv(world_to_camera)))
+        message.header.frame_id, message.header.stamp.sec = frame, seconds
+        self.listener.wait(lambda: self._poses.get_subscription_count())
+        self._poses.publish(message)
+
+    def calibrate(self, info: CameraInfo) -> None:
+        self.listener.wait(lambda: self._infos.get_subscription_count())
+        self._infos.publish(info)
+
+    def next(self, topic: str = "image_raw") -> Any:
+        """A message that comes from now on."""
+        count = len(self.heard[topic])
+        self.listener.wait(lambda: len(self.heard[topic]) > count)
+        return self.heard[topic][count]
+
+
+class Log:
+    """What a program says."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout
+        self.lines: list[str] = []
+        threading.Thread(target=self.lines.extend, args=(process.stdout,), daemon=True).start()
+
+    def has(self, text: str) -> bool:
+        return any(text in line for line in self.lines)
+
+    @property
+    def warnings(self) -> list[str]:
+        return [line for line in self.lines if "[INFO]" not in line]
+
+
+@pytest.fixture
+def studio(node: Node, listener: Listener) -> Studio:
+    return Studio(node, listener)
+
+
+@pytest.fixture
+def publisher(node: Node) -> MapPublisher:
+    made = MapPublisher(node)
+    made.replace(SPLATS)
+    return made
+
+
+def drawn(lens: Lens, world_to_camera: np.ndarray, **wanted: Any) -> Any:
+    return take_picture(CpuRenderer(SPLATS), Warp(lens), world_to_camera, **wanted)
+
+
+def depths_of(image: Image) -> np.ndarray:
+    assert image.encoding == "32FC1"
+    return np.frombuffer(image.data, np.float32).reshape(image.height, image.width)
+
+
+@pytest.mark.usefixtures("publisher")
+def test_pictures_are_those_of_the_renderer(
+    studio: Studio, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    for topic in ("image_raw", "depth/image_raw", "normals"):
+        studio.hear(topic)
+    studio.hear("camera_info", CameraInfo)
+    studio.hear("depth/camera_info", CameraInfo)
+    start("camera", poses="topic", rate=50.0, **PINHOLE)
+    expected = drawn(LENS, EYE, depth="median", normals=True)
+    studio.pose(EYE, seconds=7)
+    image, depth = studio.next(), None
+    studio.listener.wait(lambda: all(studio.heard.values()))
+    assert (image.header.stamp.sec, image.header.frame_id) == (7, "camera_optical")
+    assert image.encoding == "rgb8"
+    np.testing.assert_array_equal(from_image(image), to_bytes(expected.colour))
+    depth = depths_of(studio.heard["depth/image_raw"][0])
+    np.testing.assert_array_equal(depth, expected.depth)
+    assert 3 < np.median(depth[np.isfinite(depth)]) < 9
+    normals = np.frombuffer(studio.heard["normals"][0].data, np.float32).reshape(120, 160, 3)
+    np.testing.assert_array_equal(normals, expected.normals)
+    info = studio.heard["camera_info"][0]
+    assert info.header == image.header
+    assert (info.k[0], info.k[2]) == (LENS.fx, LENS.cx)
+    assert studio.heard["depth/camera_info"][0] == info
+
+
+@pytest.mark.usefixtures("publisher")
+def test_several_cameras_share_a_map(
+    node: Node, listener: Listener, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    studios = {name: Studio(node, listener, name) for name in ("left", "right")}
+    for studio in studios.values():
+        studio.hear("image_raw")
+    sizes = {f"{name}.{key[7:]}": value for name in studios for key, value in PINHOLE.items()}
+    start("camera", poses="topic", cameras="[left, right]", **sizes)
+    for (name, studio), eye in zip(studios.items(), (EYE, BESIDE), strict=True):
+        studio.pose(eye)
+        image = studio.next()
+        assert image.header.frame_id == f"{name}_optical"
+        np.testing.assert_array_equal(from_image(image), to_bytes(drawn(LENS, eye).colour))
+
+
+@pytest.mark.usefixtures("publisher")
+def test_a_camera_as_calibrated_by_a_topic_and_what_it_refuses(
+    studio: Studio, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    studio.hear("image_raw")
+    process = start("camera", poses="topic", **{"camera.calibration": "topic"})
+    studio.pose(EYE)
+    log = Log(process)
+    studio.listener.wait(lambda: log.has("no CameraInfo has come on its topic calibration"))
+    studio.calibrate(CameraInfo())
+    studio.listener.wait(lambda: log.has("the calibration is refused: width is 0, expected"))
+    studio.calibrate(of_lens(Lens(160, 120, 90.0, 90.0, 80.0, 60.0, "plumb_bob", (-0.6,))))
+    studio.listener.wait(lambda: log.has("refused: d: the distortion folds: no ray arrives at"))
+    assert not studio.heard["image_raw"]
+    studio.calibrate(of_lens(BARREL))
+    image = studio.next()
+    np.testing.assert_array_equal(from_image(image), to_bytes(drawn(BARREL, EYE).colour))
+    assert len(log.warnings) == 3
+
+
+def test_nothing_is_published_of_a_map_in_part_or_a_pose_elsewhere(
+    node: Node, studio: Studio, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    studio.hear("image_raw")
+    process = start("camera", poses="topic", **PINHOLE)
+    log = Log(process)
+    studio.listener.wait(lambda: log.has("no map has come yet"))
+    studio.pose(EYE)
+    publisher = MapPublisher(node)
+    half = len(SPLATS) // 2
+    publisher.replace(SPLATS[:half], expected_slots=len(SPLATS))
+    studio.listener.wait(lambda: log.has("the map isn't complete: 1,500 splats, more is to come"))
+    studio.pose(EYE, frame="elsewhere")
+    publisher.upsert(range(half, len(SPLATS)), SPLATS[half:])
+    studio.listener.wait(lambda: log.has("poses are in 'elsewhere', the map is in 'map'"))
+    assert not studio.heard["image_raw"]
+    studio.pose(EYE)
+    np.testing.assert_array_equal(from_image(studio.next()), to_bytes(drawn(LENS, EYE).colour))
+    assert len(log.warnings) == 3
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "said"),
+    [
+        ("poses", "tx", "parameter poses: expected tf or topic, got 'tx'"),
+        ("depth", "mean", "parameter depth: expected one of median, expected, got 'mean'"),
+        ("near", 1e6, "parameters near, far: 1000000.0 is not less than 1000000.0"),
+        ("camera.calibration", "/nowhere.yaml", "/nowhere.yaml: No such file or directory"),
+        ("cameras", "['a b']", "parameter cameras: expected names"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    start: Callable[..., subprocess.Popen[str]], parameter: str, value: object, said: str
+) -> None:
+    process = start("camera", **{"poses": "topic", parameter: value})
+    log, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    lines = [line for line in log.splitlines() if "[INFO]" not in line]
+    assert len(lines) == 1 and lines[0].startswith("camera: ") and said in lines[0]
+
+
+@pytest.mark.usefixtures("publisher")
+def test_a_camera_follows_tf(
+    node: Node, studio: Studio, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    pytest.importorskip("tf2_ros")
+    from tf2_ros import StaticTransformBroadcaster, TransformBroadcaster
+
+    studio.hear("image_raw")
+    process = start("camera", rate=50.0, **PINHOLE)
+    log = Log(process)
+    studio.listener.wait(lambda: log.has("does not exist"))  # TF, before it has come
+    body = np.eye(4)
+    body[:3, 3] = (0.3, -0.1, 0.2)
+    StaticTransformBroadcaster(node).sendTransform(transform("body", "camera_optical", body))
+    moving = TransformBroadcaster(node)
+    for second, eye in ((5, EYE), (6, BESIDE)):
+        count = len(studio.heard["image_raw"])
+        while len(studio.heard["image_raw"]) == count:
+            pose = np.linalg.inv(eye) @ np.linalg.inv(body)
+            moving.sendTransform(transform("map", "body", pose, second))
+            studio.listener.spin_once()
+        image = studio.heard["image_raw"][-1]
+        assert image.header.stamp.sec == second
+        difference = from_image(image).astype(int) - to_bytes(drawn(LENS, eye).colour)
+        assert np.abs(difference).max() <= 1  # poses are multiplied
+
+
+def transform(parent: str, child: str, pose: np.ndarray, seconds: int = 0) -> TransformStamped:
+    made = TransformStamped(child_frame_id=child)
+    made.header.frame_id, made.header.stamp.sec = parent, seconds
+    place = to_pose(pose)
+    made.transform.rotation = place.orientation
+    for axis in "xyz":
+        setattr(made.transform.translation, axis, getattr(place.position, axis))
+    return made
