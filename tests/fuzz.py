@@ -6,6 +6,7 @@ without a word here; what makes it valid is a line in `_batch`, `order` or `view
 
 from __future__ import annotations
 
+import base64
 import gzip
 import io
 import json
@@ -233,11 +234,13 @@ def scenes(folder: Path) -> list[Scene]:
     made: list[Scene] = []
     splats = random_splats(40, 1)
     for module in formats.FORMATS:
-        if hasattr(module, "write"):
-            path = folder / f"scene{module.SUFFIX}"
+        if hasattr(module, "write") and module is not formats.usd:
+            (suffix,) = module.SUFFIXES
+            path = folder / f"scene{suffix}"
             formats.save(path, splats)
             made.append({path.name: path.read_bytes()})
     made.append({"text.ply": _as_text(folder / "scene.ply")})
+    made += _as_gltf((folder / "scene.glb").read_bytes())
     near = splats[:]
     near.positions[:] = np.clip(near.positions, -2.4, 2.4)
     made += [{"s.ksplat": ksplat([near[:25], near[25:]], level)} for level in range(3)]
@@ -263,6 +266,36 @@ def scenes(folder: Path) -> list[Scene]:
     return made
 
 
+def usd_scenes(folder: Path) -> list[Scene]:
+    """A small scene of each kind of OpenUSD's, which usd-core writes."""
+    folder.mkdir()
+    made = []
+    for suffix in formats.usd.SUFFIXES:
+        path = folder / f"scene{suffix}"
+        formats.save(path, random_splats(40, 1))
+        made.append({path.name: path.read_bytes()})
+    return made
+
+
+def _as_gltf(data: bytes) -> list[Scene]:
+    """A .glb as text, with its buffer inside it and beside it."""
+    asset, buffer = _glb(data)
+    told = json.loads(asset)
+    told["nodes"] = [{"children": [1], "rotation": [0, 0.6, 0, 0.8]}, told["nodes"][0]]
+    uris = [f"data:;base64,{base64.b64encode(buffer).decode()}", "buffer.bin"]
+    texts = []
+    for uri in uris:
+        told["buffers"][0]["uri"] = uri
+        texts.append(json.dumps(told).encode())
+    return [{"a.gltf": texts[0]}, {"b.gltf": texts[1], "buffer.bin": buffer}]
+
+
+def _glb(data: bytes) -> tuple[bytes, bytes]:
+    """The JSON and the buffer of a .glb."""
+    end = 20 + int.from_bytes(data[12:16], "little")
+    return data[20:end], data[end + 8 :]
+
+
 def _as_text(path: Path) -> bytes:
     from plyfile import PlyData
 
@@ -282,6 +315,8 @@ def damaged(rng: Generator, data: bytes) -> bytes:
         inside = _damaged_zip
     elif data[:1] == b"{":
         inside = _damaged_text_of_json
+    elif data[:4] == b"glTF":
+        inside = _damaged_glb
     elif data[:4] == b"ply\n":
         inside = _damaged_header
     if inside and rng.integers(4):
@@ -323,6 +358,14 @@ def _damaged_zip(rng: Generator, data: bytes) -> bytes:
             content = whole.read(name)
             bundle.writestr(name, damaged(rng, content) if name == victim else content)
     return out.getvalue()
+
+
+def _damaged_glb(rng: Generator, data: bytes) -> bytes:
+    text, buffer = _glb(data)
+    text = _damaged_text_of_json(rng, text)
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(buffer), len(text), b"JSON")
+    return head + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer
 
 
 def _damaged_header(rng: Generator, data: bytes) -> bytes:

@@ -17,6 +17,9 @@ if ! command -v splat-transform >/dev/null; then
   printf '\n\033[1;33mSKIPPED: no splat-transform here (npm install -g @playcanvas/splat-transform), scene files were '
   printf 'not held against it.\033[0m\n\n'
 fi
+if ! python -c 'import pxr' 2>/dev/null; then
+  printf '\n\033[1;33mSKIPPED: no usd-core here (pip install usd-core), OpenUSD was neither written nor read.\033[0m\n\n'
+fi
 # From a folder where no package's sources hide the installed ones.
 cd tests
 package_tests() { # one run for each

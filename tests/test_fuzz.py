@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
 import os
 import shutil
@@ -19,6 +20,7 @@ from typing import Any
 
 import fuzz
 import numpy as np
+import pytest
 from std_msgs.msg import Header
 from test_conformance import Display, Publisher, Sorter, Twin
 
@@ -361,10 +363,24 @@ def test_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
     in_a_process("read", tmp_path)
 
 
-def read() -> Claims:
+@pytest.mark.skipif(importlib.util.find_spec("pxr") is None, reason="no usd-core (PyPI)")
+def test_damaged_usd_files_are_refused_by_name(tmp_path: Path) -> None:
+    in_a_process("read_usd", tmp_path)
+
+
+def read_usd() -> Claims:
+    """As read; a process for each case takes a second."""
+    return read("read_usd", fuzz.usd_scenes, fuzz.CASES // 20)
+
+
+def read(
+    name: str = "read",
+    scenes: Callable[[Path], list[fuzz.Scene]] = fuzz.scenes,
+    cases: int = fuzz.CASES,
+) -> Claims:
     """A damaged file is a scene, or a SceneError of a line that names it."""
     folder = Path.cwd()
-    wholes = fuzz.scenes(folder / "wholes")
+    wholes = scenes(folder / "wholes")
     claims = Claims()
     loaded = refused = 0
 
@@ -390,9 +406,9 @@ def read() -> Claims:
 
     for scene in wholes:  # what readers import on the way is no file's claim
         assert len(formats.load(put(scene, folder))) > 0
-    one_by_one("read", fuzz.CASES, check)
+    one_by_one(name, cases, check)
     if not fuzz.CASE:
-        assert min(loaded, refused) > fuzz.CASES / 10
+        assert min(loaded, refused) > cases / 10
     return claims
 
 
@@ -459,7 +475,13 @@ def test_nodes_outlive_what_their_peers_send(tmp_path: Path, node: Any, listener
 
 
 def _run(name: str) -> None:
-    checks = {"receive": receive, "publish": publish, "draw": draw, "read": read}
+    checks = {
+        "receive": receive,
+        "publish": publish,
+        "draw": draw,
+        "read": read,
+        "read_usd": read_usd,
+    }
     found = checks[name]().most
     Path(f"{name}.json").write_text(json.dumps(found, indent=1))
 

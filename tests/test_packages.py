@@ -43,8 +43,8 @@ LIBRARIES = {
     "zstandard": Library(None, "zstandard"),
 }
 # What some machines have and nothing demands: cupy, cuda.core with it, and torch sort on a GPU;
-# gsplat is measured beside ours; the maps of gsplat_msgs are shown.
-OPTIONAL = {"cuda", "cupy", "cupyx", "gsplat", "gsplat_msgs", "torch"}
+# gsplat is measured beside ours; the maps of gsplat_msgs are shown; pxr (usd-core) reads OpenUSD.
+OPTIONAL = {"cuda", "cupy", "cupyx", "gsplat", "gsplat_msgs", "pxr", "torch"}
 
 
 def named(package: str, *kinds: str) -> set[str]:

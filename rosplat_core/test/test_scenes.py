@@ -60,7 +60,13 @@ def test_a_scene_without_a_usable_splat(tmp_path: Path) -> None:
 
 
 def test_up_follows_the_format_where_it_has_one(tmp_path: Path) -> None:
-    for ending, up in ((".spz", (0, 1, 0)), (".ply", None), (".sog", None), (".splat", None)):
+    for ending, up in (
+        (".spz", (0, 1, 0)),
+        (".glb", (0, 1, 0)),
+        (".ply", None),
+        (".sog", None),
+        (".splat", None),
+    ):
         formats.save(tmp_path / f"a{ending}", generate(3))
         assert scenes.vertical(str(tmp_path / f"a{ending}")) == up
     assert scenes.vertical("procedural:3") == scenes.vertical("rooms:3") == (0, 0, 1)

@@ -17,6 +17,7 @@ import numpy as np
 
 from rosplat_core.formats import (
     compressed_ply,
+    gltf,
     ksplat,
     ply,
     sog,
@@ -24,6 +25,7 @@ from rosplat_core.formats import (
     splatam,
     spz,
     streamed_sog,
+    usd,
 )
 from rosplat_core.formats.bounds import size_of
 from rosplat_core.formats.decoded import Axes, Progress, Warn
@@ -48,12 +50,16 @@ __all__ = [
 _log = logging.getLogger(__name__)
 
 # Each module has NAME, recognises(path, head), axes(path) and read(path, progress, warn); what can
-# be written has SUFFIX and write(stream, path, splats) as well, where path is for errors to name,
-# IN_SPACE_ORDER where it packs neighbours, and KEEPS_CHANNELS where it does.
+# be written has SUFFIXES and write(stream, path, splats) as well, where path is for errors to name,
+# IN_SPACE_ORDER where it packs neighbours, FINITE where it has no way to write other numbers,
+# KEEPS_CHANNELS where it does, TELLS_UP where write takes the vertical as well, and require(path)
+# where it needs a package that may be missing. DRAWN says how a format has its splats drawn.
 FORMATS: tuple[ModuleType, ...] = (
     compressed_ply,
     ply,
     spz,
+    gltf,
+    usd,  # zips of the one below
     streamed_sog,
     splatam,
     sog,
@@ -62,7 +68,7 @@ FORMATS: tuple[ModuleType, ...] = (
 )
 
 # Endings that can be written, for the user.
-SUFFIXES = ", ".join(module.SUFFIX for module in FORMATS if hasattr(module, "write"))
+SUFFIXES = ", ".join(s for module in FORMATS if hasattr(module, "write") for s in module.SUFFIXES)
 
 HEAD = 1 << 16  # what a module may see of a file's beginning [bytes]
 
@@ -115,11 +121,13 @@ def load(
 def check_output(path: str | Path, overwrite: bool = False) -> None:
     """Raises SceneError, before there is anything to write, where save would fail.
 
-    For an ending that can't be written, a folder that isn't there or that nothing can be written
-    to, and a file that would be lost.
+    For an ending that can't be written, a package that this needs, a folder that isn't there or
+    that nothing can be written to, and a file that would be lost.
     """
     path = Path(path)
-    _writer(path)
+    writer = _writer(path)
+    if hasattr(writer, "require"):
+        writer.require(path)
     with _told(path):
         exists = path.exists()
     if not path.parent.is_dir():
@@ -134,9 +142,10 @@ def check_output(path: str | Path, overwrite: bool = False) -> None:
         raise SceneError(f"{path}: exists already (--overwrite replaces it)")
 
 
-def save(path: str | Path, splats: Splats) -> Splats:
+def save(path: str | Path, splats: Splats, up: tuple[float, float, float] | None = None) -> Splats:
     """Writes a scene; the path's ending chooses the format. Replaces a file that exists, whole.
 
+    up: the vertical of the splats' coordinates, where it is known, for formats that tell it.
     Returns the splats in the order of the file: formats that pack neighbours put them in space
     order; channels that a format has no place for are left out, with a warning in the log. Raises
     SceneError for an ending that can't be written, splats that a format has no way to write, a
@@ -150,16 +159,19 @@ def save(path: str | Path, splats: Splats) -> Splats:
         )
         splats = replace(splats, channels={})
     with _told(path):
-        if getattr(writer, "IN_SPACE_ORDER", False):
+        packs = getattr(writer, "IN_SPACE_ORDER", False)
+        if packs or getattr(writer, "FINITE", False):
             _require_finite(path, splats)
+        if packs:
             splats = splats[space_order(splats.positions)]
+        more = {"up": up} if getattr(writer, "TELLS_UP", False) else {}
         # What a format has no number for becomes its largest.
         with (
             replacing(path) as partial,
             partial.open("wb") as stream,
             np.errstate(over="ignore"),
         ):
-            writer.write(stream, path, splats)
+            writer.write(stream, path, splats, **more)
     return splats
 
 
@@ -167,11 +179,11 @@ def _require_finite(path: Path, splats: Splats) -> None:
     arrays = (splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
     with np.errstate(invalid="ignore"):  # of infinities
         if not all(np.isfinite(array.sum(dtype=np.float64)) for array in arrays):
-            raise SceneError(f"{path}: a number that is not finite can't be packed")
+            raise SceneError(f"{path}: a number that is not finite can't be written")
 
 
 def _writer(path: Path) -> ModuleType:
-    writers = {module.SUFFIX: module for module in FORMATS if hasattr(module, "write")}
+    writers = {s: module for module in FORMATS if hasattr(module, "write") for s in module.SUFFIXES}
     # .compressed.ply before .ply
     for suffix in sorted(writers, key=len, reverse=True):
         if path.name.lower().endswith(suffix):

@@ -42,7 +42,7 @@ from rosplat_core.formats.quantised import largest_restored, smallest_three, to_
 from rosplat_core.splats import SceneError, Splats
 
 NAME = "compressed PLY"
-SUFFIX = ".compressed.ply"
+SUFFIXES = (".compressed.ply",)
 IN_SPACE_ORDER = True
 
 CHUNK = 256  # splats

@@ -73,6 +73,16 @@ class Columns(NamedTuple):
             np.empty((n, k, 3), np.float32),
         )
 
+    def part(self, which: slice) -> Columns:
+        """Some of the splats: what is written to these is written here."""
+        return Columns(
+            self.positions[which],
+            self.orientations[which],
+            self.scales[which],
+            self.opacities[which],
+            self.sh[which],
+        )
+
 
 def decoded(
     path: Path,

@@ -32,7 +32,7 @@ from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 NAME = "PLY"
-SUFFIX = ".ply"
+SUFFIXES = (".ply",)
 KEEPS_CHANNELS = True
 
 POSITION = ["x", "y", "z"]

@@ -48,7 +48,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 NAME = "SOG"
-SUFFIX = ".sog"
+SUFFIXES = (".sog",)
 IN_SPACE_ORDER = True
 
 META = "meta.json"

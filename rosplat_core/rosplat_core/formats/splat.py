@@ -31,7 +31,7 @@ from rosplat_core.formats.quantised import to_bytes
 from rosplat_core.splats import SceneError, Splats
 
 NAME = ".splat"
-SUFFIX = ".splat"
+SUFFIXES = (".splat",)
 
 RECORD = np.dtype(
     [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)]
@@ -40,7 +40,7 @@ RECORD = np.dtype(
 
 def recognises(path: Path, head: bytes) -> bool:
     """Whether a path has the ending."""
-    return path.suffix.lower() == SUFFIX
+    return path.suffix.lower() in SUFFIXES
 
 
 def axes(path: Path) -> Axes:

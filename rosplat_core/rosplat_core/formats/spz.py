@@ -35,7 +35,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 NAME = "SPZ"
-SUFFIX = ".spz"
+SUFFIXES = (".spz",)
 IN_SPACE_ORDER = True  # packs better
 
 MAGIC = b"NGSP"
@@ -126,7 +126,7 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
 
     Keeps fewer fractional bits where 24 don't reach; raises SceneError where none are left.
     """
-    zstandard = _zstandard(path)
+    zstandard = require(path)
     degree = splats.sh_degree
     bits = _fractional_bits(path, splats)
     flags = FLAG_ANTIALIASED if splats.antialiased else 0
@@ -222,7 +222,7 @@ def _read_streams(
     table = stream.read(TABLE_ENTRY.size * header.streams)
     if len(table) < TABLE_ENTRY.size * header.streams:
         raise SceneError(f"{path}: truncated: no table of contents at {table_place:,}")
-    zstandard = _zstandard(path)
+    zstandard = require(path)
     packed: Packed = {}
     for name, width in header.widths.items():
         data = b""
@@ -285,7 +285,8 @@ def _system(path: Path, stream: BinaryIO) -> str:
     return SYSTEMS[0]
 
 
-def _zstandard(path: Path):  # type: ignore[no-untyped-def]  # a module
+def require(path: Path):  # type: ignore[no-untyped-def]  # a module
+    """The package that version 4 needs. Raises SceneError that names it."""
     try:
         import zstandard
     except ImportError as error:  # rosdep has no key for it
