@@ -39,10 +39,11 @@ def main(arguments: list[str] | None = None) -> int:
             splats = load_scene(options.input, progress, warn)
         if options.sh_degree is not None:
             splats = splats.with_sh_degree(min(options.sh_degree, splats.sh_degree))
-        written = save(options.output, splats)
+        up = vertical(options.input)
+        written = save(options.output, splats, up)
         with watched("reading back") as progress:
             back = load(options.output, progress, warn)
-        up, written_up = vertical(options.input), axes(options.output).up
+        read_as = axes(options.output)
         errors = report(written, back)
     except (SceneError, MemoryError) as error:
         print(f"convert: {told(error)}", file=sys.stderr)
@@ -51,8 +52,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     say(f"{options.output}: {len(back):,} splats, SH degree {back.sh_degree}")
     say(errors)
-    if written_up not in (None, up):
-        warn(f"programs that read {options.output} take its axes for {axes(options.output).text}")
+    if read_as.up not in (None, up):
+        warn(f"programs that read {options.output} take its axes for {read_as.text}")
     return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from rosplat_core.cameras import UP
 from rosplat_core.formats import SceneError, check_output, save
 from rosplat_core.generated import SCENES, generate
 from rosplat_core.program.output import say, told
@@ -31,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
             splats = generate(
                 options.count, options.seed, options.sh_degree, progress, options.scene
             )
-        save(options.output, splats)
+        save(options.output, splats, UP)
     except (SceneError, MemoryError) as error:
         print(f"generate: {told(error)}", file=sys.stderr)
         return 1

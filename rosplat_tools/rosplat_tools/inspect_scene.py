@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from rosplat_core.depth import LEAST_ALPHA
 from rosplat_core.formats import SceneError, axes, format_of, streamed_sog
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.scenes import NAMES, is_generated, read_scene
+from rosplat_core.splats import Splats
 
 QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
 
@@ -34,6 +36,8 @@ def describe(path: str | Path) -> str:
         "antialiased": "yes" if splats.antialiased else "no",
         "in memory": f"{_bytes(used.nbytes)}, {used.nbytes // max(1, len(used))} bytes per splat",
     }
+    if drawn := _drawn(str(path), splats):
+        rows["drawn"] = drawn
     if splats.channels:
         rows["channels"] = ", ".join(
             f"{name} ({np.count_nonzero(np.isfinite(values)):,} values)"
@@ -59,6 +63,19 @@ def _format(name: str) -> str:
         return "made by generate"
     path = Path(name)
     return f"{format_of(path).NAME}, {_bytes(_file_size(path))}"
+
+
+def _drawn(name: str, splats: Splats) -> str:
+    """What the format's own rule of drawing changes, if it has one."""
+    rule = "" if is_generated(name) else getattr(format_of(name), "DRAWN", "")
+    if not rule or not len(splats):
+        return ""
+    # alpha at 3 sigma: opacity exp(-9 / 2)
+    beyond = np.count_nonzero(splats.opacities * np.exp(-4.5) > LEAST_ALPHA) / len(splats)
+    return (
+        f"elsewhere {rule}; here sorted by depth, cut at an alpha of 1/255: {100 * beyond:.3g} % "
+        "of the splats reach farther"
+    )
 
 
 def _file_size(path: Path) -> int:

@@ -1,5 +1,6 @@
 """Convert writes what it read, or says why it didn't."""
 
+import importlib.util
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -9,8 +10,13 @@ import pytest
 
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
+from rosplat_core.scenes import vertical
 from rosplat_core.splats import Splats
 from rosplat_tools.convert import main
+
+lacking = importlib.util.find_spec("pxr") is None
+usdc = pytest.param(".usdc", marks=pytest.mark.skipif(lacking, reason="no usd-core (PyPI)"))
+ENDINGS = [".ply", ".compressed.ply", ".spz", ".sog", ".splat", ".glb", usdc]
 
 
 def test_a_scene_is_converted(scene: Callable[[str], Path], tmp_path: Path) -> None:
@@ -26,6 +32,17 @@ def test_a_scene_may_be_generated(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load(tmp_path / "a.ply").positions, generate(40, 7).positions)
 
 
+@pytest.mark.skipif(lacking, reason="no usd-core (PyPI)")
+def test_the_vertical_of_the_input_is_told(
+    random_splats: Callable[..., Splats], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(tmp_path / "y.spz", random_splats(4))
+    for source, up in ((str(tmp_path / "y.spz"), (0, 1, 0)), ("procedural:4", (0, 0, 1))):
+        assert main([source, str(tmp_path / "a.usda"), "--overwrite"]) == 0
+        assert vertical(str(tmp_path / "a.usda")) == up
+    assert "take its axes" not in capsys.readouterr().err
+
+
 def test_bands_can_be_cut_off_but_not_made(
     random_splats: Callable[..., Splats], tmp_path: Path
 ) -> None:
@@ -36,7 +53,7 @@ def test_bands_can_be_cut_off_but_not_made(
         assert load(target).sh_degree == written
 
 
-@pytest.mark.parametrize("ending", [".ply", ".compressed.ply", ".spz", ".sog", ".splat"])
+@pytest.mark.parametrize("ending", ENDINGS)
 def test_the_round_trips_error_is_told(
     random_splats: Callable[..., Splats],
     tmp_path: Path,
@@ -61,15 +78,17 @@ def test_the_round_trips_error_is_told(
     assert float(table["position [m]"][2]) == pytest.approx(
         np.linalg.norm(moved, axis=1).max(), rel=0.01, abs=1e-9
     )
-    lossless = ending == ".ply"
+    lossless = ending in (".ply", ".glb", ".usdc")
     assert (float(table["harmonics"][2]) == 0) == lossless
-    assert ("take its axes for x right, y up" in err) == (ending == ".spz")
+    axes = {".spz": "x right, y up", ".glb": "x left, y up", ".usdc": "z up"}.get(ending)
+    assert ("take its axes for" in err) == (axes is not None)
+    assert axes is None or f"take its axes for {axes}" in err
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("largest", [1e20, 3.4e38])
 @pytest.mark.parametrize("field", ["positions", "scales", "sh"])
-@pytest.mark.parametrize("ending", [".ply", ".compressed.ply", ".spz", ".sog", ".splat"])
+@pytest.mark.parametrize("ending", ENDINGS)
 def test_numbers_at_the_end_of_float32_end_nothing(
     random_splats: Callable[..., Splats],
     tmp_path: Path,

@@ -67,6 +67,17 @@ def test_axes_that_a_format_fixes(random_splats: Make, tmp_path: Path) -> None:
     assert rows(describe(tmp_path / "a.spz"))["axes"] == "x right, y up, z back (by SPZ's rule)"
 
 
+def test_what_a_format_s_rule_of_drawing_changes(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(10)
+    splats.opacities[:] = [0.35, *[0.36] * 9]  # 3 sigma is where alpha is 1/255: at exp(4.5) / 255
+    save(tmp_path / "a.glb", splats)
+    drawn = rows(describe(tmp_path / "a.glb"))["drawn"]
+    assert "by their distance from the camera, cut at 3 sigma" in drawn
+    assert "90 % of the splats reach farther" in drawn
+    save(tmp_path / "a.ply", splats)
+    assert "drawn" not in rows(describe(tmp_path / "a.ply"))
+
+
 def test_a_streamed_scene_is_as_large_as_its_parts(tmp_path: Path) -> None:
     path = write_scene(tmp_path / "scene")
     size = sum(part.stat().st_size for part in path.parent.rglob("*") if part.is_file())

@@ -23,8 +23,8 @@ from rosplat_tools.program.processes import fast_dds_profile
 ARGUMENTS = {
     "scene": (
         "",
-        "Scene file to publish: .ply, .spz, .sog, .splat, .ksplat or a SOG folder; a lod-meta.json "
-        "is streamed; empty: the map comes from elsewhere",
+        "Scene file to publish: .ply, .spz, .sog, .splat, .ksplat, .glb, .usd or a SOG folder; a "
+        "lod-meta.json is streamed; empty: the map comes from elsewhere",
     ),
     "max_splats": ("2000000", "The most splats of a streamed scene that the map holds"),
     "topic": (

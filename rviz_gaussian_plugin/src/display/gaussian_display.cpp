@@ -61,8 +61,9 @@ GaussianDisplay::GaussianDisplay() {
   qos_property_ = new rviz_common::properties::QosProfileProperty(topic_, qos_);
   scene_file_ = new rviz_common::properties::FilePickerProperty(
       "Scene File", "",
-      "Open a scene (.ply, .spz, .sog, .splat, .ksplat): the topic's publisher loads it, or one "
-      "that is started here. A file may be dropped on the window, too. Empty it to cancel.",
+      "Open a scene (.ply, .spz, .sog, .splat, .ksplat, .glb, .usd): the topic's publisher, or one "
+      "that is started here, loads it. A file may be dropped on the window, too. Empty it to "
+      "cancel.",
       this, SLOT(openScene()));
   settings_ = std::make_unique<DisplaySettings>(this, [this] { applySettings(); });
   backend_ =

@@ -15,7 +15,8 @@ QString sceneIn(const QMimeData& data) {
   for (const QUrl& url : data.urls()) {
     const QFileInfo file(url.toLocalFile());
     const QString suffix = file.suffix().toLower();
-    const QStringList scenes = {"ply", "spz", "sog", "splat", "ksplat"};
+    const QStringList scenes = {"ply",  "spz", "sog",  "splat", "ksplat", "glb",
+                                "gltf", "usd", "usda", "usdc",  "usdz"};
     const bool scene =
         file.isDir() ? QDir(file.filePath()).exists("meta.json") : scenes.contains(suffix);
     if (scene) return file.filePath();
