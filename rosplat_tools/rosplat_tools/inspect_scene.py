@@ -73,8 +73,8 @@ def _drawn(name: str, splats: Splats) -> str:
     # alpha at 3 sigma: opacity exp(-9 / 2)
     beyond = np.count_nonzero(splats.opacities * np.exp(-4.5) > LEAST_ALPHA) / len(splats)
     return (
-        f"elsewhere {rule}; here sorted by depth, cut at an alpha of 1/255: {100 * beyond:.3g} % "
-        "of the splats reach farther"
+        f"elsewhere {rule}; here by depth, cut at an alpha of 1/255: {100 * beyond:.3g} % of the "
+        "splats reach farther"
     )
 
 

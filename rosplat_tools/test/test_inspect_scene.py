@@ -72,7 +72,7 @@ def test_what_a_format_s_rule_of_drawing_changes(random_splats: Make, tmp_path: 
     splats.opacities[:] = [0.35, *[0.36] * 9]  # 3 sigma is where alpha is 1/255: at exp(4.5) / 255
     save(tmp_path / "a.glb", splats)
     drawn = rows(describe(tmp_path / "a.glb"))["drawn"]
-    assert "by their distance from the camera, cut at 3 sigma" in drawn
+    assert "by distance from the camera, cut at 3 sigma" in drawn
     assert "90 % of the splats reach farther" in drawn
     save(tmp_path / "a.ply", splats)
     assert "drawn" not in rows(describe(tmp_path / "a.ply"))

@@ -42,7 +42,7 @@ from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficien
 NAME = "glTF"
 SUFFIXES = (".glb",)
 FINITE = True
-DRAWN = "sorted by their distance from the camera, cut at 3 sigma"
+DRAWN = "sorted by distance from the camera, cut at 3 sigma"
 
 EXTENSION = "KHR_gaussian_splatting"
 READ = {EXTENSION, "KHR_mesh_quantization"}  # of what a file may require
