@@ -54,9 +54,9 @@ CHUNK = struct.Struct("<I4s")  # length, kind
 LARGEST_JSON = 1 << 26  # a .gltf holds its buffers in it [bytes]
 MOST_PRIMITIVES = 10_000  # a mesh may stand in many places
 MAX_BYTES = 1 << 53  # JSON's whole numbers
-LONGEST_NAME = 4096  # of a file [bytes]
+LONGEST_NAME = 255  # of a file [bytes]
 
-POINTS = 0  # mode of a primitive
+POINTS, TRIANGLES = 0, 4  # modes of a primitive; the latter where none is given
 ARRAY_BUFFER = 34962
 BYTE, UNSIGNED_BYTE, SHORT, UNSIGNED_SHORT, FLOAT = 5120, 5121, 5122, 5123, 5126
 DTYPES: dict[int, np.dtype[Any]] = {
@@ -427,8 +427,9 @@ class _Asset:
     # --- Attributes
 
     def _primitive(self, primitive: Any, told: Any, pose: NDArray[np.float64]) -> _Primitive:
-        if primitive.get("mode", 4) != POINTS:
-            raise SceneError(f"{self.path}: splats in mode {primitive.get('mode')!r}, not points")
+        mode = primitive.get("mode", TRIANGLES)
+        if mode != POINTS:
+            raise SceneError(f"{self.path}: splats in mode {shown(repr(mode))}, not as points")
         if told.get("kernel", "ellipse") != "ellipse":
             raise SceneError(f"{self.path}: kernel {shown(repr(told['kernel']))} isn't read")
         colours = told.get("colorSpace", COLOUR_SPACE)
