@@ -12,6 +12,7 @@ import pytest
 from rosplat_core.cameras import Camera, look_at, save_cameras
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
+from rosplat_core.simplification import search
 from rosplat_core.simplification.search import LEARNT, Simplification, Trial, learn
 from rosplat_core.simplification.views import HELD, TURN, Along, Around
 from rosplat_core.slot_order import put_in_slot_order
@@ -128,13 +129,16 @@ def test_refitting_looks_along_the_path(scene: Splats, path: list[Camera]) -> No
     assert (work.splats.positions[:, 2] < HIGH / 2).all()
 
 
-def test_a_larger_scene_takes_more_views() -> None:
-    rooms, thing = generate(30_000, scene="rooms"), generate(3000)
-    many, few = (
-        learn(Trial(splats), Around(splats), lambda what, part: None).views
-        for splats in (rooms, thing)
-    )
-    assert many > few
+def test_views_are_looked_at_until_those_held_back_gain_no_more(
+    scene: Splats, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    views = Around(scene)
+    counts = []
+    for still in (1e3, -1e3):  # what no doubling gains, and what each does
+        monkeypatch.setattr(views, "still", still)
+        monkeypatch.setattr(search, "MOST_LEARNT", 4 * LEARNT)
+        counts.append(learn(Trial(scene), views, lambda what, part: None).views)
+    assert counts == [LEARNT, 4 * LEARNT]
 
 
 def test_a_trajectory_and_its_intrinsics(

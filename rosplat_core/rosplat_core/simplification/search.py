@@ -36,9 +36,10 @@ from rosplat_core.splats import SceneError, Splats
 PIXELS = WIDTH * HEIGHT // 4  # of a view that contributions are found in: more views gain more
 VALUES = 3 * PIXELS
 LEARNT, MOST_LEARNT = 24, 768  # of these views, at first and in the end
-STILL = 1.0  # by which held-back views gain less where there are enough [dB]
 LEARNT_SEED = 0
 REFIT_SEED = 2  # of the views that maps are refitted to
+LEFT_OUT = 60.0  # PSNR down to which leaving out beats merging, where only such views matter [dB]
+BATCH = 1 << 19  # splats that are sent to a renderer at a time
 UNSEEN = 0.03  # transmittance that each splat counts as seen through beside what views see of it
 CONTRAST = 0.09  # mean square by which what no view sees counts as different from what is behind it
 LEAST = 1e-30  # error whose logarithm is taken
@@ -119,9 +120,10 @@ class Trial:
             self._edit(UPSERT, slots, self.splats[slots])
 
     def _edit(self, operation: int, slots: Indices, splats: Splats) -> None:
-        if len(slots):
+        for start in range(0, len(slots), BATCH):
+            part = slice(start, start + BATCH)
             self._revision += 1
-            edit(self.renderer, operation, slots, splats, self._revision)
+            edit(self.renderer, operation, slots[part], splats[part], self._revision)
 
 
 @dataclass(frozen=True)
@@ -129,10 +131,10 @@ class Learnt:
     """What views tell of splats, and how many of them did."""
 
     contributions: Contributions
-    hidden: Indices
-    """Splats that need not show, since they do in no view: those first that are missed least."""
+    alone: Indices
+    """Splats by what is lost without them, the least first; none where other views matter, too."""
     pixel: float
-    """Size of one where views look, in those that maps are held to. [m]"""
+    """Size of one where the splats are, in views that maps are held to. [m]"""
     views: int
 
 
@@ -157,7 +159,7 @@ def learn(trial: Trial, places: Views, progress: Progress) -> Learnt:
             errors = _look(trial, camera, sums)
         least = errors <= np.median(errors)
         worst = _decibels(max(float(lost[least[slots]].sum()) for slots, lost in held) / VALUES)
-        if learnt and worst < before + STILL:
+        if learnt and worst < before + places.still:
             return learnt
         views, before = views + more, worst
         learnt = _learnt(trial.splats, places, sums, views)
@@ -172,7 +174,7 @@ def _look(trial: Trial, camera: Camera, sums: Sums) -> NDArray[np.float32]:
 
 
 def _learnt(splats: Splats, places: Views, sums: Sums, views: int) -> Learnt:
-    """With a little for what no view sees: others will, unless these are all that matter."""
+    """With a little for what no view sees: others will."""
     found = [array[: len(splats)] for array in (sums.weight, sums.energy, sums.error)]
     hidden = found[0] == 0
     if places.complete and hidden.all():
@@ -181,16 +183,13 @@ def _learnt(splats: Splats, places: Views, sums: Sums, views: int) -> Learnt:
     unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixels**2, PIXELS)
     weight = views * UNSEEN * unhidden
     if places.complete:
-        weight *= hidden
+        weight *= hidden  # what is seen now and then needs no more: it would displace what matters
     energy = weight * UNSEEN * splats.opacities / 2  # a Gaussian's squares have half its integral
     missed = (weight, energy, CONTRAST * energy)
-    which = np.flatnonzero(hidden & places.complete)
-    return Learnt(
-        Contributions(*(array + more for array, more in zip(found, missed, strict=True))),
-        which[np.argsort(energy[which])],
-        float(np.average(places.pixels, weights=found[0])) if found[0].any() else places.pixels[0],
-        views,
-    )
+    contributions = Contributions(*(one + more for one, more in zip(found, missed, strict=True)))
+    alone = np.argsort(contributions.error, kind="stable")[:-1]
+    pixel = float(np.median(places.pixels if hidden.all() else places.pixels[~hidden]))
+    return Learnt(contributions, alone if places.complete else alone[:0], pixel, views)
 
 
 class Simplification:
@@ -213,13 +212,12 @@ class Simplification:
         self._contributions = self.learnt.contributions
         self._values = self.learnt.views * VALUES
         self._whole = splats, self._contributions
-        hidden = self.learnt.hidden
-        self._first = self._without(hidden) if len(hidden) else self._pairs()
         progress("drawing the views to check", 0.0)
         self.judge = Judge(self._trial, self.views.held)
         # What the tries so far say: errors go about with a power of the sum of the pairs' costs.
         self._slope, self._offset = 1.0, COHERENT
         self._telling, self._others = np.arange(len(self.views.held)), 1.0
+        self._first = self._spare() if self.views.complete else self._pairs()
 
     def reduce(self, count: int) -> None:
         """To count splats, or a few fewer."""
@@ -310,14 +308,20 @@ class Simplification:
         return error
 
     def _rounds(self) -> Iterator[Pairs]:
-        pairs = self._first if self.splats is self._whole[0] else self._pairs()
+        pairs = (self._first if self.splats is self._whole[0] else None) or self._pairs()
         while len(pairs):
             yield pairs
             pairs = self._pairs()
 
-    def _without(self, which: Indices) -> Pairs:
-        costs = self._contributions.error[which]
-        return Pairs(self.splats, self._contributions, which, which, costs, self.learnt.pixel)
+    def _spare(self) -> Pairs:
+        """What is left out before anything is merged: all that is not missed at LEFT_OUT."""
+
+        def first(count: int) -> Pairs:
+            which = self.learnt.alone[:count]
+            costs = self._contributions.error[which]
+            return Pairs(self.splats, self._contributions, which, which, costs, self.learnt.pixel)
+
+        return first(self._most(first(len(self.splats)), LEFT_OUT, 0.0)[0])
 
     def _pairs(self) -> Pairs:
         return find_pairs(

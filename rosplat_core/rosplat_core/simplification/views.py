@@ -59,6 +59,8 @@ class Views(Protocol):
     """Of views from a path, where there is one. [m]"""
     complete: bool
     """Whether what shows in none of many such views need not show in any."""
+    still: float
+    """By which the worst of held-back views gains less where there are views enough. [dB]"""
     held: list[Camera]
     """That maps are held to, and nothing is learnt from."""
     pixels: NDArray[np.float64]
@@ -73,6 +75,7 @@ class Around:
 
     margin: float | None = None
     complete: bool = False
+    still: float = 3.0  # merging makes up for much
 
     def __init__(self, splats: Splats) -> None:
         """Raises SceneError, as whereabouts."""
@@ -114,6 +117,7 @@ class Along:
     """Cameras along a path, and neighbours of them: beside the path, and turned."""
 
     complete: bool = True
+    still: float = 1.0
 
     def __init__(self, splats: Splats, path: Sequence[Camera], margin: float | None = None) -> None:
         """margin: of neighbours from the path [m]; MARGIN of the way to what is nearest to the
