@@ -59,7 +59,7 @@ def test_what_no_view_sees_counts_for_little(garden: Splats) -> None:
         )
     )
     found = learn(Trial(splats), Around(splats), lambda what, part: None).contributions
-    assert 0 < found.weight[-1] < 0.1 * found.weight[0]
+    assert 0 < found.weight[-1] < 0.3 * found.weight[0]
     assert 0 < found.energy[-1] < 0.1 * found.energy[0]
     assert found.error[-1] > 0
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rosplat_core.cameras import save_cameras
 from rosplat_core.depth import order
 from rosplat_core.formats import save as save_scene
 from rosplat_core.generated import generate
@@ -329,3 +330,16 @@ def test_a_list_of_displays_is_refused_with_its_file(tmp_path: Path, text: str, 
     file.write_text(text)
     with pytest.raises(SceneError, match=f"displays.yaml: .*{why}"):
         rviz.read_displays(file)
+
+
+def test_ways_to_fewer_splats_are_judged_along_a_path(tmp_path: Path) -> None:
+    cameras = scenes.overview(generate(3000), 320, 180, 20)
+    save_cameras(tmp_path / "path.json", cameras)
+    records = bench(tmp_path, "simplify", "--sizes", "3k", "--cameras", str(tmp_path / "path.json"))
+    found = {
+        record.parameters["method"]: record.value
+        for record in records
+        if record.name == "PSNR" and record.parameters["share"] == 0.5
+    }
+    assert found["simplify, along the path"] > found["random"] + 3
+    assert "simplify" in found and "simplify, refitted" not in found

@@ -2,7 +2,7 @@
 
 Synthetic views tell what each splat contributes; neighbours that look most like one are merged,
 those first that are missed least. PSNR is that of other views, against the scene as it was. Where
-a path of cameras is given, views are those along it, and what never shows there is left out first.
+a path of cameras is given, views are those along it, and what is missed least there is left out.
 """
 
 from __future__ import annotations
