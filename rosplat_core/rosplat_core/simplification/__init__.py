@@ -22,7 +22,7 @@ def simplify(
     Neighbours that look most like one are merged, those first that views from in and around the map
     miss least. psnr: of other views together, against the map as it is [dB]. refine: how long what
     is left is then refitted to pictures of the map, which raises its PSNR [s]. cameras: a path, if
-    only views along it matter: what never shows there is left out first. margin: how far from the
+    only views along it matter: what is missed least there is left out. margin: how far from the
     path such views are at most [m], a quarter of the way to what is nearest to it by default.
     Raises SceneError unless either psnr or max_splats is given, above 0, and for an empty path.
     """
