@@ -128,7 +128,7 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
     jx = vec3(view.focal.x, 0.0, 0.0);
     jy = vec3(0.0, view.focal.y, 0.0);
   } else {
-    vec2 slack = 0.15 * view.whole_picture / view.focal;  // 0.3 tan(fov / 2)
+    vec2 slack = kTangentSlack * view.whole_picture / view.focal;
     vec2 tangent = clamp(p.xy / p.z, -view.whole_principal_point / view.focal - slack,
                          (view.whole_picture - view.whole_principal_point) / view.focal + slack);
     jx = vec3(view.focal.x, 0.0, -view.focal.x * tangent.x) / p.z;

@@ -16,8 +16,6 @@ const uint kBatch = 256u, kWords = kBatch / 32u;
 // 32 lanes blend a block of a tile's pixels, and skip the splats that don't reach it.
 const ivec2 kPart = ivec2(8, 4);
 const uint kParts = 8u;
-// What is still to come can't change a pixel by more than this, of a white splat.
-const float kTransparent = 1e-5;
 
 shared vec4 places[kBatch];  // centre [px], window depth, peakOf()
 shared vec4 axes[kBatch];    // falloffAxes()
@@ -100,7 +98,7 @@ void main() {
           colour_behind += transmittance_behind * alpha * splat;
           nearness += transmittance_behind * alpha * (1.0 - place.z);
           transmittance_behind *= 1.0 - alpha;
-          done = transmittance * transmittance_behind < kTransparent;
+          done = transmittance * transmittance_behind < kTransparentInTiles;
           if (done) atomicAdd(finished, 1u);
           continue;
         }
@@ -108,7 +106,7 @@ void main() {
         if (place.z > hidden_from || place.z < 0.0) continue;
         colour += transmittance * alpha * splat;
         transmittance *= 1.0 - alpha;
-        done = transmittance < kTransparent;
+        done = transmittance < kTransparentInTiles;
         if (done) atomicAdd(finished, 1u);
       }
     }

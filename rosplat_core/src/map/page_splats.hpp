@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/slots/splat_arrays.hpp"
 
 namespace rosplat {
@@ -11,7 +12,7 @@ namespace rosplat {
 // The splats of a page of slots, in memory of the page's own or in someone else's.
 class PageSplats {
  public:
-  static constexpr std::size_t kSlots = 1024;
+  static constexpr std::size_t kSlots = kPageSlots;
 
   // A map's channels by their places in it. Null: the page has no values of it.
   using Channels = std::vector<const float*>;

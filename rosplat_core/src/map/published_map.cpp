@@ -23,7 +23,6 @@ namespace {
 using Batch = PublishedMap::Batch;
 
 constexpr const char* kNone = "none";
-static_assert(PageSplats::kSlots == kPageSlots);
 // Of an answer to a pull: each client, idle or not, keeps room for some of the largest.
 constexpr std::size_t kAnswerBytes = 2'000'000;
 // Of a batch without its arrays and the names of its channels, and of a group that is placed.

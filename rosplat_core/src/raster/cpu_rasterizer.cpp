@@ -17,9 +17,6 @@ namespace {
 
 constexpr int kLongestSide = 16384;  // [px], as makeCamera() has it
 
-// Transmittance at which tiles end: 106 dB and more against blending all; gsplat ends there, too.
-constexpr float kTransparent = 1e-4f;
-
 const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
   switch (available(wanted)) {
 #if defined(__x86_64__)

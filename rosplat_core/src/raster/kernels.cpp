@@ -7,9 +7,9 @@ namespace rosplat::cpu::ROSPLAT_TARGET {
 namespace {
 
 constexpr int kSlots = kPageSlots;
-constexpr float kBallSigmas = 1.74017f;                // where a ball ends: kBallEdge of the peak
-constexpr float kBallEnd = -2.18442457f / kSquared;    // log2 of that
-constexpr float kCutoffEnd = -7.99435344f / kSquared;  // log2 of kCutoffAlpha
+constexpr float kBallSigmas = 1.74017f;              // where a ball ends: kBallEdge of the peak
+constexpr float kBallEnd = -2.18442457f / kSquared;  // log2 of that
+constexpr float kCutoffEnd = kLog2Cutoff / kSquared;
 constexpr float kLog2 = 0.69314718f;
 
 template <typename T>

@@ -5,6 +5,7 @@
 
 #include "raster/raster_work.hpp"
 #include "rosplat_core/levels/cut.hpp"
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/views/channel_colouring.hpp"
 #include "rosplat_core/views/sort_view.hpp"
 
@@ -42,7 +43,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLay
   p.height = static_cast<float>(camera.height);
   const SplatCamera::Whole whole = camera.whole();
   const auto tangents = [&](int axis, double focal, double centre, double size) {
-    const double slack = 0.15 * size / focal;  // 0.3 tan(fov / 2)
+    const double slack = kTangentSlack * size / focal;
     p.least_tangent[axis] = static_cast<float>(-centre / focal - slack);
     p.most_tangent[axis] = static_cast<float>((size - centre) / focal + slack);
   };

@@ -109,7 +109,7 @@ struct Refit::View {
     const double focal[2] = {camera.fx, camera.fy}, centre[2] = {whole.cx, whole.cy};
     const double size[2] = {whole.width, whole.height};
     for (int i = 0; i < 2; ++i) {  // as the rasteriser's
-      const double slack = 0.15 * size[i] / focal[i];
+      const double slack = kTangentSlack * size[i] / focal[i];
       least_tangent[i] = float(-centre[i] / focal[i] - slack);
       most_tangent[i] = float((size[i] - centre[i]) / focal[i] + slack);
     }

@@ -8,9 +8,7 @@ namespace {
 
 constexpr int kPixels = kTile * kTile;
 constexpr float kLog2E = 1.44269504f;
-constexpr float kLog2Cutoff = -7.99435344f;  // log2 of kCutoffAlpha
-constexpr float kTransparent = 1e-4f;        // transmittance at which tiles end
-constexpr std::size_t kPatience = 16;        // splats before a tile is asked whether it has ended
+constexpr std::size_t kPatience = 16;  // splats before a tile is asked whether it has ended
 
 struct alignas(64) Planes {
   float transmittance[kPixels];

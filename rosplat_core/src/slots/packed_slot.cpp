@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstring>
 
+#include "rosplat_core/slots/constants.hpp"
+
 namespace rosplat {
 
 namespace {
@@ -101,7 +103,7 @@ std::array<float, 4> fromSmallestThree(std::uint64_t packed) {
 }  // namespace
 
 float extentOf(float opacity, float largest_scale) {
-  if (!(opacity >= 1.0f / 255.0f)) return -1.0f;
+  if (!(opacity >= kCutoffAlpha)) return -1.0f;
   return std::sqrt(2.0f * std::log(255.0f * opacity)) * largest_scale;
 }
 

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "rosplat_core/slots/constants.hpp"
+
 namespace rosplat {
 
 namespace {
@@ -14,7 +16,6 @@ constexpr double kWideTangent = 1.1918;
 // 15 to 21 dB, where Antialiasing has 33 ("Zoomed out").
 constexpr double kSmall = 0.5;   // standard deviation [px]
 constexpr double kShaken = 0.5;  // by rounded coordinates of the viewer [px]
-constexpr double kFaint = 1.0 / 255;
 
 // Distance from a float to the next.
 double stepAt(double value) {
@@ -82,8 +83,9 @@ std::vector<std::string> hardRegimes(const MapState& map, const MapSample& sampl
     found.emplace_back(
         "positions are too large for 32-bit floats: publish them relative to an origin");
   }
-  if (most(splats,
-           [&](const SampledSplat& splat) { return settings.opacity * splat.opacity < kFaint; })) {
+  if (most(splats, [&](const SampledSplat& splat) {
+        return settings.opacity * splat.opacity < kCutoffAlpha;
+      })) {
     found.emplace_back("most splats are fainter than 1/255, which isn't drawn");
   }
   const bool compensated = settings.antialiasing == Antialiasing::kAsTrained

@@ -27,6 +27,13 @@ constexpr std::uint32_t kPageSlots = 1024;  // neighbours that are kept together
 
 constexpr float kLowPass = 0.3f;  // [px^2], part of the trained model
 constexpr float kCutoffAlpha = 1.0f / 255.0f;
+constexpr float kLog2Cutoff = -7.99435344f;  // log2 of that
+// What a pixel still lets through where it ends. On the processor as in gsplat: 106 dB and more
+// against blending all. A card's tiles go on, nearer to its quads, which blend all.
+constexpr float kTransparent = 1e-4f;
+constexpr float kTransparentInTiles = 1e-5f;
+// A tangent is clamped so far beyond the picture, in its sizes: 0.3 tan(fov / 2), as trained.
+constexpr double kTangentSlack = 0.15;
 constexpr float kMaxSigmas = 4.08f;       // where the most opaque node falls below the cutoff
 constexpr float kMaxAlpha = 0.99f;        // as in Kerbl et al. 2023; nothing is ever fully opaque
 constexpr float kBallEdge = 0.22f;        // of the peak: a ball ends at 1.74 sigma

@@ -6,6 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include "rosplat_core/slots/constants.hpp"
+
 namespace rosplat {
 
 // Runs of consecutive slots: first, count.
@@ -27,7 +29,7 @@ inline std::size_t countSlots(const SlotRuns& runs) {
 // A set of slots, with memory for the pages that they lie in.
 class SlotSet {
  public:
-  static constexpr std::uint32_t kPage = 1024;
+  static constexpr std::uint32_t kPage = kPageSlots;
 
   // Before any of them is put in. May run out of memory; the set is the same then.
   void makeRoom(const SlotRuns& runs);

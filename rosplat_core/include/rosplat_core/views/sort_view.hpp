@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
@@ -38,7 +39,7 @@ inline SortView makeSortView(const double rotation[9], const double translation[
   // A perspective footprint grows with the slope of its ray, which the renderer clamps so.
   const auto slope = [=](double focal, double centre, double size) {
     if (orthographic) return extent_scale * focal;
-    const double tangent = std::max(size - centre, centre) / focal + 0.3 * (0.5 * size / focal);
+    const double tangent = std::max(size - centre, centre) / focal + kTangentSlack * (size / focal);
     return extent_scale * focal * std::sqrt(1.0 + tangent * tangent);
   };
   SortView view;

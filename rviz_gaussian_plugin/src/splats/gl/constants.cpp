@@ -24,6 +24,8 @@ std::string constant(const char* name, float value) {
   return "const float " + std::string(name) + " = " + digits + ";\n";
 }
 
+std::string constant(const char* name, double value) { return constant(name, float(value)); }
+
 }  // namespace
 
 std::string constantsInGlsl() {
@@ -43,6 +45,8 @@ std::string constantsInGlsl() {
   CONSTANT(kPageSlots);
   CONSTANT(kLowPass);
   CONSTANT(kCutoffAlpha);
+  CONSTANT(kTransparentInTiles);
+  CONSTANT(kTangentSlack);
   CONSTANT(kMaxSigmas);
   CONSTANT(kMaxAlpha);
   CONSTANT(kBallEdge);
