@@ -122,6 +122,13 @@ def test_requirements_are_what_is_imported() -> None:
     assert required("lab.txt") == {library.pypi for library in libraries("rosplat_lab")} - runtime
 
 
+def test_the_engine_by_itself_needs_what_it_imports() -> None:
+    project = (ROOT / "rosplat_core/pyproject.toml").read_text()  # tomllib isn't in Python 3.10
+    (listed,) = re.findall(r"^dependencies = (\[.*\])$", project, re.MULTILINE)
+    needed = {library.pypi for library in libraries("rosplat_core")}
+    assert ast.literal_eval(listed) == sorted(needed)
+
+
 def test_a_robot_s_packages_need_nothing_that_draws_or_measures() -> None:
     needed = {"rosplat_tools"}
     while more := set().union(*(named(package) for package in needed & set(OURS))) - needed:
