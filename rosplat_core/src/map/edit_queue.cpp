@@ -190,7 +190,8 @@ void EditQueue::coalesce() {
   std::unordered_set<std::uint32_t> written;
   for (auto next = waiting_.end(); next != waiting_.begin();) {
     const auto waiting = std::prev(next);
-    const GaussianEdit& edit = *waiting->edit;
+    const std::shared_ptr<const GaussianEdit> held = waiting->edit;  // also once a part replaces it
+    const GaussianEdit& edit = *held;
     later.makeRoom(edit.runs);
     const std::size_t taken = waiting->taken;
     std::vector<bool> kept(countSlots(edit.runs));
