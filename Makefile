@@ -14,7 +14,7 @@ MINUTES ?= 60
 
 ENTER = . ./env.sh
 
-.PHONY: help setup demo render simplify bench lab test fuzz soak lint docs pictures clean
+.PHONY: help setup demo render simplify bench lab test fuzz sanitize soak lint docs pictures clean
 
 help: ## This list
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -47,6 +47,10 @@ lab: ## Chart error against time for all methods: [SCENE=path] [OUT=folder] [QUI
 fuzz: ## Messages, requests and files as no honest peer sends them, the C++ with sanitizers: CASES=100000 [SEED=0] [CASE=number]
 	@./setup.sh dev
 	@$(ENTER); tests/fuzz.sh $(CASES) $(SEED) $(CASE)
+
+sanitize: ## The C++ tests with the compiler's sanitizers
+	@./setup.sh dev
+	@$(ENTER); tests/sanitized.sh tests
 
 soak: ## An emulated SLAM run with all that goes wrong on robots, into out/soak/soak.json: MINUTES=60
 	@./setup.sh lab

@@ -11,22 +11,11 @@ run() { (cd tests && python -m pytest -q --rootdir .. --config-file ../pyproject
 
 failed=0
 run || failed=1
-log=$(mktemp)
-trap 'rm -f "$log"' EXIT
-sanitized=.ros/$ROSPLAT_ROS/sanitized
-sanitized() { # PACKAGES TESTING
-  colcon build --build-base "$sanitized/build" --install-base "$sanitized/install" \
-    --base-paths $1 --cmake-args $ROSPLAT_CMAKE_ARGS -DCMAKE_BUILD_TYPE=None "-DBUILD_TESTING=$2" \
-    "-DCMAKE_CXX_FLAGS=-O1 -g1 -fno-omit-frame-pointer -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all" \
-    -DPython3_EXECUTABLE="$(command -v python)" --no-warn-unused-cli >"$log" 2>&1 || { tail -n 60 "$log" >&2; exit 1; }
-}
-sanitized 'rosplat_sorter rviz_gaussian_plugin' OFF
-sanitized rosplat_tools ON # its Python module is for tests alone
+tests/sanitized.sh
 export ROSPLAT_FUZZ_REPORT=
 ROSPLAT_FUZZ_PRELOAD="$(g++ -print-file-name=libasan.so) $(g++ -print-file-name=libstdc++.so)"
-ROSPLAT_FUZZ_PATH=$(printf '%s:' "$PWD/$sanitized/install"/*/lib/python*/site-packages)
-ROSPLAT_FUZZ_LIBRARIES=$PWD/$sanitized/install/rosplat_tools/lib:
-export ROSPLAT_FUZZ_PRELOAD ROSPLAT_FUZZ_PATH ROSPLAT_FUZZ_LIBRARIES
+ROSPLAT_FUZZ_PATH=$(printf '%s:' "$PWD/.ros/$ROSPLAT_ROS/sanitized/install"/*/{,local/}lib/python*/*-packages)
+export ROSPLAT_FUZZ_PRELOAD ROSPLAT_FUZZ_PATH
 run -k 'receivers or publisher or draws' || failed=1
 
 python - <<'PYTHON'

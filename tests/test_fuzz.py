@@ -24,7 +24,7 @@ import pytest
 from std_msgs.msg import Header
 from test_conformance import Display, Publisher, Sorter, Twin
 
-from rosplat_core import depth, formats
+from rosplat_core import _core, depth, formats
 from rosplat_core.maps import Arrival
 from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
@@ -41,14 +41,13 @@ from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 from rosplat_tools.map_publisher import as_message
 from rosplat_tools.program.processes import Processes
 from rosplat_tools.streaming import detail
+from rviz_gaussian_plugin import _offscreen
 from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 
-# Of a build of the C++ with sanitizers: what has to be loaded first, and where its libraries are;
-# its Python modules are found in ROSPLAT_FUZZ_PATH. They keep memory that was freed, so that claims
-# mean nothing there.
+# Of a build of the C++ with sanitizers: what has to be loaded first. ROSPLAT_FUZZ_PATH has its
+# modules. Sanitizers keep memory that was freed, so that claims mean nothing there.
 SANITIZERS = os.environ.get("ROSPLAT_FUZZ_PRELOAD", "")
-LIBRARIES = os.environ.get("ROSPLAT_FUZZ_LIBRARIES", "")
 REPORT = os.environ.get("ROSPLAT_FUZZ_REPORT", "")
 
 FLOOR = 64 << 20  # what a process may take beyond the map [bytes]
@@ -102,7 +101,6 @@ def in_a_process(name: str, folder: Path) -> None:
     """Runs a check of this file elsewhere, where an abort is seen and memory is measured."""
     environment = os.environ | {
         "PYTHONPATH": os.environ.get("ROSPLAT_FUZZ_PATH", "") + os.pathsep.join(sys.path),
-        "LD_LIBRARY_PATH": LIBRARIES + os.environ.get("LD_LIBRARY_PATH", ""),
         "LD_PRELOAD": SANITIZERS,
         "ASAN_OPTIONS": "detect_leaks=0",  # Python's
         "UBSAN_OPTIONS": "print_stacktrace=1",
@@ -475,6 +473,9 @@ def test_nodes_outlive_what_their_peers_send(tmp_path: Path, node: Any, listener
 
 
 def _run(name: str) -> None:
+    for module in (_core, _offscreen) if SANITIZERS else ():
+        built = Path(module.__file__ or "").read_bytes()
+        assert b"__asan_" in built, f"{module.__file__} was built without the sanitizers"
     checks = {
         "receive": receive,
         "publish": publish,
