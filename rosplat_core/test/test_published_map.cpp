@@ -299,6 +299,14 @@ TEST(PublishedMap, AnOriginThatIsNotFiniteIsRefused) {
   EXPECT_TRUE(sent.empty());
 }
 
+TEST(PublishedMap, AnEditOfNoSlotsNamesNoneThatCannotBe) {
+  std::vector<Batch> sent;
+  PublishedMap map(8'000'000, "none", wireTo(sent));
+  map.erase(1u << 31, 0);
+  ASSERT_FALSE(sent.empty());
+  for (const Batch& batch : sent) EXPECT_EQ(batch.first_slot, 0u);
+}
+
 // While a repeat waits for those who listen, the map is edited, and ends the same for all.
 TEST(PublishedMap, IsEditedWhileItIsRepeated) {
   std::vector<Batch> sent;

@@ -36,7 +36,7 @@ class NamedSlots {
   }
   static NamedSlots checked(std::uint32_t first, std::size_t count) {
     if (count > 0) checkSlot("first_slot", first + std::uint64_t{count} - 1);
-    return {first, count};
+    return {count > 0 ? first : 0, count};  // receivers refuse one that can't be, of none, too
   }
   NamedSlots() = default;
   NamedSlots(std::uint32_t first, std::size_t count) : first_(first), count_(count) {}
