@@ -7,7 +7,7 @@ tests=$([ "${1:-}" = tests ] && echo ON || echo OFF)
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 colcon build --build-base "$sanitized/build" --install-base "$sanitized/install" \
-  --base-paths rosplat_core rviz_gaussian_plugin --cmake-args -DCMAKE_BUILD_TYPE=None "-DBUILD_TESTING=$tests" \
+  --base-paths rosplat_core rviz_gaussian_plugin --cmake-args $ROSPLAT_CMAKE_ARGS -DCMAKE_BUILD_TYPE=None "-DBUILD_TESTING=$tests" \
   "-DCMAKE_CXX_FLAGS=-O1 -g1 -fno-omit-frame-pointer -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all" \
   "-Drosplat_core_DIR=$PWD/$sanitized/install/rosplat_core/share/rosplat_core/cmake" \
   -DPython3_EXECUTABLE="$(command -v python)" --no-warn-unused-cli >"$log" 2>&1 || { tail -n 60 "$log" >&2; exit 1; }
