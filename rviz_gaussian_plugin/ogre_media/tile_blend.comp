@@ -16,6 +16,8 @@ const uint kBatch = 256u, kWords = kBatch / 32u;
 // 32 lanes blend a block of a tile's pixels, and skip the splats that don't reach it.
 const ivec2 kPart = ivec2(8, 4);
 const uint kParts = 8u;
+// Splats whose alphas are found together, without branches: one's memory is waited for with the other's.
+const uint kAtOnce = 2u;
 
 shared vec4 places[kBatch];  // centre [px], window depth, peakOf()
 shared vec4 axes[kBatch];    // falloffAxes()
@@ -82,31 +84,40 @@ void main() {
     }
     barrier();
     for (uint word = 0u; word < kWords; ++word) {
-      for (uint bits = reaching[part][word]; bits != 0u && !done; bits &= bits - 1u) {
-        uint k = 32u * word + uint(findLSB(bits));
-        vec4 place = places[k];
-        float falloff = falloffAt(axes[k], vec2(pixel) + 0.5 - place.xy);
-        vec3 splat = colours[k];
-        float alpha = alphaAt(place.w, falloff);
-        if (alpha < kCutoffAlpha) continue;
+      for (uint bits = reaching[part][word]; bits != 0u && !done;) {
+        float alphas[kAtOnce], depths[kAtOnce];
+        vec3 splats[kAtOnce];
+        for (uint s = 0u; s < kAtOnce; ++s) {
+          bool there = bits != 0u;
+          uint k = there ? 32u * word + uint(findLSB(bits)) : 0u;
+          bits &= bits - 1u;
+          vec4 place = places[k];
+          float falloff = falloffAt(axes[k], vec2(pixel) + 0.5 - place.xy);
+          float alpha = alphaAt(place.w, falloff);
+          there = there && alpha >= kCutoffAlpha;
 #ifdef SHARES
-        alpha = sharedAlpha(alpha, shares_of[k]);
+          alpha = sharedAlpha(alpha, shares_of[k]);
 #endif
-        if (place.w == kShadedPeak) splat *= falloff;
-#ifdef BEHIND
-        if (place.z > hidden_from && place.z <= behind_until) {
-          colour_behind += transmittance_behind * alpha * splat;
-          nearness += transmittance_behind * alpha * (1.0 - place.z);
-          transmittance_behind *= 1.0 - alpha;
-          done = transmittance * transmittance_behind < kTransparentInTiles;
-          if (done) atomicAdd(finished, 1u);
-          continue;
+          alphas[s] = there ? alpha : 0.0;
+          depths[s] = place.z;
+          splats[s] = colours[k] * (place.w == kShadedPeak ? falloff : 1.0);
         }
+        for (uint s = 0u; s < kAtOnce; ++s) {
+          float alpha = done ? 0.0 : alphas[s];
+#ifdef BEHIND
+          if (depths[s] > hidden_from && depths[s] <= behind_until) {
+            colour_behind += transmittance_behind * alpha * splats[s];
+            nearness += transmittance_behind * alpha * (1.0 - depths[s]);
+            transmittance_behind *= 1.0 - alpha;
+            done = done || transmittance * transmittance_behind < kTransparentInTiles;
+            continue;
+          }
 #endif
-        if (place.z > hidden_from || place.z < 0.0) continue;
-        colour += transmittance * alpha * splat;
-        transmittance *= 1.0 - alpha;
-        done = transmittance < kTransparentInTiles;
+          if (depths[s] > hidden_from || depths[s] < 0.0) alpha = 0.0;
+          colour += transmittance * alpha * splats[s];
+          transmittance *= 1.0 - alpha;
+          done = done || transmittance < kTransparentInTiles;
+        }
         if (done) atomicAdd(finished, 1u);
       }
     }
