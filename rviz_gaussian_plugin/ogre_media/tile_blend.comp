@@ -16,7 +16,8 @@ const uint kBatch = 256u, kWords = kBatch / 32u;
 // 32 lanes blend a block of a tile's pixels, and skip the splats that don't reach it.
 const ivec2 kPart = ivec2(8, 4);
 const uint kParts = 8u;
-// Splats whose alphas are found together, without branches: one's memory is waited for with the other's.
+// Splats whose alphas are found together, without branches: one's memory is waited for with the
+// other's. One too many is the first of them once more, of no alpha.
 const uint kAtOnce = 2u;
 
 shared vec4 places[kBatch];  // centre [px], window depth, peakOf()
@@ -85,35 +86,40 @@ void main() {
     barrier();
     for (uint word = 0u; word < kWords; ++word) {
       for (uint bits = reaching[part][word]; bits != 0u && !done;) {
-        float alphas[kAtOnce], depths[kAtOnce];
+        uint ks[kAtOnce];
+        float alphas[kAtOnce];
         vec3 splats[kAtOnce];
         for (uint s = 0u; s < kAtOnce; ++s) {
           bool there = bits != 0u;
-          uint k = there ? 32u * word + uint(findLSB(bits)) : 0u;
+          uint k = there ? 32u * word + uint(findLSB(bits)) : ks[0];
           bits &= bits - 1u;
           vec4 place = places[k];
           float falloff = falloffAt(axes[k], vec2(pixel) + 0.5 - place.xy);
           float alpha = alphaAt(place.w, falloff);
-          there = there && alpha >= kCutoffAlpha;
+          bool seen = there && alpha >= kCutoffAlpha;
 #ifdef SHARES
           alpha = sharedAlpha(alpha, shares_of[k]);
 #endif
-          alphas[s] = there ? alpha : 0.0;
-          depths[s] = place.z;
+#ifndef BEHIND
+          seen = seen && place.z <= hidden_from && place.z >= 0.0;
+#endif
+          ks[s] = k;
+          alphas[s] = seen ? alpha : 0.0;
           splats[s] = colours[k] * (place.w == kShadedPeak ? falloff : 1.0);
         }
         for (uint s = 0u; s < kAtOnce; ++s) {
           float alpha = done ? 0.0 : alphas[s];
 #ifdef BEHIND
-          if (depths[s] > hidden_from && depths[s] <= behind_until) {
+          float depth = places[ks[s]].z;
+          if (alpha > 0.0 && depth > hidden_from && depth <= behind_until) {
             colour_behind += transmittance_behind * alpha * splats[s];
-            nearness += transmittance_behind * alpha * (1.0 - depths[s]);
+            nearness += transmittance_behind * alpha * (1.0 - depth);
             transmittance_behind *= 1.0 - alpha;
-            done = done || transmittance * transmittance_behind < kTransparentInTiles;
+            done = transmittance * transmittance_behind < kTransparentInTiles;
             continue;
           }
+          if (depth > hidden_from || depth < 0.0) continue;
 #endif
-          if (depths[s] > hidden_from || depths[s] < 0.0) alpha = 0.0;
           colour += transmittance * alpha * splats[s];
           transmittance *= 1.0 - alpha;
           done = done || transmittance < kTransparentInTiles;
