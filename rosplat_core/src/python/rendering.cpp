@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <memory>
+#include <numeric>
 #include <optional>
 
 #include "python/module.hpp"
@@ -137,6 +138,34 @@ Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
   return toArray(std::move(picked), {camera.height, camera.width});
 }
 
+// The splats of a map as they are drawn: slots, and arrays by splat, in the map's frame; of the
+// harmonics the first coefficient alone.
+py::dict splatsOf(const CpuRenderer& renderer) {
+  std::vector<std::uint32_t> slots;
+  std::vector<double> positions;
+  std::vector<float> orientations, scales, opacities, sh;
+  for (const SlotPage& page : renderer.slots.pages()) {
+    std::vector<std::uint32_t> of_page(HostSlots::kSlots);
+    std::iota(of_page.begin(), of_page.end(), page.first_slot);
+    for (const SplatValues& splat : renderer.slots.read(of_page)) {
+      if (!(splat.opacity > 0)) continue;
+      slots.push_back(splat.slot);
+      positions.insert(positions.end(), splat.position.begin(), splat.position.end());
+      orientations.insert(orientations.end(), splat.orientation.begin(), splat.orientation.end());
+      scales.insert(scales.end(), splat.scale.begin(), splat.scale.end());
+      opacities.push_back(splat.opacity);
+      sh.insert(sh.end(), splat.sh.begin(), splat.sh.begin() + 3);
+    }
+  }
+  const auto n = static_cast<py::ssize_t>(slots.size());
+  return py::dict("slots"_a = toArray(std::move(slots), {n}),
+                  "positions"_a = toArray(std::move(positions), {n, 3}),
+                  "orientations"_a = toArray(std::move(orientations), {n, 4}),
+                  "scales"_a = toArray(std::move(scales), {n, 3}),
+                  "opacities"_a = toArray(std::move(opacities), {n}),
+                  "sh"_a = toArray(std::move(sh), {n, 1, 3}));
+}
+
 // The nodes of a level of a group, by ascending cells: the width of these, their corners [m], and
 // values as of splats.
 py::dict nodesOf(const CpuRenderer& renderer, int level, std::uint32_t group) {
@@ -268,6 +297,7 @@ void defineRendering(py::module_& module) {
            "beside"_a = std::vector<CpuRenderer*>(),
            "Draws the map; and, in one order with it, those of other renderers in the same frame.")
       .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
+      .def("splats", &splatsOf)
       .def("nodes", &nodesOf, "level"_a, "group"_a = 0)
       .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })
       .def("pick", &pickOnCpu, "camera"_a, "scene_depth"_a = py::none())
