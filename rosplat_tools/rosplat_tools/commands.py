@@ -7,6 +7,7 @@ from functools import partial
 from rosplat_tools.program.processes import run_module
 
 camera = partial(run_module, "camera", "rosplat_tools.cameras.camera")
+compare = partial(run_module, "compare", "rosplat_tools.cameras.compare")
 convert = partial(run_module, "convert", "rosplat_tools.convert")
 demo_sensors = partial(run_module, "demo_sensors", "rosplat_tools.emulation.demo_sensors")
 follow = partial(run_module, "follow", "rosplat_tools.following.follow")

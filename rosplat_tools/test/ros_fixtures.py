@@ -31,11 +31,18 @@ def node() -> Iterator[Node]:
 
 @pytest.fixture
 def start(node: Node) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts a program of rosplat_tools, or package.module, in the namespace of `node`."""
+    """Starts a program of rosplat_tools, or package.module, in the namespace of `node`.
+
+    names: what topics are called instead.
+    """
     started: list[subprocess.Popen[str]] = []
 
-    def start(program: str, **parameters: object) -> subprocess.Popen[str]:
+    def start(
+        program: str, names: dict[str, str] | None = None, **parameters: object
+    ) -> subprocess.Popen[str]:
         arguments = ["--ros-args", "-r", f"__ns:={node.get_namespace()}"]
+        for name, meant in (names or {}).items():
+            arguments += ["-r", f"{name}:={meant}"]
         for name, value in parameters.items():
             arguments += ["-p", f"{name}:={value}"]
         module, main = (program, "main") if "." in program else ("rosplat_tools.commands", program)

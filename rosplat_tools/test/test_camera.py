@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import subprocess
-import threading
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -19,6 +18,7 @@ from rosplat_core.lens_pictures import take_picture
 from rosplat_core.lenses import Lens, Warp
 from rosplat_core.rendering import CpuRenderer
 from rosplat_testing import PATIENCE, Listener
+from rosplat_testing.studio import Log, Studio
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.images import from_image, to_bytes
 from rosplat_tools.map_publisher import MapPublisher
@@ -30,53 +30,6 @@ BESIDE = look_at((0.0, 6.0, 2.0), (0.0, 0.0, 0.5))
 LENS = Lens.of_view(160, 120, 1.0)
 BARREL = Lens(160, 120, 150.0, 150.0, 80.0, 60.0, "plumb_bob", (-0.2, 0.03, 1e-3, 0, 0))
 PINHOLE = {"camera.width": 160, "camera.height": 120, "camera.fov": 1.0}
-
-
-class Studio:
-    """Poses and calibrations for a camera's program, and what it publishes."""
-
-    def __init__(self, node: Node, listener: Listener, name: str = "camera") -> None:
-        self.node, self.listener, self.name = node, listener, name
-        self.heard: dict[str, list[Any]] = {}
-        self._poses = node.create_publisher(PoseStamped, f"{name}/pose", 10)
-        self._infos = node.create_publisher(CameraInfo, f"{name}/calibration", 10)
-
-    def hear(self, topic: str, kind: Any = Image) -> None:
-        messages: list[Any] = self.heard.setdefault(topic, [])
-        self.node.create_subscription(kind, f"{self.name}/{topic}", messages.append, 10)
-
-    def pose(self, world_to_camera: np.ndarray, seconds: int = 0, frame: str = "map") -> None:
-        """seconds: 0, the pose holds."""
-        message = PoseStamped(pose=to_pose(np.linalg.inv(world_to_camera)))
-        message.header.frame_id, message.header.stamp.sec = frame, seconds
-        self.listener.wait(lambda: self._poses.get_subscription_count())
-        self._poses.publish(message)
-
-    def calibrate(self, info: CameraInfo) -> None:
-        self.listener.wait(lambda: self._infos.get_subscription_count())
-        self._infos.publish(info)
-
-    def next(self, topic: str = "image_raw") -> Any:
-        """A message that comes from now on."""
-        count = len(self.heard[topic])
-        self.listener.wait(lambda: len(self.heard[topic]) > count)
-        return self.heard[topic][count]
-
-
-class Log:
-    """What a program says."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        assert process.stdout
-        self.lines: list[str] = []
-        threading.Thread(target=self.lines.extend, args=(process.stdout,), daemon=True).start()
-
-    def has(self, text: str) -> bool:
-        return any(text in line for line in self.lines)
-
-    @property
-    def warnings(self) -> list[str]:
-        return [line for line in self.lines if "[INFO]" not in line]
 
 
 @pytest.fixture
@@ -172,6 +125,8 @@ def test_nothing_is_published_of_a_map_in_part_or_a_pose_elsewhere(
     studio.listener.wait(lambda: log.has("no map has come yet"))
     studio.pose(EYE)
     publisher = MapPublisher(node)
+    # Both hear it from the beginning, and pull nothing.
+    studio.listener.wait(lambda: publisher._wire._publisher.get_subscription_count() == 2)
     half = len(SPLATS) // 2
     publisher.replace(SPLATS[:half], expected_slots=len(SPLATS))
     studio.listener.wait(lambda: log.has("the map isn't complete: 1,500 splats, more is to come"))

@@ -25,7 +25,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
-from rosplat_tools.cameras.health import Diagnostics, Health
+from rosplat_tools.cameras.health import Diagnostics, Health, NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
 from rosplat_tools.cameras.poses import NEVER, Poses, declare_poses
 from rosplat_tools.images import to_bytes, to_image
@@ -86,14 +86,6 @@ class Shot:
     far: float
     depth: str
     """Of lens_pictures.DEPTHS."""
-
-
-class _NoPicture(Exception):
-    """Why there is none: a kind of reason to count, and a line to say."""
-
-    def __init__(self, kind: str, text: object) -> None:
-        super().__init__(str(text))
-        self.kind = kind
 
 
 class _Camera:
@@ -157,7 +149,7 @@ class _Camera:
             return
         try:
             self._film()
-        except _NoPicture as none:
+        except NoPicture as none:
             self.health.trouble(none.kind, none)
             self._rests_until = now + self._shot.period / SECOND
 
@@ -165,11 +157,11 @@ class _Camera:
         began = time.perf_counter()
         warp = self._lens()
         if problem := self._map.problem():
-            raise _NoPicture("without a map", problem)
+            raise NoPicture("without a map", problem)
         try:
             stamp, pose = self._poses.newest(self._name, self._frame_id, self._map.frame_id)
         except PoseError as error:
-            raise _NoPicture("without a pose", error) from error
+            raise NoPicture("without a pose", error) from error
         now = self._node.get_clock().now().nanoseconds
         stamp = now if stamp == NEVER else stamp
         if stamp < self._last - SECOND:  # simulated time has begun again
@@ -187,7 +179,7 @@ class _Camera:
     def _lens(self) -> Warp:
         info = self._info
         if info is None:
-            raise _NoPicture("without a lens", "no CameraInfo has come on its topic calibration")
+            raise NoPicture("without a lens", "no CameraInfo has come on its topic calibration")
         if info is not self._warped:
             self._warp, self._warped = None, info
             try:
@@ -195,7 +187,7 @@ class _Camera:
             except LensError as error:
                 self._fault = f"the calibration is refused: {error}"
         if self._warp is None:
-            raise _NoPicture("without a lens", self._fault)
+            raise NoPicture("without a lens", self._fault)
         return self._warp
 
     def _draw(self, warp: Warp, pose: Pose) -> LensPicture | None:
@@ -211,7 +203,7 @@ class _Camera:
                 near=shot.near, far=shot.far, depth=depth, normals=listened[2],
             )  # fmt: skip
         except (RuntimeError, MemoryError) as error:
-            raise _NoPicture("not drawn", shown(error, 300) or "out of memory") from error
+            raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
 
     def _publish(self, picture: LensPicture | None, header: Header) -> None:
         assert self._warped

@@ -26,6 +26,7 @@ class DrawnMap:
         self.frame_id = ""
         self.edits = 0
         """Batches that were taken."""
+        self._announced = False  # whether all that the publisher announced has been there
         self._node, self._heard = node, heard
         self._waiting: deque[tuple[GaussianArray, Arrival]] = deque()
         self._subscription = MapSubscription(node, self._hear, busy=self._is_busy)
@@ -50,6 +51,10 @@ class DrawnMap:
                 continue
             self.frame_id = batch.header.frame_id
             self.edits += 1
+            if batch.operation == GaussianArray.REPLACE:
+                self._announced = False
+            # What is deleted later, and what a late pull has no more of, isn't missing.
+            self._announced |= arrival is Arrival.LAST or self.renderer.map.complete
             if report["dropped"]:
                 self._warn(f"{report['dropped']} splats with invalid values are left out")
 
@@ -60,7 +65,7 @@ class DrawnMap:
             return f"{self.topic}: no map has come yet"
         if not books.splats and not books.pulled and not books.missed:
             return f"{self.topic}: the map is empty"
-        if not books.complete:
+        if books.missed or books.pulled or not self._announced:
             missing = f"{books.missed} batches are missing" if books.missed else "more is to come"
             return f"{self.topic}: the map isn't complete: {books.splats:,} splats, {missing}"
         return ""

@@ -18,6 +18,14 @@ except ImportError:
 PERIOD = 1.0  # [s]
 
 
+class NoPicture(Exception):
+    """Why there is none: a kind of reason to count, and a line to say."""
+
+    def __init__(self, kind: str, text: object) -> None:
+        super().__init__(str(text))
+        self.kind = kind
+
+
 class Health:
     """Of one camera. What goes wrong in one way again and again is said once, until it goes well.
 

@@ -1,0 +1,258 @@
+"""The programs camera and compare in processes of their own: what one films, the other reads."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image
+
+from rosplat_core.cameras import look_at
+from rosplat_core.generated import generate
+from rosplat_core.lens_pictures import take_picture
+from rosplat_core.lenses import Lens, Warp
+from rosplat_core.rendering import CpuRenderer
+from rosplat_msgs.msg import Comparison
+from rosplat_testing import PATIENCE, Listener
+from rosplat_testing.studio import Log, Studio
+from rosplat_tools.cameras import comparison
+from rosplat_tools.cameras.calibrations import of_lens
+from rosplat_tools.images import from_image, to_bytes, to_image
+from rosplat_tools.map_publisher import MapPublisher
+
+SPLATS = generate(3000, seed=2)
+EYES = [look_at((6 * np.cos(a), 6 * np.sin(a), 2.0), (0, 0, 0.5)) for a in np.arange(0, 1.5, 0.3)]
+LENS = Lens.of_view(160, 120, 1.0)
+BARREL = Lens(160, 120, 150.0, 150.0, 80.0, 60.0, "plumb_bob", (-0.2, 0.03, 1e-3, 0, 0))
+PINHOLE = {"camera.width": 160, "camera.height": 120, "camera.fov": 1.0}
+RELIABLE = {
+    f"qos_overrides./{{}}/{topic}.subscription.reliability": "reliable"
+    for topic in ("image_raw", "camera_info", "mask")
+}
+
+
+class Comparer:
+    """What compare publishes of a camera's topics, and what it is given in their place."""
+
+    def __init__(self, node: Node, listener: Listener, start: Callable[..., Any]) -> None:
+        self.node, self.listener, self._start = node, listener, start
+        self.metrics: list[Comparison] = []
+        self.rendered: list[Image] = []
+        self.difference: list[Image] = []
+        node.create_subscription(Comparison, "metrics", self.metrics.append, 10)
+        node.create_subscription(Image, "rendered", self.rendered.append, 10)
+        node.create_subscription(Image, "difference", self.difference.append, 10)
+        self.studio = Studio(node, listener, "")
+        self._images = node.create_publisher(Image, "image_raw", 10)
+        self._infos = node.create_publisher(CameraInfo, "camera_info", 10)
+        self._masks = node.create_publisher(Image, "mask", 10)
+
+    def start(self, **parameters: object) -> Log:
+        namespace = self.node.get_namespace().strip("/")
+        reliable = {name.format(namespace): value for name, value in RELIABLE.items()}
+        log = Log(self._start("compare", poses="topic", **reliable, **parameters))
+        for publisher in (self._images, self._infos, self._masks):
+            self.listener.wait(publisher.get_subscription_count)
+        return log
+
+    def show(self, image: Image, seconds: int) -> None:
+        image.header.stamp.sec = seconds
+        self._images.publish(image)
+
+    def calibrate(self, lens: Lens) -> None:
+        self._infos.publish(of_lens(lens))
+
+    def mask(self, mask: np.ndarray) -> None:
+        self._masks.publish(to_image(255 * mask.astype(np.uint8), "mono8"))
+
+    def measure(self, image: Image, pose: np.ndarray, seconds: int) -> Comparison:
+        """The figures of a picture that is taken now."""
+        self.studio.pose(pose, seconds)
+        published = (self.metrics, self.rendered, self.difference)
+        while not all(each and each[-1].header.stamp.sec == seconds for each in published):
+            self.show(image, seconds)  # again: it may come before what else was sent
+            self.listener.spin_once()
+        return self.metrics[-1]
+
+
+@pytest.fixture
+def comparer(node: Node, listener: Listener, start: Callable[..., Any]) -> Comparer:
+    return Comparer(node, listener, start)
+
+
+def picture(splats: Any, lens: Lens, pose: np.ndarray) -> Image:
+    colour = take_picture(CpuRenderer(splats), Warp(lens), pose).colour
+    return to_image(to_bytes(colour), "rgb8")
+
+
+def test_what_camera_films_compare_reads_back(
+    node: Node, listener: Listener, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """Until a part of the map is gone, to which the residuals point."""
+    namespace = node.get_namespace()
+    studio = Studio(node, listener)
+    metrics: list[Comparison] = []
+    node.create_subscription(Comparison, "metrics", metrics.append, 10)
+    truth = MapPublisher(node, topic="truth")
+    truth.replace(SPLATS)
+    compared = MapPublisher(node)
+    compared.replace(SPLATS)
+
+    def remapped(program: str, names: dict[str, str], **parameters: object) -> None:
+        start(program, names, poses="topic", **parameters)
+
+    reliable = f"qos_overrides.{namespace}/camera/{{}}.subscription.reliability"
+    remapped("camera", {"gaussians": "truth"}, rate=50.0, **PINHOLE)
+    remapped(
+        "compare",
+        {"image_raw": "camera/image_raw", "camera_info": "camera/camera_info",
+         "pose": "camera/pose"},
+        attribute=True,
+        **{reliable.format(topic): "reliable" for topic in ("image_raw", "camera_info")},
+    )  # fmt: skip
+    listener.wait(lambda: node.count_subscribers("camera/pose") == 2)
+    listener.wait(lambda: node.count_subscribers("camera/image_raw"))
+
+    def film(second: int, eye: np.ndarray) -> Comparison:
+        """Again and again: programs that begin may miss the first."""
+        first = second
+        while not (metrics and metrics[-1].header.stamp.sec >= first):
+            studio.pose(eye, seconds=second)
+            listener.spin_once()
+            second += 1
+        return metrics[-1]
+
+    for number, eye in enumerate(EYES):
+        found = film(1 + 100 * number, eye)
+        assert found.psnr >= 60 and found.ssim > 0.999 and found.explained == 1
+        assert found.pixels == 160 * 120 and found.map_id == compared.map_id
+        np.testing.assert_allclose(found.gain, 1, atol=0.01)
+
+    nearest = np.linalg.norm(SPLATS.positions + SPLATS.origin - (0, 0, 0.5), axis=1).argsort()
+    gone = np.sort(nearest[:300])
+    compared.delete(gone)
+    other = rclpy.create_node(
+        "residuals", namespace=namespace, context=node.context,
+        cli_args=["--ros-args", "-r", "gaussians:=residuals"],
+    )  # fmt: skip
+    residuals = Listener(other)
+    seen = film(5000, EYES[0])
+    while seen.psnr > 50:  # the edit is on its way
+        seen = film(seen.header.stamp.sec + 10, EYES[0])
+    assert seen.psnr < 40 and seen.explained < 0.999 and seen.ssim < 0.999
+    second = 7000
+    while residuals.map is None or len(residuals.map) != len(SPLATS) - len(gone):
+        film(second, EYES[0])
+        residuals.spin_once()
+        second += 10
+    _, splats = residuals.map.snapshot()
+    values = splats.channels["residual"]
+    known = np.isfinite(values)
+    assert known.sum() > 300
+    # Where pictures differ: what is seen there now is worst.
+    whole, rest = (
+        take_picture(CpuRenderer(part), Warp(LENS), EYES[0]).colour
+        for part in (SPLATS, SPLATS[np.delete(np.arange(len(SPLATS)), gone)])
+    )
+    wrong = comparison.errors(whole, rest) > 0.05
+    places = (splats.positions[known] + splats.origin) @ EYES[0][:3, :3].T + EYES[0][:3, 3]
+    x, y = np.rint(LENS.project(places)).astype(int).T.clip(0, [[159], [119]])
+    worst = np.argsort(values[known])[-50:]
+    assert wrong[y, x][worst].mean() > 0.8 > 0.5 > wrong[y, x].mean()
+
+
+def test_a_lens_an_exposure_and_a_mask(node: Node, comparer: Comparer) -> None:
+    MapPublisher(node).replace(SPLATS)
+    comparer.start()
+    comparer.calibrate(BARREL)
+    image = picture(SPLATS, BARREL, EYES[0])
+    found = comparer.measure(image, EYES[0], 1)
+    assert (found.psnr, found.explained) == (Comparison.MOST_PSNR, 1.0)
+    np.testing.assert_array_equal(from_image(comparer.rendered[-1]), from_image(image))
+    assert not from_image(comparer.difference[-1]).any()
+
+    darker = (0.7 * from_image(image) + 20).astype(np.uint8)
+    found = comparer.measure(to_image(darker, "rgb8"), EYES[0], 2)
+    np.testing.assert_allclose(found.gain, 0.7, atol=0.02)
+    assert found.fitted_psnr > 45 > 35 > found.psnr
+
+    covered, mask = from_image(image).copy(), np.ones((120, 160), bool)
+    covered[:30], mask[:30] = (255, 0, 255), False
+    assert comparer.measure(to_image(covered, "rgb8"), EYES[0], 3).psnr < 20
+    comparer.mask(mask)
+    second = 4
+    while (found := comparer.measure(to_image(covered, "rgb8"), EYES[0], second)).psnr < 20:
+        second += 1  # the mask is on its way
+    assert (found.psnr, found.pixels) == (Comparison.MOST_PSNR, 90 * 160)
+
+
+def test_rectified_pictures_are_compared_by_r_and_p(node: Node, comparer: Comparer) -> None:
+    MapPublisher(node).replace(SPLATS)
+    comparer.start(rectified=True)
+    angle = 0.05
+    turn = np.array(
+        [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+    )
+    info = of_lens(BARREL)
+    info.r, info.p[0], info.p[5], info.p[2], info.p[6] = turn.ravel(), 120.0, 121.0, 75.0, 62.0
+    comparer._infos.publish(info)
+    turned = np.eye(4)
+    turned[:3, :3] = turn
+    image = picture(SPLATS, Lens(160, 120, 120.0, 121.0, 75.0, 62.0), turned @ EYES[0])
+    assert comparer.measure(image, EYES[0], 1).psnr >= 60
+
+
+def test_what_cannot_be_compared_is_said_and_passes(node: Node, comparer: Comparer) -> None:
+    log = comparer.start()
+    image = picture(SPLATS, LENS, EYES[0])
+
+    def shows(said: str, second: int, shown: Image = image) -> None:
+        comparer.show(shown, second)
+        comparer.listener.wait(lambda: log.has(said))
+
+    shows("no map has come yet", 1)
+    publisher = MapPublisher(node)
+    publisher.replace(SPLATS)
+    comparer.studio.pose(EYES[0], 10)
+    comparer.studio.pose(EYES[0], 20)
+    # The map and the poses come when they do.
+    while not log.has("no CameraInfo has come on camera_info"):
+        comparer.show(image, 11)
+        comparer.listener.spin_once()
+    shows("after all poses that are known", 25)
+    comparer.calibrate(Lens.of_view(320, 240, 1.0))
+    while not log.has("a picture is 160 x 120, camera_info says 320 x 240"):
+        comparer.show(image, 12)
+        comparer.listener.spin_once()
+    comparer.calibrate(LENS)
+    odd = to_image(from_image(image), "rgb8")
+    odd.encoding = "yuv422"
+    while not log.has("encoding is 'yuv422', known are rgb8"):
+        comparer.show(odd, 13)
+        comparer.listener.spin_once()
+    assert not comparer.metrics
+    assert comparer.measure(image, EYES[0], 14).psnr >= 60
+    assert not any("Traceback" in line for line in log.lines)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "said"),
+    [
+        ("mask", "/nowhere.png", "mask /nowhere.png: No such file or directory"),
+        ("mask", __file__, "no picture"),
+        ("far", 0.001, "parameters near, far: 0.01 is not less than 0.001"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    start: Callable[..., subprocess.Popen[str]], parameter: str, value: object, said: str
+) -> None:
+    process = start("compare", **{"poses": "topic", parameter: value})
+    log, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    lines = [line for line in log.splitlines() if "[INFO]" not in line]
+    assert len(lines) == 1 and lines[0].startswith("compare: ") and said in lines[0]
