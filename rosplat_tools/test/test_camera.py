@@ -81,6 +81,20 @@ def test_pictures_are_those_of_the_renderer(
 
 
 @pytest.mark.usefixtures("publisher")
+def test_there_are_no_more_pictures_than_the_rate(
+    studio: Studio, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    studio.hear("image_raw")
+    start("camera", poses="topic", rate=0.5, **PINHOLE)
+    for second, pictures in ((10, 1), (11, 1), (12, 2), (12, 2), (13, 2), (15, 3), (2, 4)):
+        studio.pose(EYE, second)
+        while len(studio.heard["image_raw"]) < pictures:
+            studio.listener.spin_once()
+    stamps = [image.header.stamp.sec for image in studio.heard["image_raw"]]
+    assert stamps == [10, 12, 15, 2]  # where time begins again, so do pictures
+
+
+@pytest.mark.usefixtures("publisher")
 def test_several_cameras_share_a_map(
     node: Node, listener: Listener, start: Callable[..., subprocess.Popen[str]]
 ) -> None:

@@ -60,7 +60,7 @@ class CameraNode(Node):
         poses = declare_poses(self, names, self._came.set)
         self._map = DrawnMap(self, self._came.set)
         self._cameras = [
-            _Camera(self, name, poses, self._map, Shot(1 / rate, near, far, depth))
+            _Camera(self, name, poses, self._map, Shot(round(SECOND / rate), near, far, depth))
             for name in names
         ]
         Diagnostics(self, [camera.health for camera in self._cameras])
@@ -166,10 +166,11 @@ class _Camera:
         stamp = now if stamp == NEVER else stamp
         if stamp < self._last - SECOND:  # simulated time has begun again
             self._last = self._due = 0
-        if stamp <= self._last or stamp < self._due - self._shot.period // 4:
+        if stamp <= self._last or stamp < self._due:
             return
         picture = self._draw(warp, pose)
-        self._last, self._due = stamp, max(self._due + self._shot.period, stamp)
+        period = self._shot.period
+        self._last, self._due = stamp, max(self._due + period, stamp + period * 3 // 4)  # of jitter
         self._publish(
             picture, Header(stamp=Time(nanoseconds=stamp).to_msg(), frame_id=self._frame_id)
         )
