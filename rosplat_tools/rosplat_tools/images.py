@@ -1,12 +1,16 @@
-"""Pictures as messages."""
+"""Pictures as messages, and masks from files."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as Picture
 from sensor_msgs.msg import Image
 
 from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError
 from rosplat_tools.messages import as_array
 
 # Eight bits a channel: how many there are, and where red, green and blue are of them.
@@ -48,3 +52,12 @@ def from_image(image: Image) -> NDArray[np.uint8]:
     data = np.frombuffer(image.data, np.uint8)[: image.step * image.height]
     rows = data.reshape(image.height, image.step)[:, :row]
     return rows.reshape(image.height, image.width, channels)[..., order]
+
+
+def read_mask(path: str) -> NDArray[np.bool_]:
+    """(height, width) where a picture file isn't black. Raises SceneError, naming the file."""
+    try:
+        with Picture.open(Path(path)) as picture:
+            return np.asarray(picture.convert("L")) > 0
+    except OSError as error:
+        raise SceneError(f"mask {shown(path)}: {error.strerror or 'no picture'}") from error

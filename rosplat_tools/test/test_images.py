@@ -1,12 +1,15 @@
-"""Pictures as messages."""
+"""Pictures as messages, and masks from files."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from PIL import Image as Picture
 from sensor_msgs.msg import Image
 
-from rosplat_tools.images import from_image, to_bytes, to_image
+from rosplat_tools.images import from_image, read_mask, to_bytes, to_image
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (3, 5, 3), dtype=np.uint8)
 
@@ -56,3 +59,9 @@ def test_what_is_no_picture_names_the_field(change: dict[str, object], said: str
 def test_bytes_are_rounded_and_clamped() -> None:
     values = np.array([-1, 0, 0.5, 1, 7, 1 / 510 + 1e-6], np.float32)
     assert to_bytes(values).tolist() == [0, 0, 128, 255, 255, 1]
+
+
+def test_a_mask_is_what_is_not_black(tmp_path: Path) -> None:
+    mask = PIXELS[..., 0] > 100
+    Picture.fromarray(mask.astype(np.uint8) * 9).save(tmp_path / "mask.png")
+    np.testing.assert_array_equal(read_mask(str(tmp_path / "mask.png")), mask)

@@ -10,11 +10,9 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image as Picture
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -32,7 +30,7 @@ from rosplat_tools.cameras.health import Diagnostics, Health, NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
 from rosplat_tools.cameras.poses import declare_poses
 from rosplat_tools.cameras.residual_map import ResidualMap
-from rosplat_tools.images import from_image, to_bytes, to_image
+from rosplat_tools.images import from_image, read_mask, to_bytes, to_image
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning
 
@@ -55,7 +53,7 @@ class Compare(Node):
         self._far = declare(self, "far", 1e6, "Splats farther are left out. [m]", 1e-3, 1e10)
         if not self._near < self._far:
             raise SceneError(f"parameters near, far: {self._near} is not less than {self._far}")
-        self._mask = _read_mask(mask) if mask else None
+        self._mask = read_mask(mask) if mask else None
         self._came = threading.Event()
         self._poses = declare_poses(self, [""], self._came.set)
         self._map = DrawnMap(self, self._came.set)
@@ -229,15 +227,6 @@ def _measured(
         fitted_explained=fitted.explained,
     )
     return message, comparison.errors(ours, theirs)
-
-
-def _read_mask(path: str) -> NDArray[np.bool_]:
-    """(height, width) where a picture file isn't black. Raises SceneError, naming the file."""
-    try:
-        with Picture.open(Path(path)) as picture:
-            return np.asarray(picture.convert("L")) > 0
-    except OSError as error:
-        raise SceneError(f"mask {shown(path)}: {error.strerror or 'no picture'}") from error
 
 
 def main() -> None:
