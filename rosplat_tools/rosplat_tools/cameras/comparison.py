@@ -63,10 +63,10 @@ def fit_exposure(rendered: Picture, real: Picture, mask: Mask) -> Exposure:
     """
     gains, biases = [], []
     for channel in range(3):
-        y = real[..., channel]
-        counts = mask & (y > CLIPPED) & (y < 1 - CLIPPED)
+        camera_s = real[..., channel]
+        counts = mask & (camera_s > CLIPPED) & (camera_s < 1 - CLIPPED)
         some = slice(None, None, 1 + int(counts.sum()) // FIT_PIXELS)
-        x, y = (a[counts][some].astype(np.float64) for a in (rendered[..., channel], y))
+        x, y = (a[counts][some].astype(np.float64) for a in (rendered[..., channel], camera_s))
         gain, bias = 1.0, 0.0
         for _ in range(FIT_STEPS if len(x) > 1 else 0):
             error = np.abs(gain * x + bias - y)
