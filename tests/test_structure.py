@@ -18,7 +18,8 @@ PACKAGES = (
     "rosplat_lab",
 )
 ROOMS = (
-    "threads", "slots", "map", "views", "order", "levels", "raster", "refit", "painter", "python",
+    "threads", "slots", "map", "views", "order", "occupancy", "levels", "raster", "refit",
+    "painter", "python",
 )  # fmt: skip
 ELSEWHERE = re.compile(
     r"#include <(?:Ogre|epoxy/|GL/|rcl|rclcpp/|rviz_|[a-z_]+_msgs/)|^\s*(?:from|import) "

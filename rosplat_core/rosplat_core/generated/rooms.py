@@ -125,6 +125,15 @@ class Rooms:
         """Each thing, and its share of the splats."""
         return [(0.98, self.boxes), (0.02, self.lamps)]
 
+    def sides(self) -> tuple[Array, Array]:
+        """Corners of all rectangles that splats lie on, the least and the greatest, (n, 3) [m]."""
+        faces = self._faces
+        return faces.corners, faces.corners + faces.first + faces.second
+
+    def lamp_centres(self) -> Array:
+        """(rooms, 3) centres of the globes of radius LAMP. [m]"""
+        return np.column_stack([_middles(), np.full(ROOMS**2, LAMP_HEIGHT)])
+
     def boxes(self, numbers: Numbers, total: int) -> Patch:
         """Floor, walls and furniture: the sides of boxes, as dense as the material asks."""
         faces = self._faces
@@ -159,7 +168,7 @@ class Rooms:
         angle = 2 * np.pi * GOLDEN * number
         ring = np.sqrt(1 - z**2)
         normals = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
-        points = np.column_stack([_middles()[room], np.full(len(z), LAMP_HEIGHT)]) + LAMP * normals
+        points = self.lamp_centres()[room] + LAMP * normals
         along = unit(np.column_stack([-np.sin(angle), np.cos(angle), 0 * z]))
         color = np.clip(1.05 - 0.25 * np.abs(z), 0, 1)[:, None] * LAMPLIGHT
         spacing = LAMP * np.sqrt(4 * np.pi / each)

@@ -5,6 +5,7 @@
 namespace rosplat::python {
 
 void defineMaps(pybind11::module_& module);
+void defineOccupancy(pybind11::module_& module);
 void defineOrders(pybind11::module_& module);
 void definePayloads(pybind11::module_& module);
 void definePublishing(pybind11::module_& module);

@@ -1,0 +1,137 @@
+"""What of a map stands in a robot's way: voxels, and a grid of cells seen from above.
+
+A voxel is occupied where its splats take away enough of the light that crosses it. `OccupancyMap`
+keeps the voxels while the map changes; voxel_map.hpp has the definition.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from rosplat_core._core import OccupancyMap
+from rosplat_core.program.files import replacing, write_text
+from rosplat_core.splats import SceneError
+
+__all__ = [
+    "FREE", "MOST_ACROSS", "OCCUPIED", "UNKNOWN", "Grid", "OccupancyMap", "depth_of", "grid_of",
+    "save_grid", "towards", "voxels_across",
+]  # fmt: skip
+
+UNKNOWN, FREE, OCCUPIED = -1, 0, 100  # as nav_msgs/OccupancyGrid has them
+MOST_ACROSS = 4096  # voxels along an axis
+START_REACH = 0.3  # from the start to where the robot may begin [m]
+
+# map_server's grey values of them, and its thresholds, between which cells are unknown.
+_GREY = {UNKNOWN: 205, FREE: 254, OCCUPIED: 0}
+_OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Cells seen from above."""
+
+    cells: NDArray[np.int8]
+    """(rows along y, columns along x) UNKNOWN, FREE or OCCUPIED."""
+    origin: tuple[float, float]
+    """x and y of the corner of cell (0, 0). [m]"""
+    resolution: float
+    """Width of a cell. [m]"""
+
+
+def depth_of(absorbed: float) -> float:
+    """The optical depth that takes away a share of the light, 0 to less than 1 (Beer-Lambert)."""
+    return -math.log1p(-absorbed)
+
+
+def voxels_across(size: float, resolution: float) -> int:
+    """Voxels along each axis of a cube of a size, an even number [m]. Raises SceneError if many."""
+    across = 2 * math.ceil(size / resolution / 2)
+    if across > MOST_ACROSS:
+        raise SceneError(
+            f"size {size:g} m at resolution {resolution:g} m: {across:,} voxels along an axis, at "
+            f"most {MOST_ACROSS:,} are held"
+        )
+    return max(2, across)
+
+
+def grid_of(
+    cells: NDArray[np.int32],
+    resolution: float,
+    band: tuple[float, float],
+    level: float = 0.0,
+    start: tuple[float, float] = (0.0, 0.0),
+) -> Grid:
+    """What a robot meets that is as high as a band over a level.
+
+    cells: occupied voxels (n, 3), z up. band: heights over the level [m]. start: x and y where the
+    robot is or was [m].
+
+    Occupied: a voxel of the band is, its centre counts. Free: nothing in the band is occupied, the
+    floor is, which is what lies less than the band's lower end above or below the level, and the
+    robot gets there from its start over such cells, side by side. Whoever saw the floor saw that
+    nothing hides it. All else is unknown. The start is the widest area of such cells within 0.3 m,
+    for floors have holes; without any nothing is free. The grid reaches as far as floor and band
+    have occupied voxels; without any it is one unknown cell.
+    """
+    low, high = band
+    height = (cells[:, 2] + 0.5) * resolution - level
+    in_band = (height >= low) & (height < high)
+    in_floor = (height >= -low) & (height < low)
+    columns = cells[in_band | in_floor, :2].astype(np.int64)
+    if not len(columns):
+        corner = tuple((np.floor(np.divide(start, resolution)) * resolution).tolist())
+        return Grid(np.full((1, 1), UNKNOWN, np.int8), corner, resolution)
+    least, most = columns.min(axis=0), columns.max(axis=0)
+    shape = tuple((most - least + 1)[::-1].tolist())
+    obstacle, floor = np.zeros(shape, bool), np.zeros(shape, bool)
+    for mask, chosen in ((obstacle, in_band), (floor, in_floor)):
+        x, y = (cells[chosen, :2] - least).T
+        mask[y, x] = True
+    grid = np.full(shape, UNKNOWN, np.int8)
+    areas, _ = ndimage.label(floor & ~obstacle)
+    y, x = np.nonzero(areas)
+    middles = (np.column_stack([x, y]) + least + 0.5) * resolution
+    reach = max(START_REACH, resolution)
+    near = areas[y, x][np.hypot(*(middles - start).T) <= reach]
+    if len(near):
+        sizes = np.bincount(areas.ravel())
+        grid[areas == near[sizes[near].argmax()]] = FREE
+    grid[obstacle] = OCCUPIED
+    return Grid(grid, tuple((least * resolution).tolist()), resolution)
+
+
+def towards(
+    positions: NDArray[np.float32], normals: NDArray[np.float32], viewpoint: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Normals (n, 3) of points (n, 3), turned so that they face a viewpoint (3,)."""
+    away = ((viewpoint - positions) * normals).sum(axis=1) < 0
+    return np.where(away[:, None], -normals, normals).astype(np.float32)
+
+
+def save_grid(path: Path, grid: Grid) -> None:
+    """Writes a grid as map_server reads it: path, which ends in .yaml, and a .pgm beside it.
+
+    Raises SceneError for another ending, OSError where a file can't be written.
+    """
+    if path.suffix != ".yaml":
+        raise SceneError(f"{path}: expected a name that ends in .yaml")
+    picture = path.with_suffix(".pgm")
+    height, width = grid.cells.shape
+    grey = np.full(grid.cells.shape, _GREY[UNKNOWN], np.uint8)
+    for value, shade in _GREY.items():
+        grey[grid.cells == value] = shade
+    with replacing(picture) as partial:  # its first row is the farthest along y
+        partial.write_bytes(b"P5\n%d %d\n255\n" % (width, height) + grey[::-1].tobytes())
+    x, y = grid.origin
+    write_text(
+        path,
+        f"image: {picture.name}\nmode: trinary\nresolution: {grid.resolution:.9g}\n"
+        f"origin: [{x:.9g}, {y:.9g}, 0]\nnegate: 0\noccupied_thresh: {_OCCUPIED_ABOVE}\n"
+        f"free_thresh: {_FREE_BELOW}\n",
+    )

@@ -1,0 +1,79 @@
+// Occupancy for Python.
+
+#include <cstring>
+
+#include "python/module.hpp"
+#include "rosplat_core/occupancy/voxel_map.hpp"
+#include "rosplat_core/python/bindings.hpp"
+
+namespace rosplat::python {
+
+namespace {
+
+// A map as occupancy needs it: harmonics are checked, and not kept.
+struct OccupancyMap : GaussianMap {
+  OccupancyMap(double resolution, int across, unsigned threads)
+      : GaussianMap(0), voxels({resolution, across}, threads) {}
+
+  VoxelMap voxels;
+};
+
+template <typename T>
+Array<T> rowsOf(const std::vector<std::array<T, 3>>& rows) {
+  Array<T> array({static_cast<py::ssize_t>(rows.size()), py::ssize_t{3}});
+  if (!rows.empty()) std::memcpy(array.mutable_data(), rows.data(), rows.size() * sizeof(rows[0]));
+  return array;
+}
+
+VoxelSurface found(const OccupancyMap& map, double least_depth, bool surface) {
+  const py::gil_scoped_release release;
+  return map.voxels.find(least_depth, surface);
+}
+
+}  // namespace
+
+void defineOccupancy(py::module_& module) {
+  py::class_<OccupancyMap, GaussianMap> map(module, "OccupancyMap",
+                                            "A map as light that its splats take away in voxels.");
+  map.def(py::init<double, int, unsigned>(), "resolution"_a, "across"_a, "threads"_a = 0)
+      .def(
+          "place",
+          [](OccupancyMap& m, const std::array<double, 3>& position,
+             const std::array<double, 4>& orientation) {
+            const py::gil_scoped_release release;
+            m.voxels.place(makePlacement(position, orientation));
+          },
+          "position"_a, "orientation"_a,
+          "Where the map's frame is in the grid's: position [m], quaternion x y z w.")
+      .def(
+          "find",
+          [](const OccupancyMap& m, double least_depth) {
+            const VoxelSurface voxels = found(m, least_depth, false);
+            return py::make_tuple(rowsOf(voxels.cells), rowsOf(voxels.depths));
+          },
+          "least_depth"_a, "Cells int32 (n, 3) and optical depths along x, y, z float32 (n, 3).")
+      .def(
+          "surface",
+          [](const OccupancyMap& m, double least_depth) {
+            const VoxelSurface voxels = found(m, least_depth, true);
+            return py::dict(
+                "cells"_a = rowsOf(voxels.cells), "positions"_a = rowsOf(voxels.positions),
+                "normals"_a = rowsOf(voxels.normals), "colors"_a = rowsOf(voxels.colors));
+          },
+          "least_depth"_a, "Of the same voxels: int32 cells and float32 of the others, (n, 3).")
+      .def_property_readonly("too_large", [](const OccupancyMap& m) { return m.voxels.tooLarge(); })
+      .def_property_readonly("beyond", [](const OccupancyMap& m) { return m.voxels.beyond(); })
+      .def_property_readonly(
+          "full", [](const OccupancyMap& m) { return m.voxels.full(); },
+          "Whether there would be too many voxels, and are none therefore.")
+      .def_property_readonly("voxels", [](const OccupancyMap& m) { return m.voxels.voxels(); });
+  defineApply(map, [](OccupancyMap& m, const GaussianBatch& batch) {
+    BatchReport report;
+    m.apply(batch, report, [&m](const std::shared_ptr<const GaussianEdit>& edit, const MapState&) {
+      m.voxels.apply(*edit);
+    });
+    return report;
+  });
+}
+
+}  // namespace rosplat::python
