@@ -13,7 +13,7 @@ export MYPYPATH=../rosplat_core
 (cd rosplat_sorter && mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_sorter/{backends,batches.py,camera.py,map.py,order_slots.py,shared_orders.py,worker.py})
 (cd rosplat_tools && mypy --config-file ../pyproject.toml --no-error-summary \
-  rosplat_tools/{cameras/{comparison,pose_history}.py,program/processes.py,emulation/{flight,mapping}.py,streaming/{detail,followed_view,slot_allocator,streamed_map}.py,convert.py,generate.py,inspect_scene.py})
+  rosplat_tools/{cameras/{comparison,pose_history}.py,program/{files_below,processes}.py,emulation/{flight,mapping}.py,streaming/{detail,followed_view,slot_allocator,streamed_map}.py,convert.py,generate.py,inspect_scene.py})
 (cd rosplat_lab && MYPYPATH=../rosplat_core:../rosplat_sorter:../rosplat_tools mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_lab/{lab,reference,simplify,arguments.py,driven_rviz.py,machine.py,metrics.py} \
   rosplat_lab/bench/{baselines.py,charts.py,command.py,isolation.py,mouse.py,plan.py,records.py,renderers.py,rviz.py,scenes.py,sort.py})

@@ -13,6 +13,7 @@ demo_sensors = partial(run_module, "demo_sensors", "rosplat_tools.emulation.demo
 follow = partial(run_module, "follow", "rosplat_tools.following.follow")
 generate = partial(run_module, "generate", "rosplat_tools.generate")
 inspect = partial(run_module, "inspect", "rosplat_tools.inspect_scene")
+occupancy = partial(run_module, "occupancy", "rosplat_tools.obstacles.occupancy")
 ply_publisher = partial(run_module, "ply_publisher", "rosplat_tools.ply_publisher")
 slam_emulator = partial(run_module, "slam_emulator", "rosplat_tools.emulation.slam_emulator")
 stream_publisher = partial(

@@ -19,6 +19,7 @@ from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.program.files_below import check_below
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
 
@@ -66,7 +67,7 @@ class PlyPublisher(Node):
         map stays.
         """
         if root != "/" and not is_generated(path):
-            _check_below("scene_root", root, path)
+            check_below("scene_root", root, path)
         answer = self._ask()
         self._reader.submit(self._serve, answer, path)
         try:
@@ -159,7 +160,7 @@ class PlyPublisher(Node):
 
     def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
         try:
-            _check_below("save_root", self._save_root, request.path)
+            check_below("save_root", self._save_root, request.path)
             if Path(request.path).exists() and not request.overwrite:
                 raise SceneError(f"{request.path}: exists already; set overwrite to replace it")
             _, splats = self._map.snapshot()
@@ -170,17 +171,6 @@ class PlyPublisher(Node):
         except Exception as error:  # no request may end the node
             response.message = str(error) or "not enough memory"
         return response
-
-
-def _check_below(parameter: str, root: str, path: str) -> None:
-    """Raises SceneError for a path that leads out of a folder, by links or otherwise."""
-    try:
-        if root and Path(path).resolve().is_relative_to(Path(root).resolve()):
-            return
-    except (OSError, RuntimeError, ValueError):  # a circle of links, or no name of a file
-        pass
-    why = f"not below {root}, its" if root else "none is allowed by its"
-    raise SceneError(f"{path}: refused by the publisher: {why} parameter {parameter}")
 
 
 def main() -> None:

@@ -1,0 +1,263 @@
+"""Obstacles in a map: a grid that nav2 takes, voxels, and a coloured surface with normals.
+
+Topics, each made while somebody listens: `gaussians/occupancy`, nav_msgs/OccupancyGrid;
+`gaussians/voxels` and `gaussians/surface`, sensor_msgs/PointCloud2. Service `~/save` writes the
+grid for map_server.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from rosplat_core.log_text import shown
+from rosplat_core.occupancy import (
+    FREE,
+    OCCUPIED,
+    Grid,
+    OccupancyMap,
+    depth_of,
+    grid_of,
+    save_grid,
+    towards,
+    voxels_across,
+)
+from rosplat_core.quaternions import from_matrices
+from rosplat_core.splats import SceneError
+from rosplat_msgs.srv import SaveMap
+from rosplat_tools.map_subscriber import MapSubscriber
+from rosplat_tools.obstacles.frames import FrameError, Frames
+from rosplat_tools.obstacles.obstacle_messages import (
+    grid_message,
+    surface_message,
+    voxels_message,
+)
+from rosplat_tools.program.files_below import check_below
+from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.running import run, spinning, wait_for_end
+
+# As map_server has its grid.
+LATCHED = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+)
+STILL = 1e-3  # what a frame may turn before the voxels are built anew [rad]
+
+
+class Occupancy(Node):
+    """Publishes what of the map on `gaussians` stands in a robot's way."""
+
+    def __init__(self) -> None:
+        """Raises SceneError for a parameter that makes no sense."""
+        super().__init__("occupancy")
+        resolution: float = declare(
+            self, "resolution", 0.05, "Edge of a voxel, and width of a cell. [m]", 0.005, 10.0
+        )
+        size: float = declare(
+            self, "size", 100.0, "Edge of the cube around the frame's origin that is looked at. "
+            "[m]", 0.1, 1e5,
+        )  # fmt: skip
+        threshold: float = declare(
+            self, "threshold", 0.5, "Share of the light that an occupied voxel takes away.",
+            0.01, 0.99,
+        )  # fmt: skip
+        self._band = _numbers(
+            "band", declare(self, "band", [0.1, 1.8], "Heights that a robot takes up: least, most. "
+            "Lower, down to the negative of the least, is floor. [m]"),
+        )  # fmt: skip
+        if not 0 < self._band[0] < self._band[1]:
+            raise SceneError(f"parameter band: expected 0 < least < most, got {list(self._band)}")
+        self._start = _numbers(
+            "start", declare(self, "start", [0.0, 0.0], "x and y in the frame where the robot is "
+            "or was: free is what it reaches from there. [m]"),
+        )  # fmt: skip
+        self._frame: str = declare(
+            self, "frame_id", "", "Frame of all that is published, z up; empty: the map's."
+        )
+        self._band_frame: str = declare(
+            self, "band_frame", "", "Frame that the band's heights are over, a robot's base; "
+            "empty: that of all that is published.",
+        )  # fmt: skip
+        period = declare(self, "period", 0.5, "Least time between two messages. [s]", 0.05, 60.0)
+        self._save_root: str = declare(
+            self, "save_root", "", "Folder below which ~/save may write; empty: nowhere."
+        )
+        self._resolution, self._least_depth = resolution, depth_of(threshold)
+        self._voxels = OccupancyMap(resolution, voxels_across(size, resolution))
+        self._frames = Frames(self) if self._frame or self._band_frame else None
+        self._map_in_grid: NDArray[np.float64] = np.eye(4)
+        self._level = 0.0  # that the band is over
+        self._places = 0  # how often the voxels were placed
+        self._said: dict[str, object] = {}
+        self._map = MapSubscriber(self, self._voxels)
+        topic = self._map.topic  # remapping it takes the others along
+        outputs: list[tuple[str, type, Callable[[Header], Any]]] = [
+            ("occupancy", OccupancyGrid, lambda header: grid_message(header, self._grid())),
+            ("voxels", PointCloud2, self._voxels_message),
+            ("surface", PointCloud2, self._surface_message),
+        ]
+        self._outputs = [
+            _Output(self.create_publisher(kind, f"{topic}/{name}", LATCHED), make)
+            for name, kind, make in outputs
+        ]
+        self.create_service(SaveMap, "~/save", self._on_save)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
+        self.create_timer(period, self._tick, clock=steady)
+        self.get_logger().info(
+            f"waiting for a map on {topic}: voxels of {resolution:g} m within {size:g} m"
+        )
+
+    # --- What is published ------------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        if not self._is_ready():
+            return
+        header = Header(
+            stamp=self._map.header.stamp, frame_id=self._frame or self._map.header.frame_id
+        )
+        version = (self._map.edits, self._places, self._level)
+        for output in self._outputs:
+            output.update(header, version)
+
+    def _is_ready(self) -> bool:
+        """Whether the map is whole, and TF knows where it is, as the voxels know then, too."""
+        if not self._map.whole:
+            return False
+        try:
+            self._follow_frames()
+        except FrameError as error:
+            self._say_once("frames", str(error), f"nothing is published: {error}")
+            return False
+        self._said.pop("frames", None)
+        if self._voxels.full:
+            self._say_once(
+                "full", True, "nothing is published: the map takes more than 16,777,216 voxels, "
+                "choose a coarser `resolution` or a smaller `size`",
+            )  # fmt: skip
+            return False
+        self._said.pop("full", None)
+        too_large, beyond = self._voxels.too_large, self._voxels.beyond
+        if too_large or beyond:
+            self._say_once(
+                "left out", None, f"left out: {beyond:,} splats beyond `size`, {too_large:,} that "
+                "are hundreds of voxels wide",
+            )  # fmt: skip
+        return True
+
+    def _follow_frames(self) -> None:
+        map_frame = self._map.header.frame_id
+        frame = self._frame or map_frame
+        here, level = np.eye(4), 0.0
+        if self._frames and frame != map_frame:
+            here = self._frames.pose(map_frame, frame)
+        if self._frames and self._band_frame not in ("", frame):
+            level = float(self._frames.pose(self._band_frame, frame)[2, 3])
+        moved = np.abs(here - self._map_in_grid)
+        if moved[:3, :3].max() > STILL or moved[:3, 3].max() > self._resolution / 10:
+            self._voxels.place(here[:3, 3].tolist(), from_matrices(here[:3, :3]).tolist())
+            self._map_in_grid = here
+            self._places += 1
+        if abs(level - self._level) > self._resolution / 2:
+            self._level = level
+
+    def _grid(self) -> Grid:
+        cells, _ = self._voxels.find(self._least_depth)
+        grid = grid_of(cells, self._resolution, self._band, self._level, self._start)
+        if not (grid.cells == FREE).any():
+            x, y = self._start
+            self._say_once(
+                "free", "none", f"no cell is free: at the start, ({x:g}, {y:g}), there is no floor "
+                f"at heights {self._level - self._band[0]:g} to {self._level + self._band[0]:g} m",
+            )  # fmt: skip
+        else:
+            self._said.pop("free", None)
+        return grid
+
+    def _voxels_message(self, header: Header) -> PointCloud2:
+        cells, _ = self._voxels.find(self._least_depth)
+        return voxels_message(header, cells, self._resolution)
+
+    def _surface_message(self, header: Header) -> PointCloud2:
+        surface = self._voxels.surface(self._least_depth)
+        positions = surface["positions"]
+        viewpoint = np.array([*self._start, self._level + sum(self._band) / 2])
+        normals = towards(positions, surface["normals"], viewpoint)
+        return surface_message(header, positions, normals, surface["colors"])
+
+    def _say_once(self, subject: str, value: object, text: str) -> None:
+        if subject not in self._said or self._said[subject] != value:
+            self._said[subject] = value
+            self.get_logger().warning(text)
+
+    # --- What is written --------------------------------------------------------------------------
+
+    def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
+        try:
+            check_below("save_root", self._save_root, request.path)
+            path = Path(request.path)
+            for file in (path, path.with_suffix(".pgm")):
+                if file.exists() and not request.overwrite:
+                    raise SceneError(f"{file}: exists already; set overwrite to replace it")
+            if not self._is_ready():
+                raise SceneError(f"{self._map.topic}: there is no whole map yet")
+            grid = self._grid()
+            save_grid(path, grid)
+            rows, columns = grid.cells.shape
+            occupied, free = ((grid.cells == value).sum() for value in (OCCUPIED, FREE))
+            response.message = (
+                f"{request.path}: {columns} x {rows} cells, {occupied:,} occupied, {free:,} free"
+            )
+            response.splats = self._voxels.splats
+            response.success = True
+        except Exception as error:  # no request may end the node
+            response.message = shown(str(error) or "not enough memory", 500)
+        return response
+
+
+class _Output:
+    """A topic whose message is made anew where somebody listens and the map has changed."""
+
+    def __init__(self, publisher: Publisher, make: Callable[[Header], Any]) -> None:
+        self._publisher, self._make = publisher, make
+        self._published: object = None
+
+    def update(self, header: Header, version: object) -> None:
+        if version != self._published and self._publisher.get_subscription_count():
+            self._publisher.publish(self._make(header))
+            self._published = version
+
+
+def _numbers(name: str, values: Any) -> tuple[float, float]:
+    """A parameter of two numbers. Raises SceneError."""
+    if len(values) != 2 or not all(map(math.isfinite, values)):
+        raise SceneError(f"parameter {name}: expected two numbers, got {list(values)}")
+    return values[0], values[1]
+
+
+def main() -> None:
+    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
+    run("occupancy", _run)
+
+
+def _run() -> None:
+    node = Occupancy()
+    with spinning(node):
+        wait_for_end(node)
+
+
+if __name__ == "__main__":
+    main()

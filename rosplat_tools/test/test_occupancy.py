@@ -1,0 +1,250 @@
+"""The node that publishes obstacles: across processes, what it hears, its parameters, its end."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import PointCloud2
+
+from rosplat_core.generated.rooms import DOOR_ASIDE, ROOMS, SIZE, WALL
+from rosplat_core.splats import Splats
+from rosplat_msgs.msg import GaussianArray
+from rosplat_msgs.srv import SaveMap
+from rosplat_sorter.qos import MAP
+from rosplat_testing import PATIENCE
+from rosplat_tools.map_publisher import MapPublisher
+
+Start = Callable[..., subprocess.Popen[str]]
+COUNT = 60_000
+ROOM = f"rooms:{COUNT}:1"
+RESOLUTION = 0.1
+START = "[-1.2,-1.2]"
+# As nav2's static layer subscribes.
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Heard:
+    """The last message of a topic in the node's namespace."""
+
+    def __init__(self, node: Node, kind: type, name: str) -> None:
+        self.message: Any = None
+        self.count = 0
+        node.create_subscription(kind, name, self._take, LATCHED)
+
+    def _take(self, message: Any) -> None:
+        self.message, self.count = message, self.count + 1
+
+    def cells(self) -> NDArray[np.int8]:
+        info = self.message.info
+        return np.array(self.message.data, np.int8).reshape(info.height, info.width)
+
+    def at(self, x: float, y: float) -> int:
+        """The value of the cell at a place, -1 beyond the grid."""
+        info = self.message.info
+        column = int(np.floor((x - info.origin.position.x) / info.resolution))
+        row = int(np.floor((y - info.origin.position.y) / info.resolution))
+        inside = 0 <= row < info.height and 0 <= column < info.width
+        return int(self.cells()[row, column]) if inside else -1
+
+
+def rows(cloud: PointCloud2) -> NDArray[np.float32]:
+    return np.frombuffer(cloud.data, np.float32).reshape(cloud.width, cloud.point_step // 4)
+
+
+def ended(process: subprocess.Popen[str]) -> str:
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
+    assert "Traceback" not in output
+    return output
+
+
+def test_walls_are_where_they_are(start: Start, node: Node, listener: Any, tmp_path: Path) -> None:
+    """A publisher, the node and who listens are three processes."""
+    grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
+    obstacles = start(
+        "occupancy", resolution=RESOLUTION, start=START, save_root=tmp_path, period=0.1
+    )
+    publisher = start("ply_publisher", path=ROOM, frame_id="flat")
+    listener.wait(lambda: grid.message and (grid.cells() == 0).any())
+    message = grid.message
+    assert message.header.frame_id == "flat"
+    assert message.info.resolution == pytest.approx(RESOLUTION)
+    # Outer walls all along, and what is between them where the robot is.
+    half = ROOMS * SIZE / 2
+    along = np.arange(-half + 0.5, half - 0.4, 0.5)
+    for side in (-half + WALL / 2, half - WALL / 2):  # their inner faces
+        found = [max(grid.at(side + d, y) for d in (-0.05, 0.05)) for y in along]
+        assert np.mean(np.array(found) == 100) > 0.95
+        found = [max(grid.at(x, side + d) for d in (-0.05, 0.05)) for x in along]
+        assert np.mean(np.array(found) == 100) > 0.95
+    for x in (-4.0, -2.0, 0.0, 2.0, 4.0):  # across three rooms and through the doors in between
+        assert grid.at(x, DOOR_ASIDE) == 0
+    assert grid.at(half + 1, 0) == -1
+    assert ((grid.cells() == 0).sum() + (grid.cells() == 100).sum()) * RESOLUTION**2 > 100  # [m2]
+
+    voxels = Heard(node, PointCloud2, "gaussians/voxels")
+    surface = Heard(node, PointCloud2, "gaussians/surface")
+    listener.wait(lambda: voxels.message and surface.message)
+    middles = rows(voxels.message)
+    np.testing.assert_allclose(middles / RESOLUTION % 1, 0.5, atol=1e-2)
+    assert len(middles) == surface.message.width
+    names = [field.name for field in surface.message.fields]
+    assert names == ["x", "y", "z", "normal_x", "normal_y", "normal_z", "rgb"]
+    points = rows(surface.message)
+    assert np.abs(points[:, :3] - middles).max() <= RESOLUTION / 2 + 1e-4
+    floor = np.abs(points[:, 2]) < 0.01
+    assert floor.sum() > 5000
+    assert (points[floor, 5] > 0.8).mean() > 0.9  # up, towards the robot
+
+    answer = listener.call(SaveMap, "occupancy/save", path=str(tmp_path / "flat.yaml"))
+    assert answer.success, answer.message
+    assert f"{message.info.width} x {message.info.height} cells" in answer.message
+    assert (tmp_path / "flat.pgm").stat().st_size > message.info.width * message.info.height
+    for path, why in (
+        (tmp_path / "flat.yaml", "exists already"),
+        (tmp_path / "other.png", "ends in .yaml"),
+        (tmp_path / "none" / "flat.yaml", "No such file"),
+        (tmp_path.parent / "flat.yaml", "save_root"),
+    ):
+        answer = listener.call(SaveMap, "occupancy/save", path=str(path))
+        assert not answer.success
+        assert why in answer.message
+    ended(publisher)
+    ended(obstacles)
+
+
+def wall(x: float, height: float = 1.0) -> Splats:
+    """A square metre across x over the floor."""
+    y, z = (axis.ravel() for axis in np.mgrid[-0.5:0.5:0.05, 0.0:height:0.05])
+    return plane(np.column_stack([np.full(y.size, x), y, z]), axis=0)
+
+
+def floor() -> Splats:
+    x, y = (axis.ravel() for axis in np.mgrid[-2:2:0.05, -2:2:0.05])
+    return plane(np.column_stack([x, y, np.full(x.size, 0.01)]), axis=2)
+
+
+def plane(positions: NDArray[np.float64], axis: int) -> Splats:
+    count = len(positions)
+    scales = np.full((count, 3), 0.03)
+    scales[:, axis] = 0.002
+    return Splats(
+        positions=positions + 0.003,
+        orientations=np.tile([0.0, 0, 0, 1], (count, 1)),
+        scales=scales,
+        opacities=np.full(count, 0.9),
+        sh=np.zeros((count, 1, 3)),
+    )
+
+
+def test_edits_are_in_the_next_grid(start: Start, node: Node, listener: Any) -> None:
+    """Written, moved, emptied and cleared; and nothing is published while nothing changes."""
+    grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
+    process = start("occupancy", resolution=RESOLUTION, size=20.0, period=0.05)
+    publisher = MapPublisher(node)
+    publisher.replace(floor())
+    listener.wait(lambda: grid.message and grid.at(1.05, 0) == 0)
+    walls, door = 1024 * 8, 1024 * 16
+    publisher.upsert(range(walls, walls + len(wall(1.05))), wall(1.05), group=1)
+    listener.wait(lambda: grid.at(1.05, 0) == 100)
+    assert grid.at(-1.05, 0) == 0
+    publisher.move({1: np.array([[1.0, 0, 0, -2], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])})
+    listener.wait(lambda: grid.at(-0.95, 0) == 100)
+    assert grid.at(1.05, 0) == 0
+    publisher.upsert(range(door, door + len(wall(0.55))), wall(0.55))
+    listener.wait(lambda: grid.at(0.55, 0) == 100)
+    publisher.delete(range(door, door + len(wall(0.55))))
+    listener.wait(lambda: grid.at(0.55, 0) == 0)
+    count = grid.count
+    for _ in range(10):
+        listener.wait(lambda: True)
+        listener._executor.spin_once(0.1)
+    assert grid.count == count
+    publisher.replace(floor()[:0])
+    listener.wait(lambda: grid.cells().tolist() == [[-1]])
+    assert "no cell is free: at the start, (0, 0)" in ended(process)
+
+
+def test_what_is_incomplete_is_not_published_and_recovers(
+    start: Start, node: Node, listener: Any
+) -> None:
+    """A publisher without pulls loses a batch; another batch contradicts itself."""
+    grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
+    process = start("occupancy", resolution=RESOLUTION, size=20.0, period=0.05)
+    raw = node.create_publisher(GaussianArray, "gaussians", MAP)
+
+    def batch(revision: int, operation: int, splats: Splats, first: int) -> GaussianArray:
+        return GaussianArray(
+            map_id="m", revision=revision, operation=operation, first_slot=first,
+            count=len(splats), positions=splats.positions.ravel().tolist(),
+            orientations=splats.orientations.ravel().tolist(),
+            scales=splats.scales.ravel().tolist(), opacities=splats.opacities.tolist(),
+            sh=splats.sh.ravel().tolist(),
+        )  # fmt: skip
+
+    raw.publish(batch(1, GaussianArray.REPLACE, floor(), 0))
+    listener.wait(lambda: grid.message and grid.at(0, 0) == 0)
+    count = grid.count
+    broken = batch(2, GaussianArray.UPSERT, wall(1.05), 8192)
+    broken.count = 7
+    raw.publish(broken)
+    raw.publish(batch(4, GaussianArray.UPSERT, wall(1.05), 8192))
+    while True:  # until the node has said so
+        assert process.stdout
+        line = process.stdout.readline()
+        assert line
+        if "batches are missing" in line:
+            break
+    assert grid.count == count
+    raw.publish(batch(5, GaussianArray.REPLACE, wall(1.05), 0))
+    listener.wait(lambda: grid.at(1.05, 0) == 100)
+    ended(process)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "why"),
+    [
+        ("resolution", 0.0, "resolution"),
+        ("size", 1000.0, "20,000 voxels along an axis"),
+        ("threshold", 1.0, "threshold"),
+        ("band", "[1.0,0.5]", "expected 0 < least < most"),
+        ("band", "[0.1]", "band: expected two numbers"),
+        ("start", "[0.0,.nan]", "start: expected two numbers"),
+        ("period", 0.0, "period"),
+    ],
+)
+def test_a_parameter_that_makes_no_sense(start: Start, name: str, value: object, why: str) -> None:
+    process = start("occupancy", **{name: value})
+    output, _ = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, len(output.strip().splitlines())) == (1, 1), output
+    assert output.startswith("occupancy: ")
+    assert why in output
+
+
+def test_frames_need_tf(start: Start) -> None:
+    process = start("occupancy", frame_id="odom")
+    if "tf2_ros" in sys.modules or _has_tf():
+        assert process.poll() is None
+        return
+    output, _ = process.communicate(timeout=PATIENCE)
+    assert output == ("occupancy: frames other than the map's need TF: tf2_ros is not installed\n")
+
+
+def _has_tf() -> bool:
+    try:
+        import tf2_ros  # noqa: F401
+    except ImportError:
+        return False
+    return True
