@@ -81,6 +81,16 @@ def test_panels_of_sensors_come_with_sensors() -> None:
     assert config(sensors="true", config="mine.rviz") == Path("mine.rviz")
 
 
+def test_obstacles_come_with_their_grid() -> None:
+    shown = started("robot", obstacles="true", topic="map")
+    assert set(shown) == {"occupancy", "sorter", "rviz2"}
+    config = Path(shown["rviz2"].words[1]).read_text()
+    for name in ("occupancy", "voxels", "surface"):
+        assert f"Value: /gaussians/{name}" in config
+        assert shown["rviz2"].remappings[f"/gaussians/{name}"] == f"map/{name}"
+    assert "/gaussians/occupancy" not in started()["rviz2"].remappings
+
+
 def test_the_frame_of_the_scene_is_seen() -> None:
     """rviz2 keeps the configuration's Fixed Frame where it is given none."""
     assert started()["rviz2"].words[-1] == "--fixed-frame="

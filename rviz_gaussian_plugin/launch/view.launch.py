@@ -43,15 +43,22 @@ ARGUMENTS = {
         "Start a robot that circles the map, with an IMU and a camera: for show, not beside a real "
         "one",
     ),
+    "obstacles": (
+        "false",
+        "Start occupancy, and show its grid; its parameters are as they come",
+    ),
     "use_sim_time": ("false", "Take the time from /clock, as a bag or a simulator gives it"),
     "config": (
         "",
-        "rviz2 configuration; by default the map alone, or with the sensors that are started",
+        "rviz2 configuration; by default the map alone, or with the sensors that are started, or "
+        "else with the obstacles",
     ),
 }
 
 # Of demo_sensors, which sensors.rviz shows.
 SENSORS = ("imu/data", "camera/image_raw", "camera/camera_info", "camera/pose", "camera/path")
+# Of occupancy, which obstacles.rviz shows; below the map's topic.
+OBSTACLES = ("occupancy", "voxels", "surface")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -98,7 +105,9 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
         programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
     if is_true("sensors"):
         programs.append(program("rosplat_tools", "demo_sensors", frame_id=frame))
-    programs.append(_rviz(given, is_true("sensors")))
+    if is_true("obstacles"):
+        programs.append(program("rosplat_tools", "occupancy"))
+    programs.append(_rviz(given, is_true("sensors"), is_true("obstacles")))
     # Room for maps in Fast DDS's shared memory, where there is any.
     profile = fast_dds_profile(context.environment)
     return [
@@ -113,13 +122,14 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
     ]
 
 
-def _rviz(given: dict[str, str], sensors: bool) -> Node:
+def _rviz(given: dict[str, str], sensors: bool, obstacles: bool) -> Node:
     frame = given["frame_id"]
     fixed_frame = given["fixed_frame"] or ("" if frame == "map" else frame)
-    name = "sensors.rviz" if sensors else "rosplat.rviz"
+    name = "sensors.rviz" if sensors else "obstacles.rviz" if obstacles else "rosplat.rviz"
     config = given["config"] or str(Path(__file__).parents[1] / "config" / name)
     # A configuration's names begin with a slash: they mean what the others have in their namespace.
     shown = {"gaussians": given["topic"]} | {topic: topic for topic in SENSORS if sensors}
+    shown |= {f"gaussians/{name}": f"{given['topic']}/{name}" for name in OBSTACLES if obstacles}
     return Node(
         package="rviz2",
         executable="rviz2",
