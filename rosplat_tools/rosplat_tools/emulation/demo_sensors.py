@@ -19,6 +19,7 @@ from geometry_msgs.msg import (
     TransformStamped,
     Vector3,
 )
+from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -39,11 +40,7 @@ from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning, wait_for_end
 from rosplat_tools.view_messages import view_camera
 
-# The wheels of PyPI have neither.
-try:
-    from nav_msgs.msg import Path
-except ImportError:
-    Path = None
+# The wheels of PyPI don't have it.
 try:
     from tf2_msgs.msg import TFMessage
 except ImportError:
@@ -147,11 +144,8 @@ class DemoSensors(Node):
         self._image = self.create_publisher(Image, "camera/image_raw", **overridable(SENSOR))
         self._info = self.create_publisher(CameraInfo, "camera/camera_info", **overridable(SENSOR))
         self._pose = self.create_publisher(PoseStamped, "camera/pose", **overridable(SENSOR))
-        self._path = self._tf = self._tf_static = None
-        if Path:
-            self._path = self.create_publisher(Path, "camera/path", **overridable(SENSOR))
-        else:
-            self.get_logger().info("no nav_msgs here: camera/path is left out")
+        self._path = self.create_publisher(Path, "camera/path", **overridable(SENSOR))
+        self._tf = self._tf_static = None
         if TFMessage:
             self._tf = self.create_publisher(TFMessage, "/tf", **overridable(TF))
             self._tf_static = self.create_publisher(
@@ -308,8 +302,7 @@ class DemoSensors(Node):
     def _publish_pose(self, pose: PoseStamped) -> None:
         self._pose.publish(pose)
         self._trail.append(pose)
-        if self._path:
-            self._path.publish(Path(header=pose.header, poses=list(self._trail)))
+        self._path.publish(Path(header=pose.header, poses=list(self._trail)))
 
 
 @dataclass(frozen=True, eq=False)
