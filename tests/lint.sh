@@ -17,8 +17,9 @@ export MYPYPATH=../rosplat_core
 (cd rosplat_lab && MYPYPATH=../rosplat_core:../rosplat_sorter:../rosplat_tools mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_lab/{lab,reference,simplify,arguments.py,driven_rviz.py,machine.py,metrics.py} \
   rosplat_lab/bench/{baselines.py,charts.py,command.py,isolation.py,mouse.py,plan.py,records.py,renderers.py,rviz.py,scenes.py,sort.py})
-# All of them, for names, attributes and arguments: what knows ROS, too, whose own types are thin.
+# All of them, for names, attributes and arguments: what knows ROS, too, whose own types are thin. A folder
+# "launch" is no module.
 (cd tests && MYPYPATH=../rosplat_core:../rosplat_sorter:../rosplat_tools:../rviz_gaussian_plugin:../rosplat_lab \
-  mypy --config-file= --no-error-summary --ignore-missing-imports --check-untyped-defs \
+  mypy --config-file= --no-error-summary --ignore-missing-imports --check-untyped-defs --no-namespace-packages \
   -p rosplat_sorter -p rosplat_tools -p rviz_gaussian_plugin -p rosplat_lab)
 echo 'lint: clean'

@@ -1,17 +1,26 @@
-"""What view.launch.py starts, without starting it."""
+"""What the launch files start, without starting it."""
 
 from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
+import yaml
+
+if TYPE_CHECKING:
+    from launch import LaunchContext
+    from launch.actions import ExecuteProcess
 
 pytest.importorskip("launch_ros")
-LAUNCH = Path(__file__).resolve().parents[1] / "rviz_gaussian_plugin/launch/view.launch.py"
+ROOT = Path(__file__).resolve().parents[1]
+VIEW = ROOT / "rviz_gaussian_plugin/launch/view.launch.py"
+ROBOTS = ROOT / "rosplat_tools/launch/robots.launch.py"
+RECORD = ROOT / "rosplat_tools/launch/record.launch.py"
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 
@@ -23,39 +32,59 @@ class Program(NamedTuple):
     sim_time: bool
     name: str  # of the node, with its namespace
     remappings: dict[str, str]
+    parameters: dict[str, object]
 
 
-def started(namespace: str = "", **arguments: str) -> dict[str, Program]:
-    """Each program by its name."""
+def actions_of(
+    launch: Path, namespace: str = "", **arguments: str
+) -> Iterator[tuple[ExecuteProcess, LaunchContext]]:
+    """What a launch file starts or listens to, with what holds there."""
     from launch import LaunchContext
-    from launch.actions import GroupAction, IncludeLaunchDescription
+    from launch.actions import (
+        ExecuteProcess,
+        GroupAction,
+        IncludeLaunchDescription,
+        RegisterEventHandler,
+    )
     from launch.launch_description_sources import AnyLaunchDescriptionSource
-    from launch.utilities import perform_substitutions
-    from launch_ros.actions import Node, PushRosNamespace
+    from launch_ros.actions import PushRosNamespace
 
     context = LaunchContext()
     context.launch_configurations.update(arguments)
-    programs = {}
 
-    def visit(entity: object) -> None:
-        if not isinstance(entity, Node):
+    def visit(entity: Any) -> Iterator[tuple[Any, Any]]:
+        if not isinstance(entity, ExecuteProcess | RegisterEventHandler):
             for part in entity.visit(context) or []:
-                visit(part)
+                yield from visit(part)
         elif entity.condition is None or entity.condition.evaluate(context):
-            name = entity.node_executable
-            own = entity.cmd[1:4] if name == "rviz2" else []  # before what ROS adds
-            words = [perform_substitutions(context, word) for word in own]
-            entity._perform_substitutions(context)
-            programs[name] = Program(
-                words,
-                context.environment.get(PROFILE, ""),
-                dict(context.launch_configurations["global_params"])["use_sim_time"],
-                entity.node_name,
-                dict(entity.expanded_remapping_rules or []),
-            )
+            yield entity, context
 
-    included = IncludeLaunchDescription(AnyLaunchDescriptionSource(str(LAUNCH)))
-    visit(GroupAction([*([PushRosNamespace(namespace)] if namespace else []), included]))
+    included = IncludeLaunchDescription(AnyLaunchDescriptionSource(str(launch)))
+    yield from visit(GroupAction([*([PushRosNamespace(namespace)] if namespace else []), included]))
+
+
+def started(namespace: str = "", launch: Path = VIEW, **arguments: str) -> dict[str, Program]:
+    """Each program by its name, in its namespace if it has one."""
+    from launch.utilities import perform_substitutions
+
+    programs = {}
+    for entity, context in actions_of(launch, namespace, **arguments):
+        name = entity.node_executable
+        own = entity.cmd[1:4] if name == "rviz2" else []  # before what ROS adds
+        words = [perform_substitutions(context, word) for word in own]
+        entity._perform_substitutions(context)
+        files = entity._Node__expanded_parameter_arguments or []
+        parameters = [
+            next(iter(yaml.safe_load(Path(file).read_text()).values())) for file, _ in files
+        ]
+        programs[entity.node_name if launch == ROBOTS else name] = Program(
+            words,
+            context.environment.get(PROFILE, ""),
+            dict(context.launch_configurations["global_params"])["use_sim_time"],
+            entity.node_name,
+            dict(entity.expanded_remapping_rules or []),
+            {k: v for each in parameters for k, v in each["ros__parameters"].items()},
+        )
     return programs
 
 
@@ -137,3 +166,53 @@ def test_fast_dds_gets_room_where_there_is_any_and_only_here(
             assert program.profile.endswith(profile)
             assert bool(program.profile) == bool(profile)
         assert PROFILE not in os.environ
+
+
+def test_each_robot_s_map_is_in_its_namespace_and_its_frame() -> None:
+    scenes = "{robot1: 'it is mine.ply', /team/robot2: town/lod-meta.json}"
+    robots = started(launch=ROBOTS, scenes=scenes, sorter="true", compression="quantised")
+    assert set(robots) == {
+        "/robot1/ply_publisher", "/robot1/sorter", "/team/robot2/stream_publisher",
+        "/team/robot2/sorter",
+    }  # fmt: skip
+    assert robots["/robot1/ply_publisher"].parameters == {
+        "path": "it is mine.ply", "frame_id": "robot1/map", "compression": "quantised",
+    }  # fmt: skip
+    streamed = robots["/team/robot2/stream_publisher"].parameters
+    assert (streamed["frame_id"], streamed["max_splats"]) == ("team/robot2/map", 2000000)
+    assert set(started(launch=ROBOTS, scenes="{a: 7}")) == {"/a/ply_publisher"}
+
+
+@pytest.mark.parametrize("scenes", ["", "a.ply", "{robot1: }", "{robot1"])
+def test_scenes_of_no_robot_are_an_error(scenes: str) -> None:
+    with pytest.raises(ValueError, match=r"scenes: expected \{robot1: a.ply"):
+        started(launch=ROBOTS, scenes=scenes)
+
+
+def test_a_recorder_keeps_all_of_the_map_and_has_it_sent_once() -> None:
+    from launch.events.process import ProcessStderr
+    from launch.utilities import perform_substitutions
+
+    (told, _), (recorder, context) = actions_of(RECORD, topic="/robot1/gaussians", output="bag")
+    words = [perform_substitutions(context, word) for word in recorder.cmd]
+    assert words[:3] == ["ros2", "bag", "record"]
+    assert words[words.index("--output") + 1] == "bag"
+    qos = yaml.safe_load(Path(words[words.index("--qos-profile-overrides-path") + 1]).read_text())
+    assert qos.keys() == {"/robot1/gaussians"}
+    assert (qos["/robot1/gaussians"]["depth"], qos["/robot1/gaussians"]["durability"]) == (
+        1000, "transient_local",
+    )  # fmt: skip
+
+    def said(text: str) -> list[str]:
+        event = ProcessStderr(
+            text=text.encode(), action=recorder, name="", cmd=[], cwd=None, env=None, pid=1
+        )
+        assert told.event_handler.matches(event)
+        calls = told.event_handler.handle(event, context) or []
+        return [perform_substitutions(context, word) for call in calls for word in call.cmd]
+
+    assert not said("[INFO] [rosbag2_recorder]: Subscribed to topic '/robot1/gaussians/picked'")
+    subscribed = "[INFO] [rosbag2_recorder]: Subscribed to topic '/robot1/gaussians'"
+    assert said(subscribed)[:4] == ["ros2", "service", "call", "/robot1/gaussians/repeat"]
+    assert not said(subscribed)
+    assert len(list(actions_of(RECORD, repeat="false"))) == 1

@@ -5,18 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    GroupAction,
-    OpaqueFunction,
-    SetEnvironmentVariable,
-)
+from launch.actions import GroupAction, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, SetParameter, SetRemap
-from launch_ros.parameter_descriptions import ParameterValue
 
-from rosplat_tools.program.processes import fast_dds_profile
+from rosplat_tools.program.launching import declared, program, publisher, room_for_maps
 
 # By name: the default, and what it means. Names of topics are in the namespace that the launch file
 # is included in, unless they begin with a slash.
@@ -63,11 +57,7 @@ OBSTACLES = ("occupancy", "voxels", "surface")
 
 def generate_launch_description() -> LaunchDescription:
     """What `ros2 launch` reads."""
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in ARGUMENTS.items()
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=_programs)])
+    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=_programs)])
 
 
 def _programs(context: LaunchContext) -> list[GroupAction]:
@@ -76,31 +66,11 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
     def is_true(name: str) -> bool:
         return bool(IfCondition(given[name]).evaluate(context))
 
-    def program(package: str, executable: str, **parameters: object) -> Node:
-        typed = {  # a path of digits stays a text
-            name: ParameterValue(value, value_type=type(value))
-            for name, value in parameters.items()
-        }
-        return Node(
-            package=package,
-            executable=executable,
-            name=executable,
-            parameters=[typed],
-            output="screen",
-        )
-
     scene, frame = given["scene"], given["frame_id"]
     programs = []
     # No publisher without a scene: beside it, a volatile publisher of a SLAM node isn't heard.
-    if scene.endswith("lod-meta.json"):
-        most = int(given["max_splats"])
-        programs.append(
-            program(
-                "rosplat_tools", "stream_publisher", path=scene, frame_id=frame, max_splats=most
-            )
-        )
-    elif scene:
-        programs.append(program("rosplat_tools", "ply_publisher", path=scene, frame_id=frame))
+    if scene:
+        programs.append(publisher(scene, frame, int(given["max_splats"])))
     if is_true("sorter"):
         programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
     if is_true("sensors"):
@@ -108,12 +78,10 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
     if is_true("obstacles"):
         programs.append(program("rosplat_tools", "occupancy"))
     programs.append(_rviz(given, is_true("sensors"), is_true("obstacles")))
-    # Room for maps in Fast DDS's shared memory, where there is any.
-    profile = fast_dds_profile(context.environment)
     return [
         GroupAction(
             [
-                *(SetEnvironmentVariable(name, value) for name, value in profile.items()),
+                *room_for_maps(context),
                 SetParameter("use_sim_time", is_true("use_sim_time")),
                 SetRemap("gaussians", given["topic"]),
                 *programs,

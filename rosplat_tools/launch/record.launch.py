@@ -1,0 +1,68 @@
+"""Records all topics, the map with the QoS that it needs and from its beginning."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+import yaml
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription
+from launch.actions import ExecuteProcess, OpaqueFunction, RegisterEventHandler
+from launch.conditions import IfCondition
+from launch.event_handlers import OnProcessIO
+from launch.events.process import ProcessIO
+from launch.substitutions import LaunchConfiguration
+
+from rosplat_tools.program.launching import declared, room_for_maps
+
+ARGUMENTS = {
+    "topic": ("/gaussians", "Topic of the map, with its namespace"),
+    "output": ("", "Folder of the bag; by default named by the date"),
+    "repeat": (
+        "true",
+        "Have the map sent again once the recorder hears it; false: the recorder starts before "
+        "the map, or the map's publisher doesn't answer TOPIC/repeat",
+    ),
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """What `ros2 launch` reads."""
+    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=_recorder)])
+
+
+def _recorder(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHandler]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    topic = given["topic"]
+    exclude = "-x" if os.environ.get("ROS_DISTRO") == "humble" else "--exclude-regex"
+    command = ["ros2", "bag", "record", "-a", exclude, "/(view|order)$"]
+    command += ["--qos-profile-overrides-path", str(_qos(topic))]
+    command += ["--output", given["output"]] if given["output"] else []
+    recorder = ExecuteProcess(cmd=command, output="screen")
+    actions = [*room_for_maps(context), recorder]
+    if IfCondition(given["repeat"]).evaluate(context):
+        request = ["ros2", "service", "call", f"{topic}/repeat", "rosplat_msgs/srv/RepeatMap"]
+        repeats: list[ExecuteProcess] = []  # once
+
+        def hear(event: ProcessIO) -> list[ExecuteProcess]:
+            if repeats or f"Subscribed to topic '{topic}'" not in event.text.decode():
+                return []
+            repeats.append(ExecuteProcess(cmd=request, output="screen"))
+            return repeats
+
+        told = OnProcessIO(target_action=recorder, on_stdout=hear, on_stderr=hear)
+        actions.insert(0, RegisterEventHandler(told))
+    return actions
+
+
+def _qos(topic: str) -> Path:
+    """A file of QoS overrides for the map's topic."""
+    shipped = Path(get_package_share_directory("rosplat_msgs"), "config", "rosbag2.yaml")
+    if topic == "/gaussians":
+        return shipped
+    overrides = yaml.safe_load(shipped.read_text())
+    path = Path(tempfile.mkdtemp(prefix="rosplat_"), "rosbag2.yaml")
+    path.write_text(yaml.safe_dump({topic: overrides["/gaussians"]}))
+    return path

@@ -1,0 +1,66 @@
+"""Publishes the maps of several robots, each in the namespace and the frame of its robot."""
+
+from __future__ import annotations
+
+import yaml
+from launch import LaunchContext, LaunchDescription
+from launch.actions import GroupAction, OpaqueFunction
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import PushRosNamespace, SetParameter
+
+from rosplat_tools.program.launching import declared, program, publisher, room_for_maps
+
+ARGUMENTS = {
+    "scenes": (
+        "",
+        "The scene of each robot, by its namespace: {robot1: a.ply, robot2: town/lod-meta.json}. "
+        "The map is in the frame NAMESPACE/map",
+    ),
+    "max_splats": ("2000000", "The most splats of a streamed scene that a map holds"),
+    "compression": ("none", "How splats travel: none, or quantised for a radio"),
+    "sorter": ("false", "Start a sorter for each map, for displays that don't sort by themselves"),
+    "use_sim_time": ("false", "Take the time from /clock, as a simulator gives it"),
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """What `ros2 launch` reads."""
+    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=_robots)])
+
+
+def _robots(context: LaunchContext) -> list[GroupAction]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+
+    def is_true(name: str) -> bool:
+        return bool(IfCondition(given[name]).evaluate(context))
+
+    def robot(name: str, scene: str) -> GroupAction:
+        sorter = [program("rosplat_sorter", "sorter")] if is_true("sorter") else []
+        return GroupAction(
+            [
+                PushRosNamespace(name),
+                SetParameter("use_sim_time", is_true("use_sim_time")),
+                *room_for_maps(context),
+                publisher(
+                    scene,
+                    f"{name}/map",
+                    int(given["max_splats"]),
+                    compression=given["compression"],
+                ),
+                *sorter,
+            ]
+        )
+
+    return [robot(*each) for each in _scenes(given["scenes"]).items()]
+
+
+def _scenes(text: str) -> dict[str, str]:
+    """Scenes by namespaces. Raises ValueError where the text has none."""
+    try:
+        scenes = yaml.safe_load(text)
+    except yaml.YAMLError:
+        scenes = None
+    if not isinstance(scenes, dict) or not scenes or None in scenes.values():
+        raise ValueError(f"scenes: expected {{robot1: a.ply, robot2: b.ply}}, got '{text}'")
+    return {str(name).strip("/"): str(scene) for name, scene in scenes.items()}

@@ -1,0 +1,48 @@
+"""What launch files have in common. Needs launch_ros, which no node does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from launch import LaunchContext
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from rosplat_tools.program.processes import fast_dds_profile
+
+
+def declared(arguments: Mapping[str, tuple[str, str]]) -> list[DeclareLaunchArgument]:
+    """Arguments by name: the default, and what it means."""
+    return [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in arguments.items()
+    ]
+
+
+def room_for_maps(context: LaunchContext) -> list[SetEnvironmentVariable]:
+    """In Fast DDS's shared memory, for the programs that follow, where there is any."""
+    profile = fast_dds_profile(context.environment)
+    return [SetEnvironmentVariable(name, value) for name, value in profile.items()]
+
+
+def program(package: str, executable: str, **parameters: object) -> Node:
+    """A node named like its executable."""
+    typed = {  # a path of digits stays a text
+        name: ParameterValue(value, value_type=type(value)) for name, value in parameters.items()
+    }
+    return Node(
+        package=package,
+        executable=executable,
+        name=executable,
+        parameters=[typed],
+        output="screen",
+    )
+
+
+def publisher(scene: str, frame_id: str, max_splats: int, **parameters: object) -> Node:
+    """What publishes a scene; max_splats: of one that is streamed."""
+    name, parameters = "ply_publisher", parameters | {"path": scene, "frame_id": frame_id}
+    if scene.endswith("lod-meta.json"):
+        name, parameters = "stream_publisher", parameters | {"max_splats": max_splats}
+    return program("rosplat_tools", name, **parameters)
