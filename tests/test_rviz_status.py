@@ -21,6 +21,7 @@ from rviz_harness import (
 )
 
 pytestmark = needs_rviz
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_bad_input_is_explained(rviz: Rviz, world: World, tmp_path: Path) -> None:
@@ -293,3 +294,31 @@ def test_old_opengl_serves_the_processor_alone(tmp_path: Path, world: World) -> 
     finally:
         rviz.close()
         old.close()
+
+
+def test_diagnostics_have_the_worst_line_and_figures(rviz: Rviz, world: World) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    heard: list[DiagnosticStatus] = []
+    world.node.create_subscription(
+        DiagnosticArray,
+        "/diagnostics",
+        lambda array: heard.extend(s for s in array.status if "rviz" in s.name),
+        10,
+    )
+    rviz.set("Map", "Topic", value="/nobody")
+    rviz.until_status("Map", "Topic", "Warn", "Nobody publishes on /nobody")
+    world.spin_until(lambda: any(s.message.startswith("Topic: Nobody") for s in heard))
+    assert {s.level for s in heard if "Nobody" in s.message} == {DiagnosticStatus.WARN}
+    rviz.set("Map", "Topic", value="/gaussians")
+    world.map.replace(disc((1, 0, 0)))
+    world.place()
+    rviz.until(lambda s: red(s).any())
+    world.spin_until(lambda: heard[-1].level == DiagnosticStatus.OK)
+    assert heard[-1].name.endswith(": /gaussians")
+    values = {value.key: value.value for value in heard[-1].values}
+    section = (ROOT / "docs/reference.md").read_text().partition("## Diagnostics")[2]
+    assert all(word in section for word in values)
+    assert int(values["Splats"]) == len(world.map)
+    assert (values["Views"], values["Map"]) == ("1", world.map.map_id)
+    assert int(values["Memory (bytes)"]) > 1e7

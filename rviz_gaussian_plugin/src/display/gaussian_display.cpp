@@ -90,6 +90,7 @@ GaussianDisplay::GaussianDisplay() {
 
 GaussianDisplay::~GaussianDisplay() {
   endService();
+  diagnostics_.reset();
   views_.reset();
   client_.reset();  // no more messages into the cloud
   selection_.reset();
@@ -129,6 +130,7 @@ void GaussianDisplay::reset() {
 
 void GaussianDisplay::unsubscribe() {
   endService();
+  diagnostics_.reset();
   views_.reset();
   client_.reset();
   selection_.reset();
@@ -166,6 +168,7 @@ void GaussianDisplay::subscribe() {
     const auto node = context_->getRosNodeAbstraction().lock()->get_raw_node();
     client_ = std::make_unique<GaussianClient>(node, topic, qos_, cloud_->scene());
     views_ = std::make_unique<DrawnViews>(name, cloud_->scene(), *client_);
+    diagnostics_ = std::make_unique<Diagnostics>(*node, client_->status().topic);
     serve();
     if (!loader_ || loader_->topic() != topic) {
       loader_ = std::make_unique<SceneLoader>(node, topic);
@@ -241,7 +244,9 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   if (const auto now = std::chrono::steady_clock::now(); now - status_time_ > kStatusPeriod) {
     status_time_ = now;
     settings_->offerChannels(cloud_->scene().state().channels);
-    showStatus(statusLines());
+    std::vector<StatusLine> lines = statusLines();
+    diagnostics_->tell(lines, cloud_->scene(), views_->reports().size());
+    showStatus(std::move(lines));
   }
 }
 

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "clip_box_handles.hpp"
+#include "diagnostics.hpp"
 #include "display_settings.hpp"
 #include "display_status.hpp"
 #include "drawn_views.hpp"
@@ -76,8 +77,9 @@ class GaussianDisplay : public rviz_common::Display {
   std::unique_ptr<DisplaySettings> settings_;
 
   std::unique_ptr<SplatCloud> cloud_;
-  std::unique_ptr<GaussianClient> client_;         // after cloud_: feeds it
-  std::unique_ptr<DrawnViews> views_;              // after client_, as the next
+  std::unique_ptr<GaussianClient> client_;  // after cloud_: feeds it
+  std::unique_ptr<DrawnViews> views_;       // after client_, as the next
+  std::unique_ptr<Diagnostics> diagnostics_;
   std::unique_ptr<RenderService> render_service_;  // if it serves
   std::shared_ptr<SplatSelection> picks_;          // of all displays
   std::shared_ptr<MapSelection> selection_;        // of this one

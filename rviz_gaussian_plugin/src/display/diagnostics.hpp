@@ -1,0 +1,30 @@
+#pragma once
+
+#include <chrono>
+#include <diagnostic_msgs/msg/diagnostic_array.hpp>
+#include <rclcpp/rclcpp.hpp>
+#include <string>
+#include <vector>
+
+#include "display_status.hpp"
+#include "splat_scene.hpp"
+
+namespace rosplat {
+
+// What a display says on /diagnostics each second, in the words of docs/reference.md.
+class Diagnostics {
+ public:
+  // topic: of the map, which names the status beside the node.
+  Diagnostics(rclcpp::Node& node, const std::string& topic);
+
+  // Does nothing before a second has passed. lines: of the display's Status.
+  void tell(const std::vector<StatusLine>& lines, const SplatScene& scene, std::size_t views);
+
+ private:
+  rclcpp::Clock::SharedPtr clock_;
+  rclcpp::Publisher<diagnostic_msgs::msg::DiagnosticArray>::SharedPtr publisher_;
+  diagnostic_msgs::msg::DiagnosticStatus status_;
+  std::chrono::steady_clock::time_point told_;
+};
+
+}  // namespace rosplat
