@@ -23,9 +23,10 @@ from rosplat_core.lens_pictures import DEPTHS, LensPicture, take_picture
 from rosplat_core.lenses import Lens, LensError, Warp
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
+from rosplat_sorter.diagnostics import Diagnostics
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
-from rosplat_tools.cameras.health import Diagnostics, Health, NoPicture
+from rosplat_tools.cameras.health import Health, NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
 from rosplat_tools.cameras.poses import NEVER, Poses, declare_poses
 from rosplat_tools.images import to_bytes, to_image
@@ -63,7 +64,8 @@ class CameraNode(Node):
             _Camera(self, name, poses, self._map, Shot(round(SECOND / rate), near, far, depth))
             for name in names
         ]
-        Diagnostics(self, [camera.health for camera in self._cameras])
+        for camera in self._cameras:
+            Diagnostics(self, camera.health.name, camera.health.report)
 
     def film(self) -> None:
         """Takes pictures until ROS ends."""

@@ -24,9 +24,10 @@ from rosplat_core.lenses import LensError, Warp
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import Comparison
+from rosplat_sorter.diagnostics import Diagnostics
 from rosplat_tools.cameras import calibrations, comparison
 from rosplat_tools.cameras.drawn_map import DrawnMap
-from rosplat_tools.cameras.health import Diagnostics, Health, NoPicture
+from rosplat_tools.cameras.health import Health, NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
 from rosplat_tools.cameras.poses import declare_poses
 from rosplat_tools.cameras.residual_map import ResidualMap
@@ -73,7 +74,7 @@ class Compare(Node):
             qos = qos_profile_sensor_data
             self.create_subscription(kind, topic, heard, qos, qos_overriding_options=overridable)
         self._health = Health(self.resolve_topic_name("image_raw"), self.get_logger().warning)
-        Diagnostics(self, [self._health])
+        Diagnostics(self, self._health.name, self._health.report)
 
     def compare(self) -> None:
         """Compares pictures until ROS ends."""

@@ -6,16 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable
 
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-
-# The wheels of PyPI don't have it.
-try:
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-except ImportError:
-    DiagnosticArray = None
-
-PERIOD = 1.0  # [s]
+from rosplat_sorter.diagnostics import Report
 
 
 class NoPicture(Exception):
@@ -55,30 +46,11 @@ class Health:
         self.problem = ""
         self._said.clear()
 
-
-class Diagnostics:
-    """Publishes the health of cameras on /diagnostics, once a second."""
-
-    def __init__(self, node: Node, cameras: list[Health]) -> None:
-        self._node, self._cameras = node, cameras
-        if DiagnosticArray is None:
-            node.get_logger().info("no diagnostic_msgs here: /diagnostics is left out")
-            return
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        node.create_timer(PERIOD, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def _publish(self) -> None:
-        message = DiagnosticArray(status=[self._status(camera) for camera in self._cameras])
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(message)
-
-    def _status(self, camera: Health) -> DiagnosticStatus:
-        values = {"latency [ms]": f"{camera.latency * 1e3:.1f}"}
-        values |= {"drawing [ms]": f"{camera.drawing * 1e3:.1f}"}
-        values |= {kind: str(count) for kind, count in camera.counts.items()}
-        return DiagnosticStatus(
-            level=DiagnosticStatus.WARN if camera.problem else DiagnosticStatus.OK,
-            name=f"{self._node.get_name()}: {camera.name}",
-            message=camera.problem or "pictures come",
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
-        )
+    def report(self) -> Report:
+        """For /diagnostics."""
+        figures = {
+            "Latency (s)": round(self.latency, 4),
+            "Drawing (s)": round(self.drawing, 4),
+            **{kind.capitalize(): count for kind, count in self.counts.items()},
+        }
+        return Report(self.problem or "pictures come", figures, warns=bool(self.problem))
