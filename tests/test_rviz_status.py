@@ -105,7 +105,7 @@ def test_a_publisher_that_keeps_nothing_is_told_of(rviz: Rviz, world: World) -> 
 
     publisher = world.node.create_publisher(GaussianArray, "/forgetful", MAP_VOLATILE)
     rviz.set("Map", "Topic", value="/forgetful")
-    rviz.until_status("Map", "Topic", "Warn", "volatile", "not sent again")
+    rviz.until_status("Map", "Topic", "Warn", "volatile", "is lost")
     world.node.destroy_publisher(publisher)
 
 

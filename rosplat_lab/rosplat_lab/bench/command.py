@@ -213,8 +213,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--backends", nargs="+", default=[], metavar="NAME",
-        help=f"of the sorter: {', '.join(BACKENDS)}; or the viewer itself: {live.GPU} (chain, growth, "
-        f"frame), {live.PROCESSOR} (chain), {live.BUILT_IN} (growth, frame); all by default",
+        help=f"of the sorter: {', '.join(BACKENDS)}; or the viewer itself: {live.GPU} (chain, "
+        f"growth, frame), {live.PROCESSOR} (chain), {live.BUILT_IN} (growth, frame); default all",
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
