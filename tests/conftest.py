@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from drawing import Target
-from rosplat_lab.bench.embedded import View
+from rosplat_lab.bench.embedded import NumberedView
 from rviz_harness import MARKERS, Rviz, World, configuration, map_display
 
 pytest_plugins = ["core_fixtures", "ros_fixtures"]
@@ -51,7 +51,7 @@ def opengl(display: str) -> Iterator[Target]:
     from rviz_gaussian_plugin.offscreen import Renderer
 
     renderer = Renderer()
-    target = Target(renderer, View(renderer))
+    target = Target(renderer, NumberedView(renderer))
     yield target
     del renderer, target.renderer, target.view  # before the display
 

@@ -15,7 +15,7 @@ from rosplat_core import rendering
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.rendering import posed
 from rosplat_core.splats import Splats
-from rosplat_lab.bench.embedded import View
+from rosplat_lab.bench.embedded import NumberedView
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter import batches
 from rosplat_testing import messages
@@ -77,7 +77,7 @@ class Target:
     """A map that messages bring, and what draws it: the processor, or OpenGL in a view."""
 
     renderer: Any
-    view: View | None = None
+    view: NumberedView | None = None
     map_id: int = 0
     revision: int = 0
 

@@ -29,7 +29,7 @@ from rosplat_core.maps import Arrival
 from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import SceneError, splat_bytes
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
 from rosplat_sorter import camera
@@ -192,7 +192,7 @@ def look(sorter: Sorter, native: Any, asked: ViewCamera) -> None:
         levels = detail.choose(chunks, scale, [-1, -1], 3 * SLOTS_PER_PAGE, 1.0)
     assert not np.isnan(scale).any()
     assert levels == [1, 1] or min(levels) >= 0
-    view = View.of(eye, sorter.map.frames)
+    view = SortView.of(eye, sorter.map.frames)
     held = sorter.map
     native.update(held, slice(0, held.rows))
     expected = depth.order(view, held.positions, held.extents, *held.slots_and_groups())

@@ -561,7 +561,7 @@ if "Mesa" not in renderer.renderer_info:
     sys.exit("no Mesa")
 splats = scenes.load("procedural:2000")
 rendering.insert_all(renderer, splats)
-view = embedded.View(renderer)
+view = embedded.NumberedView(renderer)
 renderer.settings.rasterizer = Rasterizer.PROCESSOR if sys.argv[1] else Rasterizer.AUTO
 view.look(scenes.overview(splats, 320, 180, 1)[0])
 for opacity in (1.0, 0.5):

@@ -24,7 +24,7 @@ class Scene:
     """A trained scene, and the slots that each of its cameras sees, back to front."""
 
     map: SplatMap
-    orders: list[tuple[view.View, NDArray[np.integer]]]
+    orders: list[tuple[view.SortView, NDArray[np.integer]]]
 
 
 @pytest.fixture(
@@ -43,7 +43,7 @@ def scene(request: pytest.FixtureRequest, data_folder: Path, reference_folder: P
     scene_map.take(message)
     orders = []
     for which in load_cameras(reference_folder / name / "cameras.json"):
-        seen = view.View.of(camera.decode(view_camera(which)), scene_map.frames)
+        seen = view.SortView.of(camera.decode(view_camera(which)), scene_map.frames)
         depths = depth.transform(seen, scene_map.positions, 2)
         visible = np.flatnonzero(depth.visible(seen, scene_map.positions, scene_map.extents))
         assert len(visible) > len(splats) / 2

@@ -112,3 +112,15 @@ def test_constants_stand_once() -> None:
             # At the margin: of a room, not of a function or class.
             found = re.findall(r"^constexpr [\w:]+ (k\w+) =", source.read_text(), re.MULTILINE)
             assert not shared & set(found), source
+
+
+def test_a_class_of_the_engine_and_of_what_draws_has_a_name_of_its_own() -> None:
+    declared = re.compile(r"^(?:struct|class) (\w+)[^;\n]*\{", re.MULTILINE)
+    nested = re.compile(r"\b(?:struct|class) (?:View|Part|Room)\b")
+    seen: dict[str, Path] = {}
+    for folder in (CORE / "include", CORE / "src", ROOT / "rviz_gaussian_plugin/src"):
+        for path in sources(folder):
+            assert not nested.search(path.read_text()), path
+            for name in set(declared.findall(path.read_text())):
+                assert name not in seen, (name, path, seen[name])
+                seen[name] = path

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.payload import Arrays
 from rosplat_core.splats import Splats
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 
 _Stamp = tuple[int, int] | None
 
@@ -20,7 +20,7 @@ class DepthOrder:
     def threads(self) -> int: ...
     def sort(
         self,
-        view: View,
+        view: SortView,
         positions: NDArray[np.float32],
         extents: NDArray[np.float32],
         pages: NDArray[np.uint32],

@@ -29,7 +29,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 
 # The renderer's quads end here, in standard deviations: exp(-3.33²/2) < 1/255.
 CUTOFF_SIGMAS = np.float32(3.33)
@@ -54,7 +54,7 @@ def splat_extents(
 
 
 def transform(
-    view: View, positions: NDArray[np.float32], axis: int, groups: Groups = 0
+    view: SortView, positions: NDArray[np.float32], axis: int, groups: Groups = 0
 ) -> NDArray[np.float32]:
     """Coordinate along an axis of the camera optical frame, float32 (n,) [m].
 
@@ -69,7 +69,7 @@ def transform(
 
 @np.errstate(over="ignore", invalid="ignore")  # what overflows is not visible
 def visible(
-    view: View, positions: NDArray[np.float32], extents: NDArray[np.float32], groups: Groups = 0
+    view: SortView, positions: NDArray[np.float32], extents: NDArray[np.float32], groups: Groups = 0
 ) -> NDArray[np.bool_]:
     """Whether any of a splat's footprint can touch the picture, bool (n,)."""
     x, y, z = (transform(view, positions, axis, groups) for axis in range(3))
@@ -93,7 +93,7 @@ def sort_keys(depths: NDArray[np.float32]) -> NDArray[np.uint32]:
 
 @np.errstate(over="ignore", invalid="ignore")
 def order(
-    view: View,
+    view: SortView,
     positions: NDArray[np.float32],
     extents: NDArray[np.float32],
     slots: NDArray[np.uint32] | None = None,

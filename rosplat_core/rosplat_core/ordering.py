@@ -11,7 +11,7 @@ from rosplat_core.depth import INVISIBLE, splat_extents
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import Splats
-from rosplat_core.view import View, unmoved
+from rosplat_core.view import SortView, unmoved
 
 
 def depth_order(splats: Splats, camera: Camera, *, threads: int = 0) -> NDArray[np.uint32]:
@@ -26,7 +26,7 @@ def depth_order(splats: Splats, camera: Camera, *, threads: int = 0) -> NDArray[
     positions[: len(splats)] = splats.positions
     extents = np.full(rows, INVISIBLE, np.float32)
     extents[: len(splats)] = splat_extents(splats.scales, splats.opacities)
-    view = View.of(
+    view = SortView.of(
         PosedCamera(
             position=tuple(camera.position.tolist()),
             orientation=tuple(camera.orientation.tolist()),

@@ -21,7 +21,7 @@ IDENTITY: NDArray[np.float64] = np.eye(4)[None]
 
 
 @dataclass(frozen=True)
-class View:
+class SortView:
     """What positions are multiplied with. SortView in C++, for all groups.
 
     rotations: each group's frame to camera optical frame, float32 (g, 3, 3). translations: of each
@@ -46,7 +46,7 @@ class View:
     orthographic: bool
 
     @classmethod
-    def of(cls, camera: PosedCamera, frames: ArrayLike = IDENTITY) -> View:
+    def of(cls, camera: PosedCamera, frames: ArrayLike = IDENTITY) -> SortView:
         """The view of a camera on groups in the given frames, float64 (g, 4, 4).
 
         frames: rigid transforms from what each group's positions are relative to into the map's

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosplat_core import depth
-from rosplat_core.view import OVERSCAN, View, frame_at, rotation_matrix, unmoved
+from rosplat_core.view import OVERSCAN, SortView, frame_at, rotation_matrix, unmoved
 
 
 def on_axis(depths):
@@ -19,13 +19,13 @@ def on_axis(depths):
 
 def test_back_to_front_with_the_higher_slot_first_in_ties(make_camera):
     positions = on_axis([3, 1, 2, 1])
-    order = depth.order(View.of(make_camera()), positions, np.full(4, 0.1, np.float32))
+    order = depth.order(SortView.of(make_camera()), positions, np.full(4, 0.1, np.float32))
     assert order.dtype == np.uint32
     assert order.tolist() == [0, 2, 3, 1]
 
 
 def test_orthographic_depths_may_be_negative_and_both_zeros_are_one(make_camera):
-    view = View.of(make_camera(orthographic=True, near_clip=-10.0, far_clip=10.0))
+    view = SortView.of(make_camera(orthographic=True, near_clip=-10.0, far_clip=10.0))
     order = depth.order(view, on_axis([-1, 2, -3, 0.0, -0.0]), np.full(5, 0.1, np.float32))
     assert order.tolist() == [1, 4, 3, 0, 2]
 
@@ -33,12 +33,12 @@ def test_orthographic_depths_may_be_negative_and_both_zeros_are_one(make_camera)
 def test_empty_slots_and_what_lies_beyond_the_clips_are_left_out(make_camera):
     extents = np.array([0.1, -1, 0.1, 0.1, 0.1, 0.1], np.float32)
     positions = on_axis([5, 5, 0.05, 200, -5, np.nan])
-    assert depth.order(View.of(make_camera()), positions, extents).tolist() == [0]
+    assert depth.order(SortView.of(make_camera()), positions, extents).tolist() == [0]
 
 
 def test_millimetres_are_told_apart_far_from_the_frame_origin(make_camera):
     origin = np.array([1e5, -1e5, 1e5])
-    view = View.of(make_camera(position=tuple(origin - [0, 0, 5])), unmoved(origin))
+    view = SortView.of(make_camera(position=tuple(origin - [0, 0, 5])), unmoved(origin))
     heights = np.random.default_rng(0).permutation(1000) * 1e-3
     order = depth.order(view, on_axis(heights), np.full(1000, 0.1, np.float32))
     assert order.tolist() == np.argsort(-heights).tolist()
@@ -55,8 +55,8 @@ def test_groups_are_ordered_where_their_poses_put_them(make_camera):
     camera = make_camera(position=tuple(far - [0, 0, 12]))
     moved = np.concatenate([world - far], dtype=np.float32)
     extents = np.full(900, 0.1, np.float32)
-    order = depth.order(View.of(camera, frames), positions, extents, groups=groups)
-    expected = depth.order(View.of(camera, unmoved(far)), moved, extents)
+    order = depth.order(SortView.of(camera, frames), positions, extents, groups=groups)
+    expected = depth.order(SortView.of(camera, unmoved(far)), moved, extents)
     heights = world[:, 2]
     np.testing.assert_allclose(heights[order], heights[expected], atol=1e-5)
     assert len(order) > 500
@@ -146,7 +146,7 @@ def test_culling_hides_nothing_that_is_drawn_and_little_else(
     quaternions = random.normal(size=(count, 4))
     opacities = random.uniform(0.005, 1, count).astype(np.float32)
 
-    visible = depth.visible(View.of(camera), positions, depth.splat_extents(scales, opacities))
+    visible = depth.visible(SortView.of(camera), positions, depth.splat_extents(scales, opacities))
     scales *= scale
     centres, halves, depths = footprints(camera, positions, scales, quaternions, opacities)
     in_depth = (depths > camera.near_clip) & (depths < camera.far_clip)

@@ -14,7 +14,7 @@ from streamed_scene import ABOVE, APART, ENVIRONMENT, LEVELS, edited, garden, wr
 
 from rosplat_core import formats
 from rosplat_core.formats import sog
-from rosplat_core.formats.streamed_sog import Part, Pieces, open_streamed
+from rosplat_core.formats.streamed_sog import FileRange, Pieces, open_streamed
 from rosplat_core.splats import SceneError
 
 
@@ -63,7 +63,7 @@ def test_few_decoded_files_are_kept(made: Path, monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr(Pieces, "KEPT_BYTES", kept)
         pieces = Pieces(streamed, pytest.fail)
         for file in (coarse, coarse, fine, coarse, fine):
-            pieces.read(Part(file, 0, 10))
+            pieces.read(FileRange(file, 0, 10))
         assert len(decoded) == reads
 
 

@@ -16,7 +16,7 @@ from rosplat_core import depth, rendering
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.splats import SceneError, Splats, concatenate
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_lab import reference
 from rosplat_lab.lab import charts, command, fragments, motion, orders, rays, viewers
 from rosplat_lab.lab.fragments import Fragments
@@ -38,7 +38,7 @@ def pixel(*layers: tuple[float, float, float]) -> Fragments:
     )
 
 
-def view_and_map(splats: Splats, camera: Camera) -> tuple[View, SplatMap]:
+def view_and_map(splats: Splats, camera: Camera) -> tuple[SortView, SplatMap]:
     """What sorters get."""
     x, y, z = camera.position
     seen = PosedCamera(
@@ -47,7 +47,7 @@ def view_and_map(splats: Splats, camera: Camera) -> tuple[View, SplatMap]:
     )  # fmt: skip
     known = SplatMap()
     rendering.insert(known, splats, slice(0, len(splats)), 1)
-    return View.of(seen, known.frames), known
+    return SortView.of(seen, known.frames), known
 
 
 # --- Blending -------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rosplat_core.log_text import shown
 from rosplat_core.maps import REPLACE, Arrival, BatchError
 from rosplat_core.posed_camera import CameraError, PosedCamera
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_sorter import backends, camera
 from rosplat_sorter.backends import AUTO, Backend, Unavailable
 from rosplat_sorter.batches import array_bytes
@@ -345,7 +345,7 @@ class Worker:
         last = viewer.answer
         if last is None or viewer.answered != (viewer.camera, self._batches):
             try:
-                view = View.of(viewer.camera, splats.frames)
+                view = SortView.of(viewer.camera, splats.frames)
             except CameraError as error:
                 self._drop_view(viewer.message, error)
                 return
@@ -363,7 +363,7 @@ class Worker:
         viewer.answered = viewer.camera, self._batches
         self._host.publish(viewer.answer)
 
-    def _sort(self, viewer: _Viewer, view: View) -> Answer:
+    def _sort(self, viewer: _Viewer, view: SortView) -> Answer:
         def allocate(count: int) -> NDArray[np.uint32]:
             return self._allocate(viewer, count)
 

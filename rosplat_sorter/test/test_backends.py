@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rosplat_core import depth
 from rosplat_core.maps import DELETE, MOVE, REPLACE, UPSERT, BatchError
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_sorter import backends
 from rosplat_sorter.backends import (
     AUTO,
@@ -65,7 +65,7 @@ def take(backend, splats, batch):
 
 
 def assert_equal_to_reference(backend, splats, camera):
-    view = View.of(camera, splats.frames)
+    view = SortView.of(camera, splats.frames)
     memory = np.zeros(splats.rows + 1, np.uint32)
     order = backend.order(view, lambda count: memory[1 : count + 1])
     assert order.base is memory
@@ -191,7 +191,7 @@ def test_a_group_far_beyond_all_hides_no_other(backend, make_camera, make_edit, 
     backend.update(splats, slice(0, splats.rows))
     seen = 0
     for camera in cameras(make_camera, random):
-        view = View.of(camera, without.frames)
+        view = SortView.of(camera, without.frames)
         expected = depth.order(
             view, without.positions, without.extents, *without.slots_and_groups()
         )
@@ -207,7 +207,7 @@ def test_orders_in_shared_memory(backend, make_camera, make_edit):
     splats.take(make_edit(random.normal(size=(count, 3)) * 8))
     backend.update(splats, slice(0, splats.rows))
     for camera in cameras(make_camera, random):
-        view = View.of(camera, splats.frames)
+        view = SortView.of(camera, splats.frames)
         expected = depth.order(view, splats.positions, splats.extents)
         for order in orders_in_shared_memory(backend, view, count):
             np.testing.assert_array_equal(order, expected)
@@ -257,7 +257,7 @@ def test_memory_that_cupy_pinned_is_unpinned_when_its_segment_goes(make_camera, 
     splats.take(make_edit([[0, 0, 3]]))
     backend.update(splats, slice(0, splats.rows))
     orders = SharedOrders()
-    slots = backend.order(View.of(make_camera()), OrderBuffer(orders).begin)
+    slots = backend.order(SortView.of(make_camera()), OrderBuffer(orders).begin)
     orders.close()
     memory = memory_of(slots)
     address = np.frombuffer(memory, np.uint8).ctypes.data
@@ -348,7 +348,7 @@ def test_a_backend_that_failed_is_not_taken_again():
 def test_native_refuses_arrays_of_another_kind(make_camera):
     from rosplat_core._core import DepthOrder
 
-    view, sorter = View.of(make_camera()), DepthOrder(1)
+    view, sorter = SortView.of(make_camera()), DepthOrder(1)
     n = SLOTS_PER_PAGE
     extents, pages = np.zeros(n, np.float32), np.zeros((1, 3), np.uint32)
     for positions in (np.zeros((n, 3)), np.zeros((2 * n, 3), np.float32)[::2]):

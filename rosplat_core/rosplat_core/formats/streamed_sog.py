@@ -39,7 +39,7 @@ FARTHEST = 1e15  # that a bound may be [m]
 
 
 @dataclass(frozen=True)
-class Part:
+class FileRange:
     """Splats [offset, offset + count) of one of a scene's files."""
 
     file: int
@@ -53,7 +53,7 @@ class Chunk:
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    levels: tuple[Part, ...]
+    levels: tuple[FileRange, ...]
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _scene(path: Path, meta: Any) -> Streamed:
         low = np.min([chunk.low for chunk in chunks], axis=0)
         high = np.max([chunk.high for chunk in chunks], axis=0)
         if claims[-1].splats:
-            chunks.append(Chunk(low, high, (Part(len(files) - 1, 0, claims[-1].splats),)))
+            chunks.append(Chunk(low, high, (FileRange(len(files) - 1, 0, claims[-1].splats),)))
     if len({claim.antialiased for claim in claims}) > 1:
         raise SceneError(f"{path}: some of its files are antialiased, and some are not")
     degree = max(claim.sh_degree for claim in claims)
@@ -190,7 +190,7 @@ def _levels(node: Any) -> list[str]:
     return sorted(node.get("lods") or (), key=int, reverse=True)
 
 
-def _part(path: Path, level: str, lods: Any, files: int) -> Part:
+def _part(path: Path, level: str, lods: Any, files: int) -> FileRange:
     numbers = {name: lods[level][name] for name in ("file", "offset", "count")}
     for name, number in numbers.items():
         most = files - 1 if name == "file" else MAX_SLOTS
@@ -199,7 +199,7 @@ def _part(path: Path, level: str, lods: Any, files: int) -> Part:
                 f"{path}: {name} of level {shown(level)} is {shown(repr(number))}, "
                 f"expected 0 to {most:,}"
             )
-    return Part(**numbers)
+    return FileRange(**numbers)
 
 
 def _inside(path: Path, name: Any) -> Path:
@@ -227,7 +227,7 @@ class Pieces:
         self._decoding = [threading.Lock() for _ in scene.files]
         self._closed = False
 
-    def read(self, part: Part) -> Splats:
+    def read(self, part: FileRange) -> Splats:
         """A level of a chunk, without what can't be drawn of it.
 
         Raises SceneError that names the file that can't be read, and CancelledError after close().

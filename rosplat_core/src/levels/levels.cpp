@@ -407,10 +407,10 @@ void Levels::cut(int level, std::vector<Cell> touched, std::vector<Piece>& piece
 void Levels::make(const HostSlots& slots, std::size_t count) {
   constexpr std::size_t kCells = 64;
   Job& job = *job_;
-  struct Part {
+  struct CellRun {
     std::size_t piece, begin;
   };
-  std::vector<Part> parts;
+  std::vector<CellRun> parts;
   std::vector<std::vector<Made>> made(count);
   const auto piece = [&](std::size_t i) -> Piece& { return job.pieces[job.touched[job.done + i]]; };
   for (std::size_t i = 0; i < count; ++i) {

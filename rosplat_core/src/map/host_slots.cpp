@@ -32,7 +32,7 @@ void HostSlots::apply(const GaussianEdit& edit, double now, ThreadTeam* team) {
   fresh.erase(std::remove(fresh.begin(), fresh.end(), nullptr), fresh.end());
   const std::size_t pages = memory_.size() + fresh.size();
   if (pages > memory_.capacity()) memory_.reserve(pages + memory_.size() / 4);
-  std::vector<Part> parts;  // of a run: no two are of one page
+  std::vector<PageWrite> parts;  // of a run: no two are of one page
   std::uint32_t longest = 0;
   for (const auto& [first, count] : edit.runs) longest = std::max(longest, count);
   parts.reserve(longest / kSlots + 2);
@@ -71,7 +71,7 @@ void HostSlots::makeRoom(const GaussianEdit& edit, Page& page) const {
   }
 }
 
-void HostSlots::write(const GaussianEdit& edit, const Part& part, std::uint32_t change) {
+void HostSlots::write(const GaussianEdit& edit, const PageWrite& part, std::uint32_t change) {
   const auto& [first, count, source] = part;
   const SlotPage* const found = pages_.find(first);
   if (!found) return;  // slots that were never used are empty already

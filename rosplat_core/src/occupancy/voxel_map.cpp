@@ -172,8 +172,8 @@ void VoxelMap::rebuild() {
 }
 
 // An edit writes slots, empties slots or moves groups.
-std::vector<VoxelMap::Part> VoxelMap::partsOf(const GaussianEdit& edit) const {
-  std::vector<Part> parts;
+std::vector<VoxelMap::PageSpan> VoxelMap::partsOf(const GaussianEdit& edit) const {
+  std::vector<PageSpan> parts;
   for (const auto& [first, count] : edit.runs) {
     for (std::uint32_t done = 0, in_page; done < count; done += in_page) {
       const std::uint32_t slot = first + done, at = slot % SlotPage::kSlots;
@@ -187,20 +187,20 @@ std::vector<VoxelMap::Part> VoxelMap::partsOf(const GaussianEdit& edit) const {
   std::vector<std::uint32_t> moved;
   for (const GroupMove& move : edit.moves) moved.push_back(move.group);
   std::sort(moved.begin(), moved.end());
-  for (const Part& part : allParts()) {
+  for (const PageSpan& part : allParts()) {
     const std::uint32_t group = slots_.index().groupOf(*part.page).number;
     if (std::binary_search(moved.begin(), moved.end(), group)) parts.push_back(part);
   }
   return parts;
 }
 
-std::vector<VoxelMap::Part> VoxelMap::allParts() const {
-  std::vector<Part> parts;
+std::vector<VoxelMap::PageSpan> VoxelMap::allParts() const {
+  std::vector<PageSpan> parts;
   for (const SlotPage& page : slots_.pages()) parts.push_back({&page, 0, SlotPage::kSlots});
   return parts;
 }
 
-void VoxelMap::sum(const std::vector<Part>& parts, int sign) {
+void VoxelMap::sum(const std::vector<PageSpan>& parts, int sign) {
   if (full_ || parts.empty()) return;
   std::vector<std::size_t> tasks{0};  // first parts of neighbours that are done together
   std::uint32_t slots = 0;
@@ -249,7 +249,7 @@ void VoxelMap::hand(std::size_t number, Shares& shares) {
   shares.of[number].clear();
 }
 
-void VoxelMap::share(const Part& part, int sign, Shares& shares) {
+void VoxelMap::share(const PageSpan& part, int sign, Shares& shares) {
   const HostSlots::Page& page = slots_.at(*part.page);
   const Group& group = slots_.index().groupOf(*part.page);
   Placement in_map = group.place;

@@ -10,7 +10,7 @@ constexpr std::size_t kRememberedCameras = 64;
 
 void OrderBook::setCamera(const std::string& view_id, std::uint64_t sequence,
                           const SplatCamera& camera, double now) {
-  View& view = views_[view_id];
+  ViewOrders& view = views_[view_id];
   view.sequence = sequence;
   if (!view.cameras.empty() && view.cameras.back().camera == camera) return;
   const bool answered = view.sidecar && fresh(view, *view.sidecar);
@@ -35,7 +35,7 @@ void OrderBook::mapChanged(const MapState& map, double now) {
   }
 }
 
-bool OrderBook::fresh(const View& view, const Order& order) const {
+bool OrderBook::fresh(const ViewOrders& view, const Order& order) const {
   return !view.cameras.empty() && order.sequence >= view.cameras.back().sequence &&
          order.revision == map_.revision && order.map_id == map_.id;
 }
@@ -43,7 +43,7 @@ bool OrderBook::fresh(const View& view, const Order& order) const {
 bool OrderBook::offer(const OrderPtr& order, double now) {
   const auto found = views_.find(order->view_id);
   if (found == views_.end()) return false;
-  View& view = found->second;
+  ViewOrders& view = found->second;
   if (order->sequence > view.sequence) return false;
   if (order->map_id != map_.id || order->revision > map_.revision) {
     view.early = order;
@@ -62,7 +62,7 @@ bool OrderBook::answered(const std::string& view_id) const {
          fresh(found->second, *found->second.sidecar);
 }
 
-void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& base) {
+void OrderBook::request(const std::string& view_id, ViewOrders& view, const OrderPtr& base) {
   if (view.requested_sequence == view.cameras.back().sequence && view.requested_at == changes_ &&
       view.requested_base == base) {
     return;
@@ -81,7 +81,7 @@ void OrderBook::request(const std::string& view_id, View& view, const OrderPtr& 
 }
 
 OrderBook::Choice OrderBook::choose(const std::string& view_id, double now, OrderSource source) {
-  View& view = views_[view_id];
+  ViewOrders& view = views_[view_id];
   if (view.cameras.empty()) return {};
   if (OrderPtr sorted = built_in_.take(view_id); sorted && sorted->map_id == map_.id) {
     view.built_in = std::move(sorted);
@@ -115,7 +115,8 @@ OrderBook::Choice OrderBook::received(const std::string& view_id, double now) co
   return choice.age > kPatience ? Choice{} : choice;
 }
 
-OrderBook::Choice OrderBook::chosen(const View& view, const OrderPtr& order, double now) const {
+OrderBook::Choice OrderBook::chosen(const ViewOrders& view, const OrderPtr& order,
+                                    double now) const {
   Choice choice{order, order && fresh(view, *order), 0};
   if (!order || choice.fresh) return choice;
   // The camera after the one that the order answers, if any: since then the order is old.
@@ -128,7 +129,7 @@ OrderBook::Choice OrderBook::chosen(const View& view, const OrderPtr& order, dou
 }
 
 OrderBook::Choice OrderBook::sortNow(const std::string& view_id) {
-  View& view = views_[view_id];
+  ViewOrders& view = views_[view_id];
   if (view.cameras.empty()) return {};
   const Camera& camera = view.cameras.back();
   view.drawn = view.built_in = built_in_.sortNow(view_id, camera.sequence, camera.camera);

@@ -187,7 +187,7 @@ void Painter::remove(const PaintedMapPtr& map) {
 }
 
 std::uint64_t Painter::enqueue(const std::string& view_id, PaintRequestPtr&& request) {
-  View& view = views_[view_id];
+  ViewPaintings& view = views_[view_id];
   auto painting = std::make_shared<Painting>();
   if (!view.waiting) queue_.push_back(view_id);
   if (paints(view_id) && refining_ && !request->rests) cancelled_ = true;
@@ -267,7 +267,7 @@ void Painter::paintNext(std::unique_lock<std::mutex>& lock) {
   edits_ = false;
   painting_.splice(painting_.end(), queue_, queue_.begin());
   const std::string& view_id = painting_.front();
-  View& asked = views_.at(view_id);
+  ViewPaintings& asked = views_.at(view_id);
   Waiting job = *std::exchange(asked.waiting, std::nullopt);
   if (asked.newest) job.takes = asked.newest->took;
   refining_ = job.request->rests;

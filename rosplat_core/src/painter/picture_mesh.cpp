@@ -95,14 +95,14 @@ PictureMesh::PictureMesh(const SplatCamera& camera, const SplatPicture& picture)
   fillGaps(depths_, weights, columns_, rows_);
 }
 
-PictureMesh::View PictureMesh::seenBy(const SplatCamera& camera) const {
+PictureMesh::CornerGrid PictureMesh::seenBy(const SplatCamera& camera) const {
   const auto [turn, shift] = frameIn(camera_, camera);
   // Corner number i of so many; the first and the last lie beyond the picture.
   const auto place = [](int i, int count, int size) -> double {
     if (i < 0) return -0.5 * size;
     return i < count ? std::min(kCell * i, size) : 1.5 * size;
   };
-  View view{static_cast<std::size_t>(columns_ + 2), {}, !(camera == camera_)};
+  CornerGrid view{static_cast<std::size_t>(columns_ + 2), {}, !(camera == camera_)};
   view.corners.reserve(view.columns * static_cast<std::size_t>(rows_ + 2));
   for (int row = -1; row <= rows_; ++row) {
     for (int column = -1; column <= columns_; ++column) {

@@ -34,7 +34,7 @@ Floats floats(const py::handle& object, py::ssize_t size, const char* name) {
   return array;
 }
 
-// The views of a rosplat_core.view.View, one for each group.
+// The views of a rosplat_core.view.SortView, one for each group.
 std::vector<SortView> toViews(const py::handle& object) {
   SortView view;
   const auto number = [&](const char* name) { return object.attr(name).cast<float>(); };
@@ -178,7 +178,7 @@ void defineOrders(py::module_& module) {
           "sort", &sort, py::arg("view"), py::arg("positions"), py::arg("extents"),
           py::arg("pages"), py::arg("allocate"),
           "The visible slots back to front, uint32 (m,), in the array that allocate(m) returns.\n\n"
-          "view: a rosplat_core.view.View. positions: float32 (rows, 3) [m]. extents: float32\n"
+          "view: a rosplat_core.view.SortView. positions: float32 (rows, 3) [m]. extents: float32\n"
           "(rows,) [m], negative for what is never visible. pages: as SortMap.pages, uint32 (p, "
           "3).\n"
           "All contiguous; other types raise TypeError, other sizes ValueError. One thread at a\n"

@@ -114,7 +114,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   const bool blends = picture && !wanted.drawn;
   bool first = true, contributes = false;
   while (!waiting.empty()) {
-    const Slice slice = waiting.back();
+    const DepthSlice slice = waiting.back();
     waiting.pop_back();
     if (hides) raisePyramid();
     const bool fits = project(slice);
@@ -147,7 +147,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     if (cancelled()) return false;
     if (contributes) addUp(*wanted.contributions);
     lap("blend");
-    for (const Part& part : parts) {
+    for (const StepShare& part : parts) {
       for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].drawn += part.of_layers[i];
     }
     first = false;
@@ -155,7 +155,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
                          open.begin() + std::ptrdiff_t(tiles);
   }
   if (blends) {
-    inParts(picture->depth.size(), 1 << 14, [&](const Part& part, Member&) {
+    inParts(picture->depth.size(), 1 << 14, [&](const StepShare& part, Member&) {
       for (std::size_t i = part.begin; i < part.end; ++i) {
         float& depth = picture->depth[i];
         const float alpha = picture->colour[4 * i + 3];
@@ -211,7 +211,7 @@ std::size_t CpuRasterizer::bytes() const {
                       w.keys.bytes() + w.listed.bytes() + w.of_listed.bytes() +
                       w.begins.capacity() * sizeof(w.begins[0]) +
                       w.pages.capacity() * sizeof(w.pages[0]);
-  for (const Part& part : w.parts) {
+  for (const StepShare& part : w.parts) {
     bytes += part.counts.capacity() * sizeof(part.counts[0]) + part.pairs.room * sizeof(Pair);
   }
   for (const Work::Member& member : w.members) bytes += sizeof(member) + member.spare.bytes();

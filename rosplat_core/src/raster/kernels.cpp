@@ -280,10 +280,10 @@ Vec3 colourOf(const ProjectView& view, const GroupView& group, const PageSlots& 
 }
 
 // Pixels whose centres are in a range: the first, and one past the last.
-struct Span {
+struct PixelSpan {
   Ints first, last;
 };
-Span pixelsIn(Floats from, Floats to, int pixels) {
+PixelSpan pixelsIn(Floats from, Floats to, int pixels) {
   const Floats slack = 0.05f + 1e-5f * (to - from);  // for rounding
   const Floats most = all(float(pixels));            // clamped as floats: integers end sooner
   // Ceil and floor of what is not negative, by way of half a pixel.
@@ -293,7 +293,7 @@ Span pixelsIn(Floats from, Floats to, int pixels) {
 }
 
 // The tiles of some pixels.
-Span tilesOf(const Span& pixels) {
+PixelSpan tilesOf(const PixelSpan& pixels) {
   const Ints none = pixels.first >= pixels.last;
   return {none ? Ints{} : pixels.first >> 4, none ? Ints{} : (pixels.last + (kTile - 1)) >> 4};
 }
@@ -326,12 +326,13 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
       const Floats reach = slope * extent * over_w + kMargin;
       const Floats last = all(float(tiles - 1));
       // Where they are NaN, beyond float32, the first tile and the last.
-      return Span{toInts(min(max((at - reach) * (1.0f / kTile), Floats{}), last)),
-                  toInts(max(min((at + reach) * (1.0f / kTile), last), Floats{}))};
+      return PixelSpan{toInts(min(max((at - reach) * (1.0f / kTile), Floats{}), last)),
+                       toInts(max(min((at + reach) * (1.0f / kTile), last), Floats{}))};
     };
-    const Span columns =
+    const PixelSpan columns =
         tilesAlong(0, project_view.fx, project_view.cx, view.slope_x, pyramid.across);
-    const Span rows = tilesAlong(1, project_view.fy, project_view.cy, view.slope_y, pyramid.down);
+    const PixelSpan rows =
+        tilesAlong(1, project_view.fy, project_view.cy, view.slope_y, pyramid.down);
     // The level where they are 2x2 at most.
     const Ints span = max(columns.last - columns.first, rows.last - rows.first);
     const Ints level = span < 2 ? Ints{} : ((Ints)toFloats(span) >> 23) - 126;
@@ -441,8 +442,8 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
                     all(kMaxSigmas));
     const Floats reach_x = sigmas * sqrt(a), reach_y = sigmas * sqrt(c);
     const Floats window_depth = windowDepthOf(view, p.z);
-    const Span columns = pixelsIn(x - reach_x, x + reach_x, int(view.width));
-    const Span lines = pixelsIn(y - reach_y, y + reach_y, int(view.height));
+    const PixelSpan columns = pixelsIn(x - reach_x, x + reach_x, int(view.width));
+    const PixelSpan lines = pixelsIn(y - reach_y, y + reach_y, int(view.height));
     Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f) & (window_depth >= 0.0f);
     seen &= (x + reach_x > 0.0f) & (y + reach_y > 0.0f) & (x - reach_x < view.width) &
             (y - reach_y < view.height);
@@ -461,7 +462,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     const Floats kept_peak = balls ? Floats{} : peak * (1.0f / kSquared);
 
     // The tiles in its first rows, as in across() of splat_tiles.glsl.
-    const Span box = tilesOf(columns), rows_of_tiles = tilesOf(lines);
+    const PixelSpan box = tilesOf(columns), rows_of_tiles = tilesOf(lines);
     const Ints many = seen ? rows_of_tiles.last - rows_of_tiles.first : Ints{};
     Ints first[Footprint::kRows], last[Footprint::kRows];
     Floats down = toFloats(rows_of_tiles.first * kTile) + 0.5f - y;
@@ -477,7 +478,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
       const auto half = [&](Floats at) {
         return half_width * sqrt(max(1.0f - at * at * over_reach, Floats{}));
       };
-      const Span span = tilesOf(
+      const PixelSpan span = tilesOf(
           pixelsIn(x + lean * left - half(left), x + lean * right + half(right), int(view.width)));
       first[row] = max(span.first, box.first);
       last[row] = min(span.last, box.last);

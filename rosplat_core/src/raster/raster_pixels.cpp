@@ -168,7 +168,7 @@ void CpuRasterizer::Work::addUp(Contributions& contributions) {
     sum.error += of_listed[i].error;
     sum.residual += of_listed[i].residual;
   }
-  for (const Part& part : parts) {
+  for (const StepShare& part : parts) {
     for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
       const std::uint32_t slot = splatOf(records[i].index).slot;
       contributions.weight[slot] += of_records[i].weight;

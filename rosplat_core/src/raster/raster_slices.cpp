@@ -17,7 +17,7 @@ constexpr std::size_t kMostSlices = 32;
 
 void CpuRasterizer::Work::cull() {
   found.reserve(pages.size() * kSlots + 1);
-  inParts(pages.size(), 16, [&](Part& part, Member&) {
+  inParts(pages.size(), 16, [&](StepShare& part, Member&) {
     Candidate* const begin = found.get() + part.begin * kSlots;
     Candidate* out = begin;
     for (std::size_t i = part.begin; i < part.end; ++i) {
@@ -39,7 +39,7 @@ void CpuRasterizer::Work::cull() {
     part.end = part.begin + std::size_t(out - begin);
   });
   candidates = 0;
-  for (const Part& part : parts) candidates += part.end - part.begin;
+  for (const StepShare& part : parts) candidates += part.end - part.begin;
 }
 
 // Deals what was found out to slices of depth, nearest first, in each in the order of slots.
@@ -50,7 +50,7 @@ void CpuRasterizer::Work::deal() {
   std::vector<std::uint32_t> samples, bounds_of_slices;
   const std::size_t stride = std::max<std::size_t>(candidates / (256 * slices), 1);
   std::size_t skip = 0;
-  for (const Part& part : parts) {
+  for (const StepShare& part : parts) {
     if (slices == 1) break;
     std::size_t i = part.begin + skip;
     for (; i < part.end; i += stride) samples.push_back(found[i].key);
@@ -70,8 +70,8 @@ void CpuRasterizer::Work::deal() {
   const auto eachPart = [&](const auto& step) {
     team->run(unsigned(parts.size()), [&](unsigned number, unsigned) { step(parts[number]); });
   };
-  for (Part& part : parts) part.slices.assign(slices, 0);
-  eachPart([&](Part& part) {
+  for (StepShare& part : parts) part.slices.assign(slices, 0);
+  eachPart([&](StepShare& part) {
     if (slices == 1) {
       part.slices[0] = part.end - part.begin;
       return;
@@ -82,11 +82,11 @@ void CpuRasterizer::Work::deal() {
   std::size_t next = 0;
   for (std::size_t slice = 0; slice < slices; ++slice) {
     const std::size_t begin = next;
-    for (Part& part : parts) next += std::exchange(part.slices[slice], next);
+    for (StepShare& part : parts) next += std::exchange(part.slices[slice], next);
     waiting.push_back({begin, next});
   }
   std::reverse(waiting.begin(), waiting.end());
-  eachPart([&](Part& part) {
+  eachPart([&](StepShare& part) {
     for (std::size_t i = part.begin; i < part.end; ++i) {
       dealt[part.slices[slices == 1 ? 0 : sliceOf(found[i].key)]++] = found[i];
     }
@@ -94,7 +94,7 @@ void CpuRasterizer::Work::deal() {
 }
 
 // Makes two of a slice, each in the order of slots.
-void CpuRasterizer::Work::halve(const Slice& slice) {
+void CpuRasterizer::Work::halve(const DepthSlice& slice) {
   Candidate* const begin = dealt.get() + slice.begin;
   Candidate* const end = begin + (slice.end - slice.begin);
   const auto bySlot = [](const Candidate& a, const Candidate& b) { return a.index < b.index; };
@@ -127,7 +127,7 @@ void CpuRasterizer::Work::openTiles(const PictureRequest& request) {
   hides = !request.scene_depth.empty();
   if (!hides) return;
   const SplatCamera& camera = request.layers.front().camera;
-  inParts(tiles, 256, [&](const Part& part, Member&) {
+  inParts(tiles, 256, [&](const StepShare& part, Member&) {
     for (std::size_t tile = part.begin; tile < part.end; ++tile) {
       const TileRect rect(tile, across, camera.width, camera.height);
       float farthest = 0;

@@ -80,7 +80,8 @@ void sortByKey(Listed* listed, std::size_t count, Listed* spare) {
 }  // namespace
 
 // Pairs a record with its tiles.
-void CpuRasterizer::Work::findTiles(const Footprint& f, std::uint32_t record, Part& part) const {
+void CpuRasterizer::Work::findTiles(const Footprint& f, std::uint32_t record,
+                                    StepShare& part) const {
   Pair* out = part.pairs.makeRoom(std::size_t(f.bottom - f.top) * std::size_t(f.right - f.left));
   const float* const until = hides ? open.data() : nullptr;
   const float window_depth = records[record].window_depth;
@@ -105,12 +106,12 @@ void CpuRasterizer::Work::findTiles(const Footprint& f, std::uint32_t record, Pa
 }
 
 // Projects a slice and finds its splats' tiles; false where there are too many pairs.
-bool CpuRasterizer::Work::project(const Slice& slice) {
+bool CpuRasterizer::Work::project(const DepthSlice& slice) {
   const std::size_t begin = slice.begin, end = slice.end;
   records.reserve(end - begin + kSlots);
   keys.reserve(end - begin + kSlots);
   std::atomic<std::size_t> pairs{0};
-  inParts(end - begin, 4096, [&](Part& part, Member& member) {
+  inParts(end - begin, 4096, [&](StepShare& part, Member& member) {
     part.counts.assign(tiles, 0);
     part.pairs.size = 0;
     part.of_layers.assign(layers.size(), 0);
@@ -161,9 +162,9 @@ void CpuRasterizer::Work::findDepthRanges() {
   if (std::none_of(layers.begin(), layers.end(), wants)) return;
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
   std::array<float, 2> range{kInfinity, -kInfinity};
-  for (const Slice& slice : waiting) {
+  for (const DepthSlice& slice : waiting) {
     project(slice);
-    for (const Part& part : parts) {
+    for (const StepShare& part : parts) {
       for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
         if (!wants(layers[pages[records[i].index / kSlots].layer])) continue;
         range = {std::min(range[0], records[i].depth), std::max(range[1], records[i].depth)};
@@ -182,13 +183,13 @@ void CpuRasterizer::Work::list() {
   std::size_t next = 0;
   for (std::size_t tile = 0; tile < tiles; ++tile) {
     begins[tile] = next;
-    for (Part& part : parts) {
+    for (StepShare& part : parts) {
       next += std::exchange(part.counts[tile], static_cast<std::uint32_t>(next));
     }
   }
   begins[tiles] = next;
   team->run(unsigned(parts.size()), [&](unsigned number, unsigned) {
-    Part& part = parts[number];
+    StepShare& part = parts[number];
     for (std::size_t i = 0; i < part.pairs.size; ++i) {
       const Pair pair = part.pairs.pairs[i];
       listed[part.counts[pair.tile]++] = {keys[pair.record], pair.record};

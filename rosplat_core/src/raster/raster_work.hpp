@@ -17,6 +17,7 @@
 
 #include "raster/kernels.hpp"
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
+#include "rosplat_core/threads/scratch_buffer.hpp"
 #include "rosplat_core/views/seen_group.hpp"
 
 namespace rosplat {
@@ -27,30 +28,8 @@ constexpr std::uint32_t kSlots = HostSlots::kSlots;
 constexpr std::uint32_t kNotOrdered = 0xffffffffu;
 constexpr float kOpen = 2, kEnded = -1;  // window depths up to which tiles may show something
 
-// Memory for values to come: nothing is kept when it grows, nor cleared.
-template <typename T>
-class Room {
- public:
-  T* reserve(std::size_t size) {
-    if (size > size_) {
-      memory_.reset();
-      size_ = 0;
-      memory_.reset(new T[size + size / 4]);
-      size_ = size + size / 4;
-    }
-    return memory_.get();
-  }
-  T* get() const { return memory_.get(); }
-  T& operator[](std::size_t i) const { return memory_[i]; }
-  std::size_t bytes() const { return size_ * sizeof(T); }
-
- private:
-  std::unique_ptr<T[]> memory_;
-  std::size_t size_ = 0;
-};
-
 // Dealt candidates that are nearer than those of the next slice.
-struct Slice {
+struct DepthSlice {
   std::size_t begin, end;
 };
 
@@ -94,7 +73,7 @@ struct SeenPage {
 };
 
 // A share of a step, and what was found in it.
-struct Part {
+struct StepShare {
   std::size_t begin = 0, end = 0;
   std::vector<std::size_t> slices;    // candidates of each, then where the next one goes
   std::vector<std::uint32_t> counts;  // pairs of each tile, then where the next one goes
@@ -141,7 +120,7 @@ struct CpuRasterizer::Work {
     TilePixels pixels, behind;
     alignas(64) float opaque[kTilePixels], divided[kTilePixels], most[kTilePixels];
     alignas(64) std::uint32_t indices[kTilePixels];
-    Room<Listed> spare;
+    ScratchBuffer<Listed> spare;
     std::vector<std::uint16_t> places, numbers, kept;
     std::vector<Footprint> footprints;
   };
@@ -161,13 +140,13 @@ struct CpuRasterizer::Work {
   void choose(const SlotPage& page, const HostSlots::Page& memory, std::uint32_t layer);
   void cull();
   void deal();
-  void halve(const Slice& slice);
+  void halve(const DepthSlice& slice);
   void openTiles(const PictureRequest& request);
   void raisePyramid();
   bool hidden(const SeenPage& page) const;
   PickedSplat splatOf(std::uint32_t index) const;
-  void findTiles(const Footprint& footprint, std::uint32_t record, Part& part) const;
-  bool project(const Slice& slice);
+  void findTiles(const Footprint& footprint, std::uint32_t record, StepShare& part) const;
+  bool project(const DepthSlice& slice);
   void list();
   void blend(const PictureRequest& request, SplatPicture& picture, bool first, std::size_t tile,
              Member& member);
@@ -193,29 +172,29 @@ struct CpuRasterizer::Work {
   std::shared_ptr<ThreadTeam> team;
   const Kernels& kernels;
   std::vector<Member> members;
-  std::vector<Part> parts;
+  std::vector<StepShare> parts;
 
   std::vector<SeenLayer> layers;
   std::vector<SeenPage> pages;  // layer by layer, in the order of slots, nodes last
   std::array<HostSlots::PerSlot<float>, kLevels> node_parents;  // PageSlots::parents, by level
-  Room<std::uint32_t> ranks;  // in a given order, by place of a page and in that
+  ScratchBuffer<std::uint32_t> ranks;  // in a given order, by place of a page and in that
   bool ordered = false;
-  Room<Candidate> found, dealt;
+  ScratchBuffer<Candidate> found, dealt;
   std::size_t candidates = 0;
-  std::vector<Slice> waiting;    // the nearest one last
-  std::vector<float> open;       // the pyramid's
-  std::vector<float> picking;    // transmittance and the most contributed so far, by pixel
-  float ends_at = 0;             // transmittance that counts as none
-  SplatPicture seen;             // that contributions were found in
+  std::vector<DepthSlice> waiting;  // the nearest one last
+  std::vector<float> open;          // the pyramid's
+  std::vector<float> picking;       // transmittance and the most contributed so far, by pixel
+  float ends_at = 0;                // transmittance that counts as none
+  SplatPicture seen;                // that contributions were found in
   std::vector<float> remaining;  // transmittance and what is still to come of the colour, by pixel
-  Room<Contribution> of_listed;
+  ScratchBuffer<Contribution> of_listed;
   std::vector<Contribution> of_records;
   Pyramid pyramid;
   int levels = 0;
   bool hides = false;  // some tile isn't open
-  Room<Record> records;
-  Room<std::uint32_t> keys;  // of the records
-  Room<Listed> listed;
+  ScratchBuffer<Record> records;
+  ScratchBuffer<std::uint32_t> keys;  // of the records
+  ScratchBuffer<Listed> listed;
   std::vector<std::size_t> begins;  // of each tile's
   int across = 0, down = 0;         // tiles
   std::size_t tiles = 0, total_pairs = 0;
@@ -231,7 +210,7 @@ void CpuRasterizer::Work::inParts(std::size_t count, std::size_t least_share, co
   const std::size_t most = members.size() > 1 ? 2 * members.size() : 1;
   parts.resize(std::min(most, 1 + count / least_share));
   team->run(unsigned(parts.size()), [&](unsigned number, unsigned member) {
-    Part& part = parts[number];
+    StepShare& part = parts[number];
     part.begin = count * number / parts.size();
     part.end = count * (number + 1) / parts.size();
     try {

@@ -58,7 +58,7 @@ void basisOf(int degree, float x, float y, float z, float* basis) {
 }
 
 // A splat on its way into a picture, and what the way back needs of it.
-struct Projection {
+struct ProjectedSplat {
   float at[3];           // in the camera [m]
   float jacobian[2][3];  // of the picture by that
   bool clamped[2];       // its third column, along x and along y
@@ -74,7 +74,7 @@ struct Projection {
 
 }  // namespace
 
-struct Refit::View {
+struct Refit::Drawing {
   float to_camera[3][4];
   float eye[3];
   float fx, fy, cx, cy, near_clip, far_clip;
@@ -82,8 +82,8 @@ struct Refit::View {
   bool orthographic, antialiased;
   int width, height, degree;
 
-  View(const SplatCamera& camera, const std::array<double, 3>& origin, bool of_antialiased,
-       int of_degree)
+  Drawing(const SplatCamera& camera, const std::array<double, 3>& origin, bool of_antialiased,
+          int of_degree)
       : fx(float(camera.fx)),
         fy(float(camera.fy)),
         cx(float(camera.cx)),
@@ -116,7 +116,7 @@ struct Refit::View {
   }
 
   // False where the picture shows nothing of it.
-  bool project(const float* values, Projection& p, FitSplat& splat) const {
+  bool project(const float* values, ProjectedSplat& p, FitSplat& splat) const {
     for (int i = 0; i < 3; ++i) {
       const float* const row = to_camera[i];
       p.at[i] = row[0] * values[0] + row[1] * values[1] + row[2] * values[2] + row[3];
@@ -201,7 +201,7 @@ struct Refit::View {
   }
 
   // The gradient by a splat's values, from that by what a picture has of it.
-  void backward(const float* values, const Projection& p, const FitSplat& splat,
+  void backward(const float* values, const ProjectedSplat& p, const FitSplat& splat,
                 const FitSums& sums, float* gradient) const {
     const int coefficients = (degree + 1) * (degree + 1);
     for (int k = 0; k < coefficients; ++k) {
@@ -339,7 +339,7 @@ Refit::Refit(const SplatsView& start, std::shared_ptr<ThreadTeam> team,
 
 Refit::~Refit() = default;
 
-double Refit::draw(const View& view, const float* target) {
+double Refit::draw(const Drawing& view, const float* target) {
   Work& work = *work_;
   const std::size_t chunks = (count_ + kChunk - 1) / kChunk;
   work.chunks.resize(chunks);
@@ -347,7 +347,7 @@ double Refit::draw(const View& view, const float* target) {
     auto& chunk = work.chunks[number];
     chunk.clear();
     const std::size_t end = std::min(count_, (number + 1) * kChunk);
-    Projection projection;
+    ProjectedSplat projection;
     FitSplat splat;
     for (std::size_t i = number * kChunk; i < end; ++i) {
       if (view.project(&now_[values_ * i], projection, splat)) chunk.emplace_back(i, splat);
@@ -417,13 +417,13 @@ double Refit::draw(const View& view, const float* target) {
 
 template <typename Use>
 double Refit::forEachSeen(const SplatCamera& camera, const float* target, const Use& use) {
-  const View view(camera, origin_, antialiased_, sh_degree_);
+  const Drawing view(camera, origin_, antialiased_, sh_degree_);
   const double error = draw(view, target);
   const std::vector<Seen>& seen = work_->seen;
   const std::size_t chunks = (seen.size() + kChunk - 1) / kChunk;
   team_->run(static_cast<unsigned>(chunks), [&](unsigned number, unsigned) {
     const std::size_t end = std::min(seen.size(), (number + 1) * kChunk);
-    Projection projection;
+    ProjectedSplat projection;
     FitSplat splat;
     float gradient[kMostValues];
     for (std::size_t i = number * kChunk; i < end; ++i) {

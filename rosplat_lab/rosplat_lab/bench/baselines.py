@@ -1,7 +1,7 @@
 """Other ways to sort, to hold ours against: what viewers of splats commonly do, and bare CUB.
 
 None of them culls. Each is made for positions, float32 (n, 3), and raises ImportError or
-RuntimeError where it can't run; called with a View it returns the slots, farthest first.
+RuntimeError where it can't run; called with a SortView it returns the slots, farthest first.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import depth
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 
 Positions = NDArray[np.float32]
-Sort = Callable[[View], Any]
+Sort = Callable[[SortView], Any]
 
 
-def _opengl(view: View) -> tuple[Positions, Positions]:
+def _opengl(view: SortView) -> tuple[Positions, Positions]:
     """Rotation and translation into a camera that looks along -z: what is farthest has least z."""
     flip = np.array([1, -1, -1], np.float32)
     return flip[:, None] * view.rotations[0], flip * view.translations[0]
@@ -36,7 +36,7 @@ def _torch() -> Any:
 def argsort(positions: Positions) -> Sort:
     """Depths by a batch of 3x3 products, then np.argsort: shadygm/ROSplat's CPUSorter."""
 
-    def sort(view: View) -> NDArray[np.int32]:
+    def sort(view: SortView) -> NDArray[np.int32]:
         rotation, translation = _opengl(view)
         seen = rotation[None] @ positions[..., None] + translation[None, :, None]
         return np.argsort(seen[:, 2, 0]).astype(np.int32).reshape(-1, 1)
@@ -56,7 +56,7 @@ def torch_uploading(positions: Positions) -> Sort:
     """
     torch = _torch()
 
-    def sort(view: View) -> NDArray[np.int32]:
+    def sort(view: SortView) -> NDArray[np.int32]:
         on_device = torch.tensor(positions, device="cuda")
         rotation, translation = (torch.tensor(part, device="cuda") for part in _opengl(view))
         seen = rotation[None] @ on_device[..., None] + translation[None, :, None]
@@ -73,7 +73,7 @@ def cupy_uploading(positions: Positions) -> Sort:
 
     cupy.cuda.Device().compute_capability  # noqa: B018  raises where there is none
 
-    def sort(view: View) -> NDArray[np.int32]:
+    def sort(view: SortView) -> NDArray[np.int32]:
         on_device = cupy.asarray(positions)
         rotation, translation = (cupy.asarray(part) for part in _opengl(view))
         seen = rotation[None] @ on_device[..., None] + translation[None, :, None]
@@ -89,7 +89,7 @@ def torch_on_device(positions: Positions) -> Sort:
     torch = _torch()
     on_device = torch.tensor(positions, device="cuda")
 
-    def sort(view: View) -> Any:
+    def sort(view: SortView) -> Any:
         r = [float(value) for value in view.rotations[0, 2]]
         depths = on_device @ torch.tensor(r, device="cuda") + float(view.translations[0, 2])
         order = torch.argsort(depths, descending=True)
@@ -118,7 +118,7 @@ def cub_pairs(positions: Positions) -> Sort:
         "depth_key",
     )
 
-    def sort(view: View) -> Any:
+    def sort(view: SortView) -> Any:
         key(on_device.ravel(), *view.rotations[0, 2], view.translations[0, 2], keys)
         compute.radix_sort(
             d_in_keys=keys, d_out_keys=keys_out, d_in_values=slots, d_out_values=slots_out,

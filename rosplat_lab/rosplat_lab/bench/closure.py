@@ -41,7 +41,7 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
         renderer = embedded.open_renderer()
         revision = _insert(renderer, splats)
         finish = embedded.gl_finish()
-        view = embedded.View(renderer)
+        view = embedded.NumberedView(renderer)
         cameras = itertools.cycle(scenes.overview(splats, *picture, 2))
         random = np.random.default_rng(0)
 

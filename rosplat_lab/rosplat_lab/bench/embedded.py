@@ -38,7 +38,7 @@ def gl_finish() -> Callable[[], None]:
     return lambda: finish()
 
 
-class View:
+class NumberedView:
     """A view of the renderer, whose cameras are numbered as the renderer wants it."""
 
     def __init__(self, renderer: Renderer, name: str = "bench") -> None:

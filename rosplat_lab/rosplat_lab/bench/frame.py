@@ -307,7 +307,7 @@ class Bench:
     """A renderer with a map, and one view of it, to time frames of."""
 
     def __init__(self, renderer: Renderer) -> None:
-        self.view = embedded.View(renderer)
+        self.view = embedded.NumberedView(renderer)
         self._renderer = renderer
         self._finish = embedded.gl_finish()
         self._untouched = type(renderer.settings)()

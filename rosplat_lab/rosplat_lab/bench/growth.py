@@ -97,7 +97,7 @@ def _grow(size: int, backend: str, picture: tuple[int, int]) -> live.Watched:
     seen = live.Watched()
     gpu_before = machine.gpu_bytes_used()
     renderer = embedded.open_renderer()
-    view = embedded.View(renderer)
+    view = embedded.NumberedView(renderer)
     finish = embedded.gl_finish()
     sorter = None
     embedded.put(renderer.settings, {"order": live.order_source(backend)})
@@ -144,7 +144,7 @@ def _grow(size: int, backend: str, picture: tuple[int, int]) -> live.Watched:
 class SortingThread:
     """A backend of the sorter that answers a view's newest camera, as the sorter's node does."""
 
-    def __init__(self, backend: str, splats: Splats, view: embedded.View) -> None:
+    def __init__(self, backend: str, splats: Splats, view: embedded.NumberedView) -> None:
         self._backend = open_backend(backend)
         self._splats = splats
         self._view = view

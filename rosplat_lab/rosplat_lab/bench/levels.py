@@ -82,7 +82,9 @@ class Card:
         self.renderer = embedded.open_renderer()
         self.device = self.renderer.renderer_info
         # The levels stay for as long as some view wants any.
-        self._views = {full: embedded.View(self.renderer, str(full)) for full in (False, True)}
+        self._views = {
+            full: embedded.NumberedView(self.renderer, str(full)) for full in (False, True)
+        }
         self._finish = embedded.gl_finish()
 
     def merge(self) -> dict[str, float]:

@@ -54,7 +54,7 @@ def measure(plan: Plan) -> Iterator[Event]:
 
 
 def _shown(
-    renderer: Renderer, view: embedded.View, camera: Camera, interactive: bool = False
+    renderer: Renderer, view: embedded.NumberedView, camera: Camera, interactive: bool = False
 ) -> NDArray[np.float64]:
     renderer.settings.interactive = interactive
     view.look(camera)
@@ -72,7 +72,7 @@ def _carried(name: str, picture: tuple[int, int]) -> Iterator[Event]:
         renderer = embedded.open_renderer()
         renderer.settings.rasterizer = Rasterizer.PROCESSOR
         rendering.insert_all(renderer, splats)
-        view = embedded.View(renderer)
+        view = embedded.NumberedView(renderer)
 
         for motion in VIEWS:
             cameras = VIEWS[motion](splats, *picture, max(AGES) + 1)
@@ -105,7 +105,7 @@ def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Eve
         renderer.settings.detail = detail
         renderer.settings.interactive = True
         rendering.insert_all(renderer, splats)
-        view = embedded.View(renderer)
+        view = embedded.NumberedView(renderer)
         _rest(view, cameras[0])
 
         frames: list[tuple[Camera, NDArray[np.float32], dict[str, Any]]] = []
@@ -133,7 +133,7 @@ def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Eve
         del renderer, view  # while its display is there
 
 
-def _rest(view: embedded.View, camera: Camera) -> None:
+def _rest(view: embedded.NumberedView, camera: Camera) -> None:
     """Draws until nothing changes any more: the exact picture, and levels if there are any."""
     view.look(camera)
     since, levels = time.monotonic(), -1

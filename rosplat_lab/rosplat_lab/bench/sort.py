@@ -15,7 +15,7 @@ from rosplat_core import depth, rendering
 from rosplat_core.cameras import Camera
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.splats import SceneError, Splats
-from rosplat_core.view import View, unmoved
+from rosplat_core.view import SortView, unmoved
 from rosplat_lab.bench import baselines, live, scenes
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
@@ -74,7 +74,7 @@ class Way:
 
     quantity: str
     label: str
-    sort: Callable[[View], Any]
+    sort: Callable[[SortView], Any]
     culls: bool = True
 
 
@@ -107,7 +107,7 @@ def _ours(sorted_map: SplatMap, name: str, threads: int) -> list[Way]:
     if finish:
         on_device = backend.order_on_device
 
-        def sort(view: View) -> None:
+        def sort(view: SortView) -> None:
             on_device(view)
             finish()
 
@@ -171,7 +171,7 @@ def _finish(backend: Backend) -> Callable[[], object] | None:
 
 
 def _timed(
-    plan: Plan, scene: str, sorted_map: SplatMap, way: Way, kind: str, views: list[View]
+    plan: Plan, scene: str, sorted_map: SplatMap, way: Way, kind: str, views: list[SortView]
 ) -> Measurement:
     """Raises AssertionError where a backend's order is not the reference's."""
     if way.culls and way.quantity == HOST:
@@ -195,11 +195,11 @@ def map_of(splats: Splats) -> SplatMap:
     return sorted_map
 
 
-def view_of(which: Camera, splats: Splats) -> View:
+def view_of(which: Camera, splats: Splats) -> SortView:
     """The sorter's view of a camera."""
     x, y, z = which.position.tolist()
     qx, qy, qz, qw = which.orientation.tolist()
-    return View.of(
+    return SortView.of(
         PosedCamera(
             position=(x, y, z), orientation=(qx, qy, qz, qw),
             fx=which.fx, fy=which.fy, cx=which.cx, cy=which.cy,

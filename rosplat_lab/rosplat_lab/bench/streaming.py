@@ -43,7 +43,7 @@ def measure(count: int) -> Iterator[Event]:
     renderer = embedded.open_renderer()
     finish = embedded.gl_finish()
     splats = scenes.load(name)
-    view = embedded.View(renderer)
+    view = embedded.NumberedView(renderer)
     cameras = scenes.overview(splats, *scenes.PICTURES[0], 360)
     view.look(cameras[0])
     view.draw()

@@ -21,7 +21,7 @@ from rosplat_core.rendering import (
     pose,
 )
 from rosplat_core.splats import Splats
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_lab.bench.baselines import Positions
 from rosplat_lab.bench.baselines import Sort as Baseline
 from rosplat_lab.bench.embedded import gl_finish
@@ -118,10 +118,10 @@ class Bench:
             str(self._maps), self._revision,
         )  # fmt: skip
 
-    def view(self, camera: Camera) -> View:
+    def view(self, camera: Camera) -> SortView:
         """A camera as sorters need it."""
         x, y, z = camera.position
-        return View.of(
+        return SortView.of(
             PosedCamera(
                 (float(x), float(y), float(z)), tuple(camera.orientation), camera.fx, camera.fy,
                 camera.cx, camera.cy, camera.width, camera.height, camera.near, camera.far,

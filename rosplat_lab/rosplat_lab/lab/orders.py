@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import depth
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_sorter.map import SplatMap
 
 Depths = NDArray[np.float32]
@@ -69,13 +69,13 @@ def equalised(bits: int, sample: int = 4096) -> Quantise:
     return keys
 
 
-def by_z(view: View, splats: SplatMap, slots: Order) -> Depths:
+def by_z(view: SortView, splats: SplatMap, slots: Order) -> Depths:
     """Distance along the optical axis, what splats are trained with."""
     depths: Depths = depth.transform(view, splats.positions[slots], 2)
     return depths
 
 
-def by_distance(view: View, splats: SplatMap, slots: Order) -> Depths:
+def by_distance(view: SortView, splats: SplatMap, slots: Order) -> Depths:
     """Distance from the camera, which turning it doesn't change."""
     positions = splats.positions[slots]
     x, y, z = (depth.transform(view, positions, axis) for axis in range(3))
@@ -83,7 +83,7 @@ def by_distance(view: View, splats: SplatMap, slots: Order) -> Depths:
     return distances
 
 
-def keyed(view: View, splats: SplatMap, quantise: Quantise, distance: Callable = by_z) -> Order:  # type: ignore[type-arg]
+def keyed(view: SortView, splats: SplatMap, quantise: Quantise, distance: Callable = by_z) -> Order:  # type: ignore[type-arg]
     """The visible slots by quantised keys; of equal keys the higher slot is drawn first."""
     slots = np.flatnonzero(depth.visible(view, splats.positions, splats.extents)).astype(np.uint32)
     if not len(slots):
@@ -103,12 +103,12 @@ def radix_argsort(keys: Keys) -> NDArray[np.intp]:
     return index
 
 
-def unsorted(view: View, splats: SplatMap) -> Order:
+def unsorted(view: SortView, splats: SplatMap) -> Order:
     """The visible slots as the file has them."""
     return np.flatnonzero(depth.visible(view, splats.positions, splats.extents)).astype(np.uint32)
 
 
-def radii(view: View, splats: SplatMap, slots: Order) -> NDArray[np.float32]:
+def radii(view: SortView, splats: SplatMap, slots: Order) -> NDArray[np.float32]:
     """About how large splats of an order are drawn, half size in pixels (m,)."""
     w = 1.0 if view.orthographic else by_z(view, splats, slots)
     sizes: NDArray[np.float32] = (

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_sorter.map import Rows, SplatMap
 
 Allocate = Callable[[int], NDArray[np.uint32]]
@@ -51,7 +51,7 @@ class Backend(Protocol):
     def close(self) -> None:
         """Gives back its memory, on the device as well; it is not used again."""
 
-    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
+    def order(self, view: SortView, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         """The visible slots back to front, uint32 (m,), exactly as depth.order.
 
         They are written to the array that allocate(m) makes, once they are counted: shared memory

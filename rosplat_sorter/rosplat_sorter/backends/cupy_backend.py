@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_sorter.backends import Allocate, new_array, room_for
 from rosplat_sorter.map import Rows, SplatMap
 from rosplat_sorter.shared_orders import Memory, memory_of
@@ -113,14 +113,14 @@ class CupyBackend:
         self._pages = cupy.empty((0, 3), cupy.uint32)
         cupy.get_default_memory_pool().free_all_blocks()
 
-    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
+    def order(self, view: SortView, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         slots = self.order_on_device(view)
         result = allocate(len(slots))
         self._pin(result)
         slots.get(out=result)
         return result
 
-    def order_on_device(self, view: View) -> cupy.ndarray:
+    def order_on_device(self, view: SortView) -> cupy.ndarray:
         """The order as a GPU array, uint32 (m,), which may still be in the making.
 
         The next order is written to the same memory.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import _core
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_sorter.backends import Allocate, new_array
 from rosplat_sorter.map import Rows, SplatMap
 
@@ -28,6 +28,6 @@ class NativeBackend:
         self._splats = SplatMap()
         del self._sort
 
-    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
+    def order(self, view: SortView, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         splats = self._splats
         return self._sort.sort(view, splats.positions, splats.extents, splats.pages, allocate)

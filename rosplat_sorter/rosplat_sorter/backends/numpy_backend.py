@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import depth
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_sorter.backends import Allocate, new_array
 from rosplat_sorter.map import Rows, SplatMap
 
@@ -30,7 +30,7 @@ class NumpyBackend:
         self._splats = SplatMap()
         self._slots, self._groups = self._splats.slots_and_groups()
 
-    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
+    def order(self, view: SortView, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         positions, extents = self._splats.positions, self._splats.extents
         one_group = len(view.translations) == 1
         packed = [np.zeros(0, np.uint64)]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_core.view import View
+from rosplat_core.view import SortView
 from rosplat_sorter.backends import Allocate, Unavailable, new_array, room_for
 from rosplat_sorter.map import Rows, SplatMap
 
@@ -65,14 +65,14 @@ class TorchBackend:
             torch.cuda.empty_cache()
 
     @torch.inference_mode()
-    def order(self, view: View, allocate: Allocate = new_array) -> NDArray[np.uint32]:
+    def order(self, view: SortView, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         order = self.order_on_device(view)
         result = allocate(len(order))
         torch.from_numpy(result.view(np.int32)).copy_(order)
         return result
 
     @torch.inference_mode()
-    def order_on_device(self, view: View) -> Tensor:
+    def order_on_device(self, view: SortView) -> Tensor:
         """The order as a tensor on the device, int32 (m,), which may still be in the making."""
         positions, extents = self._positions[: self._count], self._extents[: self._count]
         rotations, translations = self._upload(view.rotations), self._upload(view.translations)
@@ -108,7 +108,7 @@ def _transform(pages: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
     return result
 
 
-def _visible(view: View, x: Tensor, y: Tensor, z: Tensor, extents: Tensor) -> Tensor:
+def _visible(view: SortView, x: Tensor, y: Tensor, z: Tensor, extents: Tensor) -> Tensor:
     w = torch.ones_like(z) if view.orthographic else z
     in_depth = (extents >= 0) & (z > float(view.near_clip)) & (z < float(view.far_clip))
     in_width = (x * float(view.fx) + w * float(view.offset_x)).abs() <= (

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats.decoded import Warn
-from rosplat_core.formats.streamed_sog import Part, Pieces, Streamed
+from rosplat_core.formats.streamed_sog import FileRange, Pieces, Streamed
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import SceneError, Splats, concatenate
@@ -42,7 +42,7 @@ class Sink(Protocol):
 
 @dataclass(frozen=True)
 class _Held:
-    part: Part
+    part: FileRange
     slots: Slots
     splats: int
     """In use, of slots."""
@@ -66,11 +66,11 @@ class StreamedMap:
         self._sink = sink
         self._pieces = Pieces(scene, warn)
         self._readers = ThreadPoolExecutor(THREADS, "reader")
-        self._asked: dict[Part, Future[Splats]] = {}
+        self._asked: dict[FileRange, Future[Splats]] = {}
         self._parts = [chunk.levels for chunk in scene.chunks]
         self._held: list[_Held | None] = [None] * len(scene.chunks)
         self._slots = SlotAllocator()
-        self._to_come: dict[int, Part] = {}
+        self._to_come: dict[int, FileRange] = {}
         self._unfinished = False  # once all has come that is to come, there will be more
         self._error = 0.0
         self._list()
@@ -114,7 +114,9 @@ class StreamedMap:
                 del self._to_come[chunk]
         return bool(self._to_come) or self._unfinished
 
-    def _plan(self, views: Sequence[PosedCamera]) -> tuple[dict[int, Part], dict[int, Part]]:
+    def _plan(
+        self, views: Sequence[PosedCamera]
+    ) -> tuple[dict[int, FileRange], dict[int, FileRange]]:
         """The levels to come of chunks that get finer, the most urgent first, and of others.
 
         Drops chunks that there is no more room for.
@@ -151,7 +153,7 @@ class StreamedMap:
         self._pieces.close()
         self._readers.shutdown(cancel_futures=True)
 
-    def _fitting(self, growing: dict[int, Part]) -> dict[int, Part]:
+    def _fitting(self, growing: dict[int, FileRange]) -> dict[int, FileRange]:
         """The first that the budget has room for now."""
         room = self._budget - self._slots.slots
         fitting = {}
@@ -163,7 +165,7 @@ class StreamedMap:
             fitting[chunk] = part
         return fitting
 
-    def _ask(self, parts: list[Part]) -> None:
+    def _ask(self, parts: list[FileRange]) -> None:
         """Has the first of parts read, and nothing else."""
         first = dict.fromkeys(parts[:AHEAD])
         for part in self._asked.keys() - first.keys():
@@ -172,7 +174,7 @@ class StreamedMap:
             if part not in self._asked:
                 self._asked[part] = self._readers.submit(self._pieces.read, part)
 
-    def _take(self, parts: dict[int, Part], patience: float) -> list[int]:
+    def _take(self, parts: dict[int, FileRange], patience: float) -> list[int]:
         """Puts in levels of chunks that have been read, once there are any; returns the chunks."""
         asked = {chunk: part for chunk, part in parts.items() if part in self._asked}
         wait({self._asked[part] for part in asked.values()}, patience, FIRST_COMPLETED)
@@ -194,7 +196,7 @@ class StreamedMap:
             raise failed
         return list(ready)
 
-    def _put(self, ready: dict[int, Splats], parts: Mapping[int, Part | None]) -> None:
+    def _put(self, ready: dict[int, Splats], parts: Mapping[int, FileRange | None]) -> None:
         """Puts in levels of chunks, or takes chunks out whose part is None."""
         before = [held.slots for chunk in parts if (held := self._held[chunk])]
         for chunk, part in parts.items():

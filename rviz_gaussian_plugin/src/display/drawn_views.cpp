@@ -17,12 +17,12 @@ constexpr auto kUnseen = 2s;  // after which a view that isn't drawn is gone
 DrawnViews::DrawnViews(std::string name, SplatScene& scene, GaussianClient& client)
     : name_(std::move(name)), scene_(scene), client_(client) {}
 
-View& DrawnViews::draw(const Ogre::Viewport* viewport, const SplatCamera& camera, bool main,
-                       bool orders_wanted, bool publish_pose) {
+OrderedView& DrawnViews::draw(const Ogre::Viewport* viewport, const SplatCamera& camera, bool main,
+                              bool orders_wanted, bool publish_pose) {
   auto found = views_.find(viewport);
   if (found == views_.end()) {
     const std::size_t number = ++count_;
-    View view(name_ + "/" + std::to_string(number), scene_, client_);
+    OrderedView view(name_ + "/" + std::to_string(number), scene_, client_);
     found = views_.emplace(viewport, Drawn{std::move(view), number}).first;
   }
   Drawn& drawn = found->second;
@@ -39,7 +39,7 @@ View& DrawnViews::draw(const Ogre::Viewport* viewport, const SplatCamera& camera
 void DrawnViews::update() {
   forgetUnseen();
   for (auto& [viewport, drawn] : views_) {
-    View& view = drawn.view;
+    OrderedView& view = drawn.view;
     if (view.age() < kKeepAlive) continue;
     const FrameReport report = scene_.report(view.id());
     if (report.order_fresh && report.order_source.rfind("sidecar", 0) == 0) {

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "view.hpp"
+#include "ordered_view.hpp"
 
 namespace Ogre {
 class Viewport;
@@ -28,8 +28,8 @@ class DrawnViews {
   DrawnViews(std::string name, SplatScene& scene, GaussianClient& client);
 
   // Before each draw: the view of a viewport. main: it is rviz's own, not a Camera display's, say.
-  View& draw(const Ogre::Viewport* viewport, const SplatCamera& camera, bool main,
-             bool orders_wanted, bool publish_pose);
+  OrderedView& draw(const Ogre::Viewport* viewport, const SplatCamera& camera, bool main,
+                    bool orders_wanted, bool publish_pose);
   // Once an update of the display: asks again for orders that don't come, and forgets views that
   // aren't drawn any more.
   void update();
@@ -38,7 +38,7 @@ class DrawnViews {
 
  private:
   struct Drawn {
-    View view;
+    OrderedView view;
     std::size_t number;
     bool main = false;
     std::chrono::steady_clock::time_point time{};  // when it was last drawn

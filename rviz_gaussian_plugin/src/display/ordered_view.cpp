@@ -1,4 +1,4 @@
-#include "view.hpp"
+#include "ordered_view.hpp"
 
 #include <utility>
 
@@ -6,36 +6,36 @@
 
 namespace rosplat {
 
-View::View(std::string id, SplatScene& scene, GaussianClient& client)
+OrderedView::OrderedView(std::string id, SplatScene& scene, GaussianClient& client)
     : id_(std::move(id)), scene_(scene), client_(client) {}
 
-std::chrono::steady_clock::duration View::age() const {
+std::chrono::steady_clock::duration OrderedView::age() const {
   return std::chrono::steady_clock::now() - published_;
 }
 
-void View::ask(const SplatCamera& camera) {
+void OrderedView::ask(const SplatCamera& camera) {
   camera_ = camera;
   ++sequence_;
   scene_.setCamera(id_, sequence_, camera_);
   publish();
 }
 
-void View::look(const SplatCamera& camera) {
+void OrderedView::look(const SplatCamera& camera) {
   if (sequence_ == 0 || !(camera_ == camera)) ask(camera);
 }
 
-void View::forget() {
+void OrderedView::forget() {
   scene_.forget(id_);
   client_.forget(id_);
 }
 
-void View::setOrdersWanted(bool wanted) {
+void OrderedView::setOrdersWanted(bool wanted) {
   const bool begins = wanted && !orders_wanted_ && sequence_ > 0;
   orders_wanted_ = wanted;
   if (begins) publish();
 }
 
-void View::publish() {
+void OrderedView::publish() {
   published_ = std::chrono::steady_clock::now();
   const auto message = toMessage(camera_, id_, sequence_, client_.header());
   if (orders_wanted_) {

@@ -12,10 +12,10 @@ namespace rosplat {
 // A view of the map that asks for its orders: each of its cameras goes to the scene and, if orders
 // are wanted, out to sidecars, under a number that the orders answer; to others who follow it in
 // any case. Render thread only.
-class View {
+class OrderedView {
  public:
   // Scene and client must outlive it.
-  View(std::string id, SplatScene& scene, GaussianClient& client);
+  OrderedView(std::string id, SplatScene& scene, GaussianClient& client);
 
   const std::string& id() const { return id_; }
   const SplatCamera& camera() const { return camera_; }

@@ -5,9 +5,9 @@
 #include <string>
 
 #include "gaussian_client.hpp"
+#include "ordered_view.hpp"
 #include "rosplat_core/levels/detail.hpp"
 #include "splat_cloud.hpp"
-#include "view.hpp"
 
 namespace rviz_common {
 class FrameManagerIface;
@@ -45,7 +45,7 @@ class RenderService {
   SplatCloud& cloud_;
   GaussianClient& client_;
   rviz_common::FrameManagerIface& frames_;
-  View view_;
+  OrderedView view_;
   std::optional<GaussianClient::RenderRequest> request_;
   Detail detail_;               // that it asks for
   Clock::time_point taken_;     // when its turn came

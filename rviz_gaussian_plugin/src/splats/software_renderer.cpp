@@ -79,14 +79,14 @@ const std::string& SoftwareRenderer::join(const std::vector<ViewedMap>& maps) {
 
 void SoftwareRenderer::ask(const std::string& name, PaintRequestPtr request,
                            const std::vector<ViewedMap>& maps) {
-  View& view = views_[name];
+  ShownView& view = views_[name];
   view.asked = request;
   view.asked_of.clear();
   for (const ViewedMap& map : maps) view.asked_of.push_back(map.state);
   painter_.ask(name, std::move(request));
 }
 
-bool SoftwareRenderer::asked(const View& view, const PaintRequest& request,
+bool SoftwareRenderer::asked(const ShownView& view, const PaintRequest& request,
                              const std::vector<ViewedMap>& maps) {
   const auto as = [](const MapState& state, const ViewedMap& map) {
     return same(state, map.state);
@@ -99,7 +99,7 @@ bool SoftwareRenderer::ready(const ViewedMap& map) {
   const std::vector<ViewedMap> maps{map};
   const std::string& name = join(maps);
   auto request = std::make_shared<PaintRequest>(requestOf(maps));
-  const View& view = views_[name];
+  const ShownView& view = views_[name];
   const PaintingPtr newest = painter_.newest(name);
   const bool good = newest && (newest->error.empty() || newest->request == view.asked);
   if (good && shows(*newest, *request, maps)) return true;
@@ -114,7 +114,7 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   auto request = std::make_shared<PaintRequest>(requestOf(maps));
   const SplatCamera& camera = request->camera();
   request->window = canvas != Canvas::kNone;
-  View& view = views_[name];
+  ShownView& view = views_[name];
   if (interactive && request->window) request->motion = view.motion.follow(camera, now());
   if (around.translucent) {
     request->translucent_depth =
@@ -164,7 +164,7 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   return painting;
 }
 
-void SoftwareRenderer::show(View& view, const PaintingPtr& painting) {
+void SoftwareRenderer::show(ShownView& view, const PaintingPtr& painting) {
   if (view.shown == painting) return;
   const SplatCamera& camera = painting->request->camera();
   const auto write = [&camera](OverlayTexture& texture, const auto& layer) {

@@ -62,7 +62,7 @@ class SoftwareRenderer {
 
  private:
   // What displays show together.
-  struct View {
+  struct ShownView {
     PaintRequestPtr asked;
     std::vector<MapState> asked_of;
     MotionTracker motion;  // of the camera
@@ -74,10 +74,10 @@ class SoftwareRenderer {
   // The name of the view that maps are in.
   const std::string& join(const std::vector<ViewedMap>& maps);
   // Whether a picture of these maps as they are now is what was asked for last.
-  static bool asked(const View& view, const PaintRequest& request,
+  static bool asked(const ShownView& view, const PaintRequest& request,
                     const std::vector<ViewedMap>& maps);
   void ask(const std::string& name, PaintRequestPtr request, const std::vector<ViewedMap>& maps);
-  void show(View& view, const PaintingPtr& painting);
+  void show(ShownView& view, const PaintingPtr& painting);
   // Of what the view of maps shows, how deep it is for their cameras, where it has so much of
   // splats before what is opaque [m]; NaN elsewhere, and none where it shows nothing.
   std::vector<double> depthsShown(const std::vector<ViewedMap>& maps,
@@ -90,14 +90,14 @@ class SoftwareRenderer {
   Overlay overlay_;
   Painter painter_;
   ViewNames names_;
-  std::map<std::string, View> views_;  // by name
+  std::map<std::string, ShownView> views_;  // by name
   OverlayTexture bytes_;
   PaintRequest picked_;  // what drawPick() has marked last
 
   // Of the last draw().
-  const View* drawn_ = nullptr;
+  const ShownView* drawn_ = nullptr;
   Canvas canvas_ = Canvas::kNone;
-  PictureMesh::View mesh_;  // how it saw the picture
+  PictureMesh::CornerGrid mesh_;  // how it saw the picture
   bool exact_ = false;
 };
 

@@ -82,7 +82,7 @@ const std::string& SplatRenderer::join(const std::vector<CardView>& maps) {
   return names_.join(view_ids, [this](const std::string& name) { drop(name); });
 }
 
-SplatRenderer::View& SplatRenderer::view(const std::string& name) {
+SplatRenderer::RenderedView& SplatRenderer::view(const std::string& name) {
   auto found = views_.find(name);
   if (found == views_.end()) {
     std::size_t bytes = 0;
@@ -189,7 +189,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
   glFlush();  // the graphics card begins with what the scene has drawn so far
   gl::deleteAbandoned();
   const RenderSettings& settings = maps.front().settings;
-  View& of = this->view(join(maps));
+  RenderedView& of = this->view(join(maps));
   if (const std::optional<double> seconds = of.timer.take()) {
     for (const CardView& map : maps) {
       for (const Timed& timed : of.timed) {

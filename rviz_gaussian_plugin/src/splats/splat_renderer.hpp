@@ -108,8 +108,8 @@ class SplatRenderer {
     double error;
     bool in_time;
   };
-  struct View {
-    explicit View(std::unique_ptr<ViewState> of) : state(std::move(of)) {}
+  struct RenderedView {
+    explicit RenderedView(std::unique_ptr<ViewState> of) : state(std::move(of)) {}
 
     std::unique_ptr<ViewState> state;
     std::uint64_t used = 0;  // the last time
@@ -120,7 +120,7 @@ class SplatRenderer {
   // The name of the view that maps are in.
   const std::string& join(const std::vector<CardView>& maps);
   // What is kept of a view; where that were too much, another's, drawn longest ago, becomes its.
-  View& view(const std::string& name);
+  RenderedView& view(const std::string& name);
   // Null where there is nothing of a display's view.
   const ViewState* stateOf(const std::string& view_id) const;
   void drop(const std::string& name);
@@ -141,9 +141,9 @@ class SplatRenderer {
   const gl::Program &divide_, &composite_, &hide_, &surface_;
 
   ViewNames names_;
-  std::map<std::string, View> views_;  // by name
-  std::uint64_t used_ = 0;             // views so far
-  ViewState* drawn_ = nullptr;         // last
+  std::map<std::string, RenderedView> views_;  // by name
+  std::uint64_t used_ = 0;                     // views so far
+  ViewState* drawn_ = nullptr;                 // last
   std::size_t picked_layers_ = 0;
   gl::Target depth_, surface_depth_, pick_depth_;
   GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver did, or wouldn't copy

@@ -78,12 +78,12 @@ class HostSlots {
 
  private:
   // Slots of one page.
-  struct Part {
+  struct PageWrite {
     std::uint32_t first, count;
     std::size_t source;  // in the edit
   };
   void makeRoom(const GaussianEdit& edit, Page& page) const;
-  void write(const GaussianEdit& edit, const Part& part, std::uint32_t change);
+  void write(const GaussianEdit& edit, const PageWrite& part, std::uint32_t change);
   void writeChannels(const GaussianEdit& edit, std::size_t source, Page& page, std::size_t target,
                      std::size_t count);
 

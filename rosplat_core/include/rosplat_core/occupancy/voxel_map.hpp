@@ -97,16 +97,16 @@ class VoxelMap {
     std::array<std::vector<Share>, kShards> of;
   };
   // Slots of one page.
-  struct Part {
+  struct PageSpan {
     const SlotPage* page;
     std::uint32_t first, count;
   };
 
-  std::vector<Part> partsOf(const GaussianEdit& edit) const;
-  std::vector<Part> allParts() const;
+  std::vector<PageSpan> partsOf(const GaussianEdit& edit) const;
+  std::vector<PageSpan> allParts() const;
   // sign: 1 to add what the slots hold, -1 to take it away.
-  void sum(const std::vector<Part>& parts, int sign);
-  void share(const Part& part, int sign, Shares& shares);
+  void sum(const std::vector<PageSpan>& parts, int sign);
+  void share(const PageSpan& part, int sign, Shares& shares);
   void share(const Splat& splat, const Placement& in_grid, int sign, Shares& shares);
   void hand(std::size_t number, Shares& shares);  // to a shard
   void clear();

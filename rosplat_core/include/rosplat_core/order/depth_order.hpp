@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "rosplat_core/slots/constants.hpp"
+#include "rosplat_core/threads/scratch_buffer.hpp"
 #include "rosplat_core/threads/thread_team.hpp"
 #include "rosplat_core/views/sort_view.hpp"
 
@@ -162,29 +163,10 @@ class DepthOrder {
   };
 
   // A share of the splats, then of the entries that were found in it.
-  struct Part {
+  struct SortShare {
     std::size_t begin;
     std::size_t end;
     std::array<std::size_t, kMostBuckets> buckets;  // how many entries, then where the next goes
-  };
-
-  // Memory that keeps nothing when it grows, or when far less of it is needed.
-  class Room {
-   public:
-    Entry* reserve(std::size_t size) {
-      if (size > size_ || size < size_ / 4) {
-        memory_.reset();
-        size_ = 0;
-        memory_.reset(new Entry[size + size / 4]);
-        size_ = size + size / 4;
-      }
-      return memory_.get();
-    }
-    Entry* get() const { return memory_.get(); }
-
-   private:
-    std::unique_ptr<Entry[]> memory_;
-    std::size_t size_ = 0;
   };
 
   static float transform(const SortView& view, int axis, const float* p) {
@@ -244,9 +226,9 @@ class DepthOrder {
     parts_.resize(
         std::min<std::size_t>(members > 1 ? 2 * members : 1, 1 + splats.count / kLeastShare));
     const auto parts = static_cast<unsigned>(parts_.size());
-    Entry* const found = found_.reserve(splats.count);
+    Entry* const found = found_.fit(splats.count);
     team_->run(parts, [&](unsigned number, unsigned) {
-      Part& part = parts_[number];
+      SortShare& part = parts_[number];
       const std::size_t blocks = (splats.count + kBlock - 1) / kBlock;
       part.begin = blocks * number / parts * kBlock;
       part.end = std::min(blocks * (number + 1) / parts * kBlock, splats.count);
@@ -254,9 +236,9 @@ class DepthOrder {
     });
 
     const std::size_t total = shareOut();
-    Entry* const dealt = dealt_.reserve(total);
+    Entry* const dealt = dealt_.fit(total);
     team_->run(parts, [&](unsigned number, unsigned) {
-      Part& part = parts_[number];
+      SortShare& part = parts_[number];
       for (std::size_t i = part.begin; i < part.end; ++i) {
         dealt[part.buckets[bucketOf(found[i].key)]++] = found[i];
       }
@@ -319,17 +301,17 @@ class DepthOrder {
     begins_.clear();
     for (unsigned bucket = 0; bucket < buckets_; ++bucket) {
       begins_.push_back(next);
-      for (Part& part : parts_) next += std::exchange(part.buckets[bucket], next);
+      for (SortShare& part : parts_) next += std::exchange(part.buckets[bucket], next);
       largest = std::max(largest, next - begins_.back());
     }
     begins_.push_back(next);
-    for (auto& scratch : scratch_) scratch.reserve(std::min(largest, kMostScratch));
+    for (auto& scratch : scratch_) scratch.fit(std::min(largest, kMostScratch));
     return next;
   }
 
   // Writes an entry for each visible splat of [part.begin, part.end), shortens the part to them,
   // and counts them by bucket.
-  void cull(const Splats& splats, Entry* entries, Part& part) const {
+  void cull(const Splats& splats, Entry* entries, SortShare& part) const {
     std::array<std::uint32_t, kBlock> keys;
     std::array<std::uint32_t, kBlock> seen;
     Entry* out = entries + part.begin;
@@ -390,10 +372,10 @@ class DepthOrder {
   unsigned cell_shift_ = 0;       // from keys to cells
   std::array<std::uint8_t, kCells> bucket_of_cell_;
   std::vector<std::size_t> begins_;  // where each bucket begins, and the last one ends
-  std::vector<Part> parts_;
-  Room found_;
-  Room dealt_;
-  std::vector<Room> scratch_;  // one for each member
+  std::vector<SortShare> parts_;
+  ScratchBuffer<Entry> found_;
+  ScratchBuffer<Entry> dealt_;
+  std::vector<ScratchBuffer<Entry>> scratch_;  // one for each member
   std::vector<std::uint32_t> order_;
 };
 

@@ -61,7 +61,7 @@ class OrderBook {
     SplatCamera camera;
     double time = 0;
   };
-  struct View {
+  struct ViewOrders {
     std::deque<Camera> cameras;  // newest last; equal ones are one
     std::uint64_t sequence = 0;  // newest
     OrderPtr sidecar, built_in, drawn;
@@ -71,12 +71,12 @@ class OrderBook {
     OrderPtr requested_base;
   };
 
-  bool fresh(const View& view, const Order& order) const;
-  void request(const std::string& view_id, View& view, const OrderPtr& base);
-  Choice chosen(const View& view, const OrderPtr& order, double now) const;
+  bool fresh(const ViewOrders& view, const Order& order) const;
+  void request(const std::string& view_id, ViewOrders& view, const OrderPtr& base);
+  Choice chosen(const ViewOrders& view, const OrderPtr& order, double now) const;
 
   BuiltInSorter& built_in_;
-  std::map<std::string, View> views_;
+  std::map<std::string, ViewOrders> views_;
   MapState map_;
   std::uint64_t changes_ = 0;  // of it
 };

@@ -150,7 +150,7 @@ class Painter {
     std::vector<std::promise<Pick::Slots>> slots;  // of each layer
     GivenUp given_up = std::make_shared<std::atomic<bool>>(false);
   };
-  struct View {
+  struct ViewPaintings {
     std::optional<Waiting> waiting;
     std::uint64_t painted = 0;  // number of the newest that is finished
     PaintingPtr newest;
@@ -186,7 +186,7 @@ class Painter {
   std::condition_variable wake_, finished_;
   bool stop_ = false, edits_ = false;
   std::vector<PaintedMapPtr> maps_;
-  std::map<std::string, View> views_;
+  std::map<std::string, ViewPaintings> views_;
   std::list<std::string> queue_;     // views, those first that have waited longest
   std::list<std::string> painting_;  // the view that was, if any
   std::uint64_t asked_ = 0;          // that ever were

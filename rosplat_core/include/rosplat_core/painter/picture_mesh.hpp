@@ -23,7 +23,7 @@ class PictureMesh {
     float u, v;     // what is there: 0 to 1 over the picture, from its top left; or beyond
   };
   // Corners row by row, from the top left.
-  struct View {
+  struct CornerGrid {
     std::size_t columns;
     std::vector<Corner> corners;
     bool moved;  // not the picture's own camera
@@ -42,7 +42,7 @@ class PictureMesh {
   static Cells cells(int width, int height, const CoverOf& cover);
 
   // As a camera of the same map sees it.
-  View seenBy(const SplatCamera& camera) const;
+  CornerGrid seenBy(const SplatCamera& camera) const;
 
  private:
   SplatCamera camera_;

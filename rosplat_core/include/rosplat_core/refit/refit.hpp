@@ -47,11 +47,11 @@ class Refit {
   Splats splats() const;
 
  private:
-  struct View;
+  struct Drawing;
   struct Seen;
   struct Work;
 
-  double draw(const View& view, const float* target);
+  double draw(const Drawing& view, const float* target);
   // Draws, and calls use(index, gradient) for each splat that is seen, side by side.
   template <typename Use>
   double forEachSeen(const SplatCamera& camera, const float* target, const Use& use);

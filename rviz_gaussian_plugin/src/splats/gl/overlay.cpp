@@ -20,8 +20,8 @@ using Cover = PictureMesh::Cover;
 
 // The cells of which so much is covered. Without arrays: these would be as whoever drew before has
 // left them.
-void draw(const CanvasScope& canvas, const OverlayTexture& texture, const PictureMesh::View& mesh,
-          const PictureMesh::Cells& cells, Cover cover) {
+void draw(const CanvasScope& canvas, const OverlayTexture& texture,
+          const PictureMesh::CornerGrid& mesh, const PictureMesh::Cells& cells, Cover cover) {
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, texture.id());
   // Pixel on pixel there is nothing to smooth.
@@ -96,7 +96,7 @@ Overlay::Overlay(const ShaderSource& source)
     : colour_(programOf(source, "overlay.frag")), depth_(programOf(source, "overlay_depth.frag")) {}
 
 void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture,
-                   const PictureMesh::View& mesh, const PictureMesh::Cells& cells) const {
+                   const PictureMesh::CornerGrid& mesh, const PictureMesh::Cells& cells) const {
   colour_.use();
   // All samples of a pixel are alike: in software, that saves a fifth. Depths that a shader writes
   // need each.
@@ -108,13 +108,14 @@ void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture,
 }
 
 void Overlay::drawDepth(const CanvasScope& canvas, const OverlayTexture& texture,
-                        const PictureMesh::View& mesh, const PictureMesh::Cells& cells) const {
+                        const PictureMesh::CornerGrid& mesh,
+                        const PictureMesh::Cells& cells) const {
   depth_.use();
   rosplat::draw(canvas, texture, mesh, cells, Cover::kSome);
 }
 
 void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture) const {
-  static const PictureMesh::View whole{
+  static const PictureMesh::CornerGrid whole{
       2, {{-1, 1, 1, 0, 0}, {1, 1, 1, 1, 0}, {-1, -1, 1, 0, 1}, {1, -1, 1, 1, 1}}, false};
   draw(canvas, texture, whole, {Cover::kAll});
 }

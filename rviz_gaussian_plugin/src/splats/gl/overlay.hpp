@@ -38,11 +38,11 @@ class Overlay {
 
   // A texture on the cells of a mesh where there is something, blended over what is there, with the
   // depth test that is set.
-  void draw(const CanvasScope& canvas, const OverlayTexture& texture, const PictureMesh::View& mesh,
-            const PictureMesh::Cells& cells) const;
+  void draw(const CanvasScope& canvas, const OverlayTexture& texture,
+            const PictureMesh::CornerGrid& mesh, const PictureMesh::Cells& cells) const;
   // Its depths alone, with the depth test that is set.
   void drawDepth(const CanvasScope& canvas, const OverlayTexture& texture,
-                 const PictureMesh::View& mesh, const PictureMesh::Cells& cells) const;
+                 const PictureMesh::CornerGrid& mesh, const PictureMesh::Cells& cells) const;
   // One as large as the canvas, all of it, in the place of what is there.
   void draw(const CanvasScope& canvas, const OverlayTexture& texture) const;
 

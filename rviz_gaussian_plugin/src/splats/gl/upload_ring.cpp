@@ -20,14 +20,14 @@ void renew(GLsync& fence) {
 
 }  // namespace
 
-UploadRing::Part UploadRing::makePart() {
+UploadRing::MappedBuffer UploadRing::makePart() {
   constexpr GLbitfield kAccess = GL_MAP_WRITE_BIT | GL_MAP_PERSISTENT_BIT | GL_MAP_COHERENT_BIT;
   const std::size_t bytes = std::max(kLeastBytes, bytes_);
   dropErrors();
   GLuint id = 0;
   glGenBuffers(1, &id);
   glBindBuffer(GL_COPY_READ_BUFFER, id);
-  Part part{Object(GL_BUFFER, id), bytes, nullptr, nullptr};
+  MappedBuffer part{Object(GL_BUFFER, id), bytes, nullptr, nullptr};
   const auto size = static_cast<GLsizeiptr>(bytes);
   glBufferStorage(GL_COPY_READ_BUFFER, size, nullptr, kAccess);
   settle();

@@ -69,7 +69,7 @@ class UploadRing {
   std::size_t bytes() const { return bytes_; }
 
  private:
-  struct Part {
+  struct MappedBuffer {
     Object buffer;
     std::size_t bytes = 0;
     std::uint8_t* memory = nullptr;
@@ -87,7 +87,7 @@ class UploadRing {
       take(done, n);
     }
   }
-  Part makePart();
+  MappedBuffer makePart();
   // Where to write at least so many bytes.
   void* room(std::size_t bytes);
   // Has what was written there copied.
@@ -95,10 +95,10 @@ class UploadRing {
   // What is there is not written again before the card is through with it.
   void use(std::size_t bytes);
 
-  Part part_;              // that is written to
-  std::size_t used_ = 0;   // of it
-  std::size_t bytes_ = 0;  // of all parts
-  std::deque<Part> busy_;  // parts that the card may still read, oldest first
+  MappedBuffer part_;              // that is written to
+  std::size_t used_ = 0;           // of it
+  std::size_t bytes_ = 0;          // of all parts
+  std::deque<MappedBuffer> busy_;  // parts that the card may still read, oldest first
   GLsync closed_ = nullptr;
 };
 

@@ -56,7 +56,7 @@ CardMap::Chosen CardMap::chooseDetail(const std::string& view_id, const RenderSe
     forget(view_id);
     return {};
   }
-  View& view = views_[view_id];
+  ViewDetail& view = views_[view_id];
   DetailControl& control = view.control;
   const bool at_once = !settings.interactive, rests = camera == view.camera;
   view.camera = camera;

@@ -65,7 +65,7 @@ class CardMap {
 
  private:
   // Of a view that isn't drawn in full.
-  struct View {
+  struct ViewDetail {
     DetailControl control;
     SplatCamera camera;    // of the last picture
     bool chooses = false;  // how that is drawn is up to the control
@@ -79,7 +79,7 @@ class CardMap {
   SlotStore store_;
   std::optional<CardLevels> levels_;
   std::string levels_error_;  // why there are none although they were to be made
-  std::map<std::string, View> views_;
+  std::map<std::string, ViewDetail> views_;
 };
 
 }  // namespace rosplat

@@ -75,7 +75,7 @@ class RadixSort {
   const gl::Program &count_, &sum_;
   const gl::Program* scatter_;
   gl::Buffer keys_, values_, next_keys_, next_values_, counts_;
-  Room room_;
+  UsageTracker room_;
 };
 
 }  // namespace rosplat

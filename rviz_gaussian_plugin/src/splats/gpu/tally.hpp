@@ -13,7 +13,7 @@ constexpr std::size_t withSlack(std::size_t count, double growth = 1) {
 }
 
 // How much of a number's room is used: there is more at once, but less only after a while.
-class Room {
+class UsageTracker {
  public:
   // Notes what is needed; true where for long not a quarter was of what there is.
   bool wastes(std::size_t needed) {

@@ -61,7 +61,7 @@ class TileRasterizer {
   gl::Slice zero_;
   gl::Buffer splats_, begins_;
   std::size_t room_ = 0;
-  Room used_;
+  UsageTracker used_;
   std::size_t most_pairs_;      // that may be listed
   int out_of_memory_ = 0;       // counts to come until more than half of what failed is tried again
   int width_ = 0, height_ = 0;  // of the picture that pairs were counted for [px]
