@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
@@ -24,6 +25,7 @@ from rosplat_core.lenses import Lens, LensError, Warp
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_sorter.diagnostics import Diagnostics
+from rosplat_sorter.qos import overridable
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import Health, NoPicture
@@ -109,14 +111,14 @@ class _Camera:
         self._last = self._due = 0  # of pictures' times [ns]
         self._looked = time.monotonic()
         self._rests_until = 0.0  # after trouble, so that it is counted once a period
-        advertise = node.create_publisher
-        self._infos = [
-            advertise(CameraInfo, f"{name}/{topic}", PICTURES)
-            for topic in ("camera_info", "depth/camera_info")
-        ]
-        self._image = advertise(Image, f"{name}/image_raw", PICTURES)
-        self._depth = advertise(Image, f"{name}/depth/image_raw", PICTURES)
-        self._normals = advertise(Image, f"{name}/normals", PICTURES)
+
+        def advertise(kind: type, topic: str) -> Publisher:
+            return node.create_publisher(kind, f"{name}/{topic}", **overridable(PICTURES))
+
+        self._infos = [advertise(CameraInfo, t) for t in ("camera_info", "depth/camera_info")]
+        self._image = advertise(Image, "image_raw")
+        self._depth = advertise(Image, "depth/image_raw")
+        self._normals = advertise(Image, "normals")
 
     def _calibration(self) -> CameraInfo | None:
         def of(what: str, *rest: Any) -> Any:
@@ -129,7 +131,7 @@ class _Camera:
         if path == TOPIC:
             topic = f"{self._name}/calibration"
             hear, qos = self._on_calibration, qos_profile_sensor_data
-            self._node.create_subscription(CameraInfo, topic, hear, qos)
+            self._node.create_subscription(CameraInfo, topic, hear, **overridable(qos))
             return None
         return (
             calibrations.load(path)

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
@@ -25,6 +24,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import Comparison
 from rosplat_sorter.diagnostics import Diagnostics
+from rosplat_sorter.qos import overridable
 from rosplat_tools.cameras import calibrations, comparison
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import Health, NoPicture
@@ -62,17 +62,15 @@ class Compare(Node):
         self._images: deque[tuple[float, Image]] = deque(maxlen=WAITING)
         self._info: CameraInfo | None = None
         self._lens: tuple[CameraInfo, Warp, NDArray[np.float64]] | None = None
-        self._rendered = self.create_publisher(Image, "rendered", PICTURES)
-        self._difference = self.create_publisher(Image, "difference", PICTURES)
-        self._metrics = self.create_publisher(Comparison, "metrics", PICTURES)
+        self._rendered = self.create_publisher(Image, "rendered", **overridable(PICTURES))
+        self._difference = self.create_publisher(Image, "difference", **overridable(PICTURES))
+        self._metrics = self.create_publisher(Comparison, "metrics", **overridable(PICTURES))
         for kind, topic, heard in (
             (Image, "image_raw", self._on_image),
             (CameraInfo, "camera_info", self._on_info),
             (Image, "mask", self._on_mask),
         ):
-            overridable = QoSOverridingOptions.with_default_policies()
-            qos = qos_profile_sensor_data
-            self.create_subscription(kind, topic, heard, qos, qos_overriding_options=overridable)
+            self.create_subscription(kind, topic, heard, **overridable(qos_profile_sensor_data))
         self._health = Health(self.resolve_topic_name("image_raw"), self.get_logger().warning)
         Diagnostics(self, self._health.name, self._health.report)
 

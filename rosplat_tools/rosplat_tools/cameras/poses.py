@@ -15,6 +15,7 @@ from rclpy.time import Time
 
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
+from rosplat_sorter.qos import overridable
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError, PoseHistory
 from rosplat_tools.poses import to_matrix, to_pose
 from rosplat_tools.program.parameters import declare
@@ -26,6 +27,7 @@ except ImportError:
     tf2_ros = None
 
 KEEPS = 10.0  # [s]
+POSES = QoSProfile(depth=10)
 NEVER = 0  # the time of what never moves [ns]
 
 
@@ -66,7 +68,7 @@ class TopicPoses:
         self._frames = dict.fromkeys(cameras, "")
         for camera in cameras:
             topic = f"{camera}/pose" if camera else "pose"
-            node.create_subscription(PoseStamped, topic, self._taker(camera), QoSProfile(depth=10))
+            node.create_subscription(PoseStamped, topic, self._taker(camera), **overridable(POSES))
 
     def _taker(self, camera: str) -> Callable[[PoseStamped], None]:
         def take(message: PoseStamped) -> None:

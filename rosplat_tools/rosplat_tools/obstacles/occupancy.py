@@ -37,6 +37,7 @@ from rosplat_core.occupancy import (
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import SceneError
 from rosplat_msgs.srv import SaveMap
+from rosplat_sorter.qos import overridable
 from rosplat_tools.map_subscriber import MapSubscriber
 from rosplat_tools.obstacles.frames import FrameError, Frames
 from rosplat_tools.obstacles.obstacle_messages import (
@@ -111,7 +112,7 @@ class Occupancy(Node):
             ("surface", PointCloud2, self._surface_message),
         ]
         self._outputs = [
-            _Output(self.create_publisher(kind, f"{topic}/{name}", LATCHED), make)
+            _Output(self.create_publisher(kind, f"{topic}/{name}", **overridable(LATCHED)), make)
             for name, kind, make in outputs
         ]
         self.create_service(SaveMap, "~/save", self._on_save)
