@@ -69,6 +69,7 @@ class SorterNode(Node):
     """
 
     def __init__(self) -> None:
+        self._at_work: _AtWork | None = None  # first: since Kilted, half a node is destroyed, too
         super().__init__("sorter")
         self._said: dict[str, float] = {}
         self.declare_parameter(
@@ -96,7 +97,6 @@ class SorterNode(Node):
             SplatOrder, f"{topic}/order", **qos.overridable(qos.ORDER)
         )
         self.unwanted = Future()
-        self._at_work: _AtWork | None = None
         self._is_told = hasattr(self, "add_post_set_parameters_callback")  # of what was set: Iron
         self.add_on_set_parameters_callback(self._validate)
         if self._is_told:

@@ -31,6 +31,12 @@ class PlyPublisher(Node):
     """Publishes the scene of its parameter `path` on `gaussians`; serves `~/load` and `~/save`."""
 
     def __init__(self) -> None:
+        # First: since Kilted, half a node is destroyed, too. One scene is read at a time.
+        self._reader = ThreadPoolExecutor(1, "reader")
+        self._asking = threading.Lock()
+        self._answer: Future[str] = (
+            Future()
+        )  # to the newest request; can be cancelled while it reads
         super().__init__("ply_publisher")
         self.path: str = declare(
             self, "path", "", f"Scene to publish: {NAMES}; empty to wait for ~/load."
@@ -47,12 +53,6 @@ class PlyPublisher(Node):
             frame_id=frame_id,
             compression=declare_compression(self),
         )
-        # One at a time is read, beside the callbacks.
-        self._reader = ThreadPoolExecutor(1, "reader")
-        self._asking = threading.Lock()
-        self._answer: Future[str] = (
-            Future()
-        )  # to the newest request; can be cancelled while it reads
         self.create_service(
             LoadScene, "~/load", self._on_load, callback_group=ReentrantCallbackGroup()
         )
