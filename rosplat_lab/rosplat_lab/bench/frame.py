@@ -20,7 +20,7 @@ from rosplat_core.cameras import Camera, Place, place
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import SceneError, Splats
 from rosplat_lab import machine, metrics, reference
-from rosplat_lab.bench import embedded, live, scenes, streaming
+from rosplat_lab.bench import embedded, live, renderers, scenes, streaming
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
@@ -213,13 +213,13 @@ def _beside(
             yield Doing(f"{name}, {size}, {view}, {which}", done)
 
             def frame(
-                index: int, renderer: Renderer = renderer, cameras: list[Camera] = cameras
+                index: int, renderer: renderers.Renderer = renderer, cameras: list[Camera] = cameras
             ) -> float:
                 renderer.look(cameras[index % STEPS])
                 return milliseconds(renderer.draw)
 
             times = plan.budget.spend(frame, embedded.WARM_UP)
-            labels = {
+            labels: dict[str, Any] = {
                 "scene": name, "splats": len(splats), "gpu": renderer.device,
                 "picture": size, "view": view, "variant": which, "order": "its own",
             }  # fmt: skip
