@@ -14,6 +14,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from ament_index_python.packages import get_packages_with_prefixes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -203,3 +204,21 @@ def test_readme_and_guides_use_the_public_interface_alone() -> None:
     for page in pages:
         for header in headers.findall(page.read_text()):
             assert f"`{header}`" in (ROOT / "CONTRIBUTING.md").read_text()
+
+
+def test_readme_and_quality_declaration_name_the_releases_of_ros_that_are_tested() -> None:
+    """Those of the workflows, and no others."""
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())["jobs"]
+    debian = workflow["debian"]["strategy"]["matrix"]["ros"]
+    assert debian == ["wheels", "kilted-wheels"]
+    releases = set(workflow["ros"]["strategy"]["matrix"]["ros"])
+    rows = [
+        line
+        for page in ("README.md", "QUALITY_DECLARATION.md")
+        for line in (ROOT / page).read_text().splitlines()
+        if re.match(r"\| (ROS 2|6 Platforms) \|", line)
+    ]
+    assert len(rows) == 2
+    known = "Foxy|Galactic|Humble|Iron|Jazzy|Kilted|Lyrical|Rolling"
+    for row in rows:
+        assert {name.lower() for name in re.findall(rf"\b({known})\b", row)} == releases
