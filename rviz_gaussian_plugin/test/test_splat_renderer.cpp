@@ -1101,7 +1101,7 @@ TEST_F(SplatRendererTest, IsHiddenByNothingAndSaysSoWhereTheDriverKeepsTheDepth)
   for (int frame = 0; frame < 2; ++frame) {
     EXPECT_EQ(picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn, Canvas::kWindow).size(),
               all.size());
-    EXPECT_NE(scene.warning().find("nothing hides"), std::string::npos);
+    EXPECT_NE(scene.warning().find("no object hides"), std::string::npos);
   }
   const auto now = scene.readColor();
   for (std::size_t row = 0; row < kSize; ++row) {  // a window's first row is its last
