@@ -115,7 +115,7 @@ def test_constants_stand_once() -> None:
 
 
 def test_a_class_of_the_engine_and_of_what_draws_has_a_name_of_its_own() -> None:
-    declared = re.compile(r"^(?:struct|class) (\w+)[^;\n]*\{", re.MULTILINE)
+    declared = re.compile(r"^(?:struct|class) (\w+)(?: final)?(?: :[^;]*)? \{", re.MULTILINE)
     nested = re.compile(r"\b(?:struct|class) (?:View|Part|Room)\b")
     seen: dict[str, Path] = {}
     for folder in (CORE / "include", CORE / "src", ROOT / "rviz_gaussian_plugin/src"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rosplat_core.maps import BatchError
+from rosplat_core.maps import DELETE, MOVE, REPLACE, UPSERT, BatchError
 from rosplat_core.occupancy import (
     FREE,
     OCCUPIED,
@@ -22,7 +22,7 @@ from rosplat_core.occupancy import (
     towards,
     voxels_across,
 )
-from rosplat_core.rendering import DELETE, MAP, MOVE, REPLACE, UPSERT, insert_all
+from rosplat_core.rendering import MAP, insert_all
 from rosplat_core.splats import SceneError, Splats
 
 PAGE = 1024

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose
 
-from rosplat_core.maps import Arrival, BatchError
-from rosplat_core.rendering import MOVE
+from rosplat_core.maps import MOVE, Arrival, BatchError
 from rosplat_core.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.map import SplatMap
