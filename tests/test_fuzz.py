@@ -270,7 +270,7 @@ def publish() -> Claims:
             if rng.integers(2):
                 catch_up(behind, publisher)
             after, block = fuzz.one_of(rng, fuzz.WHOLE), fuzz.one_of(rng, fuzz.WHOLE[:13])
-            publisher.map.pull(publisher.map.map_id, after, block)
+            publisher.map.pull(publisher.map.map_id, after, block, 3)
         catch_up(behind, publisher)
         catch_up(late := Sorter(), publisher)
         for receiver in (heard, behind, late):
@@ -286,7 +286,7 @@ def catch_up(receiver: Sorter, publisher: Publisher) -> None:
     """Pulls what a receiver lacks."""
     after, block = receiver.revision or 0, 0
     while True:
-        batches, block = publisher.map.pull(publisher.map.map_id, after, block)
+        batches, block = publisher.map.pull(publisher.map.map_id, after, block, 3)
         for batch in batches:
             receiver.take(as_message(batch, Header()), Arrival.PULLED)
         if not block:

@@ -93,7 +93,7 @@ struct Receiver {
     std::uint64_t after = revision;
     std::uint32_t block = 0;
     do {
-      const auto answer = map.pull(map.mapId(), after, block);
+      const auto answer = map.pull(map.mapId(), after, block, 3);
       ASSERT_FALSE(answer.batches.empty());
       ASSERT_TRUE(answer.next_block == 0 || answer.next_block > block);
       if (answer.batches.front().operation == GaussianBatch::REPLACE) after = 0;
@@ -257,7 +257,7 @@ TEST(PublishedMap, SplatsArePulledWithTheirPose) {
   Receiver late;
   std::uint32_t block = 0;
   do {
-    const auto answer = map.pull(map.mapId(), 0, block);
+    const auto answer = map.pull(map.mapId(), 0, block, 3);
     for (const Batch& batch : answer.batches) {
       if (batch.count > 0) EXPECT_EQ(late.places.count(batch.group), 1u);
       late.apply(batch);

@@ -43,13 +43,16 @@ class MapSubscription:
         callback_group: CallbackGroup | None = None,
         *,
         busy: Callable[[], bool] = lambda: False,
+        most_sh_degree: int = 3,
     ) -> None:
         """Subscribes to `gaussians`. on_batch is called for one batch at a time, whatever threads
         the node has.
 
         busy: whether there is no room for batches. They are dropped then, and pulled later.
+        most_sh_degree: what is pulled has no harmonics above this degree.
         """
         self._node, self._on_batch, self._group, self._busy = node, on_batch, callback_group, busy
+        self._most_sh_degree = most_sh_degree
         self.topic = node.resolve_topic_name("gaussians")
         self._mixed: set[str] = set()  # policies in which publishers differ
         self._maps = ("", "")  # of the last batch, and the one before that
@@ -147,7 +150,12 @@ class MapSubscription:
         if self._answer:  # it has come, or doesn't count any more
             self._client.remove_pending_request(self._answer)
         self._answer = self._client.call_async(
-            PullMap.Request(map_id=map_id, after_revision=after_revision, first_block=first_block)
+            PullMap.Request(
+                map_id=map_id,
+                after_revision=after_revision,
+                first_block=first_block,
+                most_sh_degree=self._most_sh_degree,
+            )
         )
         pending = self._client._pending_requests  # all that tells of the number that ROS gave it
         sequence = next((key for key, asked in pending.items() if asked is self._answer), 0)

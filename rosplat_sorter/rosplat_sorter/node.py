@@ -43,7 +43,7 @@ class _AtWork:
 
     def __init__(self, node: SorterNode, backend: str, threads: int) -> None:
         self.worker = worker = Worker(node, backend, threads)
-        self._map = MapSubscription(node, worker.edit, busy=lambda: worker.busy)
+        self._map = MapSubscription(node, worker.edit, busy=lambda: worker.busy, most_sh_degree=0)
         self._spoilt = 0  # figures of what is lost, together, at the last report
         self.wanted = time.monotonic()  # an order, the last time
 

@@ -35,6 +35,9 @@ MAX_VIEWS = 32
 
 MOST_SHOWN = 300  # characters of an error in a line of the log
 
+# While a pull is under way, from one answer of a view to the next. [s]
+PULL_PATIENCE = 1.0
+
 # Of batches that wait: while there are more, none is to be handed over. [bytes]
 MOST_WAITING = 1 << 25
 
@@ -105,6 +108,7 @@ class _Viewer:
     message: ViewCamera
     camera: PosedCamera
     seen: float
+    due_from: float  # while a pull is under way [s]
     answer: Answer | None = None
     answered: tuple[PosedCamera, int] | None = None  # by camera, and number of batches
     buffer: OrderBuffer | None = None  # in shared memory, if the viewer reads that
@@ -120,8 +124,8 @@ class Worker:
 
     A view is answered when it shows a camera with a new sequence, and when the map changed; what
     hasn't changed isn't sorted again. While many batches wait, views are answered between them, in
-    turn. While a pull is under way, the map is of no revision that an order could name: views are
-    answered at its end.
+    turn. While a pull is under way, the map is of no single revision: an order then names revision
+    0, and a view gets one a second.
     """
 
     def __init__(self, host: Host, backend: str = AUTO, threads: int = 0) -> None:
@@ -206,8 +210,8 @@ class Worker:
             with self._wake:
                 # Wakes for silent views as well, which hold memory.
                 self._wake.wait_for(
-                    lambda: self._closing or self._inbox or self._due,
-                    timeout=FORGET_AFTER if self._viewers else None,
+                    lambda: self._closing or self._inbox or self._next_due() is not None,
+                    timeout=self._longest_wait(),
                 )
                 if self._closing:
                     return
@@ -219,8 +223,8 @@ class Worker:
                 self._attempt(self._see, message)
             self._apply_slice()
             self._attempt(self._forget_silent, time.monotonic())
-            if self._due:
-                self._attempt(self._answer, next(iter(self._due)))
+            if (view_id := self._next_due()) is not None:
+                self._attempt(self._answer, view_id)
 
     def _attempt(self, do: Callable[[T], object], what: T) -> None:
         """No message and no device may end the node, or take others' messages with it."""
@@ -237,6 +241,22 @@ class Worker:
                 viewer.unshare()
                 del self._viewers[view_id]
                 self._due.pop(view_id, None)
+
+    def _next_due(self) -> str | None:
+        """The next view to answer now."""
+        if not self._map.revision:
+            return None  # all are due again when a map begins
+        if not self._map.pulled:
+            return next(iter(self._due), None)
+        now = time.monotonic()
+        return next((name for name in self._due if self._viewers[name].due_from <= now), None)
+
+    def _longest_wait(self) -> float | None:
+        """Until a view is due, or silent. [s]"""
+        if self._due and self._map.pulled:
+            first = min(self._viewers[name].due_from for name in self._due)
+            return max(0.0, first - time.monotonic())
+        return FORGET_AFTER if self._viewers else None
 
     # --- Batches ----------------------------------------------------------------------------------
 
@@ -310,7 +330,8 @@ class Worker:
             return
         viewer = self._viewers.pop(message.view_id, None)  # to the end of the row
         if viewer is None:
-            viewer = _Viewer(message, seen, time.monotonic())
+            now = time.monotonic()
+            viewer = _Viewer(message, seen, now, now + PULL_PATIENCE)
             self._due[message.view_id] = None
         elif (
             viewer.message.sequence != message.sequence
@@ -333,8 +354,6 @@ class Worker:
         del self._due[view_id]
         viewer = self._viewers[view_id]
         header, splats = viewer.message.header, self._map
-        if not splats.revision or splats.pulled:
-            return  # it is due again when a map begins, or all of it is there
         if header.frame_id not in ("", self._frame_id):
             self._drop_view(
                 viewer.message,
@@ -361,6 +380,7 @@ class Worker:
             last, header=header, view_id=view_id, sequence=viewer.message.sequence
         )
         viewer.answered = viewer.camera, self._batches
+        viewer.due_from = time.monotonic() + PULL_PATIENCE
         self._host.publish(viewer.answer)
 
     def _sort(self, viewer: _Viewer, view: SortView) -> Answer:
@@ -392,7 +412,7 @@ class Worker:
             view_id=viewer.message.view_id,
             sequence=viewer.message.sequence,
             map_id=self._map.map_id,
-            revision=self._map.revision,
+            revision=0 if self._map.pulled else self._map.revision,
             backend=backend.name,
             sort_time=sort_time,
             slots=slots,

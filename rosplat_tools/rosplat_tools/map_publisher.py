@@ -270,7 +270,7 @@ def _answer(
         )
     try:
         batches, response.next_block = published.pull(
-            request.map_id, request.after_revision, request.first_block
+            request.map_id, request.after_revision, request.first_block, request.most_sh_degree
         )
         response.batches = [wire.message(batch) for batch in batches]
         wire.pulls += 1

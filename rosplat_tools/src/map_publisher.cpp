@@ -150,8 +150,8 @@ class MapPublisher::Services {
                                  name.c_str());
           }
           try {
-            Answer answer =
-                map.pull(request->map_id, request->after_revision, request->first_block);
+            Answer answer = map.pull(request->map_id, request->after_revision, request->first_block,
+                                     request->most_sh_degree);
             for (Batch& batch : answer.batches) {
               response->batches.push_back(messageOf(std::move(batch), frame_id, *clock));
             }

@@ -295,6 +295,18 @@ def test_answers_to_pulls_stay_small(node: Node, random_splats: Maker, listener:
     assert max(sizes) <= ANSWER_BYTES
 
 
+def test_harmonics_that_nobody_wants_are_not_pulled(
+    node: Node, random_splats: Maker, listener: Listener
+) -> None:
+    publisher = MapPublisher(node)
+    splats = random_splats(1000, 3)
+    publisher.replace(splats)
+    response = listener.call(PullMap, "gaussians/pull", most_sh_degree=1)
+    last = response.batches[-1]
+    assert (last.count, last.sh_degree) == (1000, 1)
+    np.testing.assert_array_equal(np.reshape(last.sh, (-1, 4, 3)), splats.sh[:, :4])
+
+
 def pulled_bytes(listener: Listener, publisher: MapPublisher, after: int) -> list[int]:
     """What each of the answers takes on the wire by which a client gets what it lacks."""
     sizes, block = [], 0

@@ -214,7 +214,7 @@ std::vector<PublishedMap::Group> PublishedMap::groups() const {
       group.pose = found->second.pose;
     }
     std::vector<float> values;
-    gather({slots.data(), slots.size()}, group.splats, map_->channels, values);
+    gather({slots.data(), slots.size()}, map_->sh_degree, group.splats, map_->channels, values);
     auto first = values.begin();
     for (const std::string& name : map_->channels) {
       const auto end = first + static_cast<std::ptrdiff_t>(slots.size());
@@ -325,7 +325,7 @@ void PublishedMap::upsert(const NamedSlots& slots, const SplatsView& splats, std
   warnOf(write(*map_, slots, splats, plan, group, numbering.last()));
   for (const NamedSlots& part : parts) {
     const auto operation = revision_ > 0 ? GaussianBatch::UPSERT : GaussianBatch::REPLACE;
-    send(writing(operation, part, group, channels, stamp));
+    send(writing(operation, part, group, map_->sh_degree, channels, stamp));
   }
 }
 
@@ -545,7 +545,7 @@ void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool wa
       }
     }
     const auto operation = revision_ < begun ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
-    Batch batch = writing(operation, named, group, map_->channels, stamp);
+    Batch batch = writing(operation, named, group, map_->sh_degree, map_->channels, stamp);
     batch.revision = ++revision_;
     slots.clear();
     lock.unlock();
@@ -602,11 +602,10 @@ void PublishedMap::send(Batch&& batch) {
 // --- Batches, of the revision that the map has now -----------------------------------------------
 
 // What is in slots of one group; values: of channels of the map's, one after the other.
-void PublishedMap::gather(const NamedSlots& slots, Splats& splats,
+void PublishedMap::gather(const NamedSlots& slots, int sh_degree, Splats& splats,
                           const std::vector<std::string>& channels,
                           std::vector<float>& values) const {
   const std::size_t n = slots.size();
-  const int sh_degree = map_->sh_degree;
   splats.antialiased = map_->antialiased.value_or(false);
   splats.positions.resize(3 * n);
   splats.orientations.resize(4 * n);
@@ -666,15 +665,16 @@ Batch PublishedMap::beginning(const When& stamp) const {
 }
 
 Batch PublishedMap::writing(std::uint8_t operation, const NamedSlots& slots, std::uint32_t group,
-                            const std::vector<std::string>& channels, const When& stamp) const {
+                            int sh_degree, const std::vector<std::string>& channels,
+                            const When& stamp) const {
   Batch writing = batch(operation, stamp);
   writing.first_slot = slots.first();
   writing.count = static_cast<std::uint32_t>(slots.size());
   writing.slots = slots.list();
   writing.group = group;
-  writing.sh_degree = map_->sh_degree;
+  writing.sh_degree = sh_degree;
   writing.channel_names = channels;
-  gather(slots, writing.splats, channels, writing.channels);
+  gather(slots, sh_degree, writing.splats, channels, writing.channels);
   if (compression_ == kNone) return writing;
   const SplatArrays<const float> arrays = writing.splats.view().arrays;
   std::vector<bool> usable(arrays.count);
@@ -708,7 +708,7 @@ Batch PublishedMap::placement(Poses poses, const When& stamp) const {
 // --- Who lacks a part of the map -----------------------------------------------------------------
 
 PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t after,
-                                        std::uint32_t first_block) const {
+                                        std::uint32_t first_block, int most_sh_degree) const {
   Answer answer;
   const Lock lock(mutex_);
   const bool meant = map_id.empty() || map_id == map_id_;
@@ -723,7 +723,8 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
   std::map<std::uint32_t, Slots> written;  // by group
   std::size_t names = 0;
   for (const std::string& name : map_->channels) names += name.size() + 8;
-  const std::size_t splat_bytes = map_->splatBytes(map_->sh_degree, map_->channels.size(), true);
+  const int sh_degree = std::min(map_->sh_degree, most_sh_degree);
+  const std::size_t splat_bytes = map_->splatBytes(sh_degree, map_->channels.size(), true);
   const std::size_t most_bytes = std::min(chunk_bytes_, kAnswerBytes);
   std::size_t bytes = 3 * kBatchBytes;
   bool begun = false;
@@ -776,12 +777,12 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
     batches.push_back(deletion({emptied.data(), emptied.size()}, std::nullopt));
   }
   for (const auto& [group, slots] : written) {
-    batches.push_back(writing(GaussianBatch::UPSERT, {slots.data(), slots.size()}, group,
+    batches.push_back(writing(GaussianBatch::UPSERT, {slots.data(), slots.size()}, group, sh_degree,
                               map_->channels, std::nullopt));
   }
   if (batches.empty()) {
     batches.push_back(
-        writing(GaussianBatch::UPSERT, NamedSlots(), 0, map_->channels, std::nullopt));
+        writing(GaussianBatch::UPSERT, NamedSlots(), 0, sh_degree, map_->channels, std::nullopt));
   }
   for (Batch& batch : batches) {
     if (batch.expected_slots == 0) batch.expected_slots = static_cast<std::uint32_t>(map_->used);

@@ -246,11 +246,11 @@ void definePublishing(py::module_& module) {
           },
           "poses"_a, "stamp"_a, free)
       .def("pull", [](const PublishedMap& map, const std::string& map_id,
-                      std::uint64_t after_revision, std::uint32_t first_block) {
+                      std::uint64_t after_revision, std::uint32_t first_block, int most_sh_degree) {
         PublishedMap::Answer answer;
         {
           const py::gil_scoped_release free;
-          answer = map.pull(map_id, after_revision, first_block);
+          answer = map.pull(map_id, after_revision, first_block, most_sh_degree);
         }
         py::list batches;
         for (Batch& batch : answer.batches) batches.append(std::move(batch));

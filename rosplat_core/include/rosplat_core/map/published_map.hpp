@@ -140,9 +140,10 @@ class PublishedMap {
   void move(const Poses& poses, const When& stamp = std::nullopt);
 
   // What a client lacks that holds all of a revision, from a block on. map_id: the client's map,
-  // empty if it knows none. An answer takes 2 MB at most. It is empty if the map is another.
-  Answer pull(const std::string& map_id, std::uint64_t after_revision,
-              std::uint32_t first_block) const;
+  // empty if it knows none. Harmonics above most_sh_degree are left out. An answer takes 2 MB at
+  // most. It is empty if the map is another.
+  Answer pull(const std::string& map_id, std::uint64_t after_revision, std::uint32_t first_block,
+              int most_sh_degree) const;
 
  private:
   struct Content;
@@ -168,12 +169,12 @@ class PublishedMap {
   void begin(const When& stamp);
   void send(Batch&& batch);
 
-  void gather(const NamedSlots& slots, Splats& splats, const std::vector<std::string>& channels,
-              std::vector<float>& values) const;
+  void gather(const NamedSlots& slots, int sh_degree, Splats& splats,
+              const std::vector<std::string>& channels, std::vector<float>& values) const;
   Poses placedAfter(std::uint64_t revision) const;
   Batch batch(std::uint8_t operation, const When& stamp) const;
   Batch beginning(const When& stamp) const;
-  Batch writing(std::uint8_t operation, const NamedSlots& slots, std::uint32_t group,
+  Batch writing(std::uint8_t operation, const NamedSlots& slots, std::uint32_t group, int sh_degree,
                 const std::vector<std::string>& channels, const When& stamp) const;
   Batch deletion(const NamedSlots& slots, const When& stamp) const;
   Batch placement(Poses poses, const When& stamp) const;
