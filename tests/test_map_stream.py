@@ -6,7 +6,7 @@ Batches, requests and answers go astray or wait, latecomers join, the publisher 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -99,9 +99,6 @@ class Pull:
 
     def miss(self, of: Label) -> None:
         self._pull.miss((*of, None))
-
-    def doubt(self) -> None:
-        self._pull.doubt()
 
     def answer(self, number: int, batches: Any, block: int, now: float, served: bool) -> Step:
         labelled = [(*of, batch) for of, batch in batches]
@@ -417,6 +414,12 @@ def test_large_answers_follow_each_other_without_a_pause() -> None:
         assert request.first_block == block
 
 
+def pulled_again(pull: Pull, revision: int, times: Iterable[float], served: bool) -> list[float]:
+    """When what a receiver has is asked for again, not only what came after its revision."""
+    requests = ((now, pull.tick(now, served).request) for now in times)
+    return [now for now, request in requests if request and request.after_revision != revision]
+
+
 @pytest.mark.parametrize("served", [True, False])
 def test_who_joins_late_asks_though_it_hears_nothing_and_knows_of_no_server(served: bool) -> None:
     pull = Pull()
@@ -438,7 +441,7 @@ def test_who_joins_late_asks_though_it_hears_nothing_and_knows_of_no_server(serv
     assert pull.hear(Label("map", 8, False), "eight", 0.6, served).batches == [
         ("eight", Arrival.HEARD)
     ]
-    assert not [now for now in np.arange(0.7, 20.0, 0.1) if pull.tick(now, served).request]
+    assert not pulled_again(pull, 8, np.arange(0.7, 20.0, 0.1), served)
 
 
 def test_batches_of_a_publisher_that_serves_no_pulls_do_not_wait() -> None:
@@ -457,7 +460,7 @@ def test_a_map_without_a_name_is_pulled_once() -> None:
     request = pull.tick(0.0, True).request
     step = pull.answer(request.number, [part(7, map_id="")], 0, 0.1, True)
     assert step.batches == [("pulled 7", Arrival.LAST)]
-    assert not [now for now in np.arange(0.2, 5.0, 0.1) if pull.tick(now, True).request]
+    assert not pulled_again(pull, 7, np.arange(0.2, 5.0, 0.1), True)
 
 
 def test_a_round_whose_changes_all_wait_ends_the_pull() -> None:
@@ -514,16 +517,36 @@ def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
     assert (request.map_id, request.after_revision) == ("another", 0)
 
 
-def test_who_has_all_may_ask_whether_there_is_more() -> None:
+def test_a_last_batch_that_got_lost_is_pulled() -> None:
+    """Nothing that is heard tells of it: who hears nothing for a while asks."""
     pull = Pull()
     pull.hear(Label("map", 1, True), "one", 0.0, True)
-    assert not pull.tick(1.0, True).request
-    pull.doubt()
-    request = pull.tick(2.0, True).request
-    assert (request.map_id, request.after_revision) == ("map", 1)
-    step = pull.answer(request.number, [part(2)], 0, 2.1, True)
+    assert not pull.tick(1.9, True).request
+    assert not pull.tick(2.0, False).request  # nobody could answer
+    request = pull.tick(2.1, True).request
+    assert (request.map_id, request.after_revision, request.first_block) == ("map", 1, 0)
+    assert not pull.pulling  # the map is taken for whole meanwhile
+    step = pull.answer(request.number, [part(2)], 0, 2.2, True)
     assert step == Step([("pulled 2", Arrival.LAST)])
-    assert not [now for now in np.arange(2.2, 6.0, 0.1) if pull.tick(now, True).request]
+    request = pull.tick(4.2, True).request
+    assert request.after_revision == 2
+    assert pull.answer(request.number, [part(2)], 0, 4.3, True) == Step()  # nothing is missing
+
+
+def test_what_is_heard_overtakes_an_answer_that_nothing_got_lost() -> None:
+    pull = Pull()
+    pull.hear(Label("map", 1, True), "one", 0.0, True)
+    request = pull.tick(2.1, True).request
+    assert pull.hear(Label("map", 2, False), "two", 2.2, True).batches == [("two", Arrival.HEARD)]
+    assert pull.answer(request.number, [part(1)], 0, 2.3, True) == Step()
+    assert not pull.pulling
+
+
+def test_who_asks_in_vain_goes_on_asking() -> None:
+    """A server that comes late is found soon, however long there was none."""
+    pull = Pull()
+    asked = [now for now in np.arange(0.0, 60.0, 0.1) if pull.tick(now, False).request]
+    assert max(np.diff(asked)) < 5
 
 
 def test_answers_never_go_back_to_earlier_blocks() -> None:

@@ -141,7 +141,7 @@ class MapSubscription:
             self._on_batch(batch, arrival)
 
     def _send(self, number: int, map_id: str, after_revision: int, first_block: int) -> None:
-        if not first_block:
+        if self._pull.pulling and not first_block:
             what = f"map '{shown(map_id)}' after revision {after_revision}" if map_id else "the map"
             self._node.get_logger().info(
                 f"{self.topic}: pulling {what}",

@@ -97,7 +97,6 @@ void defineMaps(py::module_& module) {
       .def(
           "miss", [](Pull& pull, const Labelled& heard) { pull.miss(labelled(heard).label); },
           "heard"_a)
-      .def("doubt", &Pull::doubt)
       .def(
           "hear",
           [](Pull& pull, const Labelled& heard, double now, bool served) {

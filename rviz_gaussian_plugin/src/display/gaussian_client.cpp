@@ -147,7 +147,6 @@ void GaussianClient::hear(std::shared_ptr<const GaussianArray> message) {
 }
 
 void GaussianClient::tick() {
-  if (doubts_.exchange(false)) pull_.doubt();
   pull_.held = isFull();
   act(pull_.tick(now(), served()));
 }
@@ -280,12 +279,8 @@ void GaussianClient::watchPublishers() {
         publisher.qos_profile().reliability() == rclcpp::ReliabilityPolicy::BestEffort;
   }
   serves_ = served() || (serves_ && !publishers.empty());
-  if (std::exchange(subscribed_, false)) doubts_ = true;  // by now all know the subscription
   const rclcpp::QoS qos = qosFor(any_volatile && !any_latched);
-  if (qos != asked_qos_) {
-    subscribe(qos);
-    subscribed_ = serves_;
-  }
+  if (qos != asked_qos_) subscribe(qos);
   const std::lock_guard lock(mutex_);
   status_.publishers = std::move(names);
   if (status_.publishers.size() < 2) status_.contended = false;

@@ -122,12 +122,10 @@ class GaussianClient {
   std::string remapped_;                         // as ROS has it; the others' names begin with it
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
-  double watched_ = 0;       // when, last [s]
-  rclcpp::QoS qos_;          // that is asked for
-  rclcpp::QoS asked_qos_;    // what is asked for instead
-  bool serves_ = false;      // someone answers pulls, or did while there were publishers
-  bool subscribed_ = false;  // anew, at the last look
-  std::atomic<bool> doubts_{false};
+  double watched_ = 0;     // when, last [s]
+  rclcpp::QoS qos_;        // that is asked for
+  rclcpp::QoS asked_qos_;  // what is asked for instead
+  bool serves_ = false;    // someone answers pulls, or did while there were publishers
   rclcpp::Subscription<GaussianArray>::SharedPtr map_;
   Pull pull_;
   std::shared_ptr<PullClient> pull_client_;

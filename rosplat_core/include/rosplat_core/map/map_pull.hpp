@@ -29,6 +29,7 @@ namespace rosplat {
 //
 // A receiver that knows no map asks for whichever there is. It asks now and then even where no
 // server is known: ROS tells late of a server, and of none while one of several is half known.
+// A receiver that hears nothing for a while asks whether it has all: the last batch may be lost.
 template <typename Batch>
 class MapPull {
  public:
@@ -42,6 +43,8 @@ class MapPull {
   static constexpr double kRetry = 1.0;   // after a pull that came to nothing [s]
   // From one request to the next where nobody seems to answer any. [s]
   static constexpr double kBlind = 2.0;
+  // Without a batch or an answer, until it is asked whether one got lost. [s]
+  static constexpr double kQuiet = 2.0;
   // Of what is heard while all before is pulled. [bytes]
   static constexpr std::size_t kMostWaiting = std::size_t(1) << 26;
   static constexpr std::uint32_t kBlocks = 1u << 15;  // of slots, in a map
@@ -79,6 +82,7 @@ class MapPull {
       return step;
     }
     note(label);
+    check_from_ = now + kQuiet;
     follow(std::move(heard), now, served || answered_, step);
     ask(now, served, step);
     return step;
@@ -90,9 +94,6 @@ class MapPull {
     note(label);
     exact_ = false;
   }
-
-  // A batch may have got lost without another after it: what there is since is pulled.
-  void doubt() { exact_ = false; }
 
   // An answer to a request, of which several servers may send one each. One to an earlier request
   // is ignored, and so is one after the first that has batches.
@@ -106,6 +107,10 @@ class MapPull {
       return step;
     }
     asked_.reset();
+    if (!lacks() && !pulling_ && batches.front().label.map_id == *map_id_ &&
+        batches.front().label.revision <= revision_) {
+      return step;  // nothing got lost
+    }
     if (!isSound(batches, next_block)) {
       giveUp(now, step);
       return step;
@@ -148,7 +153,7 @@ class MapPull {
     if (pulling_ && (hopeless || !(served || answered_))) {
       giveUp(now, step);
     } else if (late) {
-      patience_ *= 2;
+      patience_ = std::min(2 * patience_, kMostPatience);
       asked_.reset();
     }
     ask(now, served, step);
@@ -224,6 +229,7 @@ class MapPull {
     pulling_ = true;
     round_ = revision_;
     asked_.reset();  // what was asked for blindly may be lost
+    patience_ = kPatience;
   }
 
   void wait(Labelled heard) {
@@ -273,15 +279,18 @@ class MapPull {
   }
 
   void ask(double now, bool served, Step& step) {
-    const bool lacks = !exact_ || !map_id_;
-    if (lacks && (served || answered_) && now >= retry_from_ && !pulling_) pull();
-    const bool blind = lacks && !pulling_ && now >= std::max(blind_from_, retry_from_);
-    if (held || asked_ || !(blind || (pulling_ && now >= ask_from_))) return;
+    if (lacks() && (served || answered_) && now >= retry_from_ && !pulling_) pull();
+    const bool blind = lacks() && !pulling_ && now >= std::max(blind_from_, retry_from_);
+    const bool checks = !lacks() && !pulling_ && served && now >= check_from_;
+    if (held || asked_ || !(blind || checks || (pulling_ && now >= ask_from_))) return;
     if (block_ == 0) ask_from_ = now + kPause;
+    check_from_ = now + kQuiet;
     blind_from_ = now + kBlind;
     asked_ = now;
     step.request = Request{++number_, map_id_.value_or(""), base_, block_};
   }
+
+  bool lacks() const { return !exact_ || !map_id_; }
 
   bool isSound(const std::vector<Labelled>& batches, std::uint32_t next_block) const {
     const Label& first = batches.front().label;
@@ -309,7 +318,7 @@ class MapPull {
   bool refused_ = false;         // by a server that has no such map
   bool answered_ = false;        // who seemed not to be there
   double patience_ = kPatience;
-  double ask_from_ = kNever, retry_from_ = kNever, blind_from_ = kNever;
+  double ask_from_ = kNever, retry_from_ = kNever, blind_from_ = kNever, check_from_ = kNever;
   std::deque<Labelled> waiting_;
   std::size_t waiting_bytes_ = 0;
 };
