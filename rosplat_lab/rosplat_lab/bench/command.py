@@ -53,19 +53,29 @@ class Subject:
 
 
 SUBJECTS = {
-    "sort": Subject("depth orders by every backend, beside other ways to sort"),
-    "frame": Subject("pictures by the embedded renderer"),
-    "levels": Subject("levels of detail: error, frames, building, popping"),
-    "closure": Subject("a loop closure: from the message to the picture with all submaps moved"),
-    "moving": Subject("what a picture is worth to a camera that has turned since"),
-    "simplify": Subject("what is left of pictures with fewer splats, by several ways"),
-    "occupancy": Subject("obstacles in a map: how many are found, and how long that takes"),
-    "rviz": Subject("rviz2's own frames and pictures, by our Display and others", needs_ros=True),
-    "stream": Subject("a scene larger than memory, as a camera flies through", needs_ros=True),
-    "transport": Subject("orders and maps between processes", needs_ros=True),
-    "network": Subject("orders from a sorter on another machine", needs_ros=True),
-    "chain": Subject("from a camera's pose to the picture that knows it", needs_ros=True),
-    "growth": Subject("a map that grows by 1,000 splats a message", curve=True),
+    "sort": Subject("depth orders by every backend, each first held against the reference order"),
+    "frame": Subject(
+        "frames, their error and stages, beside other renderers; a map that streams in; memory"
+    ),
+    "levels": Subject("error, time, memory and popping of levels of detail"),
+    "closure": Subject("a loop closure of 50 submaps, from the message to the picture"),
+    "moving": Subject("what a window shows of a camera that turns, without a graphics card"),
+    "simplify": Subject("error of simplified maps, and the processor time of making them"),
+    "occupancy": Subject("precision, recall and time of obstacles in a map"),
+    "rviz": Subject(
+        "rviz2's own frames and pictures, of this display and others; under a mouse with xdotool",
+        needs_ros=True,
+    ),
+    "stream": Subject(
+        "a scene larger than memory, with a camera that flies, rests and jumps", needs_ros=True
+    ),
+    "transport": Subject(
+        "orders and batches between two processes; a map from publishing to the picture",
+        needs_ros=True,
+    ),
+    "network": Subject("orders over a line of 1 Gbit/s; needs root and iproute2", needs_ros=True),
+    "chain": Subject("from pose to picture through publisher, sorter and viewer", needs_ros=True),
+    "growth": Subject("frame rate, orders and memory while a map grows", curve=True),
 }
 
 
@@ -187,16 +197,18 @@ def _circumstances(arguments: list[str]) -> Circumstances:
 
 
 def _parser() -> argparse.ArgumentParser:
-    subjects = "; ".join(f"{name}: {subject.about}" for name, subject in SUBJECTS.items())
+    subjects = "\n".join(f"  {name:10} {subject.about}" for name, subject in SUBJECTS.items())
     parser = argparse.ArgumentParser(
-        prog="bench", description=__doc__,
-        epilog="`bench charts FILES...` draws the charts of records again, `bench tables FILES...` "
-        "prints them in Markdown. "
-        "Ctrl-C ends a run and keeps what was measured.",
-    )  # fmt: skip
+        prog="bench",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=f"subjects:\n{subjects}\n\n"
+        "`bench charts FILES...` draws the charts of records again, `bench tables FILES...`\n"
+        "prints them in Markdown. Ctrl-C ends a run and keeps what was measured.",
+    )
     parser.add_argument(
         "subjects", nargs="*", metavar="SUBJECT", type=_subject,
-        help=f"what to measure, all by default. {subjects}",
+        help="what to measure, all by default; see below",
     )  # fmt: skip
     parser.add_argument(
         "--quick", action="store_true", help="small maps, few repetitions: 2 minutes"
