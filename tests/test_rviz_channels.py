@@ -33,7 +33,7 @@ def test_values_are_coloured_named_and_picked(rviz: Rviz, world: World) -> None:
     world.place()
     rviz.set("Map", "Draw Mode", value="Channel")
     world.map.replace(disc((1, 1, 1), sigma=0.3))
-    rviz.until_status("Map", "Channel", "Warn", "No splat of the map has come with a channel")
+    rviz.until_status("Map", "Channel", "Warn", "The map has no channel")
     grey = np.full(3, channels.NO_VALUE)
     rviz.until(lambda s: shows(grey, s).sum() > 100)
 
@@ -60,7 +60,7 @@ def test_values_are_coloured_named_and_picked(rviz: Rviz, world: World) -> None:
     rviz.until_status("Map", "Channel", "Ok", "seen, categories")
 
     rviz.set("Map", "Draw Mode", "Channel", value="keyframe")
-    rviz.until_status("Map", "Channel", "Warn", "no 'keyframe', but label, seen")
+    rviz.until_status("Map", "Channel", "Warn", "no channel 'keyframe', it has label, seen")
     world.map.upsert(range(1), labelled(-1.5, keyframe=7))
     rviz.until_status("Map", "Channel", "Ok", "keyframe, categories")
     rviz.until(lambda s: shows(channels.categories([7])[0], s).sum() > 100)

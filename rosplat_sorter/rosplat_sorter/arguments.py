@@ -15,7 +15,8 @@ def take_ros_arguments_only(program: str, description: str | None) -> None:
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         usage=f"{program} [--ros-args [-p PARAMETER:=VALUE] [-r TOPIC:=OTHER] ...]",
-        epilog=f"`ros2 param describe /{program} PARAMETER` tells of a parameter while it runs.",
+        epilog="While the node runs, `ros2 param list` lists its parameters, and\n"
+        f"`ros2 param describe /{program} PARAMETER` explains one.",
     )
     try:
         parser.parse_args(remove_ros_args(sys.argv)[1:])

@@ -1,6 +1,7 @@
-"""Sorts a map's splats for each view of it, back to front: the sidecar of viewers.
+"""Sorts a map's splats for each view of it, back to front.
 
-Topics and parameters, wired to the worker.
+Only displays whose Order Source is Sidecar need a sorter. It hears `gaussians/view`, holds the map
+of `gaussians` while a view wants orders, and publishes them on `gaussians/order`.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ class SorterNode(Node):
             "backend",
             AUTO,
             ParameterDescriptor(
-                description="What sorts; auto takes the best one present.",
+                description="What sorts; auto takes the fastest backend that works here.",
                 additional_constraints="One of " + ", ".join(CHOICES),
             ),
         )
@@ -84,7 +85,7 @@ class SorterNode(Node):
             "threads",
             0,
             ParameterDescriptor(
-                description="Threads of a backend on the CPU, 0 for as many as there are.",
+                description="Threads of a backend on the CPU; 0: one for each core.",
                 integer_range=[IntegerRange(from_value=0, to_value=256, step=1)],
             ),
         )

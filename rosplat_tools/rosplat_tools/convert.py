@@ -1,4 +1,4 @@
-"""Converts a scene to a format that other tools read, and tells what the format did to it."""
+"""Converts a scene to a format that other tools read, and prints what the format lost."""
 
 from __future__ import annotations
 

@@ -19,10 +19,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scene", choices=SCENES, default="garden", help="default: %(default)s")
     parser.add_argument("--count", type=int, default=500_000, help="splats (default: %(default)s)")
     parser.add_argument(
-        "--seed", type=int, default=0, help="of what is random (default: %(default)s)"
+        "--seed", type=int, default=0, help="seed of the random numbers (default: %(default)s)"
     )
     parser.add_argument(
-        "--sh-degree", type=int, default=3, choices=range(4), help="bands of spherical harmonics"
+        "--sh-degree",
+        type=int,
+        default=3,
+        choices=range(4),
+        help="highest band of spherical harmonics (default: %(default)s)",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an output that exists")
     options = parser.parse_args(arguments)

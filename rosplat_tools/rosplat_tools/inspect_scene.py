@@ -1,4 +1,4 @@
-"""Tells what a scene file holds."""
+"""Describes scene files: format, splats, extent, what is unusual."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Publishes a scene file as a map: latched, in chunks, replaced and saved by services."""
+"""Publishes a scene file as a map. Services load another scene, and save the map."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PlyPublisher(Node):
         )  # to the newest request; can be cancelled while it reads
         super().__init__("ply_publisher")
         self.path: str = declare(
-            self, "path", "", f"Scene to publish: {NAMES}; empty to wait for ~/load."
+            self, "path", "", f"Scene to publish: {NAMES}; empty: wait for ~/load."
         )
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
         self._scene_root: str = declare(

@@ -265,18 +265,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("out", type=Path, help="folder for the pictures and report.json")
     parser.add_argument("--via", choices=["host", "rviz"], default="host", help="what draws")
     parser.add_argument(
-        "--format", choices=["png16", "png8", "npy"], default="png16", help="of the pictures"
+        "--format", choices=["png16", "png8", "npy"], default="png16", help="format of the pictures"
     )
     parser.add_argument(
         "--sidecar", choices=sorted(BACKENDS), default="",
-        help="draw the sorter's orders on a graphics card, too, by this backend",
+        help="on a graphics card, draw the orders of a sorter with this backend",
     )  # fmt: skip
     parser.add_argument(
         "--float-blending", action="store_true", help="blend in 32-bit instead of 16-bit floats"
     )
     parser.add_argument(
         "--detail", default="full", metavar="D",
-        help="how much of the map to draw: full, an error (1.5px) or a most of splats (800k)",
+        help="how much of the map to draw: full, an error (1.5px) or a number of splats (800k)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
     rows: list[dict[str, object]] = []

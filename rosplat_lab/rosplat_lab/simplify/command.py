@@ -1,8 +1,8 @@
 """Writes a scene with fewer splats that looks the same, from the scene alone.
 
-Synthetic views tell what each splat contributes; neighbours that look most like one are merged,
-those first that are missed least. PSNR is that of other views, against the scene as it was. Where
-a path of cameras is given, views are those along it, and what is missed least there is left out.
+Synthetic views measure what each splat contributes. Splats that are missed least are left out, or
+merged with a neighbour. Other views check the PSNR against the whole scene. With a path of cameras,
+all of these views are along the path.
 """
 
 from __future__ import annotations
@@ -84,11 +84,10 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="simplify", description=__doc__,
-        epilog=f"Contributions are found in {LEARNT} or more views of {WIDTH // 2}x{HEIGHT // 2} "
-        f"pixels, until what {CHECKED} others tell no longer changes ({HELD} others along a path). "
-        f"PSNR is that of all pixels of these others, drawn in {WIDTH}x{HEIGHT}; that of the worst "
-        "is printed, too. "
-        "Where a bound can't be met, nothing is written, and the error says what could be.",
+        epilog=f"Contributions are measured in {LEARNT} or more views of {WIDTH // 2}x"
+        f"{HEIGHT // 2} pixels. {CHECKED} other views ({HELD} along a path) of {WIDTH}x{HEIGHT} "
+        "check the PSNR of all their pixels; the worst is printed, too. If a bound can't be "
+        "met, nothing is written, and the error says what is possible.",
     )  # fmt: skip
     parser.add_argument("input", metavar="IN", help=f"scene: {NAMES}")
     parser.add_argument("output", metavar="OUT", help=f"scene to write ({SUFFIXES})")
@@ -98,10 +97,13 @@ def _parser() -> argparse.ArgumentParser:
         "hardly visible",
     )  # fmt: skip
     parser.add_argument(
-        "--max-splats", type=whole(1), metavar="N", help="no more splats than these"
+        "--max-splats", type=whole(1), metavar="N", help="keep at most so many splats"
     )
     parser.add_argument(
-        "--max-bytes", type=_bytes, metavar="SIZE", help="no larger file: 20000000, or 20M"
+        "--max-bytes",
+        type=_bytes,
+        metavar="SIZE",
+        help="keep what fits into a file of this size: 20000000, or 20M",
     )
     parser.add_argument(
         "--cameras", type=Path, metavar="FILE",
@@ -114,13 +116,13 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--margin", type=_metres, metavar="METRES",
-        help="how far from the path views are at most (default: "
-        f"{MARGIN:g} of the way to what is nearest to it); never nearer to things than half way",
+        help="how far views may be from the path (default: "
+        f"{MARGIN:g} of the way to what is nearest to it); at most half the way to any thing",
     )  # fmt: skip
     parser.add_argument(
         "--refine", type=_minutes, default=0.0, metavar="MINUTES",
-        help="then refit the remaining splats to pictures of the scene for so long: fewer splats "
-        "reach a PSNR",
+        help="then fit the remaining splats to pictures of the scene for so long; a higher PSNR "
+        "for as many splats",
     )  # fmt: skip
     parser.add_argument(
         "--report", type=Path, metavar="FILE", help="write all maps that were tried as JSON"

@@ -103,28 +103,45 @@ class DemoSensors(Node):
         """Starts the timer. Raises SceneError for a parameter that makes no sense."""
         super().__init__("demo_sensors")
         self._frame_id: str = declare(
-            self, "frame_id", "map", "Frame of the path, if a radius is given."
+            self,
+            "frame_id",
+            "map",
+            "Frame of the flight, if a radius is given; else the map's counts.",
         )
-        radius = declare(self, "radius", 0.0, "Radius of the path; 0: as the map. [m]", 0.0, 1e6)
+        radius = declare(
+            self, "radius", 0.0, "Radius of the flight; 0: fit it to the map. [m]", 0.0, 1e6
+        )
         height = declare(
             self,
             "height",
             1.5,
-            "Of the path above its center, if a radius is given. [m]",
+            "Height of the flight above its center, if a radius is given. [m]",
             -1e6,
             1e6,
         )
-        center = declare(self, "center", [0.0, 0.0, 0.5], "Of the path, if a radius is given. [m]")
+        center = declare(
+            self, "center", [0.0, 0.0, 0.5], "Center of the flight, if a radius is given. [m]"
+        )
         self._period: float = declare(self, "period", 24.0, "Time of one round. [s]", 1.0, 3600.0)
         imu_rate = declare(self, "imu_rate", 200.0, "Rate of the IMU and of TF. [Hz]", 1.0, 1000.0)
         self._acceleration_noise: float = declare(
-            self, "acceleration_noise", 0.03, "Standard deviation. [m/s^2]", 0.0, 10.0
+            self, "acceleration_noise", 0.03, "Standard deviation of the IMU. [m/s^2]", 0.0, 10.0
         )
         self._angular_velocity_noise: float = declare(
-            self, "angular_velocity_noise", 0.003, "Standard deviation. [rad/s]", 0.0, 1.0
+            self,
+            "angular_velocity_noise",
+            0.003,
+            "Standard deviation of the IMU. [rad/s]",
+            0.0,
+            1.0,
         )
         image_rate = declare(
-            self, "image_rate", 10.0, "Of camera poses, and at most of pictures. [Hz]", 0.1, 100.0
+            self,
+            "image_rate",
+            10.0,
+            "Rate of camera poses, and the most of pictures. [Hz]",
+            0.1,
+            100.0,
         )
         self._width: int = declare(self, "image_width", 320, "Width of the picture. [px]", 16, 4096)
         self._height: int = declare(

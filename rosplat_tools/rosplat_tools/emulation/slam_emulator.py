@@ -1,6 +1,6 @@
 """Sends a scene as a SLAM back end would: grown by batches, refined, pruned and regrown.
 
-In submaps that drift, if asked to, until a loop closure puts them right.
+With several `submaps`, each drifts until a loop closure puts all of them right.
 """
 
 from __future__ import annotations
@@ -31,13 +31,18 @@ class SlamEmulator(Node):
         self._loop = declare(self, "loop", False, "Start over when the scene is complete.")
         self._plan = {
             "batch_size": declare(
-                self, "batch_size", 1000, "Gaussians in a message at most.", 1, 1_000_000
+                self, "batch_size", 1000, "Most splats in a message.", 1, 1_000_000
             ),
             "refine_fraction": declare(
-                self, "refine_fraction", 0.1, "Gaussians that begin a little off.", 0.0, 1.0
+                self, "refine_fraction", 0.1, "Share of the splats that begin misplaced.", 0.0, 1.0
             ),
             "prune_fraction": declare(
-                self, "prune_fraction", 0.02, "Gaussians that are deleted for a while.", 0.0, 1.0
+                self,
+                "prune_fraction",
+                0.02,
+                "Share of the splats that are deleted for a while.",
+                0.0,
+                1.0,
             ),
             "submaps": declare(
                 self, "submaps", 1, "Parts that drift until a loop closure moves them.", 1, 400

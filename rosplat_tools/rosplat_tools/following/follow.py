@@ -35,7 +35,7 @@ class Follow(Node):
             self, "path", "", "Scene file to follow, or a pattern: its newest match is read."
         )
         period = declare(self, "period", 0.5, "Time between two looks at the file. [s]", 0.05, 60.0)
-        frame_id = declare(self, "frame_id", "", "Of the map; empty: that of the message, or map.")
+        frame_id = declare(self, "frame_id", "", "Frame of the map; empty: the message's, or map.")
         self._frame_id = frame_id
         self._publisher = MapPublisher(
             self, frame_id=frame_id or "map", compression=declare_compression(self)

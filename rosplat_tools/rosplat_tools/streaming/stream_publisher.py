@@ -38,11 +38,11 @@ class StreamPublisher(Node):
         path = declare(self, "path", "", "Streamed SOG to publish: a lod-meta.json.")
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
         most = declare(
-            self, "max_splats", 2_000_000, "The most splats of the map, in strips of 128.",
+            self, "max_splats", 2_000_000, "The most splats that the map holds.",
             1, GaussianArray.MAX_SLOTS,
         )  # fmt: skip
         target = declare(
-            self, "error", 1.0, "Chunks get finer while their splats are farther apart. [px]",
+            self, "error", 1.0, "Chunks are refined while their splats are farther apart. [px]",
             1e-3, 1e3,
         )  # fmt: skip
         if not path:

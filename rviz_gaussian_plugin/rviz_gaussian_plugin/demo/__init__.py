@@ -1,4 +1,4 @@
-"""The main job in one command: a scene published, sorted and seen."""
+"""Publishes and shows a scene: in rviz2 if it is installed, else in a viewer of its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The main job in one command: a scene published, sorted and seen."""
+"""Publishes and shows a scene: in rviz2 if it is installed, else in a viewer of its own."""
 
 from __future__ import annotations
 
@@ -26,14 +26,17 @@ def main(arguments: list[str] | None = None) -> int:
         help=f"scene: {NAMES} (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--out", type=Path, default=Path("out"), help="folder for pictures and logs"
+        "--out",
+        type=Path,
+        default=Path("out"),
+        help="folder for pictures and logs (default: %(default)s)",
     )
     parser.add_argument(
-        "--host", action="store_true", help="the embedded viewer, even beside rviz2"
+        "--host", action="store_true", help="use the viewer even if rviz2 is installed"
     )
     parser.add_argument(
         "--up", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="the scene's vertical, for the embedded viewer (default: the format's, or z)",
+        help="the scene's vertical, for the viewer without rviz2 (default: the format's, or z)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
     screen = bool(os.environ.get("DISPLAY"))

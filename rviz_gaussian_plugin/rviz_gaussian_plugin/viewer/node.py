@@ -81,10 +81,13 @@ class Viewer(Node):
     def __init__(self) -> None:
         super().__init__("viewer")
         self.output: str = declare(
-            self, "output", "", "Folder for demo.png and demo.webp; with them the viewer ends."
+            self,
+            "output",
+            "",
+            "Folder for demo.png and demo.webp; if set, the viewer draws them and ends.",
         )
         self.serves: bool = declare(
-            self, "serve", False, "Show nothing, only draw pictures for gaussians/render."
+            self, "serve", False, "Show nothing, draw what clients of gaussians/render ask for."
         )
         self.up: list[float] = declare(
             self, "up", [0.0, 0.0, 1.0], "Which way is up in the map's frame, for orbiting."

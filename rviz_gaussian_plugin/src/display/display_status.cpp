@@ -94,7 +94,7 @@ StatusLine sidecarStatus(const GaussianClient::Status& received, const std::stri
     }
     return {StatusProperty::Warn, "Sidecar",
             concat(received.sidecar.text, ", but the order is by ", frame.order_source,
-                   ": its log says why")};
+                   ": the sorter's log says why")};
   }
   return {received.sidecar.failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",
           received.sidecar.text};
@@ -168,12 +168,12 @@ StatusLine channelStatus(const MapState& map, const RenderSettings& settings) {
     return {level, "Channel", std::move(text)};
   };
   if (names.empty()) {
-    return line(StatusProperty::Warn, "No splat of the map has come with a channel");
+    return line(StatusProperty::Warn, "The map has no channel");
   }
   const ChannelColouring colouring = colouringOf(map.channels, settings);
   if (colouring.kind == kNoColours) {
     return line(StatusProperty::Warn,
-                concat("The map has no '", settings.channel, "', but ", joined(names)));
+                concat("The map has no channel '", settings.channel, "', it has ", joined(names)));
   }
   std::ostringstream text;
   text << names[colouring.channel];

@@ -56,21 +56,21 @@ GaussianDisplay::GaussianDisplay() {
   topic_ = new rviz_common::properties::RosTopicProperty(
       "Topic", "", GaussianClient::mapType(),
       "Map of 3D Gaussians (rosplat_msgs/GaussianArray). The display publishes its cameras on "
-      "<topic>/view and what is selected on <topic>/picked and takes orders from <topic>/order.",
+      "<topic>/view and selected splats on <topic>/picked, and takes orders from <topic>/order.",
       this, SLOT(subscribe()));
   qos_property_ = new rviz_common::properties::QosProfileProperty(topic_, qos_);
   scene_file_ = new rviz_common::properties::FilePickerProperty(
       "Scene File", "",
       "Open a scene (.ply, .spz, .sog, .splat, .ksplat, .glb, .usd): the topic's publisher, or one "
-      "that is started here, loads it. A file may be dropped on the window, too. Empty it to "
-      "cancel.",
+      "that is started here, loads it. You can also drop a file on the window. Clear the "
+      "property to cancel.",
       this, SLOT(openScene()));
   settings_ = std::make_unique<DisplaySettings>(this, [this] { applySettings(); });
   backend_ =
       new rviz_common::properties::EnumProperty("Sidecar Backend", kUnchanged,
-                                                "What the sidecar sorts with, or all of them: sets "
-                                                "their parameter 'backend'. The Status shows "
-                                                "what it uses.",
+                                                "Switches the backend of all sorters of the map: "
+                                                "sets their parameter 'backend'. The Status "
+                                                "shows the backend in use.",
                                                 this, SLOT(switchBackend()));
   for (const char* name : {kUnchanged, kAnyBackend, "cupy", "torch", "native", "numpy"}) {
     backend_->addOption(name);
