@@ -43,7 +43,7 @@ TEST(ChannelStatus, saysWhichIsDrawnAndHow) {
   settings.channel_range = {0, 1};
   EXPECT_EQ(channelStatus(map, settings).text, "seen, 0 (blue) to 1 (red)");
   settings.channel = "age";
-  EXPECT_EQ(channelStatus(map, settings).text, "The map has no 'age', but label, seen");
+  EXPECT_EQ(channelStatus(map, settings).text, "The map has no channel 'age', it has label, seen");
   EXPECT_EQ(channelStatus(map, settings).level, StatusProperty::Warn);
 }
 
