@@ -62,25 +62,19 @@ PictureLayer layerOf(const CpuRenderer& renderer, const SplatCamera& camera) {
 
 // Whose arrays must outlive it.
 PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
-                         const std::optional<Array<float>>& scene_depth,
-                         const std::optional<Array<float>>& translucent_depth,
-                         const std::optional<Array<std::uint32_t>>& order) {
+                         const std::optional<Array<std::uint32_t>>& order = {}) {
   PictureRequest request;
   request.layers.push_back(layerOf(renderer, camera));
-  if (scene_depth) request.scene_depth = *scene_depth;
-  if (translucent_depth) request.translucent_depth = *translucent_depth;
   if (order) request.order = *order;
   return request;
 }
 
 py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
-                   bool median_depth, const std::optional<Array<float>>& scene_depth,
-                   const std::optional<Array<float>>& translucent_depth,
-                   const std::optional<Array<std::uint32_t>>& order,
+                   bool median_depth, const std::optional<Array<std::uint32_t>>& order,
                    const std::vector<CpuRenderer*>& beside) {
   if (mean_depth && median_depth) throw std::invalid_argument("a picture has one depth");
   if (order && !beside.empty()) throw std::invalid_argument("an order is of one map alone");
-  PictureRequest request = requestOf(renderer, camera, scene_depth, translucent_depth, order);
+  PictureRequest request = requestOf(renderer, camera, order);
   for (const CpuRenderer* other : beside) request.layers.push_back(layerOf(*other, camera));
   if (mean_depth) request.depth = PictureDepth::kMean;
   if (median_depth) request.depth = PictureDepth::kMedian;
@@ -108,28 +102,23 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
                  "error"_a = picture.layers.front().error,
                  "detail_error"_a = request.layers.front().levels ? renderer.detail.problem() : "",
                  "profile"_a = picture.profile, "bytes"_a = renderer.rasterizer.bytes());
-  const auto add = [&](const char* name, const std::vector<float>& values, int channels) {
-    if (!values.empty()) drawn[name] = toArray(values, {picture.height, picture.width, channels});
-  };
-  add("colour", picture.colour, 4);
-  add("behind", picture.behind, 4);
-  add("nearness", picture.nearness, 2);
-  add("depth", picture.depth, 1);
+  drawn["colour"] = toArray(picture.colour, {picture.height, picture.width, 4});
+  if (!picture.depth.empty()) {
+    drawn["depth"] = toArray(picture.depth, {picture.height, picture.width, 1});
+  }
   return drawn;
 }
 
 void contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera, Contributions& sums,
-                     const std::optional<Array<float>>& scene_depth,
                      const std::optional<Array<float>>& residual) {
-  PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
+  PictureRequest request = requestOf(renderer, camera);
   if (residual) request.residual = *residual;
   const py::gil_scoped_release release;
   renderer.rasterizer.contribute(request, sums);
 }
 
-Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera,
-                               const std::optional<Array<float>>& scene_depth) {
-  const PictureRequest request = requestOf(renderer, camera, scene_depth, {}, {});
+Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera) {
+  const PictureRequest request = requestOf(renderer, camera);
   std::vector<std::uint32_t> picked;
   {
     const py::gil_scoped_release release;
@@ -268,9 +257,7 @@ void defineRendering(py::module_& module) {
   py::class_<SplatCamera>(module, "SplatCamera")
       .def(py::init(&cameraOf), "position"_a, "orientation"_a, "projection"_a, "fx"_a, "fy"_a,
            "cx"_a, "cy"_a, "width"_a, "height"_a, "near"_a = 0.01, "far"_a = 1e10)
-      .def("crop", &crop, "left"_a, "top"_a, "width"_a, "height"_a)
-      .def_readwrite("ndc_scale", &SplatCamera::ndc_scale)
-      .def_readwrite("ndc_offset", &SplatCamera::ndc_offset);
+      .def("crop", &crop, "left"_a, "top"_a, "width"_a, "height"_a);
   py::enum_<CpuRasterizer::Instructions>(module, "Instructions")
       .value("PLAIN", CpuRasterizer::Instructions::kPlain)
       .value("AVX2", CpuRasterizer::Instructions::kAvx2)
@@ -293,16 +280,14 @@ void defineRendering(py::module_& module) {
            "instructions"_a = CpuRasterizer::Instructions::kBest)
       .def_readwrite("settings", &CpuRenderer::settings)
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "median_depth"_a = false,
-           "scene_depth"_a = py::none(), "translucent_depth"_a = py::none(), "order"_a = py::none(),
-           "beside"_a = std::vector<CpuRenderer*>(),
+           "order"_a = py::none(), "beside"_a = std::vector<CpuRenderer*>(),
            "Draws the map; and, in one order with it, those of other renderers in the same frame.")
       .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
       .def("splats", &splatsOf)
       .def("nodes", &nodesOf, "level"_a, "group"_a = 0)
       .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })
-      .def("pick", &pickOnCpu, "camera"_a, "scene_depth"_a = py::none())
-      .def("contribute", &contributeOnCpu, "camera"_a, "sums"_a, "scene_depth"_a = py::none(),
-           "residual"_a = py::none())
+      .def("pick", &pickOnCpu, "camera"_a)
+      .def("contribute", &contributeOnCpu, "camera"_a, "sums"_a, "residual"_a = py::none())
       .def_property_readonly(
           "map", [](CpuRenderer& r) -> GaussianMap& { return r.map; },
           py::return_value_policy::reference_internal, "The books of the map that it draws.")
