@@ -1,10 +1,13 @@
-"""What all readers begin with: a file's claims, held against its size before they cost memory."""
+"""What readers share: a file's claims held against its size, and errors of its fields."""
 
 from __future__ import annotations
 
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from rosplat_core.log_text import shown
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import SceneError
 
@@ -30,6 +33,19 @@ def claim(path: Path, count: int, unpacked: int, held: int) -> None:
         raise SceneError(f"{path}: {count:,} splats; a map has at most {MAX_SLOTS:,}")
     if unpacked > unpackable(held):
         raise SceneError(f"{path}: {count:,} splats can't be packed in {held:,} bytes")
+
+
+@contextmanager
+def refusing(what: str) -> Iterator[None]:
+    """Makes a SceneError, which begins with `what`, of what a field of a wrong kind causes."""
+    try:
+        yield
+    except SceneError:
+        raise
+    except (
+        ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError,
+    ) as error:  # fmt: skip
+        raise SceneError(f"{what}: {shown(f'{type(error).__name__}: {error}')}") from error
 
 
 def unpackable(held: int) -> int:

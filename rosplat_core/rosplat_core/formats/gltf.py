@@ -30,7 +30,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.formats.bounds import claim, size_of
+from rosplat_core.formats.bounds import claim, refusing, size_of
 from rosplat_core.formats.decoded import SH_C0, Axes, Columns, Progress, Warn, blocks, decoded
 from rosplat_core.formats.placed import place
 from rosplat_core.formats.quantised import to_bytes
@@ -81,21 +81,9 @@ def axes(path: Path) -> Axes:
 
 def read(path: Path, progress: Progress, warn: Warn) -> Splats:
     """Reads all splats of a file's scene, where its nodes place them."""
-    try:
+    with refusing(f"{path}: broken glTF"):
         asset = _Asset(path)
         return _splats(asset, list(asset.primitives()), progress, warn)
-    except (
-        ValueError,
-        LookupError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-        OverflowError,
-    ) as error:
-        if isinstance(error, SceneError):
-            raise
-        reason = shown(f"{type(error).__name__}: {error}")
-        raise SceneError(f"{path}: broken glTF: {reason}") from error
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:

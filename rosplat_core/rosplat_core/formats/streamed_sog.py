@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats import sog
-from rosplat_core.formats.bounds import size_of
+from rosplat_core.formats.bounds import refusing, size_of
 from rosplat_core.formats.decoded import AS_TRAINED, Axes, Progress, Warn
 from rosplat_core.log_text import shown
 from rosplat_core.slot_pages import MAX_SLOTS
@@ -110,21 +110,10 @@ def open_streamed(path: Path) -> Streamed:
     try:
         if size_of(path) > LARGEST_META:
             raise SceneError(f"{path}: more than {LARGEST_META:,} bytes")
-        return _scene(path, json.loads(path.read_bytes()))
+        with refusing(f"{path}: broken {META}"):
+            return _scene(path, json.loads(path.read_bytes()))
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
-    except (
-        ValueError,
-        LookupError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-        OverflowError,
-    ) as error:
-        if isinstance(error, SceneError):
-            raise
-        reason = shown(f"{type(error).__name__}: {error}")
-        raise SceneError(f"{path}: broken {META}: {reason}") from error
 
 
 def _scene(path: Path, meta: Any) -> Streamed:
