@@ -25,15 +25,19 @@ def whole(least: int, most: int = sys.maxsize) -> Callable[[str], int]:
     return parse
 
 
-def seconds(text: str) -> float:
-    """A type for argparse: finite times that are not negative. [s]"""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= 0):
-        raise argparse.ArgumentTypeError(f"'{text}' is no time in seconds, 0 or more")
-    return value
+def number(what: str) -> Callable[[str], float]:
+    """A type for argparse: finite numbers that are not negative; what: they are, for errors."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not 0 <= value < math.inf:
+            raise argparse.ArgumentTypeError(f"'{text}' is no {what}, 0 or more")
+        return value
+
+    return parse
 
 
 def make_folder(folder: Path) -> None:

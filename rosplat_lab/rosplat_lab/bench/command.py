@@ -21,7 +21,7 @@ from rosplat_core.program.output import say, told, unheard
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import SceneError
 from rosplat_lab import machine
-from rosplat_lab.arguments import make_folder, seconds
+from rosplat_lab.arguments import make_folder, number
 from rosplat_lab.bench import live
 from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
 from rosplat_lab.bench.records import (
@@ -243,7 +243,10 @@ def _parser() -> argparse.ArgumentParser:
         help="simplify: also for the views along this path, by which every way is then judged",
     )  # fmt: skip
     parser.add_argument(
-        "--seconds", type=seconds, metavar="S", help="how long to repeat each measurement"
+        "--seconds",
+        type=number("time in seconds"),
+        metavar="S",
+        help="how long to repeat each measurement",
     )
     parser.add_argument(
         "--one-process", action="store_true", help="growth: all in one process, without ROS 2"

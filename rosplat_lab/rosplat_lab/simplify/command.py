@@ -31,7 +31,7 @@ from rosplat_core.simplification.search import LEARNT, Progress, Quality, Simpli
 from rosplat_core.simplification.views import CHECKED, HEIGHT, HELD, MARGIN, WIDTH, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
-from rosplat_lab.arguments import whole
+from rosplat_lab.arguments import number, whole
 from rosplat_lab.machine import commit, machine, peak_bytes
 from rosplat_lab.simplify.path import along
 
@@ -115,12 +115,12 @@ def _parser() -> argparse.ArgumentParser:
         help="poses of the optical frame along the path, each a line of time x y z qx qy qz qw",
     )  # fmt: skip
     parser.add_argument(
-        "--margin", type=_metres, metavar="METRES",
+        "--margin", type=number("distance in metres"), metavar="METRES",
         help="how far views may be from the path (default: "
         f"{MARGIN:g} of the way to what is nearest to it); at most half the way to any thing",
     )  # fmt: skip
     parser.add_argument(
-        "--refine", type=_minutes, default=0.0, metavar="MINUTES",
+        "--refine", type=number("time in minutes"), default=0.0, metavar="MINUTES",
         help="then fit the remaining splats to pictures of the scene for so long; a higher PSNR "
         "for as many splats",
     )  # fmt: skip
@@ -132,32 +132,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _decibels(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < MOST_PSNR:  # which NaN isn't
+    value = number("PSNR in dB")(text)
+    if not 0 < value < MOST_PSNR:
         raise argparse.ArgumentTypeError(f"'{text}' is no PSNR, 0 to {MOST_PSNR:g} dB")
-    return value
-
-
-def _minutes(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"'{text}' is no number of minutes")
-    return value
-
-
-def _metres(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"'{text}' is no distance in metres")
     return value
 
 
