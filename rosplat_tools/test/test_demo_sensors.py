@@ -74,6 +74,17 @@ def until(
         spin_some()
 
 
+def publish_map(node: Node) -> None:
+    """A cube that is flown around at some 2 m."""
+    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    n = len(corners)
+    splats = Splats(
+        positions=corners, orientations=np.tile([0, 0, 0, 1], (n, 1)),
+        scales=np.full((n, 3), 0.1), opacities=np.ones(n), sh=np.zeros((n, 1, 3)),
+    )  # fmt: skip
+    MapPublisher(node).replace(splats)
+
+
 class SimulatedClock:
     """Goes on when all until then is measured: so nothing is late, however busy the machine is."""
 
@@ -88,7 +99,7 @@ class SimulatedClock:
 
     def step(self) -> None:
         self._spin_some()
-        if self._measured and self._measured[-1].header.stamp == self._now():
+        if not self._measured or self._measured[-1].header.stamp == self._now():
             self._ticks += 1
         self._clock.publish(Clock(clock=self._now()))
 
@@ -192,7 +203,8 @@ def test_the_imu_integrates_to_the_camera_s_poses(
     node.create_subscription(PoseStamped, "camera/pose", poses.append, KEEP_ALL)
     quiet = ("acceleration_noise:=0.0", "angular_velocity_noise:=0.0")
     clock = SimulatedClock(node, spin_some, measured)
-    settings = ("radius:=2.0", "period:=5.0", *quiet, *clock.parameters)
+    publish_map(node)
+    settings = ("period:=5.0", *quiet, *clock.parameters)
     with sensors(node, *settings, arguments=clock.arguments):
         until(clock.step, lambda: len(measured) > 600 and len(poses) > 30)
     start = measured[0].header.stamp
@@ -235,7 +247,8 @@ def test_noise_is_as_large_as_its_covariance_says(
 ) -> None:
     measured: list[Imu] = []
     node.create_subscription(Imu, "imu/data", measured.append, KEEP_ALL)
-    with sensors(node, "radius:=2.0", "period:=3600.0", "acceleration_noise:=0.2"):
+    publish_map(node)
+    with sensors(node, "period:=3600.0", "acceleration_noise:=0.2"):
         until(spin_some, lambda: len(measured) > 400)
     forces = np.array([vector(imu.linear_acceleration) for imu in measured])
     assert np.diff(forces, axis=0).std() / math.sqrt(2) == pytest.approx(0.2, rel=0.2)
@@ -264,7 +277,8 @@ def test_each_picture_is_asked_for_once_and_shown_with_its_camera(
     node.create_service(RenderView, "gaussians/render", render)
     node.create_subscription(Image, "camera/image_raw", pictures.append, KEEP_ALL)
     node.create_subscription(CameraInfo, "camera/camera_info", infos.append, KEEP_ALL)
-    with sensors(node, "radius:=2.0", "image_width:=64", "image_height:=48"):
+    publish_map(node)
+    with sensors(node, "image_width:=64", "image_height:=48"):
         until(spin_some, lambda: len(asked) > 10 and len(pictures) > 10)
         until(spin_some, lambda: len(infos) >= len(pictures))
     stamps = [(image.header.stamp.sec, image.header.stamp.nanosec) for image in pictures]
@@ -314,16 +328,15 @@ def test_all_is_stamped_by_a_simulated_clock(node: Node, spin_some: Callable[[],
     measured: list[Imu] = []
     node.create_subscription(Imu, "imu/data", measured.append, KEEP_ALL)
     clock = SimulatedClock(node, spin_some, measured)
-    with sensors(node, "radius:=2.0", *clock.parameters, arguments=clock.arguments):
+    publish_map(node)
+    with sensors(node, *clock.parameters, arguments=clock.arguments):
         until(clock.step, lambda: len(measured) > 100)
-    stamps = [imu.header.stamp for imu in measured]
-    assert all(stamp.sec == 1000 and stamp.nanosec % 5_000_000 == 0 for stamp in stamps)
-    assert stamps == sorted(stamps, key=lambda stamp: stamp.nanosec)
+    stamps = [(imu.header.stamp.sec, imu.header.stamp.nanosec) for imu in measured]
+    assert all(1000 <= sec < 2000 and nanosec % 5_000_000 == 0 for sec, nanosec in stamps)
+    assert stamps == sorted(stamps)
 
 
-@pytest.mark.parametrize(
-    "wrong", ["period:=-1.0", "use_sim_time:=7", "center:=[1.0, 2.0]", "center:=[.nan, 0.0, 0.0]"]
-)
+@pytest.mark.parametrize("wrong", ["period:=-1.0", "use_sim_time:=7", "image_width:=wide"])
 def test_a_parameter_that_makes_no_sense_is_one_line(wrong: str) -> None:
     command = [sys.executable, "-m", "rosplat_tools.emulation.demo_sensors", "--ros-args"]
     done = subprocess.run([*command, "-p", wrong], capture_output=True, text=True, timeout=PATIENCE)

@@ -74,7 +74,7 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
     if is_true("sorter"):
         programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
     if is_true("sensors"):
-        programs.append(program("rosplat_tools", "demo_sensors", frame_id=frame))
+        programs.append(program("rosplat_tools", "demo_sensors"))
     if is_true("obstacles"):
         programs.append(program("rosplat_tools", "occupancy"))
     programs.append(_rviz(given, is_true("sensors"), is_true("obstacles")))

@@ -29,7 +29,6 @@ from std_msgs.msg import Header
 
 from rosplat_core.cameras import Camera
 from rosplat_core.maps import Arrival
-from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.batches import positions_of
@@ -71,6 +70,8 @@ BODY = "demo_robot"
 CAMERA = "demo_camera_optical"
 
 SECOND = 10**9  # [ns]
+IMU_RATE = 200  # of TF, too [Hz]
+IMAGE_RATE = 10  # of camera poses, and at most of pictures [Hz]
 BACKLOG = SECOND // 2  # what a late tick makes up for [ns]
 MAP_TIMEOUT = 3.0  # how much of a map is waited for before the path is laid [s]
 MAP_SAMPLES = 2000  # positions of a batch that the path is laid around
@@ -100,30 +101,9 @@ class DemoSensors(Node):
     """Publishes TF, IMU, camera and path of a robot that circles the map."""
 
     def __init__(self) -> None:
-        """Starts the timer. Raises SceneError for a parameter that makes no sense."""
+        """Waits for a map."""
         super().__init__("demo_sensors")
-        self._frame_id: str = declare(
-            self,
-            "frame_id",
-            "map",
-            "Frame of the flight, if a radius is given; else the map's counts.",
-        )
-        radius = declare(
-            self, "radius", 0.0, "Radius of the flight; 0: fit it to the map. [m]", 0.0, 1e6
-        )
-        height = declare(
-            self,
-            "height",
-            1.5,
-            "Height of the flight above its center, if a radius is given. [m]",
-            -1e6,
-            1e6,
-        )
-        center = declare(
-            self, "center", [0.0, 0.0, 0.5], "Center of the flight, if a radius is given. [m]"
-        )
         self._period: float = declare(self, "period", 24.0, "Time of one round. [s]", 1.0, 3600.0)
-        imu_rate = declare(self, "imu_rate", 200.0, "Rate of the IMU and of TF. [Hz]", 1.0, 1000.0)
         self._acceleration_noise: float = declare(
             self, "acceleration_noise", 0.03, "Standard deviation of the IMU. [m/s^2]", 0.0, 10.0
         )
@@ -135,26 +115,16 @@ class DemoSensors(Node):
             0.0,
             1.0,
         )
-        image_rate = declare(
-            self,
-            "image_rate",
-            10.0,
-            "Rate of camera poses, and the most of pictures. [Hz]",
-            0.1,
-            100.0,
-        )
         self._width: int = declare(self, "image_width", 320, "Width of the picture. [px]", 16, 4096)
         self._height: int = declare(
             self, "image_height", 240, "Height of the picture. [px]", 16, 4096
         )
-
-        if len(center) != 3 or not np.isfinite(center).all():
-            raise SceneError(f"parameter center: expected a place of 3 numbers, got {center}")
         self._noise = np.random.default_rng(0)
-        self._imu_beat = Beat(round(SECOND / imu_rate))
-        self._image_beat = Beat(round(SECOND / image_rate))
+        self._imu_beat = Beat(SECOND // IMU_RATE)
+        self._image_beat = Beat(SECOND // IMAGE_RATE)
         self._flight: Flight | None = None
-        self._trail: deque[PoseStamped] = deque(maxlen=round(self._period * image_rate))
+        self._frame_id = ""  # the map's
+        self._trail: deque[PoseStamped] = deque(maxlen=round(self._period * IMAGE_RATE))
         self._picture: _Picture | None = None
 
         self._imu = self.create_publisher(Imu, "imu/data", **overridable(SENSOR))
@@ -173,13 +143,10 @@ class DemoSensors(Node):
 
         self._topic = self.resolve_topic_name("gaussians")
         self._renderer = self.create_client(RenderView, f"{self._topic}/render")
-        if radius:
-            self._fly(Flight(np.array(center), radius, height, self._period))
-        else:
-            self.get_logger().info(f"waiting for a map on {self._topic} to fly around")
-            self._samples: list[NDArray[np.float64]] = []
-            self._begun: float | None = None
-            MapSubscription(self, self._on_batch)
+        self.get_logger().info(f"waiting for a map on {self._topic} to fly around")
+        self._samples: list[NDArray[np.float64]] = []
+        self._begun: float | None = None
+        MapSubscription(self, self._on_batch)
         self.create_timer(self._imu_beat.period / SECOND, self._tick)
 
     # --- The path ---------------------------------------------------------------------------------
