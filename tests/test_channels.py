@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import coloured_channels
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -73,14 +74,14 @@ def test_categories_are_coloured_as_their_twin_has_them(target: Target) -> None:
     splats = cloud()
     values = labels(len(splats))
     begin(target, with_channels(splats, label=values), channel="label")
-    expected = painted(splats, reference.channels.categories(values))
+    expected = painted(splats, coloured_channels.categories(values))
     assert decibels(target.draw(), expected) > 60
     # Between integers there are no categories, unless they are asked for.
     values += np.float32(0.25)
     begin(target, with_channels(splats, label=values))
     assert decibels(target.draw(), expected) < 30
     target.set(channel_colours=ChannelColours.CATEGORIES)
-    assert decibels(target.draw(), painted(splats, reference.channels.categories(values))) > 60
+    assert decibels(target.draw(), painted(splats, coloured_channels.categories(values))) > 60
 
 
 def test_gradients_are_coloured_as_their_twin_has_them(target: Target) -> None:
@@ -90,11 +91,11 @@ def test_gradients_are_coloured_as_their_twin_has_them(target: Target) -> None:
     begin(target, with_channels(splats, seen=values))
     least, most = np.nanmin(values), np.nanmax(values)
     assert (
-        decibels(target.draw(), painted(splats, reference.channels.gradient(values, least, most)))
+        decibels(target.draw(), painted(splats, coloured_channels.gradient(values, least, most)))
         > 60
     )
     target.set(channel_range=(9.0, 12.0))
-    assert decibels(target.draw(), painted(splats, reference.channels.gradient(values, 9, 12))) > 60
+    assert decibels(target.draw(), painted(splats, coloured_channels.gradient(values, 9, 12))) > 60
 
 
 def test_extremes_are_colours_too(target: Target) -> None:
@@ -102,7 +103,7 @@ def test_extremes_are_colours_too(target: Target) -> None:
     values = np.full(len(splats), 0.5, np.float32)
     begin(target, with_channels(splats, flat=values))
     assert (
-        decibels(target.draw(), painted(splats, reference.channels.gradient(values, 0.5, 0.5))) > 60
+        decibels(target.draw(), painted(splats, coloured_channels.gradient(values, 0.5, 0.5))) > 60
     )
     values[::2], values[1::2] = 3e38, -3e38
     begin(target, with_channels(splats, wide=values), channel_colours=ChannelColours.GRADIENT)
@@ -113,7 +114,7 @@ def test_edits_write_channels_and_slots_without_are_grey(target: Target) -> None
     splats = cloud()
     count = len(splats)
     begin(target, splats)  # without any
-    grey = np.full((count, 3), reference.channels.NO_VALUE)
+    grey = np.full((count, 3), coloured_channels.NO_VALUE)
     assert decibels(target.draw(), painted(splats, grey)) > 60
     values = np.arange(count) % 5.0
     target.write(range(count), with_channels(splats, label=values, seen=values / 8))
@@ -121,11 +122,11 @@ def test_edits_write_channels_and_slots_without_are_grey(target: Target) -> None
     target.write(np.arange(200, 300), with_channels(splats[200:300], label=np.full(100, 7.0)))
     values[:100], values[200:300] = np.nan, 7
     target.set(channel="label")
-    assert decibels(target.draw(), painted(splats, reference.channels.categories(values))) > 60
+    assert decibels(target.draw(), painted(splats, coloured_channels.categories(values))) > 60
     target.set(channel="seen")
     seen = values / 8
     seen[200:300] = np.nan
-    assert decibels(target.draw(), painted(splats, reference.channels.gradient(seen, 0, 0.5))) > 60
+    assert decibels(target.draw(), painted(splats, coloured_channels.gradient(seen, 0, 0.5))) > 60
     target.set(channel="nobody's")
     assert decibels(target.draw(), painted(splats, grey)) > 60
 
@@ -134,7 +135,7 @@ def test_channels_are_drawn_in_full(target: Target) -> None:
     splats = cloud()
     values = labels(len(splats))
     begin(target, with_channels(splats, label=values), detail="20px")
-    assert decibels(target.draw(), painted(splats, reference.channels.categories(values))) > 60
+    assert decibels(target.draw(), painted(splats, coloured_channels.categories(values))) > 60
 
 
 def test_values_are_read_back_whoever_draws(opengl: Target) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import merged_levels as levels
 import numpy as np
 import pytest
 
@@ -10,7 +11,6 @@ from rosplat_core.quaternions import to_matrices
 from rosplat_core.rendering import CpuRenderer, insert_all
 from rosplat_core.splats import Splats
 from rosplat_lab import reference
-from rosplat_lab.reference import levels
 
 
 @pytest.fixture(scope="module")

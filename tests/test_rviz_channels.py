@@ -5,11 +5,11 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 
+import coloured_channels as channels
 import numpy as np
 import pytest
 
 from rosplat_core.splats import Splats, concatenate
-from rosplat_lab.reference import channels
 from rviz_harness import Rviz, World, centre, configuration, disc, map_display, needs_rviz
 
 pytestmark = needs_rviz

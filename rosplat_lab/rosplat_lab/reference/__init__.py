@@ -4,7 +4,6 @@ The semantics are those of the INRIA rasteriser (Kerbl et al. 2023) as gsplat 1.
 Written to be read, yet half a million splats in 1280x720 take but some seconds.
 """
 
-from rosplat_lab.reference import channels, levels
 from rosplat_lab.reference.renderer import Picture, contributions, dealt, pick, render
 
-__all__ = ["Picture", "channels", "contributions", "dealt", "levels", "pick", "render"]
+__all__ = ["Picture", "contributions", "dealt", "pick", "render"]

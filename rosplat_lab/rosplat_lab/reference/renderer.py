@@ -42,7 +42,7 @@ def render(
 
     crop is left, top, right, bottom [px] of the part to draw; the camera stays what it is. order
     are slots back to front, as in SplatOrder, instead of the exact order by z; slots that it leaves
-    out are not drawn. shares: (n,) how much of each splat is drawn, as levels.cut() has it; all, if
+    out are not drawn. shares: (n,) how much of each splat is drawn, as of levels of detail; all, if
     not given. max_alpha caps a splat's alpha: INRIA 0.99, gsplat 0.999. A pixel is finished
     by the splat that would take its transmittance to min_transmittance or below (INRIA and gsplat:
     1e-4); 0 blends everything. Raises ValueError for a crop outside the picture.

@@ -1,4 +1,4 @@
-"""How values of a channel are coloured: categories, or a gradient."""
+"""How values of a channel are coloured, in float64: categories, or a gradient."""
 
 from __future__ import annotations
 

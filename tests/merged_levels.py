@@ -1,7 +1,7 @@
 """Levels of detail merged from a map, and which of them a view draws.
 
-The lattice, the moments and the shares of rviz_gaussian_plugin's lattice.hpp, mixture.hpp and
-cut.hpp, whole maps at a time and without packing.
+The lattice, the moments and the shares of rosplat_core's lattice.hpp, mixture.hpp and cut.hpp,
+in float64, whole maps at a time and without packing.
 """
 
 from __future__ import annotations
