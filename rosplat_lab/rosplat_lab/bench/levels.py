@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -34,7 +33,7 @@ SUPERSAMPLED = 4  # pixels of the truth in one, along an axis
 PATH, QUICK_PATH = 30, 4  # pictures
 POPPING = ("2px", "4px", "8px")
 STEPS = 8  # cameras that take turns
-STEP, TURN = 0.005, math.radians(0.1)  # from one to the next [m], [rad]
+STEP = 0.005  # from one picture to the next [m]
 NEAR = 0.5  # away, to what the camera comes nearer by STEP [m]
 
 
@@ -107,7 +106,7 @@ DRAWERS: dict[str, Callable[[], Drawer]] = {"processor": Processor, "card": Card
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Building and repairing levels; PSNR and frames by error; popping along a slow path."""
+    """Building and repairing levels; PSNR and frames by error; popping."""
     sizes = plan.sizes or ((QUICK_SIZES if plan.quick else SIZES) if not plan.scenes else ())
     picture = QUICK_PICTURE if plan.quick else PICTURE
     length = QUICK_PATH if plan.quick else PATH
@@ -181,11 +180,6 @@ def _scene(
             yield of("PSNR", "dB", _psnr(colour, full), **shown)
             yield of("PSNR against the truth", "dB", _psnr(colour, truth), **shown)
     camera = scenes.inside(splats, *picture, 1)[0]
-    for detail, changes in _pops(drawer, camera, length).items():
-        most = [np.quantile(change, 0.999) for change in changes]
-        yield of("popping, 99.9 % of pixels", "/255", most, detail=detail)
-        worst = [change.max() for change in changes]
-        yield of("popping, worst pixel", "/255", worst, detail=detail)
     for detail, changes in _fades(drawer, camera, length).items():
         most = [np.quantile(change, 0.999) for change in changes]
         yield of("popping of a camera at rest, 99.9 % of pixels", "/255", most, detail=detail)
@@ -228,17 +222,6 @@ def _truth(drawer: Drawer, camera: Camera) -> Array:
     return mean
 
 
-def _path(camera: Camera, length: int) -> Iterator[Camera]:
-    """A slow one, forwards and to the side."""
-    for index in range(length):
-        turn = index * TURN
-        step = np.eye(4)
-        step[0, ::2] = math.cos(turn), math.sin(turn)
-        step[2, ::2] = -math.sin(turn), math.cos(turn)
-        step[2, 3] = -index * STEP
-        yield replace(camera, world_to_camera=step @ camera.world_to_camera)
-
-
 def _fades(drawer: Drawer, camera: Camera, length: int) -> dict[str, list[Array]]:
     """By how much pixels change from picture to picture by the cut alone [/255]: the camera rests,
     and errors grow as those of what is NEAR do along the path."""
@@ -252,17 +235,3 @@ def _fades(drawer: Drawer, camera: Camera, length: int) -> dict[str, list[Array]
         detail: [255 * np.abs(b - a).max(axis=2) for a, b in itertools.pairwise(pictures(detail))]
         for detail in POPPING
     }
-
-
-def _pops(drawer: Drawer, camera: Camera, length: int) -> dict[str, list[Array]]:
-    """By how much pixels change from picture to picture, beyond those of the full map [/255]: what
-    pops, and what of a coarser picture moves past pixels, whether anything pops or not."""
-    changes: dict[str, list[Array]] = {detail: [] for detail in POPPING}
-    before: dict[str, Array] = {}
-    for here in _path(camera, length):
-        now = {detail: _picture(drawer, here, detail) for detail in ("full", *POPPING)}
-        for detail in POPPING if before else ():
-            change = np.abs(now[detail] - before[detail]) - np.abs(now["full"] - before["full"])
-            changes[detail].append(255 * np.maximum(change.max(axis=2), 0))
-        before = now
-    return changes
