@@ -26,22 +26,25 @@ def depth_order(splats: Splats, camera: Camera, *, threads: int = 0) -> NDArray[
     positions[: len(splats)] = splats.positions
     extents = np.full(rows, INVISIBLE, np.float32)
     extents[: len(splats)] = splat_extents(splats.scales, splats.opacities)
-    view = SortView.of(
-        PosedCamera(
-            position=tuple(camera.position.tolist()),
-            orientation=tuple(camera.orientation.tolist()),
-            fx=camera.fx,
-            fy=camera.fy,
-            cx=camera.cx,
-            cy=camera.cy,
-            width=camera.width,
-            height=camera.height,
-            near_clip=camera.near,
-            far_clip=camera.far,
-            orthographic=camera.orthographic,
-        ),
-        unmoved(splats.origin),
-    )
+    view = view_of(camera, splats)
     pages = np.stack([page * SLOTS_PER_PAGE, page, np.zeros_like(page)], axis=1)  # see SortMap
     sorter = _core.DepthOrder(threads)
     return sorter.sort(view, positions, extents, pages, lambda count: np.empty(count, np.uint32))
+
+
+def view_of(camera: Camera, splats: Splats) -> SortView:
+    """What a sorter needs of a camera that looks at these splats. Raises CameraError."""
+    posed = PosedCamera(
+        position=tuple(camera.position.tolist()),
+        orientation=tuple(camera.orientation.tolist()),
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        width=camera.width,
+        height=camera.height,
+        near_clip=camera.near,
+        far_clip=camera.far,
+        orthographic=camera.orthographic,
+    )
+    return SortView.of(posed, unmoved(splats.origin))

@@ -14,6 +14,7 @@ from rosplat_core.cameras import save_cameras
 from rosplat_core.depth import order
 from rosplat_core.formats import save as save_scene
 from rosplat_core.generated import generate
+from rosplat_core.ordering import view_of
 from rosplat_core.splats import SceneError
 from rosplat_lab.bench import baselines, rviz, scenes, sort, streaming
 from rosplat_lab.bench.command import main
@@ -56,7 +57,7 @@ def test_a_wrong_order_is_not_timed(monkeypatch: pytest.MonkeyPatch, tmp_path: P
 def test_baselines_sort_as_we_do_where_all_is_visible(name: str) -> None:
     splats = generate(2000)
     (camera,) = scenes.all_of_it(splats, 640, 480, 1)
-    view = sort.view_of(camera, splats)
+    view = view_of(camera, splats)
     sorted_map = sort.map_of(splats)
     exact = order(view, sorted_map.positions, sorted_map.extents)
     theirs = baselines.IN_HOST_MEMORY[name](splats.positions)(view).ravel()

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera, Place, place
+from rosplat_core.ordering import view_of
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import SceneError, Splats
 from rosplat_lab import machine, metrics, reference
@@ -25,7 +26,7 @@ from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_lab.bench.renderers import RENDERERS
-from rosplat_lab.bench.sort import map_of, view_of
+from rosplat_lab.bench.sort import map_of
 
 if TYPE_CHECKING:
     from rviz_gaussian_plugin.offscreen import Renderer

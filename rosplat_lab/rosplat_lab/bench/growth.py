@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
+from rosplat_core.ordering import view_of
 from rosplat_core.scenes import PROCEDURAL
 from rosplat_core.splats import Splats
 from rosplat_lab import machine
@@ -19,7 +20,6 @@ from rosplat_lab.bench import embedded, live, scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
-from rosplat_lab.bench.sort import view_of
 from rosplat_sorter.backends import BACKENDS, open_backend
 from rosplat_sorter.map import SplatMap
 from rosplat_tools.emulation.mapping import around

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import depth, rendering
-from rosplat_core.cameras import Camera
-from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.ordering import view_of
 from rosplat_core.splats import SceneError, Splats
-from rosplat_core.view import SortView, unmoved
+from rosplat_core.view import SortView
 from rosplat_lab.bench import baselines, live, scenes
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
@@ -193,18 +192,3 @@ def map_of(splats: Splats) -> SplatMap:
     sorted_map = SplatMap()
     rendering.insert(sorted_map, splats, slice(0, len(splats)), 1)
     return sorted_map
-
-
-def view_of(which: Camera, splats: Splats) -> SortView:
-    """The sorter's view of a camera."""
-    x, y, z = which.position.tolist()
-    qx, qy, qz, qw = which.orientation.tolist()
-    return SortView.of(
-        PosedCamera(
-            position=(x, y, z), orientation=(qx, qy, qz, qw),
-            fx=which.fx, fy=which.fy, cx=which.cx, cy=which.cy,
-            width=which.width, height=which.height,
-            near_clip=which.near, far_clip=which.far,
-        ),
-        unmoved(splats.origin),
-    )  # fmt: skip
