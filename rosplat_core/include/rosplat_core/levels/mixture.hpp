@@ -14,7 +14,7 @@ float nodeExtentOf(const PackedSlot& node);
 
 // One Gaussian for all that is in a cell: of the same mean, covariance and mean harmonics, where
 // each counts by its mass, its opacity times the area that it covers; and of the same mass.
-// rosplat_lab's reference/levels.py is its plain twin.
+// tests/merged_levels.py is its plain twin.
 class Mixture {
  public:
   Mixture(Cell cell, int sh_degree);
