@@ -22,19 +22,22 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import CameraInfo, Image, Imu
 from std_msgs.msg import Header
 
 from rosplat_core.cameras import Camera
+from rosplat_core.lenses import Lens
 from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.batches import positions_of
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import overridable
+from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
+from rosplat_tools.images import to_bytes, to_image
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning, wait_for_end
 from rosplat_tools.view_messages import view_camera
@@ -46,25 +49,10 @@ except ImportError:
     TFMessage = None
 
 # Reliable: readers that ask for best effort are served as well. Deep: a late tick sends in bursts.
-SENSOR = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-)
+SENSOR = QoSProfile(depth=100)
 # As tf2_ros has them.
-TF = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-)
-TF_STATIC = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-)
+TF = QoSProfile(depth=100)
+TF_STATIC = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 BODY = "demo_robot"
 CAMERA = "demo_camera_optical"
@@ -272,14 +260,8 @@ class DemoSensors(Node):
 
     def _publish_picture(self, camera: Camera, stamp: Time, pixels: NDArray[np.uint8]) -> None:
         header = Header(stamp=stamp, frame_id=CAMERA)
-        image = Image(
-            header=header,
-            height=camera.height,
-            width=camera.width,
-            encoding="rgb8",
-            step=3 * camera.width,
-        )
-        image.data.frombytes(pixels.tobytes())
+        image = to_image(pixels, "rgb8")
+        image.header = header
         self._image.publish(image)
         self._info.publish(_camera_info(camera, header))
 
@@ -312,23 +294,15 @@ def _pixels(response: RenderView.Response, camera: Camera) -> NDArray[np.uint8]:
     if color.encoding != "32FC4" or values.size != camera.height * camera.width * 16:
         raise ValueError(f"{values.size} bytes of {color.encoding}")
     rgba = values.view(np.float32).reshape(camera.height, camera.width, 4)
-    over = rgba[..., :3] + (1 - rgba[..., 3:]) * BACKGROUND
-    return (255 * np.clip(over, 0, 1) + 0.5).astype(np.uint8)
+    return to_bytes(rgba[..., :3] + (1 - rgba[..., 3:]) * BACKGROUND)
 
 
 def _camera_info(camera: Camera, header: Header) -> CameraInfo:
     # For ROS the centre of the top left pixel is (0, 0).
-    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx - 0.5, camera.cy - 0.5
-    return CameraInfo(
-        header=header,
-        height=camera.height,
-        width=camera.width,
-        distortion_model="plumb_bob",
-        d=[0.0] * 5,
-        k=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        r=np.eye(3).ravel(),
-        p=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
-    )
+    centre = camera.cx - 0.5, camera.cy - 0.5
+    info = of_lens(Lens(camera.width, camera.height, camera.fx, camera.fy, *centre))
+    info.header = header
+    return info
 
 
 def _transform(
