@@ -32,7 +32,7 @@ def to_image(pixels: NDArray[np.generic], encoding: str) -> Image:
     )
 
 
-def to_bytes(colours: NDArray[np.float32]) -> NDArray[np.uint8]:
+def to_bytes(colours: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Values of 0 to 1 as bytes, rounded; what is beyond is clamped."""
     return (255 * np.clip(colours, 0, 1) + 0.5).astype(np.uint8)
 
