@@ -125,30 +125,24 @@ class GsplatRenderer:
 
 
 class GsplatInferenceRenderer(GsplatRenderer):
-    """gsplat 1.6's experimental path for inference: half floats, macro tiles, packed harmonics.
+    """gsplat 1.6's experimental path for inference: half floats, macro tiles of 8 or 16 px."""
 
-    tile: 8 or 16 [px]. harmonics: "none" keeps them in half floats; "32b" and "16b" pack those of
-    degree 3 into 32 and 16 bytes.
-    """
-
-    def __init__(self, tile: int, harmonics: str) -> None:
+    def __init__(self, tile: int) -> None:
         super().__init__()
         from gsplat.experimental.render import GaussianInferenceRenderer
         from gsplat.scene import GaussianInferenceScene
 
         self._scene, self._renderer = GaussianInferenceScene, GaussianInferenceRenderer
-        self._tile, self._harmonics = tile, harmonics
+        self._tile = tile
 
     def _take(
         self, means: Any, quats: Any, scales: Any, opacities: Any, sh: Any, degree: int
     ) -> None:
         if self._antialiased:
             raise ValueError("it has no opacity compensation")
-        if degree != 3 and self._harmonics != "none":
-            raise ValueError("it packs harmonics of degree 3 alone")
         unit = quats / quats.norm(dim=-1, keepdim=True)
         scene = self._scene.from_gaussian_tensors(
-            means, unit, scales, opacities, sh, degree, self._harmonics, id="map"
+            means, unit, scales, opacities, sh, degree, "none", id="map"
         )
         self._native = self._renderer(scene, tile_size=self._tile)
 
@@ -162,11 +156,6 @@ class GsplatInferenceRenderer(GsplatRenderer):
 RENDERERS: dict[str, Callable[[], Renderer]] = {
     "cpu": CpuRenderer,
     "gsplat": GsplatRenderer,
-    **{
-        f"gsplat-inference-{tile}" + ("" if packed == "none" else f"-{packed}"): partial(
-            GsplatInferenceRenderer, tile, packed
-        )
-        for tile in (8, 16)
-        for packed in ("none", "32b", "16b")
-    },
+    "gsplat-inference-8": partial(GsplatInferenceRenderer, 8),
+    "gsplat-inference-16": partial(GsplatInferenceRenderer, 16),
 }
