@@ -120,24 +120,23 @@ struct alignas(64) TilePixels {
   float depth[kTilePixels];  // weighted sum; of a median the depth, 0 where there is none so far
 };
 
-struct BlendTile {
+// A tile, and what is listed with it.
+struct ListedTile {
   const Listed* listed;  // nearest first
   std::size_t count;
   const Record* records;
-  int left, top;         // [px]
+  int left, top;        // [px]
+  const float* opaque;  // window depth that hides what is farther; or null
+};
+
+struct BlendTile : ListedTile {
   float ends_at;         // transmittance that counts as none
   TilePixels* pixels;    // of what is nearer than `divided`, if that is given
   TilePixels* behind;    // of the others; its depth is 1 - window depth
-  const float* opaque;   // window depth that hides what is farther; or null
   const float* divided;  // of translucent objects; or null
 };
 
-struct PickTile {
-  const Listed* listed;
-  std::size_t count;
-  const Record* records;
-  int left, top;
-  const float* opaque;  // or null
+struct PickTile : ListedTile {
   float* transmittance;
   float* most;           // contribution so far
   std::uint32_t* index;  // that it is from
@@ -151,13 +150,8 @@ struct Contribution {
   float residual;  // of weights times ContributeTile::residual
 };
 
-struct ContributeTile {
-  const Listed* listed;
-  std::size_t count;
-  const Record* records;
-  int left, top;
+struct ContributeTile : ListedTile {
   float ends_at;          // as BlendTile
-  const float* opaque;    // or null
   const float* residual;  // or null
   TilePixels* pixels;     // their colour: what is still to come of the picture's
   Contribution* splats;   // of the listed, one for each

@@ -24,16 +24,25 @@ const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, floa
 
 }  // namespace
 
+ListedTile CpuRasterizer::Work::listedTile(const PictureRequest& request, const TileRect& rect,
+                                           std::size_t tile, Member& member) const {
+  return {listed.get() + begins[tile],
+          inTile(tile),
+          records.get(),
+          rect.left,
+          rect.top,
+          depthsOf(request.scene_depth, rect, member.opaque)};
+}
+
 void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& picture, bool first,
                                 std::size_t number, Member& member) {
+  if (inTile(number) == 0 && !first) return;
   const TileRect rect(number, across, picture.width, picture.height);
-  BlendTile tile;
-  tile.count = inTile(number);
-  if (tile.count == 0 && !first) return;
-  tile.divided = depthsOf(request.translucent_depth, rect, member.divided);
-  const bool divided = tile.divided != nullptr;
+  const float* const divided = depthsOf(request.translucent_depth, rect, member.divided);
+  const BlendTile tile{listedTile(request, rect, number, member), ends_at, &member.pixels,
+                       divided ? &member.behind : nullptr, divided};
   if (first && !picture.behind.empty()) {
-    const bool was_divided = std::exchange(picture.divided[number], divided);
+    const bool was_divided = std::exchange(picture.divided[number], divided != nullptr);
     if (was_divided && !divided) {
       rect.forEach([&](std::size_t, std::size_t pixel) {
         std::fill_n(&picture.behind[4 * pixel], 4, 0.0f);
@@ -61,14 +70,6 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
     });
   }
 
-  tile.listed = listed.get() + begins[number];
-  tile.records = records.get();
-  tile.left = rect.left;
-  tile.top = rect.top;
-  tile.ends_at = ends_at;
-  tile.pixels = &member.pixels;
-  tile.behind = divided ? &member.behind : nullptr;
-  tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
   const bool ended = kernels.blend(tile, request.depth);
   if (ended) open[number] = kEnded;
 
@@ -95,19 +96,11 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
 
 void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::uint32_t>& picked,
                                bool first, std::size_t number, Member& member) {
+  if (inTile(number) == 0 && !first) return;
   const SplatCamera& camera = request.layers.front().camera;
   const TileRect rect(number, across, camera.width, camera.height);
-  PickTile tile;
-  tile.count = inTile(number);
-  if (tile.count == 0 && !first) return;
-  tile.listed = listed.get() + begins[number];
-  tile.records = records.get();
-  tile.left = rect.left;
-  tile.top = rect.top;
-  tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
-  tile.transmittance = member.pixels.transmittance;
-  tile.most = member.most;
-  tile.index = member.indices;
+  const PickTile tile{listedTile(request, rect, number, member), member.pixels.transmittance,
+                      member.most, member.indices};
   std::fill_n(tile.transmittance, kTilePixels, 0.0f);
   rect.forEach([&](std::size_t i, std::size_t pixel) {
     tile.transmittance[i] = first ? 1 : picking[2 * pixel];
@@ -125,25 +118,16 @@ void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::u
 
 void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatPicture& picture,
                                      bool first, std::size_t number, Member& member) {
+  if (inTile(number) == 0 && !first) return;
   const TileRect rect(number, across, picture.width, picture.height);
-  ContributeTile tile;
-  tile.count = inTile(number);
-  if (tile.count == 0 && !first) return;
-  tile.listed = listed.get() + begins[number];
-  tile.records = records.get();
-  tile.left = rect.left;
-  tile.top = rect.top;
-  tile.ends_at = ends_at;
-  tile.opaque = depthsOf(request.scene_depth, rect, member.opaque);
-  tile.residual = nullptr;
+  ContributeTile tile{listedTile(request, rect, number, member), ends_at, nullptr, &member.pixels,
+                      of_listed.get() + begins[number]};
   if (!request.residual.empty()) {
     std::fill_n(member.most, kTilePixels, 0.0f);
     rect.forEach(
         [&](std::size_t i, std::size_t pixel) { member.most[i] = request.residual[pixel]; });
     tile.residual = member.most;
   }
-  tile.pixels = &member.pixels;
-  tile.splats = of_listed.get() + begins[number];
   std::memset(&member.pixels, 0, sizeof(member.pixels));
   rect.forEach([&](std::size_t i, std::size_t pixel) {
     member.pixels.transmittance[i] = first ? 1 : remaining[4 * pixel + 3];

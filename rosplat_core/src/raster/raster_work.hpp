@@ -155,6 +155,9 @@ struct CpuRasterizer::Work {
   void contribute(const PictureRequest& request, const SplatPicture& picture, bool first,
                   std::size_t tile, Member& member);
   void addUp(Contributions& contributions);
+  // Of all but what is particular to blending, picking or contributing.
+  ListedTile listedTile(const PictureRequest& request, const TileRect& rect, std::size_t tile,
+                        Member& member) const;
   void sortTile(std::size_t tile, Member& member);
   std::size_t inTile(std::size_t tile) const { return begins[tile + 1] - begins[tile]; }
   void findDepthRanges();
