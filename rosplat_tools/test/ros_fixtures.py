@@ -67,5 +67,20 @@ def start(node: Node) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
 
 @pytest.fixture
+def refusal(start: Callable[..., subprocess.Popen[str]]) -> Callable[..., str]:
+    """Starts a program that must end with code 1 and a line that says why; returns the line."""
+
+    def refusal(program: str, **parameters: object) -> str:
+        process = start(program, **parameters)
+        output, _ = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 1, output
+        (line,) = output.strip().splitlines()
+        assert line.startswith(f"{program.rpartition('.')[2]}: ")
+        return line
+
+    return refusal
+
+
+@pytest.fixture
 def listener(node: Node) -> Listener:
     return Listener(node)

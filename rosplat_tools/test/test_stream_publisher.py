@@ -87,12 +87,10 @@ def test_a_budget_that_lacks_room_for_all_says_so(start: Start, listener: Any, p
     [{"max_splats": 0}, {"max_splats": 2**25 + 1}, {"error": 0.0}],
 )
 def test_a_parameter_that_makes_no_sense(
-    start: Start, path: Path, parameters: dict[str, object]
+    refusal: Callable[..., str], path: Path, parameters: dict[str, object]
 ) -> None:
-    process = start("stream_publisher", path=path, **parameters)
-    output, _ = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, len(output.strip().splitlines())) == (1, 1)
-    assert all(name in output for name in parameters)
+    said = refusal("stream_publisher", path=path, **parameters)
+    assert all(name in said for name in parameters)
 
 
 def test_a_scene_that_is_none_is_one_line_that_names_the_file(start: Start, tmp_path: Path) -> None:
