@@ -19,7 +19,6 @@ QUICK_RATES = (30.0,)
 SECONDS, QUICK_SECONDS = 6.0, 3.0  # watched
 SETTLING = 1.0  # in which what was received is uploaded, and not measured [s]
 PICTURE, QUICK_PICTURE = (1920, 1080), (320, 180)
-ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
 
 
 def measure(plan: Plan) -> Iterator[Event]:
@@ -57,7 +56,7 @@ def _report(name: str, backend: str, rate: float, seen: live.Watched) -> Iterato
         "scene": name, "splats": frames[-1]["splats"], "gpu": frames[-1]["renderer"],
         "rate": rate, "backend": backend,
     }  # fmt: skip
-    carried = Counter(ENCODINGS[arrival["encoding"]] for arrival in arrivals)
+    carried = Counter(live.ENCODINGS[arrival["encoding"]] for arrival in arrivals)
     common["orders"] = carried.most_common(1)[0][0] if carried else "none"
     latencies = np.array([frame["latency"] for frame in frames])
     if np.isfinite(latencies).any():

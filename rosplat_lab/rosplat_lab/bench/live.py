@@ -22,6 +22,7 @@ GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
 PROCESSOR = "processor"  # the viewer's rasteriser sorts, without a graphics card and a sorter
 SAMPLE = 0.2  # between looks at the processes' memory [s]
 BUILT_IN = "built-in"  # the viewer sorts by itself, no sorter runs
+ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
 START_TIMEOUT = 300.0  # until the first frame of a complete map, or its growth begins [s]
 
 Frame = dict[str, Any]

@@ -30,7 +30,6 @@ TRANSPORTS: dict[str, dict[str, str]] = {  # and the environment that asks for t
 }
 QUICK_TRANSPORTS = ("UDP",)  # Fast DDS 2.14 doesn't always find others by TCP
 PATIENCE = 60.0  # with the first order of all splats [s]
-ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
 
 Order = dict[str, Any]
 """A line that far_viewer writes."""
@@ -69,7 +68,7 @@ def _report(
     common = {
         "scene": f"{PROCEDURAL}{size}", "splats": orders[-1]["slots"], "rate": rate,
         "backend": backend, "line": RATE, "transport": transport,
-        "orders": ENCODINGS[orders[-1]["encoding"]],
+        "orders": live.ENCODINGS[orders[-1]["encoding"]],
     }  # fmt: skip
     yield Measurement.of("orders", "1/s", len(orders) / span, **common)
     yield Measurement.of("pose to order", "ms", ways, **common)
