@@ -13,8 +13,7 @@ import pytest
 from conformance import CASES, Case, Receiver
 from numpy.typing import NDArray
 
-from rosplat_core.maps import Arrival, GaussianMap
-from rosplat_core.publishing import PublishedBatch, PublishedMap
+from rosplat_core.maps import Arrival, GaussianMap, PublishedBatch, PublishedMap
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.batches import apply, pose_values
 from rosplat_sorter.map import SplatMap

@@ -1,4 +1,4 @@
-"""Maps as receivers hold them, in C++: what a batch does to one, and what is pulled of it."""
+"""Maps in C++, as their author and as receivers hold them: batches, and what is pulled."""
 
 from __future__ import annotations
 
@@ -8,5 +8,7 @@ Arrival = _core.Arrival
 BatchError = _core.BatchError
 GaussianMap = _core.GaussianMap
 MapPull = _core.MapPull
+PublishedBatch = _core.PublishedBatch
+PublishedMap = _core.PublishedMap
 
 REPLACE, UPSERT, DELETE, MOVE = range(4)  # what a batch does, as in GaussianArray

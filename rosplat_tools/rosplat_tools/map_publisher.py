@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 
-from rosplat_core.publishing import PublishedBatch, PublishedMap
+from rosplat_core.maps import PublishedBatch, PublishedMap
 from rosplat_core.splats import Splats, concatenate
 from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray

@@ -20,8 +20,8 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, Header
 
 from rosplat_core.generated import generate
+from rosplat_core.maps import PublishedBatch, PublishedMap
 from rosplat_core.payload import FORMAT, decode
-from rosplat_core.publishing import PublishedBatch, PublishedMap
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, OrderReader, pack
