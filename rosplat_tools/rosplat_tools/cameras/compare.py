@@ -153,7 +153,7 @@ class Compare(Node):
             raise NoPicture("not drawn", reason) from error
         rendered = to_bytes(colour)  # as a camera has it
         message, errors = _measured(rendered, real, mask)
-        books = self._map.renderer.map
+        books = self._map.books
         message.header, message.map_id, message.revision = (
             image.header,
             books.map_id,

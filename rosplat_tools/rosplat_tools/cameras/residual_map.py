@@ -75,7 +75,7 @@ class ResidualMap:
         if self._splats is None:
             drawn = renderer.splats()
             self._slots = drawn.pop("slots")
-            self._splats = Splats(**drawn, antialiased=renderer.map.antialiased)
+            self._splats = Splats(**drawn, antialiased=self._map.books.antialiased)
         errors, weights = self._errors.residual[self._slots], self._weights.residual[self._slots]
         with np.errstate(all="ignore"):
             values = np.where(weights >= LEAST_WEIGHT, errors / weights, np.float32(np.nan))

@@ -8,6 +8,7 @@ grid for map_server.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -136,8 +137,10 @@ class Occupancy(Node):
 
     def _is_ready(self) -> bool:
         """Whether the map is whole, and TF knows where it is, as the voxels know then, too."""
-        if not self._map.whole:
+        if problem := self._map.problem():
+            self._say_once("map", re.sub(r"[0-9.,-]+", "", problem), problem)
             return False
+        self._said.pop("map", None)
         try:
             self._follow_frames()
         except FrameError as error:
