@@ -8,7 +8,6 @@ grid for map_server.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -38,6 +37,7 @@ from rosplat_core.occupancy import (
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import SceneError
 from rosplat_msgs.srv import SaveMap
+from rosplat_sorter.diagnostics import Diagnostics, Report
 from rosplat_sorter.qos import overridable
 from rosplat_tools.map_subscriber import MapSubscriber
 from rosplat_tools.obstacles.frames import FrameError, Frames
@@ -49,6 +49,7 @@ from rosplat_tools.obstacles.obstacle_messages import (
 from rosplat_tools.program.files_below import check_below
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning, wait_for_end
+from rosplat_tools.program.said_once import SaidOnce
 
 # As map_server has its grid.
 LATCHED = QoSProfile(
@@ -104,7 +105,9 @@ class Occupancy(Node):
         self._map_in_grid: NDArray[np.float64] = np.eye(4)
         self._level = 0.0  # that the band is over
         self._places = 0  # how often the voxels were placed
-        self._said: dict[str, object] = {}
+        warn = self.get_logger().warning
+        self._problem, self._left_out = SaidOnce(warn), SaidOnce(warn)
+        self._not_free = ""  # why no cell of the grid is
         self._map = MapSubscriber(self, self._voxels)
         topic = self._map.topic  # remapping it takes the others along
         outputs: list[tuple[str, type, Callable[[Header], Any]]] = [
@@ -117,6 +120,7 @@ class Occupancy(Node):
             for name, kind, make in outputs
         ]
         self.create_service(SaveMap, "~/save", self._on_save)
+        Diagnostics(self, topic, self._report)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         self.create_timer(period, self._tick, clock=steady)
         self.get_logger().info(
@@ -126,7 +130,8 @@ class Occupancy(Node):
     # --- What is published ------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        if not self._is_ready():
+        if problem := self._find_problem():
+            self._problem.say(f"nothing is published: {problem}")
             return
         header = Header(
             stamp=self._map.header.stamp, frame_id=self._frame or self._map.header.frame_id
@@ -134,33 +139,37 @@ class Occupancy(Node):
         version = (self._map.edits, self._places, self._level)
         for output in self._outputs:
             output.update(header, version)
+        if left_out := self._voxels.too_large + self._voxels.beyond:
+            self._left_out.say(
+                f"left out: {self._voxels.beyond:,} splats beyond `size`, "
+                f"{left_out - self._voxels.beyond:,} that are hundreds of voxels wide"
+            )
+        self._problem.say(self._not_free)
 
-    def _is_ready(self) -> bool:
-        """Whether the map is whole, and TF knows where it is, as the voxels know then, too."""
+    def _find_problem(self) -> str:
+        """Why the voxels aren't those of the whole map where TF has it now; empty: they are."""
         if problem := self._map.problem():
-            self._say_once("map", re.sub(r"[0-9.,-]+", "", problem), problem)
-            return False
-        self._said.pop("map", None)
+            return problem
         try:
             self._follow_frames()
         except FrameError as error:
-            self._say_once("frames", str(error), f"nothing is published: {error}")
-            return False
-        self._said.pop("frames", None)
+            return str(error)
         if self._voxels.full:
-            self._say_once(
-                "full", True, "nothing is published: the map takes more than 16,777,216 voxels, "
-                "choose a coarser `resolution` or a smaller `size`",
-            )  # fmt: skip
-            return False
-        self._said.pop("full", None)
-        too_large, beyond = self._voxels.too_large, self._voxels.beyond
-        if too_large or beyond:
-            self._say_once(
-                "left out", None, f"left out: {beyond:,} splats beyond `size`, {too_large:,} that "
-                "are hundreds of voxels wide",
-            )  # fmt: skip
-        return True
+            return (
+                f"the map takes more than {self._voxels.most:,} voxels, choose a coarser "
+                "`resolution` or a smaller `size`"
+            )
+        return ""
+
+    def _report(self) -> Report:
+        figures = {
+            **self._map.figures(),
+            "Splats left out": self._voxels.too_large + self._voxels.beyond,
+            "Voxels": self._voxels.voxels,
+            "Subscribers": sum(output.subscribers for output in self._outputs),
+        }
+        problem = self._problem.now
+        return Report(problem or "obstacles are published", figures, warns=bool(problem))
 
     def _follow_frames(self) -> None:
         map_frame = self._map.header.frame_id
@@ -181,14 +190,14 @@ class Occupancy(Node):
     def _grid(self) -> Grid:
         cells, _ = self._voxels.find(self._least_depth)
         grid = grid_of(cells, self._resolution, self._band, self._level, self._start)
-        if not (grid.cells == FREE).any():
-            x, y = self._start
-            self._say_once(
-                "free", "none", f"no cell is free: at the start, ({x:g}, {y:g}), there is no floor "
-                f"at heights {self._level - self._band[0]:g} to {self._level + self._band[0]:g} m",
-            )  # fmt: skip
-        else:
-            self._said.pop("free", None)
+        x, y = self._start
+        low, high = self._level - self._band[0], self._level + self._band[0]
+        self._not_free = (
+            ""
+            if (grid.cells == FREE).any()
+            else f"no cell is free: at the start, ({x:g}, {y:g}), there is no floor at heights "
+            f"{low:g} to {high:g} m"
+        )
         return grid
 
     def _voxels_message(self, header: Header) -> PointCloud2:
@@ -202,11 +211,6 @@ class Occupancy(Node):
         normals = towards(positions, surface["normals"], viewpoint)
         return surface_message(header, positions, normals, surface["colors"])
 
-    def _say_once(self, subject: str, value: object, text: str) -> None:
-        if subject not in self._said or self._said[subject] != value:
-            self._said[subject] = value
-            self.get_logger().warning(text)
-
     # --- What is written --------------------------------------------------------------------------
 
     def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
@@ -216,8 +220,8 @@ class Occupancy(Node):
             for file in (path, path.with_suffix(".pgm")):
                 if file.exists() and not request.overwrite:
                     raise SceneError(f"{file}: exists already; set overwrite to replace it")
-            if not self._is_ready():
-                raise SceneError(f"{self._map.topic}: there is no whole map yet")
+            if problem := self._find_problem():
+                raise SceneError(problem)
             grid = self._grid()
             save_grid(path, grid)
             rows, columns = grid.cells.shape
@@ -239,8 +243,13 @@ class _Output:
         self._publisher, self._make = publisher, make
         self._published: object = None
 
+    @property
+    def subscribers(self) -> int:
+        """How many listen."""
+        return int(self._publisher.get_subscription_count())
+
     def update(self, header: Header, version: object) -> None:
-        if version != self._published and self._publisher.get_subscription_count():
+        if version != self._published and self.subscribers:
             self._publisher.publish(self._make(header))
             self._published = version
 
