@@ -258,12 +258,13 @@ def _by_render_view(film: Set, cameras: list[Camera]) -> Shoot:
 
 
 def _tf_message() -> Any:
+    from rosplat_tools.cameras.poses import tf2_ros
+
     try:
-        import tf2_ros  # noqa: F401 # which camera needs
         from tf2_msgs.msg import TFMessage
     except ImportError:
         return None
-    return TFMessage
+    return TFMessage if tf2_ros else None
 
 
 TF = "camera, poses by TF"

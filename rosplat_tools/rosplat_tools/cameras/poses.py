@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from geometry_msgs.msg import Pose as PoseMessage
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -55,7 +55,8 @@ def declare_poses(node: Node, cameras: list[str], heard: Callable[[], None]) -> 
         raise SceneError(f"parameter poses: expected tf or topic, got '{shown(source)}'")
     if tf2_ros is None:
         raise SceneError("parameter poses: tf2_ros is not installed; poses:=topic needs none")
-    return TfPoses(node)
+    buffer = tf2_ros.Buffer(Duration(seconds=KEEPS))
+    return TfPoses(buffer, tf2_ros.TransformListener(buffer, node))
 
 
 class TopicPoses:
@@ -74,7 +75,7 @@ class TopicPoses:
         def take(message: PoseStamped) -> None:
             stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
             try:
-                pose = _matrix(message.pose)
+                pose = matrix_of(message.pose)
             except ValueError as error:
                 self._node.get_logger().warning(
                     f"{camera or 'the camera'}: a pose is left out: {error}",
@@ -109,9 +110,14 @@ class TopicPoses:
 class TfPoses:
     """Poses of the cameras' frames by TF."""
 
-    def __init__(self, node: Node) -> None:
-        self._buffer = tf2_ros.Buffer(Duration(seconds=KEEPS))
-        self._listener = tf2_ros.TransformListener(self._buffer, node)
+    def __init__(self, buffer: tf2_ros.Buffer, listener: object = None) -> None:
+        """listener: what fills the buffer; None: take() does."""
+        self._buffer, self._listener = buffer, listener
+
+    def take(self, transform: TransformStamped, static: bool) -> None:
+        """A transform, of all times where it is static."""
+        fill = self._buffer.set_transform_static if static else self._buffer.set_transform
+        fill(transform, "")
 
     def newest(self, camera: str, frame: str, map_frame: str) -> tuple[int, Pose]:
         return self._look_up(frame, map_frame, Time())
@@ -129,10 +135,11 @@ class TfPoses:
         place = pose.position
         place.x, place.y, place.z = moved.translation.x, moved.translation.y, moved.translation.z
         try:
-            return stamp.sec * SECOND + stamp.nanosec, _matrix(pose)
+            return stamp.sec * SECOND + stamp.nanosec, matrix_of(pose)
         except ValueError as error:
             raise PoseError(f"{shown(frame)}: {error}") from error
 
 
-def _matrix(pose: PoseMessage) -> Pose:
+def matrix_of(pose: PoseMessage) -> Pose:
+    """The matrix (4, 4). Raises ValueError for a pose that is none."""
     return to_matrix(to_pose(pose))

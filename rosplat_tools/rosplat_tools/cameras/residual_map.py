@@ -6,12 +6,11 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 
-from rosplat_core.lenses import Warp
 from rosplat_core.rendering import Contributions, posed
 from rosplat_core.splats import Splats
+from rosplat_tools.cameras.comparer import Compared
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.map_publisher import MapPublisher
 
@@ -39,24 +38,16 @@ class ResidualMap:
         self._slots = np.zeros(0, np.uint32)  # of the splats in the map
         self._values = np.zeros(0, np.float32)  # as sent
 
-    def add(
-        self,
-        warp: Warp,
-        world_to_lens: NDArray[np.float64],
-        near: float,
-        far: float,
-        errors: NDArray[np.float32],
-        mask: NDArray[np.bool_],
-    ) -> None:
-        """Deals the errors (height, width) of a picture's pixels, of those that count."""
+    def add(self, found: Compared, near: float, far: float) -> None:
+        """Deals the errors of a picture's pixels, of those that count."""
         if self._edits != self._map.edits:
             self._edits, self._splats = self._map.edits, None
             self._errors, self._weights = Contributions(), Contributions()
-        counts = mask.astype(np.float32)
+        counts = found.mask.astype(np.float32)
         of_pixels = zip(
-            warp.cameras(world_to_lens, near, far),
-            warp.back(errors * counts),
-            warp.back(counts),
+            found.warp.cameras(found.world_to_lens, near, far),
+            found.warp.back(found.errors * counts),
+            found.warp.back(counts),
             strict=True,
         )
         for camera, error, weight in of_pixels:
