@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import sys
 from collections.abc import Iterator
@@ -12,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
@@ -24,6 +22,7 @@ from rosplat_core.lenses import Lens, Warp
 from rosplat_core.publishing import PublishedMap
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import Splats
+from rosplat_testing.bags import needs_bags, record
 from rosplat_tools.cameras import compare_bag
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.images import to_bytes, to_image
@@ -33,40 +32,6 @@ from rosplat_tools.poses import to_pose
 SPLATS = generate(2000, seed=2)
 EYES = [look_at((6 * np.cos(a), 6 * np.sin(a), 2.0), (0, 0, 0.5)) for a in (0.0, 0.4, 0.8)]
 LENS = Lens(160, 120, 150.0, 150.0, 80.0, 60.0, "plumb_bob", (-0.2, 0.03, 1e-3, 0, 0))
-HAVE = [name for name in ("rosbag2_py", "rosbags") if importlib.util.find_spec(name)]
-needs_bags = pytest.mark.skipif(not HAVE, reason="neither rosbag2_py nor rosbags is installed")
-
-
-def record(path: Path, messages: list[tuple[str, Any]]) -> None:
-    """Writes a bag, by the library that is here."""
-    kinds = {topic: type(message) for topic, message in messages}
-    names = {topic: _type_name(kind) for topic, kind in kinds.items()}
-    if "rosbag2_py" in HAVE:
-        import rosbag2_py
-
-        writer = rosbag2_py.SequentialWriter()
-        writer.open(
-            rosbag2_py.StorageOptions(str(path), "mcap"), rosbag2_py.ConverterOptions("", "")
-        )
-        for number, (topic, name) in enumerate(names.items()):
-            writer.create_topic(rosbag2_py.TopicMetadata(number, topic, name, "cdr"))
-        for time, (topic, message) in enumerate(messages):
-            writer.write(topic, serialize_message(message), time)
-        return
-    from rosbags.rosbag2 import Writer
-
-    with Writer(path, version=9) as bag:
-        connections = {
-            topic: bag.add_connection(topic, name, msgdef="", rihs01="RIHS01_0")
-            for topic, name in names.items()
-        }
-        for time, (topic, message) in enumerate(messages):
-            bag.write(connections[topic], time, serialize_message(message))
-
-
-def _type_name(kind: type) -> str:
-    package, sub = kind.__module__.split(".")[:2]
-    return f"{package}/{sub}/{kind.__name__}"
 
 
 def batches(splats: Splats) -> list[Any]:
