@@ -35,6 +35,8 @@ class MapSubscriber:
         """Of the last batch that was applied."""
         self.edits = 0
         """Batches that were applied: the map is another one when it grows."""
+        self.applied: Callable[[GaussianArray], None] = lambda batch: None
+        """Is told of each of them, by take()."""
         self._refused = self._dropped = 0  # batches, and splats
         self._announced = False  # whether all that the publisher announced has been there
         self._began = self._applied = 0.0  # the map, and its last batch
@@ -69,6 +71,7 @@ class MapSubscriber:
                 self._announced, self._began = False, self._applied
             # What is deleted later, and what a late pull has no more of, isn't missing.
             self._announced |= arrival is Arrival.LAST or self.books.complete
+            self.applied(batch)
             if dropped:
                 self._dropped += dropped
                 self._warn(f"{dropped} splats with invalid values are left out")

@@ -93,7 +93,8 @@ def _filmed(
         if film.missing:
             return
         shoot = WAYS[by](film, cameras)
-        taken = film.budget.spend(lambda number: milliseconds(lambda: shoot(number)))
+        numbers = itertools.count()  # no picture twice: a viewer keeps its last one
+        taken = film.budget.spend(lambda _: milliseconds(lambda: shoot(next(numbers))))
         yield of("pose to picture", "ms", taken, gpu=film.drawn_by)
         if film.flood:
             yield of("pictures", "1/s", film.flood(seconds), gpu=film.drawn_by)
@@ -251,7 +252,7 @@ def _by_render_view(film: Set, cameras: list[Camera]) -> Shoot:
 
     film.wait(client.service_is_ready)
     while not (answers and answers[0].success and answers[0].map_complete):
-        shoot(0)
+        shoot(-1)
     found = re.search(r"drawing with (.*)", film.processes.said("viewer"))
     film.drawn_by = found[1] if found else ""
     return shoot
