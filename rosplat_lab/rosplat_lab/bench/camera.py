@@ -259,7 +259,7 @@ def _by_render_view(film: Set, cameras: list[Camera]) -> Shoot:
 
 
 def _tf_message() -> Any:
-    from rosplat_tools.cameras.poses import tf2_ros
+    from rosplat_tools.frames import tf2_ros
 
     try:
         from tf2_msgs.msg import TFMessage

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rclpy.duration import Duration
 from sensor_msgs.msg import CameraInfo, Image
 from tqdm import tqdm
 
@@ -26,8 +25,9 @@ from rosplat_tools import bags
 from rosplat_tools.cameras.comparer import Comparer
 from rosplat_tools.cameras.health import NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError, PoseHistory
-from rosplat_tools.cameras.poses import TfPoses, matrix_of, tf2_ros
+from rosplat_tools.frames import FrameError, Frames
 from rosplat_tools.images import read_mask
+from rosplat_tools.poses import to_matrix, to_pose
 
 ALWAYS = 1e9  # how far back poses are kept [s]
 TF, TF_STATIC = "/tf", "/tf_static"
@@ -76,10 +76,11 @@ class Bag:
         asked = f"no {what} on {shown(name)}" if name else f"which {what}? Give {option}"
         raise SceneError(f"{shown(self.path)}: {asked}: {listed}")
 
-    def _transforms(self) -> TfPoses:
-        if tf2_ros is None:
-            raise SceneError("tf2_ros is not installed: give --pose, a topic of PoseStamped")
-        return TfPoses(tf2_ros.Buffer(Duration(seconds=ALWAYS)))
+    def _transforms(self) -> Frames:
+        try:
+            return Frames(keeps=ALWAYS)
+        except SceneError as error:
+            raise SceneError(f"{error}: give --pose, a topic of PoseStamped") from error
 
     def _read(self) -> None:
         kinds: dict[str, type] = {self._info: CameraInfo}
@@ -110,14 +111,14 @@ class Bag:
                 self._tf.take(transform, topic == TF_STATIC)
         else:
             try:
-                self._poses.add(_stamp(message), matrix_of(message.pose))
+                self._poses.add(_stamp(message), to_matrix(to_pose(message.pose)))
             except ValueError as error:
                 raise SceneError(f"{shown(self.path)}: {topic}: {error}") from error
 
     def pose(self, image: Image) -> Pose:
-        """Where a picture was taken. Raises PoseError."""
+        """Where a picture was taken. Raises FrameError or PoseError."""
         if self._tf:
-            return self._tf.at("", image.header.frame_id, self._frame, _stamp(image))
+            return self._tf.pose(image.header.frame_id, self._frame, _stamp(image))[1]
         return self._poses.at(_stamp(image))
 
 
@@ -138,7 +139,7 @@ def compare_all(bag: Bag, comparer: Comparer) -> tuple[list[Comparison], Mapping
             drawn.update()
             try:
                 figures.append(comparer.compare(image, bag.info, bag.pose(image)).figures)
-            except (NoPicture, PoseError) as error:
+            except (NoPicture, FrameError, PoseError) as error:
                 left_out[shown(error, 200)] += 1
     return figures, left_out
 

@@ -39,8 +39,8 @@ from rosplat_core.splats import SceneError
 from rosplat_msgs.srv import SaveMap
 from rosplat_sorter.diagnostics import Diagnostics, Report
 from rosplat_sorter.qos import overridable
+from rosplat_tools.frames import FrameError, Frames
 from rosplat_tools.map_subscriber import MapSubscriber
-from rosplat_tools.obstacles.frames import FrameError, Frames
 from rosplat_tools.obstacles.obstacle_messages import (
     grid_message,
     surface_message,
@@ -101,7 +101,10 @@ class Occupancy(Node):
         )
         self._resolution, self._least_depth = resolution, depth_of(threshold)
         self._voxels = OccupancyMap(resolution, voxels_across(size, resolution))
-        self._frames = Frames(self) if self._frame or self._band_frame else None
+        try:
+            self._frames = Frames(self) if self._frame or self._band_frame else None
+        except SceneError as error:
+            raise SceneError(f"frames other than the map's need TF: {error}") from error
         self._map_in_grid: NDArray[np.float64] = np.eye(4)
         self._level = 0.0  # that the band is over
         self._places = 0  # how often the voxels were placed
@@ -176,9 +179,9 @@ class Occupancy(Node):
         frame = self._frame or map_frame
         here, level = np.eye(4), 0.0
         if self._frames and frame != map_frame:
-            here = self._frames.pose(map_frame, frame)
+            here = self._frames.pose(map_frame, frame)[1]
         if self._frames and self._band_frame not in ("", frame):
-            level = float(self._frames.pose(self._band_frame, frame)[2, 3])
+            level = float(self._frames.pose(self._band_frame, frame)[1][2, 3])
         moved = np.abs(here - self._map_in_grid)
         if moved[:3, :3].max() > STILL or moved[:3, 3].max() > self._resolution / 10:
             self._voxels.place(here[:3, 3].tolist(), from_matrices(here[:3, :3]).tolist())
