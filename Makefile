@@ -31,7 +31,7 @@ render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=
 	@./setup.sh lab
 	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending) $(if $(DETAIL),--detail "$(DETAIL)")
 
-simplify: ## Fewer splats that look the same: IN=scene OUT=scene PSNR=50, or SPLATS=count or BYTES=20M [CAMERAS=path.json [TRAJECTORY=poses.txt] [MARGIN=metres]] [REFINE=minutes] [REPORT=file.json]
+simplify: ## Fewer splats that look the same: IN=scene OUT=scene PSNR=50, or SPLATS=count or BYTES=20M [CAMERAS=path.json [TRAJECTORY=poses.txt|BAG:TOPIC] [MARGIN=metres]] [REFINE=minutes] [REPORT=file.json]
 	@test -n "$(IN)" -a "$(OUT)" != out/render || { echo 'make simplify needs IN=scene OUT=scene, and PSNR=, SPLATS= or BYTES='; exit 1; }
 	@./setup.sh lab
 	@$(ENTER); python -m rosplat_lab.simplify "$(IN)" "$(OUT)" $(if $(PSNR),--psnr $(PSNR)) $(if $(SPLATS),--max-splats $(SPLATS)) $(if $(BYTES),--max-bytes $(BYTES)) $(if $(CAMERAS),--cameras "$(CAMERAS)") $(if $(TRAJECTORY),--trajectory "$(TRAJECTORY)") $(if $(MARGIN),--margin $(MARGIN)) $(if $(REFINE),--refine $(REFINE)) $(if $(REPORT),--report "$(REPORT)")

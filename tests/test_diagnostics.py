@@ -15,6 +15,7 @@ from rosplat_msgs.msg import ViewCamera
 from rosplat_sorter.node import SorterNode
 from rosplat_sorter.qos import VIEW
 from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.obstacles.occupancy import Occupancy
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 60.0  # [s]
@@ -23,7 +24,7 @@ OF_THE_DISPLAY = {"GPU memory (bytes)"}  # whose words test_rviz_status.py holds
 
 def test_all_use_the_words_of_the_reference_and_no_others() -> None:
     rclpy.init()
-    sorter, slam = SorterNode(), rclpy.create_node("slam")
+    sorter, occupancy, slam = SorterNode(), Occupancy(), rclpy.create_node("slam")
     heard: dict[str, set[str]] = {}
 
     def hear(array: DiagnosticArray) -> None:
@@ -33,19 +34,20 @@ def test_all_use_the_words_of_the_reference_and_no_others() -> None:
     slam.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
     views = slam.create_publisher(ViewCamera, "gaussians/view", VIEW)
     executor = SingleThreadedExecutor()
-    for node in (sorter, slam):
+    for node in (sorter, occupancy, slam):
         executor.add_node(node)
     try:
         with MapPublisher(slam) as publisher:
             publisher.replace(generate(100))
             until = time.monotonic() + PATIENCE
-            while "Backend" not in heard.get("sorter: /gaussians", ()) or len(heard) < 2:
+            while "Backend" not in heard.get("sorter: /gaussians", ()) or len(heard) < 3:
                 assert time.monotonic() < until
                 views.publish(ViewCamera(view_id="view", sequence=1))
                 executor.spin_once(0.1)
     finally:
         executor.shutdown()
         sorter.destroy_node()
+        occupancy.destroy_node()
         rclpy.shutdown()
     section = (ROOT / "docs/reference.md").read_text().partition("## Diagnostics")[2]
     rows = re.findall(r"^\| ([A-Z][^|]+) \|", section.partition("\n## ")[0], re.MULTILINE)

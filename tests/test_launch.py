@@ -20,6 +20,7 @@ pytest.importorskip("launch_ros")
 ROOT = Path(__file__).resolve().parents[1]
 VIEW = ROOT / "rviz_gaussian_plugin/launch/view.launch.py"
 ROBOTS = ROOT / "rosplat_tools/launch/robots.launch.py"
+CAMERA = ROOT / "rviz_gaussian_plugin/launch/camera.launch.py"
 RECORD = ROOT / "rosplat_tools/launch/record.launch.py"
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
@@ -29,7 +30,7 @@ class Program(NamedTuple):
 
     words: list[str]  # rviz2's own
     profile: str  # of Fast DDS
-    sim_time: bool
+    sim_time: bool | None
     name: str  # of the node, with its namespace
     remappings: dict[str, str]
     parameters: dict[str, object]
@@ -75,12 +76,13 @@ def started(namespace: str = "", launch: Path = VIEW, **arguments: str) -> dict[
         entity._perform_substitutions(context)
         files = entity._Node__expanded_parameter_arguments or []
         parameters = [
-            next(iter(yaml.safe_load(Path(file).read_text()).values())) for file, _ in files
+            next(iter(yaml.full_load(Path(file).read_text()).values()))  # has tuples
+            for file, _ in files
         ]
-        programs[entity.node_name if launch == ROBOTS else name] = Program(
+        programs[entity.node_name if launch in (ROBOTS, CAMERA) else name] = Program(
             words,
             context.environment.get(PROFILE, ""),
-            dict(context.launch_configurations["global_params"])["use_sim_time"],
+            dict(context.launch_configurations.get("global_params", [])).get("use_sim_time"),
             entity.node_name,
             dict(entity.expanded_remapping_rules or []),
             {k: v for each in parameters for k, v in each["ros__parameters"].items()},
@@ -118,6 +120,40 @@ def test_obstacles_come_with_their_grid() -> None:
         assert f"Value: /gaussians/{name}" in config
         assert shown["rviz2"].remappings[f"/gaussians/{name}"] == f"map/{name}"
     assert "/gaussians/occupancy" not in started()["rviz2"].remappings
+
+
+def test_a_camera_comes_with_what_it_is_held_against_and_obstacles() -> None:
+    def programs(**arguments: str) -> dict[str, Program]:
+        found = started("robot", launch=CAMERA, **arguments)
+        return {name.removeprefix("/robot/"): each for name, each in found.items()}
+
+    shown = programs(scene="a.ply")
+    assert set(shown) == {
+        "ply_publisher", "sorter", "demo_sensors", "occupancy", "rviz2", "camera", "compare",
+    }  # fmt: skip
+    displays = yaml.safe_load(Path(shown["rviz2"].words[1]).read_text())["Visualization Manager"]
+    topics = {
+        each["Name"]: each["Topic"]["Value"] if isinstance(each["Topic"], dict) else each["Topic"]
+        for each in displays["Displays"]
+        if "Topic" in each
+    }
+    assert topics == {
+        "Gaussian Map": "/gaussians", "Residuals": "/residuals", "Rendered": "/rendered",
+        "Difference": "/difference", "Obstacles": "/gaussians/occupancy",
+    }  # fmt: skip
+    for topic in topics.values():
+        assert shown["rviz2"].remappings[topic] == topic.lstrip("/")  # in rviz2's namespace
+    (name,) = shown["camera"].parameters["cameras"]
+    assert shown["compare"].remappings == {
+        each: f"{name}/{each}" for each in ("image_raw", "camera_info")
+    }
+    assert shown["camera"].parameters[f"{name}.frame_id"] == "demo_camera_optical"
+
+    other = programs(scene="a.ply", filmed="b.ply")
+    assert set(other) == {*shown, "filmed/ply_publisher"}
+    assert other["filmed/ply_publisher"].parameters["path"] == "b.ply"
+    assert other["camera"].remappings == {"gaussians": "filmed/gaussians"}
+    assert "gaussians" not in other["compare"].remappings
 
 
 def test_the_frame_of_the_scene_is_seen() -> None:

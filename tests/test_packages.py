@@ -44,8 +44,9 @@ LIBRARIES = {
     "zstandard": Library(None, "zstandard"),
 }
 # What some machines have and nothing demands: cupy, cuda.core with it, and torch sort on a GPU;
-# gsplat is measured beside ours; the maps of gsplat_msgs are shown; pxr (usd-core) reads OpenUSD.
-OPTIONAL = {"cuda", "cupy", "cupyx", "gsplat", "gsplat_msgs", "pxr", "torch"}
+# gsplat is measured beside ours; the maps of gsplat_msgs are shown; pxr (usd-core) reads OpenUSD;
+# rosbags reads bags where rosbag2_py isn't.
+OPTIONAL = {"cuda", "cupy", "cupyx", "gsplat", "gsplat_msgs", "pxr", "rosbags", "torch"}
 
 
 def named(package: str, *kinds: str) -> set[str]:

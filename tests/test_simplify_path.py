@@ -18,7 +18,9 @@ from rosplat_core.simplification.views import HELD, TURN, Along, Around
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats, concatenate
 from rosplat_lab.simplify.command import main
-from rosplat_lab.simplify.path import load_camera_info
+from rosplat_lab.simplify.path import along, load_camera_info
+from rosplat_testing.bags import needs_bags, record
+from rosplat_tools.poses import to_pose
 
 HIGH = 30.0  # where what no camera sees is [m]
 POSES = 40
@@ -162,6 +164,42 @@ def test_a_trajectory_and_its_intrinsics(
         reports.append(json.loads(report.read_text()))
     assert reports[0]["psnr"] == pytest.approx(reports[1]["psnr"], abs=0.01)
     assert reports[0]["views"] == reports[1]["views"]
+
+
+@needs_bags
+def test_the_poses_of_a_bag_are_a_trajectory(
+    files: tuple[str, str], path: list[Camera], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from geometry_msgs.msg import PoseArray, PoseStamped
+    from nav_msgs.msg import Odometry
+
+    poses = [to_pose(camera.camera_to_world) for camera in path]
+    odometry = [Odometry() for _ in poses]
+    for message, pose in zip(odometry, poses, strict=True):
+        message.pose.pose = pose
+    one, several = tmp_path / "one", tmp_path / "several"
+    record(one, [("/camera/pose", PoseStamped(pose=pose)) for pose in poses])
+    record(several, [
+        *(("/odom", each) for each in odometry), ("/poses", PoseArray(poses=poses)),
+        ("/empty", PoseArray()),
+    ])  # fmt: skip
+    for name in (one, f"{several}:/odom", f"{several}:/poses"):
+        found = along(Path(files[1]), Path(name))
+        assert found is not None
+        assert [camera.id for camera in found] == list(range(len(path)))
+        for ours, expected in zip(found, path, strict=True):
+            np.testing.assert_allclose(ours.world_to_camera, expected.world_to_camera, atol=1e-9)
+            assert (ours.fx, ours.width) == (path[0].fx, path[0].width)
+    out = str(tmp_path / "out.ply")
+    for name, error in {
+        str(several): f"give a topic of poses, as {several}:TOPIC; it has /empty, /odom, /poses",
+        f"{several}:/x": "it has /empty, /odom, /poses",
+        f"{several}:/empty": "/empty holds no poses",
+        f"{tmp_path}:/x": "no whole bag",
+    }.items():
+        arguments = [files[0], out, "--psnr", "40", "--cameras", files[1], "--trajectory", name]
+        assert main(arguments) == 1
+        assert error in capsys.readouterr().err
 
 
 CALIBRATION = """\

@@ -148,6 +148,22 @@ def test_splats_that_are_too_large_or_beyond_are_counted_and_left_out() -> None:
     assert np.array_equal(voxels.find(EVERYTHING)[1], alone.find(EVERYTHING)[1])
 
 
+def test_of_more_voxels_than_are_held_there_are_none() -> None:
+    """Until the map begins anew."""
+    author = Author(OccupancyMap(RESOLUTION, 64, most=300))
+    voxels, slots = author.target, np.arange(500, dtype=np.uint32)
+    author.send(REPLACE, slots, cloud(500, 5))
+    for _ in range(2):
+        assert (voxels.full, voxels.most, voxels.voxels, voxels.splats) == (True, 300, 0, 500)
+        assert not len(voxels.find(0.0)[0])
+        author.send(UPSERT, slots[:3], cloud(3, 6))
+    author.send(REPLACE, slots[:3], cloud(3, 6, 0.1))
+    alone = OccupancyMap(RESOLUTION, 64)
+    insert_all(alone, cloud(3, 6, 0.1))
+    assert not voxels.full
+    assert same(voxels, alone)
+
+
 def test_a_closed_surface_takes_away_light_however_thin_it_is() -> None:
     """A wall of 2 x 2 m across x, of splats that just close it, and one of every second splat."""
     spacing = 0.04

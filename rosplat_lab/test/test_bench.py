@@ -167,6 +167,19 @@ def test_a_picture_is_whole_when_nothing_is_added_and_its_order_knows_all() -> N
     assert streaming.whole_since(frames[:3]) == 3
 
 
+def test_a_camera_takes_pictures_beside_render_view(tmp_path: Path) -> None:
+    records = bench(tmp_path, "camera", "--sizes", "2000")
+    warp = [r.value for r in records if r.name == "PSNR of the warp"]
+    assert len(warp) == 2
+    assert min(warp) > 30
+    times = {r.parameters["by"]: r for r in records if r.name == "pose to picture"}
+    rates = {r.parameters["by"]: r.value for r in records if r.name == "pictures"}
+    assert {"camera", "camera, distorted", "RenderView"} <= times.keys()
+    assert {"camera", "camera, distorted"} <= rates.keys()
+    assert times["RenderView"].gpu != times["camera"].gpu == "processor"
+    assert rates["camera"] > 0
+
+
 def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:
     records = bench(tmp_path, "chain", "--sizes", "2000", "--backends", "native")
     by_name = {record.name: record for record in records if "RAM" not in record.name}

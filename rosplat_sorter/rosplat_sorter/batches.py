@@ -44,6 +44,14 @@ def array(values: object, dtype: type = np.float32) -> NDArray[Any]:
     return np.frombuffer(values, dtype=dtype)  # type: ignore[call-overload, no-any-return]
 
 
+def slots_of(batch: GaussianArray) -> NDArray[np.uint32]:
+    """The slots that a batch writes or empties."""
+    listed = array(batch.slots, np.uint32)
+    if len(listed):
+        return listed.copy()
+    return np.arange(batch.first_slot, batch.first_slot + batch.count, dtype=np.uint32)
+
+
 def positions_of(batch: GaussianArray) -> NDArray[np.float32]:
     """The positions of a batch's splats, relative to its origin, float32 (n, 3) [m].
 

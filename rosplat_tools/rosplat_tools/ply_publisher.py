@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rosplat_core import formats
 from rosplat_core.log_text import shown
 from rosplat_core.program.progress import bar
-from rosplat_core.scenes import NAMES, is_generated, load_scene
+from rosplat_core.scenes import NAMES, is_generated, load_scene, vertical
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
 from rosplat_msgs.srv import LoadScene, SaveMap
@@ -37,6 +37,7 @@ class PlyPublisher(Node):
         self._answer: Future[str] = (
             Future()
         )  # to the newest request; can be cancelled while it reads
+        self._up: tuple[float, float, float] | None = None  # of the map, where its format fixes it
         super().__init__("ply_publisher")
         self.path: str = declare(
             self, "path", "", f"Scene to publish: {NAMES}; empty: wait for ~/load."
@@ -100,6 +101,7 @@ class PlyPublisher(Node):
         start = time.monotonic()
         self._go_on(answer)  # it may have waited
         splats = self._read(answer, path)
+        up = vertical(path)
         if not answer.set_running_or_notify_cancel():
             raise Cancelled
         with bar("publishing", len(splats)) as drawn:
@@ -108,6 +110,7 @@ class PlyPublisher(Node):
                 self._go_on(answer)
                 drawn.update(count)
 
+            self._up = up
             try:
                 self._map.replace(splats, progress=published, shared=True)
             except MemoryError as error:
@@ -164,7 +167,7 @@ class PlyPublisher(Node):
             if Path(request.path).exists() and not request.overwrite:
                 raise SceneError(f"{request.path}: exists already; set overwrite to replace it")
             _, splats = self._map.snapshot()
-            formats.save(request.path, splats)
+            formats.save(request.path, splats, self._up)
             response.splats = len(splats)
             response.message = f"{request.path}: {len(splats):,} splats"
             response.success = True

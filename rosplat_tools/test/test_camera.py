@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -18,11 +17,10 @@ from rosplat_core.lens_pictures import take_picture
 from rosplat_core.lenses import Lens, Warp
 from rosplat_core.rendering import CpuRenderer
 from rosplat_testing import PATIENCE, Listener
-from rosplat_testing.studio import Log, Studio
+from rosplat_testing.studio import Log, Studio, transform
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.images import from_image, to_bytes
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.poses import to_pose
 
 SPLATS = generate(3000, seed=2)
 EYE = look_at((6.0, 1.0, 2.0), (0.0, 0.0, 0.5))
@@ -198,13 +196,3 @@ def test_a_camera_follows_tf(
         assert image.header.stamp.sec == second
         difference = from_image(image).astype(int) - to_bytes(drawn(LENS, eye).colour)
         assert np.abs(difference).max() <= 1  # poses are multiplied
-
-
-def transform(parent: str, child: str, pose: np.ndarray, seconds: int = 0) -> TransformStamped:
-    made = TransformStamped(child_frame_id=child)
-    made.header.frame_id, made.header.stamp.sec = parent, seconds
-    place = to_pose(pose)
-    made.transform.rotation = place.orientation
-    for axis in "xyz":
-        setattr(made.transform.translation, axis, getattr(place.position, axis))
-    return made

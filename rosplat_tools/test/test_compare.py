@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rclpy
 from rclpy.node import Node
+from scipy.ndimage import binary_dilation
 from sensor_msgs.msg import CameraInfo, Image
 
 from rosplat_core.cameras import look_at
@@ -22,6 +23,7 @@ from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.studio import Log, Studio
 from rosplat_tools.cameras import comparison
 from rosplat_tools.cameras.calibrations import of_lens
+from rosplat_tools.emulation.flight import Flight
 from rosplat_tools.images import from_image, to_bytes, to_image
 from rosplat_tools.map_publisher import MapPublisher
 
@@ -30,6 +32,7 @@ EYES = [look_at((6 * np.cos(a), 6 * np.sin(a), 2.0), (0, 0, 0.5)) for a in np.ar
 LENS = Lens.of_view(160, 120, 1.0)
 BARREL = Lens(160, 120, 150.0, 150.0, 80.0, 60.0, "plumb_bob", (-0.2, 0.03, 1e-3, 0, 0))
 PINHOLE = {"camera.width": 160, "camera.height": 120, "camera.fov": 1.0}
+SENSED = ("pose", "image_raw", "camera_info", "path")  # what demo_sensors has of its camera
 RELIABLE = {
     f"qos_overrides./{{}}/{topic}.subscription.reliability": "reliable"
     for topic in ("image_raw", "camera_info", "mask")
@@ -90,80 +93,89 @@ def picture(splats: Any, lens: Lens, pose: np.ndarray) -> Image:
     return to_image(to_bytes(colour), "rgb8")
 
 
-def test_what_camera_films_compare_reads_back(
+def test_what_camera_films_on_a_flight_compare_reads_back(
     node: Node, listener: Listener, start: Callable[..., subprocess.Popen[str]]
 ) -> None:
     """Until a part of the map is gone, to which the residuals point."""
     namespace = node.get_namespace()
-    studio = Studio(node, listener)
     metrics: list[Comparison] = []
     node.create_subscription(Comparison, "metrics", metrics.append, 10)
     truth = MapPublisher(node, topic="truth")
     truth.replace(SPLATS)
     compared = MapPublisher(node)
     compared.replace(SPLATS)
+    flight = Flight(np.array([0.0, 0.0, 0.5]), 6.0, 1.5, 8.0)
 
-    def remapped(program: str, names: dict[str, str], **parameters: object) -> None:
-        start(program, names, poses="topic", **parameters)
+    def begin(program: str, names: dict[str, str], **parameters: object) -> None:
+        topics = ("camera/image_raw", "camera/camera_info", "robot/pose")
+        reliable = {
+            f"qos_overrides.{namespace}/{topic}.subscription.reliability": "reliable"
+            for topic in topics
+        }
+        start(program, names, **reliable, **parameters)
 
-    reliable = f"qos_overrides.{namespace}/camera/{{}}.subscription.reliability"
-    remapped("camera", {"gaussians": "truth"}, rate=50.0, **PINHOLE)
-    remapped(
+    begin(
+        "demo_sensors", {f"camera/{name}": f"robot/{name}" for name in SENSED},
+        center="[0.0,0.0,0.5]", radius=flight.radius, height=flight.height, period=flight.period,
+        image_rate=5.0,
+    )  # fmt: skip
+    begin(
+        "camera", {"gaussians": "truth", "camera/pose": "robot/pose"},
+        poses="topic", rate=50.0, **PINHOLE,
+    )  # fmt: skip
+    begin(
         "compare",
         {"image_raw": "camera/image_raw", "camera_info": "camera/camera_info",
-         "pose": "camera/pose"},
-        attribute=True,
-        **{reliable.format(topic): "reliable" for topic in ("image_raw", "camera_info")},
+         "pose": "robot/pose"},
+        poses="topic", attribute=True,
     )  # fmt: skip
-    listener.wait(lambda: node.count_subscribers("camera/pose") == 2)
-    listener.wait(lambda: node.count_subscribers("camera/image_raw"))
-
-    def film(second: int, eye: np.ndarray) -> Comparison:
-        """Again and again: programs that begin may miss the first."""
-        first = second
-        while not (metrics and metrics[-1].header.stamp.sec >= first):
-            studio.pose(eye, seconds=second)
-            listener.spin_once()
-            second += 1
-        return metrics[-1]
-
-    for number, eye in enumerate(EYES):
-        found = film(1 + 100 * number, eye)
-        assert found.psnr >= 60 and found.ssim > 0.999 and found.explained == 1
-        assert found.pixels == 160 * 120 and found.map_id == compared.map_id
+    listener.wait(lambda: metrics and _seconds(metrics[-1]) > _seconds(metrics[0]) + flight.period)
+    assert len(metrics) > 10
+    for found in metrics:
+        assert found.psnr >= 60
+        assert found.ssim > 0.999
+        assert (found.explained, found.pixels, found.map_id) == (1, 160 * 120, compared.map_id)
         np.testing.assert_allclose(found.gain, 1, atol=0.01)
 
-    nearest = np.linalg.norm(SPLATS.positions + SPLATS.origin - (0, 0, 0.5), axis=1).argsort()
+    nearest = np.linalg.norm(SPLATS.positions + SPLATS.origin - flight.centre, axis=1).argsort()
     gone = np.sort(nearest[:300])
     compared.delete(gone)
-    other = rclpy.create_node(
-        "residuals", namespace=namespace, context=node.context,
-        cli_args=["--ros-args", "-r", "gaussians:=residuals"],
+    listener.wait(lambda: metrics[-1].psnr < 40)
+    known = len(metrics) - 1
+    residuals = Listener(
+        rclpy.create_node(
+            "residuals", namespace=namespace, context=node.context,
+            cli_args=["--ros-args", "-r", "gaussians:=residuals"],
+        )
     )  # fmt: skip
-    residuals = Listener(other)
-    seen = film(5000, EYES[0])
-    while seen.psnr > 50:  # the edit is on its way
-        seen = film(seen.header.stamp.sec + 10, EYES[0])
-    assert seen.psnr < 40 and seen.explained < 0.999 and seen.ssim < 0.999
-    second = 7000
-    while residuals.map is None or len(residuals.map) != len(SPLATS) - len(gone):
-        film(second, EYES[0])
+    residuals.wait(
+        lambda: residuals.map is not None and len(residuals.map) == len(SPLATS) - len(gone)
+    )
+    while _seconds(metrics[-1]) < _seconds(metrics[known]) + 2 * flight.period:
+        listener.spin_once()
         residuals.spin_once()
-        second += 10
+    assert all(found.psnr < 45 and found.explained < 1 for found in metrics[known:])
     _, splats = residuals.map.snapshot()
     values = splats.channels["residual"]
-    known = np.isfinite(values)
-    assert known.sum() > 300
-    # Where pictures differ: what is seen there now is worst.
-    whole, rest = (
-        take_picture(CpuRenderer(part), Warp(LENS), EYES[0]).colour
-        for part in (SPLATS, SPLATS[np.delete(np.arange(len(SPLATS)), gone)])
-    )
-    wrong = comparison.errors(whole, rest) > 0.05
-    places = (splats.positions[known] + splats.origin) @ EYES[0][:3, :3].T + EYES[0][:3, 3]
-    x, y = np.rint(LENS.project(places)).astype(int).T.clip(0, [[159], [119]])
-    worst = np.argsort(values[known])[-50:]
-    assert wrong[y, x][worst].mean() > 0.8 > 0.5 > wrong[y, x].mean()
+    seen = np.flatnonzero(np.isfinite(values))
+    assert len(seen) > 300
+    # Where pictures differ in some view: what is seen there now is worst.
+    rest = SPLATS[np.delete(np.arange(len(SPLATS)), gone)]
+    renderers = CpuRenderer(SPLATS), CpuRenderer(rest)
+    wrong = np.zeros(len(seen), bool)
+    for turn in np.arange(0, flight.period, 0.5):
+        eye = flight.camera(flight.at(turn), 160, 120).world_to_camera
+        whole, lacking = (take_picture(each, Warp(LENS), eye).colour for each in renderers)
+        differs = binary_dilation(comparison.errors(whole, lacking) > 0.1)
+        places = (splats.positions[seen] + splats.origin) @ eye[:3, :3].T + eye[:3, 3]
+        x, y = np.rint(LENS.project(places)).astype(int).T.clip(0, [[159], [119]])
+        wrong |= differs[y, x]
+    worst = np.argsort(values[seen])[-50:]
+    assert wrong[worst].mean() > 0.9 > 0.75 > wrong.mean()
+
+
+def _seconds(found: Comparison) -> float:
+    return found.header.stamp.sec + 1e-9 * found.header.stamp.nanosec
 
 
 def test_a_lens_an_exposure_and_a_mask(node: Node, comparer: Comparer) -> None:
@@ -189,6 +201,53 @@ def test_a_lens_an_exposure_and_a_mask(node: Node, comparer: Comparer) -> None:
     while (found := comparer.measure(to_image(covered, "rgb8"), EYES[0], second)).psnr < 20:
         second += 1  # the mask is on its way
     assert (found.psnr, found.pixels) == (Comparison.MOST_PSNR, 90 * 160)
+
+
+def test_residuals_outlive_edits_elsewhere(node: Node, comparer: Comparer) -> None:
+    """They are in the map's own slots, and go with what is deleted and written."""
+    publisher = MapPublisher(node)
+    slots = np.arange(len(SPLATS)) + 5000
+    publisher.replace(SPLATS[:0])
+    publisher.upsert(slots, SPLATS)
+    comparer.start(attribute=True)
+    comparer.calibrate(LENS)
+    darker = to_image((0.7 * from_image(picture(SPLATS, LENS, EYES[0]))).astype(np.uint8), "rgb8")
+    residuals = Listener(
+        rclpy.create_node(
+            "residuals", namespace=node.get_namespace(), context=node.context,
+            cli_args=["--ros-args", "-r", "gaussians:=residuals"],
+        )
+    )  # fmt: skip
+    second = 0
+
+    def until(holds: Callable[[dict[int, float]], bool]) -> dict[int, float]:
+        """Residuals by slot, once they are as that says."""
+        nonlocal second
+        while True:
+            second += 1
+            comparer.measure(darker, EYES[0], second)
+            residuals.spin_once()
+            if residuals.map is None or not len(residuals.map):
+                continue
+            at, splats = residuals.map.snapshot()
+            values = splats.channels.get("residual", np.full(len(at), np.nan))
+            found = dict(zip(np.array(at).tolist(), values.tolist(), strict=True))
+            if holds(found):
+                return found
+
+    first = until(lambda found: np.isfinite(list(found.values())).sum() > 300)
+    assert first.keys() == set(slots.tolist())
+    seen = [slot for slot, value in first.items() if np.isfinite(value)]
+    gone, black = seen[:20], seen[20:40]
+    dark = SPLATS[np.array(black) - 5000]
+    dark.sh[:] = -2
+    publisher.delete(np.array(gone))
+    publisher.upsert(np.array(black), dark)
+    publisher.upsert(range(9000, 9020), SPLATS[np.array(gone) - 5000])  # beyond what there was
+    later = until(lambda found: found.keys() >= set(range(9000, 9020)))
+    assert later.keys() == first.keys() - set(gone) | set(range(9000, 9020))
+    kept = np.array([(first[slot], later[slot]) for slot in seen[40:]])
+    assert (np.abs(kept[:, 0] - kept[:, 1]) < 0.02).mean() > 0.9
 
 
 def test_rectified_pictures_are_compared_by_r_and_p(node: Node, comparer: Comparer) -> None:

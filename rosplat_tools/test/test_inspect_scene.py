@@ -1,5 +1,6 @@
 """What inspect says about a scene is what is in it."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -71,9 +72,13 @@ def test_what_a_format_s_rule_of_drawing_changes(random_splats: Make, tmp_path: 
     splats = random_splats(10)
     splats.opacities[:] = [0.35, *[0.36] * 9]  # 3 sigma is where alpha is 1/255: at exp(4.5) / 255
     save(tmp_path / "a.glb", splats)
-    drawn = rows(describe(tmp_path / "a.glb"))["drawn"]
-    assert "by distance from the camera, cut at 3 sigma" in drawn
-    assert "90 % of the splats reach farther" in drawn
+    report = rows(describe(tmp_path / "a.glb"))
+    assert "by distance from the camera, cut at 3 sigma" in report["drawn"]
+    assert report["cut"] == "90 % of the splats reach beyond 3 sigma"
+    assert re.fullmatch(
+        r"pictures in either order agree to \S+ dB, \S+ dB at worst of 8 views from around",
+        report["order"],
+    )
     save(tmp_path / "a.ply", splats)
     assert "drawn" not in rows(describe(tmp_path / "a.ply"))
 

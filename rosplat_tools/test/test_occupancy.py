@@ -6,11 +6,14 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from rclpy.node import Node
@@ -18,12 +21,16 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from rosplat_core.generated.rooms import DOOR_ASIDE, ROOMS, SIZE, WALL
+from rosplat_core.occupancy import OccupancyMap
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import SaveMap
 from rosplat_sorter.qos import MAP
 from rosplat_testing import PATIENCE
+from rosplat_testing.studio import Log, transform
 from rosplat_tools.map_publisher import MapPublisher
+from rosplat_tools.obstacles import occupancy
+from rosplat_tools.program.running import spinning
 
 Start = Callable[..., subprocess.Popen[str]]
 COUNT = 60_000
@@ -56,6 +63,24 @@ class Heard:
         row = int(np.floor((y - info.origin.position.y) / info.resolution))
         inside = 0 <= row < info.height and 0 <= column < info.width
         return int(self.cells()[row, column]) if inside else -1
+
+
+class Said:
+    """What the node says of itself on /diagnostics."""
+
+    def __init__(self, node: Node) -> None:
+        self.message, self.values = "", dict[str, str]()
+        self.levels: list[bytes] = []  # each that differs from the one before
+        self._name = f"{node.get_namespace()}/occupancy: {node.get_namespace()}/gaussians"
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
+
+    def _take(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == self._name.lstrip("/"):
+                self.message = status.message
+                self.values = {value.key: value.value for value in status.values}
+                if self.levels[-1:] != [status.level]:
+                    self.levels.append(status.level)
 
 
 def rows(cloud: PointCloud2) -> NDArray[np.float32]:
@@ -211,6 +236,78 @@ def test_what_is_incomplete_is_not_published_and_recovers(
     raw.publish(batch(5, GaussianArray.REPLACE, wall(1.05), 0))
     listener.wait(lambda: grid.at(1.05, 0) == 100)
     ended(process)
+
+
+def test_a_map_of_too_many_voxels_is_refused_and_the_next_one_is_not(
+    monkeypatch: pytest.MonkeyPatch, node: Node, listener: Any
+) -> None:
+    """The node runs here, with room for fewer voxels: those that it has room for take 2 GB."""
+    monkeypatch.setattr(occupancy, "OccupancyMap", partial(OccupancyMap, most=1000))
+    rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}", "-p", "resolution:=0.1"])
+    grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
+    said = Said(node)
+    publisher = MapPublisher(node)
+    with spinning(occupancy.Occupancy()):
+        publisher.replace(floor())
+        listener.wait(lambda: "more than 1,000 voxels, choose a coarser" in said.message)
+        assert said.values["Splats"] == str(len(floor()))
+        assert said.values["Voxels"] == "0"
+        assert not grid.message
+        publisher.replace(wall(1.05))
+        listener.wait(lambda: grid.message and grid.at(1.05, 0) == 100)
+        # A wall has no floor.
+        listener.wait(lambda: "no cell is free: at the start, (0, 0)" in said.message)
+        assert int(said.values["Voxels"]) > 100
+        around = np.abs(floor().positions[:, :2]).max(axis=1) < 0.5
+        publisher.replace(floor()[np.flatnonzero(around)])
+        listener.wait(lambda: said.message == "obstacles are published")
+        assert said.levels == [DiagnosticStatus.WARN, DiagnosticStatus.OK]
+
+
+def test_a_map_is_seen_from_the_frames_that_are_asked_for(
+    start: Start, node: Node, listener: Any
+) -> None:
+    pytest.importorskip("tf2_ros")
+    from tf2_ros import TransformBroadcaster
+
+    grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
+    log = Log(
+        start("occupancy", resolution=RESOLUTION, size=20.0, period=0.05, frame_id="odom",
+              band_frame="base")
+    )  # fmt: skip
+    publisher = MapPublisher(node)
+    publisher.replace(floor())
+    walls = 1024 * 8
+    publisher.upsert(range(walls, walls + len(wall(1.05))), wall(1.05))
+    listener.wait(lambda: log.has('nothing is published: "'))
+    assert not grid.message
+    broadcaster = TransformBroadcaster(node)
+
+    def place(child: str, pose: NDArray[np.float64]) -> None:
+        broadcaster.sendTransform(transform("odom", child, pose, place.second))
+        place.second += 1
+
+    place.second = 1
+    map_in_odom, base = np.eye(4), np.eye(4)
+    map_in_odom[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    map_in_odom[2, 3] = base[2, 3] = 2.0
+    while not (grid.message and grid.at(0, 1.05) == 100):
+        place("map", map_in_odom)
+        place("base", base)
+        listener.spin_once()
+    assert grid.message.header.frame_id == "odom"
+    assert (grid.at(0, -1.05), grid.at(1.05, 0)) == (0, 0)
+    base[2, 3] = 4.0  # up the stairs
+    while grid.cells().tolist() != [[-1]]:
+        place("base", base)
+        listener.spin_once()
+    base[2, 3] = 2.0
+    map_in_odom[:3, :3] = np.eye(3)
+    while grid.at(1.05, 0) != 100:
+        place("base", base)
+        place("map", map_in_odom)
+        listener.spin_once()
+    assert (grid.at(0, -1.05), grid.at(0, 1.05)) == (0, 0)
 
 
 @pytest.mark.parametrize(

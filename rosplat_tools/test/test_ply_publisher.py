@@ -1,5 +1,6 @@
 """The node that publishes scene files: its start, its services, its end."""
 
+import importlib.util
 import lzma
 import signal
 import subprocess
@@ -53,6 +54,24 @@ def test_the_scene_of_the_parameter_is_published_whole(
         np.testing.assert_array_equal(getattr(splats, name), getattr(scene, name))
     assert {batch.header.frame_id for batch in listener.batches} == {"scan"}
     assert {batch.expected_slots for batch in listener.batches} == {5000}
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pxr") is None, reason="usd-core is not installed")
+def test_the_vertical_of_a_scene_is_that_of_what_is_saved(
+    start: Start, listener: Any, random_splats: Maker, tmp_path: Path
+) -> None:
+    scene, other, saved = (tmp_path / name for name in ("scene.glb", "other.ply", "saved.usda"))
+    for path in (scene, other):
+        formats.save(path, random_splats(50, 2))
+    start("ply_publisher", path=scene, save_root=tmp_path)
+    listener.wait(lambda: listener.map)
+    ups = []
+    for _ in range(2):
+        answer = listener.call(SaveMap, "ply_publisher/save", path=str(saved), overwrite=True)
+        assert answer.success, answer.message
+        ups.append(formats.axes(saved).text[0])
+        assert listener.call(LoadScene, "ply_publisher/load", path=str(other)).success
+    assert ups == ["y", "z"]  # a .ply has none: z, as ROS has it
 
 
 def test_scenes_are_loaded_and_saved_while_it_runs(
@@ -165,6 +184,7 @@ def test_what_is_read_holds_up_nobody_and_ends_by_a_newer_request(
         return random_splats(int(name))
 
     monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene", slow)
+    monkeypatch.setattr("rosplat_tools.ply_publisher.vertical", lambda _: None)
     roots = ["-r", f"__ns:={node.get_namespace()}", "-p", f"save_root:={tmp_path}"]
     rclpy.init(args=["--ros-args", *roots])
     publisher = PlyPublisher()

@@ -1,16 +1,26 @@
-"""Shows a scene, a camera in it that an emulated robot carries, and what compare makes of that."""
+"""Shows a map, a camera in it on an emulated robot, what compare makes of that, and obstacles."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch import LaunchContext, LaunchDescription
+from launch.actions import GroupAction, IncludeLaunchDescription, OpaqueFunction
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch_ros.actions import Node, PushRosNamespace, SetRemap
+
+from rosplat_tools.program.launching import declared, publisher, room_for_maps
 
 FOLDER = Path(__file__).parent
+ARGUMENTS = {
+    "scene": (
+        "",
+        "Scene file that is shown, and held against the camera; empty: as view.launch.py",
+    ),
+    "filmed": ("", "Scene file that the camera films in its place; empty: the same map"),
+    "max_splats": ("2000000", "The most splats of each streamed scene that a map holds"),
+}
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -19,15 +29,26 @@ def generate_launch_description() -> LaunchDescription:
         PythonLaunchDescriptionSource(str(FOLDER / "view.launch.py")),
         launch_arguments={
             "scene": LaunchConfiguration("scene"),
+            "max_splats": LaunchConfiguration("max_splats"),
             "sensors": "true",  # whose TF has the camera
+            "obstacles": "true",
             "config": str(FOLDER.parent / "config" / "camera.rviz"),
         }.items(),
     )
+    # A configuration's names begin with a slash: they mean what compare has in its namespace.
+    shown = [SetRemap(f"/{topic}", topic) for topic in ("rendered", "difference", "residuals")]
+    programs = OpaqueFunction(function=_programs)
+    return LaunchDescription([*declared(ARGUMENTS), GroupAction([*shown, view]), programs])
+
+
+def _programs(context: LaunchContext) -> list[Node | GroupAction]:
+    filmed, most = (LaunchConfiguration(name).perform(context) for name in ("filmed", "max_splats"))
     camera = Node(
         package="rosplat_tools",
         executable="camera",
         name="camera",
         parameters=[{"cameras": ["filmed"], "filmed.frame_id": "demo_camera_optical"}],
+        remappings=[("gaussians", "filmed/gaussians")] if filmed else [],
         output="screen",
     )
     compare = Node(
@@ -38,5 +59,9 @@ def generate_launch_description() -> LaunchDescription:
         remappings=[(name, f"filmed/{name}") for name in ("image_raw", "camera_info")],
         output="screen",
     )
-    scene = DeclareLaunchArgument("scene", description="Scene file, as of view.launch.py")
-    return LaunchDescription([scene, view, camera, compare])
+    if not filmed:
+        return [camera, compare]
+    other = publisher(filmed, "map", int(most))
+    return [
+        GroupAction([*room_for_maps(context), PushRosNamespace("filmed"), other]), camera, compare,
+    ]  # fmt: skip

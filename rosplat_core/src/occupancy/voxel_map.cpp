@@ -218,7 +218,7 @@ void VoxelMap::sum(const std::vector<PageSpan>& parts, int sign) {
     try {
       Shares& mine = shares[member];
       for (std::size_t part = tasks[number]; part < tasks[number + 1]; ++part) {
-        if (count_ > kMostVoxels) return;
+        if (count_ > grid_.most) return;
         share(parts[part], sign, mine);
       }
     } catch (const std::bad_alloc&) {
@@ -229,7 +229,7 @@ void VoxelMap::sum(const std::vector<PageSpan>& parts, int sign) {
   inParts(&team_, kShards, [&](std::size_t number) {
     for (Shares& each : shares) hand(number, each);
   });
-  if (count_ <= kMostVoxels) return;
+  if (count_ <= grid_.most) return;
   clear();
   full_ = true;
 }

@@ -12,8 +12,7 @@ namespace {
 
 // A map as occupancy needs it: harmonics are checked, and not kept.
 struct OccupancyMap : GaussianMap {
-  OccupancyMap(double resolution, int across, unsigned threads)
-      : GaussianMap(0), voxels({resolution, across}, threads) {}
+  OccupancyMap(const VoxelGrid& grid, unsigned threads) : GaussianMap(0), voxels(grid, threads) {}
 
   VoxelMap voxels;
 };
@@ -35,7 +34,10 @@ VoxelSurface found(const OccupancyMap& map, double least_depth, bool surface) {
 void defineOccupancy(py::module_& module) {
   py::class_<OccupancyMap, GaussianMap> map(module, "OccupancyMap",
                                             "A map as light that its splats take away in voxels.");
-  map.def(py::init<double, int, unsigned>(), "resolution"_a, "across"_a, "threads"_a = 0)
+  map.def(py::init([](double resolution, int across, unsigned threads, std::size_t most) {
+            return std::make_unique<OccupancyMap>(VoxelGrid{resolution, across, most}, threads);
+          }),
+          "resolution"_a, "across"_a, "threads"_a = 0, "most"_a = VoxelGrid().most)
       .def(
           "place",
           [](OccupancyMap& m, const std::array<double, 3>& position,
@@ -66,6 +68,9 @@ void defineOccupancy(py::module_& module) {
       .def_property_readonly(
           "full", [](const OccupancyMap& m) { return m.voxels.full(); },
           "Whether there would be too many voxels, and are none therefore.")
+      .def_property_readonly(
+          "most", [](const OccupancyMap& m) { return m.voxels.most(); },
+          "How many voxels are held.")
       .def_property_readonly("voxels", [](const OccupancyMap& m) { return m.voxels.voxels(); });
   defineApply(map, [](OccupancyMap& m, const GaussianBatch& batch) {
     BatchReport report;

@@ -62,6 +62,10 @@ SUBJECTS = {
     "moving": Subject("what a window shows of a camera that turns, without a graphics card"),
     "simplify": Subject("error of simplified maps, and the processor time of making them"),
     "occupancy": Subject("precision, recall and time of obstacles in a map"),
+    "camera": Subject(
+        "from a pose to the picture of a camera in the map; what the warp of lenses costs",
+        needs_ros=True,
+    ),
     "rviz": Subject(
         "rviz2's own frames and pictures, of this display and others; under a mouse with xdotool",
         needs_ros=True,

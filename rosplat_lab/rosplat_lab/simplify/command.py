@@ -112,7 +112,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--trajectory", type=Path, metavar="FILE",
-        help="poses of the optical frame along the path, each a line of time x y z qx qy qz qw",
+        help="poses of the optical frame along the path, each a line of time x y z qx qy qz qw; or "
+        "a bag, as BAG:TOPIC if it has several topics of PoseStamped, PoseArray or Odometry",
     )  # fmt: skip
     parser.add_argument(
         "--margin", type=number("distance in metres"), metavar="METRES",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,22 +11,38 @@ import yaml
 from rosplat_core.cameras import Camera, load_cameras, load_trajectory
 from rosplat_core.splats import SceneError
 
+BAGS = (".mcap", ".db3")
+
 
 def along(cameras: Path | None, trajectory: Path | None) -> list[Camera] | None:
     """The cameras of a file, or the first of them at each pose of a trajectory; None for neither.
 
-    cameras: a camera file, or where a trajectory is given a camera_info file. Raises SceneError.
+    cameras: a camera file, or where a trajectory is given a camera_info file. trajectory: a file as
+    the TUM benchmark has it, a bag, or BAG:TOPIC. Raises SceneError.
     """
     if cameras is None:
         if trajectory:
             raise SceneError("--trajectory has no intrinsics: give --cameras, too")
         return None
     if trajectory and cameras.suffix in (".yaml", ".yml"):
-        return load_trajectory(trajectory, load_camera_info(cameras))
+        return _at_each_pose(trajectory, load_camera_info(cameras))
     found = load_cameras(cameras)
     if not found:
         raise SceneError(f"{cameras}: holds no cameras")
-    return load_trajectory(trajectory, found[0]) if trajectory else found
+    return _at_each_pose(trajectory, found[0]) if trajectory else found
+
+
+def _at_each_pose(trajectory: Path, camera: Camera) -> list[Camera]:
+    """Of a bag, or BAG:TOPIC, or a file as load_trajectory reads it."""
+    bag, _, topic = str(trajectory).partition(":")
+    if not (Path(bag).is_dir() or Path(bag).suffix in BAGS):
+        return load_trajectory(trajectory, camera)
+    from rosplat_lab.simplify.bag_path import poses
+
+    return [
+        replace(camera, id=number, world_to_camera=np.linalg.inv(pose).astype(np.float64))
+        for number, pose in enumerate(poses(bag, topic))
+    ]
 
 
 def load_camera_info(path: Path) -> Camera:

@@ -30,7 +30,8 @@ from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import Health, NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
-from rosplat_tools.cameras.poses import NEVER, Poses, declare_poses
+from rosplat_tools.cameras.poses import Poses, declare_poses
+from rosplat_tools.frames import LATEST
 from rosplat_tools.images import to_bytes, to_image
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning
@@ -167,7 +168,7 @@ class _Camera:
         except PoseError as error:
             raise NoPicture("without a pose", error) from error
         now = self._node.get_clock().now().nanoseconds
-        stamp = now if stamp == NEVER else stamp
+        stamp = now if stamp == LATEST else stamp
         if stamp < self._last - SECOND:  # simulated time has begun again
             self._last = self._due = 0
         if stamp <= self._last or stamp < self._due:

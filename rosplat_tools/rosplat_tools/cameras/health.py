@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable
 
 from rosplat_sorter.diagnostics import Report
+from rosplat_tools.program.said_once import SaidOnce
 
 
 class NoPicture(Exception):
@@ -18,33 +18,24 @@ class NoPicture(Exception):
 
 
 class Health:
-    """Of one camera. What goes wrong in one way again and again is said once, until it goes well.
-
-    One way: the same words, whatever numbers are in them.
-    """
+    """Of one camera."""
 
     def __init__(self, name: str, warn: Callable[[str], None]) -> None:
-        self.name, self._warn = name, warn
-        self.problem = ""
-        self._said: set[str] = set()
+        self.name = name
+        self._problem = SaidOnce(lambda text: warn(f"{name}: {text}"))
         self.counts: Counter[str] = Counter()
         self.latency = self.drawing = 0.0  # of the last picture [s]
 
     def trouble(self, kind: str, text: object) -> None:
         """There is no picture, for a kind of reason."""
         self.counts[kind] += 1
-        self.problem = str(text)
-        words = re.sub(r"[0-9.,-]+", "", self.problem)
-        if words not in self._said:
-            self._said.add(words)
-            self._warn(f"{self.name}: {text}")
+        self._problem.say(str(text))
 
     def well(self, latency: float, drawing: float) -> None:
         """A picture went out, so long after its moment, and after it began to be drawn. [s]"""
         self.counts["pictures"] += 1
         self.latency, self.drawing = latency, drawing
-        self.problem = ""
-        self._said.clear()
+        self._problem.say("")
 
     def report(self) -> Report:
         """For /diagnostics."""
@@ -53,4 +44,5 @@ class Health:
             "Drawing (s)": round(self.drawing, 4),
             **{kind.capitalize(): count for kind, count in self.counts.items()},
         }
-        return Report(self.problem or "pictures come", figures, warns=bool(self.problem))
+        problem = self._problem.now
+        return Report(problem or "pictures come", figures, warns=bool(problem))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, insort
+from bisect import bisect_left
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,10 +33,14 @@ class PoseHistory:
             self._poses.clear()
         if stamp and self._poses and not self._poses[0][0]:
             self._poses.clear()  # what held until now
-        self._poses = [each for each in self._poses if each[0] != stamp]
-        insort(self._poses, (stamp, pose), key=lambda each: each[0])
-        oldest = self._poses[-1][0] - self._keeps
-        self._poses = [each for each in self._poses if each[0] >= oldest]
+        place = self._place(stamp)
+        known = place < len(self._poses) and self._poses[place][0] == stamp
+        self._poses[place : place + known] = [(stamp, pose)]
+        del self._poses[: self._place(self._poses[-1][0] - self._keeps)]
+
+    def _place(self, stamp: int) -> int:
+        """Of the first pose that isn't older."""
+        return bisect_left(self._poses, stamp, key=lambda each: each[0])
 
     def newest(self) -> tuple[int, Pose]:
         """The last pose and its time. Raises PoseError before the first one."""
@@ -58,7 +62,7 @@ class PoseHistory:
                 ("after", stamp - newest) if stamp > newest else ("before", oldest - stamp)
             )
             raise PoseError(f"{apart / SECOND:.3f} s {side} all poses that are known")
-        number = bisect_left(self._poses, stamp, key=lambda each: each[0])
+        number = self._place(stamp)
         after, second = self._poses[number]
         if after == stamp:
             return second

@@ -4,38 +4,28 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
-from geometry_msgs.msg import Pose as PoseMessage
 from geometry_msgs.msg import PoseStamped
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.time import Time
 
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_sorter.qos import overridable
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError, PoseHistory
+from rosplat_tools.frames import KEEPS, FrameError, Frames
 from rosplat_tools.poses import to_matrix, to_pose
 from rosplat_tools.program.parameters import declare
 
-# The wheels of PyPI don't have it.
-try:
-    import tf2_ros
-except ImportError:
-    tf2_ros = None
-
-KEEPS = 10.0  # [s]
 POSES = QoSProfile(depth=10)
-NEVER = 0  # the time of what never moves [ns]
 
 
 class Poses(Protocol):
     """Where cameras' optical frames are in the map's frame. PoseErrors say why that isn't known."""
 
     def newest(self, camera: str, frame: str, map_frame: str) -> tuple[int, Pose]:
-        """The last pose and its time [ns], NEVER of one that holds."""
+        """The last pose and its time [ns], LATEST of one that holds."""
 
     def at(self, camera: str, frame: str, map_frame: str, stamp: int) -> Pose:
         """The pose at a time. [ns]"""
@@ -53,9 +43,10 @@ def declare_poses(node: Node, cameras: list[str], heard: Callable[[], None]) -> 
         return TopicPoses(node, cameras, heard)
     if source != "tf":
         raise SceneError(f"parameter poses: expected tf or topic, got '{shown(source)}'")
-    if tf2_ros is None:
-        raise SceneError("parameter poses: tf2_ros is not installed; poses:=topic needs none")
-    return TfPoses(node)
+    try:
+        return TfPoses(Frames(node))
+    except SceneError as error:
+        raise SceneError(f"parameter poses: {error}; poses:=topic needs none") from error
 
 
 class TopicPoses:
@@ -74,7 +65,7 @@ class TopicPoses:
         def take(message: PoseStamped) -> None:
             stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
             try:
-                pose = _matrix(message.pose)
+                pose = to_matrix(to_pose(message.pose))
             except ValueError as error:
                 self._node.get_logger().warning(
                     f"{camera or 'the camera'}: a pose is left out: {error}",
@@ -109,30 +100,17 @@ class TopicPoses:
 class TfPoses:
     """Poses of the cameras' frames by TF."""
 
-    def __init__(self, node: Node) -> None:
-        self._buffer = tf2_ros.Buffer(Duration(seconds=KEEPS))
-        self._listener = tf2_ros.TransformListener(self._buffer, node)
+    def __init__(self, frames: Frames) -> None:
+        self._frames = frames
 
     def newest(self, camera: str, frame: str, map_frame: str) -> tuple[int, Pose]:
-        return self._look_up(frame, map_frame, Time())
+        return self._look_up(frame, map_frame)
 
     def at(self, camera: str, frame: str, map_frame: str, stamp: int) -> Pose:
-        return self._look_up(frame, map_frame, Time(nanoseconds=stamp))[1]
+        return self._look_up(frame, map_frame, stamp)[1]
 
-    def _look_up(self, frame: str, map_frame: str, time: Time) -> tuple[int, Pose]:
+    def _look_up(self, *asked: Any) -> tuple[int, Pose]:
         try:
-            found = self._buffer.lookup_transform(map_frame, frame, time)
-        except tf2_ros.TransformException as error:
-            raise PoseError(shown(error, 300)) from error
-        stamp, moved = found.header.stamp, found.transform
-        pose = PoseMessage(orientation=moved.rotation)
-        place = pose.position
-        place.x, place.y, place.z = moved.translation.x, moved.translation.y, moved.translation.z
-        try:
-            return stamp.sec * SECOND + stamp.nanosec, _matrix(pose)
-        except ValueError as error:
-            raise PoseError(f"{shown(frame)}: {error}") from error
-
-
-def _matrix(pose: PoseMessage) -> Pose:
-    return to_matrix(to_pose(pose))
+            return self._frames.pose(*asked)
+        except FrameError as error:
+            raise PoseError(str(error)) from error

@@ -9,86 +9,106 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 
-from rosplat_core.lenses import Warp
 from rosplat_core.rendering import Contributions, posed
 from rosplat_core.splats import Splats
+from rosplat_msgs.msg import GaussianArray
+from rosplat_sorter.batches import slots_of
+from rosplat_tools.cameras.comparer import Compared
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.map_publisher import MapPublisher
 
 CHANNEL = "residual"
 PERIOD = 2.0  # between two sendings, at least [s]
+KEPT = 0.9  # of a splat's sums, by each picture that shows it
 LEAST_WEIGHT = 0.25  # of a splat in all pictures, for a value [px]
 LEAST_CHANGE = 0.005  # of a value that is sent again
 
 
 class ResidualMap:
-    """Publishes a copy of a map on `residuals`, its splats with a channel "residual".
+    """Publishes a copy of a map on `residuals`, in the same slots, with a channel "residual".
 
     A splat's value is the mean error of the pixels that show it, weighted by what it contributes to
-    each, over all pictures since the map's last edit.
+    each, over about the last ten pictures that do; it begins anew where the splat is written, and
+    for all where a group moves.
     """
 
     def __init__(self, node: Node, drawn_map: DrawnMap) -> None:
         self._map = drawn_map
+        self._map.applied = self._take
         self._publisher = MapPublisher(node, topic="residuals")
-        self._sent = 0.0  # when it was
+        self._due = 0.0  # when something may be sent
         self._pending = False  # whether pictures came since
-        self._edits = -1  # of the map that the rest is of
-        self._errors, self._weights = Contributions(), Contributions()
-        self._splats: Splats | None = None
-        self._slots = np.zeros(0, np.uint32)  # of the splats in the map
-        self._values = np.zeros(0, np.float32)  # as sent
+        self._begin()
 
-    def add(
-        self,
-        warp: Warp,
-        world_to_lens: NDArray[np.float64],
-        near: float,
-        far: float,
-        errors: NDArray[np.float32],
-        mask: NDArray[np.bool_],
-    ) -> None:
-        """Deals the errors (height, width) of a picture's pixels, of those that count."""
-        if self._edits != self._map.edits:
-            self._edits, self._splats = self._map.edits, None
-            self._errors, self._weights = Contributions(), Contributions()
-        counts = mask.astype(np.float32)
+    def _begin(self) -> None:
+        """All values begin anew, and all of the map is sent."""
+        self._sums = np.zeros((2, 0), np.float32)  # by slot: errors times weights, and weights
+        self._written: list[NDArray[np.uint32]] = []  # slots since the last sending
+        self._slots: NDArray[np.uint32] | None = None  # that were sent
+        self._values = np.zeros(0, np.float32)  # by slot, as they were sent
+
+    def _take(self, batch: GaussianArray) -> None:
+        if batch.operation in (GaussianArray.REPLACE, GaussianArray.MOVE):
+            self._begin()
+            return
+        slots = slots_of(batch)
+        self._written.append(slots)
+        self._sums[:, slots[slots < self._sums.shape[1]]] = 0
+
+    def add(self, found: Compared, near: float, far: float) -> None:
+        """Deals the errors of a picture's pixels, of those that count."""
+        counts = found.mask.astype(np.float32)
         of_pixels = zip(
-            warp.cameras(world_to_lens, near, far),
-            warp.back(errors * counts),
-            warp.back(counts),
+            found.warp.cameras(found.world_to_lens, near, far),
+            found.warp.back(found.errors * counts),
+            found.warp.back(counts),
             strict=True,
         )
-        for camera, error, weight in of_pixels:
-            renderer = self._map.renderer
-            renderer.contribute(posed(camera), self._errors, residual=error)
-            renderer.contribute(posed(camera), self._weights, residual=weight)
+        dealt = Contributions(), Contributions()
+        for camera, *residuals in of_pixels:
+            for sums, residual in zip(dealt, residuals, strict=True):
+                self._map.renderer.contribute(posed(camera), sums, residual=residual)
+        errors, weights = (sums.residual for sums in dealt)
+        self._sums = grown(self._sums, len(weights))
+        shown = np.flatnonzero(weights > 0)
+        self._sums[:, shown] *= KEPT
+        self._sums[:, shown] += np.stack([errors[shown], weights[shown]])
         self._pending = True
 
     def publish(self) -> None:
         """Sends what has changed, if that is due."""
-        if not self._pending or time.monotonic() - self._sent < PERIOD:
+        if not self._pending or time.monotonic() < self._due:
             return
-        self._pending = False
-        renderer = self._map.renderer
-        fresh = self._splats is None
-        if self._splats is None:
-            drawn = renderer.splats()
-            self._slots = drawn.pop("slots")
-            self._splats = Splats(**drawn, antialiased=renderer.map.antialiased)
-        errors, weights = self._errors.residual[self._slots], self._weights.residual[self._slots]
+        self._pending, self._due = False, time.monotonic() + PERIOD
+        drawn = self._map.renderer.splats()
+        slots: NDArray[np.uint32] = drawn.pop("slots")
+        capacity = self._map.books.capacity
+        errors, weights = grown(self._sums, capacity)[:, slots]
         with np.errstate(all="ignore"):
             values = np.where(weights >= LEAST_WEIGHT, errors / weights, np.float32(np.nan))
-        splats = replace(self._splats, channels={CHANNEL: values})
+        splats = Splats(
+            **drawn, antialiased=self._map.books.antialiased, channels={CHANNEL: values}
+        )
         self._publisher.frame_id = self._map.frame_id
-        if fresh:
-            self._publisher.replace(splats)
-            self._values = values
-            self._sent = time.monotonic()
-            return
-        same = np.abs(values - self._values) <= LEAST_CHANGE
-        changed = np.flatnonzero(~same & ~(np.isnan(values) & np.isnan(self._values)))
-        if len(changed):
-            self._publisher.upsert(changed, splats[changed])
-            self._values[changed] = values[changed]
-        self._sent = time.monotonic()
+        if self._slots is None:
+            self._publisher.replace(replace(splats[:0], channels={}), expected_slots=len(slots))
+            changed = np.ones(len(slots), bool)
+        else:
+            if len(gone := np.setdiff1d(self._slots, slots)):
+                self._publisher.delete(gone)
+            before = grown(self._values, capacity, np.nan)[slots]
+            same = np.abs(values - before) <= LEAST_CHANGE
+            written = np.concatenate([slots[:0], *self._written])
+            changed = ~same & ~(np.isnan(values) & np.isnan(before)) | np.isin(slots, written)
+        if changed.any():
+            self._publisher.upsert(slots[changed], splats[changed])
+        self._slots, self._written = slots, []
+        self._values = np.full(capacity, np.nan, np.float32)
+        self._values[slots] = values
+
+
+def grown(by_slot: NDArray[np.float32], capacity: int, by: float = 0.0) -> NDArray[np.float32]:
+    """An array whose last axis is as long as a map has slots."""
+    more = max(0, capacity - by_slot.shape[-1])
+    widths = [(0, 0)] * (by_slot.ndim - 1) + [(0, more)]
+    return np.pad(by_slot, widths, constant_values=by)

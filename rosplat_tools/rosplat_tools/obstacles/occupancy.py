@@ -37,9 +37,10 @@ from rosplat_core.occupancy import (
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import SceneError
 from rosplat_msgs.srv import SaveMap
+from rosplat_sorter.diagnostics import Diagnostics, Report
 from rosplat_sorter.qos import overridable
+from rosplat_tools.frames import FrameError, Frames
 from rosplat_tools.map_subscriber import MapSubscriber
-from rosplat_tools.obstacles.frames import FrameError, Frames
 from rosplat_tools.obstacles.obstacle_messages import (
     grid_message,
     surface_message,
@@ -48,6 +49,7 @@ from rosplat_tools.obstacles.obstacle_messages import (
 from rosplat_tools.program.files_below import check_below
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run, spinning, wait_for_end
+from rosplat_tools.program.said_once import SaidOnce
 
 # As map_server has its grid.
 LATCHED = QoSProfile(
@@ -99,11 +101,16 @@ class Occupancy(Node):
         )
         self._resolution, self._least_depth = resolution, depth_of(threshold)
         self._voxels = OccupancyMap(resolution, voxels_across(size, resolution))
-        self._frames = Frames(self) if self._frame or self._band_frame else None
+        try:
+            self._frames = Frames(self) if self._frame or self._band_frame else None
+        except SceneError as error:
+            raise SceneError(f"frames other than the map's need TF: {error}") from error
         self._map_in_grid: NDArray[np.float64] = np.eye(4)
         self._level = 0.0  # that the band is over
         self._places = 0  # how often the voxels were placed
-        self._said: dict[str, object] = {}
+        warn = self.get_logger().warning
+        self._problem, self._left_out = SaidOnce(warn), SaidOnce(warn)
+        self._not_free = ""  # why no cell of the grid is
         self._map = MapSubscriber(self, self._voxels)
         topic = self._map.topic  # remapping it takes the others along
         outputs: list[tuple[str, type, Callable[[Header], Any]]] = [
@@ -116,6 +123,7 @@ class Occupancy(Node):
             for name, kind, make in outputs
         ]
         self.create_service(SaveMap, "~/save", self._on_save)
+        Diagnostics(self, topic, self._report)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         self.create_timer(period, self._tick, clock=steady)
         self.get_logger().info(
@@ -125,7 +133,8 @@ class Occupancy(Node):
     # --- What is published ------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        if not self._is_ready():
+        if problem := self._find_problem():
+            self._problem.say(f"nothing is published: {problem}")
             return
         header = Header(
             stamp=self._map.header.stamp, frame_id=self._frame or self._map.header.frame_id
@@ -133,40 +142,46 @@ class Occupancy(Node):
         version = (self._map.edits, self._places, self._level)
         for output in self._outputs:
             output.update(header, version)
+        if left_out := self._voxels.too_large + self._voxels.beyond:
+            self._left_out.say(
+                f"left out: {self._voxels.beyond:,} splats beyond `size`, "
+                f"{left_out - self._voxels.beyond:,} that are hundreds of voxels wide"
+            )
+        self._problem.say(self._not_free)
 
-    def _is_ready(self) -> bool:
-        """Whether the map is whole, and TF knows where it is, as the voxels know then, too."""
-        if not self._map.whole:
-            return False
+    def _find_problem(self) -> str:
+        """Why the voxels aren't those of the whole map where TF has it now; empty: they are."""
+        if problem := self._map.problem():
+            return problem
         try:
             self._follow_frames()
         except FrameError as error:
-            self._say_once("frames", str(error), f"nothing is published: {error}")
-            return False
-        self._said.pop("frames", None)
+            return str(error)
         if self._voxels.full:
-            self._say_once(
-                "full", True, "nothing is published: the map takes more than 16,777,216 voxels, "
-                "choose a coarser `resolution` or a smaller `size`",
-            )  # fmt: skip
-            return False
-        self._said.pop("full", None)
-        too_large, beyond = self._voxels.too_large, self._voxels.beyond
-        if too_large or beyond:
-            self._say_once(
-                "left out", None, f"left out: {beyond:,} splats beyond `size`, {too_large:,} that "
-                "are hundreds of voxels wide",
-            )  # fmt: skip
-        return True
+            return (
+                f"the map takes more than {self._voxels.most:,} voxels, choose a coarser "
+                "`resolution` or a smaller `size`"
+            )
+        return ""
+
+    def _report(self) -> Report:
+        figures = {
+            **self._map.figures(),
+            "Splats left out": self._voxels.too_large + self._voxels.beyond,
+            "Voxels": self._voxels.voxels,
+            "Subscribers": sum(output.subscribers for output in self._outputs),
+        }
+        problem = self._problem.now
+        return Report(problem or "obstacles are published", figures, warns=bool(problem))
 
     def _follow_frames(self) -> None:
         map_frame = self._map.header.frame_id
         frame = self._frame or map_frame
         here, level = np.eye(4), 0.0
         if self._frames and frame != map_frame:
-            here = self._frames.pose(map_frame, frame)
+            here = self._frames.pose(map_frame, frame)[1]
         if self._frames and self._band_frame not in ("", frame):
-            level = float(self._frames.pose(self._band_frame, frame)[2, 3])
+            level = float(self._frames.pose(self._band_frame, frame)[1][2, 3])
         moved = np.abs(here - self._map_in_grid)
         if moved[:3, :3].max() > STILL or moved[:3, 3].max() > self._resolution / 10:
             self._voxels.place(here[:3, 3].tolist(), from_matrices(here[:3, :3]).tolist())
@@ -178,14 +193,14 @@ class Occupancy(Node):
     def _grid(self) -> Grid:
         cells, _ = self._voxels.find(self._least_depth)
         grid = grid_of(cells, self._resolution, self._band, self._level, self._start)
-        if not (grid.cells == FREE).any():
-            x, y = self._start
-            self._say_once(
-                "free", "none", f"no cell is free: at the start, ({x:g}, {y:g}), there is no floor "
-                f"at heights {self._level - self._band[0]:g} to {self._level + self._band[0]:g} m",
-            )  # fmt: skip
-        else:
-            self._said.pop("free", None)
+        x, y = self._start
+        low, high = self._level - self._band[0], self._level + self._band[0]
+        self._not_free = (
+            ""
+            if (grid.cells == FREE).any()
+            else f"no cell is free: at the start, ({x:g}, {y:g}), there is no floor at heights "
+            f"{low:g} to {high:g} m"
+        )
         return grid
 
     def _voxels_message(self, header: Header) -> PointCloud2:
@@ -199,11 +214,6 @@ class Occupancy(Node):
         normals = towards(positions, surface["normals"], viewpoint)
         return surface_message(header, positions, normals, surface["colors"])
 
-    def _say_once(self, subject: str, value: object, text: str) -> None:
-        if subject not in self._said or self._said[subject] != value:
-            self._said[subject] = value
-            self.get_logger().warning(text)
-
     # --- What is written --------------------------------------------------------------------------
 
     def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
@@ -213,8 +223,8 @@ class Occupancy(Node):
             for file in (path, path.with_suffix(".pgm")):
                 if file.exists() and not request.overwrite:
                     raise SceneError(f"{file}: exists already; set overwrite to replace it")
-            if not self._is_ready():
-                raise SceneError(f"{self._map.topic}: there is no whole map yet")
+            if problem := self._find_problem():
+                raise SceneError(problem)
             grid = self._grid()
             save_grid(path, grid)
             rows, columns = grid.cells.shape
@@ -236,8 +246,13 @@ class _Output:
         self._publisher, self._make = publisher, make
         self._published: object = None
 
+    @property
+    def subscribers(self) -> int:
+        """How many listen."""
+        return int(self._publisher.get_subscription_count())
+
     def update(self, header: Header, version: object) -> None:
-        if version != self._published and self._publisher.get_subscription_count():
+        if version != self._published and self.subscribers:
             self._publisher.publish(self._make(header))
             self._published = version
 

@@ -7,7 +7,7 @@ import threading
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -64,3 +64,14 @@ class Log:
     @property
     def warnings(self) -> list[str]:
         return [line for line in self.lines if "[INFO]" not in line]
+
+
+def transform(parent: str, child: str, pose: np.ndarray, seconds: int = 0) -> TransformStamped:
+    """Where a child's frame is in its parent's."""
+    made = TransformStamped(child_frame_id=child)
+    made.header.frame_id, made.header.stamp.sec = parent, seconds
+    place = to_pose(pose)
+    made.transform.rotation = place.orientation
+    for axis in "xyz":
+        setattr(made.transform.translation, axis, getattr(place.position, axis))
+    return made

@@ -21,6 +21,7 @@ struct VoxelGrid {
 
   double resolution = 0.05;  // edge of a voxel [m]
   int across = 2048;         // voxels along each axis; coordinates are -across/2 to across/2 - 1
+  std::size_t most = std::size_t{1} << 24;  // voxels that are held: 2 GB
 };
 
 // What voxels of a map are made of, one entry each.
@@ -62,12 +63,12 @@ class VoxelMap {
   // Splats whose centre is beyond the grid. Those with it are left out.
   std::uint64_t beyond() const { return beyond_; }
   std::size_t voxels() const { return count_; }
-  // Whether they would be more than kMostVoxels. Then there are none until the map is cleared or
+  std::size_t most() const { return grid_.most; }
+  // Whether they would be more than that. Then there are none until the map is cleared or
   // placed.
   bool full() const { return full_; }
 
   static constexpr int kMostSamples = 1 << 16;
-  static constexpr std::size_t kMostVoxels = std::size_t{1} << 24;
 
  private:
   static constexpr std::size_t kShards = 16;

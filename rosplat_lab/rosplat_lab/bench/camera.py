@@ -1,0 +1,278 @@
+"""A camera in a map: from a pose to its picture, beside calls of RenderView; what the warp costs.
+
+Publisher, camera and viewer are the processes that they are; poses come from here, one after the
+other's picture, or faster than pictures do.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from rosplat_core.cameras import Camera
+from rosplat_core.lens_pictures import take_picture
+from rosplat_core.lenses import PLUMB_BOB, Lens, Warp
+from rosplat_core.rendering import CpuRenderer
+from rosplat_lab import metrics
+from rosplat_lab.bench import scenes
+from rosplat_lab.bench.isolation import isolated
+from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_tools.program.processes import Processes, quoted
+
+SIZES, QUICK_SIZES = (500_000,), (20_000,)
+PICTURES, QUICK_PICTURES = ((640, 360), (1280, 720)), ((160, 90),)
+COUNT = 360  # cameras, of which each is the next one's neighbour
+# Of a real camera; and of next to nothing, which is warped all the same.
+BARREL, STRAIGHT = (-0.28, 0.07, 3e-4, -5e-4, 0.01), (1e-12,)
+OFF = 1 / 3  # between the pixels of the picture that is warped, and the lens's [px]
+SECONDS, QUICK_SECONDS = 5.0, 1.0  # in which pictures are counted
+EVERY = 0.005  # a pose while they are [s]
+PATIENCE = 120.0  # with a picture [s]
+
+
+def measure(plan: Plan) -> Iterator[Event]:
+    """Milliseconds, pictures a second and the warp's dB, by scene, size of pictures and lens."""
+    pictures = QUICK_PICTURES if plan.quick else PICTURES
+    names = scenes.names(plan.sizes or (QUICK_SIZES if plan.quick else SIZES), plan.scenes)
+    jobs = list(itertools.product(names, pictures))
+    seconds = QUICK_SECONDS if plan.quick else SECONDS
+    for number, (name, picture) in enumerate(jobs):
+        of = f"{name}, {picture[0]}x{picture[1]}"
+        yield Doing(f"{of}, the warp", number / len(jobs))
+        yield from isolated(_warped, name, picture)
+        for by in WAYS:
+            yield Doing(f"{of}, {by}", (number + 0.5) / len(jobs))
+            yield from isolated(_filmed, name, picture, by, plan, seconds)
+
+
+def _warped(name: str, picture: tuple[int, int]) -> Iterator[Event]:
+    """What is left between pictures drawn at once and the same ones warped."""
+    splats = scenes.load(name)
+    renderer = CpuRenderer(splats)
+    for view in scenes.views(name):
+        camera = scenes.VIEWS[view](splats, *picture, 1)[0]
+        lens = lens_of(camera)
+        lens = replace(lens, cx=math.floor(lens.cx) + OFF, cy=math.floor(lens.cy) + OFF)
+        bent = replace(lens, model=PLUMB_BOB, coefficients=STRAIGHT)
+        drawn, warped = (
+            take_picture(renderer, Warp(each), camera.world_to_camera, near=camera.near).colour
+            for each in (lens, bent)
+        )
+        yield Measurement.of(
+            "PSNR of the warp", "dB", metrics.psnr(warped.clip(0, 1), drawn.clip(0, 1)), name,
+            len(splats), picture=f"{picture[0]}x{picture[1]}", view=view,
+        )  # fmt: skip
+
+
+def lens_of(camera: Camera) -> Lens:
+    """A pinhole camera as a lens."""
+    centre = camera.cx - 0.5, camera.cy - 0.5  # of ROS, whose first pixel is at 0
+    return Lens(camera.width, camera.height, camera.fx, camera.fy, *centre)
+
+
+def _filmed(
+    name: str, picture: tuple[int, int], by: str, plan: Plan, seconds: float
+) -> Iterator[Event]:
+    splats = scenes.load(name)
+    cameras = scenes.overview(splats, *picture, COUNT)
+    size = f"{picture[0]}x{picture[1]}"
+    of = partial(Measurement.of, scene=name, splats=len(splats), picture=size, by=by)
+    del splats
+    with Set(plan, name, by) as film:
+        yield from film.missing
+        if film.missing:
+            return
+        shoot = WAYS[by](film, cameras)
+        numbers = itertools.count()  # no picture twice: a viewer keeps its last one
+        taken = film.budget.spend(lambda _: milliseconds(lambda: shoot(next(numbers))))
+        yield of("pose to picture", "ms", taken, gpu=film.drawn_by)
+        if film.flood:
+            yield of("pictures", "1/s", film.flood(seconds), gpu=film.drawn_by)
+
+
+class Set:
+    """A map's publisher, what takes pictures of the map, and a node that asks for them."""
+
+    def __init__(self, plan: Plan, scene: str, by: str) -> None:
+        self.budget: Budget = plan.budget
+        self.missing: list[Skipped] = []
+        self.flood: Callable[[float], float] | None = None
+        self.drawn_by = ""
+        self.namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
+        self.frame = self.namespace.strip("/")  # of the map; TF is everybody's
+        self.remap = ["--ros-args", "-r", f"__ns:={self.namespace}"]
+        self.processes = Processes(plan.out / "log")
+        self._scene, self._by = scene, by
+
+    def __enter__(self) -> Set:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        self.processes.__enter__()
+        settings = ["-p", f"path:={quoted(self._scene)}", "-p", f"frame_id:={self.frame}"]
+        self.processes.node("rosplat_tools", "ply_publisher", *self.remap, *settings)
+        rclpy.init()
+        self.node = rclpy.create_node("bench", namespace=self.namespace)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        if self._by == TF and _tf_message() is None:
+            self.missing.append(Skipped(f"{TF}: tf2_msgs or tf2_ros is not installed"))
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        import rclpy
+
+        self.processes.end()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def wait(self, until: Callable[[], object], again: Callable[[], object] | None = None) -> None:
+        """Hears until something holds. again: is done each second until then."""
+        end = time.monotonic() + PATIENCE
+        next_time = time.monotonic() + 1
+        while not until():
+            self._executor.spin_once(0.1)
+            if again and time.monotonic() > next_time:
+                again()
+                next_time = time.monotonic() + 1
+            if time.monotonic() > end:
+                raise RuntimeError(f"{self._by}: no picture in {PATIENCE:.0f} s")
+            self.processes.check()
+
+    def spin_for(self, seconds: float) -> None:
+        """Hears for so long."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            self._executor.spin_once(left)
+
+
+Shoot = Callable[[int], None]
+"""Has the picture of a numbered camera taken, and waits for it."""
+
+
+def _by_camera(
+    film: Set, cameras: list[Camera], *, coefficients: tuple[float, ...] = (), by_tf: bool = False
+) -> Shoot:
+    from geometry_msgs.msg import PoseStamped, TransformStamped
+    from rclpy.time import Time
+    from sensor_msgs.msg import CameraInfo, Image
+
+    from rosplat_tools.cameras.calibrations import of_lens
+    from rosplat_tools.poses import to_pose
+
+    lens = lens_of(cameras[0])
+    if coefficients:
+        lens = replace(lens, model=PLUMB_BOB, coefficients=coefficients)
+    optical = f"{film.frame}_optical"
+    film.processes.node(
+        "rosplat_tools", "camera", *film.remap, "-p", f"poses:={'tf' if by_tf else 'topic'}",
+        "-p", "rate:=1000.0", "-p", "camera.calibration:=topic", "-p",
+        f"camera.frame_id:={optical}", "-p", f"near:={cameras[0].near:.9f}",
+    )  # fmt: skip
+    stamps: list[int] = []
+
+    def hear(image: Image) -> None:
+        stamps.append(Time.from_msg(image.header.stamp).nanoseconds)
+
+    film.node.create_subscription(Image, "camera/image_raw", hear, 5)
+    infos = film.node.create_publisher(CameraInfo, "camera/calibration", 5)
+    film.wait(infos.get_subscription_count)
+    infos.publish(of_lens(lens))
+    tf_message = _tf_message()
+    poses = film.node.create_publisher(PoseStamped, "camera/pose", 5)
+    transforms = film.node.create_publisher(tf_message, "/tf", 5) if by_tf and tf_message else None
+    film.drawn_by = "processor"
+
+    def pose(number: int) -> int:
+        """Says where the camera is now; returns the time."""
+        now = film.node.get_clock().now()
+        place = to_pose(np.linalg.inv(cameras[number % len(cameras)].world_to_camera))
+        if transforms:
+            moved = TransformStamped(child_frame_id=optical)
+            moved.header.frame_id, moved.header.stamp = film.frame, now.to_msg()
+            moved.transform.rotation = place.orientation
+            for axis in "xyz":
+                setattr(moved.transform.translation, axis, getattr(place.position, axis))
+            transforms.publish(tf_message(transforms=[moved]))
+        else:
+            message = PoseStamped(pose=place)
+            message.header.frame_id, message.header.stamp = film.frame, now.to_msg()
+            poses.publish(message)
+        return int(now.nanoseconds)
+
+    def shoot(number: int) -> None:
+        asked = pose(number)
+        film.wait(lambda: stamps and stamps[-1] >= asked)
+
+    def flood(seconds: float) -> float:
+        """Pictures a second of a camera that moves all the time."""
+        before, began = len(stamps), time.monotonic()
+        for number in itertools.count():
+            if time.monotonic() - began > seconds:
+                break
+            pose(number)
+            film.spin_for(EVERY)
+        return (len(stamps) - before) / (time.monotonic() - began)
+
+    film.flood = flood
+
+    def begin() -> None:
+        infos.publish(of_lens(lens))  # what begins may miss the first
+        pose(0)
+
+    film.wait(lambda: stamps, again=begin)
+    return shoot
+
+
+def _by_render_view(film: Set, cameras: list[Camera]) -> Shoot:
+    from rosplat_msgs.srv import RenderView
+    from rosplat_tools.view_messages import view_camera
+
+    film.processes.node("rosplat_sorter", "sorter", *film.remap)
+    film.processes.node("rviz_gaussian_plugin", "viewer", *film.remap, "-p", "serve:=true")
+    client = film.node.create_client(RenderView, "gaussians/render")
+    answers: list[Any] = []
+
+    def shoot(number: int) -> None:
+        camera = view_camera(cameras[number % len(cameras)])
+        future = client.call_async(RenderView.Request(camera=camera, order_timeout=1.0))
+        film.wait(future.done)
+        answers[:] = [future.result()]
+
+    film.wait(client.service_is_ready)
+    while not (answers and answers[0].success and answers[0].map_complete):
+        shoot(-1)
+    found = re.search(r"drawing with (.*)", film.processes.said("viewer"))
+    film.drawn_by = found[1] if found else ""
+    return shoot
+
+
+def _tf_message() -> Any:
+    from rosplat_tools.frames import tf2_ros
+
+    try:
+        from tf2_msgs.msg import TFMessage
+    except ImportError:
+        return None
+    return TFMessage if tf2_ros else None
+
+
+TF = "camera, poses by TF"
+WAYS: dict[str, Callable[[Set, list[Camera]], Shoot]] = {
+    "camera": _by_camera,
+    "camera, distorted": partial(_by_camera, coefficients=BARREL),
+    TF: partial(_by_camera, by_tf=True),
+    "RenderView": _by_render_view,
+}
+"""What takes the pictures."""

@@ -1,0 +1,75 @@
+"""Messages of a rosbag2, read by rosbag2_py of ROS 2, or else by rosbags of PyPI."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from rclpy.serialization import deserialize_message
+
+from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError
+
+Read = Callable[[Collection[str]], Iterator[tuple[str, bytes]]]
+"""Topics and serialized messages of some topics."""
+
+
+def topics(path: str) -> dict[str, str]:
+    """Types, as "sensor_msgs/msg/Image", by topic. Raises SceneError, naming the bag."""
+    with _opened(path) as (found, _):
+        return found
+
+
+def messages(path: str, kinds: Mapping[str, type]) -> Iterator[tuple[str, Any]]:
+    """Topics and their messages in the order in which they were recorded.
+
+    kinds: the class of each topic that is read. Raises SceneError, naming the bag.
+    """
+    with _opened(path) as (_, read):
+        for topic, data in read(kinds):
+            yield topic, deserialize_message(data, kinds[topic])
+
+
+@contextmanager
+def _opened(path: str) -> Iterator[tuple[dict[str, str], Read]]:
+    try:
+        import rosbag2_py
+    except ImportError:
+        with _opened_by_rosbags(path) as opened:
+            yield opened
+        return
+    reader = rosbag2_py.SequentialReader()
+
+    def read(wanted: Collection[str]) -> Iterator[tuple[str, bytes]]:
+        reader.set_filter(rosbag2_py.StorageFilter(topics=list(wanted)))
+        while wanted and reader.has_next():
+            topic, data, _ = reader.read_next()
+            yield topic, data
+
+    try:
+        reader.open(rosbag2_py.StorageOptions(path), rosbag2_py.ConverterOptions("", ""))
+        yield {each.name: each.type for each in reader.get_all_topics_and_types()}, read
+    except RuntimeError as error:
+        raise SceneError(f"{shown(path)}: no whole bag: {shown(error, 300)}") from error
+
+
+@contextmanager
+def _opened_by_rosbags(path: str) -> Iterator[tuple[dict[str, str], Read]]:
+    try:
+        from rosbags.rosbag2 import Reader, ReaderError
+    except ImportError as error:
+        raise SceneError(
+            f"{shown(path)}: to read bags, install rosbag2_py (of ROS 2) or rosbags (of PyPI)"
+        ) from error
+    try:
+        with Reader(path) as reader:
+
+            def read(wanted: Collection[str]) -> Iterator[tuple[str, bytes]]:
+                chosen = [each for each in reader.connections if each.topic in wanted]
+                for connection, _, data in reader.messages(chosen) if chosen else ():
+                    yield connection.topic, data
+
+            yield {each.topic: each.msgtype for each in reader.connections}, read
+    except (ReaderError, OSError, RuntimeError) as error:
+        raise SceneError(f"{shown(path)}: no whole bag: {shown(error, 300)}") from error

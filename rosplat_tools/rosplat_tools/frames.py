@@ -1,0 +1,57 @@
+"""Where frames are, by TF."""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import Point, Pose, TransformStamped
+from numpy.typing import NDArray
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.time import Time
+
+from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError
+from rosplat_tools.poses import to_matrix, to_pose
+
+# The wheels of PyPI don't have it.
+try:
+    import tf2_ros
+except ImportError:
+    tf2_ros = None
+
+LATEST = 0  # the time of the last pose; and of what never moves [ns]
+KEEPS = 10.0  # [s]
+
+
+class FrameError(LookupError):
+    """A frame that isn't known, or not yet, or not then; the text says which."""
+
+
+class Frames:
+    """Poses of frames, as TF tells a node, or as take() is given them."""
+
+    def __init__(self, node: Node | None = None, keeps: float = KEEPS) -> None:
+        """keeps: how far back [s]. Raises SceneError where there is no TF."""
+        if tf2_ros is None:
+            raise SceneError("tf2_ros is not installed")
+        self._buffer = tf2_ros.Buffer(Duration(seconds=keeps))
+        self._listener = tf2_ros.TransformListener(self._buffer, node) if node else None
+
+    def take(self, transform: TransformStamped, static: bool) -> None:
+        """A transform, of all times where it is static."""
+        fill = self._buffer.set_transform_static if static else self._buffer.set_transform
+        fill(transform, "")
+
+    def pose(self, frame: str, within: str, stamp: int = LATEST) -> tuple[int, NDArray[np.float64]]:
+        """Where a frame is in another, (4, 4), and when that is [ns]. Raises FrameError."""
+        try:
+            found = self._buffer.lookup_transform(within, frame, Time(nanoseconds=stamp))
+        except tf2_ros.TransformException as error:
+            raise FrameError(shown(error, 300)) from error
+        moved, when = found.transform, Time.from_msg(found.header.stamp)
+        place = moved.translation
+        try:
+            pose = Pose(position=Point(x=place.x, y=place.y, z=place.z), orientation=moved.rotation)
+            return when.nanoseconds, to_matrix(to_pose(pose))
+        except ValueError as error:
+            raise FrameError(f"'{shown(frame)}' in '{shown(within)}': {error}") from error

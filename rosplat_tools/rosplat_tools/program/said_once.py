@@ -1,0 +1,28 @@
+"""Trouble that is said when it begins, not each time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+
+class SaidOnce:
+    """What is wrong. The same words, whatever numbers are in them, are said once, until all is
+    well.
+    """
+
+    def __init__(self, warn: Callable[[str], None]) -> None:
+        self.now = ""
+        """What is wrong now; empty: nothing."""
+        self._warn = warn
+        self._said: set[str] = set()
+
+    def say(self, text: str) -> None:
+        """Takes what is wrong; empty: all is well."""
+        self.now = text
+        words = re.sub(r"[0-9.,-]+", "", text)
+        if not text:
+            self._said.clear()
+        elif words not in self._said:
+            self._said.add(words)
+            self._warn(text)
