@@ -60,6 +60,9 @@ SUBJECTS = {
     "moving": Subject("what a picture is worth to a camera that has turned since"),
     "simplify": Subject("what is left of pictures with fewer splats, by several ways"),
     "occupancy": Subject("obstacles in a map: how many are found, and how long that takes"),
+    "align": Subject(
+        "poses refined by pictures: how many starts end well, and how long that takes"
+    ),
     "rviz": Subject("rviz2's own frames and pictures, by our Display and others", needs_ros=True),
     "stream": Subject("a scene larger than memory, as a camera flies through", needs_ros=True),
     "transport": Subject("orders and maps between processes", needs_ros=True),
