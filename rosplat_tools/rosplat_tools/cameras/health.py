@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from rosplat_sorter.diagnostics import Report
 
@@ -29,6 +29,8 @@ class Health:
         self._said: set[str] = set()
         self.counts: Counter[str] = Counter()
         self.latency = self.drawing = 0.0  # of the last picture [s]
+        self.figures: Mapping[str, object] = {}
+        """What else there is to say of the last picture."""
 
     def trouble(self, kind: str, text: object) -> None:
         """There is no picture, for a kind of reason."""
@@ -51,6 +53,7 @@ class Health:
         figures = {
             "Latency (s)": round(self.latency, 4),
             "Drawing (s)": round(self.drawing, 4),
+            **self.figures,
             **{kind.capitalize(): count for kind, count in self.counts.items()},
         }
         return Report(self.problem or "pictures come", figures, warns=bool(self.problem))
