@@ -31,7 +31,7 @@ from rosplat_tools.images import from_image, read_mask
 from rosplat_tools.program.parameters import declare
 
 WAITING = 8  # pictures that wait for their poses
-PATIENCE = 1.0  # with a picture's pose [s]
+PATIENCE = 1.0  # with pictures whose poses aren't known [s]
 
 Optics = TypeVar("Optics")
 
@@ -86,7 +86,8 @@ class TakenPictures(Generic[Optics]):
         self._mask = read_mask(mask) if mask else None
         self._map, self._prepare, self._heard = drawn_map, prepare, heard
         self._poses = declare_poses(node, [""], heard)
-        self._images: deque[tuple[float, Image]] = deque(maxlen=WAITING)
+        self._images: deque[Image] = deque(maxlen=WAITING)
+        self._poseless_since = time.monotonic()  # while pictures wait
         self._info: CameraInfo | None = None
         self._lens: tuple[CameraInfo, Optics, Pose] | None = None
         self.newest: Image | None = None
@@ -103,7 +104,7 @@ class TakenPictures(Generic[Optics]):
 
     def _on_image(self, image: Image) -> None:
         self.newest = image
-        self._images.append((time.monotonic(), image))
+        self._images.append(image)
         self._heard()
 
     def _on_info(self, info: CameraInfo) -> None:
@@ -129,17 +130,23 @@ class TakenPictures(Generic[Optics]):
         None where none waits, or poses may yet come. Raises NoPicture.
         """
         images = list(self._images)
+        now = time.monotonic()
         if images and (problem := self._map.problem()):
             self._drop(len(images))
             raise NoPicture("without a map", problem)
-        for number, (arrived, image) in reversed(list(enumerate(images))):
+        if not images:
+            self._poseless_since = now
+        for number, image in reversed(list(enumerate(images))):
             try:
                 pose = self._pose_of(image)
             except PoseError as error:
-                if number == 0 and time.monotonic() - arrived > PATIENCE:
-                    self._drop(1)
+                # Not by picture: fast cameras push those out before they have waited so long.
+                if number == 0 and now - self._poseless_since > PATIENCE:
+                    self._drop(len(images))
+                    self._poseless_since = now
                     raise NoPicture("without a pose", error) from error
                 continue
+            self._poseless_since = now
             self._drop(number + 1)
             self.health.counts["skipped"] += number
             return self.read(image, pose)
