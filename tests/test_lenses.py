@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from drawing import CAMERAS, cloud, decibels
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import take_picture
-from rosplat_core.lenses import Lens, LensError, Warp
+from rosplat_core.lenses import Lens, LensError, Straightened, Warp
 from rosplat_core.rendering import CpuRenderer, DrawMode
 from rosplat_lab import reference
 
@@ -217,3 +218,26 @@ def test_cameras_of_a_pinhole_lens_are_the_lens() -> None:
     assert isinstance(camera, Camera)
     assert (camera.cx, camera.near, camera.far) == (SIZE["cx"] + 0.5, 0.5, 7.0)
     np.testing.assert_array_equal(camera.world_to_camera, EYE)
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_a_straightened_picture_is_that_of_a_pinhole_camera(model: str) -> None:
+    renderer = CpuRenderer(generate(5000, seed=1))
+    lens = LENSES[model]
+    counts = Warp(lens).met.copy()
+    counts[:20] = False
+    curved = np.clip(take_picture(renderer, Warp(lens), EYE).colour, 0, 1)
+    straightened = Straightened(lens)
+    straight, met = straightened.picture((255 * curved + 0.5).astype(np.uint8), counts)
+    camera = replace(straightened.camera, world_to_camera=EYE)
+    expected = np.clip(renderer.render(camera)[..., :3], 0, 1)
+    assert met.shape == (camera.height, camera.width) and 0.5 < met.mean() < 1
+    assert decibels(straight[met] / np.float32(255), expected[met]) > 35
+
+
+def test_a_straight_picture_stays_as_it_is() -> None:
+    lens = Lens(**SIZE)
+    straightened = Straightened(lens)
+    picture, counts = np.zeros((240, 320, 3), np.uint8), np.ones((240, 320), bool)
+    assert straightened.picture(picture, counts) == (picture, counts)
+    assert (straightened.camera.cx, straightened.camera.cy) == (lens.cx + 0.5, lens.cy + 0.5)

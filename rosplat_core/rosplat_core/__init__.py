@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rosplat_core.alignment import Alignment, align
     from rosplat_core.cameras import Camera, load_cameras, look_at, orbit, save_cameras
     from rosplat_core.formats import load, save
     from rosplat_core.generated import generate
@@ -19,10 +20,12 @@ if TYPE_CHECKING:
     from rosplat_core.splats import SceneError, Splats, concatenate
 
 __all__ = [
+    "Alignment",
     "Camera",
     "CpuRenderer",
     "SceneError",
     "Splats",
+    "align",
     "concatenate",
     "depth_order",
     "generate",
@@ -38,6 +41,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "alignment": ("Alignment", "align"),
     "cameras": ("Camera", "load_cameras", "look_at", "orbit", "save_cameras"),
     "formats": ("load", "save"),
     "generated": ("generate",),

@@ -11,9 +11,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_matrix
 
 from rosplat_core.cameras import Camera
@@ -344,6 +346,57 @@ class Warp:
         with np.errstate(all="ignore"):
             along = np.where(rays[:, 2] > 0, rays[:, 2] / depths, np.nan).astype(np.float32)
         return _Part(camera, pixels, _taps(places, width, height), y * width + x, along)
+
+
+class Straightened:
+    """Makes the picture of a pinhole camera of that of a lens at its place: Warp, the other way."""
+
+    def __init__(self, lens: Lens) -> None:
+        """Raises LensError for a lens that has no ray ahead, or needs too large a picture.
+
+        What is seen beyond 50 degrees off the axis is left out.
+        """
+        self._lens = lens
+        self.camera: Camera
+        """With the pose of the lens as its world."""
+        self._places: Array | None = None  # (2, height, width) rows and columns of the lens's
+        if lens.is_pinhole:
+            (self.camera,) = Warp(lens).cameras(np.eye(4), 0.01, 1e10)
+            return
+        columns, rows = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
+        rays = lens.rays(np.stack([columns, rows], axis=-1).reshape(-1, 2))
+        ahead = rays[rays[:, 2] > 0]
+        points = ahead[:, :2] / ahead[:, 2:]
+        points = points[np.abs(points).max(axis=1) <= WIDEST]
+        if not len(points):
+            raise LensError("d: no ray arrives from ahead")
+        low = points.min(axis=0) * (lens.fx, lens.fy)
+        size = np.ceil(points.max(axis=0) * (lens.fx, lens.fy) - low).astype(int) + 1
+        width, height = size.tolist()
+        if max(width, height) > LONGEST_SIDE:
+            raise LensError(f"d: the lens needs a picture of {width} x {height} pixels")
+        left, top = (0.5 - low).tolist()
+        self.camera = Camera(0, width, height, lens.fx, lens.fy, left, top, np.eye(4))
+        columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+        x, y = (columns + low[0]) / lens.fx, (rows + low[1]) / lens.fy
+        self._places = np.moveaxis(lens.project(np.stack([x, y, np.ones_like(x)], -1)), 2, 0)[::-1]
+
+    def picture(
+        self, colours: NDArray[np.uint8], counts: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Colours (h, w, 3), interpolated linearly, and which of them count, of the lens's."""
+        if self._places is None:
+            return colours, counts
+
+        def at(values: NDArray[Any]) -> NDArray[np.float32]:
+            taken: NDArray[np.float32] = map_coordinates(
+                values.astype(np.float32), self._places, order=1, cval=np.nan
+            )
+            return taken
+
+        met = at(counts) > 0.999
+        straight = np.stack([at(colours[..., channel]) for channel in range(3)], axis=-1)
+        return np.where(met[..., None], straight + 0.5, 0).astype(np.uint8), met
 
 
 def _taps(places: Array, width: int, height: int) -> csr_matrix:

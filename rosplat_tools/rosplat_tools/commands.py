@@ -6,6 +6,7 @@ from functools import partial
 
 from rosplat_tools.program.processes import run_module
 
+align = partial(run_module, "align", "rosplat_tools.cameras.align")
 camera = partial(run_module, "camera", "rosplat_tools.cameras.camera")
 compare = partial(run_module, "compare", "rosplat_tools.cameras.compare")
 convert = partial(run_module, "convert", "rosplat_tools.convert")

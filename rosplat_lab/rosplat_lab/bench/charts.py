@@ -41,6 +41,11 @@ def frame_time(record: Record) -> float:
     return float(record.parameters["ms"])
 
 
+def off(record: Record) -> float:
+    """By how much a start was. [degrees]"""
+    return float(record.parameters["degrees"])
+
+
 def by_bound(record: Record) -> str:
     """The scene, and what its levels of detail were asked for by."""
     by = "error" if str(record.parameters["detail"]).endswith("px") else "budget"
@@ -125,6 +130,12 @@ CHARTS = (
     Chart(
         "levels-budget", "levels", "frame", "Frame of a million splats and nodes", "time [ms]",
         parameter("view"), only=lambda r: r.parameters["detail"] == "1000000",
+    ),
+    Chart(
+        "align", "align", "success", "Poses found again, by how far off they began",
+        "share of the starts", parameter("picture"), lambda r: Path(r.scene).stem,
+        x="rotation [degrees]; 5/3 as many % of the scene's radius", over=off,
+        log=False, band=False, top=1.02,
     ),
     Chart(
         "rviz-frame", "rviz", "frame", "Frame of rviz2", "time [ms]",

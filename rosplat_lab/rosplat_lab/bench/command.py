@@ -62,6 +62,9 @@ SUBJECTS = {
     "moving": Subject("what a window shows of a camera that turns, without a graphics card"),
     "simplify": Subject("error of simplified maps, and the processor time of making them"),
     "occupancy": Subject("precision, recall and time of obstacles in a map"),
+    "align": Subject(
+        "poses refined by pictures: how many starts end well, and how long that takes"
+    ),
     "camera": Subject(
         "from a pose to the picture of a camera in the map; what the warp of lenses costs",
         needs_ros=True,

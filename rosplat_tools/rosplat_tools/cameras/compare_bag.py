@@ -13,6 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image
 from tqdm import tqdm
 
+from rosplat_core.lenses import Warp
 from rosplat_core.log_text import shown
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
@@ -22,9 +23,10 @@ from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import Comparison, GaussianArray
 from rosplat_sorter.batches import apply
 from rosplat_tools import bags
-from rosplat_tools.cameras.comparer import Comparer
+from rosplat_tools.cameras.comparer import compare
 from rosplat_tools.cameras.health import NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError, PoseHistory
+from rosplat_tools.cameras.taken_pictures import PictureReader
 from rosplat_tools.frames import FrameError, Frames
 from rosplat_tools.images import read_mask
 from rosplat_tools.poses import to_matrix, to_pose
@@ -130,7 +132,9 @@ def _stamp(message: Any) -> int:
     return int(message.header.stamp.sec * SECOND + message.header.stamp.nanosec)
 
 
-def compare_all(bag: Bag, comparer: Comparer) -> tuple[list[Comparison], Mapping[str, int]]:
+def compare_all(
+    bag: Bag, reader: PictureReader[Warp]
+) -> tuple[list[Comparison], Mapping[str, int]]:
     """Figures of all pictures that can be compared, and how many can't be, by reason."""
     figures: list[Comparison] = []
     left_out: Counter[str] = Counter()
@@ -138,7 +142,8 @@ def compare_all(bag: Bag, comparer: Comparer) -> tuple[list[Comparison], Mapping
         for _, image in bags.messages(bag.path, {bag.image: Image}):
             drawn.update()
             try:
-                figures.append(comparer.compare(image, bag.info, bag.pose(image)).figures)
+                taken = reader.read(image, bag.info, bag.pose(image))
+                figures.append(compare(bag.renderer, taken, taken.optics).figures)
             except (NoPicture, FrameError, PoseError) as error:
                 left_out[shown(error, 200)] += 1
     return figures, left_out
@@ -173,8 +178,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         mask = read_mask(options.mask) if options.mask else None
         bag = Bag(options)
-        comparer = Comparer(bag.renderer, rectified=options.rectified, mask=mask)
-        figures, left_out = compare_all(bag, comparer)
+        reader = PictureReader(Warp, rectified=options.rectified, mask=mask)
+        figures, left_out = compare_all(bag, reader)
     except (SceneError, MemoryError) as error:
         print(f"compare: {told(error)}", file=sys.stderr)
         return 1

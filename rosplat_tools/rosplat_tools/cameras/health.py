@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from rosplat_sorter.diagnostics import Report
 from rosplat_tools.program.said_once import SaidOnce
@@ -25,6 +25,8 @@ class Health:
         self._problem = SaidOnce(lambda text: warn(f"{name}: {text}"))
         self.counts: Counter[str] = Counter()
         self.latency = self.drawing = 0.0  # of the last picture [s]
+        self.figures: Mapping[str, object] = {}
+        """What else there is to say of the last picture."""
 
     def trouble(self, kind: str, text: object) -> None:
         """There is no picture, for a kind of reason."""
@@ -42,6 +44,7 @@ class Health:
         figures = {
             "Latency (s)": round(self.latency, 4),
             "Drawing (s)": round(self.drawing, 4),
+            **self.figures,
             **{kind.capitalize(): count for kind, count in self.counts.items()},
         }
         problem = self._problem.now

@@ -1,0 +1,470 @@
+"""Where a camera was: its pose refined until the map looks as its picture does. Knows no ROS.
+
+Direct alignment, from coarse to fine (Lucas and Kanade 1981; Kerl et al. 2013): the map is drawn in
+colours and depths at the pose, its pixels are moved to where another pose has them in the picture,
+and the pose, with a gain and a bias for each channel, follows by Gauss-Newton's steps. Gradients
+are the means of those of both pictures (Malis 2004), errors count by Cauchy's weights, and steps
+are damped (Levenberg 1944) by how far they move pixels, since metres and radians have no common
+measure.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rosplat_core.cameras import Camera
+from rosplat_core.quaternions import from_matrices, to_matrices
+from rosplat_core.rendering import CpuRenderer, posed
+from rosplat_core.splats import Splats
+
+Array = NDArray[np.float64]
+Pixels = NDArray[np.float32]
+
+LONGEST_SIDE = 640  # of the finest level; larger pictures are reduced to it, at least [px]
+TRIES = 3  # from ever finer levels, where the coarsest lead astray
+COARSEST = 10  # shorter side of the coarsest level, at least [px]
+LEAST_POINTS = 60  # pixels of the map, for a level to count
+LEAST_ALPHA = 0.5  # of a pixel of the map that has a surface
+LEAST_COMMON = 0.3  # share of the map's pixels that stay in the picture
+STEPS = 10  # between two drawings of the map, on levels but the finest
+DRAWINGS, FINEST_DRAWINGS = 3, 8  # of a level, at most
+LONGEST_STEP = 2.0  # root mean square of what pixels move by, in the level's own [px]
+STILL, FINEST_STILL = 0.1, 0.01  # a level ends where pixels move by less
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-4, 1e4
+CAUCHY = 1.5  # standard deviations, beyond which errors count less than half
+LEAST_DEVIATION = 1 / 255
+ROUNDING = LEAST_DEVIATION**2 / 12  # variance of values of 8 bits
+RIDGE = 1e-6  # that keeps the gain of a picture of one colour
+LEAST_EXPLAINED = 0.25  # share of the picture's variance
+MOST_UNCERTAIN = 1.0  # root mean square of pixels' standard deviations by the pose's [px]
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A pose that was refined, and what speaks for it."""
+
+    world_to_camera: Array
+    """(4, 4) [m]"""
+    covariance: Array
+    """(6, 6) of the camera's position [m] and its rotation about the map's axes x, y, z [rad], as
+    PoseWithCovariance has it. Of noise that differs from pixel to pixel; what is wrong with the map
+    comes on top. Infinite where nothing is known."""
+    problem: str
+    """Why the pose is none to use; empty where it converged."""
+    iterations: int
+    """How often the map was drawn."""
+    residual: float
+    """Standard deviation of the errors that remain, by their median. Of values of 0 to 1."""
+    explained: float
+    """Share of the picture's variance that the map explains, where it shows something."""
+    gain: Array
+    """(3,) The picture is about gain * the map's + bias, for red, green and blue."""
+    bias: Array
+
+    @property
+    def converged(self) -> bool:
+        """Whether the pose stands still, and the picture is one of the map from there."""
+        return not self.problem
+
+
+def align(
+    scene: Splats | CpuRenderer,
+    picture: ArrayLike,
+    camera: Camera,
+    mask: NDArray[np.bool_] | None = None,
+) -> Alignment:
+    """Refines a camera's pose, from where `camera` is, by a picture that it took.
+
+    picture: RGB (height, width, 3), uint8 or 0 to 1. mask: (height, width), true of pixels that
+    count. To align several pictures with the same splats, keep a CpuRenderer. Raises ValueError for
+    an orthographic camera, and for a picture or mask of another size.
+    """
+    renderer = scene if isinstance(scene, CpuRenderer) else CpuRenderer(scene)
+    colours, counts = _checked(picture, camera, mask)
+    reduction = -(-max(camera.width, camera.height) // LONGEST_SIDE)
+    sizes = [reduction]
+    while min(counts.shape) // (2 * sizes[-1]) >= COARSEST:
+        sizes.append(2 * sizes[-1])
+    levels = [_Level(colours, counts, camera, size, size == reduction) for size in sizes]
+    drawings = 0
+    for begin in range(len(levels), max(len(levels) - TRIES, 0), -1):
+        search = _Search(renderer, camera, drawings)
+        for level in reversed(levels[:begin]):
+            search.refine(level)
+        found = search.result()
+        drawings = found.iterations
+        if found.converged:
+            break
+    return found
+
+
+def _checked(
+    picture: ArrayLike, camera: Camera, mask: NDArray[np.bool_] | None
+) -> tuple[Pixels, Pixels]:
+    """Colours of 0 to 1, and how much each pixel counts."""
+    if camera.orthographic:
+        raise ValueError("camera: expected a perspective, got an orthographic one")
+    pixels = np.asarray(picture)
+    size = camera.height, camera.width
+    if pixels.shape != (*size, 3):
+        raise ValueError(f"picture: expected an array {(*size, 3)}, got {pixels.shape}")
+    if mask is not None and mask.shape != size:
+        raise ValueError(f"mask: expected an array {size}, got {mask.shape}")
+    colours: Pixels = pixels.astype(np.float32)
+    if pixels.dtype == np.uint8:
+        colours /= 255
+    counts = np.isfinite(colours).all(axis=-1)
+    colours[~counts] = 0
+    if mask is not None:
+        counts &= mask
+    return colours, np.asarray(counts, np.float32)
+
+
+# --- Pixels ---------------------------------------------------------------------------------------
+
+
+def _blocks(values: Pixels, size: int) -> Pixels:
+    """(h, size, w, size, ...) of an array (height, width, ...); what is left over is cut off."""
+    height, width = values.shape[0] // size, values.shape[1] // size
+    cut = values[: height * size, : width * size]
+    return cut.reshape(height, size, width, size, *values.shape[2:])
+
+
+def _means(values: Pixels, size: int) -> Pixels:
+    if size == 1:
+        return values
+    means: Pixels = _blocks(values, size).mean(axis=(1, 3))
+    return means
+
+
+def _masked_means(colours: Pixels, counts: Pixels, size: int) -> tuple[Pixels, Pixels]:
+    """Of the pixels that count, and the shares of those."""
+    shares = _means(counts, size)
+    sums = _means(colours * counts[..., None], size)
+    means = sums / np.maximum(shares, np.float32(1e-6))[..., None]
+    return means.astype(np.float32), shares
+
+
+def _reduced(camera: Camera, size: int) -> Camera:
+    """The camera of a picture of blocks' means."""
+    return replace(
+        camera, width=camera.width // size, height=camera.height // size,
+        fx=camera.fx / size, fy=camera.fy / size, cx=camera.cx / size, cy=camera.cy / size,
+    )  # fmt: skip
+
+
+def _gradients(colours: Pixels) -> tuple[Pixels, Pixels]:
+    """Along x and y, of each channel."""
+    if min(colours.shape[:2]) < 2:
+        return np.zeros_like(colours), np.zeros_like(colours)
+    down, across = (np.asarray(each, np.float32) for each in np.gradient(colours, axis=(0, 1)))
+    return across, down
+
+
+def _between(values: Pixels, x: Pixels, y: Pixels) -> Pixels:
+    """(n, c) of values (height, width, c) at places within, bilinear."""
+    height, width, channels = values.shape
+    left = np.minimum(x.astype(np.int32), width - 2)
+    top = np.minimum(y.astype(np.int32), height - 2)
+    across, down = (x - left)[:, None], (y - top)[:, None]
+    flat, first = values.reshape(-1, channels), top * width + left
+    upper = flat[first] + (flat[first + 1] - flat[first]) * across
+    first += width
+    lower = flat[first] + (flat[first + 1] - flat[first]) * across
+    between: Pixels = upper + (lower - upper) * down
+    return between
+
+
+class _Level:
+    """The camera's picture in means of blocks of size x size pixels."""
+
+    def __init__(
+        self, colours: Pixels, counts: Pixels, camera: Camera, size: int, finest: bool
+    ) -> None:
+        self.size, self.camera, self.finest = size, _reduced(camera, size), finest
+        means, shares = _masked_means(colours, counts, size)
+        # Colours, their gradients along x and y, and how much a pixel counts.
+        self.values = np.concatenate([means, *_gradients(means), shares[..., None]], axis=-1)
+
+
+# --- The map's pixels, and equations for a pose ---------------------------------------------------
+
+
+def motion(step: ArrayLike) -> Array:
+    """(4, 4) of a camera that moves along its axes by step[:3] and turns by the vector step[3:]."""
+    moved = np.eye(4)
+    along, turn = np.split(np.asarray(step, np.float64), 2)
+    angle = float(np.linalg.norm(turn))
+    if angle > 0:
+        axis = math.sin(angle / 2) * turn / angle
+        moved[:3, :3] = to_matrices(np.append(axis, math.cos(angle / 2)))
+    moved[:3, 3] = along
+    return moved
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Of a step of the pose (6), as of motion(), and of gain and bias of each channel (6).
+
+    Means over pixels and channels, as they count.
+    """
+
+    hessian: Array
+    """(12, 12) of half the squared errors, by Gauss and Newton."""
+    gradient: Array
+    """(12,)"""
+    flow: Array
+    """(6, 6) A step's square by it is the mean square of what it moves pixels by. [px^2]"""
+    cost: float
+    deviation: float
+    """Of the errors, by their median."""
+    variance: float
+    """Of the step, for a hessian of 1: that of M-estimates (Huber 1981)."""
+    explained: float
+    contrast: float
+    """Mean square of the gradients, as they count, along an axis."""
+    weight: float
+    """Of all pixels' channels."""
+
+
+class MapPixels:
+    """What a camera at a pose has of the map: places, colours and gradients of its pixels."""
+
+    def __init__(self, level: _Level, drawn: dict[str, Any]) -> None:
+        self._level, camera, size = level, level.camera, level.size
+        colours = _means(drawn["colour"][..., :3], size)
+        alphas = _means(drawn["colour"][..., 3], size)
+        depths = _blocks(drawn["depth"][..., 0], size)[:, size // 2, :, size // 2]
+        self._shown = np.isfinite(depths) & (alphas >= LEAST_ALPHA)
+        down, across = np.nonzero(self._shown)
+        z = depths[self._shown]
+        x = (across + 0.5 - camera.cx) / camera.fx * z
+        y = (down + 0.5 - camera.cy) / camera.fy * z
+        self._points = np.stack([x, y, z]).astype(np.float32)
+        self._alphas, self._colours = alphas[self._shown], colours[self._shown]
+        self._gradients = tuple(each[self._shown] for each in _gradients(colours))
+
+    def __len__(self) -> int:
+        return len(self._alphas)
+
+    def equations(
+        self, move: Array, exposure: Array, deviation: float = 0.0, ours: float = 0.5
+    ) -> Equations | None:
+        """For a camera that has moved; None where too little of the map is in its picture.
+
+        deviation: of the errors that count in full, 0 for what their median says. ours: share of
+        the map's gradients, the picture's have the rest.
+        """
+        level = self._level
+        camera = level.camera
+        back = np.linalg.inv(move).astype(np.float32)
+        points = back[:3, :3] @ self._points + back[:3, 3:]
+        moved = (move != np.eye(4)).any()
+        if moved:
+            with np.errstate(all="ignore"):
+                u = camera.fx * points[0] / points[2] + (camera.cx - 0.5)
+                v = camera.fy * points[1] / points[2] + (camera.cy - 0.5)
+                inside = (u >= 0) & (v >= 0) & (u <= camera.width - 1) & (v <= camera.height - 1)
+            inside &= points[2] > 0.01 * self._points[2]
+            if inside.sum() < max(LEAST_COMMON * len(self), LEAST_POINTS):
+                return None
+            points = points[:, inside]
+            real = _between(level.values, u[inside], v[inside])
+        else:
+            inside, real = np.ones(len(self), bool), level.values[self._shown]
+        counts = real[:, -1] * self._alphas[inside]
+        weight = 3 * float(counts.sum(dtype=np.float64))
+        if weight < 3 * LEAST_POINTS * LEAST_ALPHA:
+            return None
+        colours = self._colours[inside]
+        errors = colours * exposure[:, 0].astype(np.float32) - real[:, :3]
+        errors += exposure[:, 1].astype(np.float32)
+        sizes = np.abs(errors)
+        deviation = deviation or max(1.4826 * float(np.median(sizes[counts > 0])), LEAST_DEVIATION)
+        squares = (errors / np.float32(CAUCHY * deviation)) ** 2
+        shares = 1 / (1 + squares)
+        weights = shares * counts[:, None]
+
+        by_pose = _flows(camera, points)
+        hessian, gradient, contrast = np.zeros((12, 12)), np.zeros(12), 0.0
+        rows = np.ones((8, len(colours)), np.float32)
+        for channel in range(3):
+            slopes = [
+                ours * np.float32(exposure[channel, 0]) * mine[inside, channel]
+                + (1 - ours) * real[:, 3 * axis + 3 + channel]
+                for axis, mine in enumerate(self._gradients)
+            ]
+            rows[:6] = -(by_pose[0] * slopes[0] + by_pose[1] * slopes[1])
+            rows[6] = colours[:, channel]
+            weighted = rows * weights[:, channel]
+            places = [*range(6), 6 + 2 * channel, 7 + 2 * channel]
+            hessian[np.ix_(places, places)] += weighted @ rows.T
+            gradient[places] += weighted @ errors[:, channel]
+            contrast += float(weights[:, channel] @ (slopes[0] ** 2 + slopes[1] ** 2)) / 2
+        flow = sum(((each * counts) @ each.T).astype(np.float64) for each in by_pose)
+
+        def mean(values: Pixels) -> float:
+            return float(np.sum(counts @ values, dtype=np.float64)) / weight
+
+        curving = mean((1 - squares) * shares * shares)
+        influence = mean((shares * errors) ** 2) + ROUNDING
+        spread = real[:, :3] - (counts @ real[:, :3]) / counts.sum()
+        return Equations(
+            hessian=hessian / weight,
+            gradient=gradient / weight,
+            flow=flow / (weight / 3),
+            cost=mean(np.log1p(squares)),
+            deviation=deviation,
+            variance=influence * mean(shares) / max(curving, 0.1) ** 2,
+            explained=1 - mean(shares * errors**2) / max(mean(shares * spread**2), ROUNDING),
+            contrast=contrast / weight + 1e-12,
+            weight=weight,
+        )
+
+
+def _flows(camera: Camera, points: Pixels) -> tuple[Pixels, Pixels]:
+    """(6, n) How x and y [px] of points (3, n) follow a step, as of motion()."""
+    x, y, z = points
+    a, b = np.float32(camera.fx) / z, np.float32(camera.fy) / z
+    u, v, none = x / z, y / z, np.zeros_like(z)
+    return (
+        np.stack([-a, none, a * u, a * u * y, -a * (z + u * x), a * y]),
+        np.stack([none, -b, b * v, b * (z + v * y), -b * v * x, -b * x]),
+    )
+
+
+# --- The search -----------------------------------------------------------------------------------
+
+
+class _Search:
+    """A pose on its way, from level to level."""
+
+    def __init__(self, renderer: CpuRenderer, camera: Camera, drawings: int) -> None:
+        self._renderer, self._camera = renderer, camera
+        self._pose = camera.camera_to_world
+        self._exposure = np.tile([1.0, 0.0], (3, 1))
+        self._drawings = drawings
+        self._last: Equations | None = None  # of the finest level
+        self._problem = ""
+
+    def refine(self, level: _Level) -> None:
+        """Moves the pose until the level's pixels stand still, or have been drawn often enough."""
+        for _ in range(FINEST_DRAWINGS if level.finest else DRAWINGS):
+            pixels = self._draw(level)
+            if len(pixels) < LEAST_POINTS:
+                self._problem = f"the map shows {len(pixels)} pixels, at least {LEAST_POINTS} count"
+                return
+            moved = self._step(pixels) if level.finest else self._search(level, pixels)
+            if moved is None:
+                self._problem = "the map and the picture have too little in common"
+                return
+            self._problem = ""
+            if moved < (FINEST_STILL if level.finest else STILL):
+                return
+        if level.finest:
+            self._problem = f"after {self._drawings} drawings, pixels still move by {moved:.2f}"
+
+    def _draw(self, level: _Level) -> MapPixels:
+        camera = replace(self._camera, world_to_camera=self._world_to_camera())
+        self._drawings += 1
+        return MapPixels(level, self._renderer.draw(posed(camera), mean_depth=True))
+
+    def _step(self, pixels: MapPixels) -> float | None:
+        """One step, after which the map is to be drawn again; what it moves pixels by. [px]"""
+        self._last = pixels.equations(np.eye(4), self._exposure)
+        if self._last is None:
+            return None
+        step, moved = _solved(self._last, DAMPING)
+        self._take(step)
+        return moved
+
+    def _search(self, level: _Level, pixels: MapPixels) -> float | None:
+        """Steps that make the errors less; what they move pixels by, together. [px]"""
+        move, exposure, damping = np.eye(4), self._exposure, DAMPING
+        now = start = pixels.equations(move, exposure)
+        if now is None or start is None:
+            return None
+        for _ in range(STEPS):
+            step, moved = _solved(now, damping)
+            further = move @ motion(step[:6]), exposure + step[6:].reshape(3, 2)
+            then = pixels.equations(*further, now.deviation)
+            if then is None or then.cost > now.cost:
+                damping = 8 * max(damping, 10 * LEAST_DAMPING)
+            else:
+                (move, exposure), now = further, then
+                damping = max(damping / 4, LEAST_DAMPING)
+            if moved < FINEST_STILL or damping > MOST_DAMPING:
+                break
+        self._pose, self._exposure = self._pose @ move, exposure
+        return _length(start, np.concatenate([move[:3, 3], _turn(move)]))
+
+    def _take(self, step: Array) -> None:
+        self._pose = self._pose @ motion(step[:6])
+        self._exposure = self._exposure + step[6:].reshape(3, 2)
+
+    def result(self) -> Alignment:
+        """What was found, on the finest level."""
+        found, covariance = self._last, np.diag(np.full(6, np.inf))
+        problem = self._problem
+        if found and not problem:
+            covariance, uncertain = self._covariance(found)
+            if found.explained < LEAST_EXPLAINED:
+                problem = f"the map explains {found.explained:.2f} of the picture's variance"
+            elif not uncertain <= MOST_UNCERTAIN:
+                problem = f"the picture tells where pixels are to {uncertain:.1f} px only"
+        gain, bias = self._exposure.T.copy()
+        return Alignment(
+            self._world_to_camera(),
+            covariance,
+            problem,
+            self._drawings,
+            found.deviation if found else math.inf,
+            found.explained if found else 0.0,
+            gain,
+            bias,
+        )
+
+    def _world_to_camera(self) -> Array:
+        inverse = np.eye(4)
+        inverse[:3, :3] = self._pose[:3, :3].T
+        inverse[:3, 3] = -inverse[:3, :3] @ self._pose[:3, 3]
+        return inverse
+
+    def _covariance(self, found: Equations) -> tuple[Array, float]:
+        """About the map's axes, and by how much pixels are uncertain. [px]"""
+        hessian = found.hessian + np.diag(np.full(12, RIDGE * RIDGE))
+        of_step = np.linalg.inv(hessian)[:6, :6] * found.variance / found.weight
+        of_step = (of_step + of_step.T) / 2  # to the bit
+        turned = np.kron(np.eye(2), self._pose[:3, :3])
+        uncertain = math.sqrt(max(float(np.trace(found.flow @ of_step)), 0.0))
+        return turned @ of_step @ turned.T, uncertain
+
+
+def _solved(equations: Equations, damping: float) -> tuple[Array, float]:
+    """A step of pose and exposure, not too long a one, and what it moves pixels by. [px]"""
+    hessian = equations.hessian.copy()
+    hessian[:6, :6] += damping * equations.contrast * equations.flow
+    hessian[range(12), range(12)] += [*[0.0] * 6, *[RIDGE] * 6]
+    step = np.asarray(-np.linalg.lstsq(hessian, equations.gradient, rcond=None)[0], np.float64)
+    moved = _length(equations, step[:6])
+    if moved > LONGEST_STEP:
+        step, moved = step * (LONGEST_STEP / moved), LONGEST_STEP
+    return step, moved
+
+
+def _length(equations: Equations, step: Array) -> float:
+    return math.sqrt(max(float(step @ equations.flow @ step), 0.0))
+
+
+def _turn(move: Array) -> Array:
+    """(3,) rotation vector of a motion, of less than half a turn."""
+    *axis, cosine = from_matrices(move[:3, :3]).tolist()
+    sine = float(np.linalg.norm(axis))
+    angle = 2 * math.atan2(sine, cosine)
+    angle -= 2 * math.pi * (angle > math.pi)
+    return np.array(axis) * (angle / sine if sine > 0 else 2.0)

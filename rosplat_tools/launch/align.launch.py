@@ -1,0 +1,47 @@
+"""Refines the poses of a camera's pictures against a map, and with `scene` publishes that map."""
+
+from __future__ import annotations
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from rosplat_tools.program.launching import declared, publisher, room_for_maps
+
+ARGUMENTS = {
+    "image": ("image_raw", "Topic of the camera's pictures"),
+    "camera_info": ("camera_info", "Topic of its calibration"),
+    "rectified": ("false", "Whether pictures are rectified"),
+    "broadcast": ("", "Frame that TF has at the refined pose; empty: none"),
+    "scene": ("", "Scene file of the map; empty: who publishes /gaussians runs already"),
+    "frame_id": ("map", "Frame of the scene's coordinates"),
+    "max_splats": ("2000000", "The most splats of a streamed scene"),
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """What `ros2 launch` reads."""
+    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=_programs)])
+
+
+def _programs(context: LaunchContext) -> list[object]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    align = Node(
+        package="rosplat_tools",
+        executable="align",
+        name="align",
+        parameters=[
+            {
+                "rectified": given["rectified"] == "true",
+                "broadcast": ParameterValue(given["broadcast"], value_type=str),
+            }
+        ],
+        remappings=[("image_raw", given["image"]), ("camera_info", given["camera_info"])],
+        output="screen",
+    )
+    programs: list[object] = [*room_for_maps(context), align]
+    if given["scene"]:
+        programs.append(publisher(given["scene"], given["frame_id"], int(given["max_splats"])))
+    return programs

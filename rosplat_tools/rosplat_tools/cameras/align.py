@@ -1,0 +1,199 @@
+"""Says where a camera was, by what it saw of a map: refines poses of TF or of a topic.
+
+Hears `gaussians`, `image_raw`, `camera_info` and `mask`, and by TF or on `pose` where the camera
+was, about. Publishes `aligned`, the refined pose of each picture, while somebody hears it or
+`broadcast` asks for it. Serves `~/align`, which takes a start and a picture.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+from geometry_msgs.msg import (
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Header
+
+from rosplat_core.lenses import Straightened
+from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError
+from rosplat_msgs.srv import Align
+from rosplat_sorter.diagnostics import Diagnostics
+from rosplat_sorter.qos import overridable
+from rosplat_tools.cameras.drawn_map import DrawnMap
+from rosplat_tools.cameras.health import NoPicture
+from rosplat_tools.cameras.pose_history import SECOND, Pose
+from rosplat_tools.cameras.refining import Refined, refined
+from rosplat_tools.cameras.taken_pictures import Taken, TakenPictures
+from rosplat_tools.poses import to_matrix, to_pose
+from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.running import run, spinning
+
+# Some wheels of PyPI don't have it.
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:
+    TFMessage = None
+
+POSES = QoSProfile(depth=5)
+TF = QoSProfile(depth=100)
+POLL = 0.005  # how often TF is asked [s]
+
+
+@dataclass
+class _Call:
+    """Of the service, from ROS's thread to the drawing one."""
+
+    request: Align.Request
+    response: Align.Response
+    done: threading.Event = field(default_factory=threading.Event)
+
+
+class AlignNode(Node):
+    """Callbacks hand over; align() draws."""
+
+    def __init__(self) -> None:
+        """Raises SceneError for a parameter that makes no sense."""
+        super().__init__("align")
+        self._child: str = declare(
+            self, "broadcast", "", "Frame that TF has at the refined pose, empty: none."
+        )
+        if self._child and TFMessage is None:
+            raise SceneError("parameter broadcast: tf2_msgs is not installed")
+        self._came = threading.Event()
+        self._map = DrawnMap(self, self._came.set)
+        self._pictures = TakenPictures(self, self._map, Straightened, self._came.set)
+        self._health = self._pictures.health
+        self._calls: deque[_Call] = deque()
+        self._aligned = self.create_publisher(
+            PoseWithCovarianceStamped, "aligned", **overridable(POSES)
+        )
+        self._tf = (
+            self.create_publisher(TFMessage, "/tf", **overridable(TF)) if self._child else None
+        )
+        self.create_service(Align, "~/align", self._on_call)
+        Diagnostics(self, self._health.name, self._health.report)
+
+    def align(self) -> None:
+        """Aligns pictures until ROS ends."""
+        while self.context.ok():
+            self._came.wait(POLL)
+            self._came.clear()
+            self._map.take()
+            while self._calls:
+                call = self._calls.popleft()
+                self._answer(call)
+                call.done.set()
+            try:
+                self._align_newest()
+            except NoPicture as none:
+                self._health.trouble(none.kind, none)
+
+    # --- The topic --------------------------------------------------------------------------------
+
+    def _align_newest(self) -> None:
+        if not self._tf and not self._aligned.get_subscription_count():
+            self._pictures.forget()
+            return
+        taken = self._pictures.next()
+        if not taken:
+            return
+        began = time.perf_counter()
+        found = self._refined(taken)
+        header = Header(stamp=taken.header.stamp, frame_id=self._map.frame_id)
+        pose = found.in_map()
+        self._aligned.publish(PoseWithCovarianceStamped(header=header, pose=pose))
+        if self._tf:
+            self._tf.publish(TFMessage(transforms=[_transform(header, self._child, pose)]))
+        latency = (self.get_clock().now().nanoseconds - taken.stamp) / SECOND
+        self._health.well(latency, time.perf_counter() - began)
+        self._health.figures = found.figures()
+
+    def _refined(self, taken: Taken[Straightened]) -> Refined:
+        found = refined(
+            self._map.renderer, taken, taken.optics, self._pictures.near, self._pictures.far
+        )
+        if problem := found.alignment.problem:
+            raise NoPicture("not aligned", problem)
+        return found
+
+    # --- The service ------------------------------------------------------------------------------
+
+    def _on_call(self, request: Align.Request, response: Align.Response) -> Align.Response:
+        call = _Call(request, response)
+        self._calls.append(call)
+        self._came.set()
+        while not call.done.wait(0.1):
+            if not self.context.ok():
+                response.problem = "the node ends"
+                break
+        return response
+
+    def _answer(self, call: _Call) -> None:
+        response = call.response
+        try:
+            taken = self._asked(call.request)
+            found = self._refined(taken)
+        except NoPicture as none:
+            response.problem = str(none)
+            return
+        found_s, pose = found.alignment, found.in_map()
+        response.converged = True
+        response.pose.header = Header(stamp=taken.header.stamp, frame_id=self._map.frame_id)
+        response.pose.pose = pose
+        response.iterations, response.residual = found_s.iterations, found_s.residual
+        response.explained = found_s.explained
+        response.gain, response.bias = found_s.gain, found_s.bias
+
+    def _asked(self, request: Align.Request) -> Taken[Straightened]:
+        if problem := self._map.problem():
+            raise NoPicture("without a map", problem)
+        frame = request.start.header.frame_id
+        if frame not in ("", self._map.frame_id):
+            raise NoPicture(
+                "without a pose",
+                f"start is in '{shown(frame)}', the map is in '{shown(self._map.frame_id)}'",
+            )
+        try:
+            start: Pose = to_matrix(to_pose(request.start.pose, "start"))
+        except ValueError as error:
+            raise NoPicture("without a pose", error) from error
+        image = request.image if request.image.width else self._pictures.newest
+        if image is None:
+            raise NoPicture("without a picture", "no picture has come on image_raw")
+        return self._pictures.read(image, start)
+
+
+def _transform(header: Header, child: str, pose: PoseWithCovariance) -> TransformStamped:
+    place = pose.pose.position
+    return TransformStamped(
+        header=header,
+        child_frame_id=child,
+        transform=Transform(
+            translation=Vector3(x=place.x, y=place.y, z=place.z), rotation=pose.pose.orientation
+        ),
+    )
+
+
+def main() -> None:
+    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
+    run("align", _align)
+
+
+def _align() -> None:
+    node = AlignNode()
+    with spinning(node):
+        node.align()
+
+
+if __name__ == "__main__":
+    main()
