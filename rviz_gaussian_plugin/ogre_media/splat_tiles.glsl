@@ -4,8 +4,18 @@
 #define EXACTLY
 #endif
 
+ivec2 tileAt(uint number) { return ivec2(int(number) % view.tiles.x, int(number) / view.tiles.x); }
+// 32 lanes blend a block of a tile's pixels, and skip the splats that don't reach it.
+const ivec2 kPart = ivec2(8, 4);
+
+// The pixel of an invocation of 256, in their tile.
+ivec2 pixelInTile(uint local) {
+  uint part = local / 32u;
+  return ivec2(part % 2u, part / 2u) * kPart + ivec2(int(local) % kPart.x, int(local % 32u) / kPart.x);
+}
+
 #ifdef COMPUTE
-ivec2 groupTile() { return ivec2(int(workGroup()) % view.tiles.x, int(workGroup()) / view.tiles.x); }  // a work group each
+ivec2 groupTile() { return tileAt(workGroup()); }  // a work group each
 #endif
 
 // A splat's 1/255 ellipse, as rows of the picture cut it.

@@ -453,6 +453,61 @@ TEST_F(SplatRendererTest, SortsOnTheGpuAsTheProcessorDoes) {
   EXPECT_EQ(scene.warning(), "");
 }
 
+TEST_F(SplatRendererTest, BlendsLongListsInSegments) {
+  // Some 5,000 on each of four tiles, faint and small, so that all of them count.
+  Splats splats;
+  std::minstd_rand random;
+  const auto part = [&] { return float(random() % 4096) / 4096; };
+  for (int i = 0; i < 20000; ++i) {
+    const float z = 5 + 10 * part(), across = 0.4f * z * (part() - 0.5f), down = part() - 0.5f;
+    splats.splats.add({across, 0.4f * z * down, z}, {0.01f, 0.02f, 0.01f}, 0.02f,
+                      {2 * part() - 1, 2 * part() - 1, 2 * part() - 1});
+  }
+  SplatScene scene(shaders());
+  scene.apply(splats.batch(1, {}));
+  const auto expected = picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn);
+  const auto found = picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+  EXPECT_STREQ(scene.report("view").rasterizer.c_str(), "tiles");
+  EXPECT_LT(greatestDifference(found, expected), 1e-4f);
+  EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kGpu), found);
+  // Those of a wall before them don't.
+  Splats wall;
+  for (int i = 0; i < 40; ++i) wall.add({0, 0, 3}, {1, 0, float(i % 2)}, 2.0f);
+  std::vector<std::uint32_t> slots(40);
+  std::iota(slots.begin(), slots.end(), 20000u);
+  scene.apply(wall.batch(2, slots));
+  EXPECT_LT(greatestDifference(picture(scene, Rasterizer::kTiles, OrderSource::kGpu),
+                               picture(scene, Rasterizer::kQuads, OrderSource::kBuiltIn)),
+            1e-4f);
+}
+
+TEST_F(SplatRendererTest, LaysSplatsOverATextureAsOverAWindow) {
+  SplatScene scene(shaders());
+  fill(scene);
+  std::vector<std::vector<std::uint8_t>> pictures;
+  for (const bool texture : {false, true}) {
+    const Framebuffer framebuffer(GL_DEPTH24_STENCIL8, 0, 1);
+    GLuint picture_of = 0;
+    glGenTextures(1, &picture_of);
+    glBindTexture(GL_TEXTURE_2D, picture_of);
+    glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA8, kSize, kSize);
+    if (texture) {
+      glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, picture_of, 0);
+    }
+    glClearColor(0.2f, 0.4f, 0.6f, 1);
+    glClear(GL_COLOR_BUFFER_BIT);
+    picture(scene, Rasterizer::kTiles, OrderSource::kGpu, Canvas::kTexture);
+    pictures.emplace_back(4 * kSize * kSize);
+    glReadPixels(0, 0, kSize, kSize, GL_RGBA, GL_UNSIGNED_BYTE, pictures.back().data());
+    glDeleteTextures(1, &picture_of);
+  }
+  int greatest = 0;
+  for (std::size_t i = 0; i < pictures[0].size(); ++i) {
+    greatest = std::max(greatest, std::abs(int(pictures[0][i]) - int(pictures[1][i])));
+  }
+  EXPECT_LE(greatest, 1);  // of 255, by rounding
+}
+
 TEST_F(SplatRendererTest, TheSorterIsGivenTheMapOnceItIsAsked) {
   SplatScene scene(shaders()), asked_before(shaders());
   fill(scene);

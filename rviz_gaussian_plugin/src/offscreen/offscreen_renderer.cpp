@@ -17,10 +17,19 @@
 #include <stdexcept>
 #include <tuple>
 
+#include "gl/shaders.hpp"
+
 namespace rosplat {
 
 namespace {
 constexpr const char* kResourceGroup = "rosplat";
+
+constexpr const char* kClear = R"(#version 430
+layout(local_size_x = 16, local_size_y = 16) in;
+layout(binding = 0, rgba8) writeonly uniform image2D picture;
+uniform vec3 background;
+void main() { imageStore(picture, ivec2(gl_GlobalInvocationID.xy), vec4(background, 1.0)); }
+)";
 }  // namespace
 
 OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string& plugins)
@@ -38,6 +47,11 @@ OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string
   }
   graphics_ = std::string(reinterpret_cast<const char*>(glGetString(GL_RENDERER))) + ", OpenGL " +
               reinterpret_cast<const char*>(glGetString(GL_VERSION));
+  if (gl::accelerated() && gl::unsupported().empty()) {
+    clear_.emplace();
+    clear_->attach(GL_COMPUTE_SHADER, "the clear", kClear);
+    clear_->link("the clear");
+  }
   auto& resources = Ogre::ResourceGroupManager::getSingleton();
   resources.addResourceLocation(media, "FileSystem", kResourceGroup);
   resources.initialiseResourceGroup(kResourceGroup);
@@ -210,16 +224,29 @@ std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float,
   return pixels;
 }
 
+void OffscreenRenderer::clear() const {
+  GLuint picture = 0;
+  texture_->getCustomAttribute("GLID", &picture);
+  const gl::StateGuard guard;
+  clear_->use();
+  glUniform3fv(clear_->at("background"), 1, background_.data());
+  glBindImageTexture(0, picture, 0, GL_FALSE, 0, GL_WRITE_ONLY, GL_RGBA8);
+  glDispatchCompute(GLuint(tilesIn(width())), GLuint(tilesIn(height())), 1);
+  glMemoryBarrier(GL_FRAMEBUFFER_BARRIER_BIT | GL_SHADER_IMAGE_ACCESS_BARRIER_BIT |
+                  GL_TEXTURE_UPDATE_BARRIER_BIT);
+}
+
 bool OffscreenRenderer::failed() const { return glGetError() != GL_NO_ERROR; }
 
 void OffscreenRenderer::update() {
   picked_ = false;
   for (const auto& cloud : clouds_) cloud->clearError();
   Ogre::RenderTarget* target = texture_->getBuffer()->getRenderTarget();
-  // To clear depth takes a card without need for it as long as to lay the map over the picture.
-  const bool box = manager_->hasManualObject("box");
+  // Drawing over a picture, or over its depth, takes a card for computing as long as a small map.
+  const bool box = manager_->hasManualObject("box"), computes = clear_ && !box;
   target->getViewport(0)->setClearEveryFrame(
-      true, box ? Ogre::FBT_COLOUR | Ogre::FBT_DEPTH : Ogre::FBT_COLOUR);
+      !computes, box ? Ogre::FBT_COLOUR | Ogre::FBT_DEPTH : Ogre::FBT_COLOUR);
+  if (computes) clear();
   root_->_fireFrameStarted();
   target->update();
   root_->_fireFrameEnded();

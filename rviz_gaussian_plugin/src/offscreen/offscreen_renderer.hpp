@@ -7,9 +7,11 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "gl/gl_objects.hpp"
 #include "rosplat_core/order/order_slots.hpp"
 #include "splat_cloud.hpp"
 
@@ -61,6 +63,8 @@ class OffscreenRenderer {
   SplatScene& drawn();
   void resize(int width, int height);
   void paintBackground();
+  // Fills the picture with the background, by a shader.
+  void clear() const;
   void update();
 
   std::unique_ptr<Ogre::LogManager> log_;
@@ -69,6 +73,7 @@ class OffscreenRenderer {
   Ogre::Camera* camera_ = nullptr;
   Ogre::TexturePtr texture_;
   std::array<float, 3> background_{};
+  std::optional<gl::Program> clear_;                 // where a graphics card draws
   std::vector<std::unique_ptr<SplatCloud>> clouds_;  // a map each
   std::map<std::string, SplatCamera> cameras_;
   std::string view_id_;

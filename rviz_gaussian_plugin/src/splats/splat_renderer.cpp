@@ -43,6 +43,7 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       picker_(shaders_),
       divide_(shaders_.draw({"splat_composite.vert"}, {"splat_divide.frag"})),
       composite_(shaders_.draw({"splat_composite.vert"}, {"splat_composite.frag"})),
+      compute_composite_(shaders_.compute({"splat_composite.comp"})),
       hide_(shaders_.draw({"splat_composite.vert"}, {"splat_hide.frag"})),
       surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})) {
   const ViewState compiled(shaders_, sort_);  // what all views draw with
@@ -183,6 +184,13 @@ void SplatRenderer::divide(ViewState& view) const {
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
 }
 
+void SplatRenderer::composite(const CanvasScope& window, const gl::Target& splats) const {
+  if (window.isImage()) return window.computeOver(compute_composite_, splats);
+  blendOver();
+  glDisable(GL_DEPTH_TEST);
+  window.layOver(composite_, splats);
+}
+
 std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView>& maps,
                                                       Canvas canvas, const Surroundings& around) {
   const std::function<void()>& translucent = around.translucent;
@@ -243,9 +251,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
     view.blend(frame, scope, in_tiles, bool(translucent));
   }
   if (canvas != Canvas::kNone) {
-    blendOver();
-    glDisable(GL_DEPTH_TEST);
-    window.layOver(composite_, translucent ? view.behind : view.color);
+    composite(window, translucent ? view.behind : view.color);
     stopwatch.lap("composite");
   }
   std::vector<OfMap> drawn;
@@ -279,9 +285,7 @@ void SplatRenderer::drawBefore(const std::string& view_id) const {
   if (!view) return;
   const CanvasScope window(Canvas::kWindow);
   const gl::DrawScope scope(view->color);
-  blendOver();
-  glDisable(GL_DEPTH_TEST);
-  window.layOver(composite_, view->color);
+  composite(window, view->color);
 }
 
 void SplatRenderer::drawSurface(const std::vector<CardView>& maps, Canvas canvas, double far_clip) {

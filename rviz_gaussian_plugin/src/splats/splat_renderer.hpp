@@ -130,6 +130,8 @@ class SplatRenderer {
   static void keepTranslucent(ViewState& view, const SplatCamera& camera,
                               const std::function<void()>& draw);
   void divide(ViewState& view) const;
+  // Lays splats over the canvas.
+  void composite(const CanvasScope& window, const gl::Target& splats) const;
 
   bool accelerated_;
   Shaders shaders_;
@@ -138,7 +140,7 @@ class SplatRenderer {
   RadixSort sort_;
   std::optional<bool> sorts_;
   SplatPicker picker_;
-  const gl::Program &divide_, &composite_, &hide_, &surface_;
+  const gl::Program &divide_, &composite_, &compute_composite_, &hide_, &surface_;
 
   ViewNames names_;
   std::map<std::string, RenderedView> views_;  // by name

@@ -31,10 +31,32 @@ void widen(std::vector<float>& depths, int width, int height) {
   }
 }
 
+// The texture of a framebuffer's colour, where shaders can write it as RGBA8; else 0.
+GLuint imageOf(GLuint framebuffer) {
+  if (framebuffer == 0 || epoxy_gl_version() < 44) return 0;
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer);
+  const auto ask = [](GLenum what) {
+    GLint value = 0;
+    glGetFramebufferAttachmentParameteriv(GL_READ_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, what, &value);
+    return value;
+  };
+  if (ask(GL_FRAMEBUFFER_ATTACHMENT_OBJECT_TYPE) != GL_TEXTURE) return 0;
+  if (ask(GL_FRAMEBUFFER_ATTACHMENT_TEXTURE_LEVEL) != 0) return 0;
+  const auto texture = static_cast<GLuint>(ask(GL_FRAMEBUFFER_ATTACHMENT_OBJECT_NAME));
+  GLint samples = 0, format = 0;
+  glGetIntegerv(GL_SAMPLES, &samples);
+  gl::dropErrors();
+  glBindTexture(GL_TEXTURE_2D, texture);
+  if (samples > 0 || glGetError() != GL_NO_ERROR) return 0;  // of several samples, or a cube's face
+  glGetTexLevelParameteriv(GL_TEXTURE_2D, 0, GL_TEXTURE_INTERNAL_FORMAT, &format);
+  return format == GL_RGBA8 ? texture : 0;
+}
+
 }  // namespace
 
 CanvasScope::CanvasScope(Canvas canvas) : canvas_(canvas) {
   if (canvas != Canvas::kNone) depth_format_ = gl::depthFormat(guard_.drawFramebuffer());
+  if (canvas == Canvas::kTexture) image_ = imageOf(guard_.drawFramebuffer());
   std::array<GLint, 4> viewport{};
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   x_ = viewport[0];
@@ -87,6 +109,18 @@ void CanvasScope::layOver(const gl::Program& program, const gl::Target& target) 
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.color());
   glDrawArrays(GL_TRIANGLES, 0, 3);
+}
+
+void CanvasScope::computeOver(const gl::Program& program, const gl::Target& target) const {
+  program.use();
+  glUniform2i(program.at("corner"), x_, y_);
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, target.color());
+  glBindImageTexture(0, image_, 0, GL_FALSE, 0, GL_READ_WRITE, GL_RGBA8);
+  gl::dispatchInvocations(static_cast<std::size_t>(target.width()) *
+                          static_cast<std::size_t>(target.height()));
+  glMemoryBarrier(GL_FRAMEBUFFER_BARRIER_BIT | GL_TEXTURE_FETCH_BARRIER_BIT |
+                  GL_TEXTURE_UPDATE_BARRIER_BIT);
 }
 
 std::vector<float> depthsOf(Canvas canvas, int width, int height, const PictureRect& part,

@@ -46,11 +46,15 @@ class CanvasScope {
   std::vector<float> readDepth(int width, int height) const;
   // Draws a target over the canvas by a program that knows how.
   void layOver(const gl::Program& program, const gl::Target& target) const;
+  // The same by a compute program, as splat_composite.comp; only where shaders can write there.
+  bool isImage() const { return image_ != 0; }
+  void computeOver(const gl::Program& program, const gl::Target& target) const;
 
  private:
   gl::StateGuard guard_;
   Canvas canvas_;
   GLenum depth_format_ = 0;
+  GLuint image_ = 0;     // the texture that is drawn to, if it is one of RGBA8 without samples
   GLint x_ = 0, y_ = 0;  // of the viewport
 };
 

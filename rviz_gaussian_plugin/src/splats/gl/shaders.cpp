@@ -54,24 +54,24 @@ const gl::Program& Shaders::program(std::initializer_list<Stage> stages) {
   gl::Program program;
   const char* name = "";
   for (const Stage& stage : stages) {
-    name = *(stage.files.end() - 1);
+    name = stage.files.back();
     program.attach(stage.stage, name, text(stage));
   }
   program.link(name);
   return programs_.emplace(std::move(key), std::move(program)).first->second;
 }
 
-const gl::Program& Shaders::compute(Files files) {
+const gl::Program& Shaders::compute(const Files& files) {
   return program({{GL_COMPUTE_SHADER, "", files}});
 }
 
-const gl::Program& Shaders::computeInWarps(Files files, bool in_subgroups) {
+const gl::Program& Shaders::computeInWarps(const Files& files, bool in_subgroups) {
   const int warp = in_subgroups ? warp_ : kEmulatedWarp;
   const std::string size = "#define WARP " + std::to_string(warp) + "\n";
   return program({{GL_COMPUTE_SHADER, (in_subgroups ? kSubgroups : "") + size, files}});
 }
 
-const gl::Program& Shaders::draw(Files vertex, Files fragment) {
+const gl::Program& Shaders::draw(const Files& vertex, const Files& fragment) {
   return program({{GL_VERTEX_SHADER, "", vertex}, {GL_FRAGMENT_SHADER, "", fragment}});
 }
 

@@ -4,6 +4,7 @@
 #include <initializer_list>
 #include <map>
 #include <string>
+#include <vector>
 
 #include "gl/gl_objects.hpp"
 
@@ -21,14 +22,14 @@ class Shaders {
  public:
   explicit Shaders(ShaderSource source);
 
-  using Files = std::initializer_list<const char*>;
+  using Files = std::vector<const char*>;
   // The last file names the program. Throw gl::Error.
-  const gl::Program& compute(Files files);
+  const gl::Program& compute(const Files& files);
   // For lanes that vote together, in shaders of WARP lanes at most: the driver's subgroups where it
   // says that it has some, else, or where they don't serve, what stands in for them.
-  const gl::Program& computeInWarps(Files files, bool in_subgroups);
+  const gl::Program& computeInWarps(const Files& files, bool in_subgroups);
   bool subgroups() const { return warp_ > 0; }
-  const gl::Program& draw(Files vertex, Files fragment);
+  const gl::Program& draw(const Files& vertex, const Files& fragment);
 
   // Projected splats in one buffer of the driver's, and of the renderer's, at most kEllipseParts.
   std::size_t partSize() const { return part_size_; }

@@ -101,6 +101,13 @@ bool OrderedSplats::checkRoom(std::size_t most, double growth) {
   return enough;
 }
 
+bool OrderedSplats::hasBalls() const {
+  return std::any_of(prepared_.begin(), prepared_.end(), [](const Prepared& prepared) {
+    return prepared.settings.mode == DrawMode::kFlatBall ||
+           prepared.settings.mode == DrawMode::kGaussianBall;
+  });
+}
+
 std::size_t OrderedSplats::bytes() const {
   return projection_.bytes() + slots_.bytes() + page_numbers_.bytes() + drawn_.bytes();
 }

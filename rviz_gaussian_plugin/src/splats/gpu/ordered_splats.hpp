@@ -35,6 +35,8 @@ class OrderedSplats {
   // How many: what the graphics card knows, what was counted last, and at most.
   const Tally& tally() const { return order_ ? order_length_ : projection_.visible(); }
   std::size_t count() const { return count_; }
+  // Whether any may be a solid ball.
+  bool hasBalls() const;
   const std::vector<std::size_t>& countsOfLayers() const { return counts_; }
   std::size_t most() const { return order_ ? order_->slots.size() : projection_.room(); }
   std::size_t bytes() const;

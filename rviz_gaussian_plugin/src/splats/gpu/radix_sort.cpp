@@ -11,7 +11,7 @@ namespace rosplat {
 
 namespace {
 constexpr std::size_t kDigits = 1u << RadixSort::kDigitBits;
-constexpr Shaders::Files kScatter{"group_sum.glsl", "radix_digit.glsl", "radix_scatter.comp"};
+const Shaders::Files kScatter{"group_sum.glsl", "radix_digit.glsl", "radix_scatter.comp"};
 
 std::size_t blocks(std::size_t count) { return (count + Tally::kBlock - 1) / Tally::kBlock; }
 }  // namespace

@@ -2,15 +2,45 @@
 
 #include <algorithm>
 #include <array>
+#include <initializer_list>
+#include <vector>
 
 namespace rosplat {
 
 namespace {
 
-constexpr int kPatience = 64;  // pictures, until memory that was lacking may be there
+constexpr int kPatience = 64;             // pictures, until memory that was lacking may be there
+constexpr std::size_t kRangesEach = 255;  // tiles, as in tile_ranges.comp
+
+// Splats in a tile's segments. Shorter first ones end the last work groups sooner, but have more
+// blended that walls hide.
+constexpr GLuint kFirstSegment = 2048, kLaterSegment = 1024;
+constexpr std::size_t kMostLater = 32768;  // which every driver dispatches in one dimension
+// As tile_segments.glsl has them: none yet.
+constexpr std::array<GLuint, 6> kNoGroups{0, 1, 1, 0, 1, 1};
+constexpr GLintptr kLaterGroups = 0, kCutGroups = 3 * sizeof(GLuint);
+
+GLuint laterSegment(std::size_t room) {
+  return std::max(kLaterSegment, static_cast<GLuint>(room / kMostLater));
+}
+
+// A buffer of the sort with room for these has it for what segments of so many pairs leave: a word
+// a pair, since 1,024 pairs and more leave 256 pixels of four floats.
+std::size_t roomForPartials(std::size_t pairs) { return pairs + kLaterSegment; }
+
 // 1.25 GiB with what sorts them.
 std::size_t mostPairs() {
-  return std::min(std::size_t{1} << 26, gl::largestStorageBuffer() / sizeof(GLuint));
+  return std::min(std::size_t{1} << 26,
+                  gl::largestStorageBuffer() / sizeof(GLuint) - kLaterSegment);
+}
+
+// What blends tiles, of these kinds of splats.
+const gl::Program& blender(Shaders& shaders, std::initializer_list<const char*> of) {
+  std::vector<const char*> files{"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
+                                 "splat_colour.glsl"};
+  files.insert(files.end(), of);
+  files.push_back("tile_blend.comp");
+  return shaders.compute(files);
 }
 
 }  // namespace
@@ -20,17 +50,16 @@ TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies&
           {"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl", "tile_count.comp"})),
       list_(shaders.compute(
           {"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl", "tile_list.comp"})),
-      ranges_(shaders.compute({"tile_ranges.comp"})),
-      blend_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
-                              "splat_colour.glsl", "tile_blend.comp"})),
-      blend_divided_(
-          shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
-                           "splat_colour.glsl", "splat_behind.glsl", "tile_blend.comp"})),
-      blend_shares_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
-                                     "splat_colour.glsl", "splat_shares.glsl", "tile_blend.comp"})),
-      blend_shares_divided_(shaders.compute(
-          {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "splat_colour.glsl",
-           "splat_shares.glsl", "splat_behind.glsl", "tile_blend.comp"})),
+      ranges_(shaders.compute({"tile_segments.glsl", "tile_ranges.comp"})),
+      composite_(
+          shaders.compute({"splat_tiles.glsl", "tile_segments.glsl", "tile_composite.comp"})),
+      blend_(blender(shaders, {"tile_segments.glsl"})),
+      blend_balls_(blender(shaders, {"tile_segments.glsl", "splat_balls.glsl"})),
+      blend_divided_(blender(shaders, {"splat_balls.glsl", "splat_behind.glsl"})),
+      blend_shares_(
+          blender(shaders, {"tile_segments.glsl", "splat_balls.glsl", "splat_shares.glsl"})),
+      blend_shares_divided_(
+          blender(shaders, {"splat_balls.glsl", "splat_shares.glsl", "splat_behind.glsl"})),
       prefix_sum_(shaders),
       sort_(sort),
       pair_count_(tallies.of(Tallies::kPairs)),
@@ -60,9 +89,15 @@ bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
   room_ = 0;  // should there be no memory
   try {
     prefix_sum_.reserve(splats.most());
-    sort_.reserve(room);
+    sort_.reserve(roomForPartials(room));
     if (splats_.bytes() / 4 > room * sizeof(GLuint)) splats_.release();
     splats_.reserve(room * sizeof(GLuint));
+    most_cut_ = static_cast<GLuint>(room / kFirstSegment) + 1;
+    later_segment_ = laterSegment(room);
+    begins_.reserve((tiles() + 1) * sizeof(GLuint));
+    segments_.reserve(sizeof(kNoGroups) +
+                      (tiles() + 2 * std::size_t{most_cut_} + room / later_segment_ + 1) *
+                          sizeof(GLuint));
   } catch (const gl::Error&) {
     splats_.release();
     most_pairs_ = room / 2;
@@ -85,8 +120,6 @@ bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
 }
 
 void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch) {
-  const std::size_t tiles = std::size_t(tilesIn(width_)) * std::size_t(tilesIn(height_));
-  begins_.reserve((tiles + 1) * sizeof(GLuint));
   list_.use();
   splats.projection().bindEllipses(list_);
   list_.bind("Drawn", splats.drawn());
@@ -99,24 +132,27 @@ void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch)
   splats.tally().dispatchGroups();
   gl::storageBarrier();
   stopwatch.lap("list");
-  sort_.sort(pair_count_, zero_, std::max(bitsOf(tiles - 1), 1), splats_);
+  sort_.sort(pair_count_, zero_, std::max(bitsOf(tiles() - 1), 1), splats_);
+  segments_.write(0, kNoGroups.data(), sizeof(kNoGroups));
   ranges_.use();
-  ranges_.set("tile_count", static_cast<GLuint>(tiles));
+  useSegments(ranges_);
   ranges_.bind("Tiles", sort_.keys());
   ranges_.bind("Begins", begins_);
   ranges_.bind("Length", pair_count_.words());
-  gl::dispatchInvocations(tiles + 1);
+  gl::dispatch(tiles() / kRangesEach + 1);
   gl::storageBarrier();
+  glMemoryBarrier(GL_COMMAND_BARRIER_BIT);
   stopwatch.lap("bin");
   listed_ = true;
 }
 
 void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target,
-                           const gl::Target* behind) const {
+                           const gl::Target* behind) {
   const bool shares = splats.projection().hasShares();
-  const gl::Program& program = shares   ? behind ? blend_shares_divided_ : blend_shares_
-                               : behind ? blend_divided_
-                                        : blend_;
+  const gl::Program& program = shares              ? behind ? blend_shares_divided_ : blend_shares_
+                               : behind            ? blend_divided_
+                               : splats.hasBalls() ? blend_balls_
+                                                   : blend_;
   program.use();
   splats.projection().bindEllipses(program);
   program.bind("Splats", splats_);
@@ -132,13 +168,39 @@ void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
   glBindImageTexture(0, target.color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, target.format());
-  gl::dispatch(std::size_t(tilesIn(target.width())) * std::size_t(tilesIn(target.height())));
+  if (!behind) {
+    sort_.reserve(roomForPartials(room_));  // if another view's was smaller
+    useSegments(program);
+    program.set("later", 0);
+  }
+  gl::dispatch(tiles());
+  if (!behind) {
+    gl::storageBarrier();
+    program.set("later", 1);
+    glBindBuffer(GL_DISPATCH_INDIRECT_BUFFER, segments_.id());
+    glDispatchComputeIndirect(kLaterGroups);
+    gl::storageBarrier();
+    composite_.use();
+    useSegments(composite_);
+    composite_.bind("Begins", begins_);
+    glDispatchComputeIndirect(kCutGroups);
+  }
   glMemoryBarrier(GL_TEXTURE_FETCH_BARRIER_BIT | GL_FRAMEBUFFER_BARRIER_BIT |
                   GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);  // what comes may be blended once more
 }
 
+void TileRasterizer::useSegments(const gl::Program& program) const {
+  program.bind("Segments", segments_);
+  // What has been sorted isn't needed any more.
+  program.bind("FirstPartials", sort_.spare());
+  program.bind("LaterPartials", sort_.values());
+  program.set("first_segment", kFirstSegment);
+  program.set("later_segment", later_segment_);
+  program.set("most_cut", most_cut_);
+}
+
 std::size_t TileRasterizer::bytes() const {
-  return splats_.bytes() + begins_.bytes() + prefix_sum_.bytes();
+  return splats_.bytes() + begins_.bytes() + segments_.bytes() + prefix_sum_.bytes();
 }
 
 }  // namespace rosplat

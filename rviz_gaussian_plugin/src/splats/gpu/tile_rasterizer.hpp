@@ -32,7 +32,7 @@ class TileRasterizer {
   // Overwrites the target's colour by what is listed, where its depth lets a splat pass; `behind`,
   // if there is one, gets those that the target's depth hides and its own lets pass, and in its
   // second colour their nearness, as splat_hide.frag reads it.
-  void blend(const OrderedSplats& splats, const gl::Target& target, const gl::Target* behind) const;
+  void blend(const OrderedSplats& splats, const gl::Target& target, const gl::Target* behind);
 
   // Whether there was room for so many pairs; else makes it, better for more by a factor, or, where
   // that takes too much memory, refuses.
@@ -51,15 +51,20 @@ class TileRasterizer {
   std::size_t bytes() const;
 
  private:
+  std::size_t tiles() const { return std::size_t(tilesIn(width_)) * std::size_t(tilesIn(height_)); }
   bool counted(int width, int height) const { return width_ == width && height_ == height; }
 
-  const gl::Program &count_, &list_, &ranges_;
-  const gl::Program &blend_, &blend_divided_, &blend_shares_, &blend_shares_divided_;
+  void useSegments(const gl::Program& program) const;
+
+  const gl::Program &count_, &list_, &ranges_, &composite_;
+  const gl::Program &blend_, &blend_balls_, &blend_divided_, &blend_shares_, &blend_shares_divided_;
   PrefixSum prefix_sum_;
   RadixSort& sort_;
   Tally pair_count_;
   gl::Slice zero_;
   gl::Buffer splats_, begins_;
+  gl::Buffer segments_;                      // as tile_segments.glsl has it
+  GLuint later_segment_ = 0, most_cut_ = 0;  // the same
   std::size_t room_ = 0;
   UsageTracker used_;
   std::size_t most_pairs_;      // that may be listed

@@ -1,0 +1,2 @@
+// For programs that also draw solid balls.
+#define BALLS
