@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -42,7 +43,16 @@ def draw(name: str, looks: Sequence[Callable[[Splats], Camera]], by: Draw = exac
     """
     workers = min(len(looks), len(os.sched_getaffinity(0)))
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        return list(pool.map(partial(_draw, name, by), looks))
+        # What starts now inherits the mask, and never hears Ctrl-C: the parent does.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        drawn = pool.map(partial(_draw, name, by), looks)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        try:
+            return list(drawn)
+        except BaseException:
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
 
 
 def _draw(name: str, by: Draw, look: Callable[[Splats], Camera]) -> Truth:

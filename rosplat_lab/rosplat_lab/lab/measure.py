@@ -126,7 +126,7 @@ def _measurements(
 ) -> Iterator[Measurement]:  # fmt: skip
     way = measured.way
     labels: dict[str, Any] = {
-        "scene": name, "splats": count, "gpu": device, "setting": way.setting,
+        "scene": Path(name).name, "splats": count, "gpu": device, "setting": way.setting,
         "family": way.family, "aside": way.aside,
     }  # fmt: skip
     if measured.times and way.aside != MODEL:
@@ -284,7 +284,7 @@ def _moving(plan: Plan, name: str) -> Iterator[Event]:
                 if isinstance(event, Measurement):
                     found.setdefault(event.name, []).append(event)
         labels: dict[str, Any] = {
-            "scene": name, "splats": count, "gpu": found["PSNR in motion"][0].gpu,
+            "scene": Path(name).name, "splats": count, "gpu": found["PSNR in motion"][0].gpu,
             "setting": setting, "family": "in motion", "aside": MOVING,
         }  # fmt: skip
         times = [float(np.median(m.samples)) for m in found["painting in motion"]]
