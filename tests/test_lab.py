@@ -16,7 +16,6 @@ import pytest
 
 from rosplat_lab.bench.records import load
 from rosplat_lab.lab import pages
-from rosplat_lab.lab.command import KEPT
 from rosplat_lab.lab.points import Point, frontier, points
 from rosplat_lab.lab.ways import DEFAULT, MODEL
 from rosplat_testing import PATIENCE
@@ -76,7 +75,7 @@ def test_documents_are_made_of_the_records_that_are_kept(
     page = (folder / "docs/accuracy.md").read_text()
     assert all(point.setting in page for point in frontier(found.values()))
     assert (folder / "docs/accuracy.png").stat().st_size < 300_000
-    kept = tmp_path / "docs" / KEPT
+    kept = tmp_path / "docs" / pages.KEPT
     kept.mkdir(parents=True)
     shutil.copy(folder / "lab.json", kept / "processor.json")
     drawn = [*LAB, "--part", "pages", "--out", str(tmp_path), "--docs", str(tmp_path / "docs")]
@@ -138,7 +137,7 @@ def test_records_name_a_commit_before_this_one_and_pages_name_it() -> None:
     )  # fmt: skip
     if run.stdout.strip() != "false":
         pytest.skip("not in a whole clone")
-    files = sorted((DOCS / KEPT).glob("*.json"))
+    files = sorted((DOCS / pages.KEPT).glob("*.json"))
     assert files
     for path in files:
         (commit,) = {record.commit for record in load([path])}

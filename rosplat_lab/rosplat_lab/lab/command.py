@@ -30,7 +30,6 @@ LARGE = f"{PROCEDURAL}2000000"
 WITHOUT_DATA = f"{PROCEDURAL}500000"
 QUICK = f"{PROCEDURAL}20000"
 KINDS = {"card": "a graphics card", "processor": "two cores, without a graphics card"}
-KEPT = "results/lab"  # of the folder of documents: KIND.json and KIND-atlas.json
 
 
 def usual_scenes(quick: bool) -> list[str]:
@@ -94,8 +93,8 @@ def _write(out: Path, docs: Path | None, keep: bool) -> None:
     """The report of what was measured here, and the pages of all that is kept."""
     written = []
     if docs and keep:
-        _keep(out, docs / KEPT)
-    kept = _kept(docs / KEPT if docs else None)
+        _keep(out, docs / pages.KEPT)
+    kept = _kept(docs / pages.KEPT if docs else None)
     if not docs and (out / "lab.json").exists():
         records = load([out / "lab.json"])
         kept["lab"] = {kind_of(records): records}

@@ -24,6 +24,8 @@ TARGETS = (60, 50, 40, 30)  # [dB]
 SOLVED = 65.0  # what nobody sees, and packed attributes allow [dB]
 COLUMNS = 4  # of stability.png
 
+KEPT = "results/lab"  # of the folder of documents: KIND.json and KIND-atlas.json
+
 Kept = Mapping[str, Sequence[Record]]
 
 
@@ -50,7 +52,7 @@ def _accuracy(lab: Kept) -> list[str]:
         lines += [
             f"## {'A graphics card' if kind == 'card' else 'Two cores'}",
             "",
-            _run(records),
+            _run(records, kind),
             "",
         ]
         lines += ["| " + " | ".join(
@@ -89,12 +91,13 @@ def _aside(point: Point) -> str:
     return f"{what} {point.psnr:.1f} dB"
 
 
-def _run(records: Sequence[Record]) -> str:
+def _run(records: Sequence[Record], name: str) -> str:
+    """Where and when, and the file of DOCS/results/lab."""
     first = records[0]
     load = max(record.load for record in records)
     return (
-        f"{where(records)} (`{first.command}`, {first.machine}, commit {first.commit}, "
-        f"{first.time[:10]}, load up to {load:.1f})."
+        f"{where(records)} (`{first.command}`, commit {first.commit}, {first.time[:10]}, "
+        f"load up to {load:.1f}, [record]({KEPT}/{name}.json))."
     )
 
 
@@ -121,7 +124,7 @@ def _stability(atlas: Kept) -> list[str]:
     lines = ["![All curves](stability.png)", ""]
     for kind, records in atlas.items():
         lines += [f"## Measured {'on a graphics card' if kind == 'card' else 'on two cores'}", ""]
-        lines += [_run(records), ""]
+        lines += [_run(records, f"{kind}-atlas"), ""]
         lines += ["| | difficulty | drawn by | dB, or what is named |", "|---|---|---|---|"]
         for name, curves in curves_of(records).items():
             case = CASES[name]
