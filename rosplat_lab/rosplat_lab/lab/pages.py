@@ -60,7 +60,7 @@ def _accuracy(lab: Kept) -> list[str]:
             "|---|---:|---:|---:|"]  # fmt: skip
         for p in sorted(named(first), key=lambda p: p.ms or 0):
             setting = f"**{p.setting}**" if p in best else p.setting
-            lines += [f"| {setting} | {p.ms:.3g} | {p.psnr:.1f} | {p.worst_view:.1f} |"]
+            lines += [f"| {setting} | {_ms(p)} | {p.psnr:.1f} | {p.worst_view:.1f} |"]
         lines += ["", "Bold is the frontier. The fastest setting by what is asked for:", ""]
         lines += ["| | " + " | ".join(f"{least} dB" for least in TARGETS) + " |"]
         lines += ["|---|" + "---|" * len(TARGETS)]
@@ -81,8 +81,13 @@ def _accuracy(lab: Kept) -> list[str]:
     return ["![Error against time](accuracy.png)", "", *lines[:-1]]
 
 
+def _ms(point: Point) -> str:
+    assert point.ms is not None
+    return f"{point.ms:,.0f}" if point.ms >= 100 else f"{point.ms:.3g}"
+
+
 def _answer(point: Point | None) -> str:
-    return f"{point.setting}, {point.ms:.3g} ms" if point else "none"
+    return f"{point.setting}, {_ms(point)} ms" if point else "none"
 
 
 def _aside(point: Point) -> str:

@@ -114,7 +114,7 @@ def _dots(axes: Any, records: Sequence[Record]) -> None:
     axes.xaxis.set_major_formatter("{x:g}")
     decades = math.log10(max(times) / min(times))
     axes.xaxis.set_minor_formatter(
-        LogFormatter(minor_thresholds=(2, 0.6)) if decades < 2 else NullFormatter()
+        LogFormatter(minor_thresholds=(2, 0.6)) if decades < 1.5 else NullFormatter()
     )
     axes.set_xlabel("a picture, sorted and drawn [ms]")
     axes.set_title(
