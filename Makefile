@@ -40,9 +40,9 @@ bench: ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" S
 	@./setup.sh lab
 	@$(ENTER); python -m rosplat_lab.bench $(SUBJECTS) $(if $(QUICK),--quick) $(if $(SIZES),--sizes $(SIZES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(DISPLAYS),--displays $(DISPLAYS))
 
-lab: ## Chart error against time for all methods: [SCENE=path] [OUT=folder] [QUICK=1] [DOCS=folder]
+lab: ## Chart error against time for all settings, and where pictures fail: [SCENE=path] [OUT=folder] [QUICK=1] [DOCS=folder] [PART=chart|atlas|pages]
 	@./setup.sh lab
-	@$(ENTER); python -m rosplat_lab.lab $(if $(SCENE),"$(SCENE)") --out "$(if $(filter out/render,$(OUT)),out/lab,$(OUT))" $(if $(QUICK),--quick) $(if $(DOCS),--docs "$(DOCS)")
+	@$(ENTER); python -m rosplat_lab.lab $(if $(SCENE),"$(SCENE)") --out "$(if $(filter out/render,$(OUT)),out/lab,$(OUT))" $(if $(QUICK),--quick) $(if $(DOCS),--docs "$(DOCS)") $(if $(PART),--part $(PART))
 
 fuzz: ## Messages, requests and files as no honest peer sends them, the C++ with sanitizers: CASES=100000 [SEED=0] [CASE=number]
 	@./setup.sh dev

@@ -16,7 +16,7 @@ export MYPYPATH=../rosplat_core
   rosplat_tools/{cameras/{comparison,pose_history}.py,program/{files_below,processes}.py,emulation/{flight,mapping}.py,streaming/{detail,followed_view,slot_allocator,streamed_map}.py,convert.py,generate.py,inspect_scene.py})
 (cd rosplat_lab && MYPYPATH=../rosplat_core:../rosplat_sorter:../rosplat_tools mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_lab/{lab,reference,simplify,arguments.py,driven_rviz.py,machine.py,metrics.py} \
-  rosplat_lab/bench/{baselines.py,charts.py,command.py,isolation.py,mouse.py,plan.py,records.py,renderers.py,rviz.py,scenes.py,sort.py})
+  rosplat_lab/bench/{baselines.py,charts.py,command.py,embedded.py,isolation.py,levels.py,mouse.py,plan.py,records.py,renderers.py,rviz.py,scenes.py,sort.py,truths.py})
 # All of them, for names, attributes and arguments: what knows ROS, too, whose own types are thin. A folder
 # "launch" is no module.
 (cd tests && MYPYPATH=../rosplat_core:../rosplat_sorter:../rosplat_tools:../rviz_gaussian_plugin:../rosplat_lab \

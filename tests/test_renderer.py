@@ -16,7 +16,6 @@ import pytest
 import drawing
 from drawing import decibels
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.generated import generate
 from rosplat_core.maps import BatchError
 from rosplat_core.rendering import (
     Antialiasing,
@@ -29,9 +28,6 @@ from rosplat_core.rendering import (
 )
 from rosplat_core.splats import Splats
 from rosplat_lab import reference
-from rosplat_lab.lab import motion
-from rosplat_lab.lab.bench import Bench, Shot, Sort
-from rosplat_lab.lab.methods import METHODS
 from rosplat_sorter.order_slots import PACKED, SHARED, OrderError, pack
 from rosplat_sorter.shared_orders import FOLDER, OrderBuffer, SharedOrders
 from rviz_gaussian_plugin.offscreen import Renderer
@@ -831,42 +827,3 @@ def test_slots_are_read_back_as_they_were_sent(host: Host) -> None:
     host.draw(CAMERAS["outside"])
     emptied, beyond = host.renderer.read_slots([65536, 10**6])
     assert emptied["opacity"] == beyond["opacity"] == 0
-
-
-class Watched(Bench):
-    """Keeps the orders that methods find, and has them all blended in one way."""
-
-    def __init__(self, host: Host) -> None:
-        super().__init__(threads=1, repeats=1, renderer=host.renderer)
-        self.exactly = {"float_blending": True, "rasterizer": host.renderer.settings.rasterizer}
-        self.found: Any = None
-
-    def shoot(self, camera: Camera, sort: Sort, age: int = 0, **settings: Any) -> Shot:
-        def watched(bench: Bench, there: Camera) -> Any:
-            self.found = sort(bench, there)
-            return self.found
-
-        return super().shoot(camera, watched, age, **(settings | self.exactly))
-
-
-def test_the_laboratory_s_methods_draw_the_very_orders_that_they_find(host: Host) -> None:
-    """Graphics cards sort by themselves where they aren't told whose order to draw."""
-    bench = Watched(host)
-    splats = generate(3000)
-    (camera,) = motion.around(splats, 1, (0, 0, 1), 96, 54)
-    exact = reference.render(splats, camera).rgba
-    found = others = 0
-    for method in METHODS:
-        if not method.shoot or method.model or method.change or not method.available(bench):
-            continue
-        if method.family in ("SH degree", "resolution", "quality"):  # other pictures
-            continue
-        bench.show(splats)
-        picture = method.shoot(bench, camera).picture
-        expected = exact
-        if bench.found is not None:
-            found += 1
-            expected = reference.render(splats, camera, order=bench.found).rgba
-            others += decibels(picture, exact[..., :3]) < 60
-        assert decibels(picture, expected[..., :3]) > 60, method.name
-    assert found > 40 and others > 15  # which would differ if the renderer sorted

@@ -6,7 +6,7 @@ splats end where their alpha is 1/255, a pixel ends where less than 1e-4 of it i
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import _core
 from rosplat_core.cameras import Camera
-from rosplat_core.maps import REPLACE, UPSERT
+from rosplat_core.maps import MOVE, REPLACE, UPSERT
 from rosplat_core.splats import Splats
 
 Antialiasing = _core.Antialiasing
@@ -119,4 +119,14 @@ def edit(
         splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),
         splats.positions.ravel(), splats.orientations.ravel(),
         splats.scales.ravel(), splats.opacities, splats.sh.ravel(), MAP, revision,
+    )  # fmt: skip
+
+
+def move(renderer: Any, poses: Mapping[int, Sequence[float]], revision: int) -> None:
+    """Gives groups poses in the map's frame: position x y z [m], quaternion x y z w."""
+    none: NDArray[np.float32] = np.zeros(0, np.float32)
+    renderer.apply(
+        MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), none, none, none, none, none, MAP,
+        revision, groups=np.array(list(poses), np.uint32),
+        poses=np.array(list(poses.values()), np.float64).ravel(),
     )  # fmt: skip

@@ -14,7 +14,7 @@ from rosplat_core.posed_camera import CameraError, PosedCamera
 # Half the low-pass filter's reach, 3.33 * sqrt(0.3) = 1.82 px, with room for rounding.
 MARGIN_PIXELS = 2.0
 # How much wider than the picture an order is culled: it is drawn for cameras that have moved on,
-# and lacks what came in. 1.25 saves 18 dB after a turn of 3 degrees (docs/stability.md).
+# and lacks what came in. 1.25 saves 11 dB after a turn of 3 degrees (docs/stability.md).
 OVERSCAN = 1.25
 
 IDENTITY: NDArray[np.float64] = np.eye(4)[None]

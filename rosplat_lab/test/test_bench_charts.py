@@ -50,22 +50,6 @@ def test_every_series_is_a_line_in_the_panel_of_its_view(orders: list[Record]) -
     assert "a box · a card · 1.2 · abc" in caption
 
 
-@pytest.mark.parametrize(("file", "x"), [("levels-psnr", "share"), ("levels-time", "ms")])
-def test_levels_of_detail_are_drawn_over_what_they_save(file: str, x: str) -> None:
-    chart = next(chart for chart in charts.CHARTS if chart.file == file)
-    curves = [
-        record("PSNR", 1000, value, subject="levels", view="inside", detail=detail, **{x: over})
-        for over, value, detail in (
-            (1.0, 70.0, "1000"), (0.5, 45.0, "500"), (0.9, 60.0, "2px"), (1.1, 50.0, "4px"),
-            (0.3, 40.0, "8px"),
-        )
-    ]  # fmt: skip
-    budgets, errors = charts.figure(chart, charts.of_chart(chart, curves)).axes[0].get_lines()
-    np.testing.assert_allclose(budgets.get_xydata(), [[1, 70], [0.5, 45]])
-    np.testing.assert_allclose(errors.get_xydata(), [[0.9, 60], [1.1, 50], [0.3, 40]])
-    assert not list(charts.tables(curves))  # which are by number of splats
-
-
 def test_the_band_reaches_to_the_95th_percentile(orders: list[Record]) -> None:
     (band, _) = charts.figure(CHART, orders).axes[0].collections
     (path,) = band.get_paths()

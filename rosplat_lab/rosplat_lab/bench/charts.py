@@ -31,25 +31,9 @@ def at_rate(record: Record) -> str:
     return f"{record.parameters['rate']:g} Hz, {parameter('backend', 'transport')(record)}"
 
 
-def share(record: Record) -> float:
-    """Of the splats that full detail draws."""
-    return float(record.parameters["share"])
-
-
-def frame_time(record: Record) -> float:
-    """Of the pictures that an error was measured in. [ms]"""
-    return float(record.parameters["ms"])
-
-
 def off(record: Record) -> float:
     """By how much a start was. [degrees]"""
     return float(record.parameters["degrees"])
-
-
-def by_bound(record: Record) -> str:
-    """The scene, and what its levels of detail were asked for by."""
-    by = "error" if str(record.parameters["detail"]).endswith("px") else "budget"
-    return f"{Path(record.scene).stem}, {by}"
 
 
 def splats(record: Record) -> float:
@@ -59,10 +43,10 @@ def splats(record: Record) -> float:
 
 @dataclass(frozen=True)
 class Chart:
-    """Records of one name as lines over the number of splats, or what else `over` says.
+    """Records of one name as lines over the number of splats.
 
     only: of those, which. series: what makes a line; panel: what makes a chart beside it, all in
-    one by default. band: shade from there to the 95th percentile. top: of what the axis shows.
+    one by default. band: shade from there to the 95th percentile.
     """
 
     file: str
@@ -73,11 +57,9 @@ class Chart:
     series: Key
     panel: Key = lambda _: ""
     x: str = "splats"
-    over: Callable[[Record], float] = splats
     only: Callable[[Record], bool] = lambda _: True
     log: bool = True
     band: bool = True
-    top: float | None = None
 
 
 CHARTS = (
@@ -110,22 +92,6 @@ CHARTS = (
         "simplify", "simplify", "PSNR", "With fewer splats, in views that nothing was fitted to",
         "PSNR against the whole map [dB]", parameter("method"), lambda r: Path(r.scene).stem,
         log=False, band=False,
-    ),
-    Chart(
-        "levels-psnr", "levels", "PSNR", "Levels of detail", "PSNR against all splats [dB]",
-        by_bound, parameter("view"), x="share of the splats drawn",
-        over=share, log=False, band=False, top=100,
-    ),
-    Chart(
-        "levels-time", "levels", "PSNR", "Levels of detail", "PSNR against all splats [dB]",
-        by_bound, parameter("view"), x="frame [ms]",
-        over=frame_time, only=lambda r: "ms" in r.parameters, log=False, band=False, top=100,
-    ),
-    Chart(
-        "levels-truth", "levels", "PSNR against the truth", "Levels of detail",
-        "PSNR against the mean of 4x4 pixels [dB]",
-        by_bound, parameter("view"), x="share of the splats drawn",
-        over=share, only=lambda r: "share" in r.parameters, log=False, band=False, top=60,
     ),
     Chart(
         "levels-budget", "levels", "frame", "Frame of a million splats and nodes", "time [ms]",
@@ -197,7 +163,7 @@ def tables(records: Sequence[Record], statistic: str = "p50") -> Iterator[str]:
     """
     for chart in CHARTS:
         mine = of_chart(chart, records)
-        if mine and chart.over is splats:
+        if mine:
             yield f"{chart.title}, {chart.y}, {statistic}\n\n{table(chart, mine, statistic)}"
 
 
@@ -264,8 +230,7 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
     for panel, ax in zip(panels, axes, strict=True):
         for label in labels:
             points = [r for r in records if (chart.panel(r), chart.series(r)) == (panel, label)]
-            if chart.over is splats:  # else as they were measured: what levels cost may fall again
-                points.sort(key=splats)
+            points.sort(key=splats)
             for family in dict.fromkeys(map(_family, points)):
                 line = [point for point in points if _family(point) == family]
                 _line(ax, chart, line, statistic, label, color_of[label])
@@ -275,11 +240,10 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
         if chart.log:
             ax.set_xscale("log")
             ax.set_yscale("log")
-        if chart.over is splats:
-            ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
-            ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
+        ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
+        ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
     if not chart.log:
-        axes[0].set_ylim(0, chart.top)  # once all is drawn: the panels share it
+        axes[0].set_ylim(0)  # once all is drawn: the panels share it
     axes[0].set_ylabel(chart.y)
     handles = {
         label: handle
@@ -298,7 +262,7 @@ def _line(
     ax: Axes, chart: Chart, points: Sequence[Record], statistic: str, label: str,
     color: tuple[float, ...],
 ) -> None:  # fmt: skip
-    x, y = [chart.over(point) for point in points], [getattr(point, statistic) for point in points]
+    x, y = [splats(point) for point in points], [getattr(point, statistic) for point in points]
     marker = "o" if len(points) < 30 else None
     ax.plot(x, y, label=label, color=color, marker=marker, markersize=3.5, linewidth=1.4)
     if chart.band:

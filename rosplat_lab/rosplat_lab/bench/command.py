@@ -159,10 +159,9 @@ def _measure(arguments: list[str], console: Console) -> int:
     if options.seconds is not None:
         plan = replace(plan, budget=replace(plan.budget, seconds=options.seconds))
     make_folder(options.out)
-    circumstances = _circumstances(arguments)
+    here = circumstances("bench", arguments)
     console.print(
-        f"{circumstances.machine}; GPU: {circumstances.gpu or 'no NVIDIA'}; "
-        f"load {circumstances.load:.1f}",
+        f"{here.machine}; GPU: {here.gpu or 'no NVIDIA'}; load {here.load:.1f}",
         markup=False,
         soft_wrap=True,
     )
@@ -173,9 +172,9 @@ def _measure(arguments: list[str], console: Console) -> int:
             console.print(f"[yellow]{name} skipped: no ROS 2, or no rosplat_msgs, is sourced")
             continue
         events = importlib.import_module(f"rosplat_lab.bench.{name}").measure(plan)
-        recorder = Recorder(name, options.out / f"{name}.json", circumstances)
+        recorder = Recorder(name, options.out / f"{name}.json", here)
         try:
-            _follow(events, recorder, name, console)
+            follow(events, recorder, name, console)
         except (SceneError, ProcessError, RuntimeError, AssertionError, OSError) as error:
             console.print(f"[red]{name} ended early: {escape(str(error))}", soft_wrap=True)
             failed = True
@@ -190,14 +189,15 @@ def _measure(arguments: list[str], console: Console) -> int:
     return int(failed)
 
 
-def _circumstances(arguments: list[str]) -> Circumstances:
+def circumstances(program: str, arguments: list[str]) -> Circumstances:
+    """Of a run of a program with these arguments."""
     gpu, driver = machine.nvidia_gpu()
     return Circumstances(
         machine=machine.machine(),
         gpu=gpu,
         driver=driver,
         commit=machine.commit(),
-        command=shlex.join(["bench", *arguments]),
+        command=shlex.join([program, *arguments]),
         time=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         load=os.getloadavg()[0],
     )
@@ -298,7 +298,7 @@ class Recorder:
         return self.records[-1]
 
 
-def _follow(events: Iterator[Event], recorder: Recorder, name: str, console: Console) -> None:
+def follow(events: Iterator[Event], recorder: Recorder, name: str, console: Console) -> None:
     """Shows what happens while it does."""
     columns = (
         SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
-from rosplat_core.rendering import MAP, pose
+from rosplat_core.rendering import MAP, RenderSettings, pose
 from rosplat_lab.bench.records import Event, Measurement
 
 if TYPE_CHECKING:
@@ -62,8 +62,13 @@ class NumberedView:
         return report
 
 
-def put(settings: Any, values: dict[str, Any]) -> None:
-    """Sets fields of RenderSettings, enumerations by name."""
+def changed(values: dict[str, Any]) -> RenderSettings:
+    """Settings with these values, enumerations by name, and all others as they are by default.
+
+    Raises AttributeError for one that there is not.
+    """
+    settings = RenderSettings()
     for name, value in values.items():
         members = getattr(type(getattr(settings, name)), "__members__", None)
         setattr(settings, name, members[value] if members else value)
+    return settings

@@ -4,32 +4,24 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import multiprocessing
-import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera, Place, place
-from rosplat_core.ordering import view_of
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import SceneError, Splats
-from rosplat_lab import machine, metrics, reference
-from rosplat_lab.bench import embedded, live, renderers, scenes, streaming
+from rosplat_lab import machine
+from rosplat_lab.bench import embedded, live, renderers, scenes, streaming, truths
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_lab.bench.renderers import RENDERERS
-from rosplat_lab.bench.sort import map_of
-
-if TYPE_CHECKING:
-    from rviz_gaussian_plugin.offscreen import Renderer
 
 SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 SOFTWARE_SIZES = (100_000, 500_000)  # where no GPU draws
@@ -37,7 +29,6 @@ QUICK_SIZES = (50_000,)
 STREAMED, QUICK_STREAMED = 5_000_000, 100_000
 CARD_PICTURES = (*scenes.PICTURES, (3840, 2160))
 STEPS = 8  # cameras that take turns
-COMPARED = (640, 360)  # of the middle of each picture, held against the reference [px]
 PROFILED = Budget(least=3, most=30, seconds=0.5)  # frames whose stages are measured
 
 QUICK_VARIANTS = ("default",)
@@ -92,8 +83,8 @@ ORDERS = {
 
 Look = tuple[tuple[int, int], str]
 """A size of pictures, and a view."""
-Truths = dict[Look, NDArray[np.float32]]
-"""RGB of the first camera of a look by the reference renderer, where it is COMPARED."""
+Truths = dict[Look, truths.Truth]
+"""Of the first camera of a look."""
 
 
 def measure(plan: Plan) -> Iterator[Event]:
@@ -127,13 +118,13 @@ def measure(plan: Plan) -> Iterator[Event]:
             rooms = () if plan.quick or plan.sizes else (f"{ROOMS}{max(sizes)}",)
             for name in scenes.names(plan.sizes or sizes, plan.scenes or rooms):
                 looks = _looks(plan, name, pictures)
-                truths: Truths = {}
-                jobs.append(partial(_tell_truths, name, looks, truths))
+                told: Truths = {}
+                jobs.append(partial(_tell_truths, name, looks, told))
                 for maps in sorted({variants()[variant].maps for variant in ours}):
                     alike = [variant for variant in ours if variants()[variant].maps == maps]
-                    jobs.append(partial(isolated, _scene, plan, name, looks, truths, alike, maps))
+                    jobs.append(partial(isolated, _scene, plan, name, looks, told, alike, maps))
                 if beside := [renderer for renderer in chosen if renderer in RENDERERS]:
-                    jobs.append(partial(isolated, _beside, plan, name, looks, truths, beside))
+                    jobs.append(partial(isolated, _beside, plan, name, looks, told, beside))
             if ours:
                 streamed = max(plan.sizes, default=QUICK_STREAMED if plan.quick else STREAMED)
                 jobs.append(partial(isolated, streaming.measure, streamed))
@@ -159,42 +150,20 @@ def _looks(plan: Plan, name: str, pictures: Sequence[tuple[int, int]]) -> list[L
     return [(picture, view) for picture in pictures for view in views]
 
 
-def _tell_truths(name: str, looks: Sequence[Look], truths: Truths) -> Iterator[Event]:
-    """Fills truths for these looks at a scene, one in a process."""
+def _tell_truths(name: str, looks: Sequence[Look], told: Truths) -> Iterator[Event]:
+    """Fills told for these looks at a scene."""
     yield Doing(f"{name}: reference", 0.0)
-    workers = min(len(looks), len(os.sched_getaffinity(0)))
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        truths.update(zip(looks, pool.map(partial(_truth, name), looks), strict=True))
+    found = truths.draw(name, [partial(_first, look) for look in looks])
+    told.update(zip(looks, found, strict=True))
 
 
-def _truth(name: str, look: Look) -> NDArray[np.float32]:
+def _first(look: Look, splats: Splats) -> Camera:
     picture, view = look
-    splats = scenes.load(name)
-    camera = scenes.VIEWS[view](splats, *picture, STEPS)[0]
-    rows, columns = _compared(picture)
-    window = replace(
-        camera, width=columns.stop - columns.start, height=rows.stop - rows.start,
-        cx=camera.cx - columns.start, cy=camera.cy - rows.start,
-    )  # fmt: skip
-    seen = splats[np.sort(_sorted(splats, [window])[0])]
-    crop = (columns.start, rows.start, columns.stop, rows.stop)
-    return reference.render(seen, camera, crop=crop).rgba[..., :3].astype(np.float32)
-
-
-def _compared(picture: tuple[int, int]) -> tuple[slice, slice]:
-    """Rows and columns of what is COMPARED."""
-    left, top = ((size - part) // 2 for size, part in zip(picture, COMPARED, strict=True))
-    return slice(top, top + COMPARED[1]), slice(left, left + COMPARED[0])
-
-
-def _psnr(drawn: NDArray[np.float32], truth: NDArray[np.float32], look: Look) -> float:
-    """Of what a screen shows of a picture, (height, width, 3) RGB. [dB]"""
-    found = metrics.psnr(np.clip(drawn[_compared(look[0])], 0, 1), np.clip(truth, 0, 1))
-    return min(found, rendering.MOST_PSNR)
+    return scenes.VIEWS[view](splats, *picture, STEPS)[0]
 
 
 def _beside(
-    plan: Plan, name: str, looks: Sequence[Look], truths: Truths, chosen: Sequence[str]
+    plan: Plan, name: str, looks: Sequence[Look], told: Truths, chosen: Sequence[str]
 ) -> Iterator[Event]:
     """Frames of one scene by some of the RENDERERS."""
     yield Doing(f"{name}: loading", 0.0)
@@ -227,7 +196,7 @@ def _beside(
             yield Measurement.of("frame", "ms", times, **labels)
             frame(0)
             yield Measurement.of(
-                "PSNR", "dB", _psnr(renderer.picture(), truths[look], look), **labels
+                "PSNR", "dB", truths.psnr(renderer.picture(), told[look]), **labels
             )
         if memory := renderer.graphics_memory():
             labels = {
@@ -247,12 +216,12 @@ def _memory(used: dict[str, int], labels: dict[str, Any]) -> Iterator[Measuremen
 
 
 def _scene(
-    plan: Plan, name: str, looks: Sequence[Look], truths: Truths, chosen: Sequence[str], maps: int
+    plan: Plan, name: str, looks: Sequence[Look], told: Truths, chosen: Sequence[str], maps: int
 ) -> Iterator[Event]:
     """All measurements of one scene, as so many maps, by the display's renderer."""
     yield Doing(f"{name}: loading", 0.0)
-    renderer = embedded.open_renderer()
-    bench = Bench(renderer)
+    bench = Bench()
+    renderer = bench.renderer
     before = _trimmed_memory()
     splats = scenes.load(name)
     count = len(splats)
@@ -270,7 +239,7 @@ def _scene(
         picture, view = look
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
         if any(order.given for order in kinds.values()):
-            orders = _sorted(splats, cameras)
+            orders = truths.orders(splats, cameras)
         bench.view.look(cameras[0])
         bench.view.draw(sort_now=True)  # which uploads all that waits
         for variant in chosen:
@@ -289,7 +258,7 @@ def _scene(
                 )
             if not drawn.translucent:  # the reference knows no box
                 bench.use(drawn.settings)
-                found = _psnr(bench.picture(cameras[0]), truths[look], look)
+                found = truths.psnr(bench.exact(cameras[0]), told[look])
                 yield Measurement.of("PSNR", "dB", found, **labels)
     if maps > 1:
         return  # the memory of one map is what is compared
@@ -304,34 +273,21 @@ def _scene(
     yield from _memory(memory, {"scene": name, "splats": count, "gpu": renderer.renderer_info})
 
 
-class Bench:
+class Bench(renderers.DisplayRenderer):
     """A renderer with a map, and one view of it, to time frames of."""
-
-    def __init__(self, renderer: Renderer) -> None:
-        self.view = embedded.NumberedView(renderer)
-        self._renderer = renderer
-        self._finish = embedded.gl_finish()
-        self._untouched = type(renderer.settings)()
-
-    def use(self, values: dict[str, Any]) -> None:
-        """These settings, and all others as they are by default."""
-        changed = type(self._untouched)()
-        embedded.put(changed, values)
-        self._renderer.settings = changed
 
     def put_box(self, place: Place | None) -> None:
         """A translucent box in the middle of a place, as wide as its radius, or none any more."""
         if place:
-            self._renderer.set_box(tuple(place.centre.tolist()), (place.radius,) * 3, 0.5)
+            self.renderer.set_box(tuple(place.centre.tolist()), (place.radius,) * 3, 0.5)
         else:
-            self._renderer.set_box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+            self.renderer.set_box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
-    def picture(self, camera: Camera) -> NDArray[np.float32]:
+    def exact(self, camera: Camera) -> NDArray[np.float32]:
         """Premultiplied RGB over black, (height, width, 3), exactly sorted."""
-        self.view.look(camera)
-        self.view.draw(sort_now=True)
-        colour: NDArray[np.float32] = self._renderer.read_color()
-        return colour[..., :3]
+        self.look(camera)
+        self.draw()
+        return self.picture()
 
     def frames(
         self, budget: Budget, cameras: list[Camera], orders: list[NDArray[np.uint32]],
@@ -342,40 +298,32 @@ class Bench:
 
         def frame(index: int) -> float:
             which = index % len(cameras)
-            number = self.view.look(cameras[which])
+            self.look(cameras[which])
             if order.given:
-                self.view.give(number, self._renderer.revision, orders[which])
+                self.give(orders[which])
 
             def draw() -> None:
                 reports.append(self.view.draw(sort_now=order.waits))
-                self._finish()
+                self.finish()
 
             return milliseconds(draw)
 
         times = budget.spend(frame, embedded.WARM_UP)
         if order.given and not all(report["order_fresh"] for report in reports):
             raise RuntimeError("the renderer did not take the orders that it was given")
-        if self._renderer.failed():
+        if self.renderer.failed():
             raise RuntimeError("OpenGL reports an error")
         details = labels | {"drawn": int(reports[-1]["splats"])}
         yield Measurement.of("frame", "ms", times, **details)
         submitting = [1e3 * report["draw_time"] for report in reports[-len(times) :]]
         yield Measurement.of("render thread", "ms", submitting, **details)
-        self._renderer.settings.profile = True
+        self.renderer.settings.profile = True
         reports.clear()
         PROFILED.spend(frame)
-        self._renderer.settings.profile = False
+        self.renderer.settings.profile = False
         for stage in reports[-1]["profile"]:
             spent = [1e3 * r["profile"][stage] for r in reports[1:] if stage in r["profile"]]
             yield Measurement.of("stage", "ms", spent, **details, stage=stage)
-
-
-def _sorted(splats: Splats, cameras: list[Camera]) -> list[NDArray[np.uint32]]:
-    from rosplat_sorter.backends import open_backend
-
-    sorter, sorted_map = open_backend("native"), map_of(splats)
-    sorter.update(sorted_map, slice(0, sorted_map.rows))
-    return [np.array(sorter.order(view_of(camera, splats))) for camera in cameras]
 
 
 def _trimmed_memory() -> int:

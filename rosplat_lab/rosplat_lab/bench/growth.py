@@ -100,7 +100,7 @@ def _grow(size: int, backend: str, picture: tuple[int, int]) -> live.Watched:
     view = embedded.NumberedView(renderer)
     finish = embedded.gl_finish()
     sorter = None
-    embedded.put(renderer.settings, {"order": live.order_source(backend)})
+    renderer.settings = embedded.changed({"order": live.order_source(backend)})
     if backend in BACKENDS:
         sorter = SortingThread(backend, splats, view)
     began = sampled = grown = time.time()

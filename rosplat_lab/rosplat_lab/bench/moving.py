@@ -50,7 +50,7 @@ def measure(plan: Plan) -> Iterator[Event]:
         for motion in VIEWS:
             for detail in QUICK_DETAILS if plan.quick else DETAILS:
                 yield Doing(f"{name}, {motion}, {detail}", number / len(names))
-                yield from isolated(_in_motion, name, plan.quick, motion, detail)
+                yield from isolated(in_motion, name, plan.quick, motion, detail)
 
 
 def _shown(
@@ -92,7 +92,8 @@ def _carried(name: str, picture: tuple[int, int]) -> Iterator[Event]:
         del renderer, view  # while its display is there
 
 
-def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Event]:
+def in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Event]:
+    """What a camera that turns is shown, against the exact picture of where it is."""
     from rosplat_core.rendering import Rasterizer
     from rviz_gaussian_plugin.offscreen import ensure_display
 
@@ -128,6 +129,8 @@ def _in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Eve
         of = (name, len(splats), renderer.renderer_info)
         psnr = -10 * np.log10(max(np.mean(errors), 1e-12))
         yield Measurement.of("PSNR in motion", "dB", psnr, *of, **labels)
+        painting = [1e3 * report["paint_time"] for *_, report in frames]
+        yield Measurement.of("painting in motion", "ms", painting, *of, **labels)
         drawn = [report["splats"] for *_, report in frames]
         yield Measurement.of("drawn in motion", "", drawn, *of, **labels)
         del renderer, view  # while its display is there

@@ -1,10 +1,13 @@
-"""Renderers to time beside the display's own: a class each, and rows in RENDERERS."""
+"""What draws maps to be measured: the display's renderer, the processor's rasteriser, and others.
+
+Renderers to hold beside the display's own have a class each, and rows in RENDERERS.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +15,10 @@ from numpy.typing import NDArray
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
 from rosplat_core.splats import Splats
+from rosplat_lab.bench import embedded
+
+if TYPE_CHECKING:
+    from rviz_gaussian_plugin.offscreen import Renderer as Offscreen
 
 
 class Renderer(Protocol):
@@ -37,27 +44,107 @@ class Renderer(Protocol):
         none. [bytes]"""
 
 
+class Ours(Renderer, Protocol):
+    """One with RenderSettings, and levels of detail."""
+
+    report: dict[str, Any]
+    """Of the last picture: `splats` drawn, the `error` of their levels [px], and more."""
+
+    @property
+    def renderer(self) -> Any:
+        """What takes batches."""
+
+    def use(self, values: dict[str, Any]) -> None:
+        """These settings, enumerations by name, and all others as they are by default."""
+
+    def merge(self) -> dict[str, float]:
+        """Has the levels hold all of the map; the `memory` that they take [bytes], and how many
+        `nodes` they have where that is known."""
+
+
 class CpuRenderer:
     """The plugin's rasteriser on the processor. Its times include the copy into NumPy's arrays."""
 
     def __init__(self) -> None:
-        self._renderer = rendering.CpuRenderer()
-        self.device = f"CPU, {self._renderer.instructions}"
+        self.renderer = rendering.CpuRenderer()
+        self.device = f"CPU, {self.renderer.instructions}"
+
+    def use(self, values: dict[str, Any]) -> None:
+        self.renderer.settings = embedded.changed(values)
 
     def show(self, splats: Splats) -> None:
-        rendering.insert_all(self._renderer, splats)
+        rendering.insert_all(self.renderer, splats)
 
     def look(self, camera: Camera) -> None:
         self._camera = rendering.posed(camera)
 
     def draw(self) -> None:
-        self._colour: NDArray[np.float32] = self._renderer.draw(self._camera)["colour"]
+        self.report = self.renderer.draw(self._camera)
 
     def picture(self) -> NDArray[np.float32]:
-        return self._colour[..., :3]
+        colour: NDArray[np.float32] = self.report["colour"]
+        return colour[..., :3]
+
+    def merge(self) -> dict[str, float]:
+        nodes = self.renderer.merge()
+        return {"nodes": nodes, "memory": self.renderer.levels_bytes}
 
     def graphics_memory(self) -> None:
         return None
+
+
+class DisplayRenderer:
+    """The display's, one in a process: by OpenGL, or by the processor in its own thread.
+
+    Making it raises RuntimeError where it can't draw.
+    """
+
+    def __init__(self) -> None:
+        self.renderer: Offscreen = embedded.open_renderer()
+        self.device: str = self.renderer.renderer_info
+        self.accelerated = "llvmpipe" not in self.device
+        self.view = embedded.NumberedView(self.renderer)
+        self.finish = embedded.gl_finish()
+        self._small = embedded.NumberedView(self.renderer, "small")
+
+    def use(self, values: dict[str, Any]) -> None:
+        self.renderer.settings = embedded.changed(values)
+
+    def show(self, splats: Splats) -> None:
+        rendering.insert_all(self.renderer, splats)
+        self.use({})
+        self._draw_small()  # which uploads all that waits
+
+    def look(self, camera: Camera) -> None:
+        self.number, self._sorts = self.view.look(camera), True
+
+    def give(self, order: NDArray[np.uint32]) -> None:
+        """A sorter's order, to be drawn from where it looks."""
+        self._sorts = False
+        self.view.give(self.number, self.renderer.revision, order)
+
+    def draw(self) -> None:
+        self.report = self.view.draw(sort_now=self._sorts)
+        self.finish()
+
+    def picture(self) -> NDArray[np.float32]:
+        colour: NDArray[np.float32] = self.renderer.read_color()
+        return colour[..., :3]
+
+    def merge(self) -> dict[str, float]:
+        """Includes what brings the nodes to a card. Another view than that of the pictures keeps
+        the levels, which go when no view wants them."""
+        self.renderer.settings.detail = "1px"
+        return {"memory": self._draw_small()["levels_bytes"]}
+
+    def _draw_small(self) -> dict[str, Any]:
+        self._small.look(Camera(0, 16, 16, 16.0, 16.0, 8.0, 8.0, np.eye(4)))
+        report = self._small.draw(sort_now=True)
+        self.finish()
+        return report
+
+    def graphics_memory(self) -> tuple[int, int]:
+        return self.report["map_bytes"], self.report["gpu_bytes"]
 
 
 class GsplatRenderer:

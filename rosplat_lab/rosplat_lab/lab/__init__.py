@@ -1,8 +1,7 @@
-"""The laboratory: the error of every method against its time, and where methods fail.
+"""The laboratory: the error of every way to draw a map against its time, and where pictures fail.
 
-`orders` and `fragments` are the maths, `methods` lists what is compared, `bench` runs the real
-pipeline, `points` keeps what was measured, `report` and `charts` show it; `atlas` looks
-for failures, and `stability` writes them down.
+`ways` lists what is compared, `measure` measures it, `points` finds what pays; `picture`, `report`
+and `pages` show it. `atlas` looks for failures.
 """
 
 from __future__ import annotations

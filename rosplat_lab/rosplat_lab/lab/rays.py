@@ -13,7 +13,6 @@ from rosplat_core import harmonics
 from rosplat_core.cameras import Camera
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.splats import Splats
-from rosplat_lab.lab.fragments import MAX_ALPHA
 from rosplat_lab.reference.projection import MIN_ALPHA, Array
 
 
@@ -44,7 +43,7 @@ def picture(splats: Splats, camera: Camera) -> Array:
         # Behind the camera the density falls: the ray begins where it is largest.
         ahead = along @ origin < 0
         alpha = splats.opacities[slot] * np.exp(-0.5 * square) * ahead
-        alpha = np.where(alpha >= MIN_ALPHA, np.minimum(alpha, MAX_ALPHA), 0)[..., None]
+        alpha = np.where(alpha >= MIN_ALPHA, np.minimum(alpha, 0.99), 0)[..., None]
         rgb += through * alpha * colors[index]
         through *= 1 - alpha
     return rgb

@@ -1,17 +1,13 @@
-"""What other viewers make of the same splats: models after their public sources.
+"""What another viewer makes of the same splats: a model after its public source.
 
 RVizSplat 1.0.0 (Sorted, its defaults but all bands of harmonics): 8-bit base colours, bands above
 along one direction for the whole picture, clamped at 0 and 1; covariances in half floats, without
 the low-pass filter; splats fainter than 0.4 and fragments fainter than 0.05 left out, alpha up to
-1.
-shadygm/ROSplat (8eb76fc): quads as wide and high as 3 sigma; colours raised to 1/2.2 before they
-are blended. Both blend back to front, by z, in RGBA8. Not modelled: RVizSplat's orders of earlier
-frames, and the samples at its quads' edges.
+1. It blends by z. Not modelled: its orders of earlier frames, its target of 8 bits, and the samples
+at its quads' edges.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -19,26 +15,18 @@ from rosplat_core import harmonics
 from rosplat_core.cameras import Camera
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.splats import Splats
-from rosplat_lab.lab import fragments
-from rosplat_lab.reference.projection import (
-    Array,
-    Projected,
-    jacobians,
-    project,
-)
-
-GAMMA = 2.2
+from rosplat_lab.reference.projection import Array, Projected, jacobians
+from rosplat_lab.reference.renderer import blended
 
 
-def rvizsplat(splats: Splats, camera: Camera) -> Array:
-    """(height, width, 3) RGB over black; for perspective cameras."""
-    return fragments.blended(
-        fragments.nearest_first(_rvizsplat(splats, camera)), camera, fragments.rounded(255),
-        alphas=fragments.Alphas(least=0.05, most=1.0),
-    )  # fmt: skip
+def rvizsplat(splats: Splats, camera: Camera, crop: tuple[int, int, int, int]) -> Array:
+    """(height, width, 3) RGB over black of a crop; for perspective cameras."""
+    projected = _projected(splats, camera)
+    projected = projected[np.argsort(projected.depths, kind="stable")]
+    return blended(projected, crop, min_alpha=0.05, max_alpha=1.0).rgba[..., :3]
 
 
-def _rvizsplat(splats: Splats, camera: Camera) -> Projected:
+def _projected(splats: Splats, camera: Camera) -> Projected:
     world = splats.positions.astype(np.float64) + splats.origin
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     means = world @ rotation.T + translation
@@ -71,20 +59,3 @@ def _rvizsplat(splats: Splats, camera: Camera) -> Projected:
         depths=means[:, 2],
         shares=np.ones(len(kept)),
     )[solid]
-
-
-def shadygm(splats: Splats, camera: Camera, gamma: float = GAMMA) -> Array:
-    """(height, width, 3) RGB over black, as shadygm/ROSplat draws; gamma 1 leaves colours alone."""
-    projected = fragments.nearest_first(project(splats, camera))
-    reach = np.abs(2 * projected.centers / (camera.width, camera.height) - 1).max(axis=1)
-    projected = projected[reach <= 1.3]
-    xx, xy, yy = projected.conics.T
-    sigmas = np.sqrt(np.column_stack([yy, xx]) / (xx * yy - xy * xy)[:, None])
-    return fragments.blended(
-        replace(
-            projected,
-            extents=np.minimum(projected.extents, 3 * sigmas),
-            colors=np.minimum(1, projected.colors) ** (1 / gamma),
-        ),
-        camera, fragments.rounded(255),
-    )  # fmt: skip

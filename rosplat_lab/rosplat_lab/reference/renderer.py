@@ -52,13 +52,30 @@ def render(
         raise ValueError(f"crop {crop} is not inside {camera.width} x {camera.height}")
     projected = project(splats, camera, shares)
     projected = projected[_front_to_back(projected, order, len(splats))]
+    return blended(
+        projected, (left, top, right, bottom), max_alpha=max_alpha,
+        min_transmittance=min_transmittance,
+    )  # fmt: skip
+
+
+def blended(
+    projected: Projected,
+    crop: tuple[int, int, int, int],
+    *,
+    min_alpha: float = MIN_ALPHA,
+    max_alpha: float = 0.99,
+    min_transmittance: float = 0.0,
+) -> Picture:
+    """The crop of a picture of projected splats, nearest first; what is fainter than min_alpha is
+    not drawn."""
+    left, top, right, bottom = crop
     rgba = np.zeros((bottom - top, right - left, 4))
     depth, median = np.full((2, bottom - top, right - left), np.nan)
     for y, x, members in _tiles(projected, left, top, right, bottom):
         ys = np.arange(y, min(y + TILE, bottom))
         xs = np.arange(x, min(x + TILE, right))
         tile_rgba, weighted_z, middle = _blend(
-            projected[members], xs, ys, max_alpha, min_transmittance
+            projected[members], xs, ys, (min_alpha, max_alpha), min_transmittance
         )
         window = np.s_[y - top : y - top + len(ys), x - left : x - left + len(xs)]
         rgba[window] = tile_rgba
@@ -82,7 +99,7 @@ def pick(splats: Splats, camera: Camera) -> tuple[NDArray[np.int64], Array]:
         ys = np.arange(y, min(y + TILE, camera.height))
         xs = np.arange(x, min(x + TILE, camera.width))
         window = np.ix_(ys, xs)
-        for part, weights in _weights(projected[members], xs, ys, 0.99, 0.0):
+        for part, weights in _weights(projected[members], xs, ys, (MIN_ALPHA, 0.99), 0.0):
             best = weights.argmax(axis=0)
             contribution = np.take_along_axis(weights, best[None], axis=0)[0]
             more = contribution > most[window]
@@ -104,7 +121,7 @@ def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array, Array]:
     for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
         ys = np.arange(y, min(y + TILE, camera.height))
         xs = np.arange(x, min(x + TILE, camera.width))
-        for part, of_pixels in _weights(projected[members], xs, ys, 0.99, 0.0):
+        for part, of_pixels in _weights(projected[members], xs, ys, (MIN_ALPHA, 0.99), 0.0):
             slots = projected.slots[members[part]]
             weights[slots] += of_pixels.sum(axis=(1, 2))
             energies[slots] += (of_pixels**2).sum(axis=(1, 2))
@@ -124,7 +141,7 @@ def dealt(splats: Splats, camera: Camera, values: Array) -> Array:
     for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
         ys = np.arange(y, min(y + TILE, camera.height))
         xs = np.arange(x, min(x + TILE, camera.width))
-        for part, weights in _weights(projected[members], xs, ys, 0.99, 0.0):
+        for part, weights in _weights(projected[members], xs, ys, (MIN_ALPHA, 0.99), 0.0):
             of_splats = (weights * values[np.ix_(ys, xs)]).sum(axis=(1, 2))
             sums[projected.slots[members[part]]] += of_splats
     return sums
@@ -172,14 +189,14 @@ def _blend(
     splats: Projected,
     xs: NDArray[np.intp],
     ys: NDArray[np.intp],
-    max_alpha: float,
+    alphas: tuple[float, float],
     min_transmittance: float,
 ) -> tuple[Array, Array, Array]:
     """Of splats, nearest first: (h, w, 4) premultiplied RGBA, (h, w) sum of weight * z, median."""
     values = np.column_stack([splats.colors, np.ones(len(splats.slots)), splats.depths])
     blended = np.zeros((len(ys), len(xs), 5))
     median = np.full((len(ys), len(xs)), np.nan)
-    for part, weights in _weights(splats, xs, ys, max_alpha, min_transmittance):
+    for part, weights in _weights(splats, xs, ys, alphas, min_transmittance):
         half = blended[..., 3] + np.cumsum(weights, axis=0) >= 0.5
         crossed = np.isnan(median) & half.any(axis=0)
         median[crossed] = splats.depths[part][half.argmax(axis=0)][crossed]
@@ -191,10 +208,14 @@ def _weights(
     splats: Projected,
     xs: NDArray[np.intp],
     ys: NDArray[np.intp],
-    max_alpha: float,
+    alphas: tuple[float, float],
     min_transmittance: float,
 ) -> Iterator[tuple[slice, Array]]:
-    """A part of the splats, nearest first, and (n, h, w) what each contributes to each pixel."""
+    """A part of the splats, nearest first, and (n, h, w) what each contributes to each pixel.
+
+    alphas: the least that is drawn, and the most that one is drawn with.
+    """
+    min_alpha, max_alpha = alphas
     transmittance = np.ones((len(ys), len(xs)))
     for start in range(0, len(splats.slots), CHUNK):
         part = slice(start, start + CHUNK)
@@ -203,7 +224,7 @@ def _weights(
         xx, xy, yy = splats.conics[part].T[..., None, None]
         exponent = -0.5 * (xx * dx**2 + yy * dy**2) - xy * dx * dy
         alpha = np.minimum(max_alpha, splats.opacities[part, None, None] * np.exp(exponent))
-        alpha[alpha < MIN_ALPHA] = 0
+        alpha[alpha < min_alpha] = 0
         alpha = 1 - (1 - alpha) ** splats.shares[part, None, None]
         after = transmittance * np.cumprod(1 - alpha, axis=0)
         before = np.concatenate([transmittance[None], after[:-1]])

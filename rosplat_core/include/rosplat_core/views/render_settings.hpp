@@ -65,8 +65,8 @@ struct RenderSettings {
   DrawMode mode = DrawMode::kColor;
   int max_sh_degree = kMaxShDegree;
   int only_band = -1;  // draw one band of spherical harmonics alone; -1: all
-  // In 32-bit floats instead of 16-bit ones: more exact ("blend" in docs/accuracy.md); quads take
-  // two to five times as long. The processor always does.
+  // In 32-bit floats instead of 16-bit ones: more exact ("Half floats" in docs/stability.md); quads
+  // take two to five times as long. The processor always does.
   bool float_blending = false;
   // Nobody waits for a picture. The processor's follow the camera, and the newest is shown
   // meanwhile; a budget or a frame time is come to by small steps.

@@ -26,7 +26,7 @@ struct SortView {
 constexpr double kMarginPixels = 2.0;
 
 // How much wider than the picture an order is culled: it is drawn for cameras that have moved on,
-// and lacks what came in. 1.25 saves 18 dB after a turn of 3 degrees (docs/stability.md).
+// and lacks what came in. 1.25 saves 11 dB after a turn of 3 degrees (docs/stability.md).
 constexpr double kOverscan = 1.25;
 
 // The SortView of a camera at rotation (map to camera optical frame, row-major) and translation (of

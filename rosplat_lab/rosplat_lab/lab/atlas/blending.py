@@ -1,4 +1,4 @@
-"""Where blending fails: layers, faint splats, opaque ones, colours beyond 1."""
+"""Where blending fails: many layers, faint ones, bright ones, translucent objects between them."""
 
 from __future__ import annotations
 
@@ -7,94 +7,106 @@ from dataclasses import replace
 
 import numpy as np
 
-from rosplat_lab.lab import fragments
+from rosplat_core.rendering import CpuRenderer
+from rosplat_lab import reference
 from rosplat_lab.lab.atlas.case import Cases, Curves
 from rosplat_lab.lab.atlas.stage import (
-    HEIGHT,
-    WIDTH,
+    PROCESSOR,
+    SHADERS,
+    Errors,
+    Image,
+    Stage,
     ahead,
     balls,
     cloud,
     decibels,
+    floats,
     outside,
-    shown,
-    some,
     truth,
 )
-from rosplat_lab.lab.bench import Bench, Image
 
 CASES = Cases()
+SMALL = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 32.0, "cy": 24.0}
 
 
 @CASES.enter("Layers of fog", "layers")
-def layers(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
-    counts = [10, 1000] if quick else [10, 100, 1000, 10_000]
-    curves: Curves = {"RGBA32F": [], "RGBA16F": [], "RGBA8 (model)": []}
+def layers(stage: Stage) -> tuple[Sequence[float], Curves]:
+    counts, curves = stage.some([10, 100, 1000, 10_000]), Errors()
     random = np.random.default_rng(0)
     for count in map(int, counts):
         positions = np.column_stack(
             [random.normal(scale=0.05, size=(count, 2)), np.linspace(2, 3, count)]
         )
-        fog = balls(positions, 0.5, min(0.5, 3 / count), random.uniform(0.2, 1, (count, 3)))
         # Below 1/255 nothing is drawn: fewer, stronger layers where the fog would be thinner.
-        fog = replace(fog, opacities=np.maximum(fog.opacities, np.float32(0.01)))
-        camera = replace(ahead(), width=64, height=48, fx=60, fy=60, cx=32, cy=24)
+        opacity = max(min(0.5, 3 / count), 0.01)
+        fog = balls(positions, 0.5, opacity, random.uniform(0.2, 1, (count, 3)))
+        camera = ahead(**SMALL)
         expected = truth(fog, camera)
-        curves["RGBA32F"].append(decibels(shown(bench, fog, camera), expected))
-        half = shown(bench, fog, camera, float_blending=False)
-        curves["RGBA16F"].append(decibels(half, expected))
-        coarse = fragments.picture(fog, camera, fragments.rounded(255))
-        curves["RGBA8 (model)"].append(decibels(coarse, expected))
+        curves.add(stage.both(fog, camera, expected))
+        half = stage.shown(fog, camera, SHADERS, rasterizer="QUADS", float_blending=False)
+        curves.add(iter([("quads in half floats", decibels(half, expected))]))
     return counts, curves
 
 
 @CASES.enter("Faint splats and the cut at 1/255", "peak opacity")
-def faint(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
-    opacities = some([0.003, 0.004, 0.006, 0.01, 0.03, 0.1, 0.3], quick)
-    curves: Curves = {"ours against fog without a cut": [], "ours against the reference": []}
-    camera = replace(ahead(), width=64, height=48, fx=60, fy=60, cx=32, cy=24)
+def faint(stage: Stage) -> tuple[Sequence[float], Curves]:
+    opacities, curves = stage.some([0.003, 0.006, 0.01, 0.03, 0.1, 0.3]), Errors()
+    camera = ahead(**SMALL)
     for opacity in opacities:
         count = round(1.5 / opacity)
         fog = balls(np.tile([0, 0, 2.0], (count, 1)), 0.3, opacity, 0.8)
-        picture = shown(bench, fog, camera)
+        curves.add(stage.both(fog, camera, truth(fog, camera)))
         y, x = np.mgrid[:48, :64] + 0.5
         variance = (60 * 0.3 / 2) ** 2 + 0.3
         gauss = np.exp(-((x - 32) ** 2 + (y - 24) ** 2) / (2 * variance))
         uncut = 0.8 * (1 - (1 - np.float32(opacity) * gauss) ** count)
-        uncut_rgb = np.repeat(uncut[..., None], 3, axis=2)
-        curves["ours against fog without a cut"].append(decibels(picture, uncut_rgb))
-        curves["ours against the reference"].append(decibels(picture, truth(fog, camera)))
+        drawn = stage.shown(fog, camera, PROCESSOR)
+        error = decibels(drawn, np.repeat(uncut[..., None], 3, axis=2))
+        curves.add(iter([("against fog without a cut", error)]))
     return opacities, curves
 
 
-@CASES.enter("Opaque walls and the cap at 0.99", "opaque layers before a white lamp", "lamp's leak")
-def opaque(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
-    counts = some([1, 2, 3, 4], quick)
-    curves: Curves = {"ours, 32F": [], "0.01^layers": []}
-    for count in map(int, counts):
-        positions = [[0, 0, 2 + 0.1 * i] for i in range(count + 1)]
-        colors = [[0, 0, 0]] * count + [[1, 1, 1]]
-        wall = balls(positions, 0.5, 1.0, np.array(colors))
-        picture = shown(bench, wall, ahead())
-        curves["ours, 32F"].append(float(f"{picture[HEIGHT // 2, WIDTH // 2].max():.3g}"))
-        curves["0.01^layers"].append(float(f"{0.99 * 0.01**count:.3g}"))
-    return counts, curves
-
-
 @CASES.enter("Harmonics that overshoot", "amplitude of the bands above 0")
-def overshoot(bench: Bench, quick: bool) -> tuple[Sequence[float], Curves]:
-    amplitudes = some([0, 0.1, 0.3, 1, 3, 10], quick)
-    curves: Curves = {"clamped at 0 (ours)": [], "clamped at 0 and 1 (model)": []}
-
-    def clamped(band: fragments.Fragments) -> Image:
-        return fragments.over(replace(band, colors=np.minimum(1, band.colors)))
-
+def overshoot(stage: Stage) -> tuple[Sequence[float], Curves]:
+    amplitudes, curves = stage.some([0, 0.1, 0.3, 1, 3, 10]), Errors()
     for amplitude in amplitudes:
         splats = cloud(400, degree=3)
         splats.sh[:, 1:] *= np.float32(amplitude / 0.3)
-        expected = truth(splats, outside())
-        curves["clamped at 0 (ours)"].append(decibels(shown(bench, splats, outside()), expected))
-        curves["clamped at 0 and 1 (model)"].append(
-            decibels(fragments.picture(splats, outside(), clamped), expected)
-        )
+        curves.add(stage.both(splats, outside(), truth(splats, outside())))
     return amplitudes, curves
+
+
+@CASES.enter("Translucent objects among splats", "half opaque surfaces, one behind the other")
+def translucent(stage: Stage) -> tuple[Sequence[float], Curves]:
+    """White veils across the view. The nearest divides the splats: rviz lays all other veils over
+    what is behind it."""
+    counts, curves = stage.some([1, 2, 3, 4]), Errors()
+    splats = replace(cloud(600), positions=cloud(600).positions + floats(0, 0, 2))
+    camera = ahead()
+    depths = splats.positions[:, 2]
+
+    def drawn(part: np.ndarray) -> Image:
+        return CpuRenderer(splats[np.flatnonzero(part)]).render(camera)
+
+    def exact(part: np.ndarray) -> Image:
+        return reference.render(splats[np.flatnonzero(part)], camera).rgba
+
+    for count in map(int, counts):
+        veils = np.linspace(1.7, 2.3, count + 2)[1:-1]
+        edges = [-np.inf, *veils, np.inf]
+        expected: Image = np.zeros((camera.height, camera.width, 3))
+        for near, far in zip(edges[-2::-1], edges[:0:-1], strict=True):  # back to front
+            expected = _over(exact((depths >= near) & (depths < far)), expected)
+            if np.isfinite(near):
+                expected = 0.5 + 0.5 * expected
+        shown = _over(drawn(depths >= veils[0]), np.zeros((camera.height, camera.width, 3)))
+        for _ in veils:
+            shown = 0.5 + 0.5 * np.clip(shown, 0, 1)
+        shown = _over(drawn(depths < veils[0]), shown)
+        curves.add(iter([(PROCESSOR, decibels(shown, expected))]))
+    return counts, curves
+
+
+def _over(front: Image, back: Image) -> Image:
+    """Premultiplied RGBA over RGB."""
+    return front[..., :3] + (1 - front[..., 3:]) * back

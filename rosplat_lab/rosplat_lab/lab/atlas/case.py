@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from rosplat_lab.lab.bench import Bench
+from rosplat_lab.lab.atlas.stage import Stage
 
 Curves = dict[str, list[float]]
-Measure = Callable[[Bench, bool], tuple[Sequence[float], Curves]]
-"""Of a bench and whether to be quick: growing difficulties, and for each method their errors."""
+Measure = Callable[[Stage], tuple[Sequence[float], Curves]]
+"""On a stage: growing difficulties, and for each way of drawing their errors."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Case:
 class Cases(dict[str, Case]):
     """Cases by name."""
 
-    def enter(self, title: str, axis: str, unit: str = "PSNR [dB]") -> Callable[[Measure], Measure]:
+    def enter(self, title: str, axis: str, unit: str = "dB") -> Callable[[Measure], Measure]:
         """Enters the function that it decorates, by its name."""
 
         def enter(measure: Measure) -> Measure:

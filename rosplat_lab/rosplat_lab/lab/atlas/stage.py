@@ -1,9 +1,9 @@
-"""What the cases of the atlas share: scenes, cameras, errors."""
+"""What the cases of the atlas share: what draws, scenes, cameras, errors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,11 +15,68 @@ from rosplat_core.cameras import Camera, look_at
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.splats import Splats
 from rosplat_lab import reference
-from rosplat_lab.lab.bench import Bench, Image
+from rosplat_lab.bench.renderers import CpuRenderer, DisplayRenderer, Ours
 from rosplat_lab.lab.orders import Order
 from rosplat_lab.metrics import psnr
 
+Image = NDArray[np.floating[Any]]
+
 WIDTH, HEIGHT = 192, 128
+PROCESSOR, SHADERS = "processor", "card"  # the rasteriser's vectors; the display's compute shaders
+
+
+class Stage:
+    """What draws, one in a process: the processor's rasteriser, and a card's shaders, which Mesa
+    runs where there is no card. Raises RuntimeError where there is no OpenGL."""
+
+    def __init__(self, quick: bool) -> None:
+        self.quick = quick
+        self.display = DisplayRenderer()
+        self.graphics = self.display.device
+
+    def some(self, values: Sequence[float], count: int = 3) -> list[float]:
+        """All values, or when it should be quick a few, ends included."""
+        if not self.quick or len(values) <= count:
+            return list(values)
+        return [values[round(i * (len(values) - 1) / (count - 1))] for i in range(count)]
+
+    def shown(
+        self, splats: Splats, camera: Camera, by: str, order: Order | None = None, **settings: Any
+    ) -> Image:
+        """(height, width, 3) RGB over black by PROCESSOR or SHADERS, in exact order unless one is
+        given to the latter."""
+        if by == PROCESSOR:
+            renderer: Ours = CpuRenderer()
+        else:
+            renderer = self.display
+            whose = "GPU" if order is None else "SIDECAR"
+            settings = {"rasterizer": "TILES", "float_blending": True, "order": whose} | settings
+        renderer.show(splats)
+        renderer.use(settings)
+        if "detail" in settings:
+            renderer.merge()
+            renderer.use(settings)
+        renderer.look(camera)
+        if order is not None:
+            self.display.give(order)
+        renderer.draw()
+        return renderer.picture()
+
+    def both(
+        self, splats: Splats, camera: Camera, expected: Image, **settings: Any
+    ) -> Iterator[tuple[str, float]]:
+        """What each of the two is off, by its name. [dB]"""
+        for by in (PROCESSOR, SHADERS):
+            yield by, decibels(self.shown(splats, camera, by, **settings), expected)
+
+
+class Errors(dict[str, list[float]]):
+    """Curves, to be added to."""
+
+    def add(self, errors: Iterator[tuple[str, float]], suffix: str = "") -> None:
+        """An error for each name."""
+        for name, error in errors:
+            self.setdefault(name + suffix, []).append(error)
 
 
 def cloud(count: int, seed: int = 0, size: float = 0.15, degree: int = 1) -> Splats:
@@ -75,23 +132,3 @@ def decibels(picture: Image, expected: Image) -> float:
     """PSNR of what a screen shows; equal pictures count as MOST_PSNR."""
     value = psnr(np.clip(picture, 0, 1), np.clip(expected, 0, 1))
     return round(min(value, MOST_PSNR), 2)
-
-
-def shown(bench: Bench, splats: Splats, camera: Camera, **settings: Any) -> Image:
-    """By the real renderer in exact order, in 32-bit floats unless told otherwise."""
-    bench.show(splats)
-    order = bench.order(camera)
-    return bench.draw(camera, order, **({"float_blending": True} | settings))
-
-
-def ordered(bench: Bench, splats: Splats, camera: Camera, order: Order) -> Image:
-    """By the real renderer in another order."""
-    bench.show(splats)
-    return bench.draw(camera, order, float_blending=True)
-
-
-def some(values: Sequence[float], quick: bool, count: int = 3) -> list[float]:
-    """All values, or when it should be quick a few, ends included."""
-    if not quick or len(values) <= count:
-        return list(values)
-    return [values[round(i * (len(values) - 1) / (count - 1))] for i in range(count)]

@@ -1,0 +1,100 @@
+"""The float64 reference's pictures, which other pictures are held against: the middle of each."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rosplat_core.cameras import Camera
+from rosplat_core.ordering import view_of
+from rosplat_core.rendering import MOST_PSNR
+from rosplat_core.splats import Splats
+from rosplat_lab import metrics, reference
+from rosplat_lab.bench import scenes
+from rosplat_lab.bench.sort import map_of
+from rosplat_sorter.backends import open_backend
+
+COMPARED = (640, 360)  # of the middle of each picture, at most [px]
+
+Truth = NDArray[np.float32]
+"""(height, width, 3) RGB over black of what is compared."""
+Crop = tuple[int, int, int, int]
+"""Left, top, right, bottom of a part of a picture. [px]"""
+Draw = Callable[[Splats, Camera, Crop], NDArray[np.float64]]
+"""(height, width, 3) RGB over black of a crop."""
+
+
+def exact(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.float64]:
+    """The reference's picture of a crop, RGB over black."""
+    return reference.render(splats, camera, crop=crop).rgba[..., :3]
+
+
+def draw(name: str, looks: Sequence[Callable[[Splats], Camera]], by: Draw = exact) -> list[Truth]:
+    """What is compared of pictures of a scene by its name, as the reference draws it, or a model.
+
+    One in a process; looks choose the cameras.
+    """
+    workers = min(len(looks), len(os.sched_getaffinity(0)))
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        # What starts now inherits the mask, and never hears Ctrl-C: the parent does.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        drawn = pool.map(partial(_draw, name, by), looks)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        try:
+            return list(drawn)
+        except BaseException:
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
+
+
+def _draw(name: str, by: Draw, look: Callable[[Splats], Camera]) -> Truth:
+    splats = _scene(name)
+    camera = look(splats)
+    rows, columns = compared(camera.width, camera.height)
+    window = replace(
+        camera, width=columns.stop - columns.start, height=rows.stop - rows.start,
+        cx=camera.cx - columns.start, cy=camera.cy - rows.start,
+    )  # fmt: skip
+    seen = splats[np.sort(orders(splats, [window])[0])]
+    crop = (columns.start, rows.start, columns.stop, rows.stop)
+    return by(seen, camera, crop).astype(np.float32)
+
+
+@lru_cache(maxsize=1)
+def _scene(name: str) -> Splats:
+    return scenes.load(name)
+
+
+def compared(width: int, height: int) -> tuple[slice, slice]:
+    """Rows and columns of what is compared of a picture."""
+    parts = [min(size, part) for size, part in zip((width, height), COMPARED, strict=True)]
+    left, top = (width - parts[0]) // 2, (height - parts[1]) // 2
+    return slice(top, top + parts[1]), slice(left, left + parts[0])
+
+
+def middle(drawn: NDArray[np.floating]) -> NDArray[np.float32]:
+    """What is compared of a picture, as a screen shows it."""
+    height, width = drawn.shape[:2]
+    part: NDArray[np.float32] = np.clip(drawn[compared(width, height)], 0, 1).astype(np.float32)
+    return part
+
+
+def psnr(drawn: NDArray[np.floating], truth: Truth) -> float:
+    """Of what a screen shows of a picture, (height, width, 3) RGB. [dB]"""
+    return min(metrics.psnr(middle(drawn), np.clip(truth, 0, 1)), MOST_PSNR)
+
+
+def orders(splats: Splats, cameras: Sequence[Camera]) -> list[NDArray[np.uint32]]:
+    """A sorter's, by the native backend."""
+    sorter, sorted_map = open_backend("native"), map_of(splats)
+    sorter.update(sorted_map, slice(0, sorted_map.rows))
+    return [np.array(sorter.order(view_of(camera, splats))) for camera in cameras]

@@ -1,0 +1,320 @@
+"""Times and errors of every way to draw scenes, as events of a benchmark.
+
+All pictures of a scene are of the same VIEWS, of which each frame has the next. A pass goes through
+all ways; there are several, so the noise of a figure is that of minutes, not of moments.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from rosplat_core.cameras import Camera
+from rosplat_core.rendering import MOST_PSNR
+from rosplat_core.splats import Splats
+from rosplat_lab.bench import embedded, moving, scenes, truths
+from rosplat_lab.bench.isolation import isolated
+from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_lab.bench.renderers import RENDERERS, CpuRenderer, DisplayRenderer, Ours
+from rosplat_lab.lab import orders
+from rosplat_lab.lab.ways import MODEL, OURS, WHOLE, WINDOW, Way, counted, maps, ways
+
+TIME, ERROR = "frame", "PSNR"  # names of what is measured
+PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
+VIEWS = ((scenes.overview, 0.0), (scenes.inside, 0.0), (scenes.overview, 2.5), (scenes.inside, 2.5))
+"""From where, and how far around. [rad]"""
+PASSES, QUICK_PASSES = 5, 2
+WARM_UP = 0.1  # of drawing in each pass, for a card that had nothing to do [s]
+SLOW = 2.0  # what takes longer for all views has two passes, and no warming up [s]
+SETTLED = 0.01  # by how much the error of levels may still change from picture to picture
+MOST_SETTLING = 60  # pictures until a budget is kept
+MOVING_SPLATS = 200_000  # scenes with fewer are drawn in time whatever moves
+MOVING = "the camera turns by 20 deg/s"
+STRIP_WIDTH = 320  # of the pictures in the report [px]
+ERROR_GAIN = 16  # differences are white at a 16th of the way from black to white
+
+
+@dataclass
+class Measured:
+    """What the passes of a way have found so far."""
+
+    way: Way
+    times: list[float] = field(default_factory=list)
+    """Means over the views of medians. [ms]"""
+    errors: list[float] = field(default_factory=list)
+    """PSNR of all views' pixels together. [dB]"""
+    facts: dict[str, Any] = field(default_factory=dict)
+    done: bool = False
+
+
+def measure(plan: Plan, names: Sequence[str], strips: Path) -> Iterator[Event]:
+    """A time and an error for each way and scene; small pictures into a folder."""
+    from rviz_gaussian_plugin.offscreen import ensure_display
+
+    with ensure_display():
+        (drawing,) = isolated(embedded.hardware)
+        card = isinstance(drawing, Measurement) and "llvmpipe" not in drawing.gpu
+        for number, name in enumerate(names):
+            for event in _scene(plan, name, strips, card):
+                if isinstance(event, Doing):
+                    event = replace(event, part=(number + event.part) / len(names))
+                yield event
+
+
+def _scene(plan: Plan, name: str, strips: Path, card: bool) -> Iterator[Event]:
+    picture = QUICK_PICTURE if plan.quick else PICTURE
+    looks = [partial(_camera, number, picture) for number in range(len(VIEWS))]
+    yield Doing(f"{name}: reference", 0.0)
+    told = truths.draw(name, looks)
+    yield from isolated(_drawn, plan, name, told, strips)
+    yield from _models(name, looks, told, strips)
+    if not card:  # which has each picture in time
+        yield from _moving(plan, name)
+
+
+def _camera(number: int, picture: tuple[int, int], splats: Splats) -> Camera:
+    view, turn = VIEWS[number]
+    return view(splats, *picture, 2, turn)[-1] if turn else view(splats, *picture, 1)[0]
+
+
+def _drawn(plan: Plan, name: str, told: list[truths.Truth], strips: Path) -> Iterator[Event]:
+    """All that has a time, in a process of its own."""
+    splats = scenes.load(name)
+    picture = QUICK_PICTURE if plan.quick else PICTURE
+    cameras = [_camera(number, picture, splats) for number in range(len(VIEWS))]
+    display = DisplayRenderer()
+    wanted = [way for way in ways(splats, display.accelerated, plan.quick) if not way.model]
+    made: dict[str, Splats] = {}
+    for which, smaller in maps(splats, plan.quick):
+        yield Doing(f"{name}: {which} of the map", 0.1 + 0.05 * len(made))
+        made[which] = smaller
+    stage = Stage(plan, cameras, made, display)
+    found = [Measured(way) for way in wanted]
+    passes = QUICK_PASSES if plan.quick else PASSES
+    for number in range(passes):
+        for index, measured in enumerate(found):
+            way = measured.way
+            if measured.done:
+                continue
+            part = 0.4 + 0.5 * (number + index / len(found)) / passes
+            yield Doing(f"{name}, {way.setting}, pass {number + 1} of {passes}", part)
+            try:
+                stage.measure(measured, told)
+            except (ImportError, RuntimeError, ValueError) as error:
+                yield Skipped(f"{name}, {way.setting}: {error}")
+                measured.done = True
+                continue
+            if number == 0:
+                save_strip(strip(strips, name, way.setting), stage.first, told[0])
+            slow = sum(measured.times) / 1e3 * len(cameras) > SLOW
+            measured.done = slow and len(measured.times) > 1
+    for measured in found:
+        if measured.times:
+            yield from _measurements(name, len(splats), stage.device, measured)
+
+
+def _measurements(
+    name: str, count: int, device: str, measured: Measured
+) -> Iterator[Measurement]:  # fmt: skip
+    way = measured.way
+    labels: dict[str, Any] = {
+        "scene": Path(name).name, "splats": count, "gpu": device, "setting": way.setting,
+        "family": way.family, "aside": way.aside,
+    }  # fmt: skip
+    if measured.times and way.aside != MODEL:
+        yield Measurement.of(TIME, "ms", measured.times, **labels)
+    yield Measurement.of(ERROR, "dB", measured.errors, **labels, **measured.facts)
+
+
+class Stage:
+    """What draws, and with which maps: ways are measured on it."""
+
+    def __init__(
+        self, plan: Plan, cameras: list[Camera], made: dict[str, Splats], display: DisplayRenderer
+    ) -> None:
+        self._plan, self._cameras, self._maps, self._display = plan, cameras, made, display
+        self._on_display = ""  # which map
+        self._renderers: dict[str, Any] = {}
+        self._details: dict[tuple[str, int], str] = {}
+        self._sorter = orders.Sorter(made[WHOLE])
+        self.first: NDArray[np.float32]  # what is compared of the first view
+        cpu = CpuRenderer().device
+        self.device = display.device if display.accelerated else cpu
+
+    def measure(self, measured: Measured, told: list[truths.Truth]) -> None:
+        """Adds a pass. Raises RuntimeError where something else was drawn than asked for."""
+        way = measured.way
+        renderer = self._renderer(way)
+        squares, drawn, first = [], 0, []
+        for number, truth in enumerate(told):
+            first.append(self._draw(renderer, way, number))
+            shown = self._shown(renderer, way)
+            if number == 0:
+                self.first = shown
+            squares.append(np.square(shown - np.clip(truth, 0, 1)))
+            drawn += getattr(renderer, "report", {}).get("splats", 0)
+        times: list[list[float]] = [[] for _ in self._cameras]
+        slow = sum(first) > 1e3 * SLOW
+        warm, end = (
+            perf_counter() + WARM_UP,
+            perf_counter() + WARM_UP + self._plan.budget.seconds / 8,
+        )
+        while not slow and (perf_counter() < end or not times[0]):
+            cycle = [self._draw(renderer, way, number) for number in range(len(told))]
+            if perf_counter() > warm:
+                for of_view, took in zip(times, cycle, strict=True):
+                    of_view.append(took)
+        errors = [decibels(float(square.mean())) for square in squares]
+        measured.times.append(
+            float(np.mean(first if slow else [np.median(of_view) for of_view in times]))
+        )
+        measured.errors.append(decibels(float(np.mean(squares))))
+        measured.facts = {
+            "worst_view": min(errors), "worst_pixel": math.sqrt(max(s.max() for s in squares)),
+            "drawn": drawn // len(told),
+        }  # fmt: skip
+
+    def _renderer(self, way: Way) -> Any:
+        """What draws a way, with its map and settings."""
+        if way.by in RENDERERS:
+            if way.by not in self._renderers:
+                self._renderers[way.by] = RENDERERS[way.by]()
+                self._renderers[way.by].show(self._maps[way.map])
+            return self._renderers[way.by]
+        if way.by == OURS and not self._display.accelerated:
+            if way.map not in self._renderers:
+                self._renderers[way.map] = CpuRenderer()
+                self._renderers[way.map].show(self._maps[way.map])
+            renderer = self._renderers[way.map]
+        else:
+            renderer = self._display
+            if self._on_display != way.map:
+                renderer.show(self._maps[way.map])
+                self._on_display = way.map
+        if "detail" in way.settings:
+            renderer.merge()
+        return renderer
+
+    def _draw(self, renderer: Any, way: Way, number: int) -> float:
+        """Draws a view; what it took. [ms]"""
+        camera = self._cameras[number]
+        if way.by not in RENDERERS:
+            renderer.use(dict(way.settings))
+            if "detail" in way.settings:
+                renderer.use({**way.settings, "detail": self._detail(renderer, way, number)})
+        renderer.look(camera)
+        if not way.order:
+            return milliseconds(renderer.draw)
+        began = perf_counter()
+        order = way.order(self._sorter, camera)
+        renderer.give(order)
+        renderer.draw()
+        took = 1e3 * (perf_counter() - began)
+        if renderer.report["order_source"] != "bench":
+            raise RuntimeError(f"the order of {renderer.report['order_source']} was drawn")
+        return took
+
+    def _shown(self, renderer: Any, way: Way) -> NDArray[np.float32]:
+        if way.by == WINDOW:
+            return truths.middle(renderer.renderer.read_color8() / 255)
+        return truths.middle(renderer.picture())
+
+    def _detail(self, renderer: Ours, way: Way, number: int) -> str:
+        """The error that a budget comes to in a view, by small steps: in rviz nobody waits for a
+        picture."""
+        detail = str(way.settings["detail"])
+        if detail.endswith("px"):
+            return detail
+        key = (way.setting, number)
+        if key not in self._details:
+            renderer.look(self._cameras[number])
+            before = -1.0
+            for _ in range(MOST_SETTLING):
+                renderer.draw()
+                error = float(renderer.report["error"])
+                if abs(error - before) <= SETTLED * before:
+                    break
+                before = error
+            self._details[key] = f"{error:.6g}px" if error else "full"
+        return self._details[key]
+
+
+def _models(
+    name: str, looks: Sequence[Callable[[Splats], Camera]], told: list[truths.Truth], strips: Path
+) -> Iterator[Event]:
+    """The errors of what is drawn in NumPy."""
+    splats = scenes.load(name)
+    for way in ways(splats, False, True):
+        if way.model:
+            yield Doing(f"{name}, {way.setting}: a model", 0.9)
+            drawn = [np.clip(picture, 0, 1) for picture in truths.draw(name, looks, way.model)]
+            pairs = zip(drawn, told, strict=True)
+            squares = [np.square(picture - np.clip(truth, 0, 1)) for picture, truth in pairs]
+            save_strip(strip(strips, name, way.setting), drawn[0], told[0])
+            errors = [decibels(float(square.mean())) for square in squares]
+            worst = math.sqrt(max(float(s.max()) for s in squares))
+            facts = {"worst_view": min(errors), "worst_pixel": worst, "drawn": len(splats)}
+            found = Measured(way, [], [decibels(float(np.mean(squares)))], facts)
+            yield from _measurements(name, len(splats), "NumPy", found)
+
+
+def _moving(plan: Plan, name: str) -> Iterator[Event]:
+    """What a window shows while the camera turns, by Detail: of the processor, whose pictures come
+    late."""
+    count = len(scenes.load(name))
+    if count < MOVING_SPLATS and not plan.quick:
+        return
+    details = {"Full": "full", counted(count // 4): f"{count // 4}"}
+    if not plan.quick:
+        details |= {"100 ms": "100ms", "50 ms": "50ms"}
+    for text, detail in details.items():
+        setting = f"Detail: {text}, while turning"
+        yield Doing(f"{name}, {setting}, {MOVING}", 0.95)
+        found: dict[str, list[Measurement]] = {}
+        for motion in moving.VIEWS:
+            for event in isolated(moving.in_motion, name, plan.quick, motion, detail):
+                if isinstance(event, Measurement):
+                    found.setdefault(event.name, []).append(event)
+        labels: dict[str, Any] = {
+            "scene": Path(name).name, "splats": count, "gpu": found["PSNR in motion"][0].gpu,
+            "setting": setting, "family": "in motion", "aside": MOVING,
+        }  # fmt: skip
+        times = [float(np.median(m.samples)) for m in found["painting in motion"]]
+        errors = [float(10 ** (-m.samples[0] / 10)) for m in found["PSNR in motion"]]
+        yield Measurement.of(TIME, "ms", np.mean(times), **labels)
+        yield Measurement.of(ERROR, "dB", decibels(float(np.mean(errors))), **labels)
+
+
+def decibels(square: float) -> float:
+    """The PSNR of a mean square of errors. [dB]"""
+    return min(MOST_PSNR, -10 * math.log10(max(square, 1e-15)))
+
+
+# --- Small pictures -------------------------------------------------------------------------------
+
+
+def strip(folder: Path, scene: str, setting: str) -> Path:
+    """Where the small pictures of a way and a scene are kept."""
+    return folder / (re.sub(r"[^\w.]+", "-", f"{Path(scene).stem} {setting}") + ".webp")
+
+
+def save_strip(path: Path, shown: NDArray[np.floating], truth: truths.Truth) -> None:
+    """Keeps small pictures for the report: truth, picture and their difference, side by side."""
+    truth = np.clip(truth, 0, 1)
+    error = np.clip(ERROR_GAIN * np.abs(shown - truth).max(axis=2, keepdims=True), 0, 1)
+    tiles = np.hstack([truth, shown, np.broadcast_to(error, truth.shape)])
+    height = round(STRIP_WIDTH * truth.shape[0] / truth.shape[1])
+    small = Image.fromarray(np.rint(255 * tiles).astype(np.uint8))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    small.resize((3 * STRIP_WIDTH, height), Image.Resampling.BOX).save(path, quality=60)

@@ -1,0 +1,158 @@
+"""The ways to draw a map that a user can choose, and models of what others do: a line adds one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from rosplat_core import payload
+from rosplat_core.cameras import Camera
+from rosplat_core.rendering import batches
+from rosplat_core.simplification.search import Simplification
+from rosplat_core.splats import Splats
+from rosplat_lab.bench.renderers import RENDERERS
+from rosplat_lab.bench.truths import Draw
+from rosplat_lab.lab import orders, viewers
+from rosplat_lab.lab.motion import turned
+
+DEFAULT = "the defaults"
+# Why a way is not held against others.
+MODEL = "a model"
+LATE = "an order that is late"
+# What draws.
+OURS = "ours"  # the display's on a graphics card, else the processor's rasteriser
+DISPLAY = "display"
+WINDOW = "window"  # the display's, read as a screen gets it
+
+WHOLE = "whole"
+MOST_SIMPLIFIED = 1_000_000  # splats that `simplify` is tried with
+REFIT_MINUTES, QUICK_REFIT_MINUTES = 0.5, 0.05
+ARRAYS = [field.name for field in fields(payload.Arrays)]
+TURNING = np.radians(30)  # of a camera with late orders [rad/s]
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to a picture."""
+
+    setting: str
+    """What a user types."""
+    family: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Of RenderSettings, by name."""
+    map: str = WHOLE
+    """Which of the maps that `maps` makes."""
+    by: str = OURS
+    order: Callable[[orders.Sorter, Camera], orders.Order] | None = None
+    """A sorter's, which is drawn."""
+    aside: str = ""
+    """Why it is not held against others, empty where it is."""
+    model: Draw | None = None
+    """What draws instead."""
+
+
+def counted(splats: float) -> str:
+    """A number of splats, as Detail and SPLATS take it."""
+    return f"{splats / 1e6:g}M" if splats >= 1e6 else f"{splats / 1e3:.0f}k"
+
+
+def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
+    """Those for a scene, the default first. card: a graphics card draws."""
+    count = len(splats)
+    yield Way(DEFAULT, "rasteriser")
+    if card:
+        yield Way("Float Blending: on", "rasteriser", {"float_blending": True})
+        yield Way("Rasterizer: Processor", "rasteriser", {"rasterizer": "PROCESSOR"}, by=DISPLAY)
+    else:
+        yield Way("Rasterizer: Tiles, by Mesa", "rasteriser", {"rasterizer": "TILES"}, by=DISPLAY)
+    yield Way("quads, where a driver sorts wrongly", "rasteriser", {"rasterizer": "QUADS"},
+              by=DISPLAY)  # fmt: skip
+    yield Way("the defaults, in a window of 8 bits", "rasteriser", by=WINDOW)
+
+    given = {"order": "SIDECAR", "float_blending": True}
+    exact = partial(Way, family="order", settings=given, by=DISPLAY)
+    yield exact("Order Source: Sidecar", order=lambda sorter, camera: sorter.order(camera))
+    for late in (33, 100, 300):
+        yield exact(
+            f"Order Source: Sidecar, {late} ms late at 30 deg/s", aside=LATE,
+            order=partial(_late, seconds=late / 1000),
+        )  # fmt: skip
+    keys: dict[str, orders.Keys] = {
+        "16 bits": orders.linear(16), "12 bits": orders.linear(12), "distance": orders.by_distance,
+    }  # fmt: skip
+    for name, key in keys.items():
+        yield exact(f"sort keys: {name}", aside=MODEL, order=partial(_keyed, key=key))
+
+    for pixels in (2, 4, 8, 16):
+        yield Way(f"Detail: {pixels} px", "Detail", {"detail": f"{pixels}px", "interactive": True})
+    for part in (2, 4, 8):
+        fewer = max(count // part, 1)
+        yield Way(f"Detail: {counted(fewer)}", "Detail",
+                  {"detail": f"{fewer}", "interactive": True})  # fmt: skip
+    yield Way("compression: quantised", "numbers of a splat", map="quantised")
+    for degree in range(splats.sh_degree):
+        yield Way(f"SH Degree: {degree}", "numbers of a splat", {"max_sh_degree": degree})
+    if count <= MOST_SIMPLIFIED:
+        minutes = QUICK_REFIT_MINUTES if quick else REFIT_MINUTES
+        for part in (2, 4):
+            setting = f"simplify SPLATS={counted(count // part)}"
+            yield Way(setting, "simplify", map=f"1/{part}")
+            yield Way(f"{setting} REFINE={minutes:g}", "simplify", map=f"1/{part} refitted")
+    if card:
+        for name in RENDERERS:
+            if name != "cpu":
+                yield Way(name, "other renderers", by=name)
+    yield Way("RVizSplat 1.0.0", "other renderers", aside=MODEL, model=viewers.rvizsplat)
+
+
+def maps(splats: Splats, quick: bool) -> Iterator[tuple[str, Splats]]:
+    """The maps that ways name, as they are made."""
+    yield WHOLE, splats
+    yield "quantised", quantised(splats)
+    if len(splats) > MOST_SIMPLIFIED:
+        return
+    work = Simplification(splats)
+    for part in (2, 4):
+        work.reduce(len(splats) // part)
+        merged = work.splats
+        yield f"1/{part}", merged
+        work.refine(60 * (QUICK_REFIT_MINUTES if quick else REFIT_MINUTES))
+        yield f"1/{part} refitted", work.splats
+        work.splats = merged
+
+
+def quantised(splats: Splats) -> Splats:
+    """As they arrive, batch by batch, where a publisher's compression is quantised."""
+    parts = []
+    for part in batches(splats):
+        arrays, usable = arrays_of(splats, part), np.ones(part.stop - part.start, bool)
+        if payload.suits(arrays, usable):
+            sent = payload.encode(arrays, usable)
+            arrays = payload.decode(sent, len(usable), splats.sh_degree)
+        parts.append(arrays)
+    return joined(splats, parts)
+
+
+def arrays_of(splats: Splats, part: slice) -> payload.Arrays:
+    """A part of splats, as a payload takes them."""
+    return payload.Arrays(*(getattr(splats, name)[part] for name in ARRAYS))
+
+
+def joined(splats: Splats, parts: Sequence[payload.Arrays]) -> Splats:
+    """The splats with other arrays, in parts."""
+    whole: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS
+    }
+    return replace(splats, **whole)
+
+
+def _late(sorter: orders.Sorter, camera: Camera, seconds: float) -> orders.Order:
+    return sorter.order(turned(camera, -TURNING * seconds))
+
+
+def _keyed(sorter: orders.Sorter, camera: Camera, key: orders.Keys) -> orders.Order:
+    return sorter.keyed(camera, key)
