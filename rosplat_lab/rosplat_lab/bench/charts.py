@@ -43,7 +43,7 @@ def splats(record: Record) -> float:
 
 @dataclass(frozen=True)
 class Chart:
-    """Records of one name as lines over the number of splats.
+    """Records of one name as lines over the number of splats, or what else `over` says.
 
     only: of those, which. series: what makes a line; panel: what makes a chart beside it, all in
     one by default. band: shade from there to the 95th percentile.
@@ -57,6 +57,7 @@ class Chart:
     series: Key
     panel: Key = lambda _: ""
     x: str = "splats"
+    over: Callable[[Record], float] = splats
     only: Callable[[Record], bool] = lambda _: True
     log: bool = True
     band: bool = True
@@ -101,7 +102,7 @@ CHARTS = (
         "align", "align", "success", "Poses found again, by how far off they began",
         "share of the starts", parameter("picture"), lambda r: Path(r.scene).stem,
         x="rotation [degrees]; 5/3 as many % of the scene's radius", over=off,
-        log=False, band=False, top=1.02,
+        log=False, band=False,
     ),
     Chart(
         "rviz-frame", "rviz", "frame", "Frame of rviz2", "time [ms]",
@@ -163,7 +164,7 @@ def tables(records: Sequence[Record], statistic: str = "p50") -> Iterator[str]:
     """
     for chart in CHARTS:
         mine = of_chart(chart, records)
-        if mine:
+        if mine and chart.over is splats:
             yield f"{chart.title}, {chart.y}, {statistic}\n\n{table(chart, mine, statistic)}"
 
 
@@ -230,7 +231,7 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
     for panel, ax in zip(panels, axes, strict=True):
         for label in labels:
             points = [r for r in records if (chart.panel(r), chart.series(r)) == (panel, label)]
-            points.sort(key=splats)
+            points.sort(key=chart.over)
             for family in dict.fromkeys(map(_family, points)):
                 line = [point for point in points if _family(point) == family]
                 _line(ax, chart, line, statistic, label, color_of[label])
@@ -240,8 +241,9 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
         if chart.log:
             ax.set_xscale("log")
             ax.set_yscale("log")
-        ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
-        ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
+        if chart.over is splats:
+            ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
+            ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
     if not chart.log:
         axes[0].set_ylim(0)  # once all is drawn: the panels share it
     axes[0].set_ylabel(chart.y)
@@ -262,7 +264,7 @@ def _line(
     ax: Axes, chart: Chart, points: Sequence[Record], statistic: str, label: str,
     color: tuple[float, ...],
 ) -> None:  # fmt: skip
-    x, y = [splats(point) for point in points], [getattr(point, statistic) for point in points]
+    x, y = [chart.over(point) for point in points], [getattr(point, statistic) for point in points]
     marker = "o" if len(points) < 30 else None
     ax.plot(x, y, label=label, color=color, marker=marker, markersize=3.5, linewidth=1.4)
     if chart.band:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from rosplat_core import depth
 from rosplat_core.cameras import Camera
+from rosplat_core.ordering import view_of
 from rosplat_core.splats import Splats
 from rosplat_core.view import SortView
-from rosplat_lab.bench.sort import map_of, view_of
+from rosplat_lab.bench.sort import map_of
 from rosplat_sorter.backends import open_backend
 
 Order = NDArray[np.uint32]
