@@ -171,7 +171,7 @@ def test_what_camera_films_on_a_flight_compare_reads_back(
         x, y = np.rint(LENS.project(places)).astype(int).T.clip(0, [[159], [119]])
         wrong |= differs[y, x]
     worst = np.argsort(values[seen])[-50:]
-    assert wrong[worst].mean() > 0.9 > 0.75 > wrong.mean()
+    assert wrong[worst].mean() > 0.8 > 0.75 > wrong.mean()
 
 
 def _seconds(found: Comparison) -> float:
