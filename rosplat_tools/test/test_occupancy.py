@@ -247,21 +247,24 @@ def test_a_map_of_too_many_voxels_is_refused_and_the_next_one_is_not(
     grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
     said = Said(node)
     publisher = MapPublisher(node)
-    with spinning(occupancy.Occupancy()):
-        publisher.replace(floor())
-        listener.wait(lambda: "more than 1,000 voxels, choose a coarser" in said.message)
-        assert said.values["Splats"] == str(len(floor()))
-        assert said.values["Voxels"] == "0"
-        assert not grid.message
-        publisher.replace(wall(1.05))
-        listener.wait(lambda: grid.message and grid.at(1.05, 0) == 100)
-        # A wall has no floor.
-        listener.wait(lambda: "no cell is free: at the start, (0, 0)" in said.message)
-        assert int(said.values["Voxels"]) > 100
-        around = np.abs(floor().positions[:, :2]).max(axis=1) < 0.5
-        publisher.replace(floor()[np.flatnonzero(around)])
-        listener.wait(lambda: said.message == "obstacles are published")
-        assert said.levels == [DiagnosticStatus.WARN, DiagnosticStatus.OK]
+    try:
+        with spinning(occupancy.Occupancy()):
+            publisher.replace(floor())
+            listener.wait(lambda: "more than 1,000 voxels, choose a coarser" in said.message)
+            assert said.values["Splats"] == str(len(floor()))
+            assert said.values["Voxels"] == "0"
+            assert not grid.message
+            publisher.replace(wall(1.05))
+            listener.wait(lambda: grid.message and grid.at(1.05, 0) == 100)
+            # A wall has no floor.
+            listener.wait(lambda: "no cell is free: at the start, (0, 0)" in said.message)
+            assert int(said.values["Voxels"]) > 100
+            around = np.abs(floor().positions[:, :2]).max(axis=1) < 0.5
+            publisher.replace(floor()[np.flatnonzero(around)])
+            listener.wait(lambda: said.message == "obstacles are published")
+            assert said.levels == [DiagnosticStatus.WARN, DiagnosticStatus.OK]
+    finally:
+        rclpy.try_shutdown()
 
 
 def test_a_map_is_seen_from_the_frames_that_are_asked_for(

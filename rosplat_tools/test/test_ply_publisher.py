@@ -186,7 +186,6 @@ def test_what_is_read_holds_up_nobody_and_ends_by_a_newer_request(
     monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene", slow)
     monkeypatch.setattr("rosplat_tools.ply_publisher.vertical", lambda _: None)
     roots = ["-r", f"__ns:={node.get_namespace()}", "-p", f"save_root:={tmp_path}"]
-    rclpy.try_shutdown()  # of a context that another test left
     rclpy.init(args=["--ros-args", *roots])
     publisher = PlyPublisher()
     publisher._map.replace(random_splats(7))
@@ -228,7 +227,6 @@ def test_whatever_loading_raises_is_an_answer(
         raise error
 
     monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene", fail)
-    rclpy.try_shutdown()
     rclpy.init()
     try:
         publisher = PlyPublisher()

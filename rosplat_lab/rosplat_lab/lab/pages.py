@@ -181,5 +181,5 @@ def chart(path: Path, found: Curves) -> None:
         figure.savefig(path, dpi=90)
         plt.close(figure)
     with Image.open(path) as drawn:  # few colours: a third of the size
-        small = drawn.convert("RGB").quantize(64)
+        small = drawn.convert("RGB").quantize(256)
     small.save(path, optimize=True)
