@@ -129,7 +129,8 @@ def test_a_camera_as_calibrated_by_a_topic_and_what_it_refuses(
     studio.calibrate(of_lens(BARREL))
     image = studio.next()
     np.testing.assert_array_equal(from_image(image), to_bytes(drawn(BARREL, EYE).colour))
-    assert len(log.warnings) == 3
+    for said in ("no CameraInfo has come", "width is 0", "the distortion folds"):
+        assert sum(said in line for line in log.lines) == 1
 
 
 def test_nothing_is_published_of_a_map_in_part_or_a_pose_elsewhere(
