@@ -202,6 +202,20 @@ TEST_F(OrderBookTest, RefusesOrdersThatFitNothing) {
   EXPECT_FALSE(book.offer(sidecar(4, 1, {0}), 0.0));  // older than the one that is here
 }
 
+TEST_F(OrderBookTest, AnOrderOfNoRevisionReplacesNoneThatIsFresh) {
+  upsert(0, {1, 3, 2}, 0.0);
+  book.setCamera("view", 1, camera, 0.0);
+  ASSERT_TRUE(book.offer(sidecar(1, 0, {0}), 0.0));
+  EXPECT_FALSE(book.answered("view"));
+  ASSERT_TRUE(book.offer(sidecar(1, 1, {1, 2, 0}), 0.0));
+  EXPECT_FALSE(book.offer(sidecar(1, 0, {0}), 0.0));
+  EXPECT_TRUE(book.answered("view"));
+  EXPECT_EQ(book.choose("view", 0.0).order->slots, (Slots{1, 2, 0}));
+  camera.translation[2] = 0.5;
+  book.setCamera("view", 2, camera, 0.0);
+  EXPECT_TRUE(book.offer(sidecar(2, 0, {0}), 0.0));
+}
+
 TEST_F(OrderBookTest, SortNowMatchesTheDepthsExactly) {
   std::vector<float> depths;
   for (int i = 0; i < 5000; ++i) depths.push_back(1.0f + float((i * 7919) % 1000));  // with ties

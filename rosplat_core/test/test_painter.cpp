@@ -112,6 +112,28 @@ TEST(Painter, PaintsAGivenOrderInFull) {
   EXPECT_EQ(studio.painter.paintNow("view", request)->maps[0].error, 0);
 }
 
+TEST(Painter, PaintsAMapThatWentOnByDepthAndNotInAnOrderOfBefore) {
+  Studio studio;
+  studio.write(1000, GaussianBatch::REPLACE);
+  auto order = std::make_shared<Order>();
+  order->map_id = studio.map.state().id;
+  order->revision = studio.map.state().revision;
+  for (std::uint32_t slot = 0; slot < 500; ++slot) order->slots.push_back(slot);
+  order->bound = 500;
+  auto request = std::make_shared<PaintRequest>(*studio.request("full"));
+  request->layers[0].order = order;
+  const PaintingPtr given = studio.painter.paintNow("view", request);
+  EXPECT_EQ(given->maps[0].order, order);
+  EXPECT_LE(given->maps[0].drawn, 500u);
+
+  studio.write(1000, GaussianBatch::UPSERT, 1000);
+  const PaintingPtr by_depth = studio.painter.paintNow("view", request);
+  EXPECT_EQ(by_depth->maps[0].map.splats, 2000u);
+  EXPECT_FALSE(by_depth->maps[0].order);
+  EXPECT_EQ(by_depth->picture.colour,
+            studio.painter.paintNow("view", studio.request("full"))->picture.colour);
+}
+
 TEST(Painter, LeadsAViewThatMovesToItsDetailWhileTheMapChanges) {
   Studio studio;
   studio.write(100000, GaussianBatch::REPLACE);

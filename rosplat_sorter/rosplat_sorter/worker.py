@@ -124,8 +124,8 @@ class Worker:
 
     A view is answered when it shows a camera with a new sequence, and when the map changed; what
     hasn't changed isn't sorted again. While many batches wait, views are answered between them, in
-    turn. While a pull is under way, the map is of no single revision: an order then names revision
-    0, and a view gets one a second.
+    turn. While a pull is under way, or batches are missing, the map is of no single revision: an
+    order then names revision 0. While a pull is under way, a view gets one a second.
     """
 
     def __init__(self, host: Host, backend: str = AUTO, threads: int = 0) -> None:
@@ -412,7 +412,7 @@ class Worker:
             view_id=viewer.message.view_id,
             sequence=viewer.message.sequence,
             map_id=self._map.map_id,
-            revision=0 if self._map.pulled else self._map.revision,
+            revision=0 if self._map.pulled or self._map.missed else self._map.revision,
             backend=backend.name,
             sort_time=sort_time,
             slots=slots,

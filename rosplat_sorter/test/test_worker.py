@@ -214,6 +214,16 @@ def test_orders_during_a_long_pull_name_no_revision(start, make_batch, make_look
     assert len(host.answer(2, revision=12).slots) == 5
 
 
+def test_orders_of_a_map_that_lacks_a_batch_name_no_revision(start, make_batch, make_look):
+    worker, host = start()
+    worker.edit(make_batch(operation=0))
+    worker.edit(make_batch(1, revision=3, first_slot=4))
+    worker.look(make_look(sequence=1))
+    assert (host.answer(1).revision, len(host.answer(1).slots)) == (0, 4)
+    worker.edit(make_batch(1, revision=3, first_slot=3), Arrival.LAST)
+    assert len(host.answer(1, revision=3).slots) == 5
+
+
 def test_it_says_when_too_much_waits(start, make_batch, make_look, monkeypatch):
     monkeypatch.setattr("rosplat_sorter.worker.MOST_WAITING", 10 * 50 * 56)
     worker, host = start()

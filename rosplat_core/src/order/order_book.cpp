@@ -50,6 +50,8 @@ bool OrderBook::offer(const OrderPtr& order, double now) {
     return true;
   }
   if (view.sidecar && order->sequence < view.sidecar->sequence) return false;
+  // A sidecar that pulls the map once more knows less of it than it did.
+  if (view.sidecar && fresh(view, *view.sidecar) && !fresh(view, *order)) return false;
   if (order->bound > map_.capacity || order->slots.size() > map_.capacity) return false;
   view.sidecar = order;
   view.waiting_since = now;

@@ -413,15 +413,19 @@ bool Painter::draw(const std::string& view_id, const Waiting& job) {
   const PaintRequest& asked = *painting.request;
   PictureRequest request = pictureOf(asked);
   const PaintLayer& first = asked.layers.front();
-  if (first.order) request.order = first.order->slots;
   request.depth = PictureDepth::kMean;
   request.cancelled = &cancelled_;
   chooseDetail(view_id, request, painting);
   {
     const LockedMaps maps(asked, request);
+    const MapState& state = maps.states().front();
+    if (first.order && first.order->map_id == state.id && first.order->revision == state.revision) {
+      painting.maps.front().order = first.order;
+      request.order = first.order->slots;
+    }
     std::vector<std::uint32_t> all;
     if (first.unsorted) {
-      all = first.map->slots().index().slots(maps.states().front().capacity);
+      all = first.map->slots().index().slots(state.capacity);
       request.order = all;
     }
     for (std::size_t i = 0; i < maps.states().size(); ++i) {

@@ -284,7 +284,10 @@ class Viewer(Node):
             if time.monotonic() - self._published > ASK_AGAIN:
                 self.look(camera, name)
             time.sleep(0.001)
-        return self._figures(self.renderer.draw(view_id, sort_now=not answered))
+        report = self.renderer.draw(view_id, sort_now=not answered)
+        if answered and not report["order_fresh"]:  # the map went on since the order was there
+            report = self.renderer.draw(view_id, sort_now=True)
+        return self._figures(report)
 
     def draw_frame(self, view_id: str, camera: ViewCamera) -> Figures:
         """Draws with the best order there is."""

@@ -108,7 +108,10 @@ SplatCamera RenderService::inMapFrame(rosplat_msgs::msg::ViewCamera camera) cons
 GaussianClient::RenderView::Response RenderService::draw(bool sort_now) {
   GaussianClient::RenderView::Response response;
   SplatScene& scene = cloud_.scene();
-  const FrameReport report = scene.draw(view_.id(), settings(), Canvas::kNone, sort_now);
+  FrameReport report = scene.draw(view_.id(), settings(), Canvas::kNone, sort_now);
+  if (!sort_now && !report.order_fresh) {  // the map went on since the order was there
+    report = scene.draw(view_.id(), settings(), Canvas::kNone, true);
+  }
   const auto& camera = request_->request->camera;
   response.color = toImage(scene.readColor(), "32FC4", camera);
   response.depth = toImage(scene.readDepth(), "32FC1", camera);

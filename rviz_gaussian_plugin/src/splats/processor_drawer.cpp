@@ -98,12 +98,12 @@ FrameReport ProcessorDrawer::describe(const Look& look, const Painting& painting
     report.picture_age = now() - painting.asked;
     report.camera_off = std::fabs(now() - painting.due);
   }
-  if (layer->order) {
-    report.splats = layer->order->slots.size();
-    report.order_source = layer->order->source;
+  if (of.order) {
+    report.splats = of.order->slots.size();
+    report.order_source = of.order->source;
     report.order_fresh = exact && look.order && look.order->fresh;
     report.order_age = look.order ? look.order->age : report.picture_age;
-    report.sort_time = layer->order->sort_time;
+    report.sort_time = of.order->sort_time;
   } else if (layer->unsorted) {
     report.order_source = "nobody";
   } else {

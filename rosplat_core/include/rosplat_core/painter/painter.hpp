@@ -35,7 +35,7 @@ struct PaintLayer {
   PaintedMapPtr map;
   SplatCamera camera;  // in its frame; see PictureRequest::layers
   RenderSettings settings;
-  OrderPtr order;              // null: by depth; of one layer alone
+  OrderPtr order;              // where the map still is as it says, of one layer alone; else by depth
   bool unsorted = false;       // or by nobody: as the slots are numbered
   std::uint64_t age_tick = 0;  // of what is coloured by age: the time
 
@@ -79,6 +79,7 @@ struct Painting {
   // What it shows of a map.
   struct OfMap {
     MapState map;
+    OrderPtr order;            // that it is drawn in; null: by depth, or by nobody's
     std::size_t drawn = 0;     // splats and nodes
     double error = 0;          // as SplatPicture has it [px]
     std::string detail_error;  // why it is not in the detail that was asked for
