@@ -158,35 +158,6 @@ TEST(Painter, LeadsAViewThatMovesToItsDetailWhileTheMapChanges) {
   EXPECT_GT(painting->maps[0].drawn, 1000u);
 }
 
-TEST(Painter, KeepsAFrameTimeWhereTheCameraMovesAndPaintsAllWhereItRests) {
-  Studio studio;
-  studio.write(100000, GaussianBatch::REPLACE);
-  constexpr const char* kEver = "3600000ms";
-  const PaintingPtr in_time = studio.painted(studio.request(kEver, true));
-  ASSERT_TRUE(in_time);
-  EXPECT_EQ(in_time->maps[0].error, 0);
-  EXPECT_EQ(studio.copy->levelsBytes(), 0u);  // none are needed
-
-  constexpr const char* kNever = "0.001ms";
-  PaintingPtr moving = in_time;
-  double x = 0;
-  for (int frame = 0; frame < 1000 && moving->maps[0].drawn > in_time->maps[0].drawn / 2; ++frame) {
-    moving = studio.painted(studio.request(kNever, true, x += 0.001));
-    ASSERT_TRUE(moving);
-  }
-  EXPECT_LT(moving->maps[0].drawn, in_time->maps[0].drawn / 2);
-  EXPECT_GT(moving->maps[0].error, 0);
-  EXPECT_FALSE(moving->settled);
-  const auto again = studio.request(kNever, true, x);
-  again->rests = true;
-  const PaintingPtr resting = studio.painted(again);
-  ASSERT_TRUE(resting);
-  EXPECT_EQ(resting->maps[0].error, 0);
-  EXPECT_NEAR(double(resting->maps[0].drawn), double(in_time->maps[0].drawn),
-              0.01 * double(in_time->maps[0].drawn));
-  EXPECT_TRUE(resting->settled);
-}
-
 TEST(Painter, PaintsWhatACameraThatMovesIsThoughtToSee) {
   Studio studio;
   studio.write(20000, GaussianBatch::REPLACE);

@@ -1375,32 +1375,6 @@ TEST_F(SplatRendererTest, KeepsTheErrorOfABudgetAtRest) {
   }
 }
 
-TEST_F(SplatRendererTest, FindsTheErrorOfAFrameTime) {
-  SplatScene scene(shaders());
-  fillWithWall(scene, 3000, 4);
-  SplatCamera moving = camera();
-  const auto errorOf = [&](const char* detail) {
-    RenderSettings settings = detailed(detail, Rasterizer::kTiles);
-    settings.interactive = true;
-    scene.setCamera("view", 1, moving);
-    scene.draw("view", settings, Canvas::kNone);
-    return scene.report("view").error;
-  };
-  double error = 0;
-  for (int frame = 0; frame < 1000 && error < 5; ++frame) {
-    moving.translation[0] = 1e-3 * frame;
-    error = errorOf("0.0001ms");
-  }
-  EXPECT_GE(error, 5);
-  EXPECT_EQ(errorOf("0.0001ms"), 0);  // it rests
-  for (int frame = 0; frame < 1000; ++frame) {
-    moving.translation[0] = 1e-3 * frame;
-    error = errorOf("100000ms");
-    if (error == 0) break;
-  }
-  EXPECT_EQ(error, 0);
-}
-
 // Until the nodes of an edit stand, the picture has no holes that it hasn't before or afterwards;
 // and in the end all is in them.
 TEST_F(SplatRendererTest, RepairsLevelsBesideTheFrames) {

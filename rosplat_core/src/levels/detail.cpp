@@ -19,11 +19,6 @@ constexpr double kLeastStep = 1.02;   // of the error, from one that missed to t
 constexpr int kMostNarrowed = 4;      // pictures that are only to come closer
 constexpr double kMostStep = 1.1;     // of the error, from picture to picture
 constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
-constexpr double kNearTime = 0.1;     // of a frame time, which varies from frame to frame
-constexpr double kLate = 1.5;         // of one
-constexpr double kMostFewer = 4;      // splats in a picture than in one that came late
-constexpr double kApart = 1.25;       // numbers of splats that tell what each takes
-constexpr double kWorth = 0.25;       // of all other time, that of the splats: less gains little
 
 // The finest that draws fewer splats than there are. [px]
 double finestOf(const CutEstimate& cut) {
@@ -51,13 +46,12 @@ Detail parseDetail(const std::string& text) {
   constexpr double kMost = 1e9;
   if (amount > 0 && amount < kMost) {
     if (unit == "px") return {Kind::kError, amount};
-    if (unit == "ms") return {Kind::kTime, amount * 1e-3};
     const double factor = unit.empty() ? 1 : unit == "k" ? 1e3 : unit == "m" ? 1e6 : 0;
     if (factor * amount >= 1) return {Kind::kSplats, std::floor(factor * amount)};
   }
   throw std::invalid_argument(
       "detail '" + text.substr(0, 40) +
-      "' is none: expected full, pixels (1.5px), splats (800000, 800k, 2M) or a time (40ms)");
+      "' is none: expected full, pixels (1.5px) or splats (800000, 800k, 2M)");
 }
 
 std::string toText(const Detail& detail) {
@@ -73,29 +67,8 @@ std::string toText(const Detail& detail) {
     case Detail::Kind::kSplats:
       text << static_cast<std::uint64_t>(amount);
       break;
-    case Detail::Kind::kTime:
-      text << 1e3 * amount << "ms";
-      break;
   }
   return text.str();
-}
-
-void PictureTime::took(double drawn, double seconds) {
-  const auto apart = [](const Picture& a, const Picture& b) {
-    return a.drawn > kApart * b.drawn || b.drawn > kApart * a.drawn;
-  };
-  const Picture now{std::max(drawn, 1.0), seconds};
-  if (apart(now, last_)) before_ = last_;
-  last_ = now;
-  if (before_.drawn == 0 || !apart(now, before_)) return;
-  const double each = (now.seconds - before_.seconds) / (now.drawn - before_.drawn);
-  others_ = now.seconds - std::max(each, 0.0) * now.drawn;
-}
-
-double PictureTime::splatsIn(double seconds) const {
-  const double others = std::clamp(others_, 0.0, 0.999 * last_.seconds);  // loads differ, too
-  const double each = (last_.seconds - others) / last_.drawn;
-  return std::max({(seconds - others) / each, kWorth * others / each, last_.drawn / kMostFewer});
 }
 
 double DetailControl::choose(const RenderSettings& settings,
@@ -123,21 +96,6 @@ double DetailControl::choose(const RenderSettings& settings,
       if (at_once || wanted >= kCoarsestError) return wanted;
       finest = finestOf(search_->expected);
       break;
-    case Detail::Kind::kTime: {
-      // Of the last picture of which it is known; before any, of one of all.
-      const double seconds = seconds_ > 0 ? seconds_ : seconds_in_full_;
-      const double part = seconds / detail.amount;
-      const CutEstimate expected = estimate();
-      finest = finestOf(expected);
-      time_.took(expected.drawn(timed_error_), seconds);
-      if (error_ == timed_error_ && std::fabs(part - 1) <= kNearTime) {
-        return drawable(timed_error_);
-      }
-      wanted = expected.errorFor(time_.splatsIn(detail.amount));
-      // Pictures that come so late are worse than a change that is seen.
-      if (part > kLate && wanted > error_.value_or(0)) return drawable(wanted);
-      break;
-    }
   }
   wanted = drawable(wanted);
   if (!error_) return wanted;  // nobody saw another
@@ -185,11 +143,6 @@ std::optional<double> DetailControl::drew(double error, std::size_t drawn) {
   const double least = kLeastStep * std::max(of.fine, kLeastError), most = *of.coarse / kLeastStep;
   if (++of.narrowed > kMostNarrowed || least > most) return fits ? std::nullopt : of.coarse;
   return least < next && next < most ? next : std::sqrt(least * most);
-}
-
-void DetailControl::took(double error, double seconds) {
-  timed_error_ = error;
-  seconds_ = seconds;
 }
 
 }  // namespace rosplat

@@ -111,24 +111,19 @@ void PaintedMap::dropLevels() {
   slots_.dropParents();
 }
 
-PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id, bool rests,
+PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id,
                                             const std::function<bool(double)>& stop,
                                             PictureLayer& layer) {
-  const RenderSettings& settings = layer.settings;
-  const Detail detail = settings.drawnDetail();
   DetailControl& control = controls_[view_id];
-  const bool in_time = detail.kind == Detail::Kind::kTime;
-  const bool moves = settings.interactive && !rests;
-  if (!control.needsLevels(detail) || (in_time && !moves)) return {};
   wants_levels_ = true;
-  const double patience = std::max(kLevelsPerPicture, kLevelsShare * control.secondsInFull());
+  const double patience = std::max(kLevelsPerPicture, kLevelsShare * seconds_in_full_);
   try {
     const bool whole = advanceLevels([&] { return stop(patience); });
-    if (levels_.nodes() == 0) return {whole || in_time, ""};  // all is drawn until they stand
+    if (levels_.nodes() == 0) return {whole, ""};  // all is drawn until they stand
     layer.levels = &levels_;
     layer.error =
-        control.choose(settings, levels_.samples(), layer.camera, slots_.index().groups());
-    return {in_time ? layer.error == 0 : whole && control.settled(), ""};
+        control.choose(layer.settings, levels_.samples(), layer.camera, slots_.index().groups());
+    return {whole && control.settled(), ""};
   } catch (const std::bad_alloc&) {
     return {true, "there is no memory for levels of detail"};
   }
@@ -143,13 +138,8 @@ std::optional<double> PaintedMap::drew(const std::string& view_id, const Picture
                                        const SplatPicture::OfLayer& drawn, double seconds) {
   const auto found = controls_.find(view_id);
   if (found == controls_.end()) return {};
-  DetailControl& control = found->second;
-  if (layer.levels) {
-    control.took(drawn.error, seconds);
-    return control.drew(drawn.error, drawn.drawn);
-  }
-  control.drewAll(seconds);
-  wants_levels_ = wants_levels_ || control.needsLevels(layer.settings.drawnDetail());
+  if (layer.levels) return found->second.drew(drawn.error, drawn.drawn);
+  seconds_in_full_ = seconds;
   return {};
 }
 

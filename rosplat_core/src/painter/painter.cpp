@@ -357,7 +357,7 @@ void Painter::chooseDetail(const std::string& view_id, PictureRequest& request,
     if (layer.settings.drawnDetail() == Detail{} || layer.order || layer.unsorted) continue;
     const double start = now();
     PaintedMap::Chosen chosen = layer.map->chooseDetail(
-        view_id, asked.rests,
+        view_id,
         [&](double patience) { return cancelled_ || (!waited_for && now() > start + patience); },
         request.layers[i]);
     painting.settled = painting.settled && chosen.settled;

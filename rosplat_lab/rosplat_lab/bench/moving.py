@@ -26,7 +26,7 @@ PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
 AGES = (1, 2, 3, 4, 6, 8, 12)  # of the picture, in degrees that the camera has turned since
 VIEWS = {"overview": scenes.overview, "inside": scenes.inside}
 
-DETAILS, QUICK_DETAILS = ("full", "50ms", "100ms", "200ms"), ("100ms",)
+SHARES, QUICK_SHARES = (1, 2, 4, 8), (4,)  # of the splats, that are drawn at most
 SPEED = 20  # of a camera in motion [degrees/s]
 SWEEP = 40  # there, and back again [degrees]
 STEP = 0.05  # [degrees]
@@ -47,8 +47,10 @@ def measure(plan: Plan) -> Iterator[Event]:
     for number, name in enumerate(names):
         yield Doing(name, number / len(names))
         yield from isolated(_carried, name, QUICK_PICTURE if plan.quick else PICTURE)
+        count = len(scenes.load(name))
         for motion in VIEWS:
-            for detail in QUICK_DETAILS if plan.quick else DETAILS:
+            for share in QUICK_SHARES if plan.quick else SHARES:
+                detail = f"{count // share}" if share > 1 else "full"
                 yield Doing(f"{name}, {motion}, {detail}", number / len(names))
                 yield from isolated(in_motion, name, plan.quick, motion, detail)
 

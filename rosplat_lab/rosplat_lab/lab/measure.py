@@ -276,8 +276,6 @@ def _moving(plan: Plan, name: str) -> Iterator[Event]:
     if count < MOVING_SPLATS and not plan.quick:
         return
     details = {"Full": "full", counted(count // 4): f"{count // 4}"}
-    if not plan.quick:
-        details |= {"100 ms": "100ms", "50 ms": "50ms"}
     for text, detail in details.items():
         setting = f"Detail: {text}, while turning"
         yield Doing(f"{name}, {setting}, {MOVING}", 0.95)

@@ -76,10 +76,9 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       new EditableEnumProperty("Detail", "Full",
                                "How much of the map is drawn. Full: every splat. An error (2 px): "
                                "splats within that width may be one Gaussian. A budget (1M): at "
-                               "most so many Gaussians. A time (100 ms): while the camera or the "
-                               "map moves, what can be drawn in that time.",
+                               "most so many Gaussians.",
                                display);
-  for (const char* example : {"Full", "1 px", "2 px", "4 px", "1M", "100 ms"}) {
+  for (const char* example : {"Full", "1 px", "2 px", "4 px", "1M"}) {
     detail_->addOptionStd(example);
   }
   alpha_ = number("Alpha", 1.0f, "Multiplies the opacity of every splat.", display, 0.0f);

@@ -197,22 +197,12 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
   glFlush();  // the graphics card begins with what the scene has drawn so far
   gl::deleteAbandoned();
   const RenderSettings& settings = maps.front().settings;
-  RenderedView& of = this->view(join(maps));
-  if (const std::optional<double> seconds = of.timer.take()) {
-    for (const CardView& map : maps) {
-      for (const Timed& timed : of.timed) {
-        if (timed.map == map.map.get()) {
-          map.map->took(map.view_id, timed.error, timed.in_time, *seconds);
-        }
-      }
-    }
-  }
+  ViewState& view = *this->view(join(maps)).state;
   std::vector<CardMap::Chosen> chosen;
   for (const CardView& map : maps) {
     chosen.push_back(map.map->chooseDetail(map.view_id, map.settings, map.camera, clock()));
   }
   gl::Stopwatch stopwatch(settings.profile);
-  ViewState& view = *of.state;
   drawn_ = &view;
   const SplatCamera& camera = maps.front().camera;
   if (translucent) {
@@ -229,8 +219,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
   }
   const bool fresh = view.color.become(settings.float_blending ? GL_RGBA32F : GL_RGBA16F,
                                        camera.width, camera.height, window.targetDepth());
-  of.timer.begin();
-  const bool anew = view.prepare(frame);
+  view.prepare(frame);
   glFlush();  // the graphics card begins while the rest is submitted
   const gl::DrawScope scope(view.color);
   if (around.opaque) {
@@ -255,15 +244,12 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
     stopwatch.lap("composite");
   }
   std::vector<OfMap> drawn;
-  std::vector<Timed> timed;
   for (std::size_t i = 0; i < maps.size(); ++i) {
     const double error = frame.layers[i].cuts() ? frame.layers[i].error : 0;
     std::string& problem = chosen[i].problem;
     if (problem.empty() && !frame.order) problem = maps[i].map->detailProblem(maps[i].view_id);
     drawn.push_back({view.splats().countsOfLayers()[i], error, std::move(problem)});
-    timed.push_back({maps[i].map.get(), error, chosen[i].in_time});
   }
-  if (anew && of.timer.end()) of.timed = std::move(timed);
   profile_ = stopwatch.laps();
   return drawn;
 }

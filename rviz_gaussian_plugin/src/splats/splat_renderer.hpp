@@ -102,19 +102,11 @@ class SplatRenderer {
   std::size_t gpuBytes() const;  // beside the maps
 
  private:
-  // A map in the picture whose time is taken.
-  struct Timed {
-    const CardMap* map;
-    double error;
-    bool in_time;
-  };
   struct RenderedView {
     explicit RenderedView(std::unique_ptr<ViewState> of) : state(std::move(of)) {}
 
     std::unique_ptr<ViewState> state;
     std::uint64_t used = 0;  // the last time
-    gl::Timer timer;
-    std::vector<Timed> timed;
   };
 
   // The name of the view that maps are in.

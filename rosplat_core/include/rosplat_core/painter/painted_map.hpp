@@ -56,9 +56,9 @@ class PaintedMap {
     bool settled = true;  // another picture would be in the same detail
     std::string error;    // why it is not in the detail that was asked for
   };
-  // rests: the camera does. stop: levels aren't to be waited for any longer.
-  Chosen chooseDetail(const std::string& view_id, bool rests,
-                      const std::function<bool(double)>& stop, PictureLayer& layer);
+  // stop: levels aren't to be waited for any longer, after so many seconds.
+  Chosen chooseDetail(const std::string& view_id, const std::function<bool(double)>& stop,
+                      PictureLayer& layer);
   // What became of it [s]. If that missed a budget that is to be kept at once: the error to which
   // it has to be drawn again.
   std::optional<double> drew(const std::string& view_id, const PictureLayer& layer,
@@ -90,6 +90,7 @@ class PaintedMap {
   Levels levels_;
   std::map<std::string, DetailControl> controls_;  // of views that aren't painted in full
   bool wants_levels_ = false;                      // some of these do
+  double seconds_in_full_ = 0;                     // that the last picture without levels took
   std::atomic<std::size_t> levels_bytes_{0};
 };
 using PaintedMapPtr = std::shared_ptr<PaintedMap>;

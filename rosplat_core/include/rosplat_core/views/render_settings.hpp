@@ -52,7 +52,6 @@ struct Detail {
     kFull,    // all of it
     kError,   // what is no wider than so much may be one Gaussian [px]
     kSplats,  // so many Gaussians at most
-    kTime,    // while the camera or the map moves, what takes about so long [s]
   };
   Kind kind = Kind::kFull;
   double amount = 0;
@@ -69,7 +68,7 @@ struct RenderSettings {
   // take two to five times as long. The processor always does.
   bool float_blending = false;
   // Nobody waits for a picture. The processor's follow the camera, and the newest is shown
-  // meanwhile; a budget or a frame time is come to by small steps.
+  // meanwhile; a budget is come to by small steps.
   bool interactive = false;
   float scale = 1;    // of the splats' size
   float opacity = 1;  // of their opacity, 0 to 1

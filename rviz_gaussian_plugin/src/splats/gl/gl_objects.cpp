@@ -547,42 +547,6 @@ std::map<std::string, double> Stopwatch::laps() const {
   return laps;
 }
 
-void Timer::mark(std::size_t end) {
-  Object& query = queries_[end];
-  if (query.isHere()) return glQueryCounter(query.id(), GL_TIMESTAMP);
-  GLuint id = 0;
-  glGenQueries(1, &id);
-  glQueryCounter(id, GL_TIMESTAMP);
-  query = Object(GL_QUERY, id);
-}
-
-void Timer::begin() {
-  // What another context has asked for may never be known.
-  if (state_ == State::kEnded && queries_[1].isHere()) return;
-  mark(0);
-  state_ = State::kBegun;
-}
-
-bool Timer::end() {
-  if (state_ != State::kBegun) return false;
-  mark(1);
-  state_ = State::kEnded;
-  return true;
-}
-
-std::optional<double> Timer::take() {
-  if (state_ != State::kEnded || !queries_[1].isHere()) return {};
-  GLint known = 0;
-  glGetQueryObjectiv(queries_[1].id(), GL_QUERY_RESULT_AVAILABLE, &known);
-  if (!known) return {};
-  state_ = State::kIdle;
-  std::array<GLuint64, 2> times{};
-  for (std::size_t end = 0; end < times.size(); ++end) {
-    glGetQueryObjectui64v(queries_[end].id(), GL_QUERY_RESULT, &times[end]);
-  }
-  return 1e-9 * static_cast<double>(times[1] - times[0]);
-}
-
 bool accelerated() {
   const auto* name = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
   const std::string_view renderer = name ? name : "";

@@ -301,24 +301,6 @@ class Stopwatch {
   std::vector<std::pair<const char*, GLuint>> queries_;
 };
 
-// The time of what is submitted between begin() and end(), known some frames later: nobody waits.
-class Timer {
- public:
-  // Nothing while the last one isn't known yet; nor is that ended.
-  void begin();
-  bool end();
-  // Of the last that was ended and is known by now, once [s].
-  std::optional<double> take();
-
- private:
-  void mark(std::size_t end);
-
-  enum class State { kIdle, kBegun, kEnded };
-
-  std::array<Object, 2> queries_;
-  State state_ = State::kIdle;
-};
-
 // Whether a graphics card draws in the current context, not the processor.
 bool accelerated();
 

@@ -58,18 +58,12 @@ CardMap::Chosen CardMap::chooseDetail(const std::string& view_id, const RenderSe
   }
   ViewDetail& view = views_[view_id];
   DetailControl& control = view.control;
-  const bool at_once = !settings.interactive, rests = camera == view.camera;
-  view.camera = camera;
+  const bool at_once = !settings.interactive;
   view.chooses = false;
-  Chosen chosen;
-  chosen.in_time = detail.kind == Detail::Kind::kTime;
-  // A frame time is for what moves; and may have room for all.
-  if (!control.needsLevels(detail) || (chosen.in_time && (at_once || rests))) return {};
   if (at_once || !levels_) makeLevels(now, at_once);
-  if (!levels_) return {0, false, levels_error_};
-  chosen.error = control.choose(settings, levels_->samples(), camera, pages().groups());
+  if (!levels_) return {0, levels_error_};
   view.chooses = true;
-  return chosen;
+  return {control.choose(settings, levels_->samples(), camera, pages().groups()), ""};
 }
 
 std::optional<double> CardMap::drew(const std::string& view_id, double error, std::size_t drawn) {
@@ -82,13 +76,6 @@ std::string CardMap::detailProblem(const std::string& view_id) const {
   const auto found = views_.find(view_id);
   const bool chooses = found != views_.end() && found->second.chooses;
   return chooses ? found->second.control.problem() : "";
-}
-
-void CardMap::took(const std::string& view_id, double error, bool in_time, double seconds) {
-  const auto found = views_.find(view_id);
-  if (found == views_.end()) return;
-  if (in_time) found->second.control.took(error, seconds);
-  if (error == 0) found->second.control.drewAll(seconds);
 }
 
 void CardMap::forget(const std::string& view_id) {

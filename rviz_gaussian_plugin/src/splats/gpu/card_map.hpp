@@ -43,8 +43,7 @@ class CardMap {
   // in place of splats, 0 for none [px].
   struct Chosen {
     double error = 0;
-    bool in_time = false;  // it is to take a certain time
-    std::string problem;   // why that isn't the detail that was asked for
+    std::string problem;  // why that isn't the detail that was asked for
   };
   Chosen chooseDetail(const std::string& view_id, const RenderSettings& settings,
                       const SplatCamera& camera, double now);
@@ -53,8 +52,6 @@ class CardMap {
   std::optional<double> drew(const std::string& view_id, double error, std::size_t drawn);
   // Why a picture with levels isn't in the detail that was asked for; empty where it is.
   std::string detailProblem(const std::string& view_id) const;
-  // How long a picture took that was drawn to an error.
-  void took(const std::string& view_id, double error, bool in_time, double seconds);
   void forget(const std::string& view_id);
 
   std::size_t bytes() const { return store_.bytes(); }
@@ -67,7 +64,6 @@ class CardMap {
   // Of a view that isn't drawn in full.
   struct ViewDetail {
     DetailControl control;
-    SplatCamera camera;    // of the last picture
     bool chooses = false;  // how that is drawn is up to the control
   };
 

@@ -12,18 +12,17 @@ ViewState::ViewState(Shaders& shaders, RadixSort& sort)
       quads_(shaders),
       block_(sizeof(ViewBlock), GL_DYNAMIC_DRAW) {}
 
-bool ViewState::prepare(const Frame& frame) {
+void ViewState::prepare(const Frame& frame) {
   // The frame before may still read what this one writes.
   glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT | GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);
   const ViewBlock block(frame);
   block_.write(0, &block, sizeof(block));
   use();
   top_first_ = frame.top_first;
-  if (splats_.answers(frame)) return false;
+  if (splats_.answers(frame)) return;
   splats_.prepare(frame);
   tiles_.forget();
   unknown_ = true;
-  return true;
 }
 
 bool ViewState::list(const Frame& frame) {

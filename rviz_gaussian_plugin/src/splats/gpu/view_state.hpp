@@ -25,9 +25,8 @@ class ViewState {
 
   // Has the shaders that come next draw what was drawn last.
   void use() const { glBindBufferBase(GL_UNIFORM_BUFFER, 0, block_.id()); }
-  // Submits what projects and sorts what is visible, unless that is there; begins a frame. Whether
-  // there was anything to do.
-  bool prepare(const Frame& frame);
+  // Submits what projects and sorts what is visible, unless that is there; begins a frame.
+  void prepare(const Frame& frame);
   // Submits what lists it by tiles, unless that is there; false where there is no memory for it.
   bool list(const Frame& frame);
   // Submits what blends the splats into `color`, whose scope this is, in_tiles where there is
