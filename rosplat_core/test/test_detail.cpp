@@ -85,8 +85,8 @@ TEST(Detail, IsReadAndWritten) {
 
 TEST(Detail, OfNothingOrOfNonsenseIsRefused) {
   for (const char* text :
-       {"", "0", "0px", "-1px", "0.5", "px", "nan", "inf", "1e9", "40ms",
-        "99999999999999999999px", "1..2px", "full!", "1,5px", "0,800", "80,00"}) {
+       {"", "0", "0px", "-1px", "0.5", "px", "nan", "inf", "1e9", "40ms", "99999999999999999999px",
+        "1..2px", "full!", "1,5px", "0,800", "80,00"}) {
     try {
       parseDetail(text);
       ADD_FAILURE() << text;

@@ -35,8 +35,8 @@ struct PaintLayer {
   PaintedMapPtr map;
   SplatCamera camera;  // in its frame; see PictureRequest::layers
   RenderSettings settings;
-  OrderPtr order;              // where the map still is as it says, of one layer alone; else by depth
-  bool unsorted = false;       // or by nobody: as the slots are numbered
+  OrderPtr order;         // where the map still is as it says, of one layer alone; else by depth
+  bool unsorted = false;  // or by nobody: as the slots are numbered
   std::uint64_t age_tick = 0;  // of what is coloured by age: the time
 
   bool operator==(const PaintLayer& o) const;
