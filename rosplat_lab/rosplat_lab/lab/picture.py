@@ -19,6 +19,7 @@ from matplotlib.transforms import Bbox
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.bench.records import Record
 from rosplat_lab.lab.points import Point, frontier, points
+from rosplat_lab.lab.ways import DEFAULT
 
 STYLE: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False,
          "axes.spines.right": False, "legend.frameon": False}  # fmt: skip
@@ -73,14 +74,15 @@ def shown(records: Sequence[Record]) -> list[Point]:
 
 
 def named(here: Sequence[Point]) -> list[Point]:
-    """A dozen at most: the frontier, and the most exact of what else each family has."""
+    """A dozen at most: the frontier, the defaults, the slowest, each other family's most exact."""
     best = frontier(here)
     others: dict[str, Point] = {}
     for point in sorted(here, key=lambda p: -p.psnr):
         if point not in best:
             others.setdefault(point.family, point)
+    default = [p for p in here if p.setting == DEFAULT]
     slowest = max(here, key=lambda p: p.ms or 0)
-    rest = [p for p in dict.fromkeys([slowest, *others.values()]) if p not in best]
+    rest = [p for p in dict.fromkeys([*default, slowest, *others.values()]) if p not in best]
     return [*best, *rest][:MOST_NAMES]
 
 
