@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 
 from rosplat_core import formats
-from rosplat_core.formats import Progress, Warn
-from rosplat_core.generated import generate
+from rosplat_core.formats import Into, IntoSplats, Made, Progress, Warn
+from rosplat_core.generated import generate_into
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats
 
 PROCEDURAL = "procedural:"
 ROOMS = "rooms:"
@@ -45,7 +45,12 @@ def vertical(name: str) -> tuple[float, float, float] | None:
 
 def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:
     """Reads a scene to be shown; as read_scene, but raises SceneError for one without a splat."""
-    splats = read_scene(name, progress, warn)
+    return load_scene_into(IntoSplats(), name, progress, warn)
+
+
+def load_scene_into(into: Into[Made], name: str, progress: Progress, warn: Warn) -> Made:
+    """As load_scene."""
+    splats = _read(into, name, progress, warn)
     if len(splats) == 0:
         raise SceneError(f"{name}: holds no splats")
     return splats
@@ -56,18 +61,22 @@ def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
 
     Raises SceneError, also for more splats than a map or this machine's memory holds.
     """
+    return _read(IntoSplats(), name, progress, warn)
+
+
+def _read(into: Into[Made], name: str, progress: Progress, warn: Warn) -> Made:
     if is_generated(name):
-        return _generated(name, progress)
-    splats = formats.load(name, progress, warn)
+        return _generated(into, name, progress)
+    splats = formats.load_into(into, name, progress, warn)
     _check(name, len(splats))
     return splats
 
 
-def _generated(name: str, progress: Progress) -> Splats:
+def _generated(into: Into[Made], name: str, progress: Progress) -> Made:
     count, seed = _numbers(name)
     scene = GENERATED[name[: name.index(":") + 1]]
     try:
-        return generate(count, seed, progress=progress, scene=scene)
+        return generate_into(into, count, seed, MAX_SH_DEGREE, progress, scene)
     except MemoryError as error:
         raise SceneError(f"{name}: too large for this machine's memory") from error
 

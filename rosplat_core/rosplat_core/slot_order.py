@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core import _core
 from rosplat_core.splats import Splats
 
 _BITS = 21  # an axis, of the 64 of a code
@@ -36,18 +37,23 @@ def slot_order(splats: Splats) -> NDArray[np.intp]:
 
     Large ones come first, those of a size (within a factor of four) in space order.
     """
-    order = space_order(splats.positions)
+    return order_by_size(splats.positions, splats.scales.max(axis=1, initial=0))
+
+
+def order_by_size(positions: NDArray[np.float32], sizes: NDArray[np.float32]) -> NDArray[np.intp]:
+    """As slot_order; sizes: (n,) largest scales. [m]"""
+    order = space_order(positions)
     with np.errstate(divide="ignore"):
-        octaves = np.log2(splats.scales.max(axis=1, initial=0)[order])
+        octaves = np.log2(sizes[order])
     powers_of_four = np.floor(np.nan_to_num(octaves, neginf=-200.0) / 2)
     return order[np.argsort(-powers_of_four.astype(np.int8), kind="stable")]
 
 
 def put_in_slot_order(splats: Splats) -> None:
-    """Reorders splats of finite positions where they are, an array at a time to spare memory."""
+    """Reorders splats of finite positions where they are, without a copy."""
     order = slot_order(splats)
     for array in splats.arrays:
-        array[:] = np.take(array, order, axis=0)
+        _core.put_in_order(array, order)
 
 
 def _spread(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:

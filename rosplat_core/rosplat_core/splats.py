@@ -209,6 +209,30 @@ class Splats:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class PackedSplats:
+    """Splats in less than half of the memory, as exact as displays hold them.
+
+    Positions and channels are exact. packed_slot.hpp says how the rest is kept.
+    """
+
+    rows: NDArray[np.uint32]
+    """(n, 8 + (degree + 1)^2) packed slots, each with its further bands."""
+    sh_degree: int
+    """Highest band of spherical harmonics, 0 to 3."""
+    origin: NDArray[np.float64]
+    antialiased: bool
+    channels: Mapping[str, NDArray[np.float32]]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.generic], ...]:
+        """All that has a row for each splat."""
+        return (self.rows, *self.channels.values())
+
+
 def _shaped(name: str, array: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.floating[Any]]:
     """As _host. Raises ValueError, naming the array, where it has none of the shapes."""
     values = _host(array)

@@ -78,7 +78,7 @@ def test_too_little_memory_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def full(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(scenes, "generate", full)
+    monkeypatch.setattr(scenes, "generate_into", full)
     with pytest.raises(SceneError, match="procedural:7: too large for this machine's memory"):
         load("procedural:7")
     monkeypatch.setattr(formats.ply, "write", full)

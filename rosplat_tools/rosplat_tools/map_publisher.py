@@ -21,7 +21,7 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 
 from rosplat_core.maps import PublishedBatch, PublishedMap
-from rosplat_core.splats import Splats, concatenate
+from rosplat_core.splats import PackedSplats, Splats, concatenate
 from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
@@ -165,7 +165,7 @@ class MapPublisher:
 
     def replace(
         self,
-        splats: Splats,
+        splats: Splats | PackedSplats,
         *,
         expected_slots: int | None = None,
         stamp: Time | None = None,
@@ -179,7 +179,10 @@ class MapPublisher:
         makes them read-only. Raises ValueError if splats or expected_slots exceed MAX_SLOTS. If
         sending fails, the map before stays and is sent again.
         """
-        _check_type(splats)
+        if isinstance(splats, PackedSplats):
+            shared = True  # a copy would be one of floats
+        else:
+            _check_type(splats)
         if expected_slots is not None:
             expected_slots = _whole("expected_slots", expected_slots, GaussianArray.MAX_SLOTS)
         when = _checked_stamp(stamp)

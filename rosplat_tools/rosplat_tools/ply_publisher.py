@@ -14,9 +14,8 @@ from rclpy.node import Node
 from rosplat_core import formats
 from rosplat_core.log_text import shown
 from rosplat_core.program.progress import bar
-from rosplat_core.scenes import NAMES, is_generated, load_scene, vertical
-from rosplat_core.slot_order import put_in_slot_order
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.scenes import NAMES, is_generated, load_scene_into, vertical
+from rosplat_core.splats import PackedSplats, SceneError
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.files_below import check_below
@@ -28,7 +27,10 @@ THREADS = 6
 
 
 class PlyPublisher(Node):
-    """Publishes the scene of its parameter `path` on `gaussians`; serves `~/load` and `~/save`."""
+    """Publishes the scene of its parameter `path` on `gaussians`; serves `~/load` and `~/save`.
+
+    It holds splats packed, as exact as displays do.
+    """
 
     def __init__(self) -> None:
         # First: since Kilted, half a node is destroyed, too. One scene is read at a time.
@@ -112,17 +114,17 @@ class PlyPublisher(Node):
 
             self._up = up
             try:
-                self._map.replace(splats, progress=published, shared=True)
+                self._map.replace(splats, progress=published)
             except MemoryError as error:
                 raise SceneError(f"{path}: too large for this machine's memory") from error
         text = (
-            f"{path}: {len(splats):,} splats, SH degree {splats.without_empty_bands().sh_degree}, "
+            f"{path}: {len(splats):,} splats, SH degree {splats.sh_degree}, "
             f"loaded and sent in {time.monotonic() - start:.1f} s"
         )
         self.get_logger().info(shown(text, 500))
         return text
 
-    def _read(self, answer: Future[str], path: str) -> Splats:
+    def _read(self, answer: Future[str], path: str) -> PackedSplats:
         with bar("loading") as drawn:
 
             def loaded(part: float) -> None:
@@ -133,9 +135,7 @@ class PlyPublisher(Node):
                         f"reading {shown(path)}: {part:.0%}", throttle_duration_sec=0.5
                     )
 
-            splats = load_scene(path, loaded, self.get_logger().warning)
-            put_in_slot_order(splats)
-            return splats
+            return load_scene_into(formats.IntoPacked(), path, loaded, self.get_logger().warning)
 
     def _go_on(self, answer: Future[str]) -> None:
         if answer.cancelled() or not self.context.ok():

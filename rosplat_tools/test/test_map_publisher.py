@@ -25,7 +25,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 
-from rosplat_core import payload
+from rosplat_core import _core, formats, payload
+from rosplat_core.formats import IntoPacked
+from rosplat_core.scenes import load_scene_into
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
@@ -721,6 +723,31 @@ def test_a_map_may_go_on_in_its_author_s_arrays(node: Node, random_splats: Maker
     expected[[5, 2999], :1] = other.sh
     np.testing.assert_array_equal(held.sh, expected[kept])
     np.testing.assert_array_equal(held.channels["label"][5:8], [np.nan, 6, 10])
+
+
+def test_a_packed_map_is_drawn_as_if_it_were_none(
+    node: Node, listener: Any, random_splats: Maker, tmp_path: Path
+) -> None:
+    """Who packs again what was sent gets the same bits, but where a number lay between two."""
+    splats = random_splats(3000, 3)
+    splats = replace(splats, origin=np.array([5e5, 0, 0]), channels={"label": np.arange(3000)})
+    formats.save(tmp_path / "scene.ply", splats)
+    packed = load_scene_into(IntoPacked(), str(tmp_path / "scene.ply"), lambda _: None, print)
+    publisher = MapPublisher(node)
+    publisher.replace(packed)
+    listener.wait_for(3000)
+    _, heard = listener.map.snapshot()
+    again = _core.pack_splats(heard, np.ones(3000, bool))
+    assert np.count_nonzero((again != packed.rows).any(axis=1)) < 30
+    np.testing.assert_array_equal(heard.channels["label"], packed.channels["label"])
+    assert np.ptp(packed.channels["label"][:10]) > 9  # in the order of slots
+
+    rest = np.arange(3000) != 5
+    publisher.upsert([5], splats[:1])  # its page goes on as floats
+    slots, held = publisher.snapshot()
+    assert slots == range(3000)
+    np.testing.assert_array_equal(held.sh[5], splats.sh[0])
+    np.testing.assert_array_equal(held.sh[rest], heard.sh[rest])
 
 
 def test_progress_may_look_at_the_map(node: Node, random_splats: Maker) -> None:

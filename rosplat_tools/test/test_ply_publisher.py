@@ -50,8 +50,13 @@ def test_the_scene_of_the_parameter_is_published_whole(
     listener.wait_for(5000)
     _, splats = listener.map.snapshot()
     scene = in_slot_order(ply)
-    for name in ("positions", "orientations", "scales", "opacities", "sh"):
-        np.testing.assert_array_equal(getattr(splats, name), getattr(scene, name))
+    np.testing.assert_array_equal(splats.positions, scene.positions)
+    upright = np.sign((splats.orientations * scene.orientations).sum(axis=1, keepdims=True))
+    np.testing.assert_allclose(splats.orientations * upright, scene.orientations, atol=1e-4)
+    np.testing.assert_allclose(splats.scales, scene.scales, rtol=4e-4)
+    np.testing.assert_allclose(splats.opacities, scene.opacities, atol=1e-5)
+    off = np.abs(splats.sh - scene.sh).max(axis=(1, 2)) / np.abs(scene.sh).max(axis=(1, 2))
+    assert off.max() < 1.1e-3
     assert {batch.header.frame_id for batch in listener.batches} == {"scan"}
     assert {batch.expected_slots for batch in listener.batches} == {5000}
 
@@ -88,7 +93,7 @@ def test_scenes_are_loaded_and_saved_while_it_runs(
     answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
     assert (answer.success, answer.splats) == (True, 5000)
     saved, scene = formats.load(copy), in_slot_order(ply)
-    np.testing.assert_allclose(saved.scales, scene.scales, rtol=1e-6)
+    np.testing.assert_allclose(saved.scales, scene.scales, rtol=4e-4)
     np.testing.assert_array_equal(saved.channels["label"], scene.channels["label"])
 
     before = copy.read_bytes()
@@ -178,12 +183,12 @@ def test_what_is_read_holds_up_nobody_and_ends_by_a_newer_request(
     """However long it tells no progress."""
     go_on = threading.Event()
 
-    def slow(name: str, progress: formats.Progress, _: formats.Warn) -> Splats:
+    def slow(_: object, name: str, progress: formats.Progress, __: formats.Warn) -> Splats:
         go_on.wait(2 * PATIENCE)
         progress(0.5)
         return random_splats(int(name))
 
-    monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene", slow)
+    monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene_into", slow)
     monkeypatch.setattr("rosplat_tools.ply_publisher.vertical", lambda _: None)
     roots = ["-r", f"__ns:={node.get_namespace()}", "-p", f"save_root:={tmp_path}"]
     rclpy.init(args=["--ros-args", *roots])
@@ -226,7 +231,7 @@ def test_whatever_loading_raises_is_an_answer(
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene", fail)
+    monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene_into", fail)
     rclpy.init()
     try:
         publisher = PlyPublisher()

@@ -28,7 +28,7 @@ from rosplat_core.formats import (
     usd,
 )
 from rosplat_core.formats.bounds import size_of
-from rosplat_core.formats.decoded import Axes, Progress, Warn
+from rosplat_core.formats.decoded import Axes, Into, IntoPacked, IntoSplats, Made, Progress, Warn
 from rosplat_core.program.files import replacing
 from rosplat_core.slot_order import space_order
 from rosplat_core.splats import SceneError, Splats
@@ -37,6 +37,10 @@ __all__ = [
     "FORMATS",
     "SUFFIXES",
     "Axes",
+    "Into",
+    "IntoPacked",
+    "IntoSplats",
+    "Made",
     "Progress",
     "SceneError",
     "Warn",
@@ -44,14 +48,15 @@ __all__ = [
     "check_output",
     "format_of",
     "load",
+    "load_into",
     "save",
 ]
 
 _log = logging.getLogger(__name__)
 
-# Each module has NAME, recognises(path, head), axes(path) and read(path, progress, warn); what can
-# be written has SUFFIXES and write(stream, path, splats) as well, where path is for errors to name,
-# IN_SPACE_ORDER where it packs neighbours, FINITE where it has no way to write other numbers,
+# Each module has NAME, recognises(path, head), axes(path), read(path, progress, warn, into). What
+# can be written has SUFFIXES and write(stream, path, splats) as well, where path is for errors to
+# name, IN_SPACE_ORDER where it packs neighbours, FINITE where it has no way to write other numbers,
 # KEEPS_CHANNELS where it does, TELLS_UP where write takes the vertical as well, and require(path)
 # where it needs a package that may be missing. DRAWN says how a format has its splats drawn.
 FORMATS: tuple[ModuleType, ...] = (
@@ -109,13 +114,18 @@ def load(
     had to be left out, such as splats that are not finite. Raises SceneError for a file that can't
     be read whole: it names the file and what is wrong with it.
     """
+    return load_into(IntoSplats(), path, progress, warn)
+
+
+def load_into(into: Into[Made], path: str | Path, progress: Progress, warn: Warn) -> Made:
+    """As load."""
     path = Path(path)
     module = format_of(path)
     # What overflows on the way is not finite in the end, and dropped with its splat.
     with _told(path), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        splats: Splats = module.read(path, progress, warn)
+        made: Made = module.read(path, progress, warn, into)
     progress(1.0)
-    return splats
+    return made
 
 
 def check_output(path: str | Path, overwrite: bool = False) -> None:

@@ -29,12 +29,12 @@ from rosplat_core.formats.decoded import (
     BLOCK,
     SH_C0,
     Axes,
-    Columns,
     Floats,
+    Into,
+    Made,
     Progress,
     Warn,
     blocks,
-    decoded,
 )
 from rosplat_core.formats.ply import ANTIALIASED, antialiased, rest_names
 from rosplat_core.formats.ply_file import PlyFile, header
@@ -73,7 +73,7 @@ def axes(path: Path) -> Axes:
     return AS_TRAINED
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads a compressed PLY, with or without ranges of colours, with or without higher bands."""
     file = PlyFile(path)
     for name in ("vertex", "chunk"):
@@ -98,25 +98,24 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         if len(rest) != n or any(rest.dtype[name] != np.dtype("u1") for name in names):
             raise SceneError(f"{path}: element sh: expected bytes, for {n:,} splats")
 
-    columns = Columns.empty(n, 1 + bands)
-    positions, orientations, scales, opacities, sh = columns
-    for part in blocks(n, progress):
+    for part, columns in into.blocks(n, 1 + bands, progress):
+        positions, orientations, scales, opacities, sh = columns
         block = rows[part]
         chunk = np.arange(part.start, part.stop) // CHUNK
-        positions[part] = _between(_fields(block[POSITION], BITS_OF_3), position_range, chunk)
-        scales[part] = np.exp(_between(_fields(block[SCALE], BITS_OF_3), scale_range, chunk))
+        positions[:] = _between(_fields(block[POSITION], BITS_OF_3), position_range, chunk)
+        scales[:] = np.exp(_between(_fields(block[SCALE], BITS_OF_3), scale_range, chunk))
         others = (_fields(block[ROTATION], BITS_OF_ROTATION) - np.float32(0.5)) * SQRT2
         wxyz = largest_restored(block[ROTATION] >> 30, others)
-        orientations[part] = np.roll(wxyz, -1, axis=1)
+        orientations[:] = np.roll(wxyz, -1, axis=1)
         rgba = _fields(block[COLOR], BITS_OF_4)
         rgb = rgba[:, :3] if color_range is None else _between(rgba[:, :3], color_range, chunk)
-        sh[part, 0] = (rgb - 0.5) / SH_C0
-        opacities[part] = rgba[:, 3]
+        sh[:, 0] = (rgb - 0.5) / SH_C0
+        opacities[:] = rgba[:, 3]
         if rest is not None:
             block = rest[part]
             by_channel = _COEFFICIENTS[np.stack([block[name] for name in names], axis=1)]
-            sh[part, 1:] = by_channel.reshape(-1, 3, bands).transpose(0, 2, 1)
-    return decoded(path, warn, columns, antialiased(file.comments))
+            sh[:, 1:] = by_channel.reshape(-1, 3, bands).transpose(0, 2, 1)
+    return into.made(path, warn, antialiased(file.comments))
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.splats import Splats, rebase
+from rosplat_core import _core
+from rosplat_core.payload import Arrays
+from rosplat_core.slot_order import order_by_size
+from rosplat_core.splats import PackedSplats, Splats, rebase
 
 Progress = Callable[[float], None]
 Warn = Callable[[str], None]
@@ -36,11 +41,13 @@ class Axes(NamedTuple):
 AS_TRAINED = Axes("the trainer's (with COLMAP, y mostly points down); the file doesn't tell", None)
 
 
-def blocks(count: int, progress: Progress = lambda fraction: None) -> Iterator[slice]:
+def blocks(
+    count: int, progress: Progress = lambda fraction: None, size: int = BLOCK
+) -> Iterator[slice]:
     """Slices that cover `count` splats, in order; tells progress how far they have come."""
-    for start in range(0, count, BLOCK):
-        yield slice(start, min(start + BLOCK, count))
-        progress(min(start + BLOCK, count) / count)
+    for start in range(0, count, size):
+        yield slice(start, min(start + size, count))
+        progress(min(start + size, count) / count)
 
 
 def share(progress: Progress, begin: float, end: float) -> Progress:
@@ -73,6 +80,11 @@ class Columns(NamedTuple):
             np.empty((n, k, 3), np.float32),
         )
 
+    @classmethod
+    def of(cls, splats: Splats) -> Columns:
+        """The arrays of splats, but for their positions."""
+        return cls(splats.positions + splats.origin, *splats.arrays[1:5])
+
     def part(self, which: slice) -> Columns:
         """Some of the splats: what is written to these is written here."""
         return Columns(
@@ -84,45 +96,150 @@ class Columns(NamedTuple):
         )
 
 
-def decoded(
-    path: Path,
-    warn: Warn,
-    columns: Columns,
-    antialiased: bool = False,
-    channels: Mapping[str, Floats] = MappingProxyType({}),
-) -> Splats:
-    """Splats from a file's numbers; channels: (n,) each.
+Made = TypeVar("Made", Splats, PackedSplats)
 
-    Drops splats that hold a number that is not finite or a quaternion of length zero, and tells
-    warn how many. The arrays are the callee's from then on.
-    """
+
+class Into(ABC, Generic[Made]):
+    """What a file's numbers become."""
+
+    @abstractmethod
+    def blocks(
+        self, n: int, k: int, progress: Progress = lambda fraction: None, size: int = BLOCK
+    ) -> Iterator[tuple[slice, Columns]]:
+        """Room for some of n splats of k coefficients after the other, to be written to."""
+
+    @abstractmethod
+    def made(
+        self,
+        path: Path,
+        warn: Warn,
+        antialiased: bool = False,
+        channels: Mapping[str, Floats] = MappingProxyType({}),
+    ) -> Made:
+        """What was written; channels: (n,) each.
+
+        Drops splats that hold a number that is not finite or a quaternion of length zero, and tells
+        warn how many.
+        """
+
+    def make(self, path: Path, warn: Warn, columns: Columns, antialiased: bool = False) -> Made:
+        """The same of all numbers at once. The arrays are the callee's from then on."""
+        for part, room in self.blocks(*columns.sh.shape[:2]):
+            for to, numbers in zip(room, columns.part(part), strict=True):
+                to[:] = numbers
+        return self.made(path, warn, antialiased)
+
+
+class IntoSplats(Into[Splats]):
+    """Splats as they are, in the order of the file."""
+
+    def blocks(
+        self, n: int, k: int, progress: Progress = lambda fraction: None, size: int = BLOCK
+    ) -> Iterator[tuple[slice, Columns]]:
+        """As Into."""
+        self._columns = Columns.empty(n, k)
+        for part in blocks(n, progress, size):
+            yield part, self._columns.part(part)
+
+    def made(
+        self,
+        path: Path,
+        warn: Warn,
+        antialiased: bool = False,
+        channels: Mapping[str, Floats] = MappingProxyType({}),
+    ) -> Splats:
+        """As Into."""
+        positions, orientations, scales, opacities, sh = columns = self._columns
+        usable = np.empty(len(positions), bool)
+        for part in blocks(len(positions)):
+            usable[part] = _usable(columns.part(part))
+        if _drops(path, warn, usable):
+            positions, orientations = positions[usable], orientations[usable]
+            scales, opacities, sh = scales[usable], opacities[usable], sh[usable]
+            channels = {name: values[usable] for name, values in channels.items()}
+        offsets, origin = rebase(positions)
+        return Splats(
+            positions=offsets,
+            orientations=orientations,
+            scales=scales,
+            opacities=opacities,
+            sh=sh,
+            origin=origin,
+            antialiased=antialiased,
+            channels=channels,
+        )
+
+    def make(self, path: Path, warn: Warn, columns: Columns, antialiased: bool = False) -> Splats:
+        """As Into."""
+        self._columns = columns
+        return self.made(path, warn, antialiased)
+
+
+class IntoPacked(Into[PackedSplats]):
+    """Packed splats, in the order of a map's slots; a block at a time, to spare memory."""
+
+    def blocks(
+        self, n: int, k: int, progress: Progress = lambda fraction: None, size: int = BLOCK
+    ) -> Iterator[tuple[slice, Columns]]:
+        """As Into."""
+        self._positions = np.empty((n, 3))
+        self._sizes = np.empty(n, np.float32)
+        self._usable = np.empty(n, bool)
+        self._rows = np.empty((n, 8 + k), np.uint32)
+        for part in blocks(n, progress, size):
+            columns = Columns.empty(part.stop - part.start, k)
+            yield part, columns
+            usable = self._usable[part] = _usable(columns)
+            self._positions[part] = columns.positions
+            self._sizes[part] = columns.scales.max(axis=1)
+            near = columns.positions.astype(np.float32)  # until there is an origin
+            self._rows[part] = _core.pack_splats(Arrays(near, *columns[1:]), usable)
+
+    def made(
+        self,
+        path: Path,
+        warn: Warn,
+        antialiased: bool = False,
+        channels: Mapping[str, Floats] = MappingProxyType({}),
+    ) -> PackedSplats:
+        """As Into."""
+        usable = self._usable
+        if _drops(path, warn, usable):
+            self._rows, self._sizes = self._rows[usable], self._sizes[usable]
+            self._positions = self._positions[usable]
+            channels = {name: values[usable] for name, values in channels.items()}
+        positions, origin = rebase(self._positions)
+        del self._positions
+        self._rows[:, :3] = positions.view(np.uint32)
+        degree = math.isqrt(self._rows.shape[1] - 8) - 1
+        while degree > 0 and not self._rows[:, 8 + degree**2 :].any():
+            degree -= 1
+        rows = np.ascontiguousarray(self._rows[:, : 8 + (degree + 1) ** 2])
+        del self._rows
+        packed = PackedSplats(rows, degree, origin, antialiased, dict(channels))
+        order = order_by_size(positions, self._sizes)
+        for array in packed.arrays:
+            _core.put_in_order(array, order)
+        return packed
+
+
+def _usable(columns: Columns) -> NDArray[np.bool_]:
+    """(n,) which splats can be drawn. Gives their quaternions unit length."""
     positions, orientations, scales, opacities, sh = columns
-    usable = np.empty(len(positions), bool)
-    for part in blocks(len(positions)):
-        lengths = np.linalg.norm(orientations[part], axis=1)
-        orientations[part] /= lengths[:, None]
-        # A sum is finite where all of its terms are.
-        sums = positions[part].astype(np.float32).sum(axis=1) + lengths
-        sums += scales[part].sum(axis=1) + opacities[part]
-        usable[part] = np.isfinite(sums + sh[part].sum(axis=(1, 2), dtype=np.float64))
-        usable[part] &= lengths > 0
+    lengths = np.linalg.norm(orientations, axis=1)
+    orientations /= lengths[:, None]
+    # A sum is finite where all of its terms are.
+    sums = positions.astype(np.float32).sum(axis=1) + lengths + scales.sum(axis=1) + opacities
+    usable: NDArray[np.bool_] = np.isfinite(sums + sh.sum(axis=(1, 2), dtype=np.float64))
+    usable &= lengths > 0
+    return usable
+
+
+def _drops(path: Path, warn: Warn, usable: NDArray[np.bool_]) -> bool:
     dropped = len(usable) - np.count_nonzero(usable)
     if dropped:
         warn(
             f"{path}: dropped {dropped:,} of {len(usable):,} splats: "
             "a number that is not finite, or a quaternion of length zero"
         )
-        positions, orientations, scales = positions[usable], orientations[usable], scales[usable]
-        opacities, sh = opacities[usable], sh[usable]
-        channels = {name: values[usable] for name, values in channels.items()}
-    offsets, origin = rebase(positions)
-    return Splats(
-        positions=offsets,
-        orientations=orientations,
-        scales=scales,
-        opacities=opacities,
-        sh=sh,
-        origin=origin,
-        antialiased=antialiased,
-        channels=channels,
-    )
+    return bool(dropped)

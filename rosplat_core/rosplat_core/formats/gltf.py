@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, refusing, size_of
-from rosplat_core.formats.decoded import SH_C0, Axes, Columns, Progress, Warn, blocks, decoded
+from rosplat_core.formats.decoded import SH_C0, Axes, Columns, Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.placed import place
 from rosplat_core.formats.quantised import to_bytes
 from rosplat_core.log_text import shown
@@ -79,11 +79,11 @@ def axes(path: Path) -> Axes:
     return Axes("x left, y up, z to the front (by glTF's rule)", (0.0, 1.0, 0.0))
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads all splats of a file's scene, where its nodes place them."""
     with refusing(f"{path}: broken glTF"):
         asset = _Asset(path)
-        return _splats(asset, list(asset.primitives()), progress, warn)
+        return _splats(asset, list(asset.primitives()), progress, warn, into)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
@@ -229,7 +229,13 @@ class _Primitive(NamedTuple):
         return np.maximum(numbers / np.float32(divisor), -1) if divisor != 1 else numbers
 
 
-def _splats(asset: _Asset, primitives: list[_Primitive], progress: Progress, warn: Warn) -> Splats:
+def _splats(
+    asset: _Asset,
+    primitives: list[_Primitive],
+    progress: Progress,
+    warn: Warn,
+    into: Into[Made],
+) -> Made:
     n = sum(map(len, primitives))
     degree = max((primitive.degree for primitive in primitives), default=0)
     claim(asset.path, n, n * splat_bytes(degree), asset.size)
@@ -255,7 +261,7 @@ def _splats(asset: _Asset, primitives: list[_Primitive], progress: Progress, war
             progress(0.9 * (first + part.stop) / n)
         place(own, primitive.pose)
         first += len(primitive)
-    return decoded(asset.path, warn, columns, kinds == {True})
+    return into.make(asset.path, warn, columns, kinds == {True})
 
 
 class _Asset:

@@ -29,12 +29,13 @@ from rosplat_core.formats.decoded import (
     Axes,
     Columns,
     Floats,
+    Into,
+    Made,
     Progress,
     Warn,
     blocks,
-    decoded,
 )
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
+from rosplat_core.splats import MAX_SH_DEGREE, SceneError, sh_coefficients
 
 NAME = ".ksplat"
 SUFFIX = NAME
@@ -85,7 +86,7 @@ def axes(path: Path) -> Axes:
     return AS_TRAINED
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads all sections; splats of one with fewer bands than others get zeros."""
     size = size_of(path)
     if size < HEADER.itemsize:
@@ -134,7 +135,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
                 sh[to, first : first + 2 * band + 1] = values.transpose(0, 2, 1)
             progress(to.stop / n)
         begin += count
-    return decoded(path, warn, columns)
+    return into.make(path, warn, columns)
 
 
 def _sections(path: Path, data: NDArray[np.uint8], header: np.void) -> list[Section]:

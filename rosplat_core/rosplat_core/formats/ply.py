@@ -7,6 +7,7 @@ Further properties are channels, a trainer's label say.
 
 from __future__ import annotations
 
+from mmap import MADV_DONTNEED, mmap
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,12 +20,12 @@ from rosplat_core.formats.bounds import claim, size_of
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
     Axes,
-    Columns,
     Floats,
+    Into,
+    Made,
     Progress,
     Warn,
     blocks,
-    decoded,
     share,
 )
 from rosplat_core.formats.ply_file import PlyFile, header
@@ -65,7 +66,7 @@ def axes(path: Path) -> Axes:
     return AS_TRAINED
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads the vertices of a PLY as splats; see from_rows."""
     file = PlyFile(path)
     if "vertex" not in file.elements:
@@ -73,7 +74,8 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
     claim(path, file.elements["vertex"].length, 0, size_of(path))
     parsing = PARSING if file.is_text else 0.0
     rows = file.rows("vertex", share(progress, 0, parsing))
-    return from_rows(path, rows, share(progress, parsing, 1), warn, antialiased(file.comments))
+    shares = share(progress, parsing, 1)
+    return from_rows(path, rows, shares, warn, into, antialiased(file.comments))
 
 
 def from_rows(
@@ -81,8 +83,9 @@ def from_rows(
     rows: NDArray[np.void],
     progress: Progress,
     warn: Warn,
+    into: Into[Made],
     antialiased: bool = False,
-) -> Splats:
+) -> Made:
     """Splats from rows with a PLY's properties; without scale_2 (2D Gaussians) they are flat.
 
     Mip-Splatting's 3D filter is applied, as its create_fused_ply.py does. path is for errors to
@@ -90,30 +93,33 @@ def from_rows(
     """
     channels = _channels(path, rows, warn)
     has_third_scale = SCALE[2] in (rows.dtype.names or ())
-    scale = SCALE if has_third_scale else SCALE[:2]
+    scale: list[str] = SCALE if has_third_scale else SCALE[:2]
     rest = rest_names(path, rows)
-    filters = [FILTER] if FILTER in (rows.dtype.names or ()) else []
+    filters: list[str] = [FILTER] if FILTER in (rows.dtype.names or ()) else []
     _require_numbers(path, rows, [*POSITION, "opacity", *COLOR, *scale, *ROTATION, *filters])
 
     n, k = len(rows), 1 + len(rest) // 3
-    columns = Columns.empty(n, k)
-    positions, orientations, scales, opacities, sh = columns
-    for part in blocks(n, progress):
+    for part, (positions, orientations, scales, opacities, sh) in into.blocks(n, k, progress):
         block = rows[part]
-        positions[part] = _columns(block, POSITION, np.float64)
-        orientations[part] = np.roll(_columns(block, ROTATION), -1, axis=1)  # w first -> last
-        scales[part, : len(scale)] = np.exp(_columns(block, scale))
-        opacities[part] = sigmoid(_columns(block, ["opacity"])[:, 0])
+        positions[:] = _columns(block, POSITION, np.float64)
+        orientations[:] = np.roll(_columns(block, ROTATION), -1, axis=1)  # w first -> last
+        scales[:, : len(scale)] = np.exp(_columns(block, scale))
+        opacities[:] = sigmoid(_columns(block, ["opacity"])[:, 0])
         if filters:
-            before, width = scales[part, : len(scale)], _columns(block, filters)
+            before, width = scales[:, : len(scale)], _columns(block, filters)
             after = np.hypot(before, width)
-            opacities[part] *= (before / np.maximum(after, TINY)).prod(axis=1)
-            scales[part, : len(scale)] = after
-        sh[part, 0] = _columns(block, COLOR)
+            opacities *= (before / np.maximum(after, TINY)).prod(axis=1)
+            scales[:, : len(scale)] = after
+        sh[:, 0] = _columns(block, COLOR)
         if rest:
             by_channel = _columns(block, rest).reshape(len(block), 3, k - 1)
-            sh[part, 1:] = by_channel.transpose(0, 2, 1)
-    return decoded(path, warn, columns, bool(filters) or antialiased, channels)
+            sh[:, 1:] = by_channel.transpose(0, 2, 1)
+        with np.errstate(over="ignore"):  # infinite: none
+            for name, values in channels.items():
+                values[part] = block[name]
+        if isinstance(rows.base, mmap):  # what was read stays in this process's memory otherwise
+            rows.base.madvise(MADV_DONTNEED)
+    return into.made(path, warn, bool(filters) or antialiased, channels)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
@@ -160,14 +166,13 @@ def _has_meaning(name: str) -> bool:
 
 
 def _channels(path: Path, rows: NDArray[np.void], warn: Warn) -> dict[str, Floats]:
-    """(n,) values of the first properties without a meaning, as many as a map has channels."""
+    """(n,) room for the first properties without a meaning, as many as a map has channels."""
     further = [name for name in rows.dtype.names or () if not _has_meaning(name)]
     kept = [name for name in further if is_name(name)][:MOST_CHANNELS]
     if len(kept) < len(further):
         left = len(further) - len(kept)
         warn(f"{path}: left out {left} properties: a map has {MOST_CHANNELS} channels of ASCII")
-    with np.errstate(over="ignore"):  # infinite: none
-        return {name: rows[name].astype(np.float32) for name in kept}
+    return {name: np.empty(len(rows), np.float32) for name in kept}
 
 
 def antialiased(comments: list[str]) -> bool:

@@ -36,12 +36,12 @@ from rosplat_core.formats.codebook import codebook, nearest, palette
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
     Axes,
-    Columns,
     Floats,
+    Into,
+    Made,
     Progress,
     Warn,
     blocks,
-    decoded,
 )
 from rosplat_core.formats.quantised import largest_restored, sigmoid, smallest_three, to_bytes
 from rosplat_core.log_text import shown
@@ -70,14 +70,14 @@ def axes(path: Path) -> Axes:
     return AS_TRAINED
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads an unbundled (folder or its meta.json) or a bundled (zip) SOG scene."""
     if path.is_dir() or path.name == META:
         folder = path if path.is_dir() else path.parent
-        return _Reader(folder / META, _Folder(folder)).read(progress, warn)
+        return _Reader(folder / META, _Folder(folder)).read(progress, warn, into)
     try:
         with zipfile.ZipFile(path) as bundle:
-            return _Reader(path, _Zip(bundle)).read(progress, warn)
+            return _Reader(path, _Zip(bundle)).read(progress, warn, into)
     except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         if isinstance(error, SceneError):
             raise
@@ -141,24 +141,23 @@ class Packed:
         arrays = (self.steps, self.quaternions, self.scales, self.colours, self.labels, self.bands)
         return sum(array.nbytes for array in arrays if array is not None)
 
-    def splats(self, which: slice, warn: Warn) -> Splats:
+    def splats(self, which: slice, warn: Warn, into: Into[Made]) -> Made:
         """Some of the splats; those that can't be drawn are left out, and warn is told."""
         first, last, _ = which.indices(len(self))
         n = last - first
         k = 1 if self.bands is None else 1 + self.bands.shape[1]
-        columns = Columns.empty(n, k)
-        for part in blocks(n):
+        for part, columns in into.blocks(n, k):
             rows = slice(first + part.start, first + part.stop)
             logarithms = self.lowest + (self.highest - self.lowest) * (self.steps[rows] / 65535)
-            columns.positions[part] = np.sign(logarithms) * np.expm1(np.abs(logarithms))
-            columns.orientations[part] = _quaternions(self.quaternions[rows])
-            columns.scales[part] = self.scale_table[self.scales[rows], np.arange(3)]
+            columns.positions[:] = np.sign(logarithms) * np.expm1(np.abs(logarithms))
+            columns.orientations[:] = _quaternions(self.quaternions[rows])
+            columns.scales[:] = self.scale_table[self.scales[rows], np.arange(3)]
             colours = self.colours[rows]
-            columns.opacities[part] = self.opacity_table[colours[:, 3]]
-            columns.sh[part, 0] = self.colour_table[colours[:, :3], np.arange(3)]
+            columns.opacities[:] = self.opacity_table[colours[:, 3]]
+            columns.sh[:, 0] = self.colour_table[colours[:, :3], np.arange(3)]
             if self.bands is not None and self.labels is not None:
-                columns.sh[part, 1:] = self.bands[self.labels[rows]]
-        return decoded(self.path, warn, columns, self.antialiased)
+                columns.sh[:, 1:] = self.bands[self.labels[rows]]
+        return into.made(self.path, warn, self.antialiased)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
@@ -281,9 +280,9 @@ class _Reader:
                 f"{path}: SOG version {shown(repr(self._version))} can't be read, only 1 and 2"
             )
 
-    def read(self, progress: Progress, warn: Warn) -> Splats:
+    def read(self, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         packed = self.unpack(progress)
-        return packed.splats(slice(0, len(packed)), warn)
+        return packed.splats(slice(0, len(packed)), warn, into)
 
     def unpack(self, progress: Progress) -> Packed:
         n = self.claims().splats

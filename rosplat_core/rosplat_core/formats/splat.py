@@ -21,11 +21,11 @@ from rosplat_core.formats.decoded import (
     AS_TRAINED,
     SH_C0,
     Axes,
-    Columns,
+    Into,
+    Made,
     Progress,
     Warn,
     blocks,
-    decoded,
 )
 from rosplat_core.formats.quantised import to_bytes
 from rosplat_core.splats import SceneError, Splats
@@ -48,28 +48,27 @@ def axes(path: Path) -> Axes:
     return AS_TRAINED
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads a .splat file; its splats have SH degree 0."""
     size = size_of(path)
     n, rest = divmod(size, RECORD.itemsize)
     if rest:
         raise SceneError(f"{path}: {size:,} bytes are no whole number of splats, 32 bytes each")
     claim(path, n, size, size)
-    columns = Columns.empty(n, 1)
-    positions, orientations, scales, opacities, sh = columns
     with path.open("rb") as stream:
-        for part in blocks(n, progress):
+        for part, columns in into.blocks(n, 1, progress):
+            positions, orientations, scales, opacities, sh = columns
             rows = np.fromfile(stream, RECORD, part.stop - part.start)
             if len(rows) < part.stop - part.start:
                 raise SceneError(f"{path}: became shorter while it was read")
-            positions[part] = rows["position"]
-            scales[part] = rows["scale"]
+            positions[:] = rows["position"]
+            scales[:] = rows["scale"]
             rgba = rows["rgba"] / np.float32(255)
-            opacities[part] = rgba[:, 3]
-            sh[part, 0] = (rgba[:, :3] - 0.5) / SH_C0
+            opacities[:] = rgba[:, 3]
+            sh[:, 0] = (rgba[:, :3] - 0.5) / SH_C0
             wxyz = rows["rotation"] / np.float32(128) - 1
-            orientations[part] = np.roll(wxyz, -1, axis=1)
-    return decoded(path, warn, columns)
+            orientations[:] = np.roll(wxyz, -1, axis=1)
+    return into.made(path, warn)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from rosplat_core.formats.bounds import claim
-from rosplat_core.formats.decoded import SH_C0, Axes, Columns, Floats, Progress, Warn, decoded
+from rosplat_core.formats.decoded import SH_C0, Axes, Columns, Floats, Into, Made, Progress, Warn
 from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import SceneError
 
 NAME = "SplaTAM params.npz"
 
@@ -40,7 +40,7 @@ def axes(path: Path) -> Axes:
     return Axes("the first camera's: x right, y down, z forward", (0.0, -1.0, 0.0))
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads the splats of a params.npz."""
     arrays: dict[str, Floats] = {}
     try:
@@ -61,7 +61,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
         opacities=sigmoid(arrays["logit_opacities"][:, 0]),
         sh=((arrays["rgb_colors"] - 0.5) / SH_C0)[:, None],
     )
-    return decoded(path, warn, columns)
+    return into.make(path, warn, columns)
 
 
 def _array(path: Path, archive: zipfile.ZipFile, name: str) -> Floats:

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, size_of, unpackable
-from rosplat_core.formats.decoded import Axes, Columns, Floats, Progress, Warn, blocks, decoded
+from rosplat_core.formats.decoded import Axes, Floats, Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.quantised import largest_restored, smallest_three, to_bytes
 from rosplat_core.log_text import shown
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
@@ -101,7 +101,7 @@ def axes(path: Path) -> Axes:
     return Axes(f"{text} (by SPZ's rule)", (up[0], up[1], up[2]))
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads an SPZ file in its own coordinates. A fourth band of harmonics is left out."""
     size = size_of(path)
     with path.open("rb") as stream:
@@ -118,7 +118,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
                 warn(f"{path}: extensions left out; they may turn the axes")
     if header.degree > MAX_SH_DEGREE:
         warn(f"{path}: spherical harmonics of band {header.degree} left out")
-    return _unpack(path, header, packed, warn)
+    return _unpack(path, header, packed, warn, into)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
@@ -299,24 +299,22 @@ def require(path: Path):  # type: ignore[no-untyped-def]  # a module
 # --- Attributes -----------------------------------------------------------------------------------
 
 
-def _unpack(path: Path, header: Header, packed: Packed, warn: Warn) -> Splats:
+def _unpack(path: Path, header: Header, packed: Packed, warn: Warn, into: Into[Made]) -> Made:
     n, k = header.splats, sh_coefficients(min(header.degree, MAX_SH_DEGREE))
-    columns = Columns.empty(n, k)
-    positions, orientations, scales, opacities, sh = columns
-    for part in blocks(n):
+    for part, (positions, orientations, scales, opacities, sh) in into.blocks(n, k):
         raw = packed["positions"][part]
         if header.version == 1:
-            positions[part] = np.ascontiguousarray(raw).view("<f2")
+            positions[:] = np.ascontiguousarray(raw).view("<f2")
         else:
-            positions[part] = _fixed24(raw) / (1 << header.fractional_bits)
+            positions[:] = _fixed24(raw) / (1 << header.fractional_bits)
         rotations = packed["rotations"][part]
-        orientations[part] = (_first_three if header.version < 3 else _smallest_three)(rotations)
-        scales[part] = np.exp(packed["scales"][part] / np.float32(16) - 10)
-        opacities[part] = packed["alphas"][part, 0] / np.float32(255)
-        sh[part, 0] = (packed["colors"][part] / 255 - 0.5) / COLOR_SCALE
+        orientations[:] = (_first_three if header.version < 3 else _smallest_three)(rotations)
+        scales[:] = np.exp(packed["scales"][part] / np.float32(16) - 10)
+        opacities[:] = packed["alphas"][part, 0] / np.float32(255)
+        sh[:, 0] = (packed["colors"][part] / 255 - 0.5) / COLOR_SCALE
         bands = packed["sh"][part, : 3 * (k - 1)].reshape(part.stop - part.start, k - 1, 3)
-        sh[part, 1:] = bands / np.float32(128) - 1
-    return decoded(path, warn, columns, bool(header.flags & FLAG_ANTIALIASED))
+        sh[:, 1:] = bands / np.float32(128) - 1
+    return into.made(path, warn, bool(header.flags & FLAG_ANTIALIASED))
 
 
 def _fixed24(raw: NDArray[np.uint8]) -> NDArray[np.int32]:

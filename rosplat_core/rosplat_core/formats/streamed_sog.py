@@ -24,7 +24,16 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats import sog
 from rosplat_core.formats.bounds import refusing, size_of
-from rosplat_core.formats.decoded import AS_TRAINED, Axes, Progress, Warn
+from rosplat_core.formats.decoded import (
+    AS_TRAINED,
+    Axes,
+    Columns,
+    Into,
+    IntoSplats,
+    Made,
+    Progress,
+    Warn,
+)
 from rosplat_core.log_text import shown
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import SceneError, Splats, concatenate
@@ -83,7 +92,7 @@ def axes(path: Path) -> Axes:
     return AS_TRAINED
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads all chunks at their finest, where they fit into a map."""
     scene = open_streamed(path)
     if scene.splats > MAX_SLOTS:
@@ -97,7 +106,8 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
     for number, part in enumerate(parts):
         found.append(pieces.read(part))
         progress((number + 1) / len(parts))
-    return concatenate(found)
+    splats = concatenate(found)
+    return into.make(path, warn, Columns.of(splats), splats.antialiased)
 
 
 def open_streamed(path: Path) -> Streamed:
@@ -225,7 +235,8 @@ class Pieces:
         try:
             with self._decoding[part.file]:
                 packed = self._find(part.file) or self._keep(part.file, self._unpack(path))
-            return packed.splats(slice(part.offset, part.offset + part.count), self._warn)
+            which = slice(part.offset, part.offset + part.count)
+            return packed.splats(which, self._warn, IntoSplats())
         except MemoryError as error:
             raise SceneError(f"{path}: too large for this machine's memory") from error
 

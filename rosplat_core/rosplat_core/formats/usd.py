@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats import usd_child
 from rosplat_core.formats.bounds import claim, size_of, unpackable
-from rosplat_core.formats.decoded import Axes, Columns, Progress, Warn, blocks, decoded
+from rosplat_core.formats.decoded import Axes, Columns, Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.placed import place
 from rosplat_core.log_text import shown
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients, splat_bytes
@@ -68,7 +68,7 @@ def axes(path: Path) -> Axes:
     return Axes(f"{up.lower()} up (by the file's upAxis)", UPS[up])
 
 
-def read(path: Path, progress: Progress, warn: Warn) -> Splats:
+def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads all splats of a file, in metres, where their transforms place them.
 
     Raises SceneError for a file that refers to others, or to other parts of itself.
@@ -96,7 +96,7 @@ def read(path: Path, progress: Progress, warn: Warn) -> Splats:
             _fill(path, own, field, stream)
             place(own, field.pose)
             progress(0.9 * first / max(1, n))
-    return decoded(path, warn, columns, fields[0].antialiased)
+    return into.make(path, warn, columns, fields[0].antialiased)
 
 
 def write(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
-from rosplat_core.formats import Progress
+from rosplat_core.formats import Into, IntoSplats, Made, Progress
 from rosplat_core.generated.garden import Garden
 from rosplat_core.generated.rooms import Rooms
 from rosplat_core.generated.surfaces import quaternions
@@ -29,6 +31,13 @@ def generate(
     progress is called with 0 to 1; what it raises ends the work. Raises SceneError for a count
     below 1 or beyond what a map holds, a seed below 0, or an sh_degree outside 0 to 3.
     """
+    return generate_into(IntoSplats(), count, seed, sh_degree, progress, scene)
+
+
+def generate_into(
+    into: Into[Made], count: int, seed: int, sh_degree: int, progress: Progress, scene: str
+) -> Made:
+    """As generate."""
     if not 1 <= count <= MAX_SLOTS:
         raise SceneError(f"count is {count:,}, expected 1 to {MAX_SLOTS:,}, as many as a map holds")
     if seed < 0:
@@ -41,28 +50,18 @@ def generate(
     starts = np.concatenate([[0], ends[:-1]])
 
     k = (sh_degree + 1) ** 2
-    splats = Splats(
-        positions=np.empty((count, 3), np.float32),
-        orientations=np.empty((count, 4), np.float32),
-        scales=np.empty((count, 3), np.float32),
-        opacities=np.empty(count, np.float32),
-        sh=np.empty((count, k, 3), np.float32),
-    )
     numbers = rng.permutation(count)
-    for block in range(0, count, BLOCK):
-        progress(block / count)
-        block_numbers = numbers[block : block + BLOCK]
+    for block, columns in into.blocks(count, k, progress, BLOCK):
+        block_numbers = numbers[block]
         parts = np.searchsorted(ends, block_numbers, side="right")
         for part, make in enumerate(makers):
             slots = np.flatnonzero(parts == part)
             if len(slots):
                 total = int(ends[part] - starts[part])
                 patch = make(block_numbers[slots] - starts[part], total)
-                slots += block
-                splats.positions[slots] = patch.points
-                splats.orientations[slots] = quaternions(patch.tangents, patch.normals)
-                splats.scales[slots] = patch.scales
-                splats.opacities[slots] = patch.opacities
-                splats.sh[slots] = patch.sh[:, :k]
-    progress(1.0)
-    return splats
+                columns.positions[slots] = patch.points
+                columns.orientations[slots] = quaternions(patch.tangents, patch.normals)
+                columns.scales[slots] = patch.scales
+                columns.opacities[slots] = patch.opacities
+                columns.sh[slots] = patch.sh[:, :k]
+    return into.made(Path(scene), lambda text: None)

@@ -5,6 +5,7 @@
 
 #include "map/harmonics.hpp"
 #include "rosplat_core/map/channels.hpp"
+#include "rosplat_core/slots/packed_slot.hpp"
 
 namespace rosplat {
 
@@ -17,12 +18,50 @@ std::unique_ptr<float[]> floats(std::size_t count) {
 
 }  // namespace
 
-void PageSplats::refer(const SplatArrays<const float>& arrays, Channels channels,
-                       std::shared_ptr<const void> keeper) {
-  arrays_ = arrays;
-  arrays_.count = std::min(arrays.count, kSlots);
-  channels_ = std::move(channels);
+std::bitset<PageSplats::kSlots> PageSplats::refer(const SplatsView& splats, std::size_t first,
+                                                  std::shared_ptr<const void> keeper) {
+  const SplatArrays<const float>& from = splats.arrays;
+  arrays_.count = std::min(from.count - first, kSlots);
+  arrays_.sh_degree = from.sh_degree;
+  for (const auto& [name, values] : splats.channels) channels_.push_back(values + first);
   keeper_ = std::move(keeper);
+  std::bitset<kSlots> used;
+  if (splats.rows) {
+    rows_ = splats.rows + first * rowWords(from.sh_degree);
+    for (std::size_t i = 0; i < arrays_.count; ++i) used.set(i);
+    return used;
+  }
+  arrays_.positions = from.positions + 3 * first;
+  arrays_.orientations = from.orientations + 4 * first;
+  arrays_.scales = from.scales + 3 * first;
+  arrays_.opacities = from.opacities + first;
+  arrays_.sh = from.sh + from.shStride() * first;
+  for (std::size_t i = 0; i < arrays_.count; ++i) {
+    used[i] = isUsable(arrays_, i, arrays_.positions + 3 * i);
+  }
+  return used;
+}
+
+void PageSplats::read(std::size_t at, std::size_t i, int sh_degree, Splats& to) const {
+  float* const sh = &to.sh[harmonicsOf(sh_degree) * i];
+  if (!rows_) {
+    std::copy_n(arrays_.positions + 3 * at, 3, &to.positions[3 * i]);
+    std::copy_n(arrays_.orientations + 4 * at, 4, &to.orientations[4 * i]);
+    std::copy_n(arrays_.scales + 3 * at, 3, &to.scales[3 * i]);
+    to.opacities[i] = arrays_.opacities[at];
+    copyHarmonics(arrays_.sh + arrays_.shStride() * at, arrays_.sh_degree, sh, sh_degree);
+    return;
+  }
+  const std::uint32_t* const row = rows_ + rowWords(arrays_.sh_degree) * at;
+  const Splat splat = unpackSlot(row);
+  std::copy_n(splat.position.begin(), 3, &to.positions[3 * i]);
+  std::copy_n(splat.orientation.begin(), 4, &to.orientations[4 * i]);
+  std::copy_n(splat.scale.begin(), 3, &to.scales[3 * i]);
+  to.opacities[i] = splat.opacity;
+  std::copy_n(splat.color.begin(), 3, sh);
+  const int known = std::min(sh_degree, arrays_.sh_degree);
+  unpackHarmonics(row, known, bandsOf(row), sh + 3);
+  std::fill(sh + harmonicsOf(known), sh + harmonicsOf(sh_degree), 0.0f);
 }
 
 void PageSplats::reserve(int sh_degree, const std::vector<std::size_t>& channels) {
@@ -41,8 +80,18 @@ void PageSplats::reserve(int sh_degree, const std::vector<std::size_t>& channels
 
 void PageSplats::own(int sh_degree) {
   if (shapes_ && sh_degree <= arrays_.sh_degree) return;
-  const SplatArrays<const float> before = arrays_;
+  SplatArrays<const float> before = arrays_;
   const std::size_t count = before.count;
+  Splats unpacked;
+  if (rows_) {
+    unpacked.positions.resize(3 * count);
+    unpacked.orientations.resize(4 * count);
+    unpacked.scales.resize(3 * count);
+    unpacked.opacities.resize(count);
+    unpacked.sh.resize(before.shStride() * count);
+    for (std::size_t i = 0; i < count; ++i) read(i, i, before.sh_degree, unpacked);
+    before = unpacked.view().arrays;
+  }
   SplatArrays<const float> after = before;
   after.count = kSlots;
   after.sh_degree = std::max(sh_degree, before.sh_degree);
@@ -76,6 +125,7 @@ void PageSplats::own(int sh_degree) {
   }
   sh_ = std::move(sh);
   arrays_ = after;
+  rows_ = nullptr;
   keeper_.reset();
 }
 

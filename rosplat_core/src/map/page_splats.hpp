@@ -1,11 +1,13 @@
 #pragma once
 
+#include <bitset>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <vector>
 
 #include "rosplat_core/slots/constants.hpp"
-#include "rosplat_core/slots/splat_arrays.hpp"
+#include "rosplat_core/slots/splats.hpp"
 
 namespace rosplat {
 
@@ -14,17 +16,16 @@ class PageSplats {
  public:
   static constexpr std::size_t kSlots = kPageSlots;
 
-  // A map's channels by their places in it. Null: the page has no values of it.
-  using Channels = std::vector<const float*>;
-
-  // Takes arrays as they are, which may end before the page does. keeper: has their memory.
-  void refer(const SplatArrays<const float>& arrays, Channels channels,
-             std::shared_ptr<const void> keeper);
+  // Takes splats from one on as they are, which may end before the page does. keeper: has their
+  // memory. Returns which of the page's slots hold one that means something.
+  std::bitset<kSlots> refer(const SplatsView& splats, std::size_t first,
+                            std::shared_ptr<const void> keeper);
   // Takes memory of its own: for all slots, bands up to a degree, and these channels. What is there
   // stays the same. Throws std::bad_alloc.
   void reserve(int sh_degree, const std::vector<std::size_t>& channels);
 
-  const SplatArrays<const float>& arrays() const { return arrays_; }
+  // Puts a splat into the i-th place of arrays that have room for it, with bands up to sh_degree.
+  void read(std::size_t at, std::size_t i, int sh_degree, Splats& to) const;
   const float* channel(std::size_t place) const {
     return place < channels_.size() ? channels_[place] : nullptr;
   }
@@ -42,7 +43,8 @@ class PageSplats {
   void own(int sh_degree);
 
   SplatArrays<const float> arrays_;
-  Channels channels_;
+  const std::uint32_t* rows_ = nullptr;  // as in SplatsView
+  std::vector<const float*> channels_;   // of a map by their places in it; null: no values
   std::shared_ptr<const void> keeper_;
   Floats shapes_, sh_;  // positions, orientations, scales and opacities; harmonics
   std::vector<Floats> own_channels_;

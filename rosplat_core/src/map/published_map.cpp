@@ -99,17 +99,6 @@ std::vector<std::string> channelsOf(std::vector<std::string> known,
   return known;
 }
 
-// A shared memory's arrays from a splat on.
-SplatArrays<const float> from(const SplatArrays<const float>& splats, std::size_t first) {
-  return {splats.count - first,
-          splats.sh_degree,
-          splats.positions + 3 * first,
-          splats.orientations + 4 * first,
-          splats.scales + 3 * first,
-          splats.opacities + first,
-          splats.sh + splats.shStride() * first};
-}
-
 }  // namespace
 
 // A block of slots of which one was written once.
@@ -479,20 +468,14 @@ std::size_t PublishedMap::write(Content& map, const NamedSlots& slots, const Spl
 // Makes an empty map one of splats that stay in their keeper's memory.
 void PublishedMap::refer(Content& map, const SplatsView& splats,
                          const std::shared_ptr<const void>& keeper) {
-  map.sh_degree = withoutEmptyBands(splats.arrays);
+  map.sh_degree = splats.rows ? splats.arrays.sh_degree : withoutEmptyBands(splats.arrays);
   map.channels = channelsOf({}, namesOf(splats));
   if (splats.arrays.count == 0) return;
   map.antialiased = splats.antialiased;
   map.groups[0].origin = splats.origin;
   for (std::size_t first = 0; first < splats.arrays.count; first += kPageSlots) {
     Page& page = map.pages[static_cast<std::uint32_t>(first / kPageSlots)];
-    PageSplats::Channels channels;
-    for (const auto& [name, values] : splats.channels) channels.push_back(values + first);
-    page.splats.refer(from(splats.arrays, first), std::move(channels), keeper);
-    const SplatArrays<const float>& arrays = page.splats.arrays();
-    for (std::size_t i = 0; i < arrays.count; ++i) {
-      page.used[i] = isUsable(arrays, i, arrays.positions + 3 * i);
-    }
+    page.used = page.splats.refer(splats, first, keeper);
     map.used += page.used.count();
   }
 }
@@ -623,13 +606,7 @@ void PublishedMap::gather(const NamedSlots& slots, int sh_degree, Splats& splats
   for (std::size_t i = 0; i < n; ++i) {
     if (number != slots[i] / kPageSlots) page = &map_->pages.at(number = slots[i] / kPageSlots);
     const std::size_t at = slots[i] % kPageSlots;
-    const SplatArrays<const float>& from = page->splats.arrays();
-    std::copy_n(from.positions + 3 * at, 3, &splats.positions[3 * i]);
-    std::copy_n(from.orientations + 4 * at, 4, &splats.orientations[4 * i]);
-    std::copy_n(from.scales + 3 * at, 3, &splats.scales[3 * i]);
-    splats.opacities[i] = from.opacities[at];
-    copyHarmonics(from.sh + from.shStride() * at, from.sh_degree,
-                  &splats.sh[harmonicsOf(sh_degree) * i], sh_degree);
+    page->splats.read(at, i, sh_degree, splats);
     for (std::size_t k = 0; k < places.size(); ++k) {
       if (const float* const own = page->splats.channel(places[k])) values[n * k + i] = own[at];
     }

@@ -1,9 +1,12 @@
-// Splats as they travel in a payload, for Python.
+// Splats in other forms than arrays of floats, for Python: payloads, and rows of packed slots.
 
+#include <algorithm>
+#include <cstring>
 #include <vector>
 
 #include "python/module.hpp"
 #include "rosplat_core/python/bindings.hpp"
+#include "rosplat_core/slots/packed_slot.hpp"
 #include "rosplat_core/slots/payload.hpp"
 
 namespace rosplat::python {
@@ -77,12 +80,67 @@ py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degr
                   "opacities"_a = opacities, "sh"_a = sh);
 }
 
+// Rows (n, 8 + (degree + 1)^2) as packed_slot.hpp has them; zero where a splat isn't usable.
+Array<std::uint32_t> pack(const py::object& arrays, const Array<bool>& usable) {
+  const HeldArrays held(arrays, usable);
+  const SplatArrays<const float>& from = held.splats;
+  const int words = rowWords(from.sh_degree);
+  Array<std::uint32_t> rows({static_cast<py::ssize_t>(from.count), py::ssize_t{words}});
+  std::uint32_t* row = rows.mutable_data();
+  const py::gil_scoped_release free;
+  for (std::size_t i = 0; i < from.count; ++i, row += words) {
+    std::fill_n(row, words, 0u);
+    if (!held.usable[i]) continue;
+    Splat splat;
+    const float* const sh = from.sh + from.shStride() * i;
+    std::copy_n(from.positions + 3 * i, 3, splat.position.begin());
+    std::copy_n(from.orientations + 4 * i, 4, splat.orientation.begin());
+    std::copy_n(from.scales + 3 * i, 3, splat.scale.begin());
+    std::copy_n(sh, 3, splat.color.begin());
+    splat.opacity = from.opacities[i];
+    packSlot(splat, sh + 3, from.sh_degree, row, bandsOf(row));
+  }
+  return rows;
+}
+
+// Makes the i-th row of an array that which was the order[i]-th, in its own memory.
+void putInOrder(py::array& array, const Array<std::int64_t>& order) {
+  const auto n = static_cast<std::size_t>(order.size());
+  if (n == 0) return;
+  if (static_cast<std::size_t>(array.shape(0)) != n || !(array.flags() & py::array::c_style)) {
+    throw std::invalid_argument("array: expected a contiguous one, as long as its order");
+  }
+  const std::size_t bytes = static_cast<std::size_t>(array.nbytes()) / n;
+  auto* const rows = static_cast<char*>(array.mutable_data());
+  const std::int64_t* const from = order.data();
+  const py::gil_scoped_release free;
+  std::vector<bool> done(n);
+  std::vector<char> first(bytes);
+  for (std::size_t start = 0; start < n; ++start) {
+    if (done[start]) continue;
+    std::memcpy(first.data(), rows + bytes * start, bytes);
+    for (std::size_t i = start;;) {
+      const auto next = static_cast<std::size_t>(from[i]);
+      if (next >= n || done[next]) throw std::invalid_argument("order: no permutation");
+      done[next] = true;
+      if (next == start) {
+        std::memcpy(rows + bytes * i, first.data(), bytes);
+        break;
+      }
+      std::memcpy(rows + bytes * i, rows + bytes * next, bytes);
+      i = next;
+    }
+  }
+}
+
 }  // namespace
 
 void definePayloads(py::module_& module) {
   module.def("encode_payload", &encode, "arrays"_a, "usable"_a);
   module.def("payload_suits", &suits, "arrays"_a, "usable"_a);
   module.def("decode_payload", &decode, "payload"_a, "count"_a, "sh_degree"_a);
+  module.def("pack_splats", &pack, "arrays"_a, "usable"_a);
+  module.def("put_in_order", &putInOrder, "array"_a, "order"_a);
   module.def("payload_size", &payload::size, "count"_a, "sh_degree"_a);
 }
 

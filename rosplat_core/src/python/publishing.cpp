@@ -11,6 +11,7 @@
 #include "python/module.hpp"
 #include "rosplat_core/map/published_map.hpp"
 #include "rosplat_core/python/bindings.hpp"
+#include "rosplat_core/slots/packed_slot.hpp"
 
 namespace rosplat::python {
 
@@ -25,15 +26,16 @@ PublishedMap::When whenOf(const Time& time) {
   return Stamp(time->first, time->second);
 }
 
-// A rosplat_core.splats.Splats, whose arrays are there for as long as this.
+// A Splats or PackedSplats of Python's, whose arrays are there for as long as this.
 struct HeldSplats {
   std::vector<py::object> arrays;
   SplatsView view;
 
   explicit HeldSplats(const py::object& splats) {
     const std::size_t n = view.arrays.count = py::len(splats);
-    const auto keep = [&](const std::string& name, const py::handle& values, std::size_t each) {
-      const auto kept = values.cast<Array<float>>();
+    const auto keep = [&](const std::string& name, const py::handle& values, std::size_t each,
+                          auto number) {
+      const auto kept = values.cast<Array<decltype(number)>>();
       if (static_cast<std::size_t>(kept.size()) != each * n) {
         throw std::invalid_argument(name + ": expected " + std::to_string(each) +
                                     " values for each of " + std::to_string(n) + " splats, got " +
@@ -43,19 +45,23 @@ struct HeldSplats {
       return kept.data();
     };
     const auto array = [&](const char* name, std::size_t each) {
-      return keep(name, splats.attr(name), each);
+      return keep(name, splats.attr(name), each, 0.0f);
     };
-    view.arrays.sh_degree = splats.attr("sh_degree").cast<int>();
-    view.arrays.positions = array("positions", 3);
-    view.arrays.orientations = array("orientations", 4);
-    view.arrays.scales = array("scales", 3);
-    view.arrays.opacities = array("opacities", 1);
-    view.arrays.sh = array("sh", view.arrays.shStride());
+    const int degree = view.arrays.sh_degree = splats.attr("sh_degree").cast<int>();
+    if (py::hasattr(splats, "rows")) {
+      view.rows = keep("rows", splats.attr("rows"), rowWords(degree), std::uint32_t{});
+    } else {
+      view.arrays.positions = array("positions", 3);
+      view.arrays.orientations = array("orientations", 4);
+      view.arrays.scales = array("scales", 3);
+      view.arrays.opacities = array("opacities", 1);
+      view.arrays.sh = array("sh", view.arrays.shStride());
+    }
     view.origin = splats.attr("origin").cast<std::array<double, 3>>();
     view.antialiased = splats.attr("antialiased").cast<bool>();
     for (const py::handle item : splats.attr("channels").attr("items")()) {
       const auto& [name, values] = item.cast<std::pair<std::string, py::object>>();
-      view.channels.emplace_back(name, keep("channels '" + name + "'", values, 1));
+      view.channels.emplace_back(name, keep("channels '" + name + "'", values, 1, 0.0f));
     }
   }
 };

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from rosplat_core.formats import ply
-from rosplat_core.formats.decoded import Columns, Warn, decoded
+from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
@@ -33,7 +33,7 @@ def from_point_cloud(message: PointCloud2, name: str, warn: Warn) -> Splats:
     f_rest_* where there are any. name is for errors to name. Raises SceneError for a cloud without
     them, or one that contradicts itself.
     """
-    return ply.from_rows(Path(name), _rows(message, name), lambda _: None, warn)
+    return ply.from_rows(Path(name), _rows(message, name), lambda _: None, warn, IntoSplats())
 
 
 def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
@@ -93,4 +93,4 @@ def from_splat_array(message: Any, name: str, warn: Warn) -> Splats:
     scales = np.sqrt(np.maximum(variances, 0)).astype(np.float32)
     scales[~finite] = np.nan
     columns = Columns(positions, from_matrices(vectors), scales, opacities, sh)
-    return decoded(Path(name), warn, columns)
+    return IntoSplats().make(Path(name), warn, columns)

@@ -114,7 +114,7 @@ class PublishedMap {
   void replace(Splats&& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
                const When& stamp = std::nullopt);
   // keeper: owner of the arrays, if the map is to use them in place; they must not change then.
-  // Null: the map copies them.
+  // Null: the map copies them, which may not be packed rows.
   void replace(const SplatsView& splats, const std::shared_ptr<const void>& keeper,
                std::optional<std::uint32_t> expected_slots, const When& stamp);
   // Sends the whole map again, for listeners that can't pull, such as a recorder. Waits after each

@@ -20,6 +20,16 @@ constexpr int kChangeWord = 8;                                       // its uppe
 constexpr std::array<int, kMaxShDegree + 1> kBandWords{0, 3, 5, 7};  // beside the slot, by band
 constexpr double kTicksPerSecond = 4;                                // of `change`, modulo 2^16
 
+// Words of a row: a slot with its further bands behind it.
+inline constexpr int rowWords(int sh_degree) {
+  return kSlotWords + (sh_degree + 1) * (sh_degree + 1) - 1;
+}
+// Where a row has them.
+template <typename Word>
+std::array<Word*, kMaxShDegree + 1> bandsOf(Word* row) {
+  return {nullptr, row + kSlotWords, row + rowWords(1), row + rowWords(2)};
+}
+
 // What a slot holds, unpacked.
 struct Splat {
   std::array<float, 3> position{};     // [m], relative to the group's origin

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <cstdint>
 #include <string>
 #include <utility>
 #include <vector>
@@ -13,6 +14,9 @@ namespace rosplat {
 // Splats of someone else's arrays, in the units and conventions of rosplat_msgs/GaussianArray.
 struct SplatsView {
   SplatArrays<const float> arrays;
+  // Packed slots, each with its further bands behind it (packed_slot.hpp), in place of the arrays.
+  // All of them mean something.
+  const std::uint32_t* rows = nullptr;
   std::array<double, 3> origin{};  // added to each position [m]
   bool antialiased = false;        // trained with opacity compensation (Mip-Splatting)
   std::vector<std::pair<std::string, const float*>> channels;  // a value for each splat
