@@ -207,9 +207,7 @@ def camera(folder: Path, seconds: float) -> None:
     filmed = ("--ros-args", "-r", "gaussians:=filmed/gaussians")
     taken = [f"{name}:=filmed/{name}" for name in ("image_raw", "camera_info")]
     with Processes(folder) as processes:
-        processes.node(
-            "rosplat_tools", "ply_publisher", "--ros-args", "-p", "path:=rooms:100000:1"
-        )
+        processes.node("rosplat_tools", "ply_publisher", "--ros-args", "-p", "path:=rooms:100000:1")
         processes.node(
             "rosplat_tools", "ply_publisher", *filmed, "-p", "path:=rooms:100000:2", name="filmed"
         )
