@@ -201,7 +201,34 @@ def embedded_viewer(folder: Path, scene: Path) -> None:
     print(f"wrote {DOCS / 'demo.jpg'}")
 
 
-PICTURES = ("demo", "occlusion", "selection", "channels", "rviz")
+def camera(folder: Path, seconds: float) -> None:
+    """What camera.launch.py starts: the camera films rooms that aren't furnished as the map's."""
+    share = Path(get_package_share_directory("rviz_gaussian_plugin"))
+    filmed = ("--ros-args", "-r", "gaussians:=filmed/gaussians")
+    taken = [f"{name}:=filmed/{name}" for name in ("image_raw", "camera_info")]
+    with Processes(folder) as processes:
+        processes.node("rosplat_tools", "ply_publisher", "--ros-args", "-p", "path:=rooms:100000:1")
+        processes.node(
+            "rosplat_tools", "ply_publisher", *filmed, "-p", "path:=rooms:100000:2", name="filmed"
+        )
+        processes.node("rosplat_tools", "demo_sensors")
+        processes.node("rosplat_tools", "occupancy")
+        processes.node(
+            "rosplat_tools", "camera", *filmed, "-p", "cameras:=[filmed]",
+            "-p", "filmed.frame_id:=demo_camera_optical",
+        )  # fmt: skip
+        processes.node(
+            "rosplat_tools", "compare", "--ros-args", "-r", taken[0], "-r", taken[1],
+            "-p", "attribute:=true",
+        )  # fmt: skip
+        rviz = DrivenRviz(processes, (share / "config/camera.rviz").read_text())
+        for name, value in (("Distance", 18), ("Pitch", 1.1), ("Yaw", 0.5)):
+            rviz.set(name, value=value, root="view")
+        time.sleep(seconds)
+        shoot("camera.jpg", rviz)
+
+
+PICTURES = ("demo", "occlusion", "selection", "channels", "camera", "rviz")
 
 
 def main() -> None:
@@ -224,6 +251,8 @@ def main() -> None:
             selection(folder, options.seconds)
         if "channels" in options.only:
             channels(folder, options.seconds)
+        if "camera" in options.only:
+            camera(folder, options.seconds)
         if "rviz" in options.only:
             shipped_configuration(folder, options.seconds)
 

@@ -179,6 +179,10 @@ class Rviz(DrivenRviz):
         """Clicks into rviz's view."""
         self._mouse(*self._move_to(row, column), "click", "1")
 
+    def point_at(self, row: int, column: int) -> None:
+        """Moves the mouse over rviz's view."""
+        self._mouse(*self._move_to(row, column))
+
     def drag(self, start: tuple[int, int], end: tuple[int, int], hold: str = "") -> None:
         """Drags from a row and column of rviz's view to others, a key held."""
         held = ["keydown", hold] if hold else []

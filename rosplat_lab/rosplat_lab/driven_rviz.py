@@ -123,6 +123,11 @@ class DrivenRviz:
         collect(self.ask("tree", path=path, root=root), "")
         return found
 
+    def status_line(self) -> str:
+        """What the tool or the view says below, as HTML."""
+        line: str = self.ask("status line")
+        return line
+
     def status(self, *path: str) -> dict[str, tuple[str, str]]:
         """Level (Ok, Warn, Error) and text of each entry of a display's Status."""
         tree = self.ask("tree", path=path, root="displays")

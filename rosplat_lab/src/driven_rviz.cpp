@@ -21,10 +21,12 @@
 #include <QJsonArray>
 #include <QJsonDocument>
 #include <QJsonObject>
+#include <QLabel>
 #include <QLocalServer>
 #include <QLocalSocket>
 #include <QMimeData>
 #include <QPushButton>
+#include <QStatusBar>
 #include <QStyleOptionViewItem>
 #include <QTabWidget>
 #include <QTreeWidget>
@@ -358,6 +360,7 @@ QJsonValue answer(const QJsonObject& request, Stopwatch& watch) {
   if (what == "tree") return describe(at(request));
   if (what == "options") return options(at(request));
   if (what == "places") return places();
+  if (what == "status line") return frame().statusBar()->findChild<QLabel*>()->text();
   if (what == "gl") return glObjects();
   if (what == "allocated") return allocated();
   if (what == "drop") return drop(request["file"].toString());

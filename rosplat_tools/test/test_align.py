@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
+from rclpy.task import Future
+from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 
 from rosplat_core.alignment import motion
@@ -23,13 +28,15 @@ from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import Comparison
 from rosplat_msgs.srv import Align
 from rosplat_testing import PATIENCE, Listener
-from rosplat_testing.studio import Log, Studio
+from rosplat_testing.studio import Log, Studio, transform
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.images import from_image, to_bytes, to_image
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.poses import to_matrix, to_pose
+from rosplat_tools.program.processes import Processes
 
-SPLATS = generate(5000, seed=2)
+SEED = 2
+SPLATS = generate(5000, seed=SEED)
 LENS = Lens.of_view(160, 120, 1.0)
 BARREL = Lens(160, 120, 150.0, 150.0, 80.0, 60.0, "plumb_bob", (-0.2, 0.03, 1e-3, 0, 0))
 EYE = look_at((5, 1, 2.0), (0, 0, 0.5))
@@ -96,12 +103,17 @@ class Aligner:
     def call(
         self, world_to_camera: np.ndarray, image: Image | None = None, frame: str = ""
     ) -> Align.Response:
+        future = self.request(world_to_camera, image, frame)
+        self.listener.wait(future.done)
+        return future.result()
+
+    def request(
+        self, world_to_camera: np.ndarray, image: Image | None = None, frame: str = ""
+    ) -> Future:
         request = Align.Request(image=image or Image())
         request.start.header.frame_id = frame
         request.start.pose = to_pose(np.linalg.inv(world_to_camera))
-        future = self._client.call_async(request)
-        self.listener.wait(future.done)
-        return future.result()
+        return self._client.call_async(request)
 
     def call_until(self, said: str, *request: Any) -> Align.Response:
         """What else was sent comes when it does."""
@@ -182,6 +194,63 @@ def test_the_service_takes_a_picture_or_the_last_one(
     assert last.pose.header.stamp.sec == 8
     assert last.pose.pose == given.pose.pose
     assert not log.warnings  # of a service, its caller hears
+
+
+def test_a_long_call_holds_up_no_other_callback(node: Node, aligner: Aligner) -> None:
+    large = Lens.of_view(640, 480, 1.0)
+    MapPublisher(node).replace(SPLATS)
+    aligner.start()
+    aligner.calibrate(large)
+    aligner.show(picture(large, EYE), 8)
+    aligner.call_until("", EYE)
+    call = aligner.request(start_of(EYE))
+    for _ in range(3):  # the first may come before the call
+        aligner.listener.call(GetParameters, "align/get_parameters", names=["near"])
+    assert not call.done()
+    aligner.listener.wait(call.done)
+    assert call.result().converged
+
+
+def test_the_launch_file_refines_the_poses_of_tf(
+    node: Node, aligner: Aligner, tmp_path: Path
+) -> None:
+    """The map's publisher and the node are started by `ros2 launch`; TF is a robot's."""
+    tf2_ros = pytest.importorskip("tf2_ros")
+    launch = Path(get_package_share_directory("rosplat_tools")) / "launch" / "align.launch.py"
+    inside = tmp_path / "inside.launch.yaml"
+    inside.write_text(f"""launch:
+- group:
+  - push_ros_namespace: {{namespace: "{node.get_namespace()}"}}
+  - include:
+      file: {launch}
+      arg:
+      - {{name: scene, value: "procedural:{len(SPLATS)}:{SEED}"}}
+      - {{name: image, value: robot/image}}
+      - {{name: camera_info, value: robot/info}}
+      - {{name: broadcast, value: refined}}
+""")
+    start = transform("map", "optical", np.linalg.inv(start_of(EYE)))
+    robot = tf2_ros.StaticTransformBroadcaster(node)
+    robot.sendTransform(start)
+    known = tf2_ros.Buffer(node=node)
+    tf2_ros.TransformListener(known, node)
+    images = node.create_publisher(Image, "robot/image", 10)
+    infos = node.create_publisher(CameraInfo, "robot/info", 10)
+    image = picture(LENS, EYE)
+    image.header.frame_id = "optical"
+    seconds = 0
+    with Processes(tmp_path) as processes:
+        processes.start("launch", ["ros2", "launch", str(inside)])
+        while not known.can_transform("map", "refined", Time()):
+            processes.check()
+            seconds += 1
+            image.header.stamp.sec = seconds
+            infos.publish(of_lens(LENS))
+            images.publish(image)
+            aligner.listener.spin_once()
+        found = known.lookup_transform("map", "refined", Time())
+    place = found.transform.translation
+    np.testing.assert_allclose([place.x, place.y, place.z], np.linalg.inv(EYE)[:3, 3], atol=0.004)
 
 
 def test_what_cannot_be_aligned_is_said_and_passes(node: Node, aligner: Aligner) -> None:

@@ -106,6 +106,7 @@ def test_walls_are_where_they_are(start: Start, node: Node, listener: Any, tmp_p
     message = grid.message
     assert message.header.frame_id == "flat"
     assert message.info.resolution == pytest.approx(RESOLUTION)
+    assert message.info.origin.position.z == 0.1  # over the floor, where rviz2 shows it
     # Outer walls all along, and what is between them where the robot is.
     half = ROOMS * SIZE / 2
     along = np.arange(-half + 0.5, half - 0.4, 0.5)
@@ -304,6 +305,7 @@ def test_a_map_is_seen_from_the_frames_that_are_asked_for(
     while grid.cells().tolist() != [[-1]]:
         place("base", base)
         listener.spin_once()
+    assert grid.message.info.origin.position.z == pytest.approx(4.1)
     base[2, 3] = 2.0
     map_in_odom[:3, :3] = np.eye(3)
     while grid.at(1.05, 0) != 100:

@@ -19,6 +19,7 @@ from geometry_msgs.msg import (
     TransformStamped,
     Vector3,
 )
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
@@ -46,6 +47,7 @@ except ImportError:
 
 POSES = QoSProfile(depth=5)
 TF = QoSProfile(depth=100)
+THREADS = 2  # of callbacks
 POLL = 0.005  # how often TF is asked [s]
 
 
@@ -80,7 +82,9 @@ class AlignNode(Node):
         self._tf = (
             self.create_publisher(TFMessage, "/tf", **overridable(TF)) if self._child else None
         )
-        self.create_service(Align, "~/align", self._on_call)
+        # A call waits for the drawing thread, in a thread of its own.
+        calls = MutuallyExclusiveCallbackGroup()
+        self.create_service(Align, "~/align", self._on_call, callback_group=calls)
         Diagnostics(self, self._health.name, self._health.report)
 
     def align(self) -> None:
@@ -191,7 +195,7 @@ def main() -> None:
 
 def _align() -> None:
     node = AlignNode()
-    with spinning(node):
+    with spinning(node, THREADS):
         node.align()
 
 

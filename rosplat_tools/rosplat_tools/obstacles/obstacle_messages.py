@@ -16,8 +16,8 @@ _VOXEL = ("x", "y", "z")
 _SURFACE = (*_VOXEL, "normal_x", "normal_y", "normal_z", "rgb")  # as PCL names them
 
 
-def grid_message(header: Header, grid: Grid) -> OccupancyGrid:
-    """A grid as nav2's static layer takes it."""
+def grid_message(header: Header, grid: Grid, z: float) -> OccupancyGrid:
+    """A grid as nav2's static layer takes it, at the height z [m] that rviz2 draws it at."""
     height, width = grid.cells.shape
     x, y = grid.origin
     info = MapMetaData(
@@ -25,7 +25,7 @@ def grid_message(header: Header, grid: Grid) -> OccupancyGrid:
         resolution=grid.resolution,
         width=width,
         height=height,
-        origin=Pose(position=Point(x=x, y=y)),
+        origin=Pose(position=Point(x=x, y=y, z=z)),
     )
     return OccupancyGrid(header=header, info=info, data=as_array("b", grid.cells))
 

@@ -114,7 +114,7 @@ class Occupancy(Node):
         self._map = MapSubscriber(self, self._voxels)
         topic = self._map.topic  # remapping it takes the others along
         outputs: list[tuple[str, type, Callable[[Header], Any]]] = [
-            ("occupancy", OccupancyGrid, lambda header: grid_message(header, self._grid())),
+            ("occupancy", OccupancyGrid, self._grid_message),
             ("voxels", PointCloud2, self._voxels_message),
             ("surface", PointCloud2, self._surface_message),
         ]
@@ -202,6 +202,9 @@ class Occupancy(Node):
             f"{low:g} to {high:g} m"
         )
         return grid
+
+    def _grid_message(self, header: Header) -> OccupancyGrid:
+        return grid_message(header, self._grid(), self._level + self._band[0])  # over the floor
 
     def _voxels_message(self, header: Header) -> PointCloud2:
         cells, _ = self._voxels.find(self._least_depth)

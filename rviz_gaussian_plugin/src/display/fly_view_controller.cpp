@@ -11,6 +11,7 @@
 #include <cmath>
 #include <pluginlib/class_list_macros.hpp>
 #include <rviz_common/display_context.hpp>
+#include <rviz_common/interaction/view_picker_iface.hpp>
 #include <rviz_common/properties/bool_property.hpp>
 #include <rviz_common/properties/float_property.hpp>
 #include <rviz_common/properties/vector_property.hpp>
@@ -176,9 +177,25 @@ void FlyViewController::handleMouseEvent(rviz_common::ViewportMouseEvent& event)
     const float notches = static_cast<float>(event.wheel_delta) / kWheelNotch;
     speed_->setFloat(speed_->getFloat() * std::pow(kSpeedStep, notches));
   }
-  setStatus(QString("<b>W A S D:</b> Fly.  <b>Q/E:</b> Down/Up.  <b>Shift:</b> Faster.  "
+  setStatus(underCursor(event) +
+            QString("<b>W A S D:</b> Fly.  <b>Q/E:</b> Down/Up.  <b>Shift:</b> Faster.  "
                     "<b>Left-Click:</b> Look around.  <b>Mouse Wheel:</b> Speed, %1 m/s.")
                 .arg(speed_->getFloat(), 0, 'g', 3));
+}
+
+// Where the surface is, empty where none is, or while the camera turns.
+QString FlyViewController::underCursor(const rviz_common::ViewportMouseEvent& event) {
+  Ogre::Vector3 point;
+  if (event.buttons_down != Qt::NoButton ||
+      !context_->getViewPicker()->get3DPoint(event.panel, event.x, event.y, point)) {
+    return {};
+  }
+  const Ogre::Vector3 seen = camera_->getViewMatrix() * point;  // the camera looks along -z
+  return QString("[%1, %2, %3], depth %4 m.  ")
+      .arg(point.x, 0, 'f', 3)
+      .arg(point.y, 0, 'f', 3)
+      .arg(point.z, 0, 'f', 3)
+      .arg(-seen.z, 0, 'f', 3);
 }
 
 void FlyViewController::lookAt(const Ogre::Vector3& point) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <QString>
 #include <chrono>
 #include <rviz_common/frame_position_tracking_view_controller.hpp>
 
@@ -42,6 +43,7 @@ class FlyViewController : public rviz_common::FramePositionTrackingViewControlle
  private:
   bool hasFocus() const;
   bool handleFlyKey(const QKeyEvent& event);
+  QString underCursor(const rviz_common::ViewportMouseEvent& event);
   void fly();
   void placeCamera();
   Heading heading() const;

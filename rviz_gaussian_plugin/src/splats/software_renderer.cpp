@@ -233,7 +233,7 @@ void SoftwareRenderer::drawSurface(const std::vector<ViewedMap>& maps, Canvas ca
   std::vector<std::uint32_t> numbers;
   for (const double depth : depthsShown(maps, scene_depth, kSurfaceAlpha)) {
     const double part = std::isnan(depth) ? 0 : std::clamp(depth / far_clip, 0.0, 1.0);
-    numbers.push_back(static_cast<std::uint32_t>(16777215.0 * part));
+    numbers.push_back(static_cast<std::uint32_t>(16777215.0 * part + 0.5));
   }
   drawNumbers(window, camera, numbers);
 }
