@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosplat_core.splats import Splats, rebase
 
 Progress = Callable[[float], None]
-Warn = Callable[[str], None]
+Warn = Callable[[str], object]
 
 
 Floats = NDArray[np.floating[Any]]
