@@ -114,8 +114,9 @@ test-result: {test-result-base: $folder/build}
 YAML
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
-if ! colcon build --event-handlers console_direct+ >"$log" 2>&1; then
+# What ends, and after how long; the first time, the engine and the messages take minutes each.
+if ! colcon build --event-handlers console_direct+ console_stderr- 2>&1 | tee "$log" \
+  | { grep --line-buffered -E '^Finished|^Summary|^rosplat:|^-- rosplat:' || true; }; then
   grep -E 'error|Error|ERROR' -A5 "$log" | tail -n 60 >&2 || tail -n 60 "$log" >&2
   exit 1
 fi
-grep -E '^Summary|^rosplat:|^-- rosplat:' "$log" || true

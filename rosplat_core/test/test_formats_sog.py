@@ -181,7 +181,7 @@ def test_broken_json(tmp_path: Path, text: str) -> None:
 
 def test_broken_zip(tmp_path: Path) -> None:
     (tmp_path / "a.sog").write_bytes(b"PK\x03\x04 and nothing more")
-    with pytest.raises(SceneError, match=r"a\.sog: broken zip"):
+    with pytest.raises(SceneError, match=r"a\.sog: broken or truncated zip"):
         load(tmp_path / "a.sog")
 
 

@@ -10,6 +10,7 @@ from threading import RLock
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -60,7 +61,7 @@ class MapSubscription:
         self._lock = RLock()  # the answers to requests come outside of the group
         self._pulls = self._server_is_known()  # from the beginning on
         self._qos = self._qos_for(self._publishers())
-        self._client = node.create_client(
+        self._client: Client = node.create_client(
             PullMap, f"{self.topic}/pull", callback_group=callback_group
         )
         self._answer: Future | None = None  # that is waited for

@@ -23,7 +23,7 @@ from rclpy.task import Future
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter import qos
-from rosplat_sorter.arguments import take_ros_arguments_only
+from rosplat_sorter.arguments import take_ros_arguments_only, warn_of_unknown_parameters
 from rosplat_sorter.backends import AUTO, BACKENDS
 from rosplat_sorter.diagnostics import Diagnostics, Report
 from rosplat_sorter.map_subscription import MapSubscription
@@ -97,7 +97,7 @@ class SorterNode(Node):
         self._order = self.create_publisher(
             SplatOrder, f"{topic}/order", **qos.overridable(qos.ORDER)
         )
-        self.unwanted = Future()
+        self.unwanted: Future = Future()
         self._is_told = hasattr(self, "add_post_set_parameters_callback")  # of what was set: Iron
         self.add_on_set_parameters_callback(self._validate)
         if self._is_told:
@@ -218,6 +218,7 @@ def main() -> None:
         executor = SingleThreadedExecutor()
         node = SorterNode()
         try:
+            warn_of_unknown_parameters(node)
             executor.add_node(node)
             executor.spin_until_future_complete(node.unwanted)
         finally:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from rosplat_tools.program.launching import declared, publisher, room_for_maps
+from rosplat_tools.program.launching import declared, publisher, room_for_maps, whole_number
 
 ARGUMENTS = {
     "image": ("image_raw", "Topic of the camera's pictures"),
     "camera_info": ("camera_info", "Topic of its calibration"),
     "rectified": ("false", "Whether pictures are rectified"),
     "broadcast": ("", "Frame that TF has at the refined pose; empty: none"),
-    "scene": ("", "Scene file of the map; empty: who publishes /gaussians runs already"),
+    "scene": ("", "Scene file of the map; empty: somebody publishes /gaussians already"),
     "frame_id": ("map", "Frame of the scene's coordinates"),
     "max_splats": ("2000000", "The most splats of a streamed scene"),
 }
@@ -34,7 +35,7 @@ def _programs(context: LaunchContext) -> list[object]:
         name="align",
         parameters=[
             {
-                "rectified": given["rectified"] == "true",
+                "rectified": IfCondition(given["rectified"]).evaluate(context),
                 "broadcast": ParameterValue(given["broadcast"], value_type=str),
             }
         ],
@@ -43,5 +44,7 @@ def _programs(context: LaunchContext) -> list[object]:
     )
     programs: list[object] = [*room_for_maps(context), align]
     if given["scene"]:
-        programs.append(publisher(given["scene"], given["frame_id"], int(given["max_splats"])))
+        programs.append(
+            publisher(given["scene"], given["frame_id"], whole_number(given, "max_splats"))
+        )
     return programs

@@ -22,8 +22,8 @@ ARGUMENTS = {
     "output": ("", "Folder of the bag; by default named by the date"),
     "repeat": (
         "true",
-        "Have the map sent again once the recorder hears it; false: the recorder starts before "
-        "the map, or the map's publisher doesn't answer TOPIC/repeat",
+        "Have the map sent again once the recorder hears it; set false if the recorder starts "
+        "before the map, or if the map's publisher doesn't answer TOPIC/repeat",
     ),
 }
 

@@ -9,7 +9,13 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import PushRosNamespace, SetParameter
 
-from rosplat_tools.program.launching import declared, program, publisher, room_for_maps
+from rosplat_tools.program.launching import (
+    declared,
+    program,
+    publisher,
+    room_for_maps,
+    whole_number,
+)
 
 ARGUMENTS = {
     "scenes": (
@@ -45,7 +51,7 @@ def _robots(context: LaunchContext) -> list[GroupAction]:
                 publisher(
                     scene,
                     f"{name}/map",
-                    int(given["max_splats"]),
+                    whole_number(given, "max_splats"),
                     compression=given["compression"],
                 ),
                 *sorter,

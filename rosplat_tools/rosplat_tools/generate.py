@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from rosplat_core.cameras import UP
-from rosplat_core.formats import SceneError, check_output, save
+from rosplat_core.formats import SUFFIXES, SceneError, check_output, save
 from rosplat_core.generated import SCENES, generate
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
@@ -15,7 +15,7 @@ from rosplat_core.program.progress import watched
 def main(arguments: list[str] | None = None) -> int:
     """Writes a generated scene."""
     parser = argparse.ArgumentParser(prog="generate", description=__doc__)
-    parser.add_argument("output", help="scene to write (.ply)")
+    parser.add_argument("output", help=f"scene to write ({SUFFIXES})")
     parser.add_argument("--scene", choices=SCENES, default="garden", help="default: %(default)s")
     parser.add_argument("--count", type=int, default=500_000, help="splats (default: %(default)s)")
     parser.add_argument(

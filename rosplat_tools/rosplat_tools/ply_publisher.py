@@ -184,7 +184,10 @@ def main() -> None:
 def _publish() -> None:
     node = PlyPublisher()
     with spinning(node, THREADS):
-        if node.path:
+        if not node.path:
+            service = node.resolve_service_name("~/load")
+            node.get_logger().info(f"no path is given: waiting for a call of {service}")
+        else:
             with contextlib.suppress(Cancelled):  # by ~/load, or by the end of ROS
                 node.load(node.path)
         wait_for_end(node)

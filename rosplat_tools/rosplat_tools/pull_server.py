@@ -38,7 +38,7 @@ class PullServer:
         self._diagnostics = Diagnostics(node, topic, report, spun=self._node)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
-        self._end = Future()
+        self._end: Future = Future()
         self._thread = threading.Thread(target=self._run, name=topic, daemon=True)
         self._thread.start()
 

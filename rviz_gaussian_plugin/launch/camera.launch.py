@@ -10,13 +10,13 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, PushRosNamespace, SetRemap
 
-from rosplat_tools.program.launching import declared, publisher, room_for_maps
+from rosplat_tools.program.launching import declared, publisher, room_for_maps, whole_number
 
 FOLDER = Path(__file__).parent
 ARGUMENTS = {
     "scene": (
         "",
-        "Scene file that is shown, and held against the camera; empty: as view.launch.py",
+        "Scene file to show and to hold against the camera; empty: the map comes from elsewhere",
     ),
     "filmed": ("", "Scene file that the camera films in its place; empty: the same map"),
     "max_splats": ("2000000", "The most splats of each streamed scene that a map holds"),
@@ -42,7 +42,8 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _programs(context: LaunchContext) -> list[Node | GroupAction]:
-    filmed, most = (LaunchConfiguration(name).perform(context) for name in ("filmed", "max_splats"))
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    filmed = given["filmed"]
     camera = Node(
         package="rosplat_tools",
         executable="camera",
@@ -61,7 +62,7 @@ def _programs(context: LaunchContext) -> list[Node | GroupAction]:
     )
     if not filmed:
         return [camera, compare]
-    other = publisher(filmed, "map", int(most))
+    other = publisher(filmed, "map", whole_number(given, "max_splats"))
     return [
         GroupAction([*room_for_maps(context), PushRosNamespace("filmed"), other]), camera, compare,
     ]  # fmt: skip

@@ -10,7 +10,13 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, SetParameter, SetRemap
 
-from rosplat_tools.program.launching import declared, program, publisher, room_for_maps
+from rosplat_tools.program.launching import (
+    declared,
+    program,
+    publisher,
+    room_for_maps,
+    whole_number,
+)
 
 # By name: the default, and what it means. Names of topics are in the namespace that the launch file
 # is included in, unless they begin with a slash.
@@ -28,24 +34,24 @@ ARGUMENTS = {
     "frame_id": ("map", "Frame that the scene is published in"),
     "fixed_frame": (
         "",
-        "rviz2's Fixed Frame; by default frame_id, or what the configuration has where that is map",
+        "rviz2's Fixed Frame; by default frame_id, or the configuration's if frame_id is map",
     ),
     "sorter": ("true", "Start a sorter; without one, rviz2 sorts by itself"),
     "backend": ("auto", "What sorts: auto, cupy, torch, native, numpy"),
     "sensors": (
         "false",
-        "Start a robot that circles the map, with an IMU and a camera: for show, not beside a real "
-        "one",
+        "Start a simulated robot that circles the map, with an IMU and a camera; don't use it "
+        "beside a real one",
     ),
     "obstacles": (
         "false",
-        "Start occupancy, and show its grid; its parameters are as they come",
+        "Start occupancy with its default parameters, and show its grid",
     ),
     "use_sim_time": ("false", "Take the time from /clock, as a bag or a simulator gives it"),
     "config": (
         "",
-        "rviz2 configuration; by default the map alone, or with the sensors that are started, or "
-        "else with the obstacles",
+        "rviz2 configuration; by default one that shows the map, and the sensors, or else the "
+        "obstacles, if they are started",
     ),
 }
 
@@ -70,7 +76,7 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
     programs = []
     # No publisher without a scene: beside it, a volatile publisher of a SLAM node isn't heard.
     if scene:
-        programs.append(publisher(scene, frame, int(given["max_splats"])))
+        programs.append(publisher(scene, frame, whole_number(given, "max_splats")))
     if is_true("sorter"):
         programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
     if is_true("sensors"):

@@ -90,6 +90,8 @@ def format_of(path: str | Path) -> ModuleType:
         for module in FORMATS:
             if module.recognises(path, head):
                 return module
+    if not head and path.is_file():
+        raise SceneError(f"{path}: is empty")
     names = ", ".join(module.NAME for module in FORMATS)
     raise SceneError(f"{path}: not a scene of 3D Gaussians that can be read ({names})")
 

@@ -18,7 +18,7 @@ from rosplat_core.slot_order import order_by_size
 from rosplat_core.splats import PackedSplats, Splats, rebase
 
 Progress = Callable[[float], None]
-Warn = Callable[[str], None]
+Warn = Callable[[str], object]
 
 
 Floats = NDArray[np.floating[Any]]

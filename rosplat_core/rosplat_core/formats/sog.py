@@ -81,7 +81,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         if isinstance(error, SceneError):
             raise
-        raise SceneError(f"{path}: broken zip: {shown(error)}") from error
+        raise SceneError(f"{path}: broken or truncated zip: {shown(error)}") from error
 
 
 class Claims(NamedTuple):

@@ -117,6 +117,8 @@ def open_streamed(path: Path) -> Streamed:
     takes from it, and for a scene without a chunk.
     """
     path = path / META if path.is_dir() else path
+    if path.exists() and not recognises(path, b""):
+        raise SceneError(f"{path}: not a {META}, which a streamed SOG has")
     try:
         if size_of(path) > LARGEST_META:
             raise SceneError(f"{path}: more than {LARGEST_META:,} bytes")

@@ -241,7 +241,7 @@ def _by_render_view(film: Set, cameras: list[Camera]) -> Shoot:
 
     film.processes.node("rosplat_sorter", "sorter", *film.remap)
     film.processes.node("rviz_gaussian_plugin", "viewer", *film.remap, "-p", "serve:=true")
-    client = film.node.create_client(RenderView, "gaussians/render")
+    client: Any = film.node.create_client(RenderView, "gaussians/render")
     answers: list[Any] = []
 
     def shoot(number: int) -> None:

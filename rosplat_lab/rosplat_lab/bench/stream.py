@@ -192,7 +192,7 @@ class Watched:
         }
         rclpy.init()
         self._node = Node("bench", namespace=namespace)
-        self._client = self._node.create_client(RenderView, "gaussians/render")
+        self._client: Any = self._node.create_client(RenderView, "gaussians/render")
         self._revision = -1
         return self
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -188,7 +189,7 @@ def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
 
     def load(namespace: str) -> None:
         """Once the three have found each other."""
-        client = node.create_client(LoadScene, f"{namespace}/ply_publisher/load")
+        client: Client = node.create_client(LoadScene, f"{namespace}/ply_publisher/load")
         if not client.wait_for_service(PATIENCE):
             raise TimeoutError("the publisher did not start")
         time.sleep(ACQUAINTANCE)
@@ -223,7 +224,7 @@ def _first_order(out: Path, name: str) -> float:
     orders: list[SplatOrder] = []
     node.create_subscription(SplatOrder, "gaussians/order", orders.append, ORDER)
     views = node.create_publisher(ViewCamera, "gaussians/view", VIEW)
-    load = node.create_client(LoadScene, "ply_publisher/load")
+    load: Client = node.create_client(LoadScene, "ply_publisher/load")
     view = view_camera(Camera(0, 640, 360, 450, 450, 320, 180, look_at((5, 5, 3), (0, 0, 0))))
     view.view_id, view.sequence = "first", 1
     with Processes(out / "log") as processes:

@@ -1,8 +1,8 @@
 """Charts the error of every way to draw a map against its time, and finds where pictures fail.
 
 Every way draws each scene from several cameras, and is held against a float64 reference renderer.
-With --docs, the documentation's chart and tables are made anew; those of a kind of machine that
-this one isn't come from the records that are kept there.
+With --docs, the command makes the documentation's chart and tables anew. Figures of the other kind
+of machine, with or without a graphics card, come from the records that are kept there.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="small pictures, few passes: minutes")
     parser.add_argument(
         "--part", choices=["all", "chart", "atlas", "pages"], default="all",
-        help="what to measure; pages: nothing, the documents are made of the records that are kept",
+        help="what to measure; pages measures nothing and makes the documents from the records",
     )  # fmt: skip
     return parser
 

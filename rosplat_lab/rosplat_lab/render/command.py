@@ -1,7 +1,7 @@
 """Draws the cameras of a file through the whole chain, and holds the pictures against references.
 
-Publisher, sorter and renderer run as separate processes; each camera is a call of the renderer's
-service, answered with the sorter's order, or on a graphics card with the renderer's own.
+Publisher, sorter and renderer run as separate processes. The renderer's service draws each camera,
+in the sorter's order, or on a graphics card in its own.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 import rclpy
 from numpy.typing import NDArray
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
@@ -88,7 +89,7 @@ def render(
             processes.node("rviz_gaussian_plugin", "viewer", *remap, *settings)
         node = Node("render")
         try:
-            client = node.create_client(RenderView, f"{namespace}/gaussians/render")
+            client: Client = node.create_client(RenderView, f"{namespace}/gaussians/render")
             _wait_for_service(node, client, processes)
             _wait_for_map(node, client, cameras[0], processes)
             for camera in tqdm(cameras, "drawing", unit="picture", disable=None):
@@ -138,7 +139,7 @@ Visualization Manager:
 """
 
 
-def _wait_for_service(node: Node, client: rclpy.client.Client, processes: Processes) -> None:
+def _wait_for_service(node: Node, client: Client, processes: Processes) -> None:
     deadline = time.monotonic() + START_TIMEOUT
     while not client.wait_for_service(0.1):
         processes.check()
@@ -146,9 +147,7 @@ def _wait_for_service(node: Node, client: rclpy.client.Client, processes: Proces
             raise RenderError(f"no renderer answers at {client.srv_name}")
 
 
-def _wait_for_map(
-    node: Node, client: rclpy.client.Client, camera: Camera, processes: Processes
-) -> None:
+def _wait_for_map(node: Node, client: Client, camera: Camera, processes: Processes) -> None:
     """Until the renderer has all of the map, and its last edits."""
     changed = time.monotonic()
     revision, complete = -1, False
@@ -165,7 +164,7 @@ def _wait_for_map(
 
 def _call(
     node: Node,
-    client: rclpy.client.Client,
+    client: Client,
     camera: Camera,
     order_timeout: float,
     processes: Processes,
@@ -185,7 +184,7 @@ def _call(
         # A service that began just now may answer before it knows its client.
         if len(futures) == 1 and time.monotonic() > ask_again:
             futures.append(client.call_async(request))
-    answer = next(future.result() for future in futures if future.done())
+    answer: Any = next(future.result() for future in futures if future.done())
     if not answer.success:
         raise RenderError(f"camera {camera.id}: {answer.message}")
     return answer

@@ -118,15 +118,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--margin", type=number("distance in metres"), metavar="METRES",
         help="how far views may be from the path (default: "
-        f"{MARGIN:g} of the way to what is nearest to it); at most half the way to any thing",
+        f"{MARGIN:g} of the way to what is nearest to it), at most half the way to anything",
     )  # fmt: skip
     parser.add_argument(
         "--refine", type=number("time in minutes"), default=0.0, metavar="MINUTES",
-        help="then fit the remaining splats to pictures of the scene for so long; a higher PSNR "
-        "for as many splats",
+        help="then fit the remaining splats to pictures of the scene for this long: a higher PSNR "
+        "with as many splats",
     )  # fmt: skip
     parser.add_argument(
-        "--report", type=Path, metavar="FILE", help="write all maps that were tried as JSON"
+        "--report",
+        type=Path,
+        metavar="FILE",
+        help="write the figures of all maps that were tried, as JSON",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an output that exists")
     return parser

@@ -1,8 +1,8 @@
-"""Says where a camera was, by what it saw of a map: refines poses of TF or of a topic.
+"""Refines a camera's poses by the pictures that it took of a map.
 
-Hears `gaussians`, `image_raw`, `camera_info` and `mask`, and by TF or on `pose` where the camera
-was, about. Publishes `aligned`, the refined pose of each picture, while somebody hears it or
-`broadcast` asks for it. Serves `~/align`, which takes a start and a picture.
+Hears `gaussians`, `image_raw`, `camera_info` and `mask`. TF, or the topic `pose`, says roughly
+where the camera was. Publishes `aligned`, the refined pose of each picture, while somebody hears it
+or `broadcast` asks for it. Serves `~/align`, which takes a start and a picture.
 """
 
 from __future__ import annotations

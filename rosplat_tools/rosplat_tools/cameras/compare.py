@@ -1,10 +1,10 @@
 """Holds a map against what a camera sees, picture by picture.
 
-Hears `gaussians`, `image_raw`, `camera_info` and `mask`, and by TF or on `pose` where the camera
-was. Publishes `rendered`, the map drawn for the picture; `difference`, a heat map of the errors;
-`metrics`, with `align` also of how far off the camera was said to be; with `attribute`,
-`residuals`: the map with a channel that says where it is wrong. `--bag BAG` compares all pictures
-of a bag instead, and prints a table.
+Hears `gaussians`, `image_raw`, `camera_info` and `mask`. TF, or the topic `pose`, says where the
+camera was. Publishes `rendered`, the map drawn for the picture; `difference`, a heat map of the
+errors; and `metrics`, which with `align` also say how far off the camera's pose was. With
+`attribute`, publishes `residuals`: the map with a channel that says where it is wrong. `--bag BAG`
+compares all pictures of a bag instead, and prints a table.
 """
 
 from __future__ import annotations

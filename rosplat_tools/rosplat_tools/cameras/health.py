@@ -20,7 +20,7 @@ class NoPicture(Exception):
 class Health:
     """Of one camera."""
 
-    def __init__(self, name: str, warn: Callable[[str], None]) -> None:
+    def __init__(self, name: str, warn: Callable[[str], object]) -> None:
         self.name = name
         self._problem = SaidOnce(lambda text: warn(f"{name}: {text}"))
         self.counts: Counter[str] = Counter()

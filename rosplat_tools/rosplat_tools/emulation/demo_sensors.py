@@ -1,7 +1,7 @@
 """A robot for the demo: circles the map and publishes what its IMU and its camera measure.
 
-All is a function of the node's clock, simulated or not. The camera's picture is asked of a renderer
-at `gaussians/render`; without one it is a test picture.
+Everything follows the node's clock, simulated or not. A renderer at `gaussians/render` draws the
+camera's picture; without one, it is a test picture.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
@@ -130,7 +131,7 @@ class DemoSensors(Node):
             self.get_logger().info("no tf2_msgs here: TF is left out")
 
         self._topic = self.resolve_topic_name("gaussians")
-        self._renderer = self.create_client(RenderView, f"{self._topic}/render")
+        self._renderer: Client = self.create_client(RenderView, f"{self._topic}/render")
         self.get_logger().info(f"waiting for a map on {self._topic} to fly around")
         self._samples: list[NDArray[np.float64]] = []
         self._begun: float | None = None

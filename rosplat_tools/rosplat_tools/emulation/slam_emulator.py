@@ -10,6 +10,7 @@ import time
 from rclpy.node import Node
 from tqdm import tqdm
 
+from rosplat_core.log_text import shown
 from rosplat_core.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_core.splats import SceneError
 from rosplat_tools.emulation.mapping import Move, around, edits, with_keyframes
@@ -60,6 +61,7 @@ class SlamEmulator(Node):
             frame_id=frame_id,
             compression=declare_compression(self),
         )
+        self.get_logger().info(f"mapping {shown(path)}: {len(self._scene):,} splats")
         self._bar = tqdm(
             total=len(self._scene), desc="mapping", unit="splats", unit_scale=True, disable=None
         )

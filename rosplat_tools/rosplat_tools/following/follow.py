@@ -1,6 +1,7 @@
 """Publishes maps that other programs write: a file, again and again, or their messages.
 
-Parameter `path`: a scene file, or a pattern of which the newest match is read, once it is written.
+Parameter `path`: a scene file, or a pattern, whose newest match is read. A file that is still being
+written is read when it is whole.
 Topic `cloud`: sensor_msgs/PointCloud2 with a PLY's properties for fields. A message is a whole map.
 Topic `splat_array`: gsplat_msgs/SplatArray, where that package is installed.
 """
@@ -47,6 +48,9 @@ class Follow(Node):
             self.create_timer(period, self._look, clock=steady)
             doing = "following" if self._file.is_there() else "waiting for"
             self.get_logger().info(f"{doing} {shown(path)}")
+        else:
+            cloud = self.resolve_topic_name("cloud")
+            self.get_logger().info(f"no path is given: waiting for {cloud}")
         self._subscribe(PointCloud2, "cloud", self._on_cloud)
         try:
             from gsplat_msgs.msg import SplatArray

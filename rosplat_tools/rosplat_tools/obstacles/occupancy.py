@@ -1,8 +1,8 @@
 """Obstacles in a map: a grid that nav2 takes, voxels, and a coloured surface with normals.
 
-Topics, each made while somebody listens: `gaussians/occupancy`, nav_msgs/OccupancyGrid;
-`gaussians/voxels` and `gaussians/surface`, sensor_msgs/PointCloud2. Service `~/save` writes the
-grid for map_server.
+Publishes, while somebody listens, `gaussians/occupancy` (nav_msgs/OccupancyGrid), and
+`gaussians/voxels` and `gaussians/surface` (sensor_msgs/PointCloud2). The service `~/save` writes
+the grid for map_server.
 """
 
 from __future__ import annotations

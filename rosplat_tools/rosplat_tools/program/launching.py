@@ -26,6 +26,14 @@ def room_for_maps(context: LaunchContext) -> list[SetEnvironmentVariable]:
     return [SetEnvironmentVariable(name, value) for name, value in profile.items()]
 
 
+def whole_number(given: Mapping[str, str], name: str) -> int:
+    """An argument's value. Raises ValueError that names the argument."""
+    try:
+        return int(given[name])
+    except ValueError as error:
+        raise ValueError(f"{name}: expected a whole number, got '{given[name]}'") from error
+
+
 def program(package: str, executable: str, **parameters: object) -> Node:
     """A node named like its executable."""
     typed = {  # a path of digits stays a text

@@ -23,7 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from rosplat_core.program.output import told
 from rosplat_core.splats import SceneError
-from rosplat_sorter.arguments import take_ros_arguments_only
+from rosplat_sorter.arguments import take_ros_arguments_only, warn_of_unknown_parameters
 from rosplat_sorter.memory import give_back_large_blocks
 from rosplat_tools.program.processes import interrupt_by_signals, since_interrupt
 
@@ -69,6 +69,7 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     A callback that raises ends ROS, which the block may see; it is raised here after the block. A
     signal whose exception got lost ends ROS, too.
     """
+    warn_of_unknown_parameters(node)
     executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
     executor.add_node(node)
     begun, ending, ended = Event(), Event(), Event()

@@ -11,7 +11,7 @@ class SaidOnce:
     well.
     """
 
-    def __init__(self, warn: Callable[[str], None]) -> None:
+    def __init__(self, warn: Callable[[str], object]) -> None:
         self.now = ""
         """What is wrong now; empty: nothing."""
         self._warn = warn
