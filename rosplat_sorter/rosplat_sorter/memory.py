@@ -19,6 +19,17 @@ def give_back_large_blocks() -> None:
     ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE)
 
 
+def take_little_shared_memory() -> None:
+    """Has Fast DDS take 4 MB, not 32, by the profile of rosplat_msgs. For programs without a map.
+
+    Before ROS begins: that is when a process takes all of what it may send by.
+    """
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
+        profile = Path(os.environ.get(name, ""))
+        if profile.name == "fastdds.xml" and profile.with_stem("fastdds_small").exists():
+            os.environ[name] = str(profile.with_stem("fastdds_small"))
+
+
 def resident_bytes() -> int:
     """Memory that this process has in RAM."""
     pages = Path("/proc/self/statm").read_text().split()[1]  # proc(5)

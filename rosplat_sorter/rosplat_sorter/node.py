@@ -27,7 +27,7 @@ from rosplat_sorter.arguments import take_ros_arguments_only, warn_of_unknown_pa
 from rosplat_sorter.backends import AUTO, BACKENDS
 from rosplat_sorter.diagnostics import Diagnostics, Report
 from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_sorter.memory import give_back_large_blocks
+from rosplat_sorter.memory import give_back_large_blocks, take_little_shared_memory
 from rosplat_sorter.order_slots import pack
 from rosplat_sorter.worker import Answer, Worker
 
@@ -210,6 +210,7 @@ def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     take_ros_arguments_only("sorter", __doc__)
     give_back_large_blocks()
+    take_little_shared_memory()
     # ROS's own handlers end it: a KeyboardInterrupt could come in the middle of an import.
     signal.signal(signal.SIGINT, lambda *_: None)
     try:

@@ -44,7 +44,7 @@ def test_fast_dds_is_made_fit_for_maps_unless_somebody_sees_to_it(
     settings = fast_dds_profile({"ROS_DISTRO": "jazzy", "ROS_LOCALHOST_ONLY": ""})
     assert settings.keys() == {"FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"}
     for path in settings.values():
-        assert "<segment_size>67108864</segment_size>" in Path(path).read_text()
+        assert "<segment_size>33554432</segment_size>" in Path(path).read_text()
     for name in (*settings, "FASTDDS_BUILTIN_TRANSPORTS", "ROS_LOCALHOST_ONLY"):
         assert not fast_dds_profile({name: "1"})
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64 << 20))

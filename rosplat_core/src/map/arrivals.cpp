@@ -4,11 +4,15 @@
 #include <new>
 #include <utility>
 
+#include "rosplat_core/threads/freed_memory.hpp"
+
 namespace rosplat {
 
 namespace {
 
 constexpr std::chrono::milliseconds kRetry{500};
+// Messages and edits of so many bytes leave as much behind, between the pages of the map.
+constexpr std::size_t kTakenPerReturn = 64'000'000;
 
 }  // namespace
 
@@ -41,15 +45,23 @@ bool Arrivals::take(std::uint64_t taker, const Apply& apply, const UploadBudget&
       oldest = waiting_.take(budget.all);
     }
     apply(oldest.front());
+    taken_ += uploadBytes(*oldest.front().edit);
+    oldest.clear();
   } catch (...) {
     error = std::current_exception();
   }
-  const std::lock_guard lock(mutex_);
+  std::unique_lock lock(mutex_);
   if (error) {
     if (!oldest.empty()) waiting_.putBack(std::move(oldest));
     retry_ = Clock::now() + kRetry;
   }
   error_ = error;
+  const bool rests = waiting_.empty();
+  lock.unlock();
+  if (rests && taken_ >= kTakenPerReturn) {
+    taken_ = 0;
+    returnFreedMemory();
+  }
   return !error;
 }
 

@@ -30,7 +30,7 @@ FAST_DDS_WISHES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
     "ROS_LOCALHOST_ONLY",
 )
-ROOM_FOR_SEGMENTS = 1 << 30  # in shared memory, of which the profile takes 64 MiB a program [bytes]
+ROOM_FOR_SEGMENTS = 1 << 30  # in shared memory, of which the profile takes 32 MiB a program [bytes]
 
 
 class ProcessError(RuntimeError):

@@ -1,7 +1,5 @@
 #include "splat_scene.hpp"
 
-#include <malloc.h>
-
 #include <algorithm>
 #include <chrono>
 #include <new>
@@ -31,12 +29,6 @@ OrderSource sourceOf(const RenderSettings& settings, bool sort_now) {
 }
 
 }  // namespace
-
-SplatScene::Trim::~Trim() {
-#ifdef __GLIBC__
-  malloc_trim(0);
-#endif
-}
 
 SplatScene::~SplatScene() {
   for (const auto& [view_id, camera] : cameras_) {

@@ -18,6 +18,7 @@
 #include "rosplat_core/order/built_in_sorter.hpp"
 #include "rosplat_core/order/order.hpp"
 #include "rosplat_core/order/order_book.hpp"
+#include "rosplat_core/threads/freed_memory.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
@@ -134,9 +135,8 @@ class SplatScene {
   void keepPace(const std::string& view_id, FrameReport& report);
   void feedSorter();
 
-  // Returns memory to the system: glibc keeps what the painter's threads have freed.
   struct Trim {
-    ~Trim();
+    ~Trim() { returnFreedMemory(); }
   } trim_;  // first, so that all else is gone by then
 
   std::mutex orders_mutex_;  // orders_

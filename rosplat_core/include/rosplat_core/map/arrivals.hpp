@@ -77,6 +77,7 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
 
   std::mutex taking_;  // held while an edit is applied or the map is handed over
   std::uint64_t taker_ = 0;
+  std::size_t taken_ = 0;  // since freed memory was returned [bytes]
   std::atomic<std::uint64_t> takers_{0};
   std::atomic<bool> going_over_{false};  // makes takers let handOver() in
 
