@@ -25,9 +25,16 @@ class MapSubscriber:
     them, in the thread of whoever uses the map.
     """
 
-    def __init__(self, node: Node, target: Any, heard: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self,
+        node: Node,
+        target: Any,
+        heard: Callable[[], None] | None = None,
+        *,
+        most_sh_degree: int = 3,
+    ) -> None:
         """target: a GaussianMap, or what has one as its `map`. heard: called whenever a batch has
-        come; by default it is take().
+        come; by default it is take(). most_sh_degree: what is pulled has no harmonics above it.
         """
         self._node, self._target, self._heard = node, target, heard or self.take
         self.books = getattr(target, "map", target)
@@ -42,7 +49,10 @@ class MapSubscriber:
         self._began = self._applied = 0.0  # the map, and its last batch
         self._waiting: deque[tuple[GaussianArray, Arrival]] = deque()
         self._subscription = MapSubscription(
-            node, self._hear, busy=lambda: self._backlog() > MOST_WAITING
+            node,
+            self._hear,
+            busy=lambda: self._backlog() > MOST_WAITING,
+            most_sh_degree=most_sh_degree,
         )
         self.topic = self._subscription.topic
 

@@ -24,7 +24,7 @@ from rosplat_core.generated.rooms import DOOR_ASIDE, ROOMS, SIZE, WALL
 from rosplat_core.occupancy import OccupancyMap
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
-from rosplat_msgs.srv import SaveMap
+from rosplat_msgs.srv import PullMap, SaveMap
 from rosplat_sorter.qos import MAP
 from rosplat_testing import PATIENCE
 from rosplat_testing.studio import Log, transform
@@ -239,7 +239,7 @@ def test_what_is_incomplete_is_not_published_and_recovers(
     ended(process)
 
 
-def test_a_map_of_too_many_voxels_is_refused_and_the_next_one_is_not(
+def test_a_map_of_too_many_voxels_is_refused_until_it_is_smaller_or_another(
     monkeypatch: pytest.MonkeyPatch, node: Node, listener: Any
 ) -> None:
     """The node runs here, with room for fewer voxels: those that it has room for take 2 GB."""
@@ -255,6 +255,14 @@ def test_a_map_of_too_many_voxels_is_refused_and_the_next_one_is_not(
             assert said.values["Splats"] == str(len(floor()))
             assert said.values["Voxels"] == "0"
             assert not grid.message
+            outside = np.flatnonzero(np.abs(floor().positions[:, :2]).max(axis=1) > 0.5)
+            publisher.delete(outside[: len(outside) // 20])  # too few to try again
+            listener.wait(lambda: said.values["Splats"] == str(len(floor()) - len(outside) // 20))
+            assert "more than 1,000 voxels" in said.message
+            publisher.delete(outside)
+            listener.wait(lambda: grid.message and grid.at(0.05, 0.05) == 0)
+            publisher.upsert(range(len(floor())), floor())
+            listener.wait(lambda: "more than 1,000 voxels" in said.message)
             publisher.replace(wall(1.05))
             listener.wait(lambda: grid.message and grid.at(1.05, 0) == 100)
             # A wall has no floor.
@@ -263,9 +271,21 @@ def test_a_map_of_too_many_voxels_is_refused_and_the_next_one_is_not(
             around = np.abs(floor().positions[:, :2]).max(axis=1) < 0.5
             publisher.replace(floor()[np.flatnonzero(around)])
             listener.wait(lambda: said.message == "obstacles are published")
-            assert said.levels == [DiagnosticStatus.WARN, DiagnosticStatus.OK]
+            assert said.levels[-2:] == [DiagnosticStatus.WARN, DiagnosticStatus.OK]
     finally:
         rclpy.try_shutdown()
+
+
+def test_what_is_pulled_has_no_harmonics(start: Start, node: Node, listener: Any) -> None:
+    degrees: list[int] = []
+
+    def answer(request: PullMap.Request, response: PullMap.Response) -> PullMap.Response:
+        degrees.append(request.most_sh_degree)
+        return response
+
+    node.create_service(PullMap, "gaussians/pull", answer)
+    start("occupancy")
+    listener.wait(lambda: 0 in degrees)  # the listener asks, too
 
 
 def test_a_map_is_seen_from_the_frames_that_are_asked_for(

@@ -59,6 +59,7 @@ LATCHED = QoSProfile(
     depth=1,
 )
 STILL = 1e-3  # what a frame may turn before the voxels are built anew [rad]
+SHRUNK = 0.9  # share of its splats with which a map of too many voxels is tried again
 
 
 class Occupancy(Node):
@@ -108,10 +109,11 @@ class Occupancy(Node):
         self._map_in_grid: NDArray[np.float64] = np.eye(4)
         self._level = 0.0  # that the band is over
         self._places = 0  # how often the voxels were placed
+        self._splats_when_full = 0  # of a map of too many voxels
         warn = self.get_logger().warning
         self._problem, self._left_out = SaidOnce(warn), SaidOnce(warn)
         self._not_free = ""  # why no cell of the grid is
-        self._map = MapSubscriber(self, self._voxels)
+        self._map = MapSubscriber(self, self._voxels, most_sh_degree=0)
         topic = self._map.topic  # remapping it takes the others along
         outputs: list[tuple[str, type, Callable[[Header], Any]]] = [
             ("occupancy", OccupancyGrid, self._grid_message),
@@ -157,12 +159,26 @@ class Occupancy(Node):
             self._follow_frames()
         except FrameError as error:
             return str(error)
-        if self._voxels.full:
+        if not self._fits():
             return (
                 f"the map takes more than {self._voxels.most:,} voxels, choose a coarser "
                 "`resolution` or a smaller `size`"
             )
         return ""
+
+    def _fits(self) -> bool:
+        """Whether the voxels are held. Those of a map that was too large are tried again where many
+        of its splats are gone, not after each edit: that takes up to a minute.
+        """
+        splats = self._map.books.splats
+        if self._voxels.full and splats <= SHRUNK * self._splats_when_full:
+            self._place(self._map_in_grid)
+            self._splats_when_full = splats
+        if not self._voxels.full:
+            self._splats_when_full = 0
+        elif not self._splats_when_full:
+            self._splats_when_full = splats
+        return not self._voxels.full
 
     def _report(self) -> Report:
         figures = {
@@ -184,11 +200,15 @@ class Occupancy(Node):
             level = float(self._frames.pose(self._band_frame, frame)[1][2, 3])
         moved = np.abs(here - self._map_in_grid)
         if moved[:3, :3].max() > STILL or moved[:3, 3].max() > self._resolution / 10:
-            self._voxels.place(here[:3, 3].tolist(), from_matrices(here[:3, :3]).tolist())
-            self._map_in_grid = here
-            self._places += 1
+            self._place(here)
         if abs(level - self._level) > self._resolution / 2:
             self._level = level
+
+    def _place(self, map_in_grid: NDArray[np.float64]) -> None:
+        position, rotation = map_in_grid[:3, 3], map_in_grid[:3, :3]
+        self._voxels.place(position.tolist(), from_matrices(rotation).tolist())
+        self._map_in_grid = map_in_grid
+        self._places += 1
 
     def _grid(self) -> Grid:
         cells, _ = self._voxels.find(self._least_depth)
