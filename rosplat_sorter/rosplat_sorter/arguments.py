@@ -6,7 +6,6 @@ import argparse
 import re
 import sys
 
-from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 
@@ -29,18 +28,3 @@ def take_ros_arguments_only(program: str, description: str | None) -> None:
         )
     except UnicodeEncodeError as error:  # of the name of a file, say
         parser.error(f"--ros-args: {error.object!r} is not UTF-8")
-
-
-def warn_of_unknown_parameters(node: Node) -> None:
-    """Says which parameters the command line names and the node, all declared, doesn't know.
-
-    ROS ignores them.
-    """
-    known = node.get_parameters_by_prefix("")
-    for name in node._parameter_overrides:  # nothing public has them
-        # Those of QoS are declared with what they are for, which may come later.
-        if name not in known and not name.startswith("qos_overrides."):
-            ours = sorted(name for name in known if not name.startswith(("qos_", "start_type_")))
-            node.get_logger().warning(
-                f"parameter {name}: not known, ignored; known are {', '.join(ours)}"
-            )

@@ -22,6 +22,7 @@ from rosplat_core.maps import Arrival, MapPull
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
 from rosplat_sorter.batches import array_bytes
+from rosplat_sorter.mistakes import type_name
 from rosplat_sorter.qos import MAP, SERVED_MAP, overridable
 
 WATCH_PERIOD = 1.0  # [s]
@@ -87,7 +88,8 @@ class MapSubscription:
     def _publishers(self) -> list[QoSProfile]:
         """What publishers offer."""
         known = self._node.get_publishers_info_by_topic(self.topic)
-        return [publisher.qos_profile for publisher in known]
+        ours = type_name(GaussianArray)
+        return [publisher.qos_profile for publisher in known if publisher.topic_type == ours]
 
     def _qos_for(self, publishers: list[QoSProfile]) -> QoSProfile:
         qos = copy(SERVED_MAP if self._pulls else MAP)

@@ -23,11 +23,12 @@ from rclpy.task import Future
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter import qos
-from rosplat_sorter.arguments import take_ros_arguments_only, warn_of_unknown_parameters
+from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_sorter.backends import AUTO, BACKENDS
 from rosplat_sorter.diagnostics import Diagnostics, Report
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.memory import give_back_large_blocks, take_little_shared_memory
+from rosplat_sorter.mistakes import Mistakes
 from rosplat_sorter.order_slots import pack
 from rosplat_sorter.worker import Answer, Worker
 
@@ -106,6 +107,7 @@ class SorterNode(Node):
             ViewCamera, f"{topic}/view", self._look, **qos.overridable(qos.VIEW)
         )
         Diagnostics(self, topic, self._report)
+        Mistakes(self)
         self.get_logger().info(f"waits for a view that wants an order, on {topic}/view")
 
     def destroy_node(self) -> None:
@@ -219,7 +221,6 @@ def main() -> None:
         executor = SingleThreadedExecutor()
         node = SorterNode()
         try:
-            warn_of_unknown_parameters(node)
             executor.add_node(node)
             executor.spin_until_future_complete(node.unwanted)
         finally:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
-from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from rosplat_tools.program.launching import declared, publisher, room_for_maps, whole_number
+from rosplat_tools.program.launching import (
+    declared,
+    is_true,
+    publisher,
+    room_for_maps,
+    whole_number,
+)
 
 ARGUMENTS = {
     "image": ("image_raw", "Topic of the camera's pictures"),
@@ -35,7 +40,7 @@ def _programs(context: LaunchContext) -> list[object]:
         name="align",
         parameters=[
             {
-                "rectified": IfCondition(given["rectified"]).evaluate(context),
+                "rectified": is_true(given, "rectified"),
                 "broadcast": ParameterValue(given["broadcast"], value_type=str),
             }
         ],

@@ -10,12 +10,11 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import ExecuteProcess, OpaqueFunction, RegisterEventHandler
-from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessIO
 from launch.events.process import ProcessIO
 from launch.substitutions import LaunchConfiguration
 
-from rosplat_tools.program.launching import declared, room_for_maps
+from rosplat_tools.program.launching import declared, is_true, room_for_maps
 
 ARGUMENTS = {
     "topic": ("/gaussians", "Topic of the map, with its namespace"),
@@ -42,7 +41,7 @@ def _recorder(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHand
     command += ["--output", given["output"]] if given["output"] else []
     recorder = ExecuteProcess(cmd=command, output="screen")
     actions = [*room_for_maps(context), recorder]
-    if IfCondition(given["repeat"]).evaluate(context):
+    if is_true(given, "repeat"):
         request = ["ros2", "service", "call", f"{topic}/repeat", "rosplat_msgs/srv/RepeatMap"]
         repeats: list[ExecuteProcess] = []  # once
 

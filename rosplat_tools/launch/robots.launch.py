@@ -5,12 +5,12 @@ from __future__ import annotations
 import yaml
 from launch import LaunchContext, LaunchDescription
 from launch.actions import GroupAction, OpaqueFunction
-from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import PushRosNamespace, SetParameter
 
 from rosplat_tools.program.launching import (
     declared,
+    is_true,
     program,
     publisher,
     room_for_maps,
@@ -38,15 +38,12 @@ def generate_launch_description() -> LaunchDescription:
 def _robots(context: LaunchContext) -> list[GroupAction]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
 
-    def is_true(name: str) -> bool:
-        return bool(IfCondition(given[name]).evaluate(context))
-
     def robot(name: str, scene: str) -> GroupAction:
-        sorter = [program("rosplat_sorter", "sorter")] if is_true("sorter") else []
+        sorter = [program("rosplat_sorter", "sorter")] if is_true(given, "sorter") else []
         return GroupAction(
             [
                 PushRosNamespace(name),
-                SetParameter("use_sim_time", is_true("use_sim_time")),
+                SetParameter("use_sim_time", is_true(given, "use_sim_time")),
                 *room_for_maps(context),
                 publisher(
                     scene,

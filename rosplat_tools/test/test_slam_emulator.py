@@ -23,8 +23,8 @@ def test_the_map_grows_is_edited_and_ends_as_the_scene(
     process = start("slam_emulator", path=path, batch_size=100, rate=200.0, prune_fraction=0.1)
     assert process.stdout
     # Says so when the last edit is out; the listener pulls the map then.
-    line = process.stdout.readline()
-    assert "3,050 splats mapped" in line
+    assert f"mapping {path}: 3,050 splats" in process.stdout.readline()
+    assert "3,050 splats mapped" in process.stdout.readline()
     listener.wait_for(3050)
     assert {batch.expected_slots for batch in listener.batches} == {3050}
 

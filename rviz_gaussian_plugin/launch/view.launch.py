@@ -6,12 +6,12 @@ from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import GroupAction, OpaqueFunction
-from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, SetParameter, SetRemap
 
 from rosplat_tools.program.launching import (
     declared,
+    is_true,
     program,
     publisher,
     room_for_maps,
@@ -69,26 +69,23 @@ def generate_launch_description() -> LaunchDescription:
 def _programs(context: LaunchContext) -> list[GroupAction]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
 
-    def is_true(name: str) -> bool:
-        return bool(IfCondition(given[name]).evaluate(context))
-
     scene, frame = given["scene"], given["frame_id"]
     programs = []
     # No publisher without a scene: beside it, a volatile publisher of a SLAM node isn't heard.
     if scene:
         programs.append(publisher(scene, frame, whole_number(given, "max_splats")))
-    if is_true("sorter"):
+    if is_true(given, "sorter"):
         programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
-    if is_true("sensors"):
+    if is_true(given, "sensors"):
         programs.append(program("rosplat_tools", "demo_sensors"))
-    if is_true("obstacles"):
+    if is_true(given, "obstacles"):
         programs.append(program("rosplat_tools", "occupancy"))
-    programs.append(_rviz(given, is_true("sensors"), is_true("obstacles")))
+    programs.append(_rviz(given, is_true(given, "sensors"), is_true(given, "obstacles")))
     return [
         GroupAction(
             [
                 *room_for_maps(context),
-                SetParameter("use_sim_time", is_true("use_sim_time")),
+                SetParameter("use_sim_time", is_true(given, "use_sim_time")),
                 SetRemap("gaussians", given["topic"]),
                 *programs,
             ]

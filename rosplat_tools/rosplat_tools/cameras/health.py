@@ -33,6 +33,10 @@ class Health:
         self.counts[kind] += 1
         self._problem.say(str(text))
 
+    def silence(self, text: str) -> None:
+        """There is nothing to make a picture of."""
+        self._problem.say(text)
+
     def well(self, latency: float, drawing: float) -> None:
         """A picture went out, so long after its moment, and after it began to be drawn. [s]"""
         self.counts["pictures"] += 1

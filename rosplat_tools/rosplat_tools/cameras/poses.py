@@ -46,7 +46,7 @@ def declare_poses(node: Node, cameras: list[str], heard: Callable[[], None]) -> 
     try:
         return TfPoses(Frames(node))
     except SceneError as error:
-        raise SceneError(f"parameter poses: {error}; poses:=topic needs none") from error
+        raise SceneError(f"parameter poses: {error}: install it, or set poses:=topic") from error
 
 
 class TopicPoses:

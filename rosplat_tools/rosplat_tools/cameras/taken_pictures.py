@@ -31,6 +31,7 @@ from rosplat_tools.images import from_image, read_mask
 from rosplat_tools.program.parameters import declare
 
 WAITING = 8  # pictures that wait for their poses
+SILENCE = 5.0  # after which it is said that no picture has come [s]
 PATIENCE = 1.0  # with pictures whose poses aren't known [s]
 
 Optics = TypeVar("Optics")
@@ -142,7 +143,7 @@ class TakenPictures(Generic[Optics]):
         self._map, self._heard = drawn_map, heard
         self._poses = declare_poses(node, [""], heard)
         self._images: deque[Image] = deque(maxlen=WAITING)
-        self._poseless_since = time.monotonic()  # while pictures wait
+        self._began = self._poseless_since = time.monotonic()  # while pictures wait
         self._info: CameraInfo | None = None
         self.newest: Image | None = None
         """The last picture that came, whether or not it was used."""
@@ -185,6 +186,8 @@ class TakenPictures(Generic[Optics]):
         """
         images = list(self._images)
         now = time.monotonic()
+        if self.newest is None and now - self._began > SILENCE:
+            self.health.silence("no picture has come")
         if images and (problem := self._map.problem()):
             self._drop(len(images))
             raise NoPicture("without a map", problem)

@@ -26,6 +26,14 @@ def room_for_maps(context: LaunchContext) -> list[SetEnvironmentVariable]:
     return [SetEnvironmentVariable(name, value) for name, value in profile.items()]
 
 
+def is_true(given: Mapping[str, str], name: str) -> bool:
+    """Whether an argument says true or 1. Raises ValueError that names the argument."""
+    value = given[name].strip().lower()
+    if value not in ("true", "1", "false", "0"):
+        raise ValueError(f"{name}: expected true or false, got '{given[name]}'")
+    return value in ("true", "1")
+
+
 def whole_number(given: Mapping[str, str], name: str) -> int:
     """An argument's value. Raises ValueError that names the argument."""
     try:

@@ -11,7 +11,11 @@ from contextlib import contextmanager
 from threading import Event
 
 import rclpy
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.exceptions import (
+    InvalidHandle,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+)
 from rclpy.executors import (
     Executor,
     ExternalShutdownException,
@@ -23,13 +27,13 @@ from rclpy.signals import SignalHandlerOptions
 
 from rosplat_core.program.output import told
 from rosplat_core.splats import SceneError
-from rosplat_sorter.arguments import take_ros_arguments_only, warn_of_unknown_parameters
+from rosplat_sorter.arguments import take_ros_arguments_only
 from rosplat_sorter.memory import give_back_large_blocks
+from rosplat_sorter.mistakes import Mistakes
 from rosplat_tools.program.processes import interrupt_by_signals, since_interrupt
 
 GRACE = 0.5  # what callbacks get to end before ROS does [s]
 BREATH = 0.0002  # in which a thread begins with a callback [s]
-CLOCK_PATIENCE = 5.0  # for simulated time to begin [s]
 LOST = 3.0  # after a signal, nobody has heard of its exception [s]
 
 
@@ -69,7 +73,7 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     A callback that raises ends ROS, which the block may see; it is raised here after the block. A
     signal whose exception got lost ends ROS, too.
     """
-    warn_of_unknown_parameters(node)
+    Mistakes(node)
     executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
     executor.add_node(node)
     begun, ending, ended = Event(), Event(), Event()
@@ -105,6 +109,7 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
             _wait_for_callbacks(executor, GRACE)
             node.context.try_shutdown()  # what still runs sees that, and gives up
             _wait_for_callbacks(executor, math.inf)
+            _tell_of_callbacks(executor)
             executor.shutdown()
             node.destroy_node()
             if spun:
@@ -120,11 +125,16 @@ def _wait_for_callbacks(executor: Executor, timeout: float) -> None:
         time.sleep(0.005)
 
 
+def _tell_of_callbacks(executor: Executor) -> None:
+    # rclpy tells of every error that nobody asks for. Since Kilted, nodes end with ROS, and what a
+    # callback then answers or publishes is an InvalidHandle.
+    for task in getattr(executor, "_futures", []):
+        error = task.exception()
+        if error and not isinstance(error, InvalidHandle):
+            print(told(error), file=sys.stderr)
+
+
 def wait_for_end(node: Node) -> None:
-    """Until a signal comes or a callback raises. Says so where simulated time doesn't begin."""
-    patient_until = time.monotonic() + CLOCK_PATIENCE
+    """Until a signal comes or a callback raises."""
     while node.context.ok():
         time.sleep(0.1)
-        if time.monotonic() > patient_until and not node.get_clock().now().nanoseconds:
-            patient_until = math.inf
-            node.get_logger().warning("use_sim_time is true, but nobody publishes /clock")

@@ -1,0 +1,59 @@
+"""What ROS says nothing about: unknown parameters, topics of other types, a clock that lacks."""
+
+from __future__ import annotations
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+PERIOD = 5.0  # [s]
+
+
+class Mistakes:
+    """Those of who starts a node, said once each in its log.
+
+    When the node has declared all of its parameters: Mistakes(node).
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._said: set[str] = set()
+        self._find_unknown_parameters()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
+        self._timer = node.create_timer(PERIOD, self._look, clock=steady)
+
+    def _say(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self._node.get_logger().warning(text)
+
+    def _find_unknown_parameters(self) -> None:
+        known = self._node.get_parameters_by_prefix("")
+        ours = sorted(name for name in known if not name.startswith(("qos_", "start_type_")))
+        for name in self._node._parameter_overrides:  # nothing public has them
+            # Those of QoS are declared with what they are for, which may come later.
+            if name not in known and not name.startswith("qos_overrides."):
+                self._say(f"parameter {name}: not known, ignored; known are {', '.join(ours)}")
+
+    def _look(self) -> None:
+        try:
+            if not self._node.get_clock().now().nanoseconds:
+                self._say("use_sim_time is true, but nobody publishes /clock")
+            for subscription in list(self._node.subscriptions):
+                self._find_other_types(subscription.topic_name, type_name(subscription.msg_type))
+        except Exception:  # RCLError and InvalidHandle
+            if self._node.context.ok():  # else ROS has ended meanwhile
+                raise
+
+    def _find_other_types(self, topic: str, wanted: str) -> None:
+        for publisher in self._node.get_publishers_info_by_topic(topic):
+            if publisher.topic_type != wanted:
+                self._say(
+                    f"{topic}: somebody publishes {publisher.topic_type}, which isn't heard; "
+                    f"expected {wanted}"
+                )
+
+
+def type_name(message: type) -> str:
+    """As ROS writes it: std_msgs/msg/String."""
+    package, kind, *_ = message.__module__.split(".")
+    return f"{package}/{kind}/{message.__name__}"
