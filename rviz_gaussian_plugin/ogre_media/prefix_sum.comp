@@ -8,11 +8,12 @@ layout(std430) writeonly buffer Total { Tally total; };
 
 uniform uint pass;  // 0: sums of blocks, 1: that of each value, and the total
 uniform uint room;  // for as many as the total says
+uniform uint each;  // of what the tally counts, a value
 
 const uint kEach = kBlock / 256u;  // values an invocation
 
 void main() {
-  uint count = values_tally.count, block = workGroup(), local = gl_LocalInvocationIndex, all;
+  uint count = (values_tally.count + each - 1u) / each, block = workGroup(), local = gl_LocalInvocationIndex, all;
   if (block > 0u && block * kBlock >= count) return;
   uint first = block * kBlock + local * kEach, mine[kEach], sum = 0u;
   for (uint k = 0u; k < kEach; ++k) {

@@ -5,7 +5,7 @@
 
 #pragma optionNV(unroll all)  // or NVIDIA's compiler keeps arrays in memory instead of registers
 
-layout(local_size_x = 256) in;
+layout(local_size_x = LANES) in;
 layout(std430) readonly buffer Keys { uint keys[]; };
 layout(std430) readonly buffer Values { uint values[]; };
 layout(std430) writeonly buffer SortedKeys { uint sorted_keys[]; };
@@ -16,7 +16,7 @@ layout(std430) readonly buffer Length { Tally keys_tally; };
 uniform bool first_pass;  // the values are 0, 1, 2...
 uniform bool last_pass;   // nobody needs the keys any more
 
-const uint kEach = kBlock / 256u;
+const uint kLanes = uint(LANES), kEach = kBlock / kLanes;  // the first 256 have a digit each
 const uint kMostWarps = 32u;
 
 shared uint memory[kBlock];    // the warps' turns, then the block in its order
@@ -76,7 +76,7 @@ uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
   return subgroupShuffle(turn, firstVote(same) & (gl_SubgroupSize - 1u)) + earlier;
 }
 #else
-const uint kWarp = uint(WARP), kWarps = 256u / kWarp;
+const uint kWarp = uint(WARP), kWarps = kLanes / kWarp;
 uint warpCount() { return kWarps; }
 uint warpSize() { return kWarp; }
 uint warpOf(uint local) { return local / kWarp; }
@@ -122,54 +122,61 @@ void main() {
   uint count = keys_tally.count, blocks = (count + kBlock - 1u) / kBlock;
   uint pairs = (warpCount() + 1u) / 2u, stride = warpSize();
   if (block >= blocks || warpCount() > kMostWarps) return;
-  for (uint pair = 0u; pair < pairs; ++pair) memory[256u * pair + local] = 0u;
+  for (uint k = local; k < 256u * pairs; k += kLanes) memory[k] = 0u;
   barrier();
 
+  // Everything is read before anything waits for it.
   uint first = block * kBlock + warp * kEach * stride + lane;
   uint key[kEach], place[kEach];
+  for (uint k = 0u; k < kEach; ++k) key[k] = keys[min(first + stride * k, count - 1u)];
   for (uint k = 0u; k < kEach; ++k) {
-    uint i = first + stride * k;
-    bool valid = i < count;
-    key[k] = valid ? keys[i] : 0u;
-    place[k] = takeTurn(warp, lane, digitOf(key[k]), valid);
+    place[k] = takeTurn(warp, lane, digitOf(key[k]), first + stride * k < count);
   }
   barrier();
-  uint here = 0u, all;
-  for (uint pair = 0u; pair < pairs; ++pair) {
-    uint counts = memory[256u * pair + local];
-    here += (counts & 0xffffu) + (counts >> 16);
+  bool counts_digit = local < 256u;
+  uint here = 0u, all, others = 0u, before = 0u;
+  if (counts_digit) {
+    others = firsts[256u * blocks + local];
+    before = firsts[local * blocks + block];
+    for (uint pair = 0u; pair < pairs; ++pair) {
+      uint counts = memory[256u * pair + local];
+      here += (counts & 0xffffu) + (counts >> 16);
+    }
   }
-  uint next = groupSum(here, all);
-  block_start[local] = groupSum(firsts[256u * blocks + local], all) +
-                       firsts[local * blocks + block] - next;
-  for (uint pair = 0u; pair < pairs; ++pair) {
-    uint counts = memory[256u * pair + local], second = next + (counts & 0xffffu);
-    memory[256u * pair + local] = next | second << 16;
-    next = second + (counts >> 16);
+  uint next = groupSum(here, all), start = groupSum(others, all) + before;
+  if (counts_digit) {
+    block_start[local] = start - next;
+    for (uint pair = 0u; pair < pairs; ++pair) {
+      uint counts = memory[256u * pair + local], second = next + (counts & 0xffffu);
+      memory[256u * pair + local] = next | second << 16;
+      next = second + (counts >> 16);
+    }
   }
   barrier();
   for (uint k = 0u; k < kEach; ++k) place[k] += turns(warp, digitOf(key[k]));
   barrier();
 
-  uint size = min(count - block * kBlock, kBlock), target[kEach];
+  uint size = min(count - block * kBlock, kBlock), value[kEach], target[kEach];
   for (uint k = 0u; k < kEach; ++k) {
     if (first + stride * k < count) memory[place[k]] = key[k];
   }
-  barrier();
   for (uint k = 0u; k < kEach; ++k) {
-    uint i = 256u * k + local;
-    if (i >= size) break;
-    target[k] = block_start[digitOf(memory[i])] + i;
-    if (!last_pass) sorted_keys[target[k]] = memory[i];
+    uint i = min(first + stride * k, count - 1u);
+    value[k] = first_pass ? i : values[i];
   }
   barrier();
   for (uint k = 0u; k < kEach; ++k) {
-    uint i = first + stride * k;
-    if (i < count) memory[place[k]] = first_pass ? i : values[i];
+    uint i = kLanes * k + local, sorted_key = memory[i];
+    target[k] = block_start[digitOf(sorted_key)] + i;
+    if (!last_pass && i < size) sorted_keys[target[k]] = sorted_key;
   }
   barrier();
   for (uint k = 0u; k < kEach; ++k) {
-    uint i = 256u * k + local;
+    if (first + stride * k < count) memory[place[k]] = value[k];
+  }
+  barrier();
+  for (uint k = 0u; k < kEach; ++k) {
+    uint i = kLanes * k + local;
     if (i < size) sorted_values[target[k]] = memory[i];
   }
 }

@@ -5,6 +5,9 @@
 #endif
 
 ivec2 tileAt(uint number) { return ivec2(int(number) % view.tiles.x, int(number) / view.tiles.x); }
+// Splats whose tiles are counted together.
+const uint kListed = 32u;
+
 // 32 lanes blend a block of a tile's pixels, and skip the splats that don't reach it.
 const ivec2 kPart = ivec2(8, 4);
 

@@ -1,7 +1,8 @@
-// How many tiles each drawn splat touches.
+// How many tiles drawn splats touch: each 32 of them in all, and those of the 32 before each.
 
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Drawn { uint drawn[]; };
+layout(std430) writeonly buffer Within { uint within[]; };
 layout(std430) writeonly buffer Counts { uint counts[]; };
 layout(std430) readonly buffer Length { Tally drawn_tally; };
 layout(std430) readonly buffer Boxes { uint boxes[]; };
@@ -20,7 +21,19 @@ uint touched(uint splat) {
   return count;
 }
 
+shared uint sums[256];
+
 void main() {
-  uint i = invocation();
-  if (i < drawn_tally.count) counts[i] = drawn[i] == kNone ? 0u : touched(drawn[i]);
+  uint i = invocation(), local = gl_LocalInvocationIndex, lane = local % kListed;
+  uint mine = i < drawn_tally.count && drawn[i] != kNone ? touched(drawn[i]) : 0u, sum = mine;
+  sums[local] = sum;
+  barrier();
+  for (uint reach = 1u; reach < kListed; reach *= 2u) {
+    if (lane >= reach) sum += sums[local - reach];
+    barrier();
+    sums[local] = sum;
+    barrier();
+  }
+  if (i < drawn_tally.count) within[i] = sum - mine;
+  if (lane == kListed - 1u && i - lane < drawn_tally.count) counts[i / kListed] = sum;
 }

@@ -25,9 +25,9 @@ class Shaders {
   using Files = std::vector<const char*>;
   // The last file names the program. Throw gl::Error.
   const gl::Program& compute(const Files& files);
-  // For lanes that vote together, in shaders of WARP lanes at most: the driver's subgroups where it
+  // For work groups of LANES, of which WARP at most vote together: the driver's subgroups where it
   // says that it has some, else, or where they don't serve, what stands in for them.
-  const gl::Program& computeInWarps(const Files& files, bool in_subgroups);
+  const gl::Program& computeInWarps(const Files& files, int lanes, bool in_subgroups);
   bool subgroups() const { return warp_ > 0; }
   const gl::Program& draw(const Files& vertex, const Files& fragment);
 

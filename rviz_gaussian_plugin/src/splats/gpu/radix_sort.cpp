@@ -11,6 +11,9 @@ namespace rosplat {
 
 namespace {
 constexpr std::size_t kDigits = 1u << RadixSort::kDigitBits;
+// Invocations of a work group: the more, the less each waits. Where subgroups are narrower than the
+// driver says, they are too many.
+constexpr int kLanes = 512, kFewLanes = 256;
 const Shaders::Files kScatter{"group_sum.glsl", "radix_digit.glsl", "radix_scatter.comp"};
 
 std::size_t blocks(std::size_t count) { return (count + Tally::kBlock - 1) / Tally::kBlock; }
@@ -19,8 +22,9 @@ std::size_t blocks(std::size_t count) { return (count + Tally::kBlock - 1) / Tal
 void PrefixSum::reserve(std::size_t count) { sums_.reserve((blocks(count) + 1) * sizeof(GLuint)); }
 
 void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& total,
-                    std::size_t room) {
+                    std::size_t room, std::size_t each) {
   sum_.use();
+  sum_.set("each", static_cast<GLuint>(each));
   sum_.set("room", static_cast<GLuint>(room));
   sum_.bind("Values", values);
   sum_.bind("Sums", sums_);
@@ -38,13 +42,16 @@ RadixSort::RadixSort(Shaders& shaders)
     : shaders_(shaders),
       count_(shaders.compute({"radix_digit.glsl", "radix_count.comp"})),
       sum_(shaders.compute({"group_sum.glsl", "radix_sum.comp"})),
-      scatter_(&shaders.computeInWarps(kScatter, shaders.subgroups())) {}
+      scatter_(&shaders.computeInWarps(kScatter, shaders.subgroups() ? kLanes : kFewLanes,
+                                       shaders.subgroups())) {}
 
 bool RadixSort::check() {
   if (sortsRight()) return true;
   if (!shaders_.subgroups() || lost_ballots_) return false;
+  scatter_ = &shaders_.computeInWarps(kScatter, kFewLanes, true);
+  if (sortsRight()) return true;
   lost_ballots_ = true;
-  scatter_ = &shaders_.computeInWarps(kScatter, false);
+  scatter_ = &shaders_.computeInWarps(kScatter, kFewLanes, false);
   return sortsRight();
 }
 

@@ -19,9 +19,10 @@ class PrefixSum {
 
   // Makes room for so many values.
   void reserve(std::size_t count);
-  // Sums up as many uint32 of a buffer as a tally says, in place; their total becomes another
-  // tally, for which there is room for so many.
-  void run(const gl::Buffer& values, const Tally& count, const Tally& total, std::size_t room);
+  // Sums up as many uint32 of a buffer as a tally says, or one for each so many, in place; their
+  // total becomes another tally, for which there is room for so many.
+  void run(const gl::Buffer& values, const Tally& count, const Tally& total, std::size_t room,
+           std::size_t each = 1);
 
   std::size_t bytes() const { return sums_.bytes(); }
 

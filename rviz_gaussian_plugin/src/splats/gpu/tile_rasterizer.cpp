@@ -10,6 +10,7 @@ namespace rosplat {
 namespace {
 
 constexpr int kPatience = 64;             // pictures, until memory that was lacking may be there
+constexpr std::size_t kListed = 32;       // splats counted together, as in splat_tiles.glsl
 constexpr std::size_t kRangesEach = 255;  // tiles, as in tile_ranges.comp
 
 // Splats in a tile's segments. Shorter first ones end the last work groups sooner, but have more
@@ -88,7 +89,8 @@ bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
   listed_ = false;
   room_ = 0;  // should there be no memory
   try {
-    prefix_sum_.reserve(splats.most());
+    counts_.reserve((splats.most() / kListed + 1) * sizeof(GLuint));
+    prefix_sum_.reserve(splats.most() / kListed + 1);
     sort_.reserve(roomForPartials(room));
     if (splats_.bytes() / 4 > room * sizeof(GLuint)) splats_.release();
     splats_.reserve(room * sizeof(GLuint));
@@ -106,16 +108,16 @@ bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
     return false;
   }
   room_ = room;
-  const gl::Buffer& counts = sort_.spare();
   count_.use();
   splats.projection().bindEllipses(count_);
   count_.bind("Drawn", splats.drawn());
-  count_.bind("Counts", counts);
+  count_.bind("Within", sort_.spare());
+  count_.bind("Counts", counts_);
   count_.bind("Length", splats.tally().words());
   count_.bind("Boxes", splats.projection().boxes());
   splats.tally().dispatchGroups();
   gl::storageBarrier();
-  prefix_sum_.run(counts, splats.tally(), pair_count_, room_);
+  prefix_sum_.run(counts_, splats.tally(), pair_count_, room_, kListed);
   return true;
 }
 
@@ -123,7 +125,8 @@ void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch)
   list_.use();
   splats.projection().bindEllipses(list_);
   list_.bind("Drawn", splats.drawn());
-  list_.bind("Firsts", sort_.spare());
+  list_.bind("Within", sort_.spare());
+  list_.bind("Firsts", counts_);
   list_.bind("Length", splats.tally().words());
   list_.bind("Listed", pair_count_.words());
   list_.bind("Tiles", sort_.keys());
@@ -200,7 +203,8 @@ void TileRasterizer::useSegments(const gl::Program& program) const {
 }
 
 std::size_t TileRasterizer::bytes() const {
-  return splats_.bytes() + begins_.bytes() + segments_.bytes() + prefix_sum_.bytes();
+  return splats_.bytes() + begins_.bytes() + segments_.bytes() + counts_.bytes() +
+         prefix_sum_.bytes();
 }
 
 }  // namespace rosplat

@@ -62,7 +62,7 @@ class TileRasterizer {
   RadixSort& sort_;
   Tally pair_count_;
   gl::Slice zero_;
-  gl::Buffer splats_, begins_;
+  gl::Buffer splats_, begins_, counts_;
   gl::Buffer segments_;                      // as tile_segments.glsl has it
   GLuint later_segment_ = 0, most_cut_ = 0;  // the same
   std::size_t room_ = 0;
