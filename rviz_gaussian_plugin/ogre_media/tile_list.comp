@@ -10,15 +10,19 @@ layout(std430) writeonly buffer Tiles { uint tile_of[]; };
 layout(std430) writeonly buffer Splats { uint splat_of[]; };
 layout(std430) readonly buffer Boxes { uint boxes[]; };
 
-// Splats on more tiles than this are listed by 32 lanes.
-const uint kLarge = 32u;
+// Splats on more tiles than this are listed by 32 lanes, which find a row each, then list row by row.
+const uint kLarge = 32u, kParts = 256u / 32u;
 // The nearest splats are the largest: up to so many work groups, each takes 32 here and there.
 const uint kFewGroups = 2048u;
-shared uint large_count;
-shared uint large[256];
 
-void list(uint i, uint lane, uint lanes) {
-  uint splat = drawn[i], box = boxes[splat], next = firsts[i / kListed] + within[i];
+shared uint large_count, most_rows;
+shared uint large[256];
+shared uint widths[kParts][32], tiles[kParts][32];  // of rows: how many tiles, and which is the first
+
+uint firstOf(uint i) { return firsts[i / kListed] + within[i]; }
+
+void listAlone(uint i) {
+  uint splat = drawn[i], box = boxes[splat], next = firstOf(i);
   bool filled = fillsItsBox(box);
   Outline outline;
   if (!filled) outline = outlineOf(ellipse(splat));
@@ -26,12 +30,43 @@ void list(uint i, uint lane, uint lanes) {
   for (int row = rows.x; row < rows.y; ++row) {
     ivec2 columns = filled ? boxColumns(box) : tileColumns(outline, row);
     uint width = uint(columns.y - columns.x);
-    for (uint k = lane; k < width; k += lanes) {
+    for (uint k = 0u; k < width; ++k) {
       if (next + k >= listed.count) return;
       tile_of[next + k] = uint(row * view.tiles.x + columns.x) + k;
       splat_of[next + k] = splat;
     }
     next += width;
+  }
+}
+
+// Those that are large, one for each 32 lanes.
+void listTogether(uint first, uint part, uint lane) {
+  bool there = first + part < large_count;
+  uint i = large[there ? first + part : first], splat = drawn[i], box = boxes[splat], next = firstOf(i);
+  bool filled = fillsItsBox(box);
+  Outline outline;
+  if (!filled) outline = outlineOf(ellipse(splat));
+  ivec2 rows = filled ? boxRows(box) : tileRows(outline);
+  int height = there ? rows.y - rows.x : 0;
+  if (lane == 0u) atomicMax(most_rows, uint(height));
+  barrier();
+  int most = int(most_rows);
+  for (int from = 0; from < most; from += 32) {
+    int row = rows.x + from + int(lane);
+    ivec2 columns = ivec2(0);
+    if (from + int(lane) < height) columns = filled ? boxColumns(box) : tileColumns(outline, row);
+    widths[part][lane] = uint(columns.y - columns.x);
+    tiles[part][lane] = uint(row * view.tiles.x + columns.x);
+    barrier();
+    for (int r = 0; r < min(height - from, 32); ++r) {
+      uint width = widths[part][r], tile = tiles[part][r];
+      for (uint k = lane; k < width && next + k < listed.count; k += 32u) {
+        tile_of[next + k] = tile + k;
+        splat_of[next + k] = splat;
+      }
+      next += width;
+    }
+    barrier();
   }
 }
 
@@ -53,10 +88,12 @@ void main() {
   if (touched > kLarge) {
     large[atomicAdd(large_count, 1u)] = i;
   } else if (touched > 0u) {
-    list(i, 0u, 1u);
+    listAlone(i);
   }
   barrier();
-  for (uint k = gl_LocalInvocationIndex / 32u; k < large_count; k += 8u) {
-    list(large[k], gl_LocalInvocationIndex % 32u, 32u);
+  for (uint first = 0u; first < large_count; first += kParts) {
+    if (gl_LocalInvocationIndex == 0u) most_rows = 0u;
+    barrier();
+    listTogether(first, part, lane);
   }
 }

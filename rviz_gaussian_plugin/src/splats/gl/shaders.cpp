@@ -67,8 +67,8 @@ const gl::Program& Shaders::compute(const Files& files) {
 
 const gl::Program& Shaders::computeInWarps(const Files& files, int lanes, bool in_subgroups) {
   const int warp = in_subgroups ? warp_ : kEmulatedWarp;
-  const std::string size = "#define WARP " + std::to_string(warp) + "\n#define LANES " +
-                           std::to_string(lanes) + "\n";
+  const std::string size =
+      "#define WARP " + std::to_string(warp) + "\n#define LANES " + std::to_string(lanes) + "\n";
   return program({{GL_COMPUTE_SHADER, (in_subgroups ? kSubgroups : "") + size, files}});
 }
 
