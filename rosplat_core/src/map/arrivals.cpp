@@ -13,6 +13,8 @@ namespace {
 constexpr std::chrono::milliseconds kRetry{500};
 // Messages and edits of so many bytes leave as much behind, between the pages of the map.
 constexpr std::size_t kTakenPerReturn = 64'000'000;
+// Returning it takes the time of a frame: not while a map streams in.
+constexpr std::chrono::seconds kQuiet{1};
 
 }  // namespace
 
@@ -38,31 +40,36 @@ bool Arrivals::take(std::uint64_t taker, const Apply& apply, const UploadBudget&
   std::exception_ptr error;
   try {
     {
-      const std::lock_guard lock(mutex_);
-      if (waiting_.empty() || (error_ && Clock::now() < retry_)) return false;
+      std::unique_lock lock(mutex_);
+      if (waiting_.empty()) {
+        lock.unlock();
+        returnFreed();
+        return false;
+      }
+      if (error_ && Clock::now() < retry_) return false;
       const std::size_t bytes = uploadBytes(*waiting_.front().edit);
       if (budget.used > 0 && budget.used + std::min(bytes, budget.all) > budget.all) return false;
       oldest = waiting_.take(budget.all);
     }
     apply(oldest.front());
     taken_ += uploadBytes(*oldest.front().edit);
-    oldest.clear();
+    taken_at_ = Clock::now();
   } catch (...) {
     error = std::current_exception();
   }
-  std::unique_lock lock(mutex_);
+  const std::lock_guard lock(mutex_);
   if (error) {
     if (!oldest.empty()) waiting_.putBack(std::move(oldest));
     retry_ = Clock::now() + kRetry;
   }
   error_ = error;
-  const bool rests = waiting_.empty();
-  lock.unlock();
-  if (rests && taken_ >= kTakenPerReturn) {
-    taken_ = 0;
-    returnFreedMemory();
-  }
   return !error;
+}
+
+void Arrivals::returnFreed() {
+  if (taken_ < kTakenPerReturn || Clock::now() < taken_at_ + kQuiet) return;
+  taken_ = 0;
+  returnFreedMemory();
 }
 
 void Arrivals::handOver(const Taker& to, const std::function<void()>& copy) {
