@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
@@ -53,7 +55,7 @@ class Mistakes:
                 )
 
 
-def type_name(message: type) -> str:
+def type_name(message: Any) -> str:
     """As ROS writes it: std_msgs/msg/String."""
     package, kind, *_ = message.__module__.split(".")
     return f"{package}/{kind}/{message.__name__}"
