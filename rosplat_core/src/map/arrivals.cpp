@@ -13,6 +13,7 @@ namespace {
 constexpr std::chrono::milliseconds kRetry{500};
 // Messages and edits of so many bytes leave as much behind, between the pages of the map.
 constexpr std::size_t kTakenPerReturn = 64'000'000;
+constexpr std::chrono::seconds kBetweenReturns{2};
 
 }  // namespace
 
@@ -34,6 +35,16 @@ bool Arrivals::take(std::uint64_t taker, const Apply& apply, const UploadBudget&
   if (going_over_) return false;
   const std::lock_guard taking(taking_);
   if (taker != taker_) return false;
+  const bool took = takeOldest(apply, budget);
+  if (!took && taken_ >= kTakenPerReturn && Clock::now() >= next_return_) {
+    returnFreedMemory();
+    taken_ = 0;
+    next_return_ = Clock::now() + kBetweenReturns;
+  }
+  return took;
+}
+
+bool Arrivals::takeOldest(const Apply& apply, const UploadBudget& budget) {
   EditQueue::Node oldest;
   std::exception_ptr error;
   try {
@@ -46,22 +57,15 @@ bool Arrivals::take(std::uint64_t taker, const Apply& apply, const UploadBudget&
     }
     apply(oldest.front());
     taken_ += uploadBytes(*oldest.front().edit);
-    oldest.clear();
   } catch (...) {
     error = std::current_exception();
   }
-  std::unique_lock lock(mutex_);
+  const std::lock_guard lock(mutex_);
   if (error) {
     if (!oldest.empty()) waiting_.putBack(std::move(oldest));
     retry_ = Clock::now() + kRetry;
   }
   error_ = error;
-  const bool rests = waiting_.empty();
-  lock.unlock();
-  if (rests && taken_ >= kTakenPerReturn) {
-    taken_ = 0;
-    returnFreedMemory();
-  }
   return !error;
 }
 

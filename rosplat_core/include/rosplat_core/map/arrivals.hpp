@@ -74,10 +74,12 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
   using Clock = std::chrono::steady_clock;
 
   bool take(std::uint64_t taker, const Apply& apply, const UploadBudget& budget);
+  bool takeOldest(const Apply& apply, const UploadBudget& budget);
 
   std::mutex taking_;  // held while an edit is applied or the map is handed over
   std::uint64_t taker_ = 0;
   std::size_t taken_ = 0;  // since freed memory was returned [bytes]
+  Clock::time_point next_return_;
   std::atomic<std::uint64_t> takers_{0};
   std::atomic<bool> going_over_{false};  // makes takers let handOver() in
 
