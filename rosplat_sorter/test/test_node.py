@@ -336,7 +336,7 @@ def test_a_best_effort_publisher_is_received(sorter, make_batch, make_look):
         peer = Peer(map_qos)
         try:
             peer.meet()
-            peer.edit(make_batch(2, revision=revision, map_id=f"map {revision}"))
+            peer.edit(make_batch(2, revision=revision, map_id=f"map {revision}", operation=0))
             peer.look(make_look(sequence=revision))
             assert peer.slots(revision, revision) == [1, 0]
         finally:
