@@ -81,6 +81,9 @@ class AlignNode(Node):
             self.create_publisher(TFMessage, "/tf", **overridable(TF)) if self._child else None
         )
         self.create_service(Align, "~/align", self._on_call)
+        if not self._tf:
+            topic = self._aligned.topic_name
+            self.get_logger().info(f"aligns pictures while somebody hears {topic}")
         Diagnostics(self, self._health.name, self._health.report)
 
     def align(self) -> None:

@@ -130,9 +130,11 @@ class _Camera:
         height = of("height", 360, "Of pictures without a calibration. [px]", 1, 8192)
         angle = of("fov", 1.2, "Horizontal, without a calibration. [rad]", 0.01, 3.1)
         if path == TOPIC:
-            topic = f"{self._name}/calibration"
-            hear, qos = self._on_calibration, qos_profile_sensor_data
-            self._node.create_subscription(CameraInfo, topic, hear, **overridable(qos))
+            heard = self._node.create_subscription(
+                CameraInfo, f"{self._name}/calibration", self._on_calibration,
+                **overridable(qos_profile_sensor_data),
+            )  # fmt: skip
+            self._topic = heard.topic_name
             return None
         return (
             calibrations.load(path)
@@ -185,7 +187,7 @@ class _Camera:
     def _lens(self) -> Warp:
         info = self._info
         if info is None:
-            raise NoPicture("without a lens", "no CameraInfo has come on its topic calibration")
+            raise NoPicture("without a lens", f"no CameraInfo has come on {self._topic}")
         if info is not self._warped:
             self._warp, self._warped = None, info
             try:
