@@ -49,7 +49,14 @@ class CameraNode(Node):
         """Raises SceneError for a parameter that makes no sense."""
         super().__init__("camera")
         names = declare(self, "cameras", ["camera"], "Names of the cameras.")
-        rate = declare(self, "rate", 10.0, "Pictures of each camera at most. [Hz]", 0.01, 1000.0)
+        rate = declare(
+            self,
+            "rate",
+            10.0,
+            "Most pictures that each camera takes in a second. [Hz]",
+            0.01,
+            1000.0,
+        )
         near = declare(self, "near", 0.01, "Splats nearer than this are left out. [m]", 1e-4, 1e6)
         far = declare(self, "far", 1e6, "Splats farther than this are left out. [m]", 1e-3, 1e10)
         depth = declare(self, "depth", DEPTHS[0], "Which depth: " + ", ".join(DEPTHS))
@@ -125,10 +132,12 @@ class _Camera:
         def of(what: str, *rest: Any) -> Any:
             return declare(self._node, f"{self._name}.{what}", *rest)
 
-        path = of("calibration", "", "A file of camera_calibration; topic: NAME/calibration.")
-        width = of("width", 640, "Of pictures without a calibration. [px]", 1, 8192)
-        height = of("height", 360, "Of pictures without a calibration. [px]", 1, 8192)
-        angle = of("fov", 1.2, "Horizontal, without a calibration. [rad]", 0.01, 3.1)
+        path = of(
+            "calibration", "", "File of camera_calibration; topic: heard on NAME/calibration."
+        )
+        width = of("width", 640, "Width of pictures without a calibration. [px]", 1, 8192)
+        height = of("height", 360, "Height of pictures without a calibration. [px]", 1, 8192)
+        angle = of("fov", 1.2, "Horizontal field of view without a calibration. [rad]", 0.01, 3.1)
         if path == TOPIC:
             heard = self._node.create_subscription(
                 CameraInfo, f"{self._name}/calibration", self._on_calibration,
