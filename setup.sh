@@ -114,6 +114,7 @@ test-result: {test-result-base: $folder/build}
 YAML
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
+trap 'exit 130' INT # colcon ends by itself, as if a package had failed
 # What ends, and after how long; the first time, the engine and the messages take minutes each.
 if ! colcon build --event-handlers console_direct+ console_stderr- 2>&1 | tee "$log" \
   | { grep --line-buffered -E '^Finished|^Summary|^rosplat:|^-- rosplat:' || true; }; then
