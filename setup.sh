@@ -4,6 +4,7 @@
 # setup.sh [lab] [imu] [dev] [docs]: lab adds what rosplat_lab imports, imu QCustomPlot (GPL) for the IMU panel,
 # dev both and what the tests need; docs adds what makes the documentation's site.
 set -euo pipefail
+trap 'exit 130' INT # what is interrupted may end as if it had failed, or not have heard of it
 cd "$(dirname "$0")"
 . ./env.sh
 
@@ -114,7 +115,6 @@ test-result: {test-result-base: $folder/build}
 YAML
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
-trap 'exit 130' INT # colcon ends by itself, as if a package had failed
 # What ends, and after how long; the first time, the engine and the messages take minutes each.
 if ! colcon build --event-handlers console_direct+ console_stderr- 2>&1 | tee "$log" \
   | { grep --line-buffered -E '^Finished|^Summary|^rosplat:|^-- rosplat:' || true; }; then
