@@ -53,7 +53,7 @@ if [ ${#missing[@]} -gt 0 ]; then
     read -rp 'Run this now? [Y/n] ' answer
     case ${answer:-y} in [yY]*) ;; *) exit 1 ;; esac
   elif [ -n "$as_root" ] && ! sudo -n true 2>/dev/null; then
-    echo "Only root can." >&2
+    echo "Only root can: have this line run, then repeat the command." >&2
     exit 1
   fi
   ${as_root}apt-get update -qq
