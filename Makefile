@@ -13,6 +13,8 @@ SEED ?= 0
 MINUTES ?= 60
 
 ENTER = . ./env.sh
+# Before minutes of building: a scene is a file, or made of a recipe.
+EXISTS = @case "$(1)" in ''|procedural:*|rooms:*) ;; *) test -e "$(1)" || { echo '$(1): No such file or directory'; exit 1; } ;; esac
 
 .PHONY: help setup demo render simplify bench lab test fuzz sanitize soak lint docs pictures clean
 
@@ -23,16 +25,20 @@ setup: ## Install what is missing and build the packages
 	@./setup.sh
 
 demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where its vertical is neither its format's nor z; IMU=1 with the IMU panel (GPL)
+	$(call EXISTS,$(SCENE))
 	@./setup.sh $(if $(IMU),imu)
 	@$(ENTER); python -m rviz_gaussian_plugin.demo $(if $(SCENE),"$(SCENE)") $(if $(UP),--up $(UP))
 
 render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy] [FLOAT=1] [DETAIL=full|1.5px|800k]
 	@test -n "$(SCENE)" -a -n "$(CAMERAS)" || { echo 'make render needs SCENE=path and CAMERAS=file.json'; exit 1; }
+	$(call EXISTS,$(SCENE))
+	$(call EXISTS,$(CAMERAS))
 	@./setup.sh lab
 	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending) $(if $(DETAIL),--detail "$(DETAIL)")
 
 simplify: ## Fewer splats that look the same: IN=scene OUT=scene PSNR=50, or SPLATS=count or BYTES=20M [CAMERAS=path.json [TRAJECTORY=poses.txt|BAG:TOPIC] [MARGIN=metres]] [REFINE=minutes] [REPORT=file.json]
 	@test -n "$(IN)" -a "$(OUT)" != out/render || { echo 'make simplify needs IN=scene OUT=scene, and PSNR=, SPLATS= or BYTES='; exit 1; }
+	$(call EXISTS,$(IN))
 	@./setup.sh lab
 	@$(ENTER); python -m rosplat_lab.simplify "$(IN)" "$(OUT)" $(if $(PSNR),--psnr $(PSNR)) $(if $(SPLATS),--max-splats $(SPLATS)) $(if $(BYTES),--max-bytes $(BYTES)) $(if $(CAMERAS),--cameras "$(CAMERAS)") $(if $(TRAJECTORY),--trajectory "$(TRAJECTORY)") $(if $(MARGIN),--margin $(MARGIN)) $(if $(REFINE),--refine $(REFINE)) $(if $(REPORT),--report "$(REPORT)")
 

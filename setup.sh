@@ -4,6 +4,7 @@
 # setup.sh [lab] [imu] [dev] [docs]: lab adds what rosplat_lab imports, imu QCustomPlot (GPL) for the IMU panel,
 # dev both and what the tests need; docs adds what makes the documentation's site.
 set -euo pipefail
+trap 'exit 130' INT # what is interrupted may end as if it had failed, or not have heard of it
 cd "$(dirname "$0")"
 . ./env.sh
 
@@ -52,7 +53,7 @@ if [ ${#missing[@]} -gt 0 ]; then
     read -rp 'Run this now? [Y/n] ' answer
     case ${answer:-y} in [yY]*) ;; *) exit 1 ;; esac
   elif [ -n "$as_root" ] && ! sudo -n true 2>/dev/null; then
-    echo "Only root can." >&2
+    echo "Only root can: have this line run, then repeat the command." >&2
     exit 1
   fi
   ${as_root}apt-get update -qq

@@ -22,7 +22,8 @@ VIEW = ROOT / "rviz_gaussian_plugin/launch/view.launch.py"
 ROBOTS = ROOT / "rosplat_tools/launch/robots.launch.py"
 CAMERA = ROOT / "rviz_gaussian_plugin/launch/camera.launch.py"
 RECORD = ROOT / "rosplat_tools/launch/record.launch.py"
-PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")  # to Jazzy, since
+PROFILE = PROFILES[os.environ.get("ROS_DISTRO") not in ("humble", "jazzy")]
 
 
 class Program(NamedTuple):
@@ -193,7 +194,7 @@ def test_in_a_namespace_all_meet() -> None:
 def test_fast_dds_gets_room_where_there_is_any_and_only_here(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name in ("FASTDDS_BUILTIN_TRANSPORTS", "FASTDDS_DEFAULT_PROFILES_FILE", PROFILE):
+    for name in ("FASTDDS_BUILTIN_TRANSPORTS", *PROFILES):
         monkeypatch.delenv(name, raising=False)
     for room, profile in ((2 << 30, "rosplat_msgs/config/fastdds.xml"), (64 << 20, "")):
         free = SimpleNamespace(free=room)
@@ -252,3 +253,10 @@ def test_a_recorder_keeps_all_of_the_map_and_has_it_sent_once() -> None:
     assert said(subscribed)[:4] == ["ros2", "service", "call", "/robot1/gaussians/repeat"]
     assert not said(subscribed)
     assert len(list(actions_of(RECORD, repeat="false"))) == 1
+
+
+@pytest.mark.parametrize("said", [{"sorter": "perhaps"}, {"max_splats": "many"}])
+def test_an_argument_that_makes_no_sense_is_named(said: dict[str, str]) -> None:
+    ((name, value),) = said.items()
+    with pytest.raises(ValueError, match=f"{name}: expected .*, got '{value}'"):
+        started(launch=ROBOTS, scenes="{robot1: a.ply}", **said)

@@ -1,4 +1,4 @@
-"""What ROS says nothing about: unknown parameters, topics of other types, a clock that lacks."""
+"""What ROS says nothing about: unknown parameters, topics of another type, a missing /clock."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PERIOD = 5.0  # [s]
 
 
 class Mistakes:
-    """Those of who starts a node, said once each in its log.
+    """Mistakes of the user who starts a node. The log names each once.
 
     When the node has declared all of its parameters: Mistakes(node).
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rclpy.serialization import deserialize_message
@@ -33,6 +34,8 @@ def messages(path: str, kinds: Mapping[str, type]) -> Iterator[tuple[str, Any]]:
 
 @contextmanager
 def _opened(path: str) -> Iterator[tuple[dict[str, str], Read]]:
+    if not Path(path).exists():
+        raise SceneError(f"{shown(path)}: No such file or directory")
     try:
         import rosbag2_py
     except ImportError:

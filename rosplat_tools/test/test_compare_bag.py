@@ -107,7 +107,7 @@ def test_what_a_bag_lacks_is_said_in_a_line(
 ) -> None:
     pose = ("--pose", "/cam/pose")
     for words, said in (
-        (("--bag", tmp_path / "none", *pose), "none: no whole bag: "),
+        (("--bag", tmp_path / "none", *pose), "none: No such file or directory"),
         (("--bag", bag, *pose, "--image", "/x"), "no Image on /x: it has /cam/image_raw"),
         (("--bag", bag, *pose, "--info", "/x"), "no CameraInfo on /x: it has /cam/camera_info"),
         (("--bag", bag, "--pose", "/x"), "no PoseStamped on /x: it has /cam/pose"),

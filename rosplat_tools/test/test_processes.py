@@ -41,11 +41,14 @@ def is_alive(pid: int) -> bool:
 def test_fast_dds_is_made_fit_for_maps_unless_somebody_sees_to_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    settings = fast_dds_profile({"ROS_DISTRO": "jazzy", "ROS_LOCALHOST_ONLY": ""})
-    assert settings.keys() == {"FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"}
-    for path in settings.values():
+    names = []
+    for distro in ("jazzy", "kilted"):
+        settings = fast_dds_profile({"ROS_DISTRO": distro, "ROS_LOCALHOST_ONLY": ""})
+        ((name, path),) = settings.items()
         assert "<segment_size>33554432</segment_size>" in Path(path).read_text()
-    for name in (*settings, "FASTDDS_BUILTIN_TRANSPORTS", "ROS_LOCALHOST_ONLY"):
+        names.append(name)
+    assert names == ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"]
+    for name in (*names, "FASTDDS_BUILTIN_TRANSPORTS", "ROS_LOCALHOST_ONLY"):
         assert not fast_dds_profile({name: "1"})
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64 << 20))
     assert not fast_dds_profile({})

@@ -85,6 +85,9 @@ class AlignNode(Node):
         # A call waits for the drawing thread, in a thread of its own.
         calls = MutuallyExclusiveCallbackGroup()
         self.create_service(Align, "~/align", self._on_call, callback_group=calls)
+        if not self._tf:
+            topic = self._aligned.topic_name
+            self.get_logger().info(f"aligns pictures while somebody hears {topic}")
         Diagnostics(self, self._health.name, self._health.report)
 
     def align(self) -> None:

@@ -49,7 +49,14 @@ class CameraNode(Node):
         """Raises SceneError for a parameter that makes no sense."""
         super().__init__("camera")
         names = declare(self, "cameras", ["camera"], "Names of the cameras.")
-        rate = declare(self, "rate", 10.0, "Pictures of each camera at most. [Hz]", 0.01, 1000.0)
+        rate = declare(
+            self,
+            "rate",
+            10.0,
+            "Most pictures that each camera takes in a second. [Hz]",
+            0.01,
+            1000.0,
+        )
         near = declare(self, "near", 0.01, "Splats nearer than this are left out. [m]", 1e-4, 1e6)
         far = declare(self, "far", 1e6, "Splats farther than this are left out. [m]", 1e-3, 1e10)
         depth = declare(self, "depth", DEPTHS[0], "Which depth: " + ", ".join(DEPTHS))
@@ -125,14 +132,18 @@ class _Camera:
         def of(what: str, *rest: Any) -> Any:
             return declare(self._node, f"{self._name}.{what}", *rest)
 
-        path = of("calibration", "", "A file of camera_calibration; topic: NAME/calibration.")
-        width = of("width", 640, "Of pictures without a calibration. [px]", 1, 8192)
-        height = of("height", 360, "Of pictures without a calibration. [px]", 1, 8192)
-        angle = of("fov", 1.2, "Horizontal, without a calibration. [rad]", 0.01, 3.1)
+        path = of(
+            "calibration", "", "File of camera_calibration; topic: heard on NAME/calibration."
+        )
+        width = of("width", 640, "Width of pictures without a calibration. [px]", 1, 8192)
+        height = of("height", 360, "Height of pictures without a calibration. [px]", 1, 8192)
+        angle = of("fov", 1.2, "Horizontal field of view without a calibration. [rad]", 0.01, 3.1)
         if path == TOPIC:
-            topic = f"{self._name}/calibration"
-            hear, qos = self._on_calibration, qos_profile_sensor_data
-            self._node.create_subscription(CameraInfo, topic, hear, **overridable(qos))
+            heard = self._node.create_subscription(
+                CameraInfo, f"{self._name}/calibration", self._on_calibration,
+                **overridable(qos_profile_sensor_data),
+            )  # fmt: skip
+            self._topic = heard.topic_name
             return None
         return (
             calibrations.load(path)
@@ -185,7 +196,7 @@ class _Camera:
     def _lens(self) -> Warp:
         info = self._info
         if info is None:
-            raise NoPicture("without a lens", "no CameraInfo has come on its topic calibration")
+            raise NoPicture("without a lens", f"no CameraInfo has come on {self._topic}")
         if info is not self._warped:
             self._warp, self._warped = None, info
             try:

@@ -37,7 +37,7 @@ def declare_poses(node: Node, cameras: list[str], heard: Callable[[], None]) -> 
     Raises SceneError for a source that isn't known, or not here.
     """
     source = declare(
-        node, "poses", "tf", "Where cameras are by: tf, or topic, a PoseStamped on NAME/pose."
+        node, "poses", "tf", "Source of cameras' poses: tf, or topic, PoseStampeds on NAME/pose."
     )
     if source == "topic":
         return TopicPoses(node, cameras, heard)

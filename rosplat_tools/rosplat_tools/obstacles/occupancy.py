@@ -72,29 +72,29 @@ class Occupancy(Node):
             self, "resolution", 0.05, "Edge of a voxel, and width of a cell. [m]", 0.005, 10.0
         )
         size: float = declare(
-            self, "size", 100.0, "Edge of the cube around the frame's origin that is looked at. "
-            "[m]", 0.1, 1e5,
+            self, "size", 100.0, "Edge of the mapped cube, around the frame's origin. [m]",
+            0.1, 1e5,
         )  # fmt: skip
         threshold: float = declare(
             self, "threshold", 0.5, "Share of the light that an occupied voxel takes away.",
             0.01, 0.99,
         )  # fmt: skip
         self._band = _numbers(
-            "band", declare(self, "band", [0.1, 1.8], "Heights that a robot takes up: least, most. "
-            "Lower, down to the negative of the least, is floor. [m]"),
+            "band", declare(self, "band", [0.1, 1.8], "Least and greatest height of what a robot "
+            "runs into. What is closer to height 0 than the least is floor. [m]"),
         )  # fmt: skip
         if not 0 < self._band[0] < self._band[1]:
             raise SceneError(f"parameter band: expected 0 < least < most, got {list(self._band)}")
         self._start = _numbers(
-            "start", declare(self, "start", [0.0, 0.0], "x and y in the frame where the robot is "
-            "or was: free is what it reaches from there. [m]"),
+            "start", declare(self, "start", [0.0, 0.0], "x and y of a place where the robot is "
+            "or was. Free is what it reaches from there. [m]"),
         )  # fmt: skip
         self._frame: str = declare(
-            self, "frame_id", "", "Frame of all that is published, z up; empty: the map's."
+            self, "frame_id", "", "Frame of what is published, with z up; empty: the map's."
         )
         self._band_frame: str = declare(
-            self, "band_frame", "", "Frame that the band's heights are over, a robot's base; "
-            "empty: that of all that is published.",
+            self, "band_frame", "", "Frame that the band's heights are measured from, a robot's "
+            "base say; empty: that of what is published.",
         )  # fmt: skip
         period = declare(self, "period", 0.5, "Least time between two messages. [s]", 0.05, 60.0)
         self._save_root: str = declare(

@@ -38,7 +38,7 @@ class ProcessError(RuntimeError):
 
 
 def fast_dds_profile(environment: Mapping[str, str]) -> dict[str, str]:
-    """Variables that give Fast DDS the profile of rosplat_msgs, which has room for maps.
+    """The variable that gives Fast DDS the profile of rosplat_msgs, which has room for maps.
 
     None where the environment has wishes of its own, or shared memory is small, as in a container.
     """
@@ -51,8 +51,8 @@ def fast_dds_profile(environment: Mapping[str, str]) -> dict[str, str]:
         return {}
     if room < ROOM_FOR_SEGMENTS or any(environment.get(name) for name in FAST_DDS_WISHES):
         return {}
-    names = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")  # to Jazzy, since
-    return dict.fromkeys(names, str(profile))
+    old = environment.get("ROS_DISTRO") in ("humble", "jazzy")  # later ones warn of the old name
+    return {f"{'FASTRTPS' if old else 'FASTDDS'}_DEFAULT_PROFILES_FILE": str(profile)}
 
 
 def quoted(text: object) -> str:

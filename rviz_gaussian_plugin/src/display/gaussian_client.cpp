@@ -254,7 +254,8 @@ void GaussianClient::watch() {
   try {
     sidecar_->tell();
     watchPublishers();  // last: a subscription that it replaces may be destroyed by who hears
-  } catch (const std::exception& error) {  // once ROS has ended, say
+  } catch (const std::exception& error) {
+    if (!node_->get_node_base_interface()->get_context()->is_valid()) return;  // ROS has ended
     RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: %s", topic_.c_str(),
                           printable(error.what()).c_str());
   }
