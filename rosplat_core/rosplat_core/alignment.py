@@ -5,7 +5,8 @@ colours and depths at the pose, its pixels are moved to where another pose has t
 and the pose, with a gain and a bias for each channel, follows by Gauss-Newton's steps. Gradients
 are the means of those of both pictures (Malis 2004), errors count by Cauchy's weights, and steps
 are damped (Levenberg 1944) by how far they move pixels, since metres and radians have no common
-measure.
+measure. On the finest level, steps are Newton's, by the map's gradients alone, and what stands in
+front counts no more: errors have Tukey's biweight (Beaton and Tukey 1974).
 """
 
 from __future__ import annotations
@@ -37,10 +38,13 @@ LONGEST_STEP = 2.0  # root mean square of what pixels move by, in the level's ow
 STILL, FINEST_STILL = 0.1, 0.01  # a level ends where pixels move by less
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-4, 1e4
 CAUCHY = 1.5  # standard deviations, beyond which errors count less than half
+BIWEIGHT = 4.685  # standard deviations, from which on they don't count on the finest level
 LEAST_DEVIATION = 1 / 255
 ROUNDING = LEAST_DEVIATION**2 / 12  # variance of values of 8 bits
+LEAST_CURVATURE = 0.5  # which Gaussian errors exceed
 RIDGE = 1e-6  # that keeps the gain of a picture of one colour
-LEAST_EXPLAINED = 0.25  # share of the picture's variance
+MOST_TINT = 2.0  # between the gains of channels
+LEAST_EXPLAINED = 0.75  # share of the picture's variance
 MOST_UNCERTAIN = 1.0  # root mean square of pixels' standard deviations by the pose's [px]
 
 
@@ -163,6 +167,10 @@ def _gradients(colours: Pixels) -> tuple[Pixels, Pixels]:
     if min(colours.shape[:2]) < 2:
         return np.zeros_like(colours), np.zeros_like(colours)
     down, across = (np.asarray(each, np.float32) for each in np.gradient(colours, axis=(0, 1)))
+    for slopes, axis in ((down, 0), (across, 1)):
+        # Of fourth order: differences of neighbours alone have less than fine detail's slopes.
+        to, of = np.moveaxis(slopes, axis, 0), np.moveaxis(colours, axis, 0)
+        to[2:-2] = (8 * (of[3:-1] - of[1:-3]) - (of[4:] - of[:-4])) / 12
     return across, down
 
 
@@ -223,6 +231,8 @@ class Equations:
     cost: float
     deviation: float
     """Of the errors, by their median."""
+    curvature: float
+    """Of the cost, over that of the hessian: weights fall where errors grow."""
     variance: float
     """Of the step, for a hessian of 1: that of M-estimates (Huber 1981)."""
     explained: float
@@ -253,12 +263,19 @@ class MapPixels:
         return len(self._alphas)
 
     def equations(
-        self, move: Array, exposure: Array, deviation: float = 0.0, ours: float = 0.5
+        self,
+        move: Array,
+        exposure: Array,
+        deviation: float = 0.0,
+        ours: float = 0.5,
+        *,
+        cut: bool = False,
     ) -> Equations | None:
         """For a camera that has moved; None where too little of the map is in its picture.
 
         deviation: of the errors that count in full, 0 for what their median says. ours: share of
-        the map's gradients, the picture's have the rest.
+        the map's gradients, the picture's have the rest. cut: large errors don't count at all, by
+        Tukey's biweight.
         """
         level = self._level
         camera = level.camera
@@ -286,8 +303,13 @@ class MapPixels:
         errors += exposure[:, 1].astype(np.float32)
         sizes = np.abs(errors)
         deviation = deviation or max(1.4826 * float(np.median(sizes[counts > 0])), LEAST_DEVIATION)
-        squares = (errors / np.float32(CAUCHY * deviation)) ** 2
-        shares = 1 / (1 + squares)
+        squares = (errors / np.float32((BIWEIGHT if cut else CAUCHY) * deviation)) ** 2
+        if cut:
+            near = np.maximum(1 - squares, 0)
+            costs, shares, curving = (1 - near**3) / 3, near**2, near * (1 - 5 * squares)
+        else:
+            costs, shares = np.log1p(squares), 1 / (1 + squares)
+            curving = (1 - squares) * shares * shares
         weights = shares * counts[:, None]
 
         by_pose = _flows(camera, points)
@@ -311,16 +333,18 @@ class MapPixels:
         def mean(values: Pixels) -> float:
             return float(np.sum(counts @ values, dtype=np.float64)) / weight
 
-        curving = mean((1 - squares) * shares * shares)
+        full = mean(shares)
+        curvature = max(mean(curving) / full, LEAST_CURVATURE)
         influence = mean((shares * errors) ** 2) + ROUNDING
         spread = real[:, :3] - (counts @ real[:, :3]) / counts.sum()
         return Equations(
             hessian=hessian / weight,
             gradient=gradient / weight,
             flow=flow / (weight / 3),
-            cost=mean(np.log1p(squares)),
+            cost=mean(costs),
             deviation=deviation,
-            variance=influence * mean(shares) / max(curving, 0.1) ** 2,
+            curvature=curvature,
+            variance=influence / (full * curvature**2),
             explained=1 - mean(shares * errors**2) / max(mean(shares * spread**2), ROUNDING),
             contrast=contrast / weight + 1e-12,
             weight=weight,
@@ -375,11 +399,15 @@ class _Search:
         return MapPixels(level, self._renderer.draw(posed(camera), mean_depth=True))
 
     def _step(self, pixels: MapPixels) -> float | None:
-        """One step, after which the map is to be drawn again; what it moves pixels by. [px]"""
-        self._last = pixels.equations(np.eye(4), self._exposure)
+        """One step, after which the map is to be drawn again; what it moves pixels by. [px]
+
+        By Newton, as far as that is known, so that a short step means a place near the minimum; and
+        by the map's gradients alone, which have no noise: the covariance is that of such steps.
+        """
+        self._last = pixels.equations(np.eye(4), self._exposure, ours=1.0, cut=True)
         if self._last is None:
             return None
-        step, moved = _solved(self._last, DAMPING)
+        step, moved = _solved(self._last, DAMPING, self._last.curvature)
         self._take(step)
         return moved
 
@@ -413,7 +441,11 @@ class _Search:
         problem = self._problem
         if found and not problem:
             covariance, uncertain = self._covariance(found)
-            if found.explained < LEAST_EXPLAINED:
+            gains = self._exposure[:, 0]
+            if not gains.max() <= MOST_TINT * gains.min():
+                red, green, blue = gains
+                problem = f"no exposure has gains of {red:.2f}, {green:.2f} and {blue:.2f}"
+            elif found.explained < LEAST_EXPLAINED:
                 problem = f"the map explains {found.explained:.2f} of the picture's variance"
             elif not uncertain <= MOST_UNCERTAIN:
                 problem = f"the picture tells where pixels are to {uncertain:.1f} px only"
@@ -445,9 +477,9 @@ class _Search:
         return turned @ of_step @ turned.T, uncertain
 
 
-def _solved(equations: Equations, damping: float) -> tuple[Array, float]:
+def _solved(equations: Equations, damping: float, curvature: float = 1.0) -> tuple[Array, float]:
     """A step of pose and exposure, not too long a one, and what it moves pixels by. [px]"""
-    hessian = equations.hessian.copy()
+    hessian = curvature * equations.hessian
     hessian[:6, :6] += damping * equations.contrast * equations.flow
     hessian[range(12), range(12)] += [*[0.0] * 6, *[RIDGE] * 6]
     step = np.asarray(-np.linalg.lstsq(hessian, equations.gradient, rcond=None)[0], np.float64)

@@ -35,6 +35,7 @@ PICTURES = ("plain", "covered")
 class _Ended(NamedTuple):
     degrees: float  # off, as the next
     percent: float
+    square: float  # of the error, by its covariance: as chi-squared's of 6, whose median is 5.3
     converged: bool
     seconds: float
     processor: float  # of all threads [s]
@@ -80,6 +81,9 @@ class _Scene:
         yield of("converged, though off", "share", np.mean(wrong))
         yield of("alignment", "s", [each.seconds for each in ended])
         yield of("processor time", "s", [each.processor for each in ended])
+        squares = [each.square for each in ended if each.well and each.converged]
+        if squares:
+            yield of("square of the error by its covariance", "", squares)
         for name, unit, errors in (
             ("rotation left", "degrees", [each.degrees for each in ended if each.well]),
             ("translation left", "% of the radius", [each.percent for each in ended if each.well]),
@@ -97,8 +101,9 @@ class _Scene:
         began, spent = time.perf_counter(), time.process_time()
         found = align(self._renderer, taken, replace(camera, world_to_camera=start))
         seconds, processor = time.perf_counter() - began, time.process_time() - spent
-        off = _off(found, camera)
-        return _Ended(off[0], 100 * off[1] / self._radius, found.converged, seconds, processor)
+        degrees, metres, square = _off(found, camera)
+        percent = 100 * metres / self._radius
+        return _Ended(degrees, percent, square, found.converged, seconds, processor)
 
 
 def _taken(
@@ -122,8 +127,15 @@ def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def _off(found: Alignment, camera: Camera) -> tuple[float, float]:
-    """Rotation [degrees] and translation [m]."""
-    between = found.world_to_camera @ camera.camera_to_world
-    sine = np.linalg.norm(from_matrices(between[:3, :3])[:3])
-    return math.degrees(2 * math.asin(min(float(sine), 1.0))), float(np.linalg.norm(between[:3, 3]))
+def _off(found: Alignment, camera: Camera) -> tuple[float, float, float]:
+    """Rotation [degrees] and translation [m], and the square of both by the covariance."""
+    pose = np.linalg.inv(found.world_to_camera)
+    along = pose[:3, 3] - camera.position
+    *axis, cosine = from_matrices(pose[:3, :3] @ camera.camera_to_world[:3, :3].T)
+    turn = 2 * np.sign(cosine) * np.array(axis)  # of a small one
+    error = np.concatenate([along, turn])
+    square = math.inf
+    if found.converged:
+        square = float(error @ np.linalg.solve(found.covariance, error))
+    sine = min(float(np.linalg.norm(axis)), 1.0)
+    return math.degrees(2 * math.asin(sine)), float(np.linalg.norm(along)), square
