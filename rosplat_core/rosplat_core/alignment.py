@@ -43,8 +43,8 @@ LEAST_DEVIATION = 1 / 255
 ROUNDING = LEAST_DEVIATION**2 / 12  # variance of values of 8 bits
 LEAST_CURVATURE = 0.5  # which Gaussian errors exceed
 RIDGE = 1e-6  # that keeps the gain of a picture of one colour
-LEAST_GAIN = 0.2  # of a channel: less is a picture of something else
-LEAST_EXPLAINED = 0.25  # share of the picture's variance
+MOST_TINT = 2.0  # between the gains of channels
+LEAST_EXPLAINED = 0.75  # share of the picture's variance
 MOST_UNCERTAIN = 1.0  # root mean square of pixels' standard deviations by the pose's [px]
 
 
@@ -441,8 +441,10 @@ class _Search:
         problem = self._problem
         if found and not problem:
             covariance, uncertain = self._covariance(found)
-            if self._exposure[:, 0].min() < LEAST_GAIN:
-                problem = f"the picture's contrast is {self._exposure[:, 0].min():.2f} of the map's"
+            gains = self._exposure[:, 0]
+            if not gains.max() <= MOST_TINT * gains.min():
+                red, green, blue = gains
+                problem = f"no exposure has gains of {red:.2f}, {green:.2f} and {blue:.2f}"
             elif found.explained < LEAST_EXPLAINED:
                 problem = f"the map explains {found.explained:.2f} of the picture's variance"
             elif not uncertain <= MOST_UNCERTAIN:
