@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 
 import rclpy
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
@@ -47,6 +48,9 @@ class PullServer:
             self._executor.spin_until_future_complete(self._end)
         except ExternalShutdownException:
             pass
+        except InvalidHandle:
+            if self._node.context.ok():  # else the node ended with ROS, as it does since Kilted
+                raise
         finally:
             self._executor.shutdown()
             self._node.destroy_node()

@@ -50,7 +50,7 @@ def test_it_sends_at_its_rate(start: Start, listener: Any) -> None:
 
 
 def test_a_loop_starts_over(start: Start, listener: Any) -> None:
-    start("slam_emulator", path="procedural:500", batch_size=100, rate=200.0, loop="true")
+    start("slam_emulator", path="procedural:500", batch_size=100, rate=50.0, loop="true")
     listener.wait(lambda: sum(batch.operation == 0 for batch in listener.batches) > 2)
     assert len({batch.map_id for batch in listener.batches}) == 1
 
