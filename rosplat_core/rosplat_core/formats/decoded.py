@@ -85,7 +85,7 @@ class Columns(NamedTuple):
         """The arrays of splats, but for their positions."""
         return cls(splats.positions + splats.origin, *splats.arrays[1:5])
 
-    def part(self, which: slice) -> Columns:
+    def part(self, which: slice | NDArray[np.bool_]) -> Columns:
         """Some of the splats: what is written to these is written here."""
         return Columns(
             self.positions[which],
@@ -102,13 +102,16 @@ Made = TypeVar("Made", Splats, PackedSplats)
 class Into(ABC, Generic[Made]):
     """What a file's numbers become."""
 
-    @abstractmethod
     def blocks(
         self, n: int, k: int, progress: Progress = lambda fraction: None, size: int = BLOCK
     ) -> Iterator[tuple[slice, Columns]]:
         """Room for some of n splats of k coefficients after the other, to be written to."""
+        self._begin(n, k)
+        for part in blocks(n, progress, size):
+            room = self._room(part)
+            yield part, room
+            self._take(part, room)
 
-    @abstractmethod
     def made(
         self,
         path: Path,
@@ -121,42 +124,54 @@ class Into(ABC, Generic[Made]):
         Drops splats that hold a number that is not finite or a quaternion of length zero, and tells
         warn how many.
         """
+        usable = self._usable
+        dropped = len(usable) - np.count_nonzero(usable)
+        if dropped:
+            warn(
+                f"{path}: dropped {dropped:,} of {len(usable):,} splats: "
+                "a number that is not finite, or a quaternion of length zero"
+            )
+        kept = usable if dropped else slice(None)
+        return self._made(kept, antialiased, {name: each[kept] for name, each in channels.items()})
 
     def make(self, path: Path, warn: Warn, columns: Columns, antialiased: bool = False) -> Made:
         """The same of all numbers at once. The arrays are the callee's from then on."""
-        for part, room in self.blocks(*columns.sh.shape[:2]):
-            for to, numbers in zip(room, columns.part(part), strict=True):
-                to[:] = numbers
+        n, k = columns.sh.shape[:2]
+        self._begin(n, k, columns)
+        for part in blocks(n):
+            self._take(part, columns.part(part))
         return self.made(path, warn, antialiased)
+
+    def _begin(self, n: int, k: int, columns: Columns | None = None) -> None:
+        """columns: all numbers, if they are there already."""
+        self._usable = np.empty(n, bool)
+
+    @abstractmethod
+    def _room(self, part: slice) -> Columns: ...
+
+    def _take(self, part: slice, written: Columns) -> None:
+        self._usable[part] = _usable(written)
+
+    @abstractmethod
+    def _made(
+        self, kept: slice | NDArray[np.bool_], antialiased: bool, channels: dict[str, Floats]
+    ) -> Made: ...
 
 
 class IntoSplats(Into[Splats]):
     """Splats as they are, in the order of the file."""
 
-    def blocks(
-        self, n: int, k: int, progress: Progress = lambda fraction: None, size: int = BLOCK
-    ) -> Iterator[tuple[slice, Columns]]:
-        """As Into."""
-        self._columns = Columns.empty(n, k)
-        for part in blocks(n, progress, size):
-            yield part, self._columns.part(part)
+    def _begin(self, n: int, k: int, columns: Columns | None = None) -> None:
+        super()._begin(n, k)
+        self._columns = columns or Columns.empty(n, k)
 
-    def made(
-        self,
-        path: Path,
-        warn: Warn,
-        antialiased: bool = False,
-        channels: Mapping[str, Floats] = MappingProxyType({}),
+    def _room(self, part: slice) -> Columns:
+        return self._columns.part(part)
+
+    def _made(
+        self, kept: slice | NDArray[np.bool_], antialiased: bool, channels: dict[str, Floats]
     ) -> Splats:
-        """As Into."""
-        positions, orientations, scales, opacities, sh = columns = self._columns
-        usable = np.empty(len(positions), bool)
-        for part in blocks(len(positions)):
-            usable[part] = _usable(columns.part(part))
-        if _drops(path, warn, usable):
-            positions, orientations = positions[usable], orientations[usable]
-            scales, opacities, sh = scales[usable], opacities[usable], sh[usable]
-            channels = {name: values[usable] for name, values in channels.items()}
+        positions, orientations, scales, opacities, sh = self._columns.part(kept)
         offsets, origin = rebase(positions)
         return Splats(
             positions=offsets,
@@ -169,45 +184,31 @@ class IntoSplats(Into[Splats]):
             channels=channels,
         )
 
-    def make(self, path: Path, warn: Warn, columns: Columns, antialiased: bool = False) -> Splats:
-        """As Into."""
-        self._columns = columns
-        return self.made(path, warn, antialiased)
-
 
 class IntoPacked(Into[PackedSplats]):
     """Packed splats, in the order of a map's slots; a block at a time, to spare memory."""
 
-    def blocks(
-        self, n: int, k: int, progress: Progress = lambda fraction: None, size: int = BLOCK
-    ) -> Iterator[tuple[slice, Columns]]:
-        """As Into."""
+    def _begin(self, n: int, k: int, columns: Columns | None = None) -> None:
+        super()._begin(n, k)
         self._positions = np.empty((n, 3))
         self._sizes = np.empty(n, np.float32)
-        self._usable = np.empty(n, bool)
         self._rows = np.empty((n, 8 + k), np.uint32)
-        for part in blocks(n, progress, size):
-            columns = Columns.empty(part.stop - part.start, k)
-            yield part, columns
-            usable = self._usable[part] = _usable(columns)
-            self._positions[part] = columns.positions
-            self._sizes[part] = columns.scales.max(axis=1)
-            near = columns.positions.astype(np.float32)  # until there is an origin
-            self._rows[part] = _core.pack_splats(Arrays(near, *columns[1:]), usable)
 
-    def made(
-        self,
-        path: Path,
-        warn: Warn,
-        antialiased: bool = False,
-        channels: Mapping[str, Floats] = MappingProxyType({}),
+    def _room(self, part: slice) -> Columns:
+        return Columns.empty(part.stop - part.start, self._rows.shape[1] - 8)
+
+    def _take(self, part: slice, written: Columns) -> None:
+        super()._take(part, written)
+        self._positions[part] = written.positions
+        self._sizes[part] = written.scales.max(axis=1)
+        near = written.positions.astype(np.float32)  # until there is an origin
+        self._rows[part] = _core.pack_splats(Arrays(near, *written[1:]), self._usable[part])
+
+    def _made(
+        self, kept: slice | NDArray[np.bool_], antialiased: bool, channels: dict[str, Floats]
     ) -> PackedSplats:
-        """As Into."""
-        usable = self._usable
-        if _drops(path, warn, usable):
-            self._rows, self._sizes = self._rows[usable], self._sizes[usable]
-            self._positions = self._positions[usable]
-            channels = {name: values[usable] for name, values in channels.items()}
+        self._rows, sizes = self._rows[kept], self._sizes[kept]
+        self._positions = self._positions[kept]
         positions, origin = rebase(self._positions)
         del self._positions
         self._rows[:, :3] = positions.view(np.uint32)
@@ -216,8 +217,8 @@ class IntoPacked(Into[PackedSplats]):
             degree -= 1
         rows = np.ascontiguousarray(self._rows[:, : 8 + (degree + 1) ** 2])
         del self._rows
-        packed = PackedSplats(rows, degree, origin, antialiased, dict(channels))
-        order = order_by_size(positions, self._sizes)
+        packed = PackedSplats(rows, degree, origin, antialiased, channels)
+        order = order_by_size(positions, sizes)
         for array in packed.arrays:
             _core.put_in_order(array, order)
         return packed
@@ -233,13 +234,3 @@ def _usable(columns: Columns) -> NDArray[np.bool_]:
     usable: NDArray[np.bool_] = np.isfinite(sums + sh.sum(axis=(1, 2), dtype=np.float64))
     usable &= lengths > 0
     return usable
-
-
-def _drops(path: Path, warn: Warn, usable: NDArray[np.bool_]) -> bool:
-    dropped = len(usable) - np.count_nonzero(usable)
-    if dropped:
-        warn(
-            f"{path}: dropped {dropped:,} of {len(usable):,} splats: "
-            "a number that is not finite, or a quaternion of length zero"
-        )
-    return bool(dropped)

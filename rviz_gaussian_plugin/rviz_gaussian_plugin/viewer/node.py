@@ -106,7 +106,7 @@ class Viewer(Node):
             self,
             "detail",
             "full",
-            "How much of the map is shown: full, pixels (1.5px), splats (800k), a time (40ms).",
+            "How much of the map is shown: full, pixels (1.5px) or splats (800k).",
         )
         if len(self.up) != 3 or not any(self.up) or not np.isfinite(self.up).all():
             raise SceneError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
