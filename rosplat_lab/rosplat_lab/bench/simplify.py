@@ -23,7 +23,7 @@ from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
 
 SIZES, QUICK_SIZES = (200_000,), (5_000,)
-SHARES = (0.75, 0.5, 0.33, 0.25, 0.1)  # of the splats that are kept
+SHARES = (0.5, 0.33, 0.25)  # of the splats that are kept
 ALONG = "simplify, along the path"
 REFIT_STEPS, QUICK_STEPS = 600, 32  # a time would refit less on a busy machine
 OTHER = "splat-transform"  # PlayCanvas's, by npm install -g @playcanvas/splat-transform
