@@ -93,7 +93,7 @@ def read_batch(message: GaussianArray) -> Any:
     """Its numbers: views of its arrays, or what is decoded of its payload."""
     if message.format:
         packed = np.frombuffer(message.payload, np.uint8)
-        return decode(packed, message.count, message.sh_degree)
+        return decode(packed, message.count, message.sh_degree, message.format)
     return [
         np.frombuffer(values, np.float32)
         for values in (
