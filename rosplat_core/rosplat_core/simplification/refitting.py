@@ -46,18 +46,20 @@ def refit(
     seconds: float,
     progress: Callable[[float], None] = lambda part: None,
     seed: int = 0,
+    most_steps: int = MOST_STEPS,
 ) -> Iterator[Splats]:
     """Fits splats to pictures of the map that `full` holds; yields CHECKS maps on the way.
 
-    The rates fall to nothing with the last step. progress: hears how much is done, 0 to 1. Raises
-    MemoryError where Adam's moments, two numbers for each of a splat's, have no room.
+    The rates fall to nothing with the last step: as many as there is time for, most_steps at most.
+    progress: hears how much is done, 0 to 1. Raises MemoryError where Adam's moments, two numbers
+    for each of a splat's, have no room.
     """
     fitting = Refit(
         start.positions, start.orientations, start.scales, start.opacities, start.sh,
         tuple(start.origin.tolist()), start.antialiased,
     )  # fmt: skip
     random = np.random.default_rng(seed)
-    began, steps, error = time.monotonic(), MOST_STEPS, RATED**2
+    began, steps, error = time.monotonic(), most_steps, RATED**2
     cameras: list[Camera] = []
     step = checked = 0
     while step < steps:
@@ -73,7 +75,7 @@ def refit(
         progress(step / steps)
         if step == TIMED:
             each = (time.monotonic() - began) / TIMED
-            steps = min(max(int(seconds / max(each, 1e-9)), 2 * TIMED), MOST_STEPS)
+            steps = int(min(max(seconds / max(each, 1e-9), 2 * TIMED), most_steps))
         if step >= TIMED and step * CHECKS // steps > checked:
             checked = step * CHECKS // steps
             yield _splats(fitting, start)

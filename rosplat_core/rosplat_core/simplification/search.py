@@ -29,7 +29,7 @@ from rosplat_core.simplification.merging import (
     find_pairs,
     merge,
 )
-from rosplat_core.simplification.refitting import picture, refit
+from rosplat_core.simplification.refitting import MOST_STEPS, picture, refit
 from rosplat_core.simplification.views import HEIGHT, WIDTH, Along, Around, Views, resized
 from rosplat_core.splats import SceneError, Splats
 
@@ -238,8 +238,10 @@ class Simplification:
             if count < len(pairs) or _decibels(before) < bound + NEAR:
                 return
 
-    def refine(self, seconds: float, bound: float = MOST_PSNR) -> None:
-        """Refits the map for so long, or until it has a PSNR of bound [dB].
+    def refine(
+        self, seconds: float, bound: float = MOST_PSNR, most_steps: int = MOST_STEPS
+    ) -> None:
+        """Refits the map for so long or so many steps, or until it has a PSNR of bound [dB].
 
         Keeps only what is better in all views to check together, and in the worst no worse. Ctrl-C
         ends it, and keeps what is best so far.
@@ -252,6 +254,7 @@ class Simplification:
             self.splats, Trial(whole).renderer,
             self.views.cameras, seconds,
             lambda part: self._progress(f"refitting {len(self.splats):,} splats", part), REFIT_SEED,
+            most_steps,
         )  # fmt: skip
         try:
             for splats in fitted:

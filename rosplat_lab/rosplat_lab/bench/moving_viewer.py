@@ -25,6 +25,7 @@ from rviz_gaussian_plugin.viewer.node import Viewer
 from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
 
 REMEMBERED = 1000  # cameras whose orders may still come
+WAITING = 0.02  # between looks at whether the map is there [s]
 IDLE = 0.0005  # between looks at whether there is something to draw [s]
 
 
@@ -84,7 +85,8 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
             centre, radius = viewer.bounds()
             orbit = OrbitCamera(centre, 2.5 * radius, np.array(viewer.up, np.float64))
         if orbit is None:
-            time.sleep(IDLE)
+            viewer.renderer.upload()
+            time.sleep(WAITING)
             continue
         now = time.time()
         if now >= due:

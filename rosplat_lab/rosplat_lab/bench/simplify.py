@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import subprocess
@@ -22,16 +23,14 @@ from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
 
 SIZES, QUICK_SIZES = (200_000,), (5_000,)
-SHARES = (0.9, 0.8, 0.7, 0.5, 0.3, 0.1)  # of the splats that are kept
-PATH_SHARES = (0.5, 0.25, 0.1)  # where views along a path judge
+SHARES = (0.5, 0.33, 0.25)  # of the splats that are kept
 ALONG = "simplify, along the path"
-REFITTED = "simplify, refitted"
-REFIT_SHARES, REFIT_S = (0.5, 0.3, 0.1), 60.0
+REFIT_STEPS, QUICK_STEPS = 600, 32  # a time would refit less on a busy machine
 OTHER = "splat-transform"  # PlayCanvas's, by npm install -g @playcanvas/splat-transform
 ITS_MODES = ("decimate", "decimate-adaptive")
 
 Fewer = Callable[[float], Splats]
-"""A map of a share of a map's splats; called with ever smaller ones."""
+"""A map of a share of a map's splats; called with ever smaller ones, after the ways before it."""
 
 
 class _FailedError(RuntimeError):
@@ -50,10 +49,10 @@ def measure(plan: Plan) -> Iterator[Event]:
     path = load_cameras(plan.cameras) if plan.cameras else None
     for number, name in enumerate(names):
         yield Doing(name, number / len(names))
-        yield from isolated(_scene, name, path)
+        yield from isolated(_scene, name, path, QUICK_STEPS if plan.quick else REFIT_STEPS)
 
 
-def _scene(name: str, path: list[Camera] | None) -> Iterator[Event]:
+def _scene(name: str, path: list[Camera] | None, steps: int) -> Iterator[Event]:
     from rosplat_core.simplification.search import Simplification
 
     splats = scenes.load(name)
@@ -64,42 +63,42 @@ def _scene(name: str, path: list[Camera] | None) -> Iterator[Event]:
         began = _processor_time()
         works[method] = Simplification(splats, path=path if method == ALONG else None)
         spent[method] = _processor_time() - began  # looking at the map, before any splat goes
-    judge = works[ALONG if path else "simplify"].judge
+    best = ALONG if path else "simplify"
+    judge = works[best].judge
 
     def simplified(method: str, share: float) -> Splats:
         works[method].reduce(round(share * len(splats)))
         return works[method].splats
 
-    def refitted(share: float) -> Splats:
-        work = Simplification(splats)
-        work.reduce(round(share * len(splats)))
-        work.refine(REFIT_S)
-        return work.splats
+    def refitted(_: float) -> Splats:
+        work = works[best]
+        merged = work.splats
+        work.refine(math.inf, most_steps=steps)
+        fitted, work.splats = work.splats, merged
+        return fitted
 
     def first(order: np.ndarray, share: float) -> Splats:
         return splats[np.sort(order[: round(share * len(splats))])]
 
+    ways: dict[str, Fewer] = {method: partial(simplified, method) for method in works}
+    ways |= {
+        f"{best}, refitted": refitted,
+        "the most opaque": partial(first, np.argsort(-splats.opacities, kind="stable")),
+        "random": partial(first, random),
+    }
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-        ways: dict[str, Fewer] = {method: partial(simplified, method) for method in works}
-        if not path:
-            ways[REFITTED] = refitted
-        ways |= {
-            "the most opaque": partial(first, np.argsort(-splats.opacities, kind="stable")),
-            "random": partial(first, random),
-        }
         if shutil.which(OTHER):
             save(Path(folder) / "in.ply", splats)
             for mode in ITS_MODES:
                 ways[f"{OTHER} --{mode}"] = partial(_decimated, Path(folder), mode)
-        shares = PATH_SHARES if path else SHARES
-        for number, (method, fewer) in enumerate(ways.items()):
-            for share in REFIT_SHARES if method == REFITTED else shares:
-                yield Doing(f"{name}, {method}, {share:.0%}", number / len(ways))
+        for number, share in enumerate(SHARES):
+            for method, fewer in ways.items():
+                yield Doing(f"{name}, {share:.0%}, {method}", number / len(SHARES))
                 began = _processor_time()
                 try:
                     kept = fewer(share)
                 except _FailedError as error:
-                    yield Skipped(f"{name}, {method}, {share:.0%}: {error}")
+                    yield Skipped(f"{name}, {share:.0%}, {method}: {error}")
                     continue
                 took = _processor_time() - began
                 if method in spent:
@@ -111,6 +110,9 @@ def _scene(name: str, path: list[Camera] | None) -> Iterator[Event]:
                 yield Measurement.of("PSNR", "dB", quality.psnr, **labels)
                 yield Measurement.of("PSNR of the worst view", "dB", quality.worst, **labels)
                 yield Measurement.of("processor time", "s", took, **labels)
+                save(Path(folder) / "kept.spz", kept)
+                size = (Path(folder) / "kept.spz").stat().st_size
+                yield Measurement.of("size as SPZ", "MB", size / 1e6, **labels)
         for method, work in works.items():
             labels = {"scene": name, "splats": len(splats), "method": method}
             yield Measurement.of("views learnt from", "1", work.learnt.views, **labels)

@@ -47,6 +47,7 @@ def _wait_for_map(viewer: Viewer) -> None:
         topic = viewer.resolve_topic_name("gaussians")
         if time.monotonic() > discovered and not viewer.count_publishers(topic):
             viewer.get_logger().info(f"waiting for a map on {topic}", once=True)
+        viewer.renderer.upload()
         time.sleep(0.05)
 
 
@@ -134,6 +135,7 @@ def show_window(viewer: Viewer) -> None:
 def serve(viewer: Viewer) -> None:
     """Draws pictures for others until it is told to end."""
     while viewer.context.ok():
+        viewer.renderer.upload()
         viewer.serve_request(wait=0.1)
 
 

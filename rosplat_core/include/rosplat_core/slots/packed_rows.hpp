@@ -25,8 +25,8 @@ inline bool isUsable(const std::uint32_t* row) {
   float position[3];
   std::memcpy(position, row, sizeof(position));
   const auto finite = [](std::uint32_t half) { return (~half & 0x7c00u) != 0; };
-  return allFinite(position, 3) && finite(row[6] >> 16) && finite(row[7]) &&
-         finite(row[7] >> 16) && finite(row[8]);
+  return allFinite(position, 3) && finite(row[6] >> 16) && finite(row[7]) && finite(row[7] >> 16) &&
+         finite(row[8]);
 }
 
 // Fills arrays with the splats of a payload of size() bytes. The position of one that means nothing
