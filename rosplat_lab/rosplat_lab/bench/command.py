@@ -21,7 +21,7 @@ from rosplat_core.program.output import told, unheard
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import SceneError
 from rosplat_lab import machine
-from rosplat_lab.arguments import make_folder, number
+from rosplat_lab.arguments import make_folder, number, sized
 from rosplat_lab.bench import live
 from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
 from rosplat_lab.bench.records import (
@@ -200,7 +200,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("out/bench"), help="folder for JSON, charts and logs"
     )
     parser.add_argument(
-        "--sizes", type=_size, nargs="+", default=[], metavar="N",
+        "--sizes", type=sized("number of splats"), nargs="+", default=[], metavar="N",
         help="splats of the procedural scenes: 500000, 500k, 5M",
     )  # fmt: skip
     parser.add_argument(
@@ -240,18 +240,6 @@ def _subject(text: str) -> str:
             f"unknown subject '{text}', known are {', '.join(SUBJECTS)}"
         )
     return text
-
-
-def _size(text: str) -> int:
-    units = {"k": 1_000, "m": 1_000_000}
-    digits, unit = (text[:-1], units[text[-1].lower()]) if text[-1:].lower() in units else (text, 1)
-    try:
-        size = round(float(digits) * unit)
-    except (ValueError, OverflowError):  # the latter of inf
-        size = 0
-    if size < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is no number of splats, such as 500k or 5M")
-    return size
 
 
 class Recorder:

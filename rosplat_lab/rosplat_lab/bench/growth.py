@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
@@ -162,7 +162,7 @@ def _report(size: int, backend: str, drawing: str, frames: list[Frame]) -> Itera
         seen = [frame for frame in frames if low < frame.splats <= low + step]
         if not seen:
             continue
-        common = {
+        common: dict[str, Any] = {
             "scene": f"{PROCEDURAL}{size}", "gpu": drawing, "backend": backend,
             "splats": round(sum(frame.splats for frame in seen) / len(seen)),
         }  # fmt: skip

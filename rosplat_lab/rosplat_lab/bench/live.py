@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ def watch(
     until: Callable[[Watched], bool],
     begin: Callable[[str], None] | None = None,
     line: Line | None = None,
-    **environment: str,
+    environment: Mapping[str, str] | None = None,
 ) -> Watched:
     """Runs the three until `until`, which is asked now and then, says that it has seen enough.
 
@@ -73,7 +73,7 @@ def watch(
 
         def start(name: str, command: list[str], end: str = "here") -> subprocess.Popen[bytes]:
             there = line.at(end, command) if line else command
-            return processes.start(name, there, **environment)
+            return processes.start(name, there, **(environment or {}))
 
         trace.unlink(missing_ok=True)
         programs = {}

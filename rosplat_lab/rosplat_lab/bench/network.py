@@ -64,7 +64,7 @@ def _report(
     scene = f"{PROCEDURAL}{size}"
     seen = live.watch(
         plan.out, ("ply_publisher", "-p", f"path:={scene}"), backend=backend, rate=rate,
-        picture=PICTURE, until=watched, line=line, **TRANSPORTS[transport],
+        picture=PICTURE, until=watched, line=line, environment=TRANSPORTS[transport],
     )  # fmt: skip
     (began, before), (ended, after) = marks[0], marks[-1]
     came = [arrival for frame in seen.frames for arrival in frame["arrivals"]]

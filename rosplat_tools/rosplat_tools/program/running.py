@@ -56,7 +56,7 @@ def run(program: str, body: Callable[[], None]) -> None:
 
 def run_node(
     program: str,
-    make: type[AnyNode],
+    make: Callable[[], AnyNode],
     work: Callable[[AnyNode], None] | None = None,
     threads: int = 1,
 ) -> None:
