@@ -56,6 +56,7 @@ def read_headers(app: Sphinx) -> None:
 
 # What stands elsewhere in the repository and has a page here.
 PAGES = {"README.md": "/index.md", "rosplat_msgs/doc/quantised.md": "/api/quantised.md",
+         "rosplat_msgs/doc/packed.md": "/api/packed.md",
          "rosplat_msgs": "/api/messages.md"}  # fmt: skip
 
 

@@ -6,12 +6,13 @@ import struct
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Protocol
 
 from geometry_msgs.msg import Point, Pose, Quaternion
 
 from rosplat_core.maps import Arrival
-from rosplat_core.payload import FORMAT
+from rosplat_core.payload import FORMAT, PACKED
 from rosplat_msgs.msg import GaussianArray
 from rosplat_testing.messages import decode, encode
 
@@ -20,6 +21,7 @@ MOVE = GaussianArray.MOVE
 MOST = GaussianArray.MAX_SLOTS
 NAN, INF = float("nan"), float("inf")
 LARGEST, LEAST = 3.4e38, 1e-45  # of float32
+INFINITE_HALF, NAN_HALF = struct.pack("<e", INF), struct.pack("<e", NAN)
 NANS, INFS, UPSIDE = struct.pack("<f", NAN), struct.pack("<f", INF), struct.pack("<2f", 1, 0)
 
 # Values of a splat by field; the i-th of a batch sits at x = i. [m]
@@ -56,7 +58,8 @@ class Receiver(Protocol):
 class Batch:
     """A batch and what is to become of it.
 
-    payload: makes another one of the splats' payload, which is sent in place of the arrays then.
+    payload: makes another one of the splats' payload, which is sent in place of the arrays then;
+    format: of that.
     fields: of the message. values: what others are at (field, index), in place of a good splat's.
     lengths: of arrays that are cut, or filled up with zeros. refused: the field that the error
     names. dropped: splats left out, their slots empty.
@@ -71,6 +74,7 @@ class Batch:
     dropped: int = 0
     arrival: Arrival = Arrival.HEARD
     payload: Callable[[bytes], bytes] | None = None
+    format: str = FORMAT
 
     def message(self, revision: int) -> GaussianArray:
         message = GaussianArray(map_id="map", revision=revision, operation=self.operation)
@@ -98,7 +102,7 @@ class Batch:
             message = encode(
                 whole, range(message.first_slot, message.first_slot + message.count),
                 header=message.header, map_id=message.map_id, revision=message.revision,
-                operation=message.operation, compression=FORMAT,
+                operation=message.operation, compression=self.format,
             )  # fmt: skip
             message.payload = self.payload(bytes(message.payload))
         return message
@@ -175,6 +179,12 @@ def _kept(name: str, values: dict[tuple[str, int], float]) -> Case:
 
 def _quaternion(*values: float) -> dict[tuple[str, int], float]:
     return {("orientations", 4 + k): value for k, value in enumerate(values)}
+
+
+def _second_row(at: int, bytes_: bytes, payload: bytes) -> bytes:
+    """Puts bytes there in the second of the payload's three packed rows."""
+    begin = len(payload) // 3 + at
+    return payload[:begin] + bytes_ + payload[begin + len(bytes_) :]
 
 
 FAR = (4.5e6, -1.0, 2.0)
@@ -331,6 +341,64 @@ CASES = (
         in_use=(0, 1, 3, 5),
         origin=FAR,
     ),
+    Case(
+        "packed splats are those of the arrays",
+        (
+            _replace(2, origin=FAR),
+            Batch(
+                UPSERT,
+                3,
+                {"first_slot": 3},
+                {("scales", 3): NAN},
+                dropped=1,
+                payload=bytes,
+                format=PACKED,
+            ),
+        ),
+        in_use=(0, 1, 3, 5),
+        origin=FAR,
+    ),
+    *(
+        Case(
+            f"left out: a packed splat's {name}",
+            (
+                Batch(
+                    REPLACE, 3, dropped=1, payload=partial(_second_row, at, bytes_), format=PACKED
+                ),
+            ),
+            in_use=(0, 2),
+        )
+        for name, at, bytes_ in (
+            ("position that is no number", 4, NANS),
+            ("infinite position", 0, INFS),
+            ("infinite unit of harmonics", 26, INFINITE_HALF),
+            ("infinite red", 28, INFINITE_HALF),
+            ("green that is no number", 30, NAN_HALF),
+            ("infinite blue", 32, INFINITE_HALF),
+        )
+    ),
+    Case(
+        "left out: packed, beyond floats once it is relative to the map's origin",
+        (
+            _replace(1),
+            Batch(
+                UPSERT, 2, {"origin": (1e300, 0.0, 0.0)}, dropped=2, payload=bytes, format=PACKED
+            ),
+        ),
+        in_use=(),
+    ),
+    Case(
+        "kept: packed, whatever else its bits are",
+        (
+            Batch(
+                REPLACE,
+                3,
+                payload=partial(_second_row, 12, b"\xff" * 15 + b"\x7b"),
+                format=PACKED,
+            ),
+        ),
+        in_use=(0, 1, 2),
+    ),
     _kept("a tiny quaternion", _quaternion(0, 0, LEAST, LEAST)),
     _kept("a huge quaternion", _quaternion(LARGEST, 0, -LARGEST, LARGEST)),
     _kept("a scale of zero", {("scales", 3): 0.0}),
@@ -343,6 +411,9 @@ CASES = (
     _refused("format", "a delete with a format", operation=DELETE, fields={"format": "quantised"}),
     _refused("payload", "a payload cut short", payload=lambda bytes_: bytes_[:-1]),
     _refused("payload", "no payload", payload=lambda bytes_: bytes_[:0]),
+    _refused("payload", "a packed row cut short", payload=lambda b: b[:-1], format=PACKED),
+    _refused("payload", "no packed rows", payload=lambda b: b[:0], format=PACKED),
+    _refused("format", "a delete of packed rows", operation=DELETE, fields={"format": PACKED}),
     _refused("payload", "a payload and arrays", fields={"payload": b"\0" * 88}),
     _refused("payload", "bounds that are no numbers", payload=lambda bytes_: NANS + bytes_[4:]),
     _refused("payload", "infinite bounds", payload=lambda bytes_: bytes_[:36] + INFS + bytes_[40:]),

@@ -25,7 +25,7 @@ from ksplat_file import ksplat
 from numpy.random import Generator
 from streamed_scene import write_scene
 
-from rosplat_core import formats, payload
+from rosplat_core import _core, formats, payload
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, pack
 from rosplat_sorter.shared_orders import OrderBuffer
@@ -112,7 +112,7 @@ def _batch(rng: Generator, revision: int) -> GaussianArray:
     message.channel_names = [str(name) for name in names]
     message.channels = array("f", rng.normal(size=len(names) * n))
     if not rng.integers(4):
-        _compress(message)
+        _compress(message, one_of(rng, [payload.FORMAT, payload.PACKED]))
     return message
 
 
@@ -121,10 +121,11 @@ def _pose(rng: Generator) -> Pose:
     return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
-def _compress(message: GaussianArray) -> None:
+def _compress(message: GaussianArray, format: str) -> None:
     arrays = arrays_of(message)
-    message.payload = array("B", payload.encode(arrays, is_usable(arrays)).tobytes())
-    message.format = payload.FORMAT
+    pack = _core.pack_splats if format == payload.PACKED else payload.encode
+    message.payload = array("B", pack(arrays, is_usable(arrays)).tobytes())
+    message.format = format
     for name in ("positions", "orientations", "scales", "opacities", "sh"):
         setattr(message, name, array("f"))
 

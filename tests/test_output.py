@@ -17,7 +17,7 @@ HERE = Circumstances("a box", "a card", "1.2", "abc", "bench sort", "2026-01-01T
 @pytest.mark.parametrize(
     "command",
     ["rosplat_tools.inspect_scene procedural:10", "rosplat_tools.generate made.ply --count 9",
-     "rosplat_lab.bench tables records.json", "rosplat_lab.bench charts records.json"],
+     "rosplat_lab.bench charts records.json"],
 )  # fmt: skip
 def test_nothing_is_said_where_nobody_reads(command: str, tmp_path: Path) -> None:
     times = Measurement.of(

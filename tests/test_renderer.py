@@ -6,6 +6,7 @@ import os
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -443,6 +444,17 @@ def test_no_splat_makes_a_pixel_nan(host: Host) -> None:
     host.show(splats)
     for view in CAMERAS.values():
         assert np.isfinite(host.draw(view)).all()
+
+
+def test_a_map_that_no_picture_shows_does_not_wait(host: Host) -> None:
+    splats = cloud(3000)
+    host.show(splats)
+    deadline = time.monotonic() + 20
+    last = 0.0
+    while last != pytest.approx(splats.opacities[2999], abs=1e-5):
+        assert time.monotonic() < deadline
+        host.renderer.upload()
+        last = host.renderer.read_slots([2999])[0]["opacity"]
 
 
 def test_what_means_nothing_is_left_out_and_counted(host: Host) -> None:

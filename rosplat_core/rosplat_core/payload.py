@@ -1,4 +1,4 @@
-"""GaussianArray.payload in the format "quantised"; rosplat_msgs/doc/quantised.md specifies it."""
+"""GaussianArray.payload: its formats "quantised" and "packed", which rosplat_msgs/doc specifies."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from rosplat_core import _core
 
 FORMAT = "quantised"
+PACKED = "packed"
+"""Rows of packed slots, as PackedSplats has them."""
 
 
 class PayloadError(ValueError):
@@ -28,12 +30,12 @@ class Arrays:
 
 
 def size(count: int, sh_degree: int) -> int:
-    """Bytes of a payload."""
+    """Bytes of a quantised payload."""
     return _core.payload_size(count, sh_degree)
 
 
 def suits(arrays: Arrays, usable: NDArray[np.bool_]) -> bool:
-    """Whether a payload shows splats as they are: no stray one makes the steps of all too large.
+    """Whether quantising shows splats as they are: no stray one makes the steps of all too large.
 
     Steps of position may be a 16th of the median splat's size, or a 65,536th of where most are.
     """
@@ -41,13 +43,13 @@ def suits(arrays: Arrays, usable: NDArray[np.bool_]) -> bool:
 
 
 def encode(arrays: Arrays, usable: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """The payload, uint8, of splats. usable: which mean something, bool (n,)."""
+    """The quantised payload, uint8, of splats. usable: which mean something, bool (n,)."""
     return _core.encode_payload(arrays, usable)
 
 
-def decode(payload: NDArray[np.uint8], count: int, sh_degree: int) -> Arrays:
+def decode(payload: NDArray[np.uint8], count: int, sh_degree: int, format: str = FORMAT) -> Arrays:
     """The splats of a payload. Raises PayloadError where it is of another length, or no such."""
     try:
-        return Arrays(**_core.decode_payload(payload, count, sh_degree))
+        return Arrays(**_core.decode_payload(payload, count, sh_degree, format))
     except ValueError as error:
         raise PayloadError(str(error)) from None

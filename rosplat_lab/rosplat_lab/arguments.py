@@ -40,6 +40,22 @@ def number(what: str) -> Callable[[str], float]:
     return parse
 
 
+def sized(what: str) -> Callable[[str], int]:
+    """A type for argparse: whole numbers above 0, as 500k, 5M or 20G too; what: they are."""
+
+    def parse(text: str) -> int:
+        unit = {"k": 10**3, "m": 10**6, "g": 10**9}.get(text[-1:].lower(), 1)
+        try:
+            value = round(float(text if unit == 1 else text[:-1]) * unit)
+        except (ValueError, OverflowError):  # the latter of inf
+            value = 0
+        if value < 1:
+            raise argparse.ArgumentTypeError(f"'{text}' is no {what}, such as 500k or 5M")
+        return value
+
+    return parse
+
+
 def make_folder(folder: Path) -> None:
     """Makes a folder for results where there is none. Raises OSError that says which, and why."""
     try:

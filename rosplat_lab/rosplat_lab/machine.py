@@ -68,11 +68,6 @@ def _memory(name: str, pid: int) -> int:
 # --- NVIDIA's management library, which comes with every driver -----------------------------------
 
 
-class _Memory(ctypes.Structure):
-    _fields_ = [("total", ctypes.c_ulonglong), ("free", ctypes.c_ulonglong),
-                ("used", ctypes.c_ulonglong)]  # fmt: skip
-
-
 def _nvml() -> tuple[ctypes.CDLL, ctypes.c_void_p] | None:
     """The library and the first GPU."""
     try:
@@ -95,15 +90,3 @@ def nvidia_gpu() -> tuple[str, str]:
     library.nvmlDeviceGetName(device, name, len(name))
     library.nvmlSystemGetDriverVersion(driver, len(driver))
     return name.value.decode(), driver.value.decode()
-
-
-def gpu_bytes_used() -> int | None:
-    """Memory that all programs use on the first NVIDIA GPU, None where there is none."""
-    found = _nvml()
-    if not found:
-        return None
-    library, device = found
-    memory = _Memory()
-    if library.nvmlDeviceGetMemoryInfo(device, ctypes.byref(memory)):
-        return None
-    return int(memory.used)

@@ -53,14 +53,13 @@ def test_a_wrong_order_is_not_timed(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert not (tmp_path / "sort.json").exists()
 
 
-@pytest.mark.parametrize("name", ["shadygm/ROSplat, np.argsort", "np.argsort of depths"])
-def test_baselines_sort_as_we_do_where_all_is_visible(name: str) -> None:
+def test_a_baseline_sorts_as_we_do_where_all_is_visible() -> None:
     splats = generate(2000)
     (camera,) = scenes.all_of_it(splats, 640, 480, 1)
     view = view_of(camera, splats)
     sorted_map = sort.map_of(splats)
     exact = order(view, sorted_map.positions, sorted_map.extents)
-    theirs = baselines.IN_HOST_MEMORY[name](splats.positions)(view).ravel()
+    theirs = baselines.argsort(splats.positions)(view).ravel()
     depths = splats.positions.astype(np.float64) @ view.rotations[0, 2].astype(np.float64)
     np.testing.assert_allclose(depths[theirs], depths[exact], atol=1e-5)
 
@@ -130,23 +129,10 @@ def test_a_streamed_scene_comes_as_the_camera_goes(tmp_path: Path) -> None:
     assert {r.parameters["process"] for r in records if r.name == "RAM"} == {"viewer", "publisher"}
 
 
-def test_a_loop_closure_is_a_small_message(tmp_path: Path) -> None:
+def test_a_loop_closure_is_measured_until_its_picture(tmp_path: Path) -> None:
     records = {r.name: r for r in bench(tmp_path, "closure", "--sizes", "2000")}
     assert {"to take it", "to the picture", "a frame after a turn"} <= records.keys()
-    if "message of a closure" in records:
-        assert 50 * 60 < records["message of a closure"].value < 50 * 60 + 500
-
-
-def test_a_picture_is_worth_more_carried_over(tmp_path: Path) -> None:
-    records = bench(tmp_path, "moving", "--sizes", "2000")
-    found = {
-        (r.parameters["view"], r.parameters["turned"], r.parameters["shown"]): r.value
-        for r in records
-        if r.name == "PSNR"
-    }
-    for view in ("overview", "inside"):
-        assert found[view, 2, "carried over"] > found[view, 2, "as it is"] + 3
-        assert found[view, 1, "carried over"] > found[view, 8, "carried over"]
+    assert records["to the picture"].p50 > records["to take it"].p50
 
 
 def test_a_picture_is_whole_when_nothing_is_added_and_its_order_knows_all() -> None:
@@ -187,11 +173,8 @@ def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:
     assert 20 < idle.value < programs["sorter"]
 
 
-@pytest.mark.parametrize("way", [[], ["--one-process"]])
-def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path, way: list[str]) -> None:
-    records = bench(tmp_path, "growth", "--sizes", "60000", "--backends", "native", *way)
-    programs = {record.parameters["process"] for record in records if record.name == "RAM"}
-    assert programs == ({"all in one"} if way else {"publisher", "sorter", "viewer"})
+def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path) -> None:
+    records = bench(tmp_path, "growth", "--sizes", "60000", "--backends", "native")
     orders = [r.value for r in records if r.name == "frames by the sorter's order"]
     assert max(orders) > 0
     rates = [record for record in records if record.name == "frame rate"]
@@ -199,9 +182,7 @@ def test_a_growing_map_is_measured_at_many_sizes(tmp_path: Path, way: list[str])
     assert sizes == sorted(sizes)
     assert len(sizes) >= 2
     assert sizes[-1] > 55_000
-    assert {"growth-fps.png", "growth-ram.png", "growth-vram.png"} <= {
-        path.name for path in tmp_path.iterdir()
-    }
+    assert (tmp_path / "growth-fps.png").exists()
 
 
 def test_messages_are_measured_in_every_form(tmp_path: Path) -> None:

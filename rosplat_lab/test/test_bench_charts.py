@@ -79,43 +79,13 @@ def test_the_command_draws_files_and_only_what_they_hold(
         assert near.sum() > 100
 
 
-def test_the_same_as_a_table(
-    orders: list[Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    save(tmp_path / "sort.json", orders)
-    assert main(["tables", str(tmp_path / "sort.json")]) == 0
-    assert capsys.readouterr().out.splitlines() == [
-        "Depth order, in host memory, time [ms], p50",
-        "",
-        "| | 100,000 | 1,000,000 |",
-        "|---|---:|---:|",
-        "| all, native | 1 | 10 |",
-        "| all, numpy | 3 | 30 |",
-        "| inside, native | 1 | 10 |",
-        "| inside, numpy | 3 | 30 |",
-    ]
-    assert main(["tables", str(tmp_path / "sort.json"), "--of", "most"]) == 0
-    assert "| all, native | 2 | 20 |" in capsys.readouterr().out
-
-
-def test_a_long_curve_has_a_column_for_each_eighth() -> None:
-    curve = [record("frame", 1000 * n, float(n), backend="native") for n in range(1, 161)]
-    chart = charts.Chart("f", "sort", "frame", "Frame", "ms", charts.parameter("backend"))
-    head, _, row = charts.table(chart, curve).splitlines()
-    assert head.split(" | ")[1:3] == ["20,000", "40,000"]
-    assert row == "| native | 20 | 40 | 60 | 80 | 100 | 120 | 140 | 160 |"
-
-
-def test_scenes_of_one_size_have_columns_of_their_own() -> None:
+def test_scenes_of_one_size_have_lines_of_their_own() -> None:
     scenes = {"procedural:500000": 500_000, "a/robot.ply": 500_000, "wolf.spz": 90_586}
     records = [
         replace(record("frame", splats, float(n), backend="native"), scene=scene)
         for n, (scene, splats) in enumerate(scenes.items())
     ]
     chart = charts.Chart("f", "sort", "frame", "Frame", "ms", charts.parameter("backend"))
-    head, _, row = charts.table(chart, records).splitlines()
-    assert head == "| | wolf, 90,586 | 500,000 | robot, 500,000 |"
-    assert row == "| native | 2 | 0 | 1 |"
     ax = charts.figure(chart, records).axes[0]
     assert [len(line.get_xdata()) for line in ax.lines] == [1, 1, 1]  # and no upright line
 
@@ -125,8 +95,7 @@ def test_a_file_without_records_is_named_in_a_line(
     text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "x.json").write_text(text)
-    for command in (["charts", "--out", str(tmp_path)], ["tables"]):
-        assert main([*command, str(tmp_path / "x.json")]) == 1
-        said = capsys.readouterr().err
-        assert "x.json" in said
-        assert len(said.splitlines()) == 1
+    assert main(["charts", "--out", str(tmp_path), str(tmp_path / "x.json")]) == 1
+    said = capsys.readouterr().err
+    assert "x.json" in said
+    assert len(said.splitlines()) == 1

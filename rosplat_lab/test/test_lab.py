@@ -8,11 +8,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.text import Text
+from numpy.typing import NDArray
 
 from rosplat_core import depth
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.generated import generate
 from rosplat_core.splats import Splats, concatenate
+from rosplat_core.view import SortView
 from rosplat_lab import reference
 from rosplat_lab.bench import truths
 from rosplat_lab.bench.records import Circumstances, Measurement, Record
@@ -20,7 +22,7 @@ from rosplat_lab.bench.sort import view_of
 from rosplat_lab.lab import orders, pages, picture, rays, viewers, ways
 from rosplat_lab.lab.command import kind_of
 from rosplat_lab.lab.motion import placed, turned
-from rosplat_lab.lab.points import Point, for_decibels, for_time, frontier, points, verdict
+from rosplat_lab.lab.points import Point, for_decibels, frontier, points, verdict
 
 Make = Callable[..., Splats]
 
@@ -103,7 +105,11 @@ def test_keys_of_all_bits_are_the_exact_order(random_splats: Make) -> None:
     sorter = orders.Sorter(splats)
     exact = sorter.order(CAMERA)
     assert len(exact) > 100
-    np.testing.assert_array_equal(sorter.keyed(CAMERA, orders.exact), exact)
+
+    def keys(view: SortView, positions: NDArray[np.float32]) -> NDArray[np.uint32]:
+        return depth.sort_keys(depth.transform(view, positions, 2))
+
+    np.testing.assert_array_equal(sorter.keyed(CAMERA, keys), exact)
 
 
 def test_coarse_keys_never_turn_depths_round_and_use_their_bits() -> None:
@@ -195,13 +201,11 @@ def test_what_gains_no_more_than_noise_is_not_on_the_frontier() -> None:
     assert names(frontier(found)) == ["fine", "slow"]
 
 
-def test_settings_for_an_error_and_for_a_time() -> None:
+def test_settings_for_an_error() -> None:
     found = [point("a", 10, 40), point("b", 20, 60), point("c", 5, 20)]
     best = for_decibels(found, 45)
     assert best and best.setting == "b"
-    best = for_time(found, 15)
-    assert best and best.setting == "a"
-    assert for_decibels(found, 70) is None and for_time(found, 1) is None
+    assert for_decibels(found, 70) is None
 
 
 def test_the_default_is_justified_by_the_frontier_or_said_to_be_beaten() -> None:

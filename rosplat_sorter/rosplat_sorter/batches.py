@@ -59,8 +59,11 @@ def positions_of(batch: GaussianArray) -> NDArray[np.float32]:
     """
     if not batch.format:
         return array(batch.positions).reshape(-1, 3)
+    if batch.format == payload.PACKED:
+        rows = array(batch.payload).reshape(batch.count, 8 + (batch.sh_degree + 1) ** 2)
+        return rows[:, :3]
     packed = array(batch.payload, np.uint8)
-    return payload.decode(packed, batch.count, batch.sh_degree).positions
+    return payload.decode(packed, batch.count, batch.sh_degree, batch.format).positions
 
 
 def array_bytes(batch: GaussianArray) -> int:

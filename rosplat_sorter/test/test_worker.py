@@ -116,7 +116,7 @@ def test_backends(monkeypatch):
     module.GatedBackend, module.BrokenBackend = GatedBackend, BrokenBackend
     monkeypatch.setitem(sys.modules, module.__name__, module)
     for name in ("gated", "broken"):
-        entry = Entry("test_backend", f"{name.capitalize()}Backend", automatic=False)
+        entry = Entry("test_backend", f"{name.capitalize()}Backend")
         monkeypatch.setitem(BACKENDS, name, entry)
     GatedBackend.gate.set()
     GatedBackend.sorting.clear()

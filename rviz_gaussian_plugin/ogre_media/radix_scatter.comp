@@ -10,9 +10,10 @@ layout(std430) readonly buffer Keys { uint keys[]; };
 layout(std430) readonly buffer Values { uint values[]; };
 layout(std430) writeonly buffer SortedKeys { uint sorted_keys[]; };
 layout(std430) writeonly buffer SortedValues { uint sorted_values[]; };
-layout(std430) readonly buffer Firsts { uint firsts[]; };  // as radix_sum.comp says
+layout(std430) readonly buffer Counts { uint counts[]; };
 layout(std430) readonly buffer Length { Tally keys_tally; };
 
+uniform bool summed;      // counts: as radix_sum.comp leaves them, or else as radix_count.comp does
 uniform bool first_pass;  // the values are 0, 1, 2...
 uniform bool last_pass;   // nobody needs the keys any more
 
@@ -136,20 +137,28 @@ void main() {
   bool counts_digit = local < 256u;
   uint here = 0u, all, others = 0u, before = 0u;
   if (counts_digit) {
-    others = firsts[256u * blocks + local];
-    before = firsts[local * blocks + block];
+    if (summed) {
+      others = counts[256u * blocks + local];
+      before = counts[local * blocks + block];
+    } else {
+      for (uint k = 0u; k < blocks; ++k) {
+        uint those = counts[local * blocks + k];
+        others += those;
+        if (k < block) before += those;
+      }
+    }
     for (uint pair = 0u; pair < pairs; ++pair) {
-      uint counts = memory[256u * pair + local];
-      here += (counts & 0xffffu) + (counts >> 16);
+      uint turns = memory[256u * pair + local];
+      here += (turns & 0xffffu) + (turns >> 16);
     }
   }
   uint next = groupSum(here, all), start = groupSum(others, all) + before;
   if (counts_digit) {
     block_start[local] = start - next;
     for (uint pair = 0u; pair < pairs; ++pair) {
-      uint counts = memory[256u * pair + local], second = next + (counts & 0xffffu);
+      uint turns = memory[256u * pair + local], second = next + (turns & 0xffffu);
       memory[256u * pair + local] = next | second << 16;
-      next = second + (counts >> 16);
+      next = second + (turns >> 16);
     }
   }
   barrier();

@@ -14,11 +14,10 @@ layout(binding = 2) writeonly uniform image2D nearness_behind;  // as in splat_h
 uniform bool later;  // later segments, of tiles that are cut
 #endif
 
-
-const uint kBatch = 256u, kWords = kBatch / 32u;
+const uint kBatch = 128u, kWords = kBatch / 32u;
 const uint kParts = 8u;
 // Splats whose alphas are found together, without branches: one's memory is waited for with the
-// other's. One too many is the first of them once more, of no alpha.
+// other's. What is too many has no alpha.
 const uint kAtOnce = 4u;
 // In place of a peak's logarithm: of what can't be seen, and of balls.
 const float kUnseen = -1e3, kFlat2 = 1e3, kShaded2 = 2e3;
@@ -26,12 +25,15 @@ const float kUnseen = -1e3, kFlat2 = 1e3, kShaded2 = 2e3;
 // A splat, as the pixels of the tile see it: its falloff is exp2(-u^2 - v^2), where
 // u = x * px + y * py + z and v = w * py + rest.x.
 shared vec4 forms[kBatch];
-shared vec4 rests[kBatch];  // see above; log2 of the peak, or that of a ball; window depth; red
-shared vec2 green_blue[kBatch];
+// See above; log2 of the peak, or that of a ball; the colour as half floats. What most pixels read of a
+// splat are two loads of 16 bytes: each more takes a fifth longer.
+shared uvec4 rests[kBatch];
+shared float depths[kBatch];  // in the window
 #ifdef SHARES
 shared float shares_of[kBatch];
 #endif
 shared uint reaching[kParts][kWords];  // a bit for each splat of the batch
+shared uint reached[kParts][kBatch];   // these splats' numbers, without gaps
 shared uint finished, depths_matter;
 
 // Triangular, so that v is that of a row. [1/px]
@@ -44,8 +46,9 @@ void keepForm(uint k, Ellipse e, ivec2 tile) {
   float peak = e.kind == kFlat ? kFlat2 : e.kind == kShaded ? kShaded2 : log2(e.opacity);
   vec3 colour = colourOf(e);
   forms[k] = vec4(x, y, -(x * centre.x + y * centre.y), w);
-  rests[k] = vec4(-w * centre.y, depth >= 0.0 ? peak : kUnseen, depth, colour.r);
-  green_blue[k] = colour.gb;
+  rests[k] = uvec4(floatBitsToUint(vec2(-w * centre.y, depth >= 0.0 ? peak : kUnseen)),
+                   packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, 0.0)));
+  depths[k] = depth;
 }
 
 // Notes which parts of a tile a splat of the batch reaches.
@@ -64,6 +67,18 @@ void mark(uint k, Ellipse e, ivec2 tile) {
   }
 }
 
+// Lists which splats of the batch reach a part, by one of its 32 lanes; returns how many do.
+uint listReaching(uint part, uint lane) {
+  uint count = 0u;
+  for (uint word = 0u; word < kWords; ++word) {
+    uint bits = reaching[part][word], before = bits & ((1u << lane) - 1u);
+    if ((bits >> lane & 1u) != 0u) reached[part][count + uint(bitCount(before))] = 32u * word + lane;
+    count += uint(bitCount(bits));
+  }
+  if (lane < -count % kAtOnce) reached[part][count + lane] = 0u;
+  return count;
+}
+
 // What a pixel has blended so far.
 struct Blended {
   vec3 colour;
@@ -76,58 +91,59 @@ struct Blended {
   bool done;
 };
 
-// Blends those of a batch that reach a part. hides: whether the scene may hide some in this tile.
-void blendBatch(uint part, vec2 pixel, bool hides, float hidden_from, float behind_until, inout Blended b) {
-  for (uint word = 0u; word < kWords; ++word) {
-    for (uint bits = reaching[part][word]; bits != 0u && !b.done;) {
-      float alphas[kAtOnce], depths[kAtOnce];
-      vec3 colours[kAtOnce];
-      uint k = 0u;
-      for (uint s = 0u; s < kAtOnce; ++s) {
-        bool there = bits != 0u;
-        if (there) k = 32u * word + uint(findLSB(bits));
-        bits &= bits - 1u;
-        vec4 form = forms[k], rest = rests[k];
-        float u = form.x * pixel.x + (form.y * pixel.y + form.z), v = form.w * pixel.y + rest.x;
-        colours[s] = vec3(rest.w, green_blue[k]);
-        depths[s] = rest.z;
+// Blends those of a batch that reach a part, as listed. hides: whether the scene may hide some in this
+// tile.
+void blendBatch(uint part, uint count, vec2 pixel, bool hides, float hidden_from, float behind_until,
+                inout Blended b) {
+  for (uint first = 0u; first < count && !b.done; first += kAtOnce) {
+    float alphas[kAtOnce], window_depths[kAtOnce];
+    vec3 colours[kAtOnce];
+    for (uint s = 0u; s < kAtOnce; ++s) {
+      uint k = reached[part][first + s];
+      vec4 form = forms[k];
+      uvec4 rest = rests[k];
+      float u = form.x * pixel.x + (form.y * pixel.y + form.z);
+      float v = form.w * pixel.y + uintBitsToFloat(rest.x), peak = uintBitsToFloat(rest.y);
+      colours[s] = vec3(unpackHalf2x16(rest.z), unpackHalf2x16(rest.w).x);
 #ifdef BALLS
-        bool ball = rest.y >= kFlat2;
-        float falloff = exp2((ball ? 0.0 : rest.y) - u * u - v * v);
-        float alpha = ball ? float(falloff >= kBallEdge) : min(kMaxAlpha, falloff);
-        if (rest.y == kShaded2) colours[s] *= falloff;
+      bool ball = peak >= kFlat2;
+      float falloff = exp2((ball ? 0.0 : peak) - u * u - v * v);
+      float alpha = ball ? float(falloff >= kBallEdge) : min(kMaxAlpha, falloff);
+      if (peak == kShaded2) colours[s] *= falloff;
 #else
-        float alpha = min(kMaxAlpha, exp2(rest.y - u * u - v * v));
+      float alpha = min(kMaxAlpha, exp2(peak - u * u - v * v));
 #endif
-        bool seen = there && alpha >= kCutoffAlpha;
+      bool seen = first + s < count && alpha >= kCutoffAlpha;
 #ifdef SHARES
-        alpha = sharedAlpha(alpha, shares_of[k]);
+      alpha = sharedAlpha(alpha, shares_of[k]);
 #endif
-#ifndef BEHIND
-        if (hides) seen = seen && rest.z <= hidden_from;
-#endif
-        alphas[s] = seen ? alpha : 0.0;
-      }
-      for (uint s = 0u; s < kAtOnce; ++s) {
 #ifdef BEHIND
-        if (depths[s] > hidden_from) {
-          float light = depths[s] <= behind_until ? b.transmittance_behind * alphas[s] : 0.0;
-          b.colour_behind += light * colours[s];
-          b.nearness += light * (1.0 - depths[s]);
-          b.transmittance_behind -= light;
-          continue;
-        }
-#endif
-        float light = b.transmittance * alphas[s];
-        b.colour += light * colours[s];
-        b.transmittance -= light;
-      }
-#ifdef BEHIND
-      b.done = b.transmittance * b.transmittance_behind < b.least_transmittance;
+      window_depths[s] = depths[k];
 #else
-      b.done = b.transmittance < b.least_transmittance;
+      if (hides) seen = seen && depths[k] <= hidden_from;
 #endif
+      alphas[s] = seen ? alpha : 0.0;
     }
+    for (uint s = 0u; s < kAtOnce; ++s) {
+#ifdef BEHIND
+      float depth = window_depths[s];
+      if (depth > hidden_from) {
+        float light = depth <= behind_until ? b.transmittance_behind * alphas[s] : 0.0;
+        b.colour_behind += light * colours[s];
+        b.nearness += light * (1.0 - depth);
+        b.transmittance_behind -= light;
+        continue;
+      }
+#endif
+      float light = b.transmittance * alphas[s];
+      b.colour += light * colours[s];
+      b.transmittance -= light;
+    }
+#ifdef BEHIND
+    b.done = b.transmittance * b.transmittance_behind < b.least_transmittance;
+#else
+    b.done = b.transmittance < b.least_transmittance;
+#endif
   }
 }
 
@@ -160,7 +176,7 @@ void main() {
   }
   barrier();
 
-  uint part = local / 32u;
+  uint part = local / 32u, lane = local % 32u;
   ivec2 in_tile = pixelInTile(local), pixel = tile * kTile + in_tile;
   ivec2 texel = texelOf(pixel, view.picture.y, view.top_first);
   bool inside = all(lessThan(pixel, view.picture));
@@ -193,8 +209,8 @@ void main() {
     }
     if (local < kParts * kWords) reaching[local / kWords][local % kWords] = 0u;
     barrier();
-    if (finished == kBatch) break;
-    if (first + local < end) {
+    if (finished == 256u) break;
+    if (local < kBatch && first + local < end) {
       uint splat = splat_of[first + local];
       Ellipse e = ellipse(splat);
       keepForm(local, e, tile);
@@ -204,10 +220,12 @@ void main() {
       mark(local, e, tile);
     }
     barrier();
+    uint count = listReaching(part, lane);
+    barrier();
     if (depths_matter == 0u) {
-      blendBatch(part, vec2(in_tile) + 0.5, false, hidden_from, behind_until, b);
+      blendBatch(part, count, vec2(in_tile) + 0.5, false, hidden_from, behind_until, b);
     } else {
-      blendBatch(part, vec2(in_tile) + 0.5, true, hidden_from, behind_until, b);
+      blendBatch(part, count, vec2(in_tile) + 0.5, true, hidden_from, behind_until, b);
     }
     barrier();
   }

@@ -59,6 +59,7 @@ def ensure_display(width: int = 1920, height: int = 1080) -> Iterator[str]:
             f"{width}x{height}x24",
             "-nolisten",
             "tcp",
+            "-noreset",  # who comes while it resets, after its last client went, finds no display
         ],
         pass_fds=[write],
         stdout=subprocess.DEVNULL,

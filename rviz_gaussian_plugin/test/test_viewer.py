@@ -367,9 +367,9 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
             listener.wait(lambda: viewer.complete() and viewer.count_subscribers("gaussians/view"))
             camera = view_camera(CAMERA)
             # Longer than any test waits for something.
-            assert viewer.draw_still(camera, "still", order_timeout=1e6).order_source == "gpu"
+            assert viewer.draw_still(camera, "still", order_timeout=1e6)["order_source"] == "gpu"
             view_id = viewer.look(camera, "window")
-            assert viewer.draw_frame(view_id, camera).order_source == "gpu"
+            assert viewer.draw_frame(view_id, camera)["order_source"] == "gpu"
             viewer.renderer.settings.order = ORDER_SOURCES["sidecar"]
             viewer.draw_frame(view_id, camera)
             listener.wait(lambda: views)

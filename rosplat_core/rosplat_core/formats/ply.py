@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from rosplat_core.channels import MOST as MOST_CHANNELS
@@ -206,7 +207,12 @@ def _require_numbers(path: Path, rows: NDArray[np.void], names: list[str]) -> No
 def _columns(
     rows: NDArray[np.void], names: list[str], dtype: type[np.floating[Any]] = np.float32
 ) -> Floats:
-    """(rows, names) array of the named properties."""
+    """(rows, names) array of the named properties; a view where they lie side by side."""
+    fields = [(rows.dtype[name], rows.dtype.fields[name][1]) for name in names]  # type: ignore[index]
+    kind, begin = fields[0]
+    if fields == [(kind, begin + i * kind.itemsize) for i in range(len(names))]:
+        shape, strides = (len(rows), len(names)), (rows.strides[0], kind.itemsize)
+        return as_strided(rows[names[0]], shape, strides, writeable=False).astype(dtype, copy=False)
     return np.stack([rows[name].astype(dtype) for name in names], axis=1)
 
 

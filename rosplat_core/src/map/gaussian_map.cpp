@@ -8,6 +8,7 @@
 #include <string>
 
 #include "rosplat_core/map/decoded_payload.hpp"
+#include "rosplat_core/slots/packed_rows.hpp"
 #include "rosplat_core/slots/payload.hpp"
 #include "rosplat_core/threads/in_parts.hpp"
 
@@ -70,7 +71,8 @@ void check(const GaussianBatch& batch) {
   if (batch.operation > GaussianBatch::MOVE) {
     throw BatchError("operation " + std::to_string(batch.operation) + " is unknown");
   }
-  if (!batch.format.empty() && batch.format != payload::kFormat) {
+  const bool rows = batch.format == packed_rows::kFormat;
+  if (!batch.format.empty() && !rows && batch.format != payload::kFormat) {
     throw BatchError("format '" + batch.format.substr(0, 40) + "' is unknown");
   }
   if (batch.sh_degree > kMaxShDegree) {
@@ -100,7 +102,10 @@ void check(const GaussianBatch& batch) {
   const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
   if (!values && !batch.format.empty()) throw BatchError("format is for batches with splats");
   const bool packed = !batch.format.empty();
-  checkLength("payload", batch.payload.size, packed ? payload::size(n, batch.sh_degree) : 0);
+  checkLength("payload", batch.payload.size,
+              !packed ? 0
+              : rows  ? packed_rows::size(n, batch.sh_degree)
+                      : payload::size(n, batch.sh_degree));
   const std::size_t splats = values && !packed ? n : 0;  // in arrays
   checkLength("positions", batch.positions.size, 3 * splats);
   checkLength("orientations", batch.orientations.size, 4 * splats);
@@ -135,16 +140,48 @@ SlotRuns runsOf(const GaussianBatch& batch) {
   return runs;
 }
 
-// Lays the splats of a batch out, relative to an origin, in bands up to edit.sh_degree. Returns
-// which of them mean something.
-std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin,
-                         GaussianEdit& edit) {
+// Room for the splats of a batch, in bands up to edit.sh_degree.
+void makeRoom(const GaussianBatch& batch, GaussianEdit& edit) {
   const std::size_t n = batch.count;
   edit.slots.assign(kSlotWords * n, 0u);
   edit.extents.assign(n, -1.0f);
   for (int band = 1; band <= edit.sh_degree; ++band) {
     edit.bands[band].resize(kBandWords[band] * n);
   }
+}
+
+// Lays the packed rows of a batch out, relative to an origin. Returns which of them mean something.
+std::vector<bool> layOutRows(const GaussianBatch& batch, const std::array<double, 3>& origin,
+                             GaussianEdit& edit) {
+  const std::size_t n = batch.count, bytes = packed_rows::size(1, batch.sh_degree);
+  std::vector<bool> kept(n, false);
+  std::array<std::uint32_t, rowWords(kMaxShDegree)> row{};
+  const auto bands = bandsOf<const std::uint32_t>(row.data());
+  const bool rebase = batch.origin != origin;
+  for (std::size_t i = 0; i < n; ++i) {
+    std::memcpy(row.data(), batch.payload.data + bytes * i, bytes);
+    row[kChangeWord] &= 0xffffu;  // above it is the receiver's own
+    for (int k = 0; rebase && k < 3; ++k) {
+      float x;
+      std::memcpy(&x, &row[k], sizeof(x));
+      x = static_cast<float>(double(x) + batch.origin[k] - origin[k]);
+      std::memcpy(&row[k], &x, sizeof(x));
+    }
+    kept[i] = packed_rows::isUsable(row.data());
+    if (!kept[i]) continue;
+    std::copy_n(row.data(), kSlotWords, &edit.slots[kSlotWords * i]);
+    for (int band = 1; band <= edit.sh_degree; ++band) {
+      std::copy_n(bands[band], kBandWords[band], &edit.bands[band][kBandWords[band] * i]);
+    }
+    edit.extents[i] = extentOf(slotOpacity(row.data()), largestScale(row.data()));
+  }
+  return kept;
+}
+
+// The same of a batch's arrays.
+std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin,
+                         GaussianEdit& edit) {
+  const std::size_t n = batch.count;
   std::vector<bool> kept(n, false);
   const SplatArrays<const float> splats{
       n,
@@ -255,8 +292,6 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   edit->moves = std::move(moves);
 
   edit->runs = runsOf(batch);
-  DecodedPayload decoded;
-  GaussianBatch splats;
   std::vector<bool> kept;
   std::vector<std::uint32_t> of_others;
   if (values) {
@@ -270,9 +305,14 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
           " to " + std::to_string(begin + SlotSet::kPage - 1) + " hold splats of group " +
           std::to_string(block_groups_[begin / SlotSet::kPage]) + ": delete them first");
     }
-    splats = decoded.decode(batch);
     edit->sh_degree = std::min<int>(batch.sh_degree, most_sh_degree_);
-    kept = layOut(splats, edit->origin, *edit);
+    makeRoom(batch, *edit);
+    if (batch.format == packed_rows::kFormat) {
+      kept = layOutRows(batch, edit->origin, *edit);
+    } else {
+      DecodedPayload decoded;
+      kept = layOut(decoded.decode(batch), edit->origin, *edit);
+    }
     report.dropped = static_cast<std::uint64_t>(std::count(kept.begin(), kept.end(), false));
     if (batch.count > 0) {
       next.channels = joined(std::move(next.channels), batch.channel_names);
@@ -312,9 +352,8 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     before[i] = used.set(slot, kept[i]);
     next.splats += int(kept[i]) - int(before[i]);
     if (kept[i]) {
-      const float* scale = &splats.scales.data[3 * i];
-      sample.keep(slot, {edit->position(i), std::max({scale[0], scale[1], scale[2]}),
-                         splats.opacities[i], group_index});
+      const std::uint32_t* const words = &edit->slots[kSlotWords * i];
+      sample.keep(slot, {edit->position(i), largestScale(words), slotOpacity(words), group_index});
     } else {
       sample.drop(slot);
     }

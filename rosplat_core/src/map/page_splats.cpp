@@ -1,10 +1,12 @@
 #include "map/page_splats.hpp"
 
 #include <algorithm>
+#include <cstring>
 #include <utility>
 
 #include "map/harmonics.hpp"
 #include "rosplat_core/map/channels.hpp"
+#include "rosplat_core/slots/packed_rows.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
 
 namespace rosplat {
@@ -62,6 +64,15 @@ void PageSplats::read(std::size_t at, std::size_t i, int sh_degree, Splats& to) 
   const int known = std::min(sh_degree, arrays_.sh_degree);
   unpackHarmonics(row, known, bandsOf(row), sh + 3);
   std::fill(sh + harmonicsOf(known), sh + harmonicsOf(sh_degree), 0.0f);
+}
+
+bool PageSplats::readRow(std::size_t at, int sh_degree, std::uint8_t* to) const {
+  if (!rows_) return false;
+  const std::size_t wanted = packed_rows::size(1, sh_degree);
+  const std::size_t known = std::min(wanted, packed_rows::size(1, arrays_.sh_degree));
+  std::memcpy(to, rows_ + rowWords(arrays_.sh_degree) * at, known);
+  std::memset(to + known, 0, wanted - known);
+  return true;
 }
 
 void PageSplats::reserve(int sh_degree, const std::vector<std::size_t>& channels) {

@@ -14,6 +14,7 @@
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/map/slot_pages.hpp"
 #include "rosplat_core/map/slot_revisions.hpp"
+#include "rosplat_core/slots/packed_rows.hpp"
 #include "rosplat_core/slots/payload.hpp"
 
 namespace rosplat {
@@ -202,8 +203,10 @@ std::vector<PublishedMap::Group> PublishedMap::groups() const {
     if (const auto found = map_->groups.find(number); found != map_->groups.end()) {
       group.pose = found->second.pose;
     }
-    std::vector<float> values;
-    gather({slots.data(), slots.size()}, map_->sh_degree, group.splats, map_->channels, values);
+    const NamedSlots named(slots.data(), slots.size());
+    setFrame(named, group.splats);
+    gather(named, map_->sh_degree, group.splats);
+    const std::vector<float> values = gatherChannels(named, map_->channels);
     auto first = values.begin();
     for (const std::string& name : map_->channels) {
       const auto end = first + static_cast<std::ptrdiff_t>(slots.size());
@@ -584,36 +587,63 @@ void PublishedMap::send(Batch&& batch) {
 
 // --- Batches, of the revision that the map has now -----------------------------------------------
 
-// What is in slots of one group; values: of channels of the map's, one after the other.
-void PublishedMap::gather(const NamedSlots& slots, int sh_degree, Splats& splats,
-                          const std::vector<std::string>& channels,
-                          std::vector<float>& values) const {
+// Calls each(page, place in it, number) for slots, whose pages there are.
+template <typename Each>
+void PublishedMap::forEach(const NamedSlots& slots, const Each& each) const {
+  std::uint32_t number = kMaxSlots;
+  const Page* page = nullptr;
+  for (std::size_t i = 0; i < slots.size(); ++i) {
+    if (number != slots[i] / kPageSlots) page = &map_->pages.at(number = slots[i] / kPageSlots);
+    each(*page, slots[i] % kPageSlots, i);
+  }
+}
+
+// The arrays of slots of one group.
+void PublishedMap::gather(const NamedSlots& slots, int sh_degree, Splats& splats) const {
   const std::size_t n = slots.size();
-  splats.antialiased = map_->antialiased.value_or(false);
   splats.positions.resize(3 * n);
   splats.orientations.resize(4 * n);
   splats.scales.resize(3 * n);
   splats.opacities.resize(n);
   splats.sh.resize(harmonicsOf(sh_degree) * n);
-  values.assign(channels.size() * n, kNoValue);
-  std::vector<std::size_t> places;
-  for (const std::string& name : channels) {
-    const auto place = std::find(map_->channels.begin(), map_->channels.end(), name);
-    places.push_back(static_cast<std::size_t>(place - map_->channels.begin()));
+  forEach(slots, [&](const Page& page, std::size_t at, std::size_t i) {
+    page.splats.read(at, i, sh_degree, splats);
+  });
+}
+
+// Them as a payload of packed rows, if that is how the map has all of them.
+bool PublishedMap::gatherRows(const NamedSlots& slots, int sh_degree,
+                              std::vector<std::uint8_t>& payload) const {
+  const std::size_t bytes = packed_rows::size(1, sh_degree);
+  payload.resize(bytes * slots.size());
+  bool packed = slots.size() > 0;
+  forEach(slots, [&](const Page& page, std::size_t at, std::size_t i) {
+    packed = packed && page.splats.readRow(at, sh_degree, payload.data() + bytes * i);
+  });
+  if (!packed) payload = {};
+  return packed;
+}
+
+// Their values of channels of the map's, channel by channel.
+std::vector<float> PublishedMap::gatherChannels(const NamedSlots& slots,
+                                                const std::vector<std::string>& channels) const {
+  const std::size_t n = slots.size();
+  std::vector<float> values(channels.size() * n, kNoValue);
+  for (std::size_t k = 0; k < channels.size(); ++k) {
+    const auto found = std::find(map_->channels.begin(), map_->channels.end(), channels[k]);
+    const auto place = static_cast<std::size_t>(found - map_->channels.begin());
+    forEach(slots, [&](const Page& page, std::size_t at, std::size_t i) {
+      if (const float* const own = page.splats.channel(place)) values[n * k + i] = own[at];
+    });
   }
-  std::uint32_t number = kMaxSlots;
-  const Page* page = nullptr;
-  for (std::size_t i = 0; i < n; ++i) {
-    if (number != slots[i] / kPageSlots) page = &map_->pages.at(number = slots[i] / kPageSlots);
-    const std::size_t at = slots[i] % kPageSlots;
-    page->splats.read(at, i, sh_degree, splats);
-    for (std::size_t k = 0; k < places.size(); ++k) {
-      if (const float* const own = page->splats.channel(places[k])) values[n * k + i] = own[at];
-    }
-  }
-  if (page && map_->groups.at(page->group).origin) {
-    splats.origin = *map_->groups.at(page->group).origin;
-  }
+  return values;
+}
+
+void PublishedMap::setFrame(const NamedSlots& slots, Splats& splats) const {
+  splats.antialiased = map_->antialiased.value_or(false);
+  if (slots.size() == 0) return;
+  const auto& origin = map_->groups.at(map_->pages.at(slots[0] / kPageSlots).group).origin;
+  if (origin) splats.origin = *origin;
 }
 
 PublishedMap::Poses PublishedMap::placedAfter(std::uint64_t revision) const {
@@ -651,7 +681,13 @@ Batch PublishedMap::writing(std::uint8_t operation, const NamedSlots& slots, std
   writing.group = group;
   writing.sh_degree = sh_degree;
   writing.channel_names = channels;
-  gather(slots, sh_degree, writing.splats, channels, writing.channels);
+  writing.channels = gatherChannels(slots, channels);
+  setFrame(slots, writing.splats);
+  if (compression_ == kNone && gatherRows(slots, sh_degree, writing.payload)) {
+    writing.format = packed_rows::kFormat;
+    return writing;
+  }
+  gather(slots, sh_degree, writing.splats);
   if (compression_ == kNone) return writing;
   const SplatArrays<const float> arrays = writing.splats.view().arrays;
   std::vector<bool> usable(arrays.count);

@@ -217,6 +217,7 @@ PaintingPtr Painter::newest(const std::string& view_id) const {
 PaintingPtr Painter::paintNow(const std::string& view_id, PaintRequestPtr request) {
   std::unique_lock lock(mutex_);
   const std::uint64_t number = enqueue(view_id, std::move(request));
+  views_[view_id].newest = nullptr;  // whoever waits for the next wants its memory
   finished_.wait(lock, [&] { return views_[view_id].painted >= number; });
   PaintingPtr painting = views_[view_id].newest;
   if (!painting->error.empty()) throw PictureError(painting->error);

@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <cstring>
+#include <string>
 #include <vector>
 
 #include "python/module.hpp"
 #include "rosplat_core/python/bindings.hpp"
+#include "rosplat_core/slots/packed_rows.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
 #include "rosplat_core/slots/payload.hpp"
 
@@ -59,11 +61,17 @@ bool suits(const py::object& arrays, const Array<bool>& usable) {
   return payload::suits(held.splats, held.usable);
 }
 
-py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degree) {
-  if (static_cast<std::size_t>(bytes.size()) != payload::size(count, sh_degree)) {
+py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degree,
+                const std::string& format) {
+  const bool rows = format == packed_rows::kFormat;
+  if (!rows && format != payload::kFormat) {
+    throw std::invalid_argument("format '" + format.substr(0, 40) + "' is unknown");
+  }
+  const std::size_t expected =
+      rows ? packed_rows::size(count, sh_degree) : payload::size(count, sh_degree);
+  if (static_cast<std::size_t>(bytes.size()) != expected) {
     throw std::invalid_argument("payload has " + std::to_string(bytes.size()) + " bytes, " +
-                                std::to_string(payload::size(count, sh_degree)) + " expected of " +
-                                payload::kFormat);
+                                std::to_string(expected) + " expected of " + format);
   }
   const auto n = static_cast<py::ssize_t>(count);
   const Floats positions({n, py::ssize_t{3}}), orientations({n, py::ssize_t{4}}),
@@ -74,7 +82,7 @@ py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degr
                                      to(scales), to(opacities), to(sh)};
   {
     const py::gil_scoped_release free;
-    payload::decode(bytes.data(), splats);
+    rows ? packed_rows::decode(bytes.data(), splats) : payload::decode(bytes.data(), splats);
   }
   return py::dict("positions"_a = positions, "orientations"_a = orientations, "scales"_a = scales,
                   "opacities"_a = opacities, "sh"_a = sh);
@@ -138,7 +146,7 @@ void putInOrder(py::array& array, const Array<std::int64_t>& order) {
 void definePayloads(py::module_& module) {
   module.def("encode_payload", &encode, "arrays"_a, "usable"_a);
   module.def("payload_suits", &suits, "arrays"_a, "usable"_a);
-  module.def("decode_payload", &decode, "payload"_a, "count"_a, "sh_degree"_a);
+  module.def("decode_payload", &decode, "payload"_a, "count"_a, "sh_degree"_a, "format"_a);
   module.def("pack_splats", &pack, "arrays"_a, "usable"_a);
   module.def("put_in_order", &putInOrder, "array"_a, "order"_a);
   module.def("payload_size", &payload::size, "count"_a, "sh_degree"_a);

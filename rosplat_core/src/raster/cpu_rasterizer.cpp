@@ -207,8 +207,8 @@ const char* CpuRasterizer::instructions() const { return work_->kernels.name; }
 
 std::size_t CpuRasterizer::bytes() const {
   const Work& w = *work_;
-  std::size_t bytes = w.ranks.bytes() + w.found.bytes() + w.dealt.bytes() + w.records.bytes() +
-                      w.keys.bytes() + w.listed.bytes() + w.of_listed.bytes() +
+  std::size_t bytes = w.ranks.bytes() + w.dealt.bytes() + w.records.bytes() + w.keys.bytes() +
+                      w.listed.bytes() + w.of_listed.bytes() +
                       w.begins.capacity() * sizeof(w.begins[0]) +
                       w.pages.capacity() * sizeof(w.pages[0]);
   for (const StepShare& part : w.parts) {

@@ -16,9 +16,11 @@ constexpr std::size_t kMostSlices = 32;
 }  // namespace
 
 void CpuRasterizer::Work::cull() {
-  found.reserve(pages.size() * kSlots + 1);
+  static_assert(kSlots * sizeof(Candidate) % sizeof(Record) == 0);
+  const std::size_t room = pages.size() * kSlots * sizeof(Candidate) / sizeof(Record);
+  found = reinterpret_cast<Candidate*>(records.reserve(room + 1));
   inParts(pages.size(), 16, [&](StepShare& part, Member&) {
-    Candidate* const begin = found.get() + part.begin * kSlots;
+    Candidate* const begin = found + part.begin * kSlots;
     Candidate* out = begin;
     for (std::size_t i = part.begin; i < part.end; ++i) {
       if (cancelled()) break;

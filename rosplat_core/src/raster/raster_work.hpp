@@ -182,7 +182,8 @@ struct CpuRasterizer::Work {
   std::array<HostSlots::PerSlot<float>, kLevels> node_parents;  // PageSlots::parents, by level
   ScratchBuffer<std::uint32_t> ranks;  // in a given order, by place of a page and in that
   bool ordered = false;
-  ScratchBuffer<Candidate> found, dealt;
+  Candidate* found = nullptr;  // in the memory of records, which come once it is dealt
+  ScratchBuffer<Candidate> dealt;
   std::size_t candidates = 0;
   std::vector<DepthSlice> waiting;  // the nearest one last
   std::vector<float> open;          // the pyramid's

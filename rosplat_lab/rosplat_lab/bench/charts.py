@@ -1,9 +1,9 @@
-"""Draws charts of records, from nothing but the records; or writes the same as tables."""
+"""Draws charts of records, from nothing but the records."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,10 +78,6 @@ CHARTS = (
         parameter("view"),
     ),
     Chart(
-        "sort-gpu", "sort", "order on the GPU", "Depth order, left on the GPU", "time [ms]",
-        parameter("method"), parameter("view"),
-    ),
-    Chart(
         "frame-time", "frame", "frame", "Frame, finished by the GPU", "time [ms]",
         parameter("variant", "order"), parameter("view", "picture"),
     ),
@@ -130,25 +126,9 @@ CHARTS = (
     ),
     Chart(
         "growth-fps", "growth", "frame rate", "Frame rate as the map grows", "frames a second",
-        parameter("backend", "by"), log=False, band=False,
-    ),
-    Chart(
-        "growth-orders", "growth", "orders", "Orders as the map grows", "orders a second",
-        parameter("backend", "by"), log=False, band=False,  # few splats may see no order: 0
-    ),
-    Chart(
-        "growth-ram", "growth", "RAM", "Memory as the map grows", "resident [MB]",
-        parameter("backend", "by"), parameter("process"), log=False, band=False,
-    ),
-    Chart(
-        "growth-vram", "growth", "VRAM", "GPU memory as the map grows", "[MB]",
-        parameter("backend", "by"), parameter("of"), log=False, band=False,
+        parameter("backend"), log=False, band=False,
     ),
 )  # fmt: skip
-
-
-MANY = 20  # sizes: a map that grows
-COLUMNS = 8  # of a table then
 
 
 def of_chart(chart: Chart, records: Sequence[Record]) -> list[Record]:
@@ -157,50 +137,11 @@ def of_chart(chart: Chart, records: Sequence[Record]) -> list[Record]:
     return [record for record in mine if chart.only(record)]
 
 
-def tables(records: Sequence[Record], statistic: str = "p50") -> Iterator[str]:
-    """Every chart that the records have something for, in Markdown: by number of splats.
-
-    statistic: the field of Record that fills the cells.
-    """
-    for chart in CHARTS:
-        mine = of_chart(chart, records)
-        if mine and chart.over is splats:
-            yield f"{chart.title}, {chart.y}, {statistic}\n\n{table(chart, mine, statistic)}"
-
-
-def table(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> str:
-    """A row for each series of each panel, a column for each scene, or for some of many sizes."""
-    columns = sorted({(record.splats, _family(record)) for record in records})
-    reach = 0.0
-    if len(columns) > MANY:
-        step = columns[-1][0] / COLUMNS
-        columns = [(round(step * (column + 1)), columns[-1][1]) for column in range(COLUMNS)]
-        reach = step / 2
-    rows: dict[tuple[str, str], list[Record]] = {}
-    for record in records:
-        rows.setdefault((chart.panel(record), chart.series(record)), []).append(record)
-    heads = [f"{of}, {size:,}" if of else f"{size:,}" for size, of in columns]
-    lines = [f"| | {' | '.join(heads)} |", "|---|" + "---:|" * len(heads)]
-    for (panel, series), points in rows.items():
-        cells = []
-        for size, of in columns:
-            mine = [point for point in points if _family(point) == of]
-            nearest = min(mine, key=lambda point: abs(point.splats - size), default=None)
-            near = nearest and abs(nearest.splats - size) <= reach
-            cells.append(f"{_number(getattr(nearest, statistic))}" if near else "")
-        lines.append(f"| {', '.join(filter(None, (panel, series)))} | {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
 def _family(record: Record) -> str:
     """What tells scenes of one size apart: no name for the garden, and generated ones' kind."""
     if record.scene.startswith(PROCEDURAL):
         return ""
     return record.scene.partition(":")[0] if is_generated(record.scene) else Path(record.scene).stem
-
-
-def _number(value: float) -> str:
-    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def draw(records: Sequence[Record], folder: Path, statistic: str = "p50") -> list[Path]:

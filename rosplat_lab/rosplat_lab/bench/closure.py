@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from rosplat_core import maps, rendering
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import Splats
-from rosplat_lab.bench import embedded, live, scenes
+from rosplat_lab.bench import embedded, scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
-from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, milliseconds
 from rviz_gaussian_plugin.offscreen import Renderer
 
 SIZES, QUICK_SIZES = (5_000_000,), (20_000,)
@@ -25,7 +25,7 @@ DRIFT, TURN = 0.02, 0.01  # that a closure takes back, of each submap's pose [m]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Bytes of a closure's message; ms to take it, and until all is drawn where it belongs."""
+    """Times to take a closure, and until all is drawn where it belongs."""
     sizes = plan.sizes or ((QUICK_SIZES if plan.quick else SIZES) if not plan.scenes else ())
     names = scenes.names(sizes, plan.scenes)
     for number, name in enumerate(names):
@@ -69,11 +69,6 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
         common: dict[str, Any] = {"scene": name, "splats": len(splats)}
         common |= {"gpu": renderer.renderer_info}
         parameters: dict[str, Any] = {"submaps": SUBMAPS, "width": picture[0], "height": picture[1]}
-        if live.has_ros():
-            size = _message_bytes(_poses(random))
-            yield Measurement.of("message of a closure", "bytes", size, **common, **parameters)
-        else:
-            yield Skipped("the message's bytes: no ROS 2, or no rosplat_msgs, is sourced")
         yield Measurement.of("to take it", "ms", took, **common, **parameters)
         yield Measurement.of("to the picture", "ms", closures, **common, **parameters)
         yield Measurement.of("a frame after a turn", "ms", frames, **common, **parameters)
@@ -115,28 +110,6 @@ def _move(renderer: Renderer, poses: NDArray[np.float64], revision: int) -> None
         maps.MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), *[_NO_FLOATS] * 5,
         rendering.MAP, revision, groups=np.arange(SUBMAPS, dtype=np.uint32), poses=poses,
     )  # fmt: skip
-
-
-def _message_bytes(poses: NDArray[np.float64]) -> int:
-    """Of the message as DDS sends it."""
-    from geometry_msgs.msg import Point, Pose, Quaternion
-    from rclpy.serialization import serialize_message
-
-    from rosplat_msgs.msg import GaussianArray
-
-    message = GaussianArray(
-        map_id=rendering.MAP,
-        operation=GaussianArray.MOVE,
-        groups=list(range(SUBMAPS)),
-        poses=[
-            Pose(
-                position=Point(x=x, y=y, z=z),
-                orientation=Quaternion(x=qx, y=qy, z=qz, w=qw),
-            )
-            for x, y, z, qx, qy, qz, qw in poses.tolist()
-        ],
-    )
-    return len(serialize_message(message))
 
 
 _NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)

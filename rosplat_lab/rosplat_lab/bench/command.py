@@ -17,11 +17,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from rosplat_core.program.output import say, told, unheard
+from rosplat_core.program.output import told, unheard
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import SceneError
 from rosplat_lab import machine
-from rosplat_lab.arguments import make_folder, number
+from rosplat_lab.arguments import make_folder, number, sized
 from rosplat_lab.bench import live
 from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
 from rosplat_lab.bench.records import (
@@ -59,7 +59,6 @@ SUBJECTS = {
     ),
     "levels": Subject("error, time, memory and popping of levels of detail"),
     "closure": Subject("a loop closure of 50 submaps, from the message to the picture"),
-    "moving": Subject("what a window shows of a camera that turns, without a graphics card"),
     "simplify": Subject("error of simplified maps, and the processor time of making them"),
     "occupancy": Subject("precision, recall and time of obstacles in a map"),
     "align": Subject(
@@ -82,7 +81,7 @@ SUBJECTS = {
     ),
     "network": Subject("orders over a line of 1 Gbit/s; needs root and iproute2", needs_ros=True),
     "chain": Subject("from pose to picture through publisher, sorter and viewer", needs_ros=True),
-    "growth": Subject("frame rate, orders and memory while a map grows", curve=True),
+    "growth": Subject("frame rate and memory while a map grows", curve=True),
 }
 
 
@@ -95,8 +94,6 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if arguments[:1] == ["charts"]:
             return _draw(arguments[1:], console)
-        if arguments[:1] == ["tables"]:
-            return _tabulate(arguments[1:])
         return _measure(arguments, console)
     except BrokenPipeError as error:  # of rich before 13.8
         unheard(error)
@@ -113,31 +110,11 @@ def _draw(arguments: list[str], console: Console) -> int:
         "--of", default="p50", choices=STATISTICS, help="what is drawn (default: the median)"
     )
     options = parser.parse_args(arguments)
-    _chart(_some(options.files), options.out, console, options.of)
-    return 0
-
-
-def _tabulate(arguments: list[str]) -> int:
-    parser = argparse.ArgumentParser(
-        prog="bench tables", description="Prints the charts of records as tables in Markdown."
-    )
-    parser.add_argument("files", nargs="+", type=Path, help="JSON files that bench wrote")
-    parser.add_argument(
-        "--of", default="p50", choices=STATISTICS, help="what fills the cells (default: the median)"
-    )
-    options = parser.parse_args(arguments)
-    from rosplat_lab.bench import charts
-
-    say("\n\n".join(charts.tables(_some(options.files), options.of)))
-    return 0
-
-
-def _some(files: list[Path]) -> list[Record]:
-    """The records of files. Raises RecordError where there are none."""
-    records = load(files)
+    records = load(options.files)
     if not records:
-        raise RecordError(f"{', '.join(map(str, files))}: no records")
-    return records
+        raise RecordError(f"{', '.join(map(str, options.files))}: no records")
+    _chart(records, options.out, console, options.of)
+    return 0
 
 
 def _measure(arguments: list[str], console: Console) -> int:
@@ -153,7 +130,6 @@ def _measure(arguments: list[str], console: Console) -> int:
         variants=tuple(options.variants),
         displays=tuple(options.displays),
         cameras=options.cameras,
-        one_process=options.one_process,
         budget=QUICK_BUDGET if options.quick else FULL_BUDGET,
     )
     if options.seconds is not None:
@@ -210,8 +186,8 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=f"subjects:\n{subjects}\n\n"
-        "`bench charts FILES...` draws the charts of records again, `bench tables FILES...`\n"
-        "prints them in Markdown. Ctrl-C ends a run and keeps what was measured.",
+        "`bench charts FILES...` draws the charts of records again. Ctrl-C ends a run and keeps\n"
+        "what was measured.",
     )
     parser.add_argument(
         "subjects", nargs="*", metavar="SUBJECT", type=_subject,
@@ -224,7 +200,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("out/bench"), help="folder for JSON, charts and logs"
     )
     parser.add_argument(
-        "--sizes", type=_size, nargs="+", default=[], metavar="N",
+        "--sizes", type=sized("number of splats"), nargs="+", default=[], metavar="N",
         help="splats of the procedural scenes: 500000, 500k, 5M",
     )  # fmt: skip
     parser.add_argument(
@@ -255,9 +231,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="S",
         help="how long to repeat each measurement",
     )
-    parser.add_argument(
-        "--one-process", action="store_true", help="growth: all in one process, without ROS 2"
-    )
     return parser
 
 
@@ -267,18 +240,6 @@ def _subject(text: str) -> str:
             f"unknown subject '{text}', known are {', '.join(SUBJECTS)}"
         )
     return text
-
-
-def _size(text: str) -> int:
-    units = {"k": 1_000, "m": 1_000_000}
-    digits, unit = (text[:-1], units[text[-1].lower()]) if text[-1:].lower() in units else (text, 1)
-    try:
-        size = round(float(digits) * unit)
-    except (ValueError, OverflowError):  # the latter of inf
-        size = 0
-    if size < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is no number of splats, such as 500k or 5M")
-    return size
 
 
 class Recorder:

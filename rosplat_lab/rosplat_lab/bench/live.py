@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib
 import json
+import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,16 @@ from typing import Any
 from rosplat_core.splats import SceneError
 from rosplat_lab import machine
 from rosplat_lab.bench import records
+from rosplat_lab.bench.line import Line
 from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
-from rosplat_tools.program.processes import Processes, quoted
+from rosplat_tools.program.processes import Processes, node_command, quoted
 
 GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
 PROCESSOR = "processor"  # the viewer's rasteriser sorts, without a graphics card and a sorter
 SAMPLE = 0.2  # between looks at the processes' memory [s]
 BUILT_IN = "built-in"  # the viewer sorts by itself, no sorter runs
 ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
-START_TIMEOUT = 300.0  # until the first frame of a complete map, or its growth begins [s]
+START_TIMEOUT = 300.0  # until the first frame of a complete map [s]
 
 Frame = dict[str, Any]
 """A line that moving_viewer writes."""
@@ -34,15 +36,13 @@ class Watched:
     """What was seen.
 
     ram: time, program, bytes. most_ram: the most bytes that each program had. idle_ram: bytes of
-    the sorter before any view asked for an order, 0 without a sorter. gpu_bytes: time, bytes that
-    all programs use on the GPU beyond what was used before. Times are of time.time().
+    the sorter before any view asked for an order, 0 without a sorter. Times are of time.time().
     """
 
     frames: list[Frame] = field(default_factory=list)
     ram: list[tuple[float, str, int]] = field(default_factory=list)
     most_ram: dict[str, int] = field(default_factory=dict)
     idle_ram: int = 0
-    gpu_bytes: list[tuple[float, int]] = field(default_factory=list)
 
 
 def watch(
@@ -50,50 +50,55 @@ def watch(
     publisher: Sequence[str],
     *,
     backend: str,
-    rate: float = 0.0,
-    radius: float = 0.0,
-    picture: tuple[int, int] = (1280, 720),
+    rate: float,
+    picture: tuple[int, int],
     until: Callable[[Watched], bool],
     begin: Callable[[str], None] | None = None,
+    line: Line | None = None,
+    environment: Mapping[str, str] | None = None,
 ) -> Watched:
     """Runs the three until `until`, which is asked now and then, says that it has seen enough.
 
     publisher: an executable of rosplat_tools and its arguments. backend: of the sorter, or
-    BUILT_IN, or GPU. rate: see moving_viewer. begin: called with the namespace when all three run.
-    Raises ProcessError where one of them ends by itself.
+    BUILT_IN, or GPU. rate: at which the camera turns [Hz]. begin: called with the namespace when
+    all three run. line: at whose far end the viewer runs, the others at the near one. Raises
+    ProcessError where one of them ends by itself.
     """
     namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
     log = out / "log"
     trace = log / "trace.json"
     seen = Watched()
-    gpu_before = machine.gpu_bytes_used()
     with Processes(log) as processes:
+
+        def start(name: str, command: list[str], end: str = "here") -> subprocess.Popen[bytes]:
+            there = line.at(end, command) if line else command
+            return processes.start(name, there, **(environment or {}))
+
         trace.unlink(missing_ok=True)
         programs = {}
         if backend in BACKENDS:
-            programs["sorter"] = processes.node(
-                "rosplat_sorter", "sorter", *remap, "-p", f"backend:={backend}"
-            )
+            sorter = node_command("rosplat_sorter", "sorter", *remap, "-p", f"backend:={backend}")
+            programs["sorter"] = start("sorter", sorter)
             while "waits for a view" not in processes.said("sorter"):
                 processes.check()
                 time.sleep(0.05)
             seen.idle_ram = machine.resident_bytes(programs["sorter"].pid)
-        programs["viewer"] = processes.start(
+        programs["viewer"] = start(
             "viewer",
             [
                 sys.executable, "-m", "rosplat_lab.bench.moving_viewer", *remap,
-                "-p", f"trace:={quoted(trace)}", "-p", f"rate:={rate}", "-p", f"radius:={radius}",
+                "-p", f"trace:={quoted(trace)}", "-p", f"rate:={rate}",
                 "-p", f"width:={picture[0]}", "-p", f"height:={picture[1]}",
                 "-p", f"order_source:={order_source(backend).lower()}",
             ],
+            end="there",
         )  # fmt: skip
         while not trace.exists():  # the viewer is ready, and misses nothing
             processes.check()
             time.sleep(0.05)
-        programs["publisher"] = processes.node(
-            "rosplat_tools", publisher[0], *remap, *publisher[1:], name="publisher"
-        )
+        command = node_command("rosplat_tools", publisher[0], *remap, *publisher[1:])
+        programs["publisher"] = start("publisher", command)
         if begin:
             begin(namespace)
         with trace.open(encoding="utf-8") as lines:
@@ -105,9 +110,6 @@ def watch(
                 for name, process in programs.items():
                     seen.ram.append((now, name, machine.resident_bytes(process.pid)))
                     seen.most_ram[name] = machine.peak_bytes(process.pid)
-                gpu_now = machine.gpu_bytes_used()
-                if gpu_now is not None and gpu_before is not None:
-                    seen.gpu_bytes.append((now, gpu_now - gpu_before))
                 text = rest + lines.read()
                 *complete, rest = text.split("\n")
                 seen.frames += [json.loads(line) for line in complete]
@@ -171,7 +173,7 @@ def backends(asked: Sequence[str], *own: str) -> tuple[list[str], list[records.S
     What needs a GPU is there where an NVIDIA one is, or where it is asked for by name. Raises
     SceneError for an unknown name.
     """
-    names = list(asked) or [name for name, entry in BACKENDS.items() if entry.automatic]
+    names = list(asked or BACKENDS)
     if not asked:
         card = bool(machine.nvidia_gpu()[0])
         names += [name for name in own if name != (PROCESSOR if card else GPU)]

@@ -25,6 +25,7 @@ from rviz_gaussian_plugin.viewer.node import Viewer
 from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
 
 REMEMBERED = 1000  # cameras whose orders may still come
+WAITING = 0.02  # between looks at whether the map is there [s]
 IDLE = 0.0005  # between looks at whether there is something to draw [s]
 
 
@@ -34,12 +35,9 @@ class MovingViewer(Viewer):
     def __init__(self) -> None:
         super().__init__()
         self.rate: float = declare(
-            self, "rate", 0.0, "How often the camera turns; 0: before each frame. [Hz]", 0.0, 1e4
+            self, "rate", 30.0, "How often the camera turns. [Hz]", 0.01, 1e4
         )
         self.trace: str = declare(self, "trace", "", "File to write a line of JSON a frame to.")
-        self.radius: float = declare(
-            self, "radius", 0.0, "Of the map, around its origin; 0: as it is seen. [m]", 0.0, 1e9
-        )
         self.published = math.nan  # when the publisher made the map's first batch, of time.time()
         self.received = math.nan  # when the last batch had been taken
         self._arrivals: list[dict[str, float]] = []
@@ -61,6 +59,7 @@ class MovingViewer(Viewer):
             "revision": message.revision,
             "sort_time": message.sort_time,
             "encoding": message.encoding,
+            "bytes": len(message.packed),
         }
         with self._lock:
             self._arrivals.append(arrival)
@@ -82,18 +81,16 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
     camera, view_id, due, turned = ViewCamera(), "", 0.0, False
     stale, revision = True, 0
     while viewer.context.ok():
-        if orbit is None and viewer.renderer.splats and (viewer.radius or viewer.complete()):
-            centre, radius = (
-                (np.zeros(3), viewer.radius) if viewer.radius else viewer.bounds()
-            )  # fmt: skip
+        if orbit is None and viewer.renderer.splats and viewer.complete():
+            centre, radius = viewer.bounds()
             orbit = OrbitCamera(centre, 2.5 * radius, np.array(viewer.up, np.float64))
         if orbit is None:
-            time.sleep(IDLE)
+            viewer.renderer.upload()
+            time.sleep(WAITING)
             continue
         now = time.time()
         if now >= due:
-            period = 1 / viewer.rate if viewer.rate else 0.0
-            due = max(due + period, now)
+            due = max(due + 1 / viewer.rate, now)
             orbit.turn(STEP, 0)
             camera = view_camera(orbit.camera(*viewer.window_size))
             view_id = viewer.look(camera, "bench")
@@ -127,15 +124,11 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
             "splats": splats,
             "complete": complete,
             "revision": revision,
-            "drawn": report["splats"],
             "fresh": report["order_fresh"],
-            "source": report["order_source"],
-            "gpu_bytes": report["gpu_bytes"],
             "renderer": viewer.renderer.renderer_info,
             "published": viewer.published,
             "received": viewer.received,
             "arrivals": arrivals,
-            "orders": len(arrivals),
             "latency": ended - looked[answered] if is_new else math.nan,
         }
         trace.write(json.dumps(line) + "\n")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from std_msgs.msg import ColorRGBA, Header
 
 from rosplat_core.generated import generate
 from rosplat_core.maps import PublishedBatch, PublishedMap
-from rosplat_core.payload import FORMAT, decode
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, OrderReader, pack
@@ -35,6 +33,8 @@ try:
     from visualization_msgs.msg import Marker, MarkerArray
 except ImportError:  # not among the wheels
     MarkerArray = None
+
+ONE_BATCH = 2**40  # a size that no map exceeds [bytes]
 
 
 class Orders:
@@ -74,26 +74,16 @@ class Orders:
             self._buffer.close()
 
 
-def batches_of(
-    splats: Splats, header: Header, compression: str, chunk_bytes: int = 2**40
-) -> list[GaussianArray]:
-    """The messages of a map, as its publisher makes them; by default one."""
+def make_batch(splats: Splats, header: Header) -> GaussianArray:
+    """All of the splats, as a map's publisher sends them: 59 numbers each with three bands of
+    harmonics."""
     batches: list[PublishedBatch] = []
-    published = PublishedMap(chunk_bytes, compression, batches.append, print, lambda: None)
+    published = PublishedMap(ONE_BATCH, NONE, batches.append, print, lambda: None)
     published.replace(splats, True, None, None)
-    return [as_message(batch, header) for batch in batches]
+    return as_message(batches[0], header)
 
 
-def make_batch(splats: Splats, header: Header, compression: str = NONE) -> GaussianArray:
-    """All of the splats: 59 numbers each with three bands of harmonics."""
-    return batches_of(splats, header, compression)[0]
-
-
-def read_batch(message: GaussianArray) -> Any:
-    """Its numbers: views of its arrays, or what is decoded of its payload."""
-    if message.format:
-        packed = np.frombuffer(message.payload, np.uint8)
-        return decode(packed, message.count, message.sh_degree)
+def read_batch(message: GaussianArray) -> list[NDArray[np.float32]]:
     return [
         np.frombuffer(values, np.float32)
         for values in (
@@ -164,7 +154,6 @@ ORDERS = {"inline": Orders(SLOTS), "packed": Orders(PACKED), "shared memory": Or
 KINDS: dict[str, tuple[Any, Callable[..., Any], Callable[..., Any]]] = {
     **{kind: (SplatOrder, orders.make, orders.read) for kind, orders in ORDERS.items()},
     "gaussians": (GaussianArray, make_batch, read_batch),
-    "payload": (GaussianArray, partial(make_batch, compression=FORMAT), read_batch),
     "poses": (PoseArray, make_poses, read_poses),
 }
 if MarkerArray is not None:

@@ -17,7 +17,7 @@ class Plan:
 
     sizes: of procedural scenes. scenes: by name, besides. backends: of the sorter. variants: what
     `frame` draws, see there. displays: files that list others, for rviz. cameras: a path for
-    simplify. one_process: growth without ROS 2. out: a folder for logs.
+    simplify. out: a folder for logs.
     """
 
     out: Path = Path("out/bench")
@@ -28,5 +28,4 @@ class Plan:
     variants: tuple[str, ...] = ()
     displays: tuple[Path, ...] = ()
     cameras: Path | None = None
-    one_process: bool = False
     budget: Budget = field(default=FULL_BUDGET)

@@ -13,7 +13,6 @@ from rosplat_core.scenes import PROCEDURAL, ROOMS, load_scene
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import Splats
 
-GARDEN = 2.4  # radius of the procedural scene [m]
 EYE = 1.6  # of who stands in a room, above its floor [m]
 STEP = math.radians(1)  # by which the camera turns from picture to picture
 PICTURES = ((1280, 720), (1920, 1080))

@@ -21,7 +21,6 @@ from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, millis
 from rosplat_sorter.backends import (
     BACKENDS,
     Allocate,
-    Backend,
     Unavailable,
     new_array,
     open_backend,
@@ -36,11 +35,10 @@ STEPS = 16  # cameras that take turns, so that no order is the last one's
 
 HOST = "order in host memory"
 PINNED = "order in pinned memory"
-DEVICE = "order on the GPU"
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Times of HOST, PINNED and DEVICE by scene, view and method."""
+    """Times of HOST and PINNED by scene, view and method."""
     names = scenes.names(plan.sizes or (QUICK_SIZES if plan.quick else SIZES), plan.scenes)
     unavailable: set[str] = set()
     for number, name in enumerate(names):
@@ -91,27 +89,18 @@ def methods(
             found.append(("native, 1 thread", partial(_ours, sorted_map, name, 1)))
         found.append((name, partial(_ours, sorted_map, name, 0)))
     if not backends:
-        for quantity, table in ((HOST, baselines.IN_HOST_MEMORY), (DEVICE, baselines.ON_DEVICE)):
-            for label, make in table.items():
-                found.append((label, partial(_others, sorted_map, quantity, label, make)))
+        for label, make in baselines.BASELINES.items():
+            found.append((label, partial(_others, sorted_map, label, make)))
     return found
 
 
 def _ours(sorted_map: SplatMap, name: str, threads: int) -> list[Way]:
-    backend: Any = open_backend(name, threads)  # the GPU's have more than a Backend has
+    backend = open_backend(name, threads)
     backend.update(sorted_map, slice(0, sorted_map.rows))
     label = f"{name}, {backend.device}"
     ways = [Way(HOST, label, partial(backend.order, allocate=InTurn(new_array)))]
-    finish = _finish(backend)
-    if finish:
-        on_device = backend.order_on_device
-
-        def sort(view: SortView) -> None:
-            on_device(view)
-            finish()
-
+    if BACKENDS[name].gpu and backend.device != "CPU":
         ways.append(Way(PINNED, label, partial(backend.order, allocate=InTurn(_pinned(name)))))
-        ways.append(Way(DEVICE, label, sort))
     return ways
 
 
@@ -148,25 +137,8 @@ def _pinned(name: str) -> Allocate:
     return make
 
 
-def _others(
-    sorted_map: SplatMap, quantity: str, label: str, make: Callable[[Any], baselines.Sort]
-) -> list[Way]:
-    return [Way(quantity, label, make(sorted_map.positions[: sorted_map.splats]), culls=False)]
-
-
-def _finish(backend: Backend) -> Callable[[], object] | None:
-    """What waits for a backend's GPU; None where it has none."""
-    if backend.name == "cupy":
-        import cupy
-
-        synchronize: Callable[[], object] = cupy.cuda.Device().synchronize
-        return synchronize
-    if backend.name == "torch":
-        import torch
-
-        if torch.cuda.is_available():
-            return torch.cuda.synchronize
-    return None
+def _others(sorted_map: SplatMap, label: str, make: Callable[[Any], baselines.Sort]) -> list[Way]:
+    return [Way(HOST, label, make(sorted_map.positions[: sorted_map.splats]), culls=False)]
 
 
 def _timed(

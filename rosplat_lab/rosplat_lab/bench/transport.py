@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import rclpy
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
@@ -19,21 +18,14 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
-from rosplat_core import payload
-from rosplat_core.cameras import Camera, look_at
-from rosplat_core.payload import Arrays
 from rosplat_lab.bench import live, scenes
-from rosplat_lab.bench.peer import KINDS, ORDERS, QUESTIONS, batches_of, topic
+from rosplat_lab.bench.peer import KINDS, ORDERS, QUESTIONS, topic
 from rosplat_lab.bench.plan import Plan
-from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
-from rosplat_msgs.msg import SplatOrder, ViewCamera
+from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
+from rosplat_msgs.msg import ViewCamera
 from rosplat_msgs.srv import LoadScene
-from rosplat_sorter.map import SplatMap
-from rosplat_sorter.qos import ORDER, VIEW
-from rosplat_tools.map_publisher import CHUNK_BYTES
-from rosplat_tools.messages import NONE
+from rosplat_sorter.qos import ORDER
 from rosplat_tools.program.processes import ProcessError, Processes
-from rosplat_tools.view_messages import view_camera
 
 ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 QUICK_ORDER_SIZES = (100_000, 500_000)
@@ -47,7 +39,6 @@ ACQUAINTANCE = 4.0  # until publisher, sorter and viewer know each other: DDS as
 # Ways to send splats, in words.
 WAYS = {
     "gaussians": "GaussianArray: arrays of 59 numbers a splat",
-    "payload": "GaussianArray: 70 bytes a splat, quantised",
     "poses": "PoseArray: a message a splat, of 7 numbers",
     "markers": "MarkerArray: a message a splat, of 14 numbers",
 }
@@ -83,15 +74,10 @@ def _maps(plan: Plan) -> Iterator[Event]:
     maps = plan.sizes or (QUICK_MAPS if plan.quick else MAPS)
     names = scenes.names(maps, plan.scenes)
     for index, name in enumerate(names):
-        yield Doing(f"{name}: taken by the sorter", 0.6 + 0.4 * index / len(names))
-        yield _ingest(plan, name)
-        yield from _compress(plan, name)
-        yield Doing(f"{name}: published until visible", 0.6 + 0.4 * (index + 0.5) / len(names))
+        yield Doing(f"{name}: published until visible", 0.6 + 0.4 * index / len(names))
         try:
             repeats = QUICK_MAP_REPEATS if plan.quick else MAP_REPEATS
             yield from _visible(plan.out, name, repeats)
-            ways = [_first_order(plan.out, name) for _ in range(repeats)]
-            yield Measurement.of("view to first order", "ms", ways, name, backend="native")
         except (ProcessError, TimeoutError) as error:
             yield Skipped(f"{name}: {error}")
 
@@ -147,42 +133,6 @@ class Asker:
         self._times[int(header.frame_id)] = (now - began) / 1e6
 
 
-def _ingest(plan: Plan, name: str) -> Measurement:
-    """How fast the sorter's side checks batches and takes them over, without the way there."""
-    splats = scenes.load(name).without_empty_bands()
-    messages = batches_of(splats, Header(frame_id="map"), NONE, CHUNK_BYTES)
-
-    def take() -> None:
-        taken = SplatMap()
-        for message in messages:
-            taken.take(message)
-
-    times = plan.budget.spend(lambda _: milliseconds(take))
-    rates = [len(splats) / 1e3 / time_ms for time_ms in times]
-    return Measurement.of("taken by the sorter", "M splats/s", rates, name, len(splats))
-
-
-def _compress(plan: Plan, name: str) -> Iterator[Measurement]:
-    """What a payload costs and saves: from which network on it is faster than the arrays."""
-    splats = scenes.load(name).without_empty_bands()
-    arrays = Arrays(
-        splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh
-    )
-    usable = np.ones(len(splats), bool)
-    packed = payload.encode(arrays, usable)
-    degree = splats.sh_degree
-
-    def took(doing: str, run: Callable[[], object]) -> Measurement:
-        times = plan.budget.spend(lambda _: milliseconds(run))
-        return Measurement.of(doing, "ms", times, name, len(splats), sh_degree=degree)
-
-    yield took("encoded", lambda: payload.encode(arrays, usable))
-    yield took("decoded", lambda: payload.decode(packed, len(splats), degree))
-    for way, nbytes in (("arrays", splats.nbytes), (payload.FORMAT, packed.nbytes)):
-        size = nbytes / max(1, len(splats))
-        yield Measurement.of("a splat", "bytes", [size], name, len(splats), way=way)
-
-
 def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
     """From the first batch's making to the frame that shows all, in three processes."""
     node = Node("opener")
@@ -209,42 +159,3 @@ def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
     node.destroy_node()
     yield Measurement.of("publish to visible", "ms", shown, name, splats, gpu, backend="native")
     yield Measurement.of("received by the viewer", "M splats/s", rates, name, splats)
-
-
-def _first_order(out: Path, name: str) -> float:
-    """From the first view that wants an order to that order, by a sorter without a map. [ms]
-
-    Raises ProcessError where a program ends, TimeoutError where one doesn't answer.
-    """
-    namespace = f"/bench_{uuid.uuid4().hex[:8]}"
-    remap = ["--ros-args", "-r", f"__ns:={namespace}"]
-    node = Node("viewer", namespace=namespace)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    orders: list[SplatOrder] = []
-    node.create_subscription(SplatOrder, "gaussians/order", orders.append, ORDER)
-    views = node.create_publisher(ViewCamera, "gaussians/view", VIEW)
-    load: Client = node.create_client(LoadScene, "ply_publisher/load")
-    view = view_camera(Camera(0, 640, 360, 450, 450, 320, 180, look_at((5, 5, 3), (0, 0, 0))))
-    view.view_id, view.sequence = "first", 1
-    with Processes(out / "log") as processes:
-        processes.node("rosplat_tools", "ply_publisher", *remap, name="publisher")
-        processes.node("rosplat_sorter", "sorter", *remap, "-p", "backend:=native")
-        if not load.wait_for_service(PATIENCE):
-            raise TimeoutError("the publisher did not start")
-        loaded = load.call_async(LoadScene.Request(path=name))
-        executor.spin_until_future_complete(loaded, live.START_TIMEOUT)
-        time.sleep(ACQUAINTANCE)
-        began = time.perf_counter()
-        while not orders and time.perf_counter() < began + PATIENCE:
-            views.publish(view)  # again each second, as viewers do
-            again = time.perf_counter() + 1.0
-            while not orders and time.perf_counter() < again:
-                executor.spin_once(0.1)
-            processes.check()
-        took = time.perf_counter() - began
-    executor.shutdown()
-    node.destroy_node()
-    if not orders:
-        raise TimeoutError("the sorter did not answer")
-    return 1e3 * took

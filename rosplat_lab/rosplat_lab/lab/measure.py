@@ -22,12 +22,12 @@ from PIL import Image
 from rosplat_core.cameras import Camera
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.splats import Splats
-from rosplat_lab.bench import embedded, moving, scenes, truths
+from rosplat_lab.bench import embedded, scenes, truths
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_lab.bench.renderers import RENDERERS, CpuRenderer, DisplayRenderer, Ours
-from rosplat_lab.lab import orders
+from rosplat_lab.lab import moving, orders
 from rosplat_lab.lab.ways import MODEL, OURS, WHOLE, WINDOW, Way, counted, maps, ways
 
 TIME, ERROR = "frame", "PSNR"  # names of what is measured

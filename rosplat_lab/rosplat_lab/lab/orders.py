@@ -47,12 +47,6 @@ class Sorter:
         return slots[np.argsort(keys(view, self._map.positions[slots]), kind="stable")[::-1]]
 
 
-def exact(view: SortView, positions: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """All 32 bits of the depths' floats."""
-    keys: NDArray[np.uint32] = depth.sort_keys(depth.transform(view, positions, 2))
-    return keys
-
-
 def linear(bits: int) -> Keys:
     """2^bits steps of equal depth from the nearest to the farthest visible mean, as most viewers
     have them."""

@@ -99,12 +99,6 @@ def for_decibels(found: Iterable[Point], least: float) -> Point | None:
     return next((p for p in frontier(found) if p.psnr >= least), None)
 
 
-def for_time(found: Iterable[Point], most: float) -> Point | None:
-    """The most exact of a frontier that takes no longer. [ms]"""
-    within = [p for p in frontier(found) if p.ms is not None and p.ms <= most]
-    return within[-1] if within else None
-
-
 def verdict(found: Sequence[Point]) -> str:
     """Whether the default is justified by the points of a scene, and by which figures."""
     default = next(p for p in found if p.setting == DEFAULT)

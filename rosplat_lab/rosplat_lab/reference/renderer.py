@@ -91,20 +91,14 @@ def pick(splats: Splats, camera: Camera) -> tuple[NDArray[np.int64], Array]:
     Returns (height, width) slots, -1 where nothing is, and (height, width) what they contribute;
     of equal contributions the nearer splat's.
     """
-    projected = project(splats, camera)
-    projected = projected[_front_to_back(projected, None, len(splats))]
     slots = np.full((camera.height, camera.width), -1)
     most = np.zeros(slots.shape)
-    for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
-        ys = np.arange(y, min(y + TILE, camera.height))
-        xs = np.arange(x, min(x + TILE, camera.width))
-        window = np.ix_(ys, xs)
-        for part, weights in _weights(projected[members], xs, ys, (MIN_ALPHA, 0.99), 0.0):
-            best = weights.argmax(axis=0)
-            contribution = np.take_along_axis(weights, best[None], axis=0)[0]
-            more = contribution > most[window]
-            slots[window] = np.where(more, projected.slots[members[part]][best], slots[window])
-            most[window] = np.where(more, contribution, most[window])
+    for window, seen, weights in _contributed(splats, camera):
+        best = weights.argmax(axis=0)
+        contribution = np.take_along_axis(weights, best[None], axis=0)[0]
+        more = contribution > most[window]
+        slots[window] = np.where(more, seen[best], slots[window])
+        most[window] = np.where(more, contribution, most[window])
     return slots, most
 
 
@@ -116,18 +110,12 @@ def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array, Array]:
     splat.
     """
     weights, energies = np.zeros(len(splats)), np.zeros(len(splats))
-    projected = project(splats, camera)
-    projected = projected[_front_to_back(projected, None, len(splats))]
-    for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
-        ys = np.arange(y, min(y + TILE, camera.height))
-        xs = np.arange(x, min(x + TILE, camera.width))
-        for part, of_pixels in _weights(projected[members], xs, ys, (MIN_ALPHA, 0.99), 0.0):
-            slots = projected.slots[members[part]]
-            weights[slots] += of_pixels.sum(axis=(1, 2))
-            energies[slots] += (of_pixels**2).sum(axis=(1, 2))
+    for _, slots, of_pixels in _contributed(splats, camera):
+        weights[slots] += of_pixels.sum(axis=(1, 2))
+        energies[slots] += (of_pixels**2).sum(axis=(1, 2))
     whole = render(splats, camera).rgba[..., :3]
     errors = np.zeros(len(splats))
-    for slot in projected.slots:
+    for slot in project(splats, camera).slots:
         others = np.delete(np.arange(len(splats)), slot)
         errors[slot] = np.sum((render(splats[others], camera).rgba[..., :3] - whole) ** 2)
     return weights, energies, errors
@@ -136,15 +124,23 @@ def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array, Array]:
 def dealt(splats: Splats, camera: Camera, values: Array) -> Array:
     """What each splat gets, (n,), of values (height, width) of pixels, by what it contributes."""
     sums = np.zeros(len(splats))
+    for window, slots, weights in _contributed(splats, camera):
+        sums[slots] += (weights * values[window]).sum(axis=(1, 2))
+    return sums
+
+
+def _contributed(
+    splats: Splats, camera: Camera
+) -> Iterator[tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], Array]]:
+    """Part by part of the picture, what splats contribute to it, alpha times the transmittance
+    before it: the part's rows and columns, slots (n,), nearest first, and (n, h, w) of each."""
     projected = project(splats, camera)
     projected = projected[_front_to_back(projected, None, len(splats))]
     for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
         ys = np.arange(y, min(y + TILE, camera.height))
         xs = np.arange(x, min(x + TILE, camera.width))
         for part, weights in _weights(projected[members], xs, ys, (MIN_ALPHA, 0.99), 0.0):
-            of_splats = (weights * values[np.ix_(ys, xs)]).sum(axis=(1, 2))
-            sums[projected.slots[members[part]]] += of_splats
-    return sums
+            yield np.ix_(ys, xs), projected.slots[members[part]], weights
 
 
 def _front_to_back(

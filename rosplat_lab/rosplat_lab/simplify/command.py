@@ -31,7 +31,7 @@ from rosplat_core.simplification.search import LEARNT, Progress, Quality, Simpli
 from rosplat_core.simplification.views import CHECKED, HEIGHT, HELD, MARGIN, WIDTH, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
-from rosplat_lab.arguments import number, whole
+from rosplat_lab.arguments import number, sized, whole
 from rosplat_lab.machine import commit, machine, peak_bytes
 from rosplat_lab.simplify.path import along
 
@@ -101,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--max-bytes",
-        type=_bytes,
+        type=sized("number of bytes"),
         metavar="SIZE",
         help="keep what fits into a file of this size: 20000000, or 20M",
     )
@@ -140,11 +140,6 @@ def _decibels(text: str) -> float:
     if not 0 < value < MOST_PSNR:
         raise argparse.ArgumentTypeError(f"'{text}' is no PSNR, 0 to {MOST_PSNR:g} dB")
     return value
-
-
-def _bytes(text: str) -> int:
-    unit = {"k": 10**3, "M": 10**6, "G": 10**9}.get(text[-1:], 1)
-    return whole(1)(text if unit == 1 else text[:-1]) * unit
 
 
 def _simplify(options: argparse.Namespace, command: str) -> None:

@@ -65,12 +65,11 @@ class Unavailable(Exception):
 
 @dataclass(frozen=True)
 class Entry:
-    """Where a backend is, and when it is chosen without being asked for."""
+    """Where a backend is, and whether it is for GPUs."""
 
     module: str
     factory: str
     gpu: bool = False
-    automatic: bool = True
 
 
 AUTO = "auto"
@@ -115,7 +114,7 @@ def choose(
         except Unavailable as error:
             reasons[name] = str(error)
     for candidate, entry in BACKENDS.items():
-        if candidate in without or candidate in reasons or not entry.automatic:
+        if candidate in without or candidate in reasons:
             continue
         try:
             if entry.gpu and not _has_nvidia_driver():  # spares the seconds that an import takes

@@ -114,13 +114,13 @@ class CupyBackend:
         cupy.get_default_memory_pool().free_all_blocks()
 
     def order(self, view: SortView, allocate: Allocate = new_array) -> NDArray[np.uint32]:
-        slots = self.order_on_device(view)
+        slots = self._order_on_device(view)
         result = allocate(len(slots))
         self._pin(result)
         slots.get(out=result)
         return result
 
-    def order_on_device(self, view: SortView) -> cupy.ndarray:
+    def _order_on_device(self, view: SortView) -> cupy.ndarray:
         """The order as a GPU array, uint32 (m,), which may still be in the making.
 
         The next order is written to the same memory.

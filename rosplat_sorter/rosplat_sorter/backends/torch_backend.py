@@ -66,14 +66,6 @@ class TorchBackend:
 
     @torch.inference_mode()
     def order(self, view: SortView, allocate: Allocate = new_array) -> NDArray[np.uint32]:
-        order = self.order_on_device(view)
-        result = allocate(len(order))
-        torch.from_numpy(result.view(np.int32)).copy_(order)
-        return result
-
-    @torch.inference_mode()
-    def order_on_device(self, view: SortView) -> Tensor:
-        """The order as a tensor on the device, int32 (m,), which may still be in the making."""
         positions, extents = self._positions[: self._count], self._extents[: self._count]
         rotations, translations = self._upload(view.rotations), self._upload(view.translations)
         if len(rotations) > 1:
@@ -91,7 +83,9 @@ class TorchBackend:
         bits = (z[rows] + 0.0).view(torch.int32)  # the sum makes one depth of -0 and 0
         keys = bits ^ ((bits >> 31) & 0x7FFFFFFF)  # integers that compare as the depths do
         ascending = torch.sort(keys, stable=True).indices
-        return slots[ascending].flip(0)
+        result = allocate(len(slots))
+        torch.from_numpy(result.view(np.int32)).copy_(slots[ascending].flip(0))
+        return result
 
     def _upload(self, array: NDArray[np.generic]) -> Tensor:
         return torch.from_numpy(array).to(self._device)

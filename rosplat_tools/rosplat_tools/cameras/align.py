@@ -37,7 +37,7 @@ from rosplat_tools.cameras.refining import Refined, refined
 from rosplat_tools.cameras.taken_pictures import Taken, TakenPictures
 from rosplat_tools.poses import to_matrix, to_pose
 from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import run, spinning
+from rosplat_tools.program.running import run_node
 
 # Some wheels of PyPI don't have it.
 try:
@@ -193,13 +193,7 @@ def _transform(header: Header, child: str, pose: PoseWithCovariance) -> Transfor
 
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
-    run("align", _align)
-
-
-def _align() -> None:
-    node = AlignNode()
-    with spinning(node, THREADS):
-        node.align()
+    run_node("align", AlignNode, AlignNode.align, THREADS)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from rosplat_tools.cameras.poses import Poses, declare_poses
 from rosplat_tools.frames import LATEST
 from rosplat_tools.images import to_bytes, to_image
 from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import run, spinning
+from rosplat_tools.program.running import run_node
 
 # Reliable: readers that ask for best effort are served as well.
 PICTURES = QoSProfile(depth=5)
@@ -242,13 +242,7 @@ class _Camera:
 
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
-    run("camera", _film)
-
-
-def _film() -> None:
-    node = CameraNode()
-    with spinning(node):
-        node.film()
+    run_node("camera", CameraNode, CameraNode.film)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ from rosplat_tools.cameras.residual_map import ResidualMap
 from rosplat_tools.cameras.taken_pictures import Taken, TakenPictures
 from rosplat_tools.images import to_image
 from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import run, spinning
+from rosplat_tools.program.running import run_node
 
 PICTURES = QoSProfile(depth=5)
 POLL = 0.005  # how often TF is asked [s]
@@ -119,13 +119,7 @@ def main() -> None:
     """
     if any(word.startswith("--bag") for word in sys.argv[1:]):
         sys.exit(compare_bag.main())
-    run("compare", _compare)
-
-
-def _compare() -> None:
-    node = Compare()
-    with spinning(node):
-        node.compare()
+    run_node("compare", Compare, Compare.compare)
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
 from rosplat_tools.images import to_bytes, to_image
 from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import run, spinning, wait_for_end
+from rosplat_tools.program.running import run_node
 from rosplat_tools.view_messages import view_camera
 
 # The wheels of PyPI don't have it.
@@ -333,13 +333,7 @@ def _covariance(deviation: float) -> NDArray[np.float64]:
 
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
-    run("demo_sensors", _fly)
-
-
-def _fly() -> None:
-    node = DemoSensors()
-    with spinning(node):
-        wait_for_end(node)
+    run_node("demo_sensors", DemoSensors)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from rosplat_core.splats import SceneError
 from rosplat_tools.emulation.mapping import Move, around, edits, with_keyframes
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
-from rosplat_tools.program.running import run, spinning, wait_for_end
+from rosplat_tools.program.running import run_node
 
 
 class SlamEmulator(Node):
@@ -103,13 +103,7 @@ class SlamEmulator(Node):
 
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
-    run("slam_emulator", _emulate)
-
-
-def _emulate() -> None:
-    node = SlamEmulator()
-    with spinning(node):
-        wait_for_end(node)
+    run_node("slam_emulator", SlamEmulator)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from rosplat_tools.following.watched_file import WatchedFile
 from rosplat_tools.following.whole_maps import WholeMaps
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
-from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
+from rosplat_tools.program.running import Cancelled, run_node
 
 
 class Follow(Node):
@@ -117,13 +117,7 @@ class Follow(Node):
 
 def main() -> None:
     """Runs the node until it is told to end."""
-    run("follow", _follow)
-
-
-def _follow() -> None:
-    node = Follow()
-    with spinning(node):
-        wait_for_end(node)
+    run_node("follow", Follow)
 
 
 if __name__ == "__main__":

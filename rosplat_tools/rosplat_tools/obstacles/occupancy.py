@@ -48,7 +48,7 @@ from rosplat_tools.obstacles.obstacle_messages import (
 )
 from rosplat_tools.program.files_below import check_below
 from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import run, spinning, wait_for_end
+from rosplat_tools.program.running import run_node
 from rosplat_tools.program.said_once import SaidOnce
 
 # As map_server has its grid.
@@ -289,13 +289,7 @@ def _numbers(name: str, values: Any) -> tuple[float, float]:
 
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
-    run("occupancy", _run)
-
-
-def _run() -> None:
-    node = Occupancy()
-    with spinning(node):
-        wait_for_end(node)
+    run_node("occupancy", Occupancy)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from threading import Event
+from typing import TypeVar
 
 import rclpy
 from rclpy.exceptions import (
@@ -37,6 +38,9 @@ BREATH = 0.0002  # in which a thread begins with a callback [s]
 LOST = 3.0  # after a signal, nobody has heard of its exception [s]
 
 
+AnyNode = TypeVar("AnyNode", bound=Node)
+
+
 class Cancelled(Exception):
     """What a progress callback raises to end the work."""
 
@@ -47,7 +51,30 @@ def run(program: str, body: Callable[[], None]) -> None:
     A SceneError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1, as
     does a parameter of another type, use_sim_time too, which rclpy reads.
     """
-    take_ros_arguments_only(program, sys.modules[body.__module__].__doc__)
+    _run(program, body, body.__module__)
+
+
+def run_node(
+    program: str,
+    make: Callable[[], AnyNode],
+    work: Callable[[AnyNode], None] | None = None,
+    threads: int = 1,
+) -> None:
+    """Runs a node as `run` does: its callbacks in threads of their own, its work in this one.
+
+    work: by default there is none until a signal comes.
+    """
+
+    def body() -> None:
+        node = make()
+        with spinning(node, threads):
+            (work or wait_for_end)(node)
+
+    _run(program, body, make.__module__)
+
+
+def _run(program: str, body: Callable[[], None], module: str) -> None:
+    take_ros_arguments_only(program, sys.modules[module].__doc__)
     give_back_large_blocks()
     # rclpy's own handlers shut ROS down under code that is just using it.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

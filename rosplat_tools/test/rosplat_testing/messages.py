@@ -9,7 +9,7 @@ from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from rosplat_core import channels, payload
+from rosplat_core import _core, channels, payload
 from rosplat_core.payload import Arrays, PayloadError
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import Splats
@@ -60,6 +60,12 @@ def encode(
             splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh
         )
         usable = is_usable(arrays)
+        if compression == payload.PACKED:
+            rows = _core.pack_splats(arrays, usable)
+            rows[~usable, 0] = np.float32(np.nan).view(np.uint32)
+            message.format = compression
+            message.payload = as_array("B", rows)
+            return message
         if payload.suits(arrays, usable):
             message.format = compression
             message.payload = as_array("B", payload.encode(arrays, usable))
@@ -154,8 +160,8 @@ def check(message: GaussianArray) -> None:
         raise EditError("revision is 0, they count from 1")
     if message.operation not in (REPLACE, UPSERT, DELETE, MOVE):
         raise EditError(f"operation is {message.operation}, known are 0 to 3")
-    if message.format not in ("", payload.FORMAT):
-        raise EditError(f"format is '{message.format}', known is '{payload.FORMAT}'")
+    if message.format not in ("", payload.FORMAT, payload.PACKED):
+        raise EditError(f"format is '{message.format}', which is unknown")
     if message.group >= MAX_GROUPS:
         raise EditError(f"group is {message.group}, a map has at most {MAX_GROUPS} groups")
     if message.sh_degree > MAX_SH_DEGREE:
@@ -226,7 +232,10 @@ def arrays_of(message: GaussianArray) -> Arrays:
     if message.format:
         try:
             return payload.decode(
-                np.frombuffer(message.payload, np.uint8), message.count, message.sh_degree
+                np.frombuffer(message.payload, np.uint8),
+                message.count,
+                message.sh_degree,
+                message.format,
             )
         except PayloadError as error:
             raise EditError(str(error)) from None

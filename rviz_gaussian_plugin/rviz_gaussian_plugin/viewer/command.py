@@ -23,7 +23,7 @@ from rosplat_msgs.msg import ViewCamera
 from rosplat_tools.program.running import run, spinning
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.offscreen import ensure_display
-from rviz_gaussian_plugin.viewer.node import QUIET, Viewer
+from rviz_gaussian_plugin.viewer.node import QUIET, Viewer, described
 from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
 
 STILL = (1280, 720)
@@ -47,6 +47,7 @@ def _wait_for_map(viewer: Viewer) -> None:
         topic = viewer.resolve_topic_name("gaussians")
         if time.monotonic() > discovered and not viewer.count_publishers(topic):
             viewer.get_logger().info(f"waiting for a map on {topic}", once=True)
+        viewer.renderer.upload()
         time.sleep(0.05)
 
 
@@ -58,7 +59,8 @@ def show_stills(viewer: Viewer, folder: Path) -> None:
         raise SceneError(f"parameter output: {folder}: {error.strerror}") from error
     _wait_for_map(viewer)
     orbit = _framed(viewer)
-    figures = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", ORDER_TIMEOUT)
+    report = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", ORDER_TIMEOUT)
+    figures = described(viewer.renderer.splats, report)
     still = Picture.fromarray(viewer.renderer.read_color8(BACKGROUND))
     with replacing(folder / "demo.png") as partial:
         still.save(partial, "PNG")
@@ -117,7 +119,7 @@ def show_window(viewer: Viewer) -> None:
                 shown = state
                 camera = view_camera(orbit.camera(width, height))
                 view_id = viewer.look(camera, "window")
-            figures = viewer.draw_frame(view_id, camera)
+            figures = described(viewer.renderer.splats, viewer.draw_frame(view_id, camera))
             pixels = viewer.renderer.read_color8(BACKGROUND)
             window.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
             pygame.display.flip()
@@ -133,6 +135,7 @@ def show_window(viewer: Viewer) -> None:
 def serve(viewer: Viewer) -> None:
     """Draws pictures for others until it is told to end."""
     while viewer.context.ok():
+        viewer.renderer.upload()
         viewer.serve_request(wait=0.1)
 
 

@@ -41,34 +41,18 @@ LONGEST_WAIT = 60.0  # for the order of a picture [s]
 ORDER_SOURCES = {name.lower(): source for name, source in OrderSource.__members__.items()}
 
 
-@dataclass(frozen=True)
-class Figures:
-    """What a frame was. map_id, revision, map_complete: of the map as it was drawn."""
-
-    splats: int
-    drawn: int
-    error: float
-    detail_error: str
-    order_source: str
-    sort_time: float
-    draw_time: float
-    order_age: float
-    map_id: str
-    revision: int
-    map_complete: bool
-
-    def __str__(self) -> str:
-        took = f" in {self.sort_time * 1e3:.1f} ms" if self.sort_time else ""  # else not measured
-        order = f"sorted by {self.order_source}{took}"
-        if not self.order_source:
-            order = "not sorted yet"
-        detail = f" to {self.error:.2g} px" if self.error else ""
-        if self.detail_error:
-            detail += f" ({self.detail_error})"
-        return (
-            f"{self.splats:,} splats, {self.drawn:,} in view{detail} | {order} | "
-            f"frame {self.draw_time * 1e3:.1f} ms | order age {self.order_age * 1e3:.0f} ms"
-        )
+def described(splats: int, report: dict[str, Any]) -> str:
+    """A frame in a line. splats: of the map. report: of Renderer.draw."""
+    sort_time, source = report["sort_time"], report["order_source"]
+    took = f" in {sort_time * 1e3:.1f} ms" if sort_time else ""  # else not measured
+    order = f"sorted by {source}{took}" if source else "not sorted yet"
+    detail = f" to {report['error']:.2g} px" if report["error"] else ""
+    if report["detail_error"]:
+        detail += f" ({report['detail_error']})"
+    return (
+        f"{splats:,} splats, {report['splats']:,} in view{detail} | {order} | "
+        f"frame {report['draw_time'] * 1e3:.1f} ms | order age {report['order_age'] * 1e3:.0f} ms"
+    )
 
 
 class Viewer(Node):
@@ -260,10 +244,10 @@ class Viewer(Node):
         listeners = self._views.get_subscription_count()
         return listeners > 0 and listeners > self.count_publishers(self._order_topic)
 
-    def draw_still(self, camera: ViewCamera, name: str, order_timeout: float) -> Figures:
+    def draw_still(self, camera: ViewCamera, name: str, order_timeout: float) -> dict[str, Any]:
         """Draws with the sorter's order, or after order_timeout [s] with one sorted here.
 
-        Where no sorter's order is wanted, the renderer sorts at once.
+        Where no sorter's order is wanted, the renderer sorts at once. Returns what it reports.
         """
         view_id = self.look(camera, name)
         deadline = time.monotonic() + order_timeout
@@ -284,31 +268,17 @@ class Viewer(Node):
             if time.monotonic() - self._published > ASK_AGAIN:
                 self.look(camera, name)
             time.sleep(0.001)
-        report = self.renderer.draw(view_id, sort_now=not answered)
+        report: dict[str, Any] = self.renderer.draw(view_id, sort_now=not answered)
         if answered and not report["order_fresh"]:  # the map went on since the order was there
             report = self.renderer.draw(view_id, sort_now=True)
-        return self._figures(report)
+        return report
 
-    def draw_frame(self, view_id: str, camera: ViewCamera) -> Figures:
-        """Draws with the best order there is."""
+    def draw_frame(self, view_id: str, camera: ViewCamera) -> dict[str, Any]:
+        """Draws with the best order there is; returns what the renderer reports."""
         if time.monotonic() - self._published > KEEP_ALIVE:
             self._ask(camera)
-        return self._figures(self.renderer.draw(view_id))
-
-    def _figures(self, report: dict[str, Any]) -> Figures:
-        return Figures(
-            splats=self.renderer.splats,
-            drawn=report["splats"],
-            error=report["error"],
-            detail_error=report["detail_error"],
-            order_source=report["order_source"],
-            sort_time=report["sort_time"],
-            draw_time=report["draw_time"],
-            order_age=report["order_age"],
-            map_id=report["map_id"],
-            revision=report["revision"],
-            map_complete=report["map_complete"],
-        )
+        report: dict[str, Any] = self.renderer.draw(view_id)
+        return report
 
     def serve_request(self, wait: float) -> None:
         """Draws what others ask for next, if they do within `wait`. [s]"""
@@ -333,7 +303,7 @@ class Viewer(Node):
         shown_detail = self.renderer.settings.detail
         try:
             self.renderer.settings.detail = request.detail or "full"
-            figures = self.draw_still(
+            report = self.draw_still(
                 request.camera, "render", min(request.order_timeout, LONGEST_WAIT)
             )
             response.color = to_image(self.renderer.read_color(), "32FC4")
@@ -347,14 +317,12 @@ class Viewer(Node):
             self.renderer.settings.detail = shown_detail
         for image in (response.color, response.depth):
             image.header.frame_id, image.header.stamp = frame or self.frame_id, stamp
-        response.splats = figures.drawn
-        response.error, response.detail_error = figures.error, figures.detail_error
-        response.order_source = figures.order_source
-        response.sort_time = figures.sort_time
-        response.draw_time = figures.draw_time
-        response.map_id = figures.map_id
-        response.revision = figures.revision
-        response.map_complete = figures.map_complete and self.complete()
+        response.splats = report["splats"]
+        response.map_complete = report["map_complete"] and self.complete()
+        for name in (
+            "error", "detail_error", "order_source", "sort_time", "draw_time", "map_id", "revision",
+        ):  # fmt: skip
+            setattr(response, name, report[name])
         response.success = True
 
 

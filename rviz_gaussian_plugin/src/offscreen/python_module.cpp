@@ -133,6 +133,9 @@ PYBIND11_MODULE(_offscreen, module) {
             return r.scene().answered(id, r.settings);
           },
           "view_id"_a)
+      .def(
+          "upload", [](OffscreenRenderer& r) { r.scene().upload(r.settings); },
+          py::call_guard<py::gil_scoped_release>())
       .def("draw", &draw, "view_id"_a, "sort_now"_a = false)
       .def("read_color",
            [](OffscreenRenderer& r) { return toArray(r.readColor(), {r.height(), r.width(), 4}); })

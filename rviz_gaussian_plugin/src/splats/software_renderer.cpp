@@ -134,6 +134,7 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
   }
   if (!interactive && !exact_) {
     view.asked = nullptr;
+    view.shown = painting = nullptr;  // one picture is in memory at a time
     painting = painter_.paintNow(name, request);
     exact_ = true;
   } else if (!exact_ && asked(view, *request, maps)) {

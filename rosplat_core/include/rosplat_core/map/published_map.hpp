@@ -87,8 +87,9 @@ class PublishedMap {
     std::uint32_t next_block = 0;
   };
 
-  // chunk_bytes: the most bytes of a batch's arrays. compression: "none", or "quantised" for
-  // subscribers across a network. Throws std::invalid_argument for a value that isn't allowed.
+  // chunk_bytes: the most bytes of a batch's arrays. compression: "none", arrays or packed rows as
+  // the map has them, or "quantised" for subscribers across a network. Throws std::invalid_argument
+  // for a value that isn't allowed.
   PublishedMap(std::size_t chunk_bytes, const std::string& compression, Wire wire);
   ~PublishedMap();
   PublishedMap(const PublishedMap&) = delete;
@@ -169,8 +170,13 @@ class PublishedMap {
   void begin(const When& stamp);
   void send(Batch&& batch);
 
-  void gather(const NamedSlots& slots, int sh_degree, Splats& splats,
-              const std::vector<std::string>& channels, std::vector<float>& values) const;
+  template <typename Each>
+  void forEach(const NamedSlots& slots, const Each& each) const;
+  void gather(const NamedSlots& slots, int sh_degree, Splats& splats) const;
+  bool gatherRows(const NamedSlots& slots, int sh_degree, std::vector<std::uint8_t>& payload) const;
+  std::vector<float> gatherChannels(const NamedSlots& slots,
+                                    const std::vector<std::string>& channels) const;
+  void setFrame(const NamedSlots& slots, Splats& splats) const;
   Poses placedAfter(std::uint64_t revision) const;
   Batch batch(std::uint8_t operation, const When& stamp) const;
   Batch beginning(const When& stamp) const;

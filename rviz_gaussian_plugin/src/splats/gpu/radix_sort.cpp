@@ -14,12 +14,17 @@ constexpr std::size_t kDigits = 1u << RadixSort::kDigitBits;
 // Invocations of a work group: the more, the less each waits. Where subgroups are narrower than the
 // driver says, they are too many.
 constexpr int kLanes = 512, kFewLanes = 256;
+// Up to so many, each block sums up the counts itself, which is faster than one more dispatch.
+constexpr std::size_t kFewBlocks = 64;
 const Shaders::Files kScatter{"group_sum.glsl", "radix_digit.glsl", "radix_scatter.comp"};
 
 std::size_t blocks(std::size_t count) { return (count + Tally::kBlock - 1) / Tally::kBlock; }
 }  // namespace
 
-void PrefixSum::reserve(std::size_t count) { sums_.reserve((blocks(count) + 1) * sizeof(GLuint)); }
+void PrefixSum::reserve(std::size_t count) {
+  most_ = count;
+  sums_.reserve((blocks(count) + 1) * sizeof(GLuint));
+}
 
 void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& total,
                     std::size_t room, std::size_t each) {
@@ -30,7 +35,7 @@ void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& t
   sum_.bind("Sums", sums_);
   sum_.bind("Length", count.words());
   sum_.bind("Total", total.words());
-  for (GLuint pass = 0; pass < 2; ++pass) {
+  for (GLuint pass = blocks(most_) > 1 ? 0 : 1; pass < 2; ++pass) {
     sum_.set("pass", pass);
     count.dispatchBlocks();
     gl::storageBarrier();
@@ -83,7 +88,8 @@ bool RadixSort::sortsRight() {
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
   order(count, least, 2 * kDigitBits, ordered);
   if (!holds(ordered, places)) return false;
-  // As values, what was sorted goes through passes of its own.
+  // As values, what was sorted goes through passes of its own; and as if there were many.
+  most_ = (kFewBlocks + 1) * Tally::kBlock;
   std::vector<GLuint> values(kKeys);
   std::iota(values.rbegin(), values.rend(), 0u);
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
@@ -95,6 +101,7 @@ bool RadixSort::sortsRight() {
 }
 
 void RadixSort::reserve(std::size_t count) {
+  most_ = count;
   if (room_.wastes(count)) {
     for (gl::Buffer* buffer : {&keys_, &values_, &next_keys_, &next_values_, &counts_}) {
       buffer->release();
@@ -117,21 +124,25 @@ void RadixSort::pass(const Tally& count, const gl::Slice& least, int shift, bool
   count.dispatchBlocks();
   gl::storageBarrier();
 
-  sum_.bind("Counts", counts_);
-  sum_.bind("Length", count.words());
-  sum_.use();
-  gl::dispatch(kDigits);
-  gl::storageBarrier();
+  const bool summed = blocks(most_) > kFewBlocks;
+  if (summed) {
+    sum_.bind("Counts", counts_);
+    sum_.bind("Length", count.words());
+    sum_.use();
+    gl::dispatch(kDigits);
+    gl::storageBarrier();
+  }
 
   scatter_->bind("Keys", keys_);
   scatter_->bind("Values", values_);
   scatter_->bind("SortedKeys", next_keys_);
   scatter_->bind("SortedValues", sorted_values);
-  scatter_->bind("Firsts", counts_);
+  scatter_->bind("Counts", counts_);
   scatter_->bind("Length", count.words());
   scatter_->bind("Least", least);
   scatter_->use();
   scatter_->set("shift", static_cast<GLuint>(shift));
+  scatter_->set("summed", int(summed));
   scatter_->set("first_pass", int(first));
   scatter_->set("last_pass", int(last));
   count.dispatchBlocks();

@@ -29,6 +29,7 @@ class PrefixSum {
  private:
   const gl::Program& sum_;
   gl::Buffer sums_;
+  std::size_t most_ = 0;
 };
 
 // A stable radix sort of uint32 keys with uint32 values on the GPU, the least first. What is to be
@@ -77,6 +78,7 @@ class RadixSort {
   const gl::Program* scatter_;
   gl::Buffer keys_, values_, next_keys_, next_values_, counts_;
   UsageTracker room_;
+  std::size_t most_ = 0;  // that room was made for last
 };
 
 }  // namespace rosplat

@@ -12,21 +12,15 @@ from numpy.typing import NDArray
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
-from rosplat_lab import metrics
 from rosplat_lab.bench import embedded, scenes
-from rosplat_lab.bench.isolation import isolated
-from rosplat_lab.bench.plan import Plan
-from rosplat_lab.bench.records import Doing, Event, Measurement
+from rosplat_lab.bench.records import Event, Measurement
 
 if TYPE_CHECKING:
     from rviz_gaussian_plugin.offscreen import Renderer
 
-SIZES, QUICK_SIZES = (500_000,), (20_000,)
 PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
-AGES = (1, 2, 3, 4, 6, 8, 12)  # of the picture, in degrees that the camera has turned since
 VIEWS = {"overview": scenes.overview, "inside": scenes.inside}
 
-SHARES, QUICK_SHARES = (1, 2, 4, 8), (4,)  # of the splats, that are drawn at most
 SPEED = 20  # of a camera in motion [degrees/s]
 SWEEP = 40  # there, and back again [degrees]
 STEP = 0.05  # [degrees]
@@ -37,61 +31,12 @@ SAMPLES = 12  # frames that are looked at
 AT_REST = 0.5  # levels of detail that haven't grown for so long stand [s]
 
 
-def measure(plan: Plan) -> Iterator[Event]:
-    """PSNR of what is shown against the exact picture.
-
-    By the turn of the camera since it was painted; and as the camera turns, by detail.
-    """
-    sizes = plan.sizes or (QUICK_SIZES if plan.quick else SIZES)
-    names = scenes.names(sizes, plan.scenes)
-    for number, name in enumerate(names):
-        yield Doing(name, number / len(names))
-        yield from isolated(_carried, name, QUICK_PICTURE if plan.quick else PICTURE)
-        count = len(scenes.load(name))
-        for motion in VIEWS:
-            for share in QUICK_SHARES if plan.quick else SHARES:
-                detail = f"{count // share}" if share > 1 else "full"
-                yield Doing(f"{name}, {motion}, {detail}", number / len(names))
-                yield from isolated(in_motion, name, plan.quick, motion, detail)
-
-
-def _shown(
-    renderer: Renderer, view: embedded.NumberedView, camera: Camera, interactive: bool = False
-) -> NDArray[np.float64]:
-    renderer.settings.interactive = interactive
+def _shown(renderer: Renderer, view: embedded.NumberedView, camera: Camera) -> NDArray[np.float64]:
+    renderer.settings.interactive = False
     view.look(camera)
     view.draw()
     picture: NDArray[np.float64] = renderer.read_color8() / 255
     return picture
-
-
-def _carried(name: str, picture: tuple[int, int]) -> Iterator[Event]:
-    from rosplat_core.rendering import Rasterizer
-    from rviz_gaussian_plugin.offscreen import ensure_display
-
-    splats = scenes.load(name)
-    with ensure_display():
-        renderer = embedded.open_renderer()
-        renderer.settings.rasterizer = Rasterizer.PROCESSOR
-        rendering.insert_all(renderer, splats)
-        view = embedded.NumberedView(renderer)
-
-        for motion in VIEWS:
-            cameras = VIEWS[motion](splats, *picture, max(AGES) + 1)
-            stale = _shown(renderer, view, cameras[0])
-            for age in AGES:
-                exact = _shown(renderer, view, cameras[age])
-                renderer.settings.interactive = True
-                view.look(cameras[0])
-                while not view.draw()["order_fresh"]:
-                    pass
-                carried = _shown(renderer, view, cameras[age], interactive=True)
-                for what, seen in (("carried over", carried), ("as it is", stale)):
-                    yield Measurement.of(
-                        "PSNR", "dB", metrics.psnr(seen, exact), name, len(splats),
-                        renderer.renderer_info, view=motion, turned=age, shown=what,
-                    )  # fmt: skip
-        del renderer, view  # while its display is there
 
 
 def in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Event]:
@@ -133,8 +78,6 @@ def in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Even
         yield Measurement.of("PSNR in motion", "dB", psnr, *of, **labels)
         painting = [1e3 * report["paint_time"] for *_, report in frames]
         yield Measurement.of("painting in motion", "ms", painting, *of, **labels)
-        drawn = [report["splats"] for *_, report in frames]
-        yield Measurement.of("drawn in motion", "", drawn, *of, **labels)
         del renderer, view  # while its display is there
 
 
