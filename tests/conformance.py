@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from geometry_msgs.msg import Point, Pose, Quaternion
 
 from rosplat_core.maps import Arrival
-from rosplat_core.payload import FORMAT, PACKED
+from rosplat_core.payload import PACKED, QUANTISED
 from rosplat_msgs.msg import GaussianArray
 from rosplat_testing.messages import decode, encode
 
@@ -74,7 +74,7 @@ class Batch:
     dropped: int = 0
     arrival: Arrival = Arrival.HEARD
     payload: Callable[[bytes], bytes] | None = None
-    format: str = FORMAT
+    format: str = QUANTISED
 
     def message(self, revision: int) -> GaussianArray:
         message = GaussianArray(map_id="map", revision=revision, operation=self.operation)

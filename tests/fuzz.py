@@ -112,7 +112,7 @@ def _batch(rng: Generator, revision: int) -> GaussianArray:
     message.channel_names = [str(name) for name in names]
     message.channels = array("f", rng.normal(size=len(names) * n))
     if not rng.integers(4):
-        _compress(message, one_of(rng, [payload.FORMAT, payload.PACKED]))
+        _compress(message, one_of(rng, [payload.QUANTISED, payload.PACKED]))
     return message
 
 

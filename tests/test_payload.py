@@ -15,7 +15,7 @@ from rosplat_core import rendering
 from rosplat_core._core import pack_splats
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.generated import generate
-from rosplat_core.payload import FORMAT, PACKED, Arrays, decode, encode, size, suits
+from rosplat_core.payload import PACKED, QUANTISED, Arrays, decode, encode, size, suits
 from rosplat_core.rendering import insert_all, posed
 from rosplat_core.splats import Splats
 from rosplat_lab.metrics import psnr
@@ -143,7 +143,7 @@ def test_packed_rows_are_read_as_their_document_says(sh_degree: int) -> None:
     np.testing.assert_allclose(got.sh, splats.sh, atol=np.abs(splats.sh).max() / 500)
 
 
-@pytest.mark.parametrize(("format", "read_as"), [(FORMAT, decoded), (PACKED, unpacked)])
+@pytest.mark.parametrize(("format", "read_as"), [(QUANTISED, decoded), (PACKED, unpacked)])
 def test_the_document_s_example_is_one(format: str, read_as: Callable[..., Arrays]) -> None:
     text = (CHECKOUT / f"rosplat_msgs/doc/{format}.md").read_text()
     lines = re.findall(r"^    ((?:[0-9a-f]{2} *)+)$", text, re.MULTILINE)

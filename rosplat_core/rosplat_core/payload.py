@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import _core
 
-FORMAT = "quantised"
+QUANTISED = "quantised"
 PACKED = "packed"
 """Rows of packed slots, as PackedSplats has them."""
 
@@ -47,7 +47,7 @@ def encode(arrays: Arrays, usable: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return _core.encode_payload(arrays, usable)
 
 
-def decode(payload: NDArray[np.uint8], count: int, sh_degree: int, format: str = FORMAT) -> Arrays:
+def decode(payload: NDArray[np.uint8], count: int, sh_degree: int, format: str = QUANTISED) -> Arrays:
     """The splats of a payload. Raises PayloadError where it is of another length, or no such."""
     try:
         return Arrays(**_core.decode_payload(payload, count, sh_degree, format))

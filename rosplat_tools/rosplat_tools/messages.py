@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rosplat_core import payload
 
 NONE = "none"
-COMPRESSIONS = (NONE, payload.FORMAT)
+COMPRESSIONS = (NONE, payload.QUANTISED)
 
 Slots = range | NDArray[np.integer]
 """Which slots of a map: a contiguous range, or a list in any order, each once."""

@@ -160,7 +160,7 @@ def check(message: GaussianArray) -> None:
         raise EditError("revision is 0, they count from 1")
     if message.operation not in (REPLACE, UPSERT, DELETE, MOVE):
         raise EditError(f"operation is {message.operation}, known are 0 to 3")
-    if message.format not in ("", payload.FORMAT, payload.PACKED):
+    if message.format not in ("", payload.QUANTISED, payload.PACKED):
         raise EditError(f"format is '{message.format}', which is unknown")
     if message.group >= MAX_GROUPS:
         raise EditError(f"group is {message.group}, a map has at most {MAX_GROUPS} groups")
