@@ -47,7 +47,9 @@ def encode(arrays: Arrays, usable: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return _core.encode_payload(arrays, usable)
 
 
-def decode(payload: NDArray[np.uint8], count: int, sh_degree: int, format: str = QUANTISED) -> Arrays:
+def decode(
+    payload: NDArray[np.uint8], count: int, sh_degree: int, format: str = QUANTISED
+) -> Arrays:
     """The splats of a payload. Raises PayloadError where it is of another length, or no such."""
     try:
         return Arrays(**_core.decode_payload(payload, count, sh_degree, format))
