@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import time
+from threading import Event
 
 import rclpy
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
@@ -19,7 +20,6 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.task import Future
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_sorter import qos
@@ -30,6 +30,7 @@ from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.memory import give_back_large_blocks, take_little_shared_memory
 from rosplat_sorter.mistakes import Mistakes
 from rosplat_sorter.order_slots import pack
+from rosplat_sorter.spinning import spin_until
 from rosplat_sorter.worker import Answer, Worker
 
 THROTTLE = 5.0  # least time between two lines of the log of one kind [s]
@@ -66,7 +67,7 @@ class _AtWork:
 class SorterNode(Node):
     """Hears `gaussians/view`; while views want orders, `gaussians`; publishes `gaussians/order`.
 
-    No callback waits for anything: parameters are answered at once. unwanted is done when no view
+    No callback waits for anything: parameters are answered at once. unwanted is set when no view
     has wanted an order for a minute, and the node is to begin anew without a map.
     """
 
@@ -98,7 +99,7 @@ class SorterNode(Node):
         self._order = self.create_publisher(
             SplatOrder, f"{topic}/order", **qos.overridable(qos.ORDER)
         )
-        self.unwanted: Future = Future()
+        self.unwanted = Event()
         self._is_told = hasattr(self, "add_post_set_parameters_callback")  # of what was set: Iron
         self.add_on_set_parameters_callback(self._validate)
         if self._is_told:
@@ -130,9 +131,9 @@ class SorterNode(Node):
 
     def _watch(self) -> None:
         wanted = self._at_work and time.monotonic() - self._at_work.wanted <= FORGET_AFTER
-        if not wanted and not self.unwanted.done():
+        if not wanted and not self.unwanted.is_set():
             self.get_logger().info("no view wants an order: the map is forgotten")
-            self.unwanted.set_result(None)
+            self.unwanted.set()
 
     # --- What the worker calls, from its own thread -----------------------------------------------
 
@@ -222,10 +223,10 @@ def main() -> None:
         node = SorterNode()
         try:
             executor.add_node(node)
-            executor.spin_until_future_complete(node.unwanted)
+            spin_until(executor, node.unwanted)
         finally:
             node.destroy_node()
-        if node.unwanted.done():
+        if node.unwanted.is_set():
             rclpy.try_shutdown()
             _begin_anew([f"{name}:={node.get_parameter(name).value}" for name in SETTINGS])
     except ExternalShutdownException:

@@ -64,3 +64,45 @@ def test_who_sends_no_maps_takes_little_shared_memory() -> None:
 
     assert taken() > 32 << 20  # as the profile has it
     assert taken("little") < 8 << 20
+
+
+CALLBACKS = """
+import gc
+import os
+import signal
+import threading
+import types
+import rclpy
+from rosplat_msgs.msg import ViewCamera
+from rosplat_sorter import node, qos
+
+def functions():
+    return sum(isinstance(each, types.FunctionType) for each in gc.get_objects())
+
+seen = threading.Semaphore(0)
+node.SorterNode._look = lambda self, message: seen.release()
+
+def look():
+    while not rclpy.ok():
+        pass
+    views = rclpy.create_node("peer").create_publisher(ViewCamera, "gaussians/view", qos.VIEW)
+    while not views.get_subscription_count():
+        pass
+    for count in range(1000):
+        if count == 100:
+            before = functions()
+        views.publish(ViewCamera())
+        seen.acquire()
+    print(functions() - before)
+    os.kill(os.getpid(), signal.SIGINT)
+
+threading.Thread(target=look, daemon=True).start()
+node.main()
+"""
+
+
+def test_nothing_is_kept_of_a_callback() -> None:
+    """rclpy's spin_until_future_complete keeps a function of each: a megabyte a minute."""
+    command = [sys.executable, "-c", CALLBACKS, "--ros-args", "-r", f"__ns:=/memory_{os.getpid()}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert int(done.stdout) < 100

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 import rclpy
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.task import Future
 
 from rosplat_msgs.srv import PullMap
 from rosplat_sorter.diagnostics import Diagnostics, Report
+from rosplat_sorter.spinning import spin_until
 
 Serve = Callable[[PullMap.Request, PullMap.Response], PullMap.Response]
 
@@ -39,13 +40,14 @@ class PullServer:
         self._diagnostics = Diagnostics(node, topic, report, spun=self._node)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
-        self._end: Future = Future()
+        self._ended = threading.Event()
+        self._ending = self._node.create_guard_condition(self._ended.set)
         self._thread = threading.Thread(target=self._run, name=topic, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
         try:
-            self._executor.spin_until_future_complete(self._end)
+            spin_until(self._executor, self._ended)
         except ExternalShutdownException:
             pass
         except InvalidHandle:
@@ -57,8 +59,8 @@ class PullServer:
 
     def close(self) -> None:
         """Ends the service after the answer that it is at."""
-        if not self._end.done():
-            self._end.set_result(None)
+        with suppress(InvalidHandle):  # the thread has ended, or does with ROS
+            self._ending.trigger()
         if self._thread is not threading.current_thread():
             self._thread.join(PATIENCE)
         self._diagnostics.close()

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -378,6 +379,20 @@ def test_a_pull_doesn_t_wait_for_a_map_that_is_being_sent(
     for part, answer in enumerate(answers):
         assert sum(batch.count for batch in answer.batches) == 1000
         assert answer.batches[0].revision == part + 1
+
+
+def test_nothing_is_kept_of_an_answer(node: Node, random_splats: Maker, listener: Listener) -> None:
+    publisher = MapPublisher(node)
+    publisher.replace(random_splats(10))
+
+    def functions() -> int:
+        return sum(isinstance(each, FunctionType) for each in gc.get_objects())
+
+    for count in range(300):
+        if count == 50:
+            before = functions()
+        listener.call(PullMap, "gaussians/pull")
+    assert functions() - before < 50
 
 
 def test_a_map_without_a_batch_is_not_pulled(node: Node, listener: Listener) -> None:
