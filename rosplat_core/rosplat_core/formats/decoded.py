@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -80,11 +80,6 @@ class Columns(NamedTuple):
             np.empty((n, k, 3), np.float32),
         )
 
-    @classmethod
-    def of(cls, splats: Splats) -> Columns:
-        """The arrays of splats, but for their positions."""
-        return cls(splats.positions + splats.origin, *splats.arrays[1:5])
-
     def part(self, which: slice | NDArray[np.bool_]) -> Columns:
         """Some of the splats: what is written to these is written here."""
         return Columns(
@@ -106,11 +101,28 @@ class Into(ABC, Generic[Made]):
         self, n: int, k: int, progress: Progress = lambda fraction: None, size: int = BLOCK
     ) -> Iterator[tuple[slice, Columns]]:
         """Room for some of n splats of k coefficients after the other, to be written to."""
-        self._begin(n, k)
-        for part in blocks(n, progress, size):
-            room = self._room(part)
+        for _, part, room in self.blocks_of([n], k, progress, size):
             yield part, room
-            self._take(part, room)
+
+    def blocks_of(
+        self,
+        counts: Sequence[int],
+        k: int,
+        progress: Progress = lambda fraction: None,
+        size: int = BLOCK,
+    ) -> Iterator[tuple[int, slice, Columns]]:
+        """As blocks, for splats of several sources: which source, and which of its splats."""
+        n = sum(counts)
+        self._begin(n, k)
+        first = 0
+        for source, count in enumerate(counts):
+            for part in blocks(count, size=size):
+                whole = slice(first + part.start, first + part.stop)
+                room = self._room(whole)
+                yield source, part, room
+                self._take(whole, room)
+                progress(whole.stop / n)
+            first += count
 
     def made(
         self,

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, refusing, size_of
-from rosplat_core.formats.decoded import SH_C0, Axes, Columns, Into, Made, Progress, Warn, blocks
+from rosplat_core.formats.decoded import SH_C0, Axes, Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.placed import place
 from rosplat_core.formats.quantised import to_bytes
 from rosplat_core.log_text import shown
@@ -244,24 +244,19 @@ def _splats(
         raise SceneError(f"{asset.path}: some of its splats are antialiased, and some are not")
     for text in dict.fromkeys(asset.warnings):
         warn(f"{asset.path}: {text}")
-    columns = Columns.empty(n, sh_coefficients(degree))
-    columns.sh[:] = 0
-    first = 0
-    for primitive in primitives:
-        own = columns.part(slice(first, first + len(primitive)))
-        names = _coefficients(primitive.degree)
-        for part in blocks(len(primitive)):
-            own.positions[part] = primitive.numbers("POSITION", part)
-            own.orientations[part] = primitive.numbers(f"{EXTENSION}:ROTATION", part)
-            own.scales[part] = np.abs(primitive.numbers(f"{EXTENSION}:SCALE", part))
-            opacities = primitive.numbers(f"{EXTENSION}:OPACITY", part)[:, 0]
-            own.opacities[part] = np.clip(opacities, 0, 1)
-            for k, name in enumerate(names):
-                own.sh[part, k] = primitive.numbers(name, part)
-            progress(0.9 * (first + part.stop) / n)
-        place(own, primitive.pose)
-        first += len(primitive)
-    return into.make(asset.path, warn, columns, kinds == {True})
+    counts = [len(primitive) for primitive in primitives]
+    for source, part, columns in into.blocks_of(counts, sh_coefficients(degree), progress):
+        primitive = primitives[source]
+        columns.positions[:] = primitive.numbers("POSITION", part)
+        columns.orientations[:] = primitive.numbers(f"{EXTENSION}:ROTATION", part)
+        columns.scales[:] = np.abs(primitive.numbers(f"{EXTENSION}:SCALE", part))
+        opacities = primitive.numbers(f"{EXTENSION}:OPACITY", part)[:, 0]
+        columns.opacities[:] = np.clip(opacities, 0, 1)
+        columns.sh[:] = 0  # where a primitive has fewer bands
+        for k, name in enumerate(_coefficients(primitive.degree)):
+            columns.sh[:, k] = primitive.numbers(name, part)
+        place(columns, primitive.pose)
+    return into.made(asset.path, warn, kinds == {True})
 
 
 class _Asset:

@@ -27,13 +27,11 @@ from rosplat_core.formats.decoded import (
     AS_TRAINED,
     SH_C0,
     Axes,
-    Columns,
     Floats,
     Into,
     Made,
     Progress,
     Warn,
-    blocks,
 )
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, sh_coefficients
 
@@ -106,36 +104,30 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         raise SceneError(f"{path}: {header['count']:,} splats, but {n:,} in its sections")
 
     degree = max((int(section.header["degree"]) for section in sections), default=0)
-    columns = Columns.empty(n, sh_coefficients(degree))
-    positions, orientations, scales, opacities, sh = columns
-    sh[:] = 0  # where a section has fewer bands
-    begin = 0
-    for section in sections:
-        count = int(section.header["count"])
+    counts = [int(section.header["count"]) for section in sections]
+    centres = [_centres(path, data, section, level) for section in sections]
+    for source, part, columns in into.blocks_of(counts, sh_coefficients(degree), progress):
+        positions, orientations, scales, opacities, sh = columns
+        section, centre = sections[source], centres[source]
         layout = _layout(level, int(section.header["degree"]))
-        end = section.splats + count * layout.itemsize
-        rows = data[section.splats : end].view(layout)
-        centre = _centres(path, data, section, level)
-        for part in blocks(count):
-            block = rows[part]
-            to = slice(begin + part.start, begin + part.stop)
-            positions[to] = block["position"]
-            if centre is not None:
-                steps = int(section.header["steps"]) or STEPS
-                step = float(section.header["block_size"]) / 2 / steps
-                positions[to] = (positions[to] - steps) * step + centre[part]
-            scales[to] = block["scale"]
-            orientations[to] = np.roll(block["rotation"].astype(np.float32), -1, axis=1)
-            rgba = block["rgba"] / np.float32(255)
-            opacities[to] = rgba[:, 3]
-            sh[to, 0] = (rgba[:, :3] - 0.5) / SH_C0
-            for band in range(1, int(section.header["degree"]) + 1):
-                values = _harmonics(block[f"band_{band}"], header, level)
-                first = sh_coefficients(band - 1)
-                sh[to, first : first + 2 * band + 1] = values.transpose(0, 2, 1)
-            progress(to.stop / n)
-        begin += count
-    return into.make(path, warn, columns)
+        end = section.splats + counts[source] * layout.itemsize
+        block = data[section.splats : end].view(layout)[part]
+        positions[:] = block["position"]
+        if centre is not None:
+            steps = int(section.header["steps"]) or STEPS
+            step = float(section.header["block_size"]) / 2 / steps
+            positions[:] = (positions - steps) * step + centre[part]
+        scales[:] = block["scale"]
+        orientations[:] = np.roll(block["rotation"].astype(np.float32), -1, axis=1)
+        rgba = block["rgba"] / np.float32(255)
+        opacities[:] = rgba[:, 3]
+        sh[:] = 0  # where a section has fewer bands
+        sh[:, 0] = (rgba[:, :3] - 0.5) / SH_C0
+        for band in range(1, int(section.header["degree"]) + 1):
+            values = _harmonics(block[f"band_{band}"], header, level)
+            first = sh_coefficients(band - 1)
+            sh[:, first : first + 2 * band + 1] = values.transpose(0, 2, 1)
+    return into.made(path, warn)
 
 
 def _sections(path: Path, data: NDArray[np.uint8], header: np.void) -> list[Section]:

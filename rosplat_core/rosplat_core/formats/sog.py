@@ -36,6 +36,7 @@ from rosplat_core.formats.codebook import codebook, nearest, palette
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
     Axes,
+    Columns,
     Floats,
     Into,
     Made,
@@ -147,17 +148,21 @@ class Packed:
         n = last - first
         k = 1 if self.bands is None else 1 + self.bands.shape[1]
         for part, columns in into.blocks(n, k):
-            rows = slice(first + part.start, first + part.stop)
-            logarithms = self.lowest + (self.highest - self.lowest) * (self.steps[rows] / 65535)
-            columns.positions[:] = np.sign(logarithms) * np.expm1(np.abs(logarithms))
-            columns.orientations[:] = _quaternions(self.quaternions[rows])
-            columns.scales[:] = self.scale_table[self.scales[rows], np.arange(3)]
-            colours = self.colours[rows]
-            columns.opacities[:] = self.opacity_table[colours[:, 3]]
-            columns.sh[:, 0] = self.colour_table[colours[:, :3], np.arange(3)]
-            if self.bands is not None and self.labels is not None:
-                columns.sh[:, 1:] = self.bands[self.labels[rows]]
+            self.decode(slice(first + part.start, first + part.stop), columns)
         return into.made(self.path, warn, self.antialiased)
+
+    def decode(self, rows: slice, columns: Columns) -> None:
+        """Writes some of the splats to columns; bands that they lack are zero."""
+        logarithms = self.lowest + (self.highest - self.lowest) * (self.steps[rows] / 65535)
+        columns.positions[:] = np.sign(logarithms) * np.expm1(np.abs(logarithms))
+        columns.orientations[:] = _quaternions(self.quaternions[rows])
+        columns.scales[:] = self.scale_table[self.scales[rows], np.arange(3)]
+        colours = self.colours[rows]
+        columns.opacities[:] = self.opacity_table[colours[:, 3]]
+        columns.sh[:] = 0
+        columns.sh[:, 0] = self.colour_table[colours[:, :3], np.arange(3)]
+        if self.bands is not None and self.labels is not None:
+            columns.sh[:, 1 : 1 + self.bands.shape[1]] = self.bands[self.labels[rows]]
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:

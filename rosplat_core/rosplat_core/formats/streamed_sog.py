@@ -27,7 +27,6 @@ from rosplat_core.formats.bounds import refusing, size_of
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
     Axes,
-    Columns,
     Into,
     IntoSplats,
     Made,
@@ -36,7 +35,7 @@ from rosplat_core.formats.decoded import (
 )
 from rosplat_core.log_text import shown
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import SceneError, Splats, concatenate
+from rosplat_core.splats import SceneError, Splats, sh_coefficients
 
 NAME = "streamed SOG"
 
@@ -74,6 +73,7 @@ class Streamed:
     chunks: tuple[Chunk, ...]
     sh_degree: int
     """The highest of its files."""
+    antialiased: bool
 
     @property
     def splats(self) -> int:
@@ -102,12 +102,12 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         )
     pieces = Pieces(scene, warn)
     parts = sorted((chunk.levels[-1] for chunk in scene.chunks), key=lambda p: (p.file, p.offset))
-    found = []
-    for number, part in enumerate(parts):
-        found.append(pieces.read(part))
-        progress((number + 1) / len(parts))
-    splats = concatenate(found)
-    return into.make(path, warn, Columns.of(splats), splats.antialiased)
+    counts, k = [part.count for part in parts], sh_coefficients(scene.sh_degree)
+    for source, rows, columns in into.blocks_of(counts, k, progress):
+        first = parts[source].offset
+        packed = pieces.packed(parts[source].file)
+        packed.decode(slice(first + rows.start, first + rows.stop), columns)
+    return into.made(scene.path, warn, scene.antialiased)
 
 
 def open_streamed(path: Path) -> Streamed:
@@ -164,7 +164,7 @@ def _scene(path: Path, meta: Any) -> Streamed:
     if len({claim.antialiased for claim in claims}) > 1:
         raise SceneError(f"{path}: some of its files are antialiased, and some are not")
     degree = max(claim.sh_degree for claim in claims)
-    return Streamed(path, tuple(files), tuple(chunks), degree)
+    return Streamed(path, tuple(files), tuple(chunks), degree, claims[0].antialiased)
 
 
 def _claims(files: list[Path], chunks: list[Chunk]) -> list[sog.Claims]:
@@ -233,12 +233,19 @@ class Pieces:
 
         Raises SceneError that names the file that can't be read, and CancelledError after close().
         """
-        path = self._scene.files[part.file]
+        which = slice(part.offset, part.offset + part.count)
         try:
-            with self._decoding[part.file]:
-                packed = self._find(part.file) or self._keep(part.file, self._unpack(path))
-            which = slice(part.offset, part.offset + part.count)
-            return packed.splats(which, self._warn, IntoSplats())
+            return self.packed(part.file).splats(which, self._warn, IntoSplats())
+        except MemoryError as error:
+            path = self._scene.files[part.file]
+            raise SceneError(f"{path}: too large for this machine's memory") from error
+
+    def packed(self, file: int) -> sog.Packed:
+        """A file's splats. Raises as read does."""
+        path = self._scene.files[file]
+        try:
+            with self._decoding[file]:
+                return self._find(file) or self._keep(file, self._unpack(path))
         except MemoryError as error:
             raise SceneError(f"{path}: too large for this machine's memory") from error
 
