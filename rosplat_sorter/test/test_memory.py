@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 from ament_index_python.packages import get_package_share_directory
 
@@ -64,6 +65,17 @@ def test_who_sends_no_maps_takes_little_shared_memory() -> None:
 
     assert taken() > 32 << 20  # as the profile has it
     assert taken("little") < 8 << 20
+
+
+def test_what_a_cut_line_kept_is_soon_sent_again() -> None:
+    """Receivers get nothing that follows before the next heartbeat, 3 s later by default."""
+    folder = Path(get_package_share_directory("rosplat_msgs")) / "config"
+    for name in ("fastdds.xml", "fastdds_small.xml"):
+        writer = ElementTree.parse(folder / name).find(".//{*}data_writer[@is_default_profile]")
+        assert writer is not None
+        seconds = int(writer.findtext(".//{*}sec") or 0)
+        seconds += 1e-9 * int(writer.findtext(".//{*}nanosec") or 0)
+        assert 0 < seconds <= 0.5
 
 
 CALLBACKS = """

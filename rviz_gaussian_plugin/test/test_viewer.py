@@ -1,7 +1,9 @@
 """The embedded viewer over DDS: what it draws for others, whose order it takes, how it ends."""
 
+import os
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -187,6 +189,38 @@ def test_what_can_t_be_drawn_is_answered_with_the_reason(
         assert not answer.success
         assert field in answer.message
     assert draw(listener).success
+
+
+WITHOUT_DRAWER = """
+from rosplat_core.rendering import Rasterizer
+from rviz_gaussian_plugin.viewer import main, node
+
+class Renderer(node.Renderer):
+    def __init__(self):
+        super().__init__()
+        self.settings.rasterizer = Rasterizer.TILES
+
+node.Renderer = Renderer
+exit(main())
+"""
+
+
+def test_who_can_t_draw_at_all_answers_with_the_reason(node: Node, listener: Any) -> None:
+    """A driver that is too old for what is asked of it."""
+    publisher = MapPublisher(node)
+    publisher.replace(discs((GREEN, 2.0)))
+    name = ["--ros-args", "-r", f"__ns:={node.get_namespace()}", "-p", "serve:=true"]
+    old = os.environ | {"MESA_GL_VERSION_OVERRIDE": "3.0COMPAT"}
+    with subprocess.Popen([sys.executable, "-c", WITHOUT_DRAWER, *name], env=old) as process:
+        try:
+            for _ in range(3):
+                answer = draw(listener)
+                assert not answer.success
+                assert "OpenGL 4.4 is needed to draw splats" in answer.message
+            assert process.poll() is None
+        finally:
+            process.send_signal(signal.SIGINT)
+    assert process.returncode == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

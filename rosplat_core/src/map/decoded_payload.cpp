@@ -3,7 +3,7 @@
 #include <stdexcept>
 
 #include "rosplat_core/map/gaussian_map.hpp"
-#include "rosplat_core/slots/payload.hpp"
+#include "rosplat_core/slots/payload_format.hpp"
 
 namespace rosplat {
 
@@ -22,7 +22,7 @@ GaussianBatch DecodedPayload::decode(const GaussianBatch& batch) {
   splats.opacities = make(opacities_, 1);
   splats.sh = make(sh_, splats.shStride());
   try {
-    payload::decode(batch.payload.data, splats);
+    payloadFormat(batch.format).decode(batch.payload.data, splats);
   } catch (const std::invalid_argument& error) {
     throw BatchError(error.what());
   }

@@ -9,7 +9,7 @@
 
 #include "rosplat_core/map/decoded_payload.hpp"
 #include "rosplat_core/slots/packed_rows.hpp"
-#include "rosplat_core/slots/payload.hpp"
+#include "rosplat_core/slots/payload_format.hpp"
 #include "rosplat_core/threads/in_parts.hpp"
 
 namespace rosplat {
@@ -66,15 +66,21 @@ std::vector<GroupMove> movesOf(const GaussianBatch& batch) {
   return moves;
 }
 
+PayloadFormat formatOf(const GaussianBatch& batch) {
+  try {
+    return payloadFormat(batch.format);
+  } catch (const std::invalid_argument& error) {
+    throw BatchError(error.what());
+  }
+}
+
 void check(const GaussianBatch& batch) {
   if (batch.revision == 0) throw BatchError("revision is 0, they count from 1");
   if (batch.operation > GaussianBatch::MOVE) {
     throw BatchError("operation " + std::to_string(batch.operation) + " is unknown");
   }
-  const bool rows = batch.format == packed_rows::kFormat;
-  if (!batch.format.empty() && !rows && batch.format != payload::kFormat) {
-    throw BatchError("format '" + batch.format.substr(0, 40) + "' is unknown");
-  }
+  const bool packed = !batch.format.empty();
+  const PayloadFormat format = packed ? formatOf(batch) : PayloadFormat{};
   if (batch.sh_degree > kMaxShDegree) {
     throw BatchError("sh_degree " + std::to_string(batch.sh_degree) + " is beyond 3");
   }
@@ -100,12 +106,8 @@ void check(const GaussianBatch& batch) {
   }
   const bool values = writes(batch);
   const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
-  if (!values && !batch.format.empty()) throw BatchError("format is for batches with splats");
-  const bool packed = !batch.format.empty();
-  checkLength("payload", batch.payload.size,
-              !packed ? 0
-              : rows  ? packed_rows::size(n, batch.sh_degree)
-                      : payload::size(n, batch.sh_degree));
+  if (!values && packed) throw BatchError("format is for batches with splats");
+  checkLength("payload", batch.payload.size, packed ? format.size(n, batch.sh_degree) : 0);
   const std::size_t splats = values && !packed ? n : 0;  // in arrays
   checkLength("positions", batch.positions.size, 3 * splats);
   checkLength("orientations", batch.orientations.size, 4 * splats);

@@ -26,8 +26,10 @@ class PageSplats {
 
   // Puts a splat into the i-th place of arrays that have room for it, with bands up to sh_degree.
   void read(std::size_t at, std::size_t i, int sh_degree, Splats& to) const;
-  // Writes it as packed_rows.hpp has it, with bands up to sh_degree. False where the page holds no
-  // packed rows.
+  // Whether the page holds packed rows.
+  bool packed() const { return rows_ != nullptr; }
+  // Writes it as packed_rows.hpp has it, with bands up to sh_degree. False where the page isn't
+  // packed.
   bool readRow(std::size_t at, int sh_degree, std::uint8_t* to) const;
   const float* channel(std::size_t place) const {
     return place < channels_.size() ? channels_[place] : nullptr;

@@ -126,10 +126,11 @@ struct PublishedMap::Content {
   std::optional<bool> antialiased;  // as the first splats were
   std::uint32_t expected_slots = 0;
 
-  // Of memory, and of a message. listed: with the slot's number.
-  std::size_t splatBytes(int degree, std::size_t channel_count, bool listed) const {
-    return sizeof(float) * (11 + harmonicsOf(degree) + channel_count) +
-           (listed ? sizeof(std::uint32_t) : 0);
+  // Of a message. listed: with the slot's number. packed: as a packed row.
+  static std::size_t splatBytes(int degree, std::size_t channel_count, bool listed,
+                                bool packed = false) {
+    return (packed ? packed_rows::size(1, degree) : sizeof(float) * (11 + harmonicsOf(degree))) +
+           sizeof(float) * channel_count + (listed ? sizeof(std::uint32_t) : 0);
   }
   // The first block from one on that has slots, or whose number is that of a group.
   std::optional<std::uint32_t> blockFrom(std::uint32_t first) const {
@@ -310,8 +311,8 @@ void PublishedMap::upsert(const NamedSlots& slots, const SplatsView& splats, std
   const std::vector<std::string> channels = namesOf(splats);
   const Lock turn(turns_), lock(mutex_);
   const Plan plan = prepared(*map_, slots, splats, group);
-  const std::size_t bytes =
-      map_->splatBytes(std::max(plan.sh_degree, map_->sh_degree), channels.size(), slots.listed());
+  const std::size_t bytes = Content::splatBytes(std::max(plan.sh_degree, map_->sh_degree),
+                                                channels.size(), slots.listed());
   const auto parts = slots.parts(std::max<std::size_t>(1, chunk_bytes_ / bytes));
   const Numbering numbering(revision_, parts.size());
   warnOf(write(*map_, slots, splats, plan, group, numbering.last()));
@@ -554,7 +555,7 @@ void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool wa
         const std::uint32_t slot = kPageSlots * number + i;
         const bool gap = !slots.empty() && slots.back() + 1 != slot;
         const std::size_t bytes =
-            map_->splatBytes(map_->sh_degree, map_->channels.size(), listed || gap);
+            Content::splatBytes(map_->sh_degree, map_->channels.size(), listed || gap);
         if (!slots.empty() && (slots.size() + 1) * bytes > chunk_bytes_) {
           flush(group);
           if (ended) return;
@@ -733,11 +734,10 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
   }
   Poses poses;
   Slots emptied;
-  std::map<std::uint32_t, Slots> written;  // by group
+  std::map<std::pair<std::uint32_t, bool>, Slots> written;  // by group, and whether they are packed
   std::size_t names = 0;
   for (const std::string& name : map_->channels) names += name.size() + 8;
   const int sh_degree = std::min(map_->sh_degree, most_sh_degree);
-  const std::size_t splat_bytes = map_->splatBytes(sh_degree, map_->channels.size(), true);
   const std::size_t most_bytes = std::min(chunk_bytes_, kAnswerBytes);
   std::size_t bytes = 3 * kBatchBytes;
   bool begun = false;
@@ -753,10 +753,12 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
     place(*block);
     Slots to_empty, to_write;
     std::uint32_t group = 0;
+    bool packed = false;
     const auto found = map_->pages.find(*block);
     if (found != map_->pages.end() && (after == 0 || found->second.written > after)) {
       const Page& page = found->second;
       group = page.group;
+      packed = compression_ == kNone && page.splats.packed();
       place(group);
       for (std::uint32_t i = 0; i < kPageSlots; ++i) {
         const bool changed = after == 0 || page.changed[i] > after;
@@ -767,10 +769,13 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
         }
       }
     }
+    const std::size_t splat_bytes =
+        Content::splatBytes(sh_degree, map_->channels.size(), true, packed);
     std::size_t more = kPlacementBytes * placed.size() + sizeof(std::uint32_t) * to_empty.size() +
                        splat_bytes * to_write.size();
     if (more == 0) continue;
-    if (!to_write.empty() && written.count(group) == 0) more += kBatchBytes + names;
+    const std::pair kind(group, packed);
+    if (!to_write.empty() && written.count(kind) == 0) more += kBatchBytes + names;
     if (begun && bytes + more > most_bytes) {
       answer.next_block = *block;
       break;
@@ -780,7 +785,7 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
     poses.merge(placed);
     emptied.insert(emptied.end(), to_empty.begin(), to_empty.end());
     if (to_write.empty()) continue;
-    Slots& slots = written[group];
+    Slots& slots = written[kind];
     slots.insert(slots.end(), to_write.begin(), to_write.end());
   }
   auto& batches = answer.batches;
@@ -789,9 +794,9 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
   if (!emptied.empty()) {
     batches.push_back(deletion({emptied.data(), emptied.size()}, std::nullopt));
   }
-  for (const auto& [group, slots] : written) {
-    batches.push_back(writing(GaussianBatch::UPSERT, {slots.data(), slots.size()}, group, sh_degree,
-                              map_->channels, std::nullopt));
+  for (const auto& [kind, slots] : written) {
+    batches.push_back(writing(GaussianBatch::UPSERT, {slots.data(), slots.size()}, kind.first,
+                              sh_degree, map_->channels, std::nullopt));
   }
   if (batches.empty()) {
     batches.push_back(

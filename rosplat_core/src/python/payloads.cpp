@@ -7,9 +7,8 @@
 
 #include "python/module.hpp"
 #include "rosplat_core/python/bindings.hpp"
-#include "rosplat_core/slots/packed_rows.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
-#include "rosplat_core/slots/payload.hpp"
+#include "rosplat_core/slots/payload_format.hpp"
 
 namespace rosplat::python {
 
@@ -63,12 +62,8 @@ bool suits(const py::object& arrays, const Array<bool>& usable) {
 
 py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degree,
                 const std::string& format) {
-  const bool rows = format == packed_rows::kFormat;
-  if (!rows && format != payload::kFormat) {
-    throw std::invalid_argument("format '" + format.substr(0, 40) + "' is unknown");
-  }
-  const std::size_t expected =
-      rows ? packed_rows::size(count, sh_degree) : payload::size(count, sh_degree);
+  const PayloadFormat known = payloadFormat(format);
+  const std::size_t expected = known.size(count, sh_degree);
   if (static_cast<std::size_t>(bytes.size()) != expected) {
     throw std::invalid_argument("payload has " + std::to_string(bytes.size()) + " bytes, " +
                                 std::to_string(expected) + " expected of " + format);
@@ -82,7 +77,7 @@ py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degr
                                      to(scales), to(opacities), to(sh)};
   {
     const py::gil_scoped_release free;
-    rows ? packed_rows::decode(bytes.data(), splats) : payload::decode(bytes.data(), splats);
+    known.decode(bytes.data(), splats);
   }
   return py::dict("positions"_a = positions, "orientations"_a = orientations, "scales"_a = scales,
                   "opacities"_a = opacities, "sh"_a = sh);

@@ -17,7 +17,7 @@ from PIL import Image as Picture
 from rclpy.executors import ExternalShutdownException
 
 from rosplat_core.program.files import replacing
-from rosplat_core.program.output import say
+from rosplat_core.program.output import say, told
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import ViewCamera
 from rosplat_tools.program.running import run, spinning
@@ -135,7 +135,10 @@ def show_window(viewer: Viewer) -> None:
 def serve(viewer: Viewer) -> None:
     """Draws pictures for others until it is told to end."""
     while viewer.context.ok():
-        viewer.renderer.upload()
+        try:
+            viewer.renderer.upload()
+        except (RuntimeError, MemoryError) as error:  # each request is answered with the reason
+            viewer.get_logger().error(told(error), throttle_duration_sec=5.0)
         viewer.serve_request(wait=0.1)
 
 
