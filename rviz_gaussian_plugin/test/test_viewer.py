@@ -13,18 +13,22 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from geometry_msgs.msg import Pose, Quaternion
 from PIL import Image
 from rclpy.node import Node
+from std_msgs.msg import Header
 
 from rosplat_core.cameras import Camera
-from rosplat_core.maps import Arrival
+from rosplat_core.maps import Arrival, GaussianMap
 from rosplat_core.rendering import SplatCamera
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
+from rosplat_sorter.batches import apply
 from rosplat_sorter.camera import decode
 from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
 from rosplat_testing import PATIENCE
+from rosplat_testing.messages import encode, encode_move
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.running import spinning
 from rosplat_tools.view_messages import view_camera
@@ -308,20 +312,16 @@ def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
 @pytest.mark.parametrize("far", [0.0, 1e17, 1e300])
 def test_every_map_is_framed_by_a_camera_that_can_be_drawn_from(wide: float, far: float) -> None:
     from rviz_gaussian_plugin.from_messages import numbers
-    from rviz_gaussian_plugin.viewer.orbit import OrbitCamera, Sample
+    from rviz_gaussian_plugin.viewer.orbit import OrbitCamera, bounds
 
     def look() -> None:
         camera = orbit.camera(640, 480)
         SplatCamera(*numbers(view_camera(camera)))
         decode(view_camera(camera))
 
-    sample = Sample()
     positions = wide * np.random.default_rng(0).uniform(-1, 1, (1000, 3))
-    sample.add(positions.astype(np.float32), np.array([far, 0, -far]))
-    frame = np.eye(4)
-    frame[:3, 3] = far
-    sample.place(0, frame)
-    centre, radius = sample.bounds()
+    with np.errstate(over="ignore"):
+        centre, radius = bounds(np.add(positions, (2 * far, far, 0)))
     orbit = OrbitCamera(centre, 2.5 * radius, np.array([0.0, 0, 1]))
     look()
     for zoom in (1.5, 0.5):
@@ -332,27 +332,28 @@ def test_every_map_is_framed_by_a_camera_that_can_be_drawn_from(wide: float, far
         look()
 
 
-def test_a_map_that_grows_for_hours_is_framed_by_a_bounded_sample() -> None:
-    from rviz_gaussian_plugin.viewer.orbit import Sample
+def test_a_map_of_groups_is_framed_as_its_splats_lie() -> None:
+    """A few thousand of them, but for those that a few far ones are."""
+    from rviz_gaussian_plugin.viewer.orbit import bounds
 
-    sample = Sample()
-    assert sample.bounds()[1] == 1
+    books = GaussianMap()
+    assert bounds(books.sample)[1] == 1
     rng = np.random.default_rng(0)
-    origin = np.array([4.5e6, 0, 0])
-    for _ in range(3000):
-        positions = rng.uniform(-1, 1, (1000, 3)).astype(np.float32)
-        positions[0] = np.nan
-        sample.add(positions, origin)
-    assert len(sample) < 250_000
-    centre, radius = sample.bounds()
-    np.testing.assert_allclose(centre, origin, atol=0.02)
-    assert radius == pytest.approx(0.98 * 3**0.5, rel=0.02)
-    # Groups that move take their positions with them.
-    turn = np.eye(4)
-    turn[:2, :2] = [[0, -1], [1, 0]]
-    turn[:3, 3] = [0, 0, 7]
-    sample.place(0, turn)
-    np.testing.assert_allclose(sample.bounds()[0], [0, 4.5e6, 7], atol=0.02)
+    positions = rng.uniform(-1, 1, (100_000, 3)).astype(np.float32)
+    positions[0] = 1e6
+    splats = replace(
+        discs(*[(RED, 1.0)] * len(positions)), positions=positions, origin=np.array([4.5e6, 0, 0])
+    )
+    of = {"header": Header(), "map_id": "map"}
+    replaces = GaussianArray.REPLACE
+    apply(books, encode(splats, np.arange(len(splats)), revision=1, operation=replaces, **of))
+    turn = Pose(orientation=Quaternion(z=0.5**0.5, w=0.5**0.5))
+    for revision, centre in ((2, (4.5e6, 0, 0)), (3, (0, 4.5e6, 0))):
+        assert 1000 < len(books.sample) <= 4096
+        found, radius = bounds(books.sample)
+        np.testing.assert_allclose(found, centre, atol=0.1)
+        assert radius == pytest.approx(0.98 * 3**0.5, rel=0.02)
+        apply(books, encode_move({0: turn}, revision=revision, **of))
 
 
 @pytest.fixture

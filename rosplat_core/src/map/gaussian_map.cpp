@@ -386,6 +386,17 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   return edit;
 }
 
+std::vector<std::array<double, 3>> GaussianMap::samplePositions() const {
+  return look([](const MapState&, const MapSample& sample, const Groups& groups) {
+    std::vector<std::array<double, 3>> positions;
+    for (const SampledSplat& splat : sample.splats()) {
+      const auto& [x, y, z] = splat.position;
+      positions.push_back(groups.all()[splat.group].inMap(std::array<double, 3>{x, y, z}));
+    }
+    return positions;
+  });
+}
+
 std::vector<std::uint32_t> GaussianMap::blocksOfOthers(const SlotSet& used, const SlotRuns& runs,
                                                        std::uint32_t group) const {
   std::vector<std::uint32_t> blocks;

@@ -146,6 +146,9 @@ void defineMaps(py::module_& module) {
                                }
                                return names;
                              })
+      .def_property_readonly(
+          "sample", [](const GaussianMap& m) { return toArray(m.samplePositions()); },
+          "Where some thousand splats are, whatever its size, in its frame, float64 (n, 3). [m]")
       .def_property_readonly("antialiased",
                              [](const GaussianMap& m) { return m.state().antialiased; });
   defineApply(map, [](GaussianMap& m, const GaussianBatch& batch) {

@@ -20,17 +20,16 @@ from rosplat_core.log_text import shown
 from rosplat_core.maps import Arrival
 from rosplat_core.rendering import OrderSource, RenderSettings
 from rosplat_core.splats import SceneError
-from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
-from rosplat_sorter.batches import apply, array, pose_values, positions_of
+from rosplat_sorter.batches import apply, array
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW, overridable
 from rosplat_tools.images import to_image
 from rosplat_tools.program.parameters import declare
 from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
-from rviz_gaussian_plugin.viewer.orbit import Sample
+from rviz_gaussian_plugin.viewer.orbit import bounds
 
 DISCOVERY = 5.0  # how long stills wait for a sorter to be found [s]
 ASK_AGAIN = 0.25  # how long a still waits for an order before it asks for another [s]
@@ -112,7 +111,6 @@ class Viewer(Node):
         self.frame_id = ""
         self.last_batch = math.inf
         self._discovered_until = math.inf
-        self._sample = Sample()
         self._instance = f"viewer_{uuid.uuid4().hex[:8]}"
         self._sequence = 0
         self._published = 0.0
@@ -154,12 +152,6 @@ class Viewer(Node):
                 f"{report['dropped']} splats with invalid values left out",
                 throttle_duration_sec=5.0,
             )
-        if message.operation == GaussianArray.REPLACE:
-            self._sample = Sample()
-        origin = np.array([message.origin.x, message.origin.y, message.origin.z])
-        self._sample.add(positions_of(message), origin, message.group)
-        for group, pose in zip(message.groups, message.poses, strict=True):
-            self._sample.place(group, frame_at(*pose_values(pose)))
         self.frame_id = message.header.frame_id
         self.last_batch = time.monotonic()
 
@@ -205,7 +197,7 @@ class Viewer(Node):
 
     def complete(self) -> bool:
         """Whether the map has all that its publisher announced, or has stopped growing."""
-        if not self.renderer.splats or not len(self._sample) or self._map.pulling:
+        if not self.renderer.splats or self._map.pulling:
             return False
         expected = self.renderer.expected
         if expected and self.renderer.splats + self.renderer.dropped >= expected:
@@ -214,7 +206,7 @@ class Viewer(Node):
 
     def bounds(self) -> tuple[NDArray[np.float64], float]:
         """Centre and radius of the map. [m]"""
-        return self._sample.bounds()
+        return bounds(self.renderer.sample)
 
     def look(self, camera: ViewCamera, name: str) -> str:
         """Poses the camera of a view and asks for its order, if wanted; returns the view's id."""

@@ -17,50 +17,17 @@ NEAR_PLANE = 1e9  # at most [m]
 FAR_PLANE = 1e10  # at least [m]
 
 
-class Sample:
-    """Some of a map's positions, however many batches come: the more recent, the more of them."""
+def bounds(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Centre and radius of the middle of (n, 3) positions, which a few far ones don't change. [m]
 
-    OF_BATCH = 2000
-    BATCHES = 100
-
-    def __init__(self) -> None:
-        # By group, in its frame.
-        self._parts: dict[int, list[NDArray[np.float64]]] = {}
-        self._frames: dict[int, NDArray[np.float64]] = {}
-
-    def __len__(self) -> int:
-        return sum(len(part) for parts in self._parts.values() for part in parts)
-
-    def add(
-        self, positions: NDArray[np.float32], origin: NDArray[np.float64], group: int = 0
-    ) -> None:
-        """Takes some of (n, 3) positions of a group, relative to the origin (3,). [m]"""
-        some = positions[:: len(positions) // self.OF_BATCH + 1]
-        parts = self._parts.setdefault(group, [])
-        parts.append(some[np.isfinite(some).all(axis=1)] + origin)
-        if len(parts) > 1 + self.BATCHES // len(self._parts):
-            parts[:] = [np.concatenate(parts)[::2]]
-
-    def place(self, group: int, frame: NDArray[np.float64]) -> None:
-        """Says where a group is: its frame in the map's, (4, 4)."""
-        self._frames[group] = frame
-
-    def bounds(self) -> tuple[NDArray[np.float64], float]:
-        """Centre and radius of the middle, which a few far splats don't change. [m]
-
-        What is farther than FARTHEST counts as that far.
-        """
-        in_map = [np.zeros((0, 3))]
-        for group, parts in self._parts.items():
-            frame = self._frames.get(group, np.eye(4))
-            with np.errstate(over="ignore", invalid="ignore"):
-                in_map += [part @ frame[:3, :3].T + frame[:3, 3] for part in parts]
-        positions = np.clip(np.concatenate(in_map), -FARTHEST, FARTHEST)
-        positions = positions[~np.isnan(positions).any(axis=1)]
-        if not len(positions):
-            return np.zeros(3), 1.0
-        low, high = np.quantile(positions, [0.01, 0.99], axis=0)
-        return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+    What is farther than FARTHEST counts as that far.
+    """
+    positions = np.clip(positions, -FARTHEST, FARTHEST)
+    positions = positions[~np.isnan(positions).any(axis=1)]
+    if not len(positions):
+        return np.zeros(3), 1.0
+    low, high = np.quantile(positions, [0.01, 0.99], axis=0)
+    return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 
 
 @dataclass

@@ -171,6 +171,8 @@ PYBIND11_MODULE(_offscreen, module) {
                              [](OffscreenRenderer& r) { return r.scene().state().missed; })
       .def_property_readonly("groups",
                              [](OffscreenRenderer& r) { return r.scene().state().groups; })
+      .def_property_readonly(
+          "sample", [](OffscreenRenderer& r) { return toArray(r.scene().samplePositions()); })
       .def_property_readonly("warning", [](OffscreenRenderer& r) { return r.scene().warning(); })
       .def("failed", &OffscreenRenderer::failed)
       .def_property_readonly("renderer_info", &OffscreenRenderer::graphics);

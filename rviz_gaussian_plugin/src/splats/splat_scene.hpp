@@ -42,6 +42,8 @@ class SplatScene {
   std::size_t mostSlots(const std::string& map_id, std::uint64_t revision) const;
   // Any thread: the map including all queued edits.
   MapState state() const;
+  // Any thread: where some of the map's splats are, in its frame. [m]
+  std::vector<std::array<double, 3>> samplePositions() const { return map_.samplePositions(); }
   // Any thread: the edits that wait to be drawn.
   Backlog backlog() const { return arrivals_->backlog(); }
   // Any thread: in which ways this map and cameras in its frame are hard to draw; see

@@ -147,6 +147,8 @@ class GaussianMap {
     const std::lock_guard lock(locks_.exchanging);
     return look(state_, sample_, groups_);
   }
+  // Any thread: where the splats of the sample are, in the map's frame. [m]
+  std::vector<std::array<double, 3>> samplePositions() const;
   // Where no batch is applied meanwhile.
   const MapState& state() const { return state_; }
   const MapSample& sample() const { return sample_; }

@@ -32,6 +32,15 @@ Array<T> toArray(std::vector<T> values, std::vector<py::ssize_t> shape) {
   return Array<T>(std::move(shape), owner->data(), capsule);
 }
 
+// Points, float64 (n, 3).
+inline Array<double> toArray(const std::vector<std::array<double, 3>>& points) {
+  Array<double> array({static_cast<py::ssize_t>(points.size()), py::ssize_t{3}});
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    std::copy(points[i].begin(), points[i].end(), array.mutable_data() + 3 * i);
+  }
+  return array;
+}
+
 // 7 a group: position [m], quaternion x y z w.
 inline std::vector<Pose> posesOf(const Array<double>& values) {
   const ArrayView<double> numbers = values;
