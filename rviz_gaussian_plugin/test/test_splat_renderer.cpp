@@ -682,6 +682,30 @@ TEST_F(SplatRendererTest, ListsTakeTheMemoryThatTheyNeedOfLate) {
   EXPECT_EQ(drawFrom(0), "tiles");
 }
 
+// Ellipse, box and place in the order of a splat in view; keys and values of a pair, twice.
+TEST_F(SplatRendererTest, TakesFewBytesForWhatIsInView) {
+  constexpr std::size_t kCount = 20480, kTiles = 16;
+  // Of splats of a size in the middles of tiles.
+  const auto bytesOf = [](std::size_t count, float size) {
+    Splats splats;
+    for (std::size_t i = 0; i < count; ++i) {
+      splats.add({2 * float(i % 4) - 3, 2 * float(i / 4 % 4) - 3, 5}, {1, 1, 1}, size);
+    }
+    SplatScene scene(shaders());
+    scene.apply(splats.batch(1, {}));
+    picture(scene, Rasterizer::kTiles, OrderSource::kGpu);
+    EXPECT_EQ(scene.report("view").rasterizer, "tiles");
+    return double(scene.bytes().shared_gpu);
+  };
+  const auto each = [&](float size) {  // less what is there once
+    return (bytesOf(2 * kCount, size) - bytesOf(kCount, size)) / kCount;
+  };
+  const double on_one_tile = each(0.1f), on_all = each(20);
+  EXPECT_LT(on_one_tile, 57);
+  // There is an eighth as room for the next frame.
+  EXPECT_LT((on_all - on_one_tile) / (kTiles * 9.0 / 8 - 1), 16.5);
+}
+
 // As with a second window, a Camera display and a mouse beside.
 TEST_F(SplatRendererTest, KeepsWhatEachViewSees) {
   SplatScene scene(shaders());

@@ -78,7 +78,7 @@ bool RadixSort::sortsRight() {
   const gl::Slice least{numbers.id(), gl::Slice::kAlignment, Tally::kBytes};
   const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> words{kLeast};
   least.write(words.data());
-  const gl::Buffer ordered(kKeys * sizeof(GLuint), GL_DYNAMIC_COPY);
+  gl::Buffer ordered(kKeys * sizeof(GLuint), GL_DYNAMIC_COPY);
   reserve(kKeys);
 
   const auto holds = [&](const gl::Buffer& buffer, const std::vector<GLuint>& expected) {
@@ -93,7 +93,7 @@ bool RadixSort::sortsRight() {
   std::vector<GLuint> values(kKeys);
   std::iota(values.rbegin(), values.rend(), 0u);
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
-  values_.write(0, values.data(), values.size() * sizeof(GLuint));
+  ordered.write(0, values.data(), values.size() * sizeof(GLuint));
   sort(count, least, 2 * kDigitBits, ordered);
   std::transform(places.begin(), places.end(), values.begin(),
                  [&](GLuint i) { return static_cast<GLuint>(kKeys) - 1 - i; });
@@ -103,18 +103,16 @@ bool RadixSort::sortsRight() {
 void RadixSort::reserve(std::size_t count) {
   most_ = count;
   if (room_.wastes(count)) {
-    for (gl::Buffer* buffer : {&keys_, &values_, &next_keys_, &next_values_, &counts_}) {
-      buffer->release();
-    }
+    for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_, &counts_}) buffer->release();
   }
-  for (gl::Buffer* buffer : {&keys_, &values_, &next_keys_, &next_values_}) {
+  for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_}) {
     buffer->reserve(count * sizeof(GLuint));
   }
   counts_.reserve((blocks(count) + 1) * kDigits * sizeof(GLuint));
 }
 
-void RadixSort::pass(const Tally& count, const gl::Slice& least, int shift, bool first, bool last,
-                     const gl::Buffer& sorted_values) {
+void RadixSort::pass(const Tally& count, const gl::Slice& least, int shift,
+                     const gl::Buffer& values, const gl::Buffer& sorted_values) {
   count_.bind("Keys", keys_);
   count_.bind("Counts", counts_);
   count_.bind("Length", count.words());
@@ -134,7 +132,7 @@ void RadixSort::pass(const Tally& count, const gl::Slice& least, int shift, bool
   }
 
   scatter_->bind("Keys", keys_);
-  scatter_->bind("Values", values_);
+  scatter_->bind("Values", values);
   scatter_->bind("SortedKeys", next_keys_);
   scatter_->bind("SortedValues", sorted_values);
   scatter_->bind("Counts", counts_);
@@ -143,35 +141,36 @@ void RadixSort::pass(const Tally& count, const gl::Slice& least, int shift, bool
   scatter_->use();
   scatter_->set("shift", static_cast<GLuint>(shift));
   scatter_->set("summed", int(summed));
-  scatter_->set("first_pass", int(first));
-  scatter_->set("last_pass", int(last));
   count.dispatchBlocks();
   gl::storageBarrier();
 }
 
+void RadixSort::run(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& sorted,
+                    bool are_places) {
+  const int last = passes(bits) - 1;
+  for (int i = 0; i <= last; ++i) {
+    // Back and forth, so that the last pass ends where it is to.
+    const bool there = (last - i) % 2 == 0;
+    scatter_->use();
+    scatter_->set("first_pass", int(are_places && i == 0));
+    scatter_->set("last_pass", int(are_places && i == last));
+    pass(count, least, i * kDigitBits, there ? values_ : sorted, there ? sorted : values_);
+    std::swap(keys_, next_keys_);
+  }
+}
+
 void RadixSort::sort(const Tally& count, const gl::Slice& least, int bits,
                      const gl::Buffer& sorted) {
-  for (int shift = 0; shift < bits; shift += kDigitBits) {
-    const bool last = shift + kDigitBits >= bits;
-    pass(count, least, shift, false, false, last ? sorted : next_values_);
-    std::swap(keys_, next_keys_);
-    std::swap(values_, next_values_);
-  }
+  run(count, least, bits, sorted, false);
 }
 
 void RadixSort::order(const Tally& count, const gl::Slice& least, int bits,
                       const gl::Buffer& places) {
-  for (int shift = 0; shift < bits; shift += kDigitBits) {
-    const bool last = shift + kDigitBits >= bits;
-    pass(count, least, shift, shift == 0, last, last ? places : next_values_);
-    std::swap(keys_, next_keys_);
-    std::swap(values_, next_values_);
-  }
+  run(count, least, bits, places, true);
 }
 
 std::size_t RadixSort::bytes() const {
-  return keys_.bytes() + values_.bytes() + next_keys_.bytes() + next_values_.bytes() +
-         counts_.bytes();
+  return keys_.bytes() + next_keys_.bytes() + values_.bytes() + counts_.bytes();
 }
 
 }  // namespace rosplat

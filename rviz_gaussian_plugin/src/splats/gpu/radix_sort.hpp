@@ -32,8 +32,9 @@ class PrefixSum {
   std::size_t most_ = 0;
 };
 
-// A stable radix sort of uint32 keys with uint32 values on the GPU, the least first. What is to be
-// sorted is written to keys() and values(); these are whoever's turn it is.
+// A stable radix sort of uint32 keys with uint32 values on the GPU, the least first. Keys are
+// written to keys(), which is whoever's turn it is. Values end in a buffer from outside, which all
+// passes use.
 class RadixSort {
  public:
   // The shaders must outlive it.
@@ -51,15 +52,18 @@ class RadixSort {
   void reserve(std::size_t count);
 
   const gl::Buffer& keys() const { return keys_; }
-  const gl::Buffer& values() const { return values_; }
-  // Free until something is sorted.
-  const gl::Buffer& spare() const { return next_values_; }
+  // Where values are to be written that sort() is to leave in another buffer, which it may be.
+  const gl::Buffer& values(int bits, const gl::Buffer& sorted) const {
+    return passes(bits) % 2 == 0 ? sorted : values_;
+  }
+  // Free while nothing is sorted; the second one only where no values are in it.
+  const gl::Buffer& spareKeys() const { return next_keys_; }
+  const gl::Buffer& spareValues() const { return values_; }
 
   // Sorts by the lowest `bits` bits, one at least, of the keys' distances from the first word of
   // `least`: keys() in place, values() to another buffer.
   void sort(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& sorted);
-  // Writes where the keys were before, in their new order, to another buffer; keys and values are
-  // used up.
+  // Writes where the keys were before, in their new order, to another buffer; keys are used up.
   void order(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& places);
 
   std::size_t bytes() const;
@@ -67,7 +71,12 @@ class RadixSort {
   static constexpr int kDigitBits = 8;
 
  private:
-  void pass(const Tally& count, const gl::Slice& least, int shift, bool first, bool last,
+  static int passes(int bits) { return (bits + kDigitBits - 1) / kDigitBits; }
+
+  // are_places: the values are 0, 1, 2..., and nobody needs the keys any more.
+  void run(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& sorted,
+           bool are_places);
+  void pass(const Tally& count, const gl::Slice& least, int shift, const gl::Buffer& values,
             const gl::Buffer& sorted_values);
 
   bool sortsRight();
@@ -76,7 +85,7 @@ class RadixSort {
   bool lost_ballots_ = false;
   const gl::Program &count_, &sum_;
   const gl::Program* scatter_;
-  gl::Buffer keys_, values_, next_keys_, next_values_, counts_;
+  gl::Buffer keys_, next_keys_, values_, counts_;
   UsageTracker room_;
   std::size_t most_ = 0;  // that room was made for last
 };

@@ -29,7 +29,7 @@ GLuint laterSegment(std::size_t room) {
 // a pair, since 1,024 pairs and more leave 256 pixels of four floats.
 std::size_t roomForPartials(std::size_t pairs) { return pairs + kLaterSegment; }
 
-// 1.25 GiB with what sorts them.
+// 1 GiB with what sorts them.
 std::size_t mostPairs() {
   return std::min(std::size_t{1} << 26,
                   gl::largestStorageBuffer() / sizeof(GLuint) - kLaterSegment);
@@ -111,7 +111,7 @@ bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
   count_.use();
   splats.projection().bindEllipses(count_);
   count_.bind("Drawn", splats.drawn());
-  count_.bind("Within", sort_.spare());
+  count_.bind("Within", sort_.spareKeys());
   count_.bind("Counts", counts_);
   count_.bind("Length", splats.tally().words());
   count_.bind("Boxes", splats.projection().boxes());
@@ -122,20 +122,21 @@ bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
 }
 
 void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch) {
+  const int bits = std::max(bitsOf(tiles() - 1), 1);
   list_.use();
   splats.projection().bindEllipses(list_);
   list_.bind("Drawn", splats.drawn());
-  list_.bind("Within", sort_.spare());
+  list_.bind("Within", sort_.spareKeys());
   list_.bind("Firsts", counts_);
   list_.bind("Length", splats.tally().words());
   list_.bind("Listed", pair_count_.words());
   list_.bind("Tiles", sort_.keys());
-  list_.bind("Splats", sort_.values());
+  list_.bind("Splats", sort_.values(bits, splats_));
   list_.bind("Boxes", splats.projection().boxes());
   splats.tally().dispatchGroups();
   gl::storageBarrier();
   stopwatch.lap("list");
-  sort_.sort(pair_count_, zero_, std::max(bitsOf(tiles() - 1), 1), splats_);
+  sort_.sort(pair_count_, zero_, bits, splats_);
   segments_.write(0, kNoGroups.data(), sizeof(kNoGroups));
   ranges_.use();
   useSegments(ranges_);
@@ -195,8 +196,8 @@ void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
 void TileRasterizer::useSegments(const gl::Program& program) const {
   program.bind("Segments", segments_);
   // What has been sorted isn't needed any more.
-  program.bind("FirstPartials", sort_.spare());
-  program.bind("LaterPartials", sort_.values());
+  program.bind("FirstPartials", sort_.spareKeys());
+  program.bind("LaterPartials", sort_.spareValues());
   program.set("first_segment", kFirstSegment);
   program.set("later_segment", later_segment_);
   program.set("most_cut", most_cut_);
