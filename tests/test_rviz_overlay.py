@@ -81,11 +81,17 @@ class RealCamera:
         camera.pose.orientation.w = 1.0
         client = self.world.node.create_client(RenderView, "/gaussians/render")
         self.world.spin_until(client.service_is_ready)
-        future = client.call_async(RenderView.Request(camera=camera))
-        self.world.spin_until(future.done)
-        response = future.result()
-        assert response.success, response.message
-        return np.frombuffer(response.color.data, np.float32).reshape(height, width, 4)
+        answers = []
+
+        def drawn() -> bool:  # rviz2 may hear of the picture before it hears of the frame
+            future = client.call_async(RenderView.Request(camera=camera))
+            self.world.spin_until(future.done)
+            answers.append(future.result())
+            return answers[-1].success or "no transform" not in answers[-1].message
+
+        self.world.spin_until(drawn)
+        assert answers[-1].success, answers[-1].message
+        return np.frombuffer(answers[-1].color.data, np.float32).reshape(height, width, 4)
 
 
 def decibels(picture: np.ndarray, expected: np.ndarray) -> float:
