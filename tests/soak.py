@@ -44,7 +44,6 @@ from rosplat_sorter.batches import apply
 from rosplat_tools.program.processes import Processes, interrupt_by_signals, node_command
 from rosplat_tools.view_messages import view_camera
 from rviz_gaussian_plugin.from_messages import numbers
-from rviz_gaussian_plugin.offscreen import ensure_display
 
 MOST_SPLATS = 1_500_000
 GROWING = 0.25  # of all the time
@@ -480,7 +479,6 @@ def soak(minutes: float, out: Path) -> Found:
     """Goes through the faults until time is over, at least once; writes out/soak.json."""
     out.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(ensure_display())
         run = Soak(minutes, out, stack)
         if run.machines.missing:
             say(f"SKIPPED: network cut, /dev/shm full: {run.machines.missing}")

@@ -23,6 +23,7 @@ from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.bench.records import Record, load
 from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_testing import PATIENCE
+from rviz_gaussian_plugin.offscreen import ensure_display
 
 
 def bench(out: Path, *arguments: str) -> list[Record]:
@@ -193,6 +194,18 @@ def test_messages_are_measured_in_every_form(tmp_path: Path) -> None:
     batches = {str(r.parameters["way"]).split(":")[0]: r for r in records if r.name == "batch"}
     assert {"GaussianArray", "PoseArray"} <= batches.keys()
     assert any(record.name == "publish to visible" for record in records)
+
+
+def test_a_display_is_out_of_reach_of_another_machine() -> None:
+    """An Xvfb there would take its number, and its socket."""
+    look = ["sh", "-c", "ls /tmp/.X11-unix; echo display $DISPLAY"]
+    with ensure_display():
+        try:
+            with Line("1gbit") as line:
+                there = subprocess.run(line.at("there", look), capture_output=True, check=True)
+        except NoLine as error:
+            pytest.skip(str(error))
+    assert there.stdout.split() == [b"display"]
 
 
 def test_orders_reach_a_viewer_on_another_machine(tmp_path: Path) -> None:

@@ -13,8 +13,6 @@ from rosplat_tools.program.processes import end_with_parent
 from rviz_gaussian_plugin import _offscreen  # type: ignore[attr-defined]
 from rviz_gaussian_plugin._config import OGRE_PLUGINS
 
-STARTS = 3  # of Xvfb, until one has a socket that other network namespaces reach
-
 
 class Renderer(_offscreen.Renderer):  # type: ignore[misc]
     """An Ogre scene that holds one map and draws it into a texture.
@@ -50,23 +48,6 @@ def ensure_display(width: int = 1920, height: int = 1080) -> Iterator[str]:
         return
     if not shutil.which("Xvfb"):
         raise RuntimeError("there is no X display and no Xvfb to make one: install xvfb")
-    server, number = _xvfb(width, height)
-    for _ in range(STARTS - 1):
-        # One that ends just then takes the socket of the next one with its number along.
-        if Path(f"/tmp/.X11-unix/X{number}").exists():
-            break
-        _end(server)
-        server, number = _xvfb(width, height)
-    os.environ["DISPLAY"] = f":{number}"
-    try:
-        yield os.environ["DISPLAY"]
-    finally:
-        os.environ.pop("DISPLAY", None)
-        _end(server)
-
-
-def _xvfb(width: int, height: int) -> tuple[subprocess.Popen[bytes], str]:
-    """A server, and the number of its display. Raises RuntimeError where it doesn't start."""
     read, write = os.pipe()
     server = subprocess.Popen(
         [
@@ -92,12 +73,9 @@ def _xvfb(width: int, height: int) -> tuple[subprocess.Popen[bytes], str]:
             number = pipe.readline().strip()
         if not number:
             raise RuntimeError("Xvfb did not start")
-    except BaseException:
-        _end(server)
-        raise
-    return server, number
-
-
-def _end(server: subprocess.Popen[bytes]) -> None:
-    server.terminate()
-    server.wait()
+        os.environ["DISPLAY"] = f":{number}"
+        yield os.environ["DISPLAY"]
+    finally:
+        os.environ.pop("DISPLAY", None)
+        server.terminate()
+        server.wait()

@@ -1,4 +1,4 @@
-"""Two machines in one, as to network and shared memory, and a line of known speed between them.
+"""Two machines in one, as to network, memory and displays, and a line of known speed between them.
 
 Network namespaces of Linux; nothing outside them changes. Knows no ROS.
 """
@@ -17,6 +17,7 @@ ENDS = ("here", "there")
 TOOLS = ("ip", "tc")
 BURST = "256kb"  # that leaves at once; more than a datagram of 64 KiB
 LATENCY = "100ms"  # that a switch would keep before it drops
+SOCKETS = "/tmp/.X11-unix"  # of X servers, by the numbers of their displays
 
 
 class NoLine(Exception):
@@ -77,10 +78,17 @@ class Line:
             shutil.rmtree(_memory(name), ignore_errors=True)
 
     def at(self, end: str, command: Sequence[str]) -> list[str]:
-        """The command that runs a command at one of ENDS, which has a /dev/shm of its own."""
+        """The command that runs a command at one of ENDS, which has a /dev/shm of its own.
+
+        And no X display yet: an Xvfb in a network namespace takes a number that is in use outside
+        of it, and with it the socket in SOCKETS of the server there.
+        """
         name = self._names[end]
-        own_memory = f'mount --bind {_memory(name)} /dev/shm && exec "$@"'
-        return ["ip", "netns", "exec", name, "sh", "-c", own_memory, "sh", *command]
+        own = (
+            f"mount --bind {_memory(name)} /dev/shm && mkdir -p {SOCKETS} "
+            f'&& mount -t tmpfs -o mode=1777 tmpfs {SOCKETS} && exec env -u DISPLAY "$@"'
+        )
+        return ["ip", "netns", "exec", name, "sh", "-c", own, "sh", *command]
 
     def connect(self, connected: bool) -> None:
         """Pulls the cable out, or puts it in again."""
