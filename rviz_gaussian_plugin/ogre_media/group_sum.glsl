@@ -1,7 +1,7 @@
 // Exclusive prefix sum over the first 256 of a work group; `all` becomes the sum. Sums end at kMostSum: none is
 // ever taken for a small one, and min(a + b, kMostSum) gives the same in whatever order.
 
-const uint kMostSum = 0x7fffffffu;
+const uint kMostSum = 0x0fffffffu;
 shared uint partial[256];
 
 uint plus(uint a, uint b) { return min(a + b, kMostSum); }

@@ -1,34 +1,47 @@
-// Exclusive prefix sum of an array in place, in two passes over blocks of it.
+// Exclusive prefix sum of an array in place.
 
 layout(local_size_x = 256) in;
 layout(std430) buffer Values { uint values[]; };
-layout(std430) buffer Sums { uint sums[]; };  // of the blocks
 layout(std430) readonly buffer Length { Tally values_tally; };
 layout(std430) writeonly buffer Total { Tally total; };
 
-uniform uint pass;  // 0: sums of blocks, 1: that of each value, and the total
 uniform uint room;  // for as many as the total says
 uniform uint each;  // of what the tally counts, a value
 
 const uint kEach = kBlock / 256u;  // values an invocation
 
+shared uint nearest;
+
+// What the blocks before have in all; this one has announced `sum`.
+uint sumBefore(uint block, uint sum) {
+  uint local = gl_LocalInvocationIndex, before = 0u, all;
+  for (uint end = block; end > 0u; end -= min(end, 256u)) {
+    uint found = local < end ? awaitSum(end - 1u - local) : 0u;
+    if (local == 0u) nearest = 256u;
+    barrier();
+    if ((found & kAllBefore) != 0u) atomicMin(nearest, local);
+    barrier();
+    groupSum(local <= nearest ? found & kMostSum : 0u, all);
+    before = plus(before, all);
+    if (nearest < 256u) break;
+  }
+  if (local == 0u && block > 0u) announce(block, plus(before, sum), true);
+  return before;
+}
+
 void main() {
-  uint count = (values_tally.count + each - 1u) / each, block = workGroup(), local = gl_LocalInvocationIndex, all;
+  uint count = (values_tally.count + each - 1u) / each, local = gl_LocalInvocationIndex, all;
+  uint block = takeGroup();
   if (block > 0u && block * kBlock >= count) return;
   uint first = block * kBlock + local * kEach, mine[kEach], sum = 0u;
   for (uint k = 0u; k < kEach; ++k) {
     mine[k] = first + k < count ? values[first + k] : 0u;
     sum = plus(sum, mine[k]);
   }
-  uint before = groupSum(sum, all);
-  if (pass == 0u) {
-    if (local == 0u) sums[block] = all;
-    return;
-  }
-  uint earlier = 0u, before_block;
-  for (uint k = local; k < block; k += 256u) earlier = plus(earlier, sums[k]);
-  groupSum(earlier, before_block);
-  before = plus(before, before_block);
+  uint in_block = groupSum(sum, all);
+  if (local == 0u) announce(block, all, block == 0u);
+  if (announcing) return;
+  uint before_block = sumBefore(block, all), before = plus(before_block, in_block);
   for (uint k = 0u; k < kEach; ++k) {
     if (first + k < count) values[first + k] = before;
     before = plus(before, mine[k]);

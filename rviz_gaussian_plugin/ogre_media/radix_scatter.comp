@@ -1,7 +1,8 @@
 // One pass of a stable radix sort: keys and values go to where their digit's turn is. Lanes that run
 // together, a warp, find those with the same digit by ballots, one for each bit (Ashkiani et al. 2016);
 // their width is the driver's, 8 to 64. A block is put in order in shared memory first, so that what
-// is next to each other is written together.
+// is next to each other is written together. Blocks learn from those before where their keys begin (Adinets
+// and Merrill 2022).
 
 #pragma optionNV(unroll all)  // or NVIDIA's compiler keeps arrays in memory instead of registers
 
@@ -10,10 +11,10 @@ layout(std430) readonly buffer Keys { uint keys[]; };
 layout(std430) readonly buffer Values { uint values[]; };
 layout(std430) writeonly buffer SortedKeys { uint sorted_keys[]; };
 layout(std430) writeonly buffer SortedValues { uint sorted_values[]; };
-layout(std430) readonly buffer Counts { uint counts[]; };
+layout(std430) readonly buffer Totals { uint totals[]; };  // how many keys have a digit, of each pass
 layout(std430) readonly buffer Length { Tally keys_tally; };
 
-uniform bool summed;      // counts: as radix_sum.comp leaves them, or else as radix_count.comp does
+uniform uint pass;
 uniform bool first_pass;  // the values are 0, 1, 2...
 uniform bool last_pass;   // nobody needs the keys any more
 
@@ -117,8 +118,22 @@ uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
 }
 #endif
 
+// How many keys of a digit are in the blocks before this one; several are asked at once.
+uint keysBefore(uint block, uint digit) {
+  uint sum = 0u;
+  for (uint end = block, waited = 0u; end > 0u && waited < kMostWaits; ++waited) {
+    uint those[4];
+    for (uint k = 0u; k < 4u; ++k) those[k] = sums[256u * (max(end, k + 1u) - k - 1u) + digit];
+    for (uint k = 0u; k < 4u && end > 0u && isAnnounced(those[k]); ++k) {
+      sum += those[k] & kMostSum;
+      end = (those[k] & kAllBefore) != 0u ? 0u : end - 1u;
+    }
+  }
+  return sum;
+}
+
 void main() {
-  uint local = gl_LocalInvocationIndex, block = workGroup();
+  uint local = gl_LocalInvocationIndex, block = takeGroup();
   uint warp = warpOf(local), lane = laneOf(local);
   uint count = keys_tally.count, blocks = (count + kBlock - 1u) / kBlock;
   uint pairs = (warpCount() + 1u) / 2u, stride = warpSize();
@@ -131,30 +146,22 @@ void main() {
   uint key[kEach], place[kEach];
   for (uint k = 0u; k < kEach; ++k) key[k] = keys[min(first + stride * k, count - 1u)];
   for (uint k = 0u; k < kEach; ++k) {
-    place[k] = takeTurn(warp, lane, digitOf(key[k]), first + stride * k < count);
+    place[k] = takeTurn(warp, lane, digitOf(key[k], pass), first + stride * k < count);
   }
   barrier();
   bool counts_digit = local < 256u;
-  uint here = 0u, all, others = 0u, before = 0u;
+  uint here = 0u, all;
   if (counts_digit) {
-    if (summed) {
-      others = counts[256u * blocks + local];
-      before = counts[local * blocks + block];
-    } else {
-      for (uint k = 0u; k < blocks; ++k) {
-        uint those = counts[local * blocks + k];
-        others += those;
-        if (k < block) before += those;
-      }
-    }
     for (uint pair = 0u; pair < pairs; ++pair) {
       uint turns = memory[256u * pair + local];
       here += (turns & 0xffffu) + (turns >> 16);
     }
+    announce(256u * block + local, here, block == 0u);
   }
-  uint next = groupSum(here, all), start = groupSum(others, all) + before;
+  if (announcing) return;
+  uint next = groupSum(here, all), in_block = next;
+  uint start = groupSum(counts_digit ? totals[256u * pass + local] : 0u, all);
   if (counts_digit) {
-    block_start[local] = start - next;
     for (uint pair = 0u; pair < pairs; ++pair) {
       uint turns = memory[256u * pair + local], second = next + (turns & 0xffffu);
       memory[256u * pair + local] = next | second << 16;
@@ -162,7 +169,7 @@ void main() {
     }
   }
   barrier();
-  for (uint k = 0u; k < kEach; ++k) place[k] += turns(warp, digitOf(key[k]));
+  for (uint k = 0u; k < kEach; ++k) place[k] += turns(warp, digitOf(key[k], pass));
   barrier();
 
   uint size = min(count - block * kBlock, kBlock), value[kEach], target[kEach];
@@ -173,10 +180,15 @@ void main() {
     uint i = min(first + stride * k, count - 1u);
     value[k] = first_pass ? i : values[i];
   }
+  if (counts_digit) {
+    uint before = keysBefore(block, local);
+    if (block > 0u) announce(256u * block + local, before + here, true);
+    block_start[local] = start + before - in_block;
+  }
   barrier();
   for (uint k = 0u; k < kEach; ++k) {
     uint i = kLanes * k + local, sorted_key = memory[i];
-    target[k] = block_start[digitOf(sorted_key)] + i;
+    target[k] = block_start[digitOf(sorted_key, pass)] + i;
     if (!last_pass && i < size) sorted_keys[target[k]] = sorted_key;
   }
   barrier();

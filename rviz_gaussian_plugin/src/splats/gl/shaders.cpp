@@ -29,7 +29,8 @@ int subgroupSize() {
 
 }  // namespace
 
-Shaders::Shaders(ShaderSource source) : source_(std::move(source)), warp_(subgroupSize()) {
+Shaders::Shaders(ShaderSource source)
+    : source_(std::move(source)), groups_wait_(gl::accelerated()), warp_(subgroupSize()) {
   part_size_ = std::min<std::size_t>(gl::largestStorageBuffer() / kEllipseBytes, kMaxSlots);
   parts_ = part_size_ >= kMaxSlots ? 1 : kEllipseParts;
 }

@@ -29,6 +29,9 @@ class Shaders {
   // says that it has some, else, or where they don't serve, what stands in for them.
   const gl::Program& computeInWarps(const Files& files, int lanes, bool in_subgroups);
   bool subgroups() const { return warp_ > 0; }
+  // Whether work groups of a dispatch may wait for those before them; not known to until tried.
+  bool groupsWait() const { return groups_wait_; }
+  void giveUpWaiting() { groups_wait_ = false; }
   const gl::Program& draw(const Files& vertex, const Files& fragment);
 
   // Projected splats in one buffer of the driver's, and of the renderer's, at most kEllipseParts.
@@ -50,6 +53,7 @@ class Shaders {
   std::map<std::string, gl::Program> programs_;  // by what they are made from
   std::size_t part_size_ = 0;
   std::size_t parts_ = 1;
+  bool groups_wait_;
   int warp_ = 0;  // lanes of the driver's subgroups, at most; 0: it has none that serve
 };
 

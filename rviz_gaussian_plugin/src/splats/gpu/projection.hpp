@@ -8,8 +8,8 @@
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/frame.hpp"
+#include "gpu/group_sums.hpp"
 #include "gpu/page_table.hpp"
-#include "gpu/radix_sort.hpp"
 #include "gpu/tally.hpp"
 
 namespace rosplat {

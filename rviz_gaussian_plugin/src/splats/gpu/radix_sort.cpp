@@ -14,48 +14,40 @@ constexpr std::size_t kDigits = 1u << RadixSort::kDigitBits;
 // Invocations of a work group: the more, the less each waits. Where subgroups are narrower than the
 // driver says, they are too many.
 constexpr int kLanes = 512, kFewLanes = 256;
-// Up to so many, each block sums up the counts itself, which is faster than one more dispatch.
-constexpr std::size_t kFewBlocks = 64;
-const Shaders::Files kScatter{"group_sum.glsl", "radix_digit.glsl", "radix_scatter.comp"};
+// Of all passes that there may be, as radix_count.comp has them.
+constexpr std::size_t kTotals = kDigits * 32 / RadixSort::kDigitBits;
+const Shaders::Files kScatter{"group_sum.glsl", "look_back.glsl", "radix_digit.glsl",
+                              "radix_scatter.comp"};
 
 std::size_t blocks(std::size_t count) { return (count + Tally::kBlock - 1) / Tally::kBlock; }
 }  // namespace
 
-void PrefixSum::reserve(std::size_t count) {
-  most_ = count;
-  sums_.reserve((blocks(count) + 1) * sizeof(GLuint));
-}
-
-void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& total,
-                    std::size_t room, std::size_t each) {
-  sum_.use();
-  sum_.set("each", static_cast<GLuint>(each));
-  sum_.set("room", static_cast<GLuint>(room));
-  sum_.bind("Values", values);
-  sum_.bind("Sums", sums_);
-  sum_.bind("Length", count.words());
-  sum_.bind("Total", total.words());
-  for (GLuint pass = blocks(most_) > 1 ? 0 : 1; pass < 2; ++pass) {
-    sum_.set("pass", pass);
-    count.dispatchBlocks();
-    gl::storageBarrier();
-  }
-  glMemoryBarrier(GL_COMMAND_BARRIER_BIT);  // the total is work to dispatch
-}
-
 RadixSort::RadixSort(Shaders& shaders)
     : shaders_(shaders),
       count_(shaders.compute({"radix_digit.glsl", "radix_count.comp"})),
-      sum_(shaders.compute({"group_sum.glsl", "radix_sum.comp"})),
       scatter_(&shaders.computeInWarps(kScatter, shaders.subgroups() ? kLanes : kFewLanes,
-                                       shaders.subgroups())) {}
+                                       shaders.subgroups())),
+      sums_(shaders) {
+  for (gl::Buffer* buffer : {&totals_, &next_totals_}) {
+    buffer->reserve(kTotals * sizeof(GLuint));
+    buffer->zero();
+  }
+}
 
 bool RadixSort::check() {
-  if (sortsRight()) return true;
-  if (!shaders_.subgroups() || lost_ballots_) return false;
-  scatter_ = &shaders_.computeInWarps(kScatter, kFewLanes, true);
-  if (sortsRight()) return true;
-  lost_ballots_ = true;
+  if (sortsInSomeWarps()) return true;
+  if (!shaders_.groupsWait()) return false;
+  shaders_.giveUpWaiting();
+  return sortsInSomeWarps();
+}
+
+bool RadixSort::sortsInSomeWarps() {
+  for (const int lanes : {kLanes, kFewLanes}) {
+    if (!shaders_.subgroups()) break;
+    scatter_ = &shaders_.computeInWarps(kScatter, lanes, true);
+    if (sortsRight()) return true;
+  }
+  lost_ballots_ = shaders_.subgroups();
   scatter_ = &shaders_.computeInWarps(kScatter, kFewLanes, false);
   return sortsRight();
 }
@@ -88,8 +80,7 @@ bool RadixSort::sortsRight() {
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
   order(count, least, 2 * kDigitBits, ordered);
   if (!holds(ordered, places)) return false;
-  // As values, what was sorted goes through passes of its own; and as if there were many.
-  most_ = (kFewBlocks + 1) * Tally::kBlock;
+  // As values, what was sorted goes through passes of its own.
   std::vector<GLuint> values(kKeys);
   std::iota(values.rbegin(), values.rend(), 0u);
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
@@ -101,60 +92,47 @@ bool RadixSort::sortsRight() {
 }
 
 void RadixSort::reserve(std::size_t count) {
-  most_ = count;
   if (room_.wastes(count)) {
-    for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_, &counts_}) buffer->release();
+    for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_}) buffer->release();
+    sums_.release();
   }
   for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_}) {
     buffer->reserve(count * sizeof(GLuint));
   }
-  counts_.reserve((blocks(count) + 1) * kDigits * sizeof(GLuint));
-}
-
-void RadixSort::pass(const Tally& count, const gl::Slice& least, int shift,
-                     const gl::Buffer& values, const gl::Buffer& sorted_values) {
-  count_.bind("Keys", keys_);
-  count_.bind("Counts", counts_);
-  count_.bind("Length", count.words());
-  count_.bind("Least", least);
-  count_.use();
-  count_.set("shift", static_cast<GLuint>(shift));
-  count.dispatchBlocks();
-  gl::storageBarrier();
-
-  const bool summed = blocks(most_) > kFewBlocks;
-  if (summed) {
-    sum_.bind("Counts", counts_);
-    sum_.bind("Length", count.words());
-    sum_.use();
-    gl::dispatch(kDigits);
-    gl::storageBarrier();
-  }
-
-  scatter_->bind("Keys", keys_);
-  scatter_->bind("Values", values);
-  scatter_->bind("SortedKeys", next_keys_);
-  scatter_->bind("SortedValues", sorted_values);
-  scatter_->bind("Counts", counts_);
-  scatter_->bind("Length", count.words());
-  scatter_->bind("Least", least);
-  scatter_->use();
-  scatter_->set("shift", static_cast<GLuint>(shift));
-  scatter_->set("summed", int(summed));
-  count.dispatchBlocks();
-  gl::storageBarrier();
+  sums_.reserve(std::max(blocks(count), std::size_t{1}) * kDigits);
 }
 
 void RadixSort::run(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& sorted,
                     bool are_places) {
+  std::swap(totals_, next_totals_);
+  count_.bind("Keys", keys_);
+  count_.bind("Totals", totals_);
+  count_.bind("NextTotals", next_totals_);
+  count_.bind("Sums", sums_.words());
+  count_.bind("Length", count.words());
+  count_.bind("Least", least);
+  count_.use();
+  count_.set("passes", static_cast<GLuint>(passes(bits)));
+  count.dispatchBlocks();
+  gl::storageBarrier();
+  sums_.cleared();
+
+  scatter_->bind("Totals", totals_);
+  scatter_->bind("Length", count.words());
+  scatter_->bind("Least", least);
+  scatter_->use();
   const int last = passes(bits) - 1;
-  for (int i = 0; i <= last; ++i) {
+  for (int pass = 0; pass <= last; ++pass) {
     // Back and forth, so that the last pass ends where it is to.
-    const bool there = (last - i) % 2 == 0;
-    scatter_->use();
-    scatter_->set("first_pass", int(are_places && i == 0));
-    scatter_->set("last_pass", int(are_places && i == last));
-    pass(count, least, i * kDigitBits, there ? values_ : sorted, there ? sorted : values_);
+    const bool there = (last - pass) % 2 == 0;
+    scatter_->bind("Keys", keys_);
+    scatter_->bind("Values", there ? values_ : sorted);
+    scatter_->bind("SortedKeys", next_keys_);
+    scatter_->bind("SortedValues", there ? sorted : values_);
+    scatter_->set("pass", static_cast<GLuint>(pass));
+    scatter_->set("first_pass", int(are_places && pass == 0));
+    scatter_->set("last_pass", int(are_places && pass == last));
+    sums_.run(*scatter_, count);
     std::swap(keys_, next_keys_);
   }
 }
@@ -170,7 +148,8 @@ void RadixSort::order(const Tally& count, const gl::Slice& least, int bits,
 }
 
 std::size_t RadixSort::bytes() const {
-  return keys_.bytes() + next_keys_.bytes() + values_.bytes() + counts_.bytes();
+  return keys_.bytes() + next_keys_.bytes() + values_.bytes() + sums_.bytes() + totals_.bytes() +
+         next_totals_.bytes();
 }
 
 }  // namespace rosplat

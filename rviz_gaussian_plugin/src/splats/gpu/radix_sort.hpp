@@ -4,33 +4,13 @@
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
+#include "gpu/group_sums.hpp"
 #include "gpu/tally.hpp"
 
 namespace rosplat {
 
 // How many bits a number takes.
 constexpr int bitsOf(std::size_t value) { return value ? 1 + bitsOf(value >> 1) : 0; }
-
-// Exclusive prefix sums on the GPU.
-class PrefixSum {
- public:
-  explicit PrefixSum(Shaders& shaders)
-      : sum_(shaders.compute({"group_sum.glsl", "prefix_sum.comp"})) {}
-
-  // Makes room for so many values.
-  void reserve(std::size_t count);
-  // Sums up as many uint32 of a buffer as a tally says, or one for each so many, in place; their
-  // total becomes another tally, for which there is room for so many.
-  void run(const gl::Buffer& values, const Tally& count, const Tally& total, std::size_t room,
-           std::size_t each = 1);
-
-  std::size_t bytes() const { return sums_.bytes(); }
-
- private:
-  const gl::Program& sum_;
-  gl::Buffer sums_;
-  std::size_t most_ = 0;
-};
 
 // A stable radix sort of uint32 keys with uint32 values on the GPU, the least first. Keys are
 // written to keys(), which is whoever's turn it is. Values end in a buffer from outside, which all
@@ -40,9 +20,9 @@ class RadixSort {
   // The shaders must outlive it.
   explicit RadixSort(Shaders& shaders);
 
-  // Sorts some keys and compares with what the CPU makes of them; where lanes don't vote as the
-  // driver says, from then on without that. False where nothing helps. What is in the buffers is
-  // lost.
+  // Sorts some keys and compares with what the CPU makes of them; where work groups don't wait for
+  // each other, or lanes don't vote, as the driver says, from then on without that. False where
+  // nothing helps. What is in the buffers is lost.
   bool check();
   // Whether check() gave up what the driver says that it can.
   bool lostBallots() const { return lost_ballots_; }
@@ -76,18 +56,18 @@ class RadixSort {
   // are_places: the values are 0, 1, 2..., and nobody needs the keys any more.
   void run(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& sorted,
            bool are_places);
-  void pass(const Tally& count, const gl::Slice& least, int shift, const gl::Buffer& values,
-            const gl::Buffer& sorted_values);
 
+  bool sortsInSomeWarps();
   bool sortsRight();
 
   Shaders& shaders_;
   bool lost_ballots_ = false;
-  const gl::Program &count_, &sum_;
+  const gl::Program& count_;
   const gl::Program* scatter_;
-  gl::Buffer keys_, next_keys_, values_, counts_;
+  gl::Buffer keys_, next_keys_, values_;
+  gl::Buffer totals_, next_totals_;  // how many keys have a digit; those of the next sort are 0
+  GroupSums sums_;
   UsageTracker room_;
-  std::size_t most_ = 0;  // that room was made for last
 };
 
 }  // namespace rosplat

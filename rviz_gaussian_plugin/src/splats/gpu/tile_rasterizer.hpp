@@ -4,6 +4,7 @@
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
+#include "gpu/group_sums.hpp"
 #include "gpu/ordered_splats.hpp"
 #include "gpu/radix_sort.hpp"
 #include "gpu/tally.hpp"
