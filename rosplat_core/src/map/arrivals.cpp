@@ -11,16 +11,16 @@ namespace rosplat {
 namespace {
 
 constexpr std::chrono::milliseconds kRetry{500};
-// Messages and edits of so many bytes leave as much behind, between the pages of the map.
+// Messages and edits of so many bytes leave as much free memory between the pages of the map.
 constexpr std::size_t kTakenPerReturn = 64'000'000;
-// Returning it takes the time of a frame: not while a map streams in.
+// Returning that memory takes the time of a frame: not while a map streams in.
 constexpr std::chrono::seconds kQuiet{1};
 
 }  // namespace
 
 void Arrivals::push(const Edit& edit, const MapState& state) {
   auto arrival = EditQueue::node(edit, state);
-  MapState after = state;  // the last to need memory
+  MapState after = state;  // the last step that needs memory
   const std::lock_guard lock(mutex_);
   state_ = std::move(after);
   waiting_.push(std::move(arrival));

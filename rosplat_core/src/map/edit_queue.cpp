@@ -25,7 +25,7 @@ std::size_t bytesOf(const EditQueue::Waiting& waiting) {
          bytesOf(edit.moves);
 }
 
-// Of `width` values each, those that are kept.
+// The kept ones of elements of `width` values each; count: how many are kept.
 template <typename T>
 std::vector<T> part(const std::vector<T>& values, std::size_t width, const std::vector<bool>& kept,
                     std::size_t count) {
@@ -41,7 +41,7 @@ std::vector<T> part(const std::vector<T>& values, std::size_t width, const std::
   return taken;
 }
 
-// All of an edit but what it says of single slots; rest: of one whose first part is gone.
+// An edit without its slots. rest: a part was taken before, and the clear and moves with it.
 std::shared_ptr<GaussianEdit> frame(const GaussianEdit& edit, bool rest) {
   auto taken = std::make_shared<GaussianEdit>();
   taken->clear = edit.clear && !rest;
@@ -55,7 +55,7 @@ std::shared_ptr<GaussianEdit> frame(const GaussianEdit& edit, bool rest) {
   return taken;
 }
 
-// An edit of fewer slots: `count` of them are kept.
+// An edit without the slots that aren't kept; count: how many are.
 std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, bool rest,
                                          const std::vector<bool>& kept, std::size_t count) {
   const auto taken = frame(edit, rest);
@@ -83,7 +83,7 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, bool rest,
   return taken;
 }
 
-// `count` of its slots, from one on.
+// An edit of `count` slots of another, starting at slot number `from` of its runs.
 std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, std::size_t from,
                                          std::size_t count) {
   const auto taken = frame(edit, from > 0);
@@ -112,7 +112,7 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, std::size_t f
   return taken;
 }
 
-// An edit that also moves the groups that it leaves where they are.
+// An edit with further moves, except of groups that it moves itself.
 std::shared_ptr<const GaussianEdit> withMoves(const GaussianEdit& edit,
                                               const std::vector<GroupMove>& moves) {
   auto taken = std::make_shared<GaussianEdit>(edit);
@@ -139,7 +139,7 @@ void EditQueue::push(Node node) noexcept {
   if (bytes_ <= settled_ + std::max(worthwhile_, settled_ / 2)) return;
   try {
     coalesce();
-  } catch (const std::bad_alloc&) {  // what is left out so far stays so
+  } catch (const std::bad_alloc&) {  // the queue is valid after each step
   }
   settled_ = bytes_;
 }
@@ -185,18 +185,18 @@ void EditQueue::clear() {
 
 void EditQueue::coalesce() {
   SlotSet later;
-  // Where groups are moved next, and which are written to before that.
+  // The next edit that moves groups, and the groups that are written to before it.
   auto next_move = waiting_.end();
   std::unordered_set<std::uint32_t> written;
   for (auto next = waiting_.end(); next != waiting_.begin();) {
     const auto waiting = std::prev(next);
-    const std::shared_ptr<const GaussianEdit> held = waiting->edit;  // also once a part replaces it
+    const std::shared_ptr<const GaussianEdit> held = waiting->edit;  // while a part replaces it
     const GaussianEdit& edit = *held;
     later.makeRoom(edit.runs);
     const std::size_t taken = waiting->taken;
     std::vector<bool> kept(countSlots(edit.runs));
     std::size_t i = kept.size(), count = 0;
-    // From the last on: of a slot that is listed twice, that one counts.
+    // Backwards, because the last entry counts if a slot is listed twice.
     for (auto run = edit.runs.rbegin(); run != edit.runs.rend(); ++run) {
       for (std::uint32_t k = run->second; k > 0; --k) {
         --i;

@@ -142,7 +142,7 @@ SlotRuns runsOf(const GaussianBatch& batch) {
   return runs;
 }
 
-// Room for the splats of a batch, in bands up to edit.sh_degree.
+// Makes room for the splats of a batch, with bands up to edit.sh_degree.
 void makeRoom(const GaussianBatch& batch, GaussianEdit& edit) {
   const std::size_t n = batch.count;
   edit.slots.assign(kSlotWords * n, 0u);
@@ -152,7 +152,7 @@ void makeRoom(const GaussianBatch& batch, GaussianEdit& edit) {
   }
 }
 
-// Lays the packed rows of a batch out, relative to an origin. Returns which of them mean something.
+// Lays out the packed rows of a batch, relative to an origin. Returns which of them are valid.
 std::vector<bool> layOutRows(const GaussianBatch& batch, const std::array<double, 3>& origin,
                              GaussianEdit& edit) {
   const std::size_t n = batch.count, bytes = packed_rows::size(1, batch.sh_degree);
@@ -162,7 +162,7 @@ std::vector<bool> layOutRows(const GaussianBatch& batch, const std::array<double
   const bool rebase = batch.origin != origin;
   for (std::size_t i = 0; i < n; ++i) {
     std::memcpy(row.data(), batch.payload.data + bytes * i, bytes);
-    row[kChangeWord] &= 0xffffu;  // above it is the receiver's own
+    row[kChangeWord] &= 0xffffu;  // the upper half is the receiver's own
     for (int k = 0; rebase && k < 3; ++k) {
       float x;
       std::memcpy(&x, &row[k], sizeof(x));
@@ -180,7 +180,7 @@ std::vector<bool> layOutRows(const GaussianBatch& batch, const std::array<double
   return kept;
 }
 
-// The same of a batch's arrays.
+// Does the same with the arrays of a batch.
 std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin,
                          GaussianEdit& edit) {
   const std::size_t n = batch.count;
@@ -225,7 +225,7 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
   return kept;
 }
 
-// Has the values of a batch's channels where the map's are.
+// Lays out the values of a batch's channels in the order of the map's channels.
 void layOutChannels(const GaussianBatch& batch, const std::vector<bool>& kept,
                     std::vector<Channel>& channels, GaussianEdit& edit) {
   const float* values = batch.channels.data;
@@ -255,13 +255,13 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
 
   auto edit = std::make_shared<GaussianEdit>();
   edit->clear = new_map || replace;
-  // Memory may run out at any line until `keep` is through: the map is as before then.
+  // Memory may run out at any line until `keep` returns; the map is then unchanged.
   MapState next;
   SlotSet fresh;
   SlotSet& used = edit->clear ? fresh : used_;
   if (!edit->clear) next = state_;
-  // A REPLACE makes whatever came before it unimportant. A map that is played once more, but not
-  // from its beginning, lacks all before.
+  // A REPLACE needs none of the batches before it. A map that is played again, but not from its
+  // beginning, lacks all batches before.
   if (back) next.revision = next.missed = 0;
   if (heard && !replace) report.missed = batch.revision - next.revision - 1;
   if (batch.arrival == Arrival::kLast) next.missed = 0;
@@ -297,8 +297,8 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   std::vector<bool> kept;
   std::vector<std::uint32_t> of_others;
   if (values) {
-    // A block that was pulled may be ahead of the batches that follow: what it holds is written
-    // again by a later one of them.
+    // Pulled batches may write to a block of another group: the block may be newer than the batches
+    // after it. It is emptied, and a later one of these batches writes its splats again.
     of_others = blocksOfOthers(used, edit->runs, batch.group);
     if (heard && !of_others.empty()) {
       const std::uint32_t begin = of_others.front();
@@ -430,7 +430,7 @@ GaussianEdit editOf(PackedRun run, ThreadTeam* team) {
       edit.extents[i] = extentOf(slotOpacity(slot), largestScale(slot));
     }
   });
-  std::size_t used = count;  // up to the last that is
+  std::size_t used = count;  // one past the last slot in use
   while (used > 0 && (edit.slots[kSlotWords * (used - 1) + 3] & 0xffffu) == 0) --used;
   if (used > 0) edit.capacity = run.first_slot + static_cast<std::uint32_t>(used);
   return edit;

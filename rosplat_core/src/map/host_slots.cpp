@@ -17,7 +17,7 @@ std::size_t bandWords(int band) { return HostSlots::kSlots * kBandWords[band]; }
 
 void HostSlots::apply(const GaussianEdit& edit, double now, ThreadTeam* team) {
   if (edit.clear) *this = HostSlots();
-  // All that needs memory, before anything changes. What is there already has room for more.
+  // Memory is allocated before anything changes; present pages may gain empty bands and channels.
   std::vector<std::uint32_t> touched;
   if (edit.sh_degree >= 0) touched = SlotPages::touched(edit);
   std::vector<std::unique_ptr<Page>> fresh(touched.size());
@@ -32,7 +32,7 @@ void HostSlots::apply(const GaussianEdit& edit, double now, ThreadTeam* team) {
   fresh.erase(std::remove(fresh.begin(), fresh.end(), nullptr), fresh.end());
   const std::size_t pages = memory_.size() + fresh.size();
   if (pages > memory_.capacity()) memory_.reserve(pages + memory_.size() / 4);
-  std::vector<PageWrite> parts;  // of a run: no two are of one page
+  std::vector<PageWrite> parts;  // of one run: each of another page
   std::uint32_t longest = 0;
   for (const auto& [first, count] : edit.runs) longest = std::max(longest, count);
   parts.reserve(longest / kSlots + 2);
@@ -58,7 +58,7 @@ void HostSlots::apply(const GaussianEdit& edit, double now, ThreadTeam* team) {
   }
 }
 
-// For the bands and channels that an edit has.
+// Makes room for the bands and channels that an edit has.
 void HostSlots::makeRoom(const GaussianEdit& edit, Page& page) const {
   for (int band = 1; band <= edit.sh_degree; ++band) {
     if (!page.bands[band]) page.bands[band].reset(new std::uint32_t[bandWords(band)]{});
@@ -102,7 +102,7 @@ void HostSlots::write(const GaussianEdit& edit, const PageWrite& part, std::uint
   for (int band = 1; band <= sh_degree_; ++band) {
     const auto coefficients = static_cast<std::size_t>(kBandWords[band]);
     std::uint32_t* const memory = page.bands[band].get();
-    if (!memory) continue;  // of a band that the edit lacks
+    if (!memory) continue;  // no splat of the page has this band
     for (std::size_t i = 0; i < count; ++i) {
       for (std::size_t k = 0; k < coefficients; ++k) {
         memory[k * kSlots + target + i] =

@@ -13,7 +13,7 @@
 
 namespace rosplat {
 
-// Slots that a call names: neighbours, or a list of someone else's.
+// Slots that a call names: consecutive ones, or a list that the caller owns.
 class NamedSlots {
  public:
   static constexpr std::uint32_t kPageSlots = SlotPage::kSlots;
@@ -22,7 +22,7 @@ class NamedSlots {
     std::uint32_t page, count;
   };
 
-  // Throws std::invalid_argument for one that can't be, or is named twice.
+  // Throws std::invalid_argument for a slot that is out of range or named twice.
   static NamedSlots checked(const std::vector<std::uint32_t>& slots) {
     for (const std::uint32_t slot : slots) checkSlot("slots", slot);
     if (std::adjacent_find(slots.begin(), slots.end(), std::greater_equal<>()) != slots.end()) {
@@ -36,7 +36,7 @@ class NamedSlots {
   }
   static NamedSlots checked(std::uint32_t first, std::size_t count) {
     if (count > 0) checkSlot("first_slot", first + std::uint64_t{count} - 1);
-    return {count > 0 ? first : 0, count};  // receivers refuse one that can't be, of none, too
+    return {count > 0 ? first : 0, count};  // receivers check first_slot even of an empty batch
   }
   NamedSlots() = default;
   NamedSlots(std::uint32_t first, std::size_t count) : first_(first), count_(count) {}
@@ -52,7 +52,7 @@ class NamedSlots {
   bool empty() const { return count_ == 0; }
   bool listed() const { return list_ != nullptr; }
   std::uint32_t first() const { return first_; }
-  // Empty where they are neighbours.
+  // Empty for consecutive slots.
   std::vector<std::uint32_t> list() const {
     if (!listed()) return {};
     return {list_, list_ + count_};
@@ -61,7 +61,7 @@ class NamedSlots {
     return listed() ? list_[i] : first_ + static_cast<std::uint32_t>(i);
   }
 
-  // In parts of so many at most; there is always a first one, empty where there are no slots.
+  // Splits the slots into parts of `most` at most; without slots, into one empty part.
   std::vector<NamedSlots> parts(std::size_t most) const {
     std::vector<NamedSlots> parts;
     for (std::size_t i = 0; i < std::max<std::size_t>(1, count_); i += most) {
@@ -71,7 +71,7 @@ class NamedSlots {
     }
     return parts;
   }
-  // The pages that they lie in, ascending.
+  // The pages of the slots, ascending, and how many slots are in each.
   std::vector<Touched> touched() const {
     std::vector<Touched> pages;
     for (std::size_t i = 0; i < count_;) {

@@ -13,7 +13,7 @@ namespace rosplat {
 
 namespace {
 
-// Not initialised: memory of slots that nobody writes to is never taken.
+// Uninitialised, so that slots that nobody writes to take no memory from the system.
 std::unique_ptr<float[]> floats(std::size_t count) {
   return std::unique_ptr<float[]>(new float[count]);
 }

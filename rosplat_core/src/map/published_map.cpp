@@ -24,9 +24,9 @@ namespace {
 using Batch = PublishedMap::Batch;
 
 constexpr const char* kNone = "none";
-// Of an answer to a pull: each client, idle or not, keeps room for some of the largest.
+// Most of an answer to a pull: each client, even an idle one, keeps room for some such. [bytes]
 constexpr std::size_t kAnswerBytes = 2'000'000;
-// Of a batch without its arrays and the names of its channels, and of a group that is placed.
+// Size of a batch without its arrays and channel names, and of a placed group. [bytes]
 constexpr std::size_t kBatchBytes = 400, kPlacementBytes = 60;
 
 std::string checkedCompression(const std::string& compression) {
@@ -50,7 +50,7 @@ void checkNumber(const char* name, std::uint64_t number, std::uint64_t most) {
 
 void checkGroup(std::uint32_t group) { checkNumber("group", group, kMostGroups - 1); }
 
-// With a quaternion of unit length.
+// The pose with a quaternion of unit length. Throws std::invalid_argument for an invalid one.
 Pose checkedPose(Pose pose, std::uint32_t group) {
   auto& q = pose.orientation;
   const double length = std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
@@ -63,7 +63,7 @@ Pose checkedPose(Pose pose, std::uint32_t group) {
   return pose;
 }
 
-// The highest band of harmonics that isn't zero in all of the splats.
+// The highest band of harmonics that has a value other than zero.
 int withoutEmptyBands(const SplatArrays<const float>& splats) {
   const std::size_t stride = splats.shStride();
   const auto empty = [&](int degree) {
@@ -87,7 +87,7 @@ std::vector<std::string> namesOf(const SplatsView& splats) {
   return names;
 }
 
-// The channels of a map that had some, once it is written with others, too.
+// A map's known channels and those of a batch's names.
 std::vector<std::string> channelsOf(std::vector<std::string> known,
                                     const std::vector<std::string>& names) {
   for (const std::string& name : names) {
@@ -102,20 +102,20 @@ std::vector<std::string> channelsOf(std::vector<std::string> known,
 
 }  // namespace
 
-// A block of slots of which one was written once.
+// A block of slots, at least one of which was ever written.
 struct PublishedMap::Page {
   std::uint32_t group = 0;
   std::bitset<kPageSlots> used;
   PageSplats splats;
   SlotRevisions changed{kPageSlots};         // of each slot
-  std::uint64_t written = 0, regrouped = 0;  // revisions of the last change of any, and of group
+  std::uint64_t written = 0, regrouped = 0;  // revisions: any slot's last change, the group's
 };
 
 struct PublishedMap::Content {
   struct Frame {
-    std::optional<std::array<double, 3>> origin;  // that the group's first splats had
+    std::optional<std::array<double, 3>> origin;  // of the group's first splats
     std::optional<Pose> pose;
-    std::uint64_t placed = 0;  // revision
+    std::uint64_t placed = 0;  // revision of the last move
   };
 
   std::map<std::uint32_t, Page> pages;  // by first slot / kPageSlots
@@ -123,16 +123,16 @@ struct PublishedMap::Content {
   std::vector<std::string> channels;
   std::size_t used = 0;
   int sh_degree = 0;
-  std::optional<bool> antialiased;  // as the first splats were
+  std::optional<bool> antialiased;  // as the first splats
   std::uint32_t expected_slots = 0;
 
-  // Of a message. listed: with the slot's number. packed: as a packed row.
+  // Size of a splat in a message. listed: with the slot's number. packed: as a packed row. [bytes]
   static std::size_t splatBytes(int degree, std::size_t channel_count, bool listed,
                                 bool packed = false) {
     return (packed ? packed_rows::size(1, degree) : sizeof(float) * (11 + harmonicsOf(degree))) +
            sizeof(float) * channel_count + (listed ? sizeof(std::uint32_t) : 0);
   }
-  // The first block from one on that has slots, or whose number is that of a group.
+  // The first block, from `first` on, that has slots or the number of a group.
   std::optional<std::uint32_t> blockFrom(std::uint32_t first) const {
     const auto page = pages.lower_bound(first);
     const auto group = groups.lower_bound(first);
@@ -146,10 +146,10 @@ struct PublishedMap::Content {
 struct PublishedMap::Plan {
   int sh_degree = 0;                  // without empty bands
   std::vector<std::string> channels;  // that the map will have
-  std::vector<std::size_t> places;    // in these, of the splats' own
+  std::vector<std::size_t> places;    // in `channels`, of the splats' channels
 };
 
-// Of the batches of an edit: those that aren't sent, because sending fails, are lost to all.
+// Reserves an edit's revisions, even if sending fails: receivers then see a gap and pull.
 class PublishedMap::Numbering {
  public:
   Numbering(std::uint64_t& revision, std::size_t batches)
@@ -261,7 +261,7 @@ void PublishedMap::replace(const SplatsView& splats, const std::shared_ptr<const
     sendMap(turn, lock, stamp, false);
   } catch (...) {
     map_ = std::move(map);
-    try {  // to whom a part of the other has come; where that fails, it is pulled
+    try {  // for receivers that have got a part of the new map; if this fails, they pull
       sendMap(turn, lock, stamp, false);
     } catch (const std::exception&) {
     }
@@ -378,8 +378,8 @@ void PublishedMap::move(const Poses& poses, const When& stamp) {
   send(placement(std::move(placed), stamp));
 }
 
-// Checks what is to be written, and takes the memory. Throws std::invalid_argument where it can't
-// be, and the map is as it was; or std::bad_alloc: an empty page does no harm.
+// Checks an edit and allocates its memory. Throws std::invalid_argument if the edit isn't allowed:
+// the map is unchanged; or std::bad_alloc: new pages stay, but empty ones do no harm.
 PublishedMap::Plan PublishedMap::prepared(Content& map, const NamedSlots& slots,
                                           const SplatsView& splats, std::uint32_t group) {
   Plan plan;
@@ -417,8 +417,8 @@ PublishedMap::Plan PublishedMap::prepared(Content& map, const NamedSlots& slots,
   return plan;
 }
 
-// Puts the i-th splat into the i-th slot; returns how many mean nothing and are left out. plan: of
-// the same. revision: of the last batch that tells of it.
+// Writes the i-th splat to the i-th slot. Returns how many are invalid and left out. plan: from
+// prepared() with the same arguments. revision: of the edit's last batch.
 std::size_t PublishedMap::write(Content& map, const NamedSlots& slots, const SplatsView& splats,
                                 const Plan& plan, std::uint32_t group, std::uint64_t revision) {
   if (slots.empty()) return 0;
@@ -469,7 +469,7 @@ std::size_t PublishedMap::write(Content& map, const NamedSlots& slots, const Spl
   return left_out;
 }
 
-// Makes an empty map one of splats that stay in their keeper's memory.
+// Fills an empty map with splats that stay in their keeper's memory.
 void PublishedMap::refer(Content& map, const SplatsView& splats,
                          const std::shared_ptr<const void>& keeper) {
   map.sh_degree = splats.rows ? splats.arrays.sh_degree : withoutEmptyBands(splats.arrays);
@@ -492,8 +492,8 @@ void PublishedMap::warnOf(std::size_t left_out) {
 
 // --- Sending -------------------------------------------------------------------------------------
 
-// Sends all of the map, from its beginning. waits: for those who hear it, and lets others edit the
-// map meanwhile. Where it fails, nobody has the map.
+// Sends the whole map, from its beginning. waits: after each batch, for the subscribers; other
+// threads may edit the map meanwhile. If sending fails, all receivers have to pull the whole map.
 void PublishedMap::sendMap(Lock& turn, Lock& lock, const When& stamp, bool waits) {
   const std::uint64_t begun = begun_ = revision_ + 1;
   try {
@@ -513,7 +513,7 @@ void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool wa
     if (page.used.any()) pages[page.group].push_back(number);
     page.regrouped = 0;
   }
-  if (Poses poses = placedAfter(0); !poses.empty()) {  // before any splat: none is seen elsewhere
+  if (Poses poses = placedAfter(0); !poses.empty()) {  // first, so that no splat is drawn elsewhere
     send(beginning(stamp));
     for (const auto& [group, pose] : poses) map_->groups[group].placed = revision_ + 1;
     send(placement(std::move(poses), stamp));
@@ -543,13 +543,13 @@ void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool wa
       turn.lock();
     }
     lock.lock();
-    ended = begun_ != begun;  // what has begun meanwhile is sent by another
+    ended = begun_ != begun;  // another thread has begun to send all
   };
   for (const auto& [group, numbers] : pages) {
     bool listed = false;
     for (const std::uint32_t number : numbers) {
       for (std::uint32_t i = 0; i < kPageSlots && !ended; ++i) {
-        // One that went to another group meanwhile was written anew.
+        // A block that went to another group meanwhile was sent when that was written.
         const Page& page = map_->pages.at(number);
         if (!page.used[i] || page.group != group) continue;
         const std::uint32_t slot = kPageSlots * number + i;
@@ -559,7 +559,7 @@ void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool wa
         if (!slots.empty() && (slots.size() + 1) * bytes > chunk_bytes_) {
           flush(group);
           if (ended) return;
-          --i;  // as it is now
+          --i;  // look again: the slot may have changed meanwhile
           listed = false;
           continue;
         }
@@ -573,8 +573,8 @@ void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool wa
   if (revision_ < begun) flush(0);  // no splats
 }
 
-// How many batches have to go before an edit without splats: each map begins with a REPLACE. Where
-// a bag loops, it empties that of the round before.
+// How many batches must precede an edit without splats: each map begins with a REPLACE. When a bag
+// loops, this REPLACE empties the map of the previous round.
 std::size_t PublishedMap::beginnings() const { return revision_ > 0 ? 0 : 1; }
 
 void PublishedMap::begin(const When& stamp) {
@@ -588,7 +588,7 @@ void PublishedMap::send(Batch&& batch) {
 
 // --- Batches, of the revision that the map has now -----------------------------------------------
 
-// Calls each(page, place in it, number) for slots, whose pages there are.
+// Calls each(page, place in the page, i) for the i-th slot. The pages must exist.
 template <typename Each>
 void PublishedMap::forEach(const NamedSlots& slots, const Each& each) const {
   std::uint32_t number = kMaxSlots;
@@ -599,7 +599,7 @@ void PublishedMap::forEach(const NamedSlots& slots, const Each& each) const {
   }
 }
 
-// The arrays of slots of one group.
+// Fills arrays with the splats of slots, all of one group.
 void PublishedMap::gather(const NamedSlots& slots, int sh_degree, Splats& splats) const {
   const std::size_t n = slots.size();
   splats.positions.resize(3 * n);
@@ -612,7 +612,7 @@ void PublishedMap::gather(const NamedSlots& slots, int sh_degree, Splats& splats
   });
 }
 
-// Them as a payload of packed rows, if that is how the map has all of them.
+// Fills a payload with the packed rows of slots. Returns false if not all slots are packed.
 bool PublishedMap::gatherRows(const NamedSlots& slots, int sh_degree,
                               std::vector<std::uint8_t>& payload) const {
   const std::size_t bytes = packed_rows::size(1, sh_degree);
@@ -625,7 +625,7 @@ bool PublishedMap::gatherRows(const NamedSlots& slots, int sh_degree,
   return packed;
 }
 
-// Their values of channels of the map's, channel by channel.
+// The slots' values of some of the map's channels, channel by channel.
 std::vector<float> PublishedMap::gatherChannels(const NamedSlots& slots,
                                                 const std::vector<std::string>& channels) const {
   const std::size_t n = slots.size();
@@ -719,7 +719,7 @@ Batch PublishedMap::placement(Poses poses, const When& stamp) const {
   return placement;
 }
 
-// --- Who lacks a part of the map -----------------------------------------------------------------
+// --- Pulls ---------------------------------------------------------------------------------------
 
 PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t after,
                                         std::uint32_t first_block, int most_sh_degree) const {
@@ -728,13 +728,13 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
   const bool meant = map_id.empty() || map_id == map_id_;
   if (!meant || revision_ == 0) return answer;
   if (after < begun_ || after > revision_) {
-    // Who goes on with a map that was replaced meanwhile gets the new one in the next round.
+    // A client that knew no revision goes on at its block: its next round asks for the new map.
     if (after > 0) first_block = 0;
     after = 0;
   }
   Poses poses;
   Slots emptied;
-  std::map<std::pair<std::uint32_t, bool>, Slots> written;  // by group, and whether they are packed
+  std::map<std::pair<std::uint32_t, bool>, Slots> written;  // by group, and whether packed
   std::size_t names = 0;
   for (const std::string& name : map_->channels) names += name.size() + 8;
   const int sh_degree = std::min(map_->sh_degree, most_sh_degree);
@@ -742,8 +742,8 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
   std::size_t bytes = 3 * kBatchBytes;
   bool begun = false;
   for (auto block = map_->blockFrom(first_block); block; block = map_->blockFrom(*block + 1)) {
-    // Of each block: the pose of its splats' group, what is in it, and the pose of the group that
-    // has its number. So splats never come before their pose, and all poses come.
+    // Each block brings its splats, the pose of their group, and the pose of the group that has the
+    // block's number. So all poses come, and none after its splats.
     Poses placed;
     const auto place = [&](std::uint32_t group) {
       const auto found = map_->groups.find(group);

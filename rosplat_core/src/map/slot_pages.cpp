@@ -33,7 +33,7 @@ std::vector<std::uint32_t> SlotPages::touched(const GaussianEdit& edit) {
 
 void SlotPages::apply(const GaussianEdit& edit) {
   const bool writes = edit.sh_degree >= 0 && !edit.runs.empty();
-  // All that needs memory, before anything changes.
+  // Memory is allocated before anything changes.
   if (writes) {
     const std::size_t more = touched(edit).size(), known = edit.clear ? 0 : pages_.size();
     if (known + more > pages_.capacity()) pages_.reserve(known + more + known / 4);

@@ -16,8 +16,8 @@ constexpr float kScaleSteps = 65534;
 constexpr float kQuaternionSteps = 16383;  // to either side
 constexpr float kSqrtHalf = 0.70710678f;
 
-// The nearest integer, the even one of two, of a number that is smaller than 2^22: as
-// std::lrint(), which is a call.
+// The nearest integer, ties to even, of a number between -2^22 and 2^22. Does what std::lrint()
+// does, but without a function call.
 int nearest(float value) {
   value += 0x1.8p23f;
   std::uint32_t bits;
@@ -43,7 +43,7 @@ std::uint32_t toHalf(float value) {
   return sign | ((bits - 0x38000000u) >> 13);
 }
 
-// Its bits where a float has them mean 2^-112 of it, subnormal or not.
+// In a float's fields, the bits of a half mean 2^-112 of its value, subnormal or not.
 float fromHalf(std::uint32_t half) {
   const std::uint32_t bits = (half & 0x8000u) << 16 | (half & 0x7fffu) << 13;
   float value;
@@ -52,7 +52,7 @@ float fromHalf(std::uint32_t half) {
 }
 
 std::uint32_t toLogScale(float scale) {
-  const float octaves = std::log2(scale) - kLeastScaleLog2;  // of 0: minus infinity
+  const float octaves = std::log2(scale) - kLeastScaleLog2;  // minus infinity for 0
   if (!(octaves >= 0)) return 0;
   return 1u + std::uint32_t(nearest(std::min(octaves / kScaleOctaves, 1.0f) * kScaleSteps));
 }
@@ -62,13 +62,13 @@ float fromLogScale(std::uint32_t code) {
   return std::exp2(kLeastScaleLog2 + kScaleOctaves * float(code - 1) / kScaleSteps);
 }
 
-// Signed fraction of one, rounded to `steps` to either side, in as many bits as it takes.
+// A fraction from -1 to 1 as a signed number of `steps` to either side; mask: the bits to keep.
 std::uint32_t toFraction(float value, float steps, std::uint32_t mask) {
   return std::uint32_t(nearest(std::clamp(value, -1.0f, 1.0f) * steps)) & mask;
 }
 
 std::uint64_t toSmallestThree(const std::array<float, 4>& orientation) {
-  double length = 0;  // squared, of any quaternion but zero
+  double length = 0;  // squared; in double it is only zero for a zero quaternion
   for (float v : orientation) length += double(v) * v;
   const auto magnitude = [](float a, float b) { return std::fabs(a) < std::fabs(b); };
   const auto missing = std::size_t(

@@ -22,13 +22,13 @@ struct Backlog {
   std::size_t bytes = 0;
 };
 
-// How much of edits to upload at once, and how much of that is done. [bytes]
+// How much may be uploaded at once, and how much of that is used. [bytes]
 struct UploadBudget {
   std::size_t all = std::numeric_limits<std::size_t>::max(), used = 0;
 };
 
 // The edits of a map on their way to its Drawer. An edit stays here until the drawn map holds all
-// of it. It is applied under the lock that handOver() takes, and one that fails is tried again
+// of it. An edit is applied under the lock that handOver() takes; one that fails is tried again
 // before later ones. So no edit is lost when the Drawer changes. For any thread.
 class Arrivals : public std::enable_shared_from_this<Arrivals> {
  public:
@@ -39,8 +39,8 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
   // The right to take edits, from handOver() to this taker until handOver() to another.
   class Taker {
    public:
-    // Applies the oldest edit, or a whole budget's part of it. False if there is nothing to take
-    // now, or if the edit exceeds what is left of the budget.
+    // Applies the oldest edit, or a part of it as large as the whole budget. Returns false if none
+    // waits, it failed, another taker has the right, or it exceeds what is left of the budget.
     bool take(const Apply& apply, const UploadBudget& budget = {}) const {
       return from_->take(number_, apply, budget);
     }
@@ -58,16 +58,16 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
   void push(const Edit& edit, const MapState& state);
   void clear();
 
-  // A taker that takes nothing yet.
+  // Returns a taker that has no right yet.
   Taker makeTaker() { return {shared_from_this(), ++takers_}; }
-  // Runs copy while nobody takes edits, then lets another taker take them. If copy throws, so does
-  // this, and the taker before goes on.
+  // Runs copy while nobody takes edits, then gives the right to another taker. If copy throws, so
+  // does handOver(), and the previous taker keeps the right.
   void handOver(const Taker& to, const std::function<void()>& copy);
 
   // The map after all waiting edits.
   MapState state() const;
   Backlog backlog() const;
-  // Why the oldest edit failed, empty if it didn't. It is tried again twice a second.
+  // Why the oldest edit failed, empty if it didn't. The edit is tried again twice a second.
   std::string error() const;
 
  private:
@@ -83,7 +83,7 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
   std::atomic<std::uint64_t> takers_{0};
   std::atomic<bool> going_over_{false};  // makes takers let handOver() in
 
-  mutable std::mutex mutex_;  // what follows
+  mutable std::mutex mutex_;  // guards the members below
   EditQueue waiting_;
   MapState state_;
   std::exception_ptr error_;

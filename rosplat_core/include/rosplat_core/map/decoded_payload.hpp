@@ -9,8 +9,8 @@ namespace rosplat {
 // The splats of a payload, as arrays.
 class DecodedPayload {
  public:
-  // A checked batch with views of these arrays, which are its payload's; the batch as it is where
-  // it has none. Throws BatchError for a payload that makes no sense.
+  // Returns a checked batch with its payload decoded to arrays, which this object owns; a batch
+  // without a payload as it is. Throws BatchError for an invalid payload.
   GaussianBatch decode(const GaussianBatch& batch);
 
  private:

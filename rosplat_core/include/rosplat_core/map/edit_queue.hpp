@@ -8,40 +8,40 @@
 
 namespace rosplat {
 
-// What an edit uploads.
+// How much an edit uploads. [bytes]
 std::size_t uploadBytes(const GaussianEdit& edit);
 
-// Edits that wait to be taken over, oldest first, each with the map's state after it. What later
-// ones overwrite is left out as soon as that is worth it: what waits takes little more memory than
-// the slots that it writes, however many edits there were. Groups that are moved again are moved
-// once, unless they are written to in between. For one thread at a time.
+// Edits that wait to be taken, oldest first, each with the map's state after it. Slots that later
+// edits overwrite are left out as soon as that is worthwhile: the queue takes little more memory
+// than the slots that it writes, however many edits came. Two moves of a group become one, unless
+// the group is written to in between. For one thread at a time.
 class EditQueue {
  public:
   struct Waiting {
     std::shared_ptr<const GaussianEdit> edit;
     MapState state;
-    double now = 0;         // when, by the clock of who puts it in
-    std::size_t taken = 0;  // slots, in parts
+    double now = 0;         // time of push(), by the caller's clock
+    std::size_t taken = 0;  // slots taken in earlier parts
     bool more = false;      // the rest of the edit follows
   };
-  using Node = std::list<Waiting>;  // of one, to be put in without memory
+  using Node = std::list<Waiting>;  // of one element, so that push() needs no memory
 
-  // worthwhile: how much may wait anyway. [bytes]
+  // worthwhile: how much has to come before overwritten slots are left out. [bytes]
   explicit EditQueue(std::size_t worthwhile = 16u << 20) : worthwhile_(worthwhile) {}
 
   static Node node(std::shared_ptr<const GaussianEdit> edit, const MapState& state,
                    double now = 0) {
     return Node(1, {std::move(edit), state, now, 0, false});
   }
-  // A clear drops all that waits.
+  // An edit that clears the map drops all that waits.
   void push(Node node) noexcept;
-  // The oldest; there must be one.
+  // The oldest edit; there must be one.
   const Waiting& front() const { return waiting_.front(); }
   Waiting pop();
-  // The same, of an edit that is larger in parts that upload no more than so many bytes each, but a
-  // slot at least. While there are further ones, the state says that more is on its way.
+  // Pops the oldest edit, or the next part of a larger one: parts upload most_bytes at most, but a
+  // slot at least. While further parts follow, MapState::pulled is set.
   Node take(std::size_t most_bytes);
-  // What was taken last is the oldest again, unless a clear has come since.
+  // Puts what was taken last back to the front, unless a clear has come since.
   void putBack(Node node) noexcept;
   void clear();
 
@@ -56,7 +56,7 @@ class EditQueue {
   std::size_t worthwhile_;
   std::list<Waiting> waiting_;
   std::size_t bytes_ = 0;
-  std::size_t settled_ = 0;  // bytes, when what was overwritten was left out last
+  std::size_t settled_ = 0;  // bytes_ after overwritten slots were left out last
 };
 
 }  // namespace rosplat

@@ -28,8 +28,7 @@ struct ArrayView {
   bool empty() const { return size == 0; }
 };
 
-// How a batch came: heard on the topic, or pulled; the last of those ends a pull, nothing is
-// missing then.
+// How a batch came: heard on the topic, or pulled. kLast ends a pull: nothing is missing then.
 enum class Arrival : std::uint8_t { kHeard, kPulled, kLast };
 
 // One batch of edits as it arrives, not yet checked: the fields of rosplat_msgs/GaussianArray.
@@ -46,10 +45,10 @@ struct GaussianBatch {
   ArrayView<std::uint32_t> slots;
   std::uint32_t group = 0;
   ArrayView<std::uint32_t> groups;
-  std::vector<Pose> poses;  // of these; quaternions of any length but zero
+  std::vector<Pose> poses;  // of `groups`; quaternions of any length but zero
   std::uint8_t sh_degree = 0;
   std::string format;               // of the payload; empty: the arrays below hold the splats
-  ArrayView<std::uint8_t> payload;  // in their place
+  ArrayView<std::uint8_t> payload;  // the splats, if there is a format
   bool antialiased = false;
   std::array<double, 3> origin{};
   ArrayView<float> positions;     // 3 a splat [m]
@@ -58,7 +57,7 @@ struct GaussianBatch {
   ArrayView<float> opacities;     // 1 a splat
   ArrayView<float> sh;            // 3 (sh_degree + 1)^2 a splat
   std::vector<std::string> channel_names;
-  ArrayView<float> channels;  // 1 a splat for the first of these, then for the next
+  ArrayView<float> channels;  // 1 a splat for the first name, then for the next
 };
 
 }  // namespace rosplat

@@ -31,19 +31,19 @@ struct GaussianEdit {
   std::uint64_t round = 0;     // as MapState::round
   std::uint64_t revision = 0;  // of the map afterwards
   std::uint32_t capacity = 0;  // one past the highest slot in use afterwards
-  int sh_degree = -1;          // bands present, -1 where only slots are emptied
-  // The arrays hold the runs one after the other; where only slots are emptied, they are empty, and
-  // the runs go no farther than the map does.
+  int sh_degree = -1;          // highest band, -1 if no splats are written
+  // The arrays hold the slots of the runs in turn. If slots are only emptied, the arrays are empty,
+  // and the runs are cut to the pages that the map has.
   SlotRuns runs;
-  std::uint32_t group = 0;           // of the slots that are written
+  std::uint32_t group = 0;           // of all splats written
   std::array<double, 3> origin{};    // of that group, in its frame [m]
   std::vector<std::uint32_t> slots;  // kSlotWords a slot
   std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // kBandWords[band] a slot
-  std::array<std::vector<float>, kMostChannels> channels;          // a value a slot, or none: empty
+  std::array<std::vector<float>, kMostChannels> channels;          // a value a slot, or empty
   std::vector<float> extents;    // radius of the 1/255 ellipsoid along its longest axis [m], or -1
   std::vector<GroupMove> moves;  // each group once
 
-  // Of a slot, by its place in the arrays: relative to the origin [m].
+  // Position of the i-th slot of the arrays, relative to the origin [m].
   std::array<float, 3> position(std::size_t i) const {
     std::array<float, 3> position;
     std::memcpy(position.data(), &slots[kSlotWords * i], sizeof(position));
@@ -51,25 +51,25 @@ struct GaussianEdit {
   }
 };
 
-// Neighbouring slots of a group, as they were packed once.
+// Consecutive slots of a group, packed already.
 struct PackedRun {
   Group group;
   std::uint32_t first_slot = 0;
   int sh_degree = 0;
-  std::vector<std::uint32_t> slots;                                // as in GaussianEdit
-  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // the same
-  std::array<std::vector<float>, kMostChannels> channels;          // the same
+  std::vector<std::uint32_t> slots;  // this and the rest as in GaussianEdit
+  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;
+  std::array<std::vector<float>, kMostChannels> channels;
 };
 
-// An edit that writes them to a map that lacks them. team: helps.
+// An edit that writes a run to a map that lacks these slots. team: threads that help.
 GaussianEdit editOf(PackedRun run, ThreadTeam* team = nullptr);
-// An edit that places groups where they are.
+// An edit that places groups at their poses.
 GaussianEdit editOf(const Groups& groups);
 
 // What became of a batch.
 struct BatchReport {
   std::uint64_t missed = 0;   // batches lost before this one
-  std::uint64_t dropped = 0;  // splats with values that mean nothing; their slots are empty
+  std::uint64_t dropped = 0;  // splats that aren't usable (isUsable()); their slots are empty
 };
 
 // A batch that contradicts itself; the map is unchanged. what() names the field.
@@ -80,10 +80,10 @@ struct BatchError : std::invalid_argument {
 // What is known of a map after a batch.
 struct MapState {
   std::string id;
-  // Grows where revisions begin again: with another map, or one that is played once more.
+  // Grows when revisions begin again: with another map, or with one that is played again.
   std::uint64_t round = 0;
   std::uint64_t revision = 0;
-  // Grows with each batch. What is pulled comes in several of one revision.
+  // Grows with each batch, unlike revision: several pulled batches have the same one.
   std::uint64_t edits = 0;
   std::uint32_t splats = 0;
   std::uint32_t expected = 0;  // what the publisher announced, 0 where it didn't
@@ -92,13 +92,13 @@ struct MapState {
   int sh_degree = 0;
   std::vector<Channel> channels;  // that splats have come with since the last clear
   bool antialiased = false;       // as the first splats since the last clear
-  bool pulled = false;            // in part: more is on its way
+  bool pulled = false;            // only a part is there, more is on its way
   std::uint64_t missed = 0;       // batches, since the last clear or pull
   std::uint64_t dropped = 0;      // splats, since the last clear
-  // Of a map that is drawn: what comes next is in it in part, for memory was lacking.
+  // Of a drawn map: it holds only a part of the next edit, because memory ran out, say.
   bool torn = false;
 
-  // Whether all that its publisher announced is there.
+  // Whether all splats that the publisher announced are there.
   bool complete() const {
     return !torn && !pulled && missed == 0 && splats > 0 && splats + dropped >= expected;
   }
@@ -111,29 +111,29 @@ struct SplatValues {
   std::uint32_t slot = kNoSlot;
   std::uint32_t group = 0;
   std::array<double, 3> position{};    // in the map's frame [m]
-  std::array<float, 4> orientation{};  // the same, x y z w, of any length
+  std::array<float, 4> orientation{};  // in the map's frame, x y z w, of any length
   std::array<float, 3> scale{};        // standard deviations along the principal axes [m]
   float opacity = 0;
   // 3 (degree + 1)^2, coefficient-major, RGB interleaved, in the group's frame.
   std::vector<float> sh;
-  std::vector<float> channels;  // by MapState::channels, not finite where there is none
+  std::vector<float> channels;  // in the order of MapState::channels; not finite: no value
 };
 
-// Of a slot as packed_slot.hpp has it.
+// Unpacks a slot (packed_slot.hpp) of a group. Channels stay empty.
 SplatValues valuesOf(std::uint32_t slot, const Group& group, const std::uint32_t* words,
                      int sh_degree,
                      const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands);
 
-// Keeps the books of a map: which slots are in use, and of which groups, where these are, which
-// revision this is, what is still missing. Knows no GPU; holds no splats but a sample. Any thread
-// may apply batches, which are taken one after the other; who looks at the map doesn't wait for a
-// batch to be checked and packed.
+// Keeps the books of a map: its slots in use, their groups, the poses of groups, the revision, and
+// what is missing. Knows no GPU, and holds only a sample of the splats. Any thread may apply
+// batches, which are applied one after the other. look() doesn't wait for a batch to be checked and
+// packed.
 class GaussianMap {
  public:
-  // Gets an edit, and the state after it, before the map knows of it, one after the other.
+  // Takes an edit and the state after it, before the map changes. Calls come one after the other.
   using Keep = std::function<void(const std::shared_ptr<const GaussianEdit>&, const MapState&)>;
 
-  // most_sh_degree: of what edits hold; higher bands are checked, and left out.
+  // most_sh_degree: the highest band in edits; higher ones are checked and left out.
   explicit GaussianMap(int most_sh_degree = kMaxShDegree) : most_sh_degree_(most_sh_degree) {}
 
   // Checks a batch and turns it into an edit. Throws BatchError, or what `keep` throws, or
@@ -141,33 +141,33 @@ class GaussianMap {
   std::shared_ptr<const GaussianEdit> apply(const GaussianBatch& batch, BatchReport& report,
                                             const Keep& keep = nullptr);
 
-  // Any thread: what look(state, sample, groups) makes of the map before or after a batch.
+  // Any thread: returns look(state, sample, groups) of the map between two batches.
   template <typename Look>
   auto look(const Look& look) const {
     const std::lock_guard lock(locks_.exchanging);
     return look(state_, sample_, groups_);
   }
-  // Any thread: where the splats of the sample are, in the map's frame. [m]
+  // Any thread: positions of the sample's splats in the map's frame. [m]
   std::vector<std::array<double, 3>> samplePositions() const;
-  // Where no batch is applied meanwhile.
+  // Only while no batch is being applied.
   const MapState& state() const { return state_; }
   const MapSample& sample() const { return sample_; }
   const Groups& groups() const { return groups_; }
   bool inUse(std::uint32_t slot) const { return used_.has(slot); }
 
  private:
-  // First slots of the blocks that runs touch and that hold splats of another group.
+  // First slots of those blocks touched by runs that hold splats of another group.
   std::vector<std::uint32_t> blocksOfOthers(const SlotSet& used, const SlotRuns& runs,
                                             std::uint32_t group) const;
 
-  // A copy of the map has its own.
+  // Each copy of a map has its own locks.
   struct Locks {
     Locks() = default;
     Locks(const Locks&) {}
     Locks& operator=(const Locks&) { return *this; }
 
     std::mutex applying;    // held for a whole batch: only its holder writes anything
-    std::mutex exchanging;  // of state_, sample_ and groups_, once the batch is packed
+    std::mutex exchanging;  // guards state_, sample_, groups_; writers lock it after packing
   };
 
   int most_sh_degree_;
@@ -176,7 +176,7 @@ class GaussianMap {
   MapSample sample_;
   Groups groups_;
   SlotSet used_;
-  std::vector<std::uint16_t> block_groups_;  // numbers, by SlotSet's block
+  std::vector<std::uint16_t> block_groups_;  // group numbers, by SlotSet's page
 };
 
 }  // namespace rosplat

@@ -19,12 +19,12 @@ struct Pose {
   std::array<double, 4> orientation{0, 0, 0, 1};  // quaternion x y z w of unit length
 };
 
-// Splats that move as one: p of them is at pose (p + origin) in the map's frame.
+// Splats that move as one: one with position p is at pose (p + origin) in the map's frame.
 struct Group {
-  std::uint32_t number = 0;                     // its author's
-  Pose pose;                                    // of its frame in the map's
-  Placement place;                              // the same
-  std::optional<std::array<double, 3>> origin;  // that its first splats had [m]
+  std::uint32_t number = 0;                     // chosen by the author
+  Pose pose;                                    // of the group's frame in the map's
+  Placement place;                              // the same as pose
+  std::optional<std::array<double, 3>> origin;  // of the group's first splats [m]
 
   std::array<double, 3> originOrZero() const { return origin.value_or(std::array<double, 3>{}); }
   // A splat's position [m] and orientation (x y z w), in the map's frame.
@@ -32,22 +32,22 @@ struct Group {
   std::array<float, 4> inMap(const std::array<float, 4>& orientation) const;
 };
 
-// Where a group is to be.
+// A group's new pose.
 struct GroupMove {
   std::uint32_t group = 0;
   Pose pose;
 };
 
-// The groups of a map: as many as were named, whatever their numbers.
+// The groups of a map. Only those that were named take memory, whatever their numbers.
 class Groups {
  public:
-  // By index, which a group keeps: 0, 1, 2, ... as they come.
+  // By index: 0, 1, 2, ... in the order in which they came. A group keeps its index.
   const std::vector<Group>& all() const { return groups_; }
-  // Null where it was never named.
+  // Null for a group that was never named.
   const Group* find(std::uint32_t number) const;
 
   void move(const GroupMove& move);
-  // A group that splats are written to; the first have it its origin. Its index.
+  // Notes that splats are written to a group: the first ones set its origin. Returns its index.
   std::uint32_t write(std::uint32_t number, const std::array<double, 3>& origin);
 
  private:

@@ -17,8 +17,8 @@
 namespace rosplat {
 
 // The slots of a map in the processor's memory, page by page: 40 bytes a slot and those of its
-// further bands, 4 for each channel, and 4 where there are levels. Not for several threads at once,
-// but any number may read.
+// further bands, 4 for each channel, and 4 where there are levels. For one thread that writes, or
+// any number that read.
 class HostSlots {
  public:
   static constexpr std::size_t kSlots = SlotPage::kSlots;
@@ -34,13 +34,13 @@ class HostSlots {
     std::array<std::unique_ptr<std::uint32_t[]>, kMaxShDegree + 1>
         bands;  // coefficient by coefficient, kSlots of each; null where there are none
     std::array<std::unique_ptr<PerSlot<float>>, kMostChannels> channels;  // null: no values
-    // How wide the cells are whose nodes stand for each slot where they are small in a picture:
-    // kBoundless where there is none, 0 of empty slots. Null where there are none for the page. [m]
+    // Width of the cell whose node stands for each slot when that cell is small in a picture:
+    // kBoundless without a node, 0 of empty slots. Null before makeParents(). [m]
     std::unique_ptr<PerSlot<float>> parents;
-    float widest_parent = kBoundless;  // of any slot [m]
+    float widest_parent = kBoundless;  // no slot has a wider one [m]
 
     void empty();
-    // Of a packed slot, without its bands.
+    // Word k of the i-th slot as packed_slot.hpp has it.
     std::uint32_t word(std::size_t k, std::size_t i) const {
       if (k >= position.size()) return words[k - position.size()][i];
       std::uint32_t bits;
@@ -48,14 +48,14 @@ class HostSlots {
       return bits;
     }
     PackedSlot packed(std::size_t i, int sh_degree) const;
-    // All slots' words of a band, or, of 0, the others: slot by slot, as they are packed.
+    // Writes all slots' words of a band (0: all kSlotWords), slot by slot as in GaussianEdit.
     void interleave(int band, std::uint32_t* to) const;
-    // Of all but the extent.
+    // Writes a slot, except its extent.
     void put(std::size_t i, const PackedSlot& slot, int sh_degree);
   };
 
-  // now: the clock of `change` in packed_slot.hpp; team: helps. Throws std::bad_alloc: then all is
-  // as it was, but for a clear, which gives its memory to what comes.
+  // now: time for `change` in packed_slot.hpp [ticks]; team: threads that help. Throws
+  // std::bad_alloc: then nothing has changed, but a clear has emptied the map to free its memory.
   void apply(const GaussianEdit& edit, double now, ThreadTeam* team = nullptr);
 
   const std::vector<SlotPage>& pages() const { return pages_.pages(); }  // by ascending first_slot
@@ -67,13 +67,13 @@ class HostSlots {
 
   // The values of slots as they are drawn.
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
-  // What writes a page elsewhere.
+  // An edit that writes a page to another copy of the map.
   GaussianEdit edit(const SlotPage& page) const;
-  // Sets the widths of the cells whose nodes stand for a page's slots; a width below 0 leaves the
-  // one before. Only maps with levels need this and its memory, which makeParents() makes.
+  // Sets Page::parents; a size below 0 leaves the slot's previous one. Only maps with levels need
+  // this memory, which makeParents() allocates.
   void setParents(const SlotPage& page, const PerSlot<float>& sizes);
   void makeParents(const SlotPage& page);
-  // There are no nodes any more.
+  // Frees all parents: there are no nodes any more.
   void dropParents();
 
  private:
@@ -90,7 +90,7 @@ class HostSlots {
   SlotPages pages_;
   std::vector<std::unique_ptr<Page>> memory_;  // by place
   int sh_degree_ = 0;
-  std::size_t channels_ = 0;  // that there are values of
+  std::size_t channels_ = 0;  // one past the last that has values
 };
 
 }  // namespace rosplat

@@ -14,66 +14,66 @@
 
 namespace rosplat {
 
-// What a receiver of a map asks its publisher for, and when: all that it lacks, until it has it.
-// The class follows the batches of a map, which may be of any type, by their labels. All times are
-// of one monotonic clock.
+// Decides what a receiver of a map asks its publisher for, and when, until the receiver lacks
+// nothing. The class follows the batches of a map, which may be of any type, by their labels. All
+// times are of one monotonic clock [s].
 //
-// An answer is the map as it is at that moment, in parts, block by block. The map goes on changing
-// meanwhile, and what is heard waits. Once all blocks are there, a round has ended: each block is
-// as it was at the first answer of the round, or at a later one. A pull ends with a round
+// A pull consists of rounds. A round asks for the map block by block; each answer holds some blocks
+// as they are at that moment. The map changes meanwhile, and batches that are heard wait. Once all
+// blocks have come, the round ends. A pull ends with a round
 // - in which the map did not change, or
-// - of which all changes wait: applied in turn, they make the map that of the last answer.
-// Otherwise the next round asks for what has changed since the last one began. At the end of a pull
-// the map is that of one revision, and what was heard above that follows. Where nothing can be
-// pulled, batches are taken as they come.
+// - whose changes all wait: applied in turn, they turn the map into that of the last answer.
+// Otherwise another round asks for what has changed since this one began. After a pull, the map is
+// that of one revision, and the batches above that revision follow. Where nothing can be pulled,
+// batches are applied as they come.
 //
-// A receiver that knows no map asks for whichever there is. It asks now and then even where no
-// server is known: ROS tells late of a server, and of none while one of several is half known.
-// A receiver that hears nothing for a while asks whether it has all: the last batch may be lost.
+// A receiver that knows no map asks for any. It asks now and then even if no server is known: ROS
+// reports a server late, and reports none while one of several is half known. A receiver that hears
+// nothing for a while asks whether it has everything: the last batch may be lost.
 template <typename Batch>
 class MapPull {
  public:
-  // From one beginning of a round to the next, and after an answer that takes less than kSmall. [s]
+  // Pause from the start of a round to that of the next, and after an answer below kSmall. [s]
   static constexpr double kPause = 0.1;
   static constexpr std::size_t kSmall = 1u << 14;  // [bytes]
-  static constexpr int kMostRounds = 32;           // of a pull, before what was heard has its turn
-  // With an answer, for a server may not know a new client yet; doubles up to the most. [s]
+  static constexpr int kMostRounds = 32;           // after more, a pull is given up
+  // Time to wait for an answer: a server may not know a new client yet. Doubles up to the most. [s]
   static constexpr double kPatience = 1.0, kMostPatience = 4.0;
-  static constexpr double kOthers = 0.5;  // with others' answers, once a server had none [s]
-  static constexpr double kRetry = 1.0;   // after a pull that came to nothing [s]
-  // From one request to the next where nobody seems to answer any. [s]
+  static constexpr double kOthers = 0.5;  // time for other servers once one lacks the map [s]
+  static constexpr double kRetry = 1.0;   // pause after a pull that was given up [s]
+  // Time from one request to the next while no server is known. [s]
   static constexpr double kBlind = 2.0;
-  // Without a batch or an answer, until it is asked whether one got lost. [s]
+  // Time from the last batch or request until the receiver asks whether a batch got lost. [s]
   static constexpr double kQuiet = 2.0;
-  // Of what is heard while all before is pulled. [bytes]
+  // The most that waits for the end of a pull. [bytes]
   static constexpr std::size_t kMostWaiting = std::size_t(1) << 26;
   static constexpr std::uint32_t kBlocks = 1u << 15;  // of slots, in a map
 
-  // What counts of a batch.
+  // What the class needs to know of a batch.
   struct Label {
     std::string map_id;
     std::uint64_t revision = 0;
-    bool replaces = false;
+    bool replaces = false;  // a REPLACE
     std::size_t bytes = 0;
   };
   struct Labelled {
     Label label;
     Batch batch;
   };
-  // What to ask for, as in PullMap; the number is what its answers are to be handed in with.
+  // A request of PullMap.srv. Its number goes to answer() with each of its answers.
   struct Request {
     std::uint64_t number = 0;
     std::string map_id;
     std::uint64_t after_revision = 0;
     std::uint32_t first_block = 0;
   };
-  // What to do now: batches to apply in turn, and a request to send.
+  // What the caller has to do now: apply batches in turn, and send a request.
   struct Step {
     std::vector<std::pair<Batch, Arrival>> batches;
     std::optional<Request> request;
   };
 
-  // A batch from the topic. served: whether somebody answers requests.
+  // Takes a batch from the topic. served: whether a server is known.
   Step hear(Labelled heard, double now, bool served) {
     Step step;
     const Label& label = heard.label;
@@ -88,20 +88,20 @@ class MapPull {
     return step;
   }
 
-  // A batch from the topic that there was no room for: it is pulled.
+  // Takes the label of a batch from the topic that there was no room for: it is pulled later.
   void miss(const Label& label) {
     if (label.revision == 0) return;
     note(label);
     exact_ = false;
   }
 
-  // An answer to a request, of which several servers may send one each. One to an earlier request
-  // is ignored, and so is one after the first that has batches.
+  // Takes an answer to a request; several servers may send one each. Answers to earlier requests
+  // are ignored, and so are those after the first that has batches.
   Step answer(std::uint64_t number, std::vector<Labelled> batches, std::uint32_t next_block,
               double now, bool served) {
     Step step;
     if (!asked_ || number != number_) return step;
-    if (batches.empty()) {  // of a server without this map, where another may have it
+    if (batches.empty()) {  // this server lacks the map; another may have it
       refused_ = true;
       patience_ = std::min(patience_, now - *asked_ + kOthers);
       return step;
@@ -145,7 +145,7 @@ class MapPull {
     return step;
   }
 
-  // To be called several times a second.
+  // Handles overdue answers and asks anew; to be called several times a second.
   Step tick(double now, bool served) {
     Step step;
     const bool late = asked_ && now > *asked_ + patience_;
@@ -160,10 +160,10 @@ class MapPull {
     return step;
   }
 
-  // Whether something is missing that is on its way.
+  // Whether a pull is in progress.
   bool pulling() const { return pulling_; }
 
-  bool held = false;  // Whether to ask for nothing, because there is no room for answers.
+  bool held = false;  // set by the caller: send no request, there is no room for answers
 
  private:
   static constexpr double kNever = -std::numeric_limits<double>::infinity();
@@ -173,7 +173,7 @@ class MapPull {
       if (map_id_) stop();
       begin(label.map_id);
     }
-    const bool again = label.revision <= heard_;  // played once more, by a bag
+    const bool again = label.revision <= heard_;  // a bag plays the map again
     heard_ = label.revision;
     if (!again) return;
     stop();
@@ -182,7 +182,7 @@ class MapPull {
     exact_ = label.replaces;
   }
 
-  // What was asked for while no map was known may be this one.
+  // Keeps asked_: the answer to a request without a map_id may be of this map.
   void begin(const std::string& map_id) {
     map_id_ = map_id;
     heard_ = revision_ = base_ = 0;
@@ -209,7 +209,7 @@ class MapPull {
       finish(now, step);
       return;
     }
-    if (label.revision <= revision_) return;  // what was pulled has overtaken it
+    if (label.revision <= revision_) return;  // the pull has brought it already
     if (label.replaces) {
       stop();
       exact_ = true;
@@ -228,14 +228,14 @@ class MapPull {
   void pull() {
     pulling_ = true;
     round_ = revision_;
-    asked_.reset();  // what was asked for blindly may be lost
+    asked_.reset();  // a request to no known server may be lost
     patience_ = kPatience;
   }
 
   void wait(Labelled heard) {
     waiting_bytes_ += heard.label.bytes;
     waiting_.push_back(std::move(heard));
-    // The oldest go: what then lacks is a gap.
+    // Drops the oldest. This leaves a gap, which is pulled.
     while (waiting_bytes_ > kMostWaiting && waiting_.size() > 1) dropFirst();
   }
 
@@ -244,7 +244,7 @@ class MapPull {
     waiting_.pop_front();
   }
 
-  // Ends the pull where a round has ended, and all that changed in its course is there.
+  // Ends the pull if a round has ended and all changes during that round wait. Returns whether.
   bool finish(double now, Step& step) {
     if (ended_at_ == 0) return false;
     std::uint64_t known = base_;
@@ -261,13 +261,13 @@ class MapPull {
     return true;
   }
 
-  // With what was heard meanwhile, all before it being there.
+  // Ends a pull that left nothing missing, and follows the batches that waited.
   void goOn(double now, Step& step) {
     std::deque<Labelled> waiting = std::move(waiting_);
     stop();
     exact_ = true;
     for (Labelled& heard : waiting) follow(std::move(heard), now, true, step);
-    if (revision_ < heard_ && !pulling_) exact_ = false;  // there was no room for the last
+    if (revision_ < heard_ && !pulling_) exact_ = false;  // miss() got the last batch
   }
 
   void giveUp(double now, Step& step) {
@@ -304,19 +304,19 @@ class MapPull {
   }
 
   std::optional<std::string> map_id_;  // none while none is known
-  std::uint64_t heard_ = 0;            // the last revision from the topic
+  std::uint64_t heard_ = 0;            // of the last batch from the topic
   std::uint64_t revision_ = 0;         // of the last batch that was passed on
-  bool exact_ = true;                  // nothing up to that is missing
-  std::uint64_t base_ = 0;             // the last revision of which nothing was missing
+  bool exact_ = true;                  // nothing up to revision_ is missing
+  std::uint64_t base_ = 0;             // the last revision up to which nothing was missing
   bool pulling_ = false;
-  std::uint64_t round_ = 0;      // revision of the first answer of this pull
-  std::uint32_t block_ = 0;      // to go on with
+  std::uint64_t round_ = 0;      // revision of the first answer of this round
+  std::uint32_t block_ = 0;      // to ask for next; 0: a new round
   int rounds_ = 0;               // that this pull has begun
-  std::uint64_t ended_at_ = 0;   // revision of the last answer of a round, 0 in its course
+  std::uint64_t ended_at_ = 0;   // revision of the last answer of a round, 0 until it ends
   std::uint64_t number_ = 0;     // of the last request
-  std::optional<double> asked_;  // when it was sent, if it wasn't answered [s]
-  bool refused_ = false;         // by a server that has no such map
-  bool answered_ = false;        // who seemed not to be there
+  std::optional<double> asked_;  // when the request that awaits an answer was sent [s]
+  bool refused_ = false;         // a server answered that it lacks the map
+  bool answered_ = false;        // a server answers, even if none is known
   double patience_ = kPatience;
   double ask_from_ = kNever, retry_from_ = kNever, blind_from_ = kNever, check_from_ = kNever;
   std::deque<Labelled> waiting_;

@@ -15,7 +15,7 @@ struct SampledSplat {
   std::uint32_t group = 0;  // by index
 };
 
-// Every 2^k-th slot of a map, k such that a few thousand stay: for figures about the whole.
+// Every 2^k-th slot of a map, with k such that a few thousand stay: for statistics of the whole.
 class MapSample {
  public:
   static constexpr std::size_t kMost = 4096;
@@ -23,7 +23,7 @@ class MapSample {
   void keep(std::uint32_t slot, const SampledSplat& splat) noexcept;
   void drop(std::uint32_t slot) noexcept { keep(slot, {}); }
 
-  // Those that aren't empty.
+  // Slots that aren't empty.
   std::vector<SampledSplat> splats() const;
 
  private:

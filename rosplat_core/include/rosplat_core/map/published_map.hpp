@@ -18,7 +18,7 @@ namespace rosplat {
 
 class NamedSlots;
 
-// A time as messages have it; made of a builtin_interfaces Time, or of rclcpp's.
+// A message's time; made from a builtin_interfaces Time or an rclcpp::Time.
 struct Stamp {
   std::int32_t sec = 0;
   std::uint32_t nanosec = 0;
@@ -33,8 +33,8 @@ struct Stamp {
               static_cast<std::uint32_t>(time.nanoseconds() % 1'000'000'000)) {}
 };
 
-// The publisher's side of a map: a copy of it by slot, and the batches that tell receivers of its
-// edits.
+// The publisher's side of a map: keeps a copy of it by slot, and makes the batches that tell
+// receivers of edits.
 //
 // A batch is sent as soon as it is made; the publisher waits for nobody. A receiver that joins late
 // or misses batches pulls what has changed since its last revision. Calls may come from any thread
@@ -87,9 +87,9 @@ class PublishedMap {
     std::uint32_t next_block = 0;
   };
 
-  // chunk_bytes: the most bytes of a batch's arrays. compression: "none", arrays or packed rows as
-  // the map has them, or "quantised" for subscribers across a network. Throws std::invalid_argument
-  // for a value that isn't allowed.
+  // chunk_bytes: the most bytes of a batch's arrays. compression: "none" sends arrays or packed
+  // rows, whichever the map holds; "quantised" is for subscribers across a network. Throws
+  // std::invalid_argument for any other value.
   PublishedMap(std::size_t chunk_bytes, const std::string& compression, Wire wire);
   ~PublishedMap();
   PublishedMap(const PublishedMap&) = delete;
@@ -106,16 +106,16 @@ class PublishedMap {
   // Where groups were placed.
   Poses poses() const;
 
-  // Makes splats the map, in slots 0 to n - 1 and group 0, and forgets the poses of groups.
+  // Replaces the map by splats, in slots 0 to n - 1 and group 0, and forgets the poses of groups.
   // expected_slots: how many slots the finished map will need, by default n. If sending fails, the
-  // map before stays and is sent again.
+  // previous map stays and is sent again.
   void replace(const Splats& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
                const When& stamp = std::nullopt);
   // Moves the splats into the map without a copy.
   void replace(Splats&& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
                const When& stamp = std::nullopt);
   // keeper: owner of the arrays, if the map is to use them in place; they must not change then.
-  // Null: the map copies them, which may not be packed rows.
+  // Null: the map copies the arrays; packed rows need a keeper.
   void replace(const SplatsView& splats, const std::shared_ptr<const void>& keeper,
                std::optional<std::uint32_t> expected_slots, const When& stamp);
   // Sends the whole map again, for listeners that can't pull, such as a recorder. Waits after each
@@ -140,9 +140,9 @@ class PublishedMap {
   // Places groups in the map's frame. A group that was never placed is at the identity.
   void move(const Poses& poses, const When& stamp = std::nullopt);
 
-  // What a client lacks that holds all of a revision, from a block on. map_id: the client's map,
-  // empty if it knows none. Harmonics above most_sh_degree are left out. An answer takes 2 MB at
-  // most. It is empty if the map is another.
+  // Returns what a client lacks that holds all of after_revision, from first_block on. map_id: the
+  // client's map, empty if it knows none. Harmonics above most_sh_degree are left out. An answer
+  // takes 2 MB at most. It is empty if map_id names another map, and before the first batch.
   Answer pull(const std::string& map_id, std::uint64_t after_revision, std::uint32_t first_block,
               int most_sh_degree) const;
 
@@ -189,9 +189,9 @@ class PublishedMap {
   const std::string compression_;
   const Wire wire_;
   const std::string map_id_;
-  // What takes a batch may ask for the map's size.
-  std::recursive_mutex turns_;          // of those who edit and send, taken before the other
-  mutable std::recursive_mutex mutex_;  // the map; pulls come in between while it is sent
+  // Recursive: Wire::send may ask for the map's size.
+  std::recursive_mutex turns_;          // held to edit and send; locked before mutex_
+  mutable std::recursive_mutex mutex_;  // guards the map; free for pulls while a map is being sent
   std::uint64_t revision_ = 0;
   std::uint64_t begun_ = 0;  // revision of the last REPLACE: older clients need all of the map
   std::unique_ptr<Content> map_;

@@ -8,8 +8,8 @@
 
 namespace rosplat {
 
-// The revision of the last change of each slot of a page, 0 before any. They take 4 bytes a slot,
-// and none where all are alike.
+// The revision of the last change of each slot of a page, 0 before any. Takes 4 bytes a slot, and
+// none while all slots have the same revision.
 class SlotRevisions {
  public:
   explicit SlotRevisions(std::size_t slots) : slots_(slots) {}
@@ -17,16 +17,16 @@ class SlotRevisions {
   std::uint64_t operator[](std::size_t slot) const {
     return since_base_.empty() ? base_ : base_ + since_base_[slot];
   }
-  // Of all slots.
+  // Sets all slots.
   void fill(std::uint64_t revision) {
     base_ = revision;
     since_base_ = {};
   }
-  // Takes the memory for set(), which may throw std::bad_alloc; set() never does then.
+  // Allocates the memory for set(). Throws std::bad_alloc; set() doesn't then, until fill().
   void reserve() {
     if (since_base_.empty()) since_base_.resize(slots_);
   }
-  // revision: not below those before. One 2^31 revisions older is taken for newer than it is.
+  // revision: not below earlier ones. Slots that are more than 2^31 revisions older look newer.
   void set(std::size_t slot, std::uint64_t revision) {
     reserve();
     if (revision - base_ > kMost) rebase(revision - kMost / 2);

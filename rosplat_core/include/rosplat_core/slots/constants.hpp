@@ -1,7 +1,7 @@
 #pragma once
 
-// What the engine, its kernels and the shaders have in common, once: plain types alone, for the
-// kernels. The plugin's gl/constants.cpp hands them to GLSL.
+// The constants that the engine, its kernels and the shaders share. Plain types only, for the
+// kernels. The plugin's gl/constants.cpp hands these constants to GLSL.
 
 #include <cstdint>
 
@@ -20,33 +20,33 @@ enum class DrawMode {
   kChannel,       // colour-mapped values of a channel; grey where there are none
 };
 
-// What values of a channel are drawn as.
+// How values of a channel are coloured.
 enum ChannelKind { kNoColours, kGradient, kCategories };
 
-constexpr std::uint32_t kPageSlots = 1024;  // neighbours that are kept together
+constexpr std::uint32_t kPageSlots = 1024;  // kept together; as GaussianArray.SLOTS_PER_BLOCK
 
 constexpr float kLowPass = 0.3f;  // [px^2], part of the trained model
 constexpr float kCutoffAlpha = 1.0f / 255.0f;
-constexpr float kLog2Cutoff = -7.99435344f;  // log2 of that
-// What a pixel still lets through where it ends. On the processor as in gsplat: 106 dB and more
-// against blending all. A card's tiles go on, nearer to its quads, which blend all.
+constexpr float kLog2Cutoff = -7.99435344f;  // log2(kCutoffAlpha)
+// The transmittance at which a pixel is complete. On the processor as in gsplat: 106 dB and more
+// against blending all splats. A card's tiles go on, to come nearer to its quads, which blend all.
 constexpr float kTransparent = 1e-4f;
 constexpr float kTransparentInTiles = 1e-5f;
-// A tangent is clamped so far beyond the picture, in its sizes: 0.3 tan(fov / 2), as trained.
+// How far beyond the picture tangents are clamped [picture sizes]: 0.3 tan(fov / 2), as trained.
 constexpr double kTangentSlack = 0.15;
 constexpr float kMaxSigmas = 4.08f;       // where the most opaque node falls below the cutoff
 constexpr float kMaxAlpha = 0.99f;        // as in Kerbl et al. 2023; nothing is ever fully opaque
-constexpr float kBallEdge = 0.22f;        // of the peak: a ball ends at 1.74 sigma
+constexpr float kBallEdge = 0.22f;        // share of the peak at a ball's edge: 1.74 sigma
 constexpr float kHalfLog2 = 0.84932180f;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = exp2(-(k x)^2)
-// The opacity of nodes goes farther than that of splats, and is clamped pixel by pixel.
+// The largest opacity of a node. It may exceed 1, unlike a splat's; alpha is clamped in each pixel.
 constexpr float kMostNodeOpacity = 16;
-constexpr float kLeastPicked = 0.05f;  // contribution to a pixel; less nobody sees
+constexpr float kLeastPicked = 0.05f;  // least contribution to a pixel that can be picked
 
-constexpr int kTile = 16;  // of a picture, in width and height [px]
+constexpr int kTile = 16;  // width and height of a picture's tiles [px]
 
-constexpr int kLevels = 28;         // of detail
+constexpr int kLevels = 28;         // levels of detail
 constexpr int kFinestOctave = -13;  // the smallest cells are 2^-13 m wide
-// Wider than any camera is far away: of what has no cell. [m]
+// The width of the cell of what has no cell: larger than the distance to any camera. [m]
 constexpr float kBoundless = 0x1p100f;
 
 }  // namespace rosplat

@@ -14,13 +14,13 @@ namespace rosplat::packed_rows {
 
 constexpr const char* kFormat = "packed";
 
-// Bytes of the payload of so many splats.
+// Bytes of the payload of `count` splats.
 inline std::size_t size(std::size_t count, int sh_degree) {
   return sizeof(std::uint32_t) * rowWords(sh_degree) * count;
 }
 
-// Whether a row means something: its position and its three halves of colour and harmonics are
-// finite. No other bits can be wrong.
+// Whether a row is valid: its position and its four half-precision floats (the harmonics' unit and
+// the colour) are finite. No other bits can be wrong.
 inline bool isUsable(const std::uint32_t* row) {
   float position[3];
   std::memcpy(position, row, sizeof(position));
@@ -29,8 +29,8 @@ inline bool isUsable(const std::uint32_t* row) {
          finite(row[8]);
 }
 
-// Fills arrays with the splats of a payload of size() bytes. The position of one that means nothing
-// is NaN.
+// Fills arrays with the splats of a payload of size() bytes. The position of an invalid splat
+// becomes NaN.
 inline void decode(const std::uint8_t* payload, const SplatArrays<float>& splats) {
   std::uint32_t row[rowWords(kMaxShDegree)];
   const std::size_t bytes = size(1, splats.sh_degree);

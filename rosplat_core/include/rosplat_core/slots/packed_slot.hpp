@@ -24,7 +24,7 @@ constexpr double kTicksPerSecond = 4;                                // of `chan
 inline constexpr int rowWords(int sh_degree) {
   return kSlotWords + (sh_degree + 1) * (sh_degree + 1) - 1;
 }
-// Where a row has them.
+// Pointers to the bands in a row, by band; null for band 0, which the slot holds.
 template <typename Word>
 std::array<Word*, kMaxShDegree + 1> bandsOf(Word* row) {
   return {nullptr, row + kSlotWords, row + rowWords(1), row + rowWords(2)};
@@ -39,7 +39,7 @@ struct Splat {
   std::array<float, 3> color{};        // band 0 of the spherical harmonics
 };
 
-// A slot's words, for where they lie apart.
+// A copy of a slot's words, for memory in which they lie apart (HostSlots) and for nodes.
 struct PackedSlot {
   std::array<std::uint32_t, kSlotWords> words{};
   std::array<std::array<std::uint32_t, kBandWords.back()>, kMaxShDegree + 1> bands{};
@@ -54,19 +54,19 @@ struct PackedSlot {
 float extentOf(float opacity, float largest_scale);
 
 // Packs a splat of finite values. sh: the coefficients of bands 1 to sh_degree, RGB interleaved;
-// bands[b]: room for kBandWords[b] words, for 1 <= b <= sh_degree. What a field can't hold becomes
-// the nearest that it can.
+// bands[b]: room for kBandWords[b] words, for 1 <= b <= sh_degree. A value beyond a field's range
+// becomes the nearest in that range.
 void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t* slot,
               const std::array<std::uint32_t*, kMaxShDegree + 1>& bands);
 
 // A splat as packSlot() kept it; the quaternion has unit length.
 Splat unpackSlot(const std::uint32_t* slot);
-// Some of it in less time.
+// A part of unpackSlot() in less time.
 float slotOpacity(const std::uint32_t* slot);
 float largestScale(const std::uint32_t* slot);
 
-// Its coefficients of bands 1 to sh_degree, as packSlot() takes them.
-// Room for 3 ((sh_degree + 1)^2 - 1) floats in the first case.
+// The coefficients of bands 1 to sh_degree, as packSlot() takes them.
+// sh: room for 3 ((sh_degree + 1)^2 - 1) floats.
 void unpackHarmonics(const std::uint32_t* slot, int sh_degree,
                      const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands, float* sh);
 std::vector<float> unpackHarmonics(const std::uint32_t* slot, int sh_degree,

@@ -26,7 +26,7 @@ constexpr std::uint32_t stepsOf(unsigned bits) { return (1u << bits) - 1; }
 constexpr std::size_t kSplatBytes = 24, kBounds = 5, kBoundsBytes = kBounds * 2 * sizeof(float);
 constexpr float kLargestComponent = 0.70710684f;         // just beyond sqrt(1/2)
 constexpr float kScaleRange = 16, kGreatestScale = 12;   // [natural logarithm]
-constexpr std::uint32_t kNoScale = stepsOf(kScaleBits);  // of a splat that means nothing
+constexpr std::uint32_t kNoScale = stepsOf(kScaleBits);  // marks an invalid splat
 constexpr std::uint32_t kScaleSteps = stepsOf(kScaleBits) - 2;
 
 inline std::size_t restOf(int sh_degree) { return 3u * ((sh_degree + 1u) * (sh_degree + 1u) - 1u); }
@@ -35,7 +35,7 @@ struct Bounds {
   float lower = 0, upper = 0;
 };
 
-// Takes values one by one.
+// The bounds of values that come one by one.
 class Span {
  public:
   void add(float value) {
@@ -49,7 +49,7 @@ class Span {
   float upper_ = -std::numeric_limits<float>::infinity();
 };
 
-// From values to codes and back, evenly from one bound to the other.
+// Maps values to codes and back, in even steps from one bound to the other.
 class Steps {
  public:
   Steps(Bounds bounds, std::uint32_t steps)
@@ -88,7 +88,7 @@ class Bits {
   unsigned at_ = 0;
 };
 
-// Even steps of small colours, and of the logarithm of large ones, which are few.
+// Linear for small colours and logarithmic for large ones, which are few.
 inline float companded(float colour) {
   return std::copysign(std::log1p(std::fabs(colour)), colour);
 }
@@ -113,7 +113,7 @@ inline std::vector<float> colourTable(Bounds bounds) {
   return table;
 }
 
-// What a step of harmonics is worth by strength.
+// The size of one step of harmonics, by strength.
 inline const std::array<float, 256>& units() {
   static const std::array<float, 256> table = [] {
     std::array<float, 256> units{};
@@ -125,7 +125,7 @@ inline const std::array<float, 256>& units() {
   return table;
 }
 
-// A share of ascending values lies below: as NumPy's quantile.
+// The value below which a share of ascending values lies, as NumPy's quantile.
 inline double quantile(const std::vector<float>& ascending, double share) {
   const double at = share * static_cast<double>(ascending.size() - 1);
   const auto below = static_cast<std::size_t>(at);
@@ -140,15 +140,15 @@ inline float largestScale(const SplatArrays<const float>& splats, std::size_t i)
 
 }  // namespace detail
 
-// Bytes of the payload of so many splats.
+// Bytes of the payload of `count` splats.
 inline std::size_t size(std::size_t count, int sh_degree) {
   const std::size_t rest = detail::restOf(sh_degree);
   return detail::kBoundsBytes + count * (detail::kSplatBytes + (rest > 0 ? 1 + rest : 0));
 }
 
-// Whether a payload shows splats as they are: no stray one makes the steps of all too large. Steps
-// of position may be a 16th of the median splat's size, or a 65,536th of where most are. usable: by
-// isUsable.
+// Whether a payload keeps splats precisely enough: no stray splat may make the steps of all too
+// large. A step of position may be a 16th of the median splat's size, or a 65,536th of the range of
+// 90 % of the positions; the largest scale may be e^12 times the median. usable: by isUsable().
 inline bool suits(const SplatArrays<const float>& splats, const std::vector<bool>& usable) {
   std::vector<std::size_t> kept;
   for (std::size_t i = 0; i < splats.count; ++i) {
@@ -182,7 +182,7 @@ inline bool suits(const SplatArrays<const float>& splats, const std::vector<bool
          (median == 0 || largest <= median * std::exp(double(detail::kGreatestScale)));
 }
 
-// Writes the payload of splats, of size() bytes. usable: by isUsable.
+// Writes the payload of splats, of size() bytes. usable: by isUsable().
 inline void encode(const SplatArrays<const float>& splats, const std::vector<bool>& usable,
                    std::uint8_t* payload) {
   using namespace detail;
@@ -263,8 +263,8 @@ inline void encode(const SplatArrays<const float>& splats, const std::vector<boo
   }
 }
 
-// Fills arrays with the splats of a payload of size() bytes. Throws std::invalid_argument for one
-// that makes no sense.
+// Fills arrays with the splats of a payload of size() bytes. Throws std::invalid_argument for
+// invalid bounds.
 inline void decode(const std::uint8_t* payload, const SplatArrays<float>& splats) {
   using namespace detail;
   Bounds bounds[kBounds];

@@ -17,7 +17,7 @@ struct PayloadFormat {
   void (*decode)(const std::uint8_t* payload, const SplatArrays<float>& splats);
 };
 
-// Throws std::invalid_argument where there is none of that name.
+// The format of a name. Throws std::invalid_argument if there is none.
 inline PayloadFormat payloadFormat(const std::string& name) {
   if (name == packed_rows::kFormat) return {packed_rows::size, packed_rows::decode};
   if (name == payload::kFormat) return {payload::size, payload::decode};

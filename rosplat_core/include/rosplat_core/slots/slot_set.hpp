@@ -31,21 +31,21 @@ class SlotSet {
  public:
   static constexpr std::uint32_t kPage = kPageSlots;
 
-  // Before any of them is put in. May run out of memory; the set is the same then.
+  // Makes room for slots, which set() needs. Throws std::bad_alloc: the set is the same then.
   void makeRoom(const SlotRuns& runs);
   // The parts of runs that there is room for: no other slot is in the set.
   SlotRuns within(const SlotRuns& runs) const;
 
   bool has(std::uint32_t slot) const;
-  // Whether any is of the kPage slots from page * kPage on.
+  // Whether any of the kPage slots from page * kPage on is in the set.
   bool any(std::uint32_t page) const;
-  // Puts a slot in or takes it out; whether it was in.
+  // Puts a slot in or takes it out. There must be room for it. Returns whether it was in.
   bool set(std::uint32_t slot, bool in) noexcept;
 
  private:
   static constexpr std::uint32_t kNone = 0xffffffffu;
 
-  std::vector<std::uint32_t> places_;  // by number of the page, kNone where there is none
+  std::vector<std::uint32_t> places_;  // in pages_, by number of the page; kNone: no room
   std::vector<std::bitset<kPage>> pages_;
 };
 

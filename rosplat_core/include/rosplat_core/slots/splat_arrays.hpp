@@ -28,8 +28,8 @@ inline bool allFinite(const float* values, std::size_t count) {
   return sum == 0.0f;
 }
 
-// Whether a splat means something; whoever holds a map leaves the others out. position: relative to
-// the map's origin.
+// Whether a splat's values are valid; holders of a map leave out a splat whose values aren't.
+// position: as the map keeps it, relative to its group's origin.
 template <typename Float>
 bool isUsable(const SplatArrays<Float>& splats, std::size_t i, const float* position) {
   const float* const q = splats.orientations + 4 * i;
@@ -41,7 +41,7 @@ bool isUsable(const SplatArrays<Float>& splats, std::size_t i, const float* posi
          allFinite(splats.sh + splats.shStride() * i, splats.shStride());
 }
 
-// Whether a channel may be called so: printable ASCII without spaces.
+// Whether a text may name a channel: printable ASCII without spaces.
 inline bool isChannelName(const std::string& text) {
   constexpr std::size_t kLongest = 64;
   return !text.empty() && text.size() <= kLongest &&

@@ -11,18 +11,18 @@
 
 namespace rosplat {
 
-// Splats of someone else's arrays, in the units and conventions of rosplat_msgs/GaussianArray.
+// Splats in arrays of another owner, in the units and conventions of rosplat_msgs/GaussianArray.
 struct SplatsView {
   SplatArrays<const float> arrays;
   // Packed slots, each with its further bands behind it (packed_slot.hpp), in place of the arrays.
-  // All of them mean something.
+  // All of them are valid.
   const std::uint32_t* rows = nullptr;
   std::array<double, 3> origin{};  // added to each position [m]
   bool antialiased = false;        // trained with opacity compensation (Mip-Splatting)
   std::vector<std::pair<std::string, const float*>> channels;  // a value for each splat
 
   // Throws std::invalid_argument, which names the field, for an origin that is not finite and for
-  // channels that no map may have.
+  // an invalid or repeated channel name.
   void check() const;
 };
 
@@ -38,21 +38,21 @@ struct Splats {
   std::vector<float> sh;
   std::array<double, 3> origin{};  // added to each position [m]
   bool antialiased = false;        // trained with opacity compensation (Mip-Splatting)
-  // n each: named values beside what is drawn, "label" say; not finite where a splat has none.
+  // Named values beside shape and colour, "label" say: n each, not finite where a splat has none.
   std::vector<std::pair<std::string, std::vector<float>>> channels;
 
   // Splats from what trainers optimise: quaternions of any length, logarithms of scales (3 n, or n
   // for spheres), logits of opacities, and harmonics as gsplat and 3DGS keep them: sh0
-  // (features_dc), 3 n, and shN (features_rest), as many as there are of further bands, coefficient
-  // by coefficient, RGB interleaved. Throws std::invalid_argument that names an array of another
+  // (features_dc), 3 n, and shN (features_rest), 0, 9 n, 24 n or 45 n for degree 0 to 3,
+  // coefficient-major, RGB interleaved. Throws std::invalid_argument that names an array of another
   // length.
   static Splats fromTrained(std::vector<float> means, const std::vector<float>& quaternions_wxyz,
                             const std::vector<float>& log_scales, const std::vector<float>& logits,
                             const std::vector<float>& sh0, const std::vector<float>& shN = {});
 
   std::size_t size() const { return positions.size() / 3; }
-  // The same, checked. Throws std::invalid_argument where an array isn't as long as positions ask
-  // for, or SplatsView::check() does; it names the field.
+  // A checked view of these splats. Throws std::invalid_argument, which names the field, if an
+  // array's length doesn't fit that of positions, or if SplatsView::check() does.
   SplatsView view() const;
 };
 
