@@ -8,7 +8,7 @@ namespace rosplat {
 
 namespace {
 
-// With room for a quarter more, where doubling would take as much again as there is.
+// Resizes with room for a quarter more: doubling would take too much memory.
 template <typename T>
 void grow(std::vector<T>& values, std::size_t size, T value) {
   if (size > values.capacity()) values.reserve(size + size / 4);
@@ -49,7 +49,7 @@ void BuiltInSorter::apply(EditQueue::Node edit) noexcept {
   wake_.notify_one();
 }
 
-// All that the worker needs memory for, but what it sorts with: it has nobody to tell.
+// Allocates for the worker, which can't report std::bad_alloc, all but the memory to sort in.
 std::unique_lock<std::mutex> BuiltInSorter::ask(const std::string& view_id, std::uint64_t sequence,
                                                 const SplatCamera& camera, OrderPtr base) {
   begin();
@@ -101,7 +101,7 @@ void BuiltInSorter::run() {
   while (true) {
     wake_.wait(lock, [&] { return stop_ || !edits_.empty() || !requests_.empty(); });
     if (stop_) return;
-    // A request sees every edit that came before it.
+    // A request must see every edit that came before it.
     while (!edits_.empty()) {
       EditQueue::Waiting edit = edits_.pop();
       lock.unlock();
@@ -132,7 +132,7 @@ void BuiltInSorter::apply(EditQueue::Waiting item) noexcept {
     forget();
     out_of_memory_ = false;
   }
-  if (edit.clear || edit.round != round_) {  // revisions so far say nothing any more
+  if (edit.clear || edit.round != round_) {  // former revisions are void
     std::fill(changed_at_.begin(), changed_at_.end(), 0);
     std::fill(page_changed_.begin(), page_changed_.end(), 0);
     begun_at_ = edit.revision;
@@ -167,7 +167,7 @@ OrderPtr BuiltInSorter::sort(const Request& request) noexcept {
   const auto start = std::chrono::steady_clock::now();
   const std::shared_ptr<Order>& order = request.order;
   order->revision = revision_;
-  // Only an order of this map, since its revisions began, can be brought up to date.
+  // Only an order of this map, not older than begun_at_, can be brought up to date.
   const bool mergeable =
       request.base && request.base->map_id == map_id_ && request.base->revision >= begun_at_;
   try {

@@ -20,7 +20,7 @@ void OrderBook::setCamera(const std::string& view_id, std::uint64_t sequence,
 }
 
 void OrderBook::mapChanged(const MapState& map, double now) {
-  // Another map, or the same that is played once more: its revisions begin again.
+  // Another map, or the same map played once more: the revisions begin again.
   const bool begins = map.round != map_.round;
   for (auto& [id, view] : views_) {
     if (view.sidecar && fresh(view, *view.sidecar)) view.waiting_since = now;
@@ -50,7 +50,7 @@ bool OrderBook::offer(const OrderPtr& order, double now) {
     return true;
   }
   if (view.sidecar && order->sequence < view.sidecar->sequence) return false;
-  // A sidecar that pulls the map once more knows less of it than it did.
+  // A sidecar that pulls the map anew knows less of the map than before.
   if (view.sidecar && fresh(view, *view.sidecar) && !fresh(view, *order)) return false;
   if (order->bound > map_.capacity || order->slots.size() > map_.capacity) return false;
   view.sidecar = order;
@@ -69,7 +69,7 @@ void OrderBook::request(const std::string& view_id, ViewOrders& view, const Orde
       view.requested_base == base) {
     return;
   }
-  // A merge compares depths as the base was sorted: by the camera that it answers.
+  // A merge compares depths, so it needs the camera that the base was sorted for.
   const Camera* camera = &view.cameras.back();
   if (base) {
     for (const Camera& past : view.cameras) {
@@ -121,7 +121,7 @@ OrderBook::Choice OrderBook::chosen(const ViewOrders& view, const OrderPtr& orde
                                     double now) const {
   Choice choice{order, order && fresh(view, *order), 0};
   if (!order || choice.fresh) return choice;
-  // The camera after the one that the order answers, if any: since then the order is old.
+  // The order is old since the first camera after the one that it answers.
   for (const Camera& camera : view.cameras) {
     if (camera.sequence <= order->sequence) continue;
     choice.age = now - camera.time;

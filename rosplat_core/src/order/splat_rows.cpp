@@ -6,7 +6,7 @@ namespace rosplat {
 
 SplatRows::Runs SplatRows::apply(const GaussianEdit& edit) {
   const bool writes = edit.sh_degree >= 0;
-  // All that needs memory comes first.
+  // All allocations come first, so that a failure changes nothing.
   const std::vector<std::uint32_t> touched = SlotPages::touched(edit);
   std::size_t fresh = 0;
   for (const std::uint32_t slot : touched) fresh += edit.clear || !pages_.find(slot) ? 1 : 0;
@@ -22,7 +22,7 @@ SplatRows::Runs SplatRows::apply(const GaussianEdit& edit) {
     positions_ = std::move(positions);
     extents_ = std::move(extents);
   } else {
-    // With room for a quarter more: doubling would take as much again as there is.
+    // With room for a quarter more: doubling would take too much memory.
     if (3 * rows > positions_.capacity()) positions_.reserve(3 * (rows + rows / 4));
     if (rows > extents_.capacity()) extents_.reserve(rows + rows / 4);
     pages_.apply(edit);
@@ -61,7 +61,7 @@ SplatRows::Runs SplatRows::apply(const GaussianEdit& edit) {
       source += count;
     }
   }
-  if (edit.clear) changed.assign(rows > 0 ? 1 : 0, {0, rows});  // rows of before mean nothing
+  if (edit.clear) changed.assign(rows > 0 ? 1 : 0, {0, rows});  // all rows are new
   return changed;
 }
 

@@ -13,7 +13,7 @@ std::vector<float> warpDepths(const std::vector<float>& depths, const SplatCamer
   if (depths.empty()) return warped;
   const Placement there = frameIn(camera, other);
   const int width = other.width, height = other.height;
-  int left = width, right = -1, top = height, bottom = -1;  // of what is there
+  int left = width, right = -1, top = height, bottom = -1;  // box around the moved pixels
   for (int row = 0; row < height; ++row) {
     const float* const in_row = &depths[std::size_t(row) * std::size_t(width)];
     if (!std::count_if(in_row, in_row + width, [](float depth) { return depth < 1; })) continue;
@@ -37,7 +37,7 @@ std::vector<float> warpDepths(const std::vector<float>& depths, const SplatCamer
       nearest = std::min(nearest, static_cast<float>(std::max(seen, 0.0)));
     }
   }
-  // What has come nearer is spread out.
+  // A camera that comes nearer spreads pixels out: close gaps in rows, then in columns.
   const auto close = [&](int step, int aside, int above) {
     for (int row = top + above; row <= bottom - above; ++row) {
       float* const in_row = &warped[std::size_t(row) * std::size_t(width)];

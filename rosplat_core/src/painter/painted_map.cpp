@@ -9,9 +9,9 @@ namespace rosplat {
 
 namespace {
 
-// So long pictures wait for levels of detail that aren't whole; then they do without. [s]
-constexpr double kLevelsPerPicture = 0.03;
-constexpr double kLevelsShare = 0.5;  // or for that part of the time that they take without
+// A picture waits for unfinished levels of detail for the longer of two times, then does without.
+constexpr double kLevelsPerPicture = 0.03;  // [s]
+constexpr double kLevelsShare = 0.5;        // of the time that the last picture without levels took
 
 }  // namespace
 
@@ -27,7 +27,7 @@ void PaintedMap::hold(const MapState& map) { setState(map); }
 
 void PaintedMap::setState(const MapState& map) {
   MapState fresh = map;
-  const std::size_t bytes = slots_.bytes();  // of which its writers are the only ones
+  const std::size_t bytes = slots_.bytes();  // without a lock: only writers of slots_ come here
   const std::lock_guard lock(state_mutex_);
   state_ = std::move(fresh);
   bytes_ = bytes;
@@ -89,7 +89,7 @@ void PaintedMap::goOnWithLevels(const std::function<bool()>& stop) {
 }
 
 bool PaintedMap::advanceLevels(const std::function<bool()>& stop) {
-  // Nobody else writes slots, nor looks at what this writes.
+  // Needs no lock: no other thread writes slots_, or reads the parents that this writes.
   const bool whole = levels_.advance(slots_, stop);
   levels_bytes_ = levels_.bytes();
   return whole;
@@ -119,7 +119,7 @@ PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id,
   const double patience = std::max(kLevelsPerPicture, kLevelsShare * seconds_in_full_);
   try {
     const bool whole = advanceLevels([&] { return stop(patience); });
-    if (levels_.nodes() == 0) return {whole, ""};  // all is drawn until they stand
+    if (levels_.nodes() == 0) return {whole, ""};  // drawn in full until there are nodes
     layer.levels = &levels_;
     layer.error =
         control.choose(layer.settings, levels_.samples(), layer.camera, slots_.index().groups());

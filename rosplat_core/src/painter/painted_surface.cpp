@@ -11,7 +11,7 @@ namespace {
 
 constexpr double kNothing = std::numeric_limits<double>::quiet_NaN();
 
-// What a camera sees at a place in its picture, so deep, in its frame.
+// The point at a depth [m] that a camera sees at x, y of its picture [px], in the camera's frame.
 std::array<double, 3> pointAt(const SplatCamera& camera, double x, double y, double depth) {
   const double spread = camera.orthographic ? 1 : depth;
   return {spread * (x - camera.cx) / camera.fx, spread * (y - camera.cy) / camera.fy, depth};
@@ -22,10 +22,10 @@ std::array<double, 3> pointAt(const SplatCamera& camera, double x, double y, dou
 std::vector<double> PaintedSurface::seenBy(const SplatCamera& camera,
                                            const std::vector<std::uint8_t>& rgba,
                                            float least_alpha) const {
-  constexpr int kSteps = 3;  // towards where the ray meets the surface
+  constexpr int kSteps = 3;  // iterations towards the point where the ray meets the surface
   std::vector<double> depths(std::size_t(camera.width) * std::size_t(camera.height), kNothing);
   if (depths_.empty()) return depths;
-  // Of what hides a point, or is there.
+  // The surface's depth at the pixel of camera_ that shows, or hides, a point in its frame.
   const auto depthOf = [&](const std::array<double, 3>& point) {
     const double spread = camera_.orthographic ? 1 : point[2];
     const double x = std::floor(camera_.fx * point[0] / spread + camera_.cx);

@@ -17,9 +17,9 @@ namespace rosplat {
 
 namespace {
 
-// So much of a map that streams in is taken before what there is of it is shown.
+// A map that streams in is painted after each part of this size [bytes].
 constexpr std::size_t kEditBytesPerPicture = std::size_t{256} << 20;
-constexpr double kFarthestAhead = 0.5;  // that a camera is thought to go on as it moves [s]
+constexpr double kFarthestAhead = 0.5;  // longest prediction of a camera's motion [s]
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 double now() {
@@ -44,7 +44,7 @@ PictureMesh::Cells cellsOf(const std::vector<std::uint8_t>& rgba, int width, int
   });
 }
 
-// As bytes. What is brighter than white stays white when it is laid over something.
+// The colours as bytes. Clamped before blending: brighter than white stays white over anything.
 PaintedLayer<std::uint8_t> colourLayer(const SplatPicture& picture) {
   PaintedLayer<std::uint8_t> layer;
   layer.values.resize(picture.colour.size());
@@ -68,7 +68,7 @@ void forDivided(const SplatPicture& picture, const Each& each) {
   }
 }
 
-// What is behind translucent objects, as bytes.
+// The splats behind translucent objects, as bytes.
 PaintedLayer<std::uint8_t> behindLayer(const SplatPicture& picture) {
   PaintedLayer<std::uint8_t> layer;
   if (picture.behind.empty()) return layer;
@@ -80,7 +80,7 @@ PaintedLayer<std::uint8_t> behindLayer(const SplatPicture& picture) {
   return layer;
 }
 
-// The mean window depth of what is more opaque than not there, 1 elsewhere.
+// The mean window depth of the splats behind translucent objects; 1 where their alpha is below 0.5.
 PaintedLayer<float> hidingLayer(const SplatPicture& picture) {
   PaintedLayer<float> layer;
   const std::vector<float>& nearness = picture.nearness;
@@ -101,18 +101,18 @@ PaintedLayer<float> hidingLayer(const SplatPicture& picture) {
   return layer;
 }
 
-// Why a picture failed, in fewer words where memory is lacking even for these.
+// Why a picture failed, in fewer words if the longer text finds no memory.
 std::string reason(const std::exception& error, const SplatCamera& camera) noexcept {
   try {
     if (!dynamic_cast<const std::bad_alloc*>(&error)) return error.what();
     return "there is no memory for a picture of " + std::to_string(camera.width) + "x" +
            std::to_string(camera.height) + " pixels";
   } catch (const std::bad_alloc&) {
-    return "out of memory";  // which a string holds without any
+    return "out of memory";  // short enough for a string without an allocation
   }
 }
 
-// While it is drawn: what maps hold, and what is known of them.
+// Locks a request's maps while they are drawn, and holds copies of their states.
 class LockedMaps {
  public:
   LockedMaps(const PaintRequest& asked, PictureRequest& request) : states_(asked.layers.size()) {
@@ -217,7 +217,7 @@ PaintingPtr Painter::newest(const std::string& view_id) const {
 PaintingPtr Painter::paintNow(const std::string& view_id, PaintRequestPtr request) {
   std::unique_lock lock(mutex_);
   const std::uint64_t number = enqueue(view_id, std::move(request));
-  views_[view_id].newest = nullptr;  // whoever waits for the next wants its memory
+  views_[view_id].newest = nullptr;  // frees its memory for the new picture
   finished_.wait(lock, [&] { return views_[view_id].painted >= number; });
   PaintingPtr painting = views_[view_id].newest;
   if (!painting->error.empty()) throw PictureError(painting->error);
@@ -229,7 +229,7 @@ void Painter::forget(const std::string& view_id) {
   views_.erase(view_id);
   queue_.remove(view_id);
   if (paints(view_id)) cancelled_ = true;
-  edits_ = true;  // for its levels may go
+  edits_ = true;  // wakes the painter: the view's levels may go
   wake_.notify_one();
 }
 
@@ -261,7 +261,7 @@ void Painter::findNext(std::unique_lock<std::mutex>& lock) {
   find(job);
   lock.lock();
   picking_.reset();
-  edits_ = true;  // which may have been left for it
+  edits_ = true;  // pick() may have interrupted work on edits and levels
 }
 
 void Painter::paintNext(std::unique_lock<std::mutex>& lock) {
@@ -281,14 +281,14 @@ void Painter::paintNext(std::unique_lock<std::mutex>& lock) {
     found->second.painted = job.number;
     found->second.given_up = false;
     finished_.notify_all();
-  } else if (found != views_.end() && !found->second.waiting) {  // given up for a pick
+  } else if (found != views_.end() && !found->second.waiting) {  // cancelled for a pick
     found->second.waiting = std::move(job);
     queue_.splice(queue_.begin(), painting_);
   }
   painting_.clear();
 }
 
-// Where no picture is asked for.
+// The work while no picture is asked for.
 void Painter::goOnWithMaps() {
   try {
     const std::vector<PaintedMapPtr> maps = this->maps();
@@ -300,7 +300,7 @@ void Painter::goOnWithMaps() {
         return hasWork();
       });
     }
-  } catch (const std::bad_alloc&) {  // what is left will be tried with the next picture
+  } catch (const std::bad_alloc&) {  // the next picture tries the rest
   }
 }
 
@@ -316,7 +316,7 @@ void Painter::takeEdits(const std::vector<PaintedMapPtr>& maps, std::size_t most
   }
   if (all) return;
   const std::lock_guard lock(mutex_);
-  edits_ = true;  // the rest
+  edits_ = true;  // some are left
 }
 
 void Painter::keepViews(const std::vector<PaintedMapPtr>& maps, const std::string& view_id,
@@ -366,7 +366,7 @@ void Painter::chooseDetail(const std::string& view_id, PictureRequest& request,
   }
 }
 
-// A request of the camera that its own will be by then, and depths as that sees them.
+// Returns the request with its camera moved on for a time [s], and with depths as seen from there.
 PaintRequestPtr Painter::movedOn(const PaintRequest& request, double seconds) {
   auto later = std::make_shared<PaintRequest>();
   later->layers = request.layers;
@@ -406,7 +406,7 @@ bool Painter::draw(const std::string& view_id, const Waiting& job) {
   painting.maps.resize(job.request->layers.size());
   painting.asked = painting.due = job.asked;
   if (job.takes > 0 && !job.request->motion.none()) {
-    // It will be shown from when it is painted until the next one is.
+    // The picture will be shown from start + takes until the next is painted, at start + 2 * takes.
     const double ahead = std::min(start - job.asked + 1.5 * job.takes, kFarthestAhead);
     painting.request = movedOn(*job.request, ahead);
     painting.due += ahead;
@@ -474,7 +474,7 @@ std::vector<Pick> Painter::pick(PaintRequest asked) {
   for (auto& slots : job.slots) picks.emplace_back(slots.get_future(), wanted);
   const std::lock_guard lock(mutex_);
   picks_.push_back(std::move(job));
-  cancelled_ = true;  // what is being painted comes after
+  cancelled_ = true;  // the picture being painted waits for the pick
   wake_.notify_one();
   return picks;
 }

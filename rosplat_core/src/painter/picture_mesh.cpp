@@ -16,8 +16,8 @@ static_assert(PictureMesh::kCell == kTile, "SplatPicture::divided is told by cel
 
 int cellsIn(int pixels) { return (pixels + PictureMesh::kCell - 1) / PictureMesh::kCell; }
 
-// Values with weights, of a grid: those without weight become the mean of their neighbours with
-// one, ring by ring.
+// Fills the gaps of a grid, values of weight 0, with the mean of the neighbours that have a weight,
+// ring by ring.
 void fillGaps(std::vector<float>& values, std::vector<float>& weights, int columns, int rows) {
   const auto index = [columns](int column, int row) {
     return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns) +
@@ -64,7 +64,7 @@ PictureMesh::PictureMesh(const SplatCamera& camera, const SplatPicture& picture)
       const auto cell = static_cast<std::size_t>(row * (columns_ - 1) + column);
       const bool divided = !picture.divided.empty() && picture.divided[cell];
       const int across = std::min(kCell, camera.width - kCell * column);
-      std::array<float, kCell> alphas, sums{}, weights_of{};  // by column, for vectors of them
+      std::array<float, kCell> alphas, sums{}, weights_of{};  // by column, to vectorise
       for (int y = kCell * row; y < std::min(kCell * (row + 1), camera.height); ++y) {
         const std::size_t first =
             static_cast<std::size_t>(y) * static_cast<std::size_t>(camera.width) +
@@ -97,7 +97,7 @@ PictureMesh::PictureMesh(const SplatCamera& camera, const SplatPicture& picture)
 
 PictureMesh::CornerGrid PictureMesh::seenBy(const SplatCamera& camera) const {
   const auto [turn, shift] = frameIn(camera_, camera);
-  // Corner number i of so many; the first and the last lie beyond the picture.
+  // Position of corner number i of count [px]; -1 and count are beyond the picture.
   const auto place = [](int i, int count, int size) -> double {
     if (i < 0) return -0.5 * size;
     return i < count ? std::min(kCell * i, size) : 1.5 * size;
@@ -110,7 +110,7 @@ PictureMesh::CornerGrid PictureMesh::seenBy(const SplatCamera& camera) const {
       const double v = place(row, rows_, camera_.height);
       const double depth = depths_[static_cast<std::size_t>(
           std::clamp(row, 0, rows_ - 1) * columns_ + std::clamp(column, 0, columns_ - 1))];
-      // Of perspective cameras over its depth: what is at infinity stays a direction.
+      // For perspective cameras the point divided by its depth: at infinity it stays a direction.
       std::array<double, 3> p{(u - camera_.cx) / camera_.fx, (v - camera_.cy) / camera_.fy,
                               camera_.orthographic ? depth : 1.0};
       const double weight = camera_.orthographic ? 1.0 : depth;

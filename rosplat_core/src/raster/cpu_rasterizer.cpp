@@ -15,7 +15,7 @@ using Clock = std::chrono::steady_clock;
 
 namespace {
 
-constexpr int kLongestSide = 16384;  // [px], as makeCamera() has it
+constexpr int kLongestSide = 16384;  // [px], as in makeCamera()
 
 const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
   switch (available(wanted)) {
@@ -30,7 +30,7 @@ const Kernels& kernelsFor(CpuRasterizer::Instructions wanted) {
   }
 }
 
-// Runs something that may find no memory.
+// Returns run(). Throws PictureError if that finds no memory.
 template <typename Run>
 bool orSay(const SplatCamera& camera, const Run& run) {
   try {
@@ -79,7 +79,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   tiles = std::size_t(across) * std::size_t(down);
   if (picture) {
     const bool kept = picture->width == camera.width && picture->height == camera.height;
-    picture->width = picture->height = 0;  // until there is memory for all of it
+    picture->width = picture->height = 0;  // in case there is no memory for all of the picture
     picture->colour.resize(4 * pixels);
     picture->depth.resize(request.depth == PictureDepth::kNone ? 0 : pixels);
     const std::size_t divided = request.translucent_depth.empty() ? 0 : pixels;
@@ -126,7 +126,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     }
     list();
     lap("list");
-    // What is behind a splat is known once all slices are drawn.
+    // Contributions need the colour behind a splat. After several slices they take a second run.
     contributes = wanted.contributions && (wanted.drawn || (first && waiting.empty()));
     if (contributes) of_listed.reserve(total_pairs);
     std::atomic<std::size_t> next{0};

@@ -7,8 +7,8 @@ namespace rosplat::cpu::ROSPLAT_TARGET {
 namespace {
 
 constexpr int kSlots = kPageSlots;
-constexpr float kBallSigmas = 1.74017f;              // where a ball ends: kBallEdge of the peak
-constexpr float kBallEnd = -2.18442457f / kSquared;  // log2 of that
+constexpr float kBallSigmas = 1.74017f;  // radius of a ball: where a splat falls to kBallEdge
+constexpr float kBallEnd = -2.18442457f / kSquared;  // log2(kBallEdge) / kSquared
 constexpr float kCutoffEnd = kLog2Cutoff / kSquared;
 constexpr float kLog2 = 0.69314718f;
 
@@ -21,7 +21,7 @@ T most(T a, T b) {
   return a > b ? a : b;
 }
 
-// Values of slots, by their places in a page.
+// Loads values of slots, by the slots' places in a page.
 class Places {
  public:
   Places(const std::uint16_t* places, int lanes)
@@ -56,12 +56,12 @@ Vec3 select(Ints where, const Vec3& a, const Vec3& b) {
   return {where ? a.x : b.x, where ? a.y : b.y, where ? a.z : b.z};
 }
 
-// Operation by operation as the sorters: see depth_order.hpp.
+// Rounds operation by operation as the sorters do: see depth_order.hpp.
 Floats transform(const float* row, const Vec3& p) {
   return ((row[0] * p.x + row[1] * p.y) + row[2] * p.z) + row[3];
 }
 
-// How wide a cell around a position is in the picture, at its nearest point [px].
+// The width in the picture, at the cell's nearest point, of the cell around a position [px].
 Floats errorOf(const CutView& cut, const float* eye_at, const Vec3& p, Floats cell) {
   const auto outside = [&](Floats x, float eye) {
     const Floats least = floor(x / cell) * cell;
@@ -72,7 +72,7 @@ Floats errorOf(const CutView& cut, const float* eye_at, const Vec3& p, Floats ce
   return cut.focal * cell / max(sqrt(dot(away, away)), all(1e-6f));
 }
 
-// The share of slots that a cut draws: see cut.hpp.
+// The shares of slots or nodes that a cut draws: see cut.hpp.
 Floats shareOf(const CutView& cut, const float* eye, const Vec3& p, Floats parent, float own) {
   const auto rise = [&](Floats error) {
     const Floats t = clamp((error - cut.from) * cut.over_span, Floats{}, all(1.0f));
@@ -103,7 +103,7 @@ std::size_t cull(const CullView& given, const PageSlots& page, Candidate* candid
     if (page.parents && any(seen)) {
       seen &= shareOf(view.cut, group.eye, p, load(page.parents + i), page.own_cell) > 0.0f;
     }
-    const Ints bits = (Ints)(z + 0.0f);  // the sum makes one depth of -0 and 0
+    const Ints bits = (Ints)(z + 0.0f);  // the sum turns -0 into 0
     const Ints keys = bits ^ ((bits >> 31) | INT32_MIN);
     for (int lane = 0; lane < kLanes; ++lane) {
       *out = {std::uint32_t(keys[lane]), page.first_index + std::uint32_t(i + lane)};
@@ -160,7 +160,7 @@ Vec3 turbo(Floats t) {
   return c;
 }
 
-// Hues a golden angle apart, of which three in turn are light, medium and dark.
+// Hues are a golden angle apart; tones take turns: light, medium, dark.
 Vec3 categoryColour(Ints category) {
   const Words number = (Words)category;
   const Floats hue = toFloats((Ints)(number * 2654435769u >> 8)) * (6.0f / 16777216.0f);
@@ -178,7 +178,7 @@ Vec3 categoryColour(Ints category) {
 
 Vec3 channelColour(const ProjectView& view, Floats value) {
   constexpr int kExponent = 0x7f800000;
-  const Ints none = ((Ints)value & kExponent) == kExponent;  // not finite: there is no value
+  const Ints none = ((Ints)value & kExponent) == kExponent;  // not finite: the slot has no value
   Vec3 c;
   if (view.channel_colours == kCategories) {
     constexpr float kMost = 1 << 30;
@@ -193,10 +193,10 @@ Vec3 channelColour(const ProjectView& view, Floats value) {
                 {all(0.5f), all(0.5f), all(0.5f)}, c);
 }
 
-// Never darker than black, but brighter than white may be.
+// Clamps to 0 from below. Brighter than white is allowed, up to the largest half float.
 Floats radiance(Floats c) { return c > 0.0f ? min(c, all(65504.0f)) : all(0.0f); }
 
-// Adds a band of harmonics: a coefficient is a fraction of the slot's unit.
+// Adds a band of harmonics, in the slot's unit: a coefficient is a fraction of that, -1 to 1.
 template <int kCount>
 void addBand(Vec3& c, const std::uint32_t* band, const Places& places,
              const Floats (&basis)[kCount]) {
@@ -285,32 +285,32 @@ struct PixelSpan {
 };
 PixelSpan pixelsIn(Floats from, Floats to, int pixels) {
   const Floats slack = 0.05f + 1e-5f * (to - from);  // for rounding
-  const Floats most = all(float(pixels));            // clamped as floats: integers end sooner
-  // Ceil and floor of what is not negative, by way of half a pixel.
+  const Floats most = all(float(pixels));  // clamps before the conversion, lest that overflow
+  // ceil(from - 0.5) and floor(to - 0.5) + 1, by truncation of numbers that aren't negative.
   const Ints first = toInts(clamp(from + 0.5f - slack, all(0.0f), most));
   const Ints last = toInts(clamp(to + 0.5f + slack, all(0.0f), most));
   return {first, last};
 }
 
-// The tiles of some pixels.
+// The tiles that hold a span of pixels: the first, and one past the last.
 PixelSpan tilesOf(const PixelSpan& pixels) {
   const Ints none = pixels.first >= pixels.last;
   return {none ? Ints{} : pixels.first >> 4, none ? Ints{} : (pixels.last + (kTile - 1)) >> 4};
 }
 static_assert(kTile == 1 << 4);
 
-// What lies beyond the depth buffer's far plane is as far as that: nothing can stand behind it.
+// Clamped to the depth buffer's far plane: no object stands beyond that.
 Floats windowDepthOf(const ProjectView& view, Floats z) {
   const Floats w = view.orthographic ? all(1.0f) : z;
   return 0.5f * min((view.ndc_scale * z + view.ndc_offset) / w, all(1.0f)) + 0.5f;
 }
 
-// By the sorters' bound of where a splat ends, see cull().
+// Bounds a splat as cull() and the sorters do.
 std::size_t hide(const CullView& view, const ProjectView& project_view, const Pyramid& pyramid,
                  const PageSlots& page, std::uint16_t* places_of, std::uint16_t* numbers,
                  std::size_t count) {
   constexpr float kMargin =
-      2.1f;  // of the low-pass filter, as kMarginPixels, and for rounding [px]
+      2.1f;  // for the low-pass filter, as kMarginPixels, and for rounding [px]
   const GroupView group = *page.group;  // a copy that no store below can alias
   std::size_t n = 0;
   for (std::size_t first = 0; first < count; first += kLanes) {
@@ -325,7 +325,7 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
       const Floats at = focal * transform(group.to_camera[axis], mean) * over_w + centre;
       const Floats reach = slope * extent * over_w + kMargin;
       const Floats last = all(float(tiles - 1));
-      // Where they are NaN, beyond float32, the first tile and the last.
+      // If float32 can't hold the position (NaN): from the first tile to the last.
       return PixelSpan{toInts(min(max((at - reach) * (1.0f / kTile), Floats{}), last)),
                        toInts(max(min((at + reach) * (1.0f / kTile), last), Floats{}))};
     };
@@ -333,7 +333,7 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
         tilesAlong(0, project_view.fx, project_view.cx, view.slope_x, pyramid.across);
     const PixelSpan rows =
         tilesAlong(1, project_view.fy, project_view.cy, view.slope_y, pyramid.down);
-    // The level where they are 2x2 at most.
+    // The pyramid's level where columns and rows are 2x2 cells at most.
     const Ints span = max(columns.last - columns.first, rows.last - rows.first);
     const Ints level = span < 2 ? Ints{} : ((Ints)toFloats(span) >> 23) - 126;
     const Ints begin = (Ints)gather((const std::uint32_t*)pyramid.begins, level);
@@ -382,7 +382,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     Floats opacity = view.opacity_modifier * trained_opacity;
     if (view.near_fade > 0.0f) opacity *= min((p.z - view.near_clip) / view.near_fade, all(1.0f));
 
-    // Rows of the projection's Jacobian {x, -, z} and {-, y, z}; the tangent is clamped as in
+    // Rows of the projection's Jacobian: {jx, 0, jxz} and {0, jy, jyz}. Tangents are clamped as in
     // training.
     Floats jx, jxz, jy, jyz, x, y;
     if (view.orthographic) {
@@ -428,7 +428,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
 
     const Floats mid = 0.5f * (a + c), half = 0.5f * (a - c), radius = sqrt(half * half + b * b);
     const Floats major = mid + radius, minor = det / major;
-    // Eigenvector of the larger eigenvalue, from whichever row is longer.
+    // Eigenvector of the larger eigenvalue, from the longer of two equivalent formulas.
     Vec2 axis = {a > c ? radius + half : b, a > c ? b : radius - half};
     const Floats norm = sqrt(axis.x * axis.x + axis.y * axis.y);
     const Floats over_norm = 1.0f / norm;
@@ -461,7 +461,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     const Floats lean = b * over_c, rightmost = sigmas * b / sqrt(a);
     const Floats kept_peak = balls ? Floats{} : peak * (1.0f / kSquared);
 
-    // The tiles in its first rows, as in across() of splat_tiles.glsl.
+    // The tiles in the footprint's first rows, as across() in splat_tiles.glsl finds them.
     const PixelSpan box = tilesOf(columns), rows_of_tiles = tilesOf(lines);
     const Ints many = seen ? rows_of_tiles.last - rows_of_tiles.first : Ints{};
     Ints first[Footprint::kRows], last[Footprint::kRows];
@@ -523,7 +523,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
   return n;
 }
 
-// 2^v for v of -8 / kSquared to 0, to 8e-8 of it; minimax.
+// 2^v for v of -8 / kSquared to 0, with a relative error of 8e-8 (minimax polynomial).
 Floats exp2OfLittle(Floats v) {
   Floats p = all(0.00807774f);
   p = fma(p, v, all(0.05483838f));
@@ -538,7 +538,7 @@ Floats falloffOf(Floats exponent) {
   return v;
 }
 
-// Whether nothing behind can be seen in any pixel.
+// Whether nothing behind can be seen in any pixel of a tile.
 bool ended(const float* transmittance, const float* behind, float ends_at) {
   Floats largest = {};
   for (int i = 0; i < kTilePixels; i += kLanes) {
@@ -550,12 +550,12 @@ bool ended(const float* transmittance, const float* behind, float ends_at) {
   return of_all < ends_at;
 }
 
-constexpr std::size_t kAhead = 8;      // records that are fetched before they are needed
-constexpr std::size_t kPatience = 32;  // splats before a tile is asked whether it has ended
+constexpr std::size_t kAhead = 8;      // records are prefetched this many splats ahead
+constexpr std::size_t kPatience = 32;  // splats between tests whether a tile has ended
 
-// Calls blendOf(record)(pixel, exponents, where the splat is), nearest first, for the pixels of a
-// tile that each covers, a vector at a time, until nothing behind can be seen; returns whether that
-// is so.
+// Calls blendOf(record)(pixel, exponents, covered) for each splat of a tile, nearest first, and for
+// each vector of pixels in the splat's box, until nothing behind can be seen. Returns whether that
+// is so at the end.
 template <typename BlendOf>
 bool walk(const Listed* listed, std::size_t count, const Record* records, int left, int top,
           const float* transmittance, const float* behind, float ends_at, const BlendOf& blendOf) {
@@ -586,7 +586,7 @@ bool walk(const Listed* listed, std::size_t count, const Record* records, int le
   return ended(transmittance, behind, ends_at);
 }
 
-// A vector of pixels under a splat.
+// Blends a splat into a vector of pixels.
 template <PictureDepth kDepth>
 void blendInto(TilePixels& into, int pixel, Floats falloff, Ints where, const Floats (&colour)[3],
                Floats depth, float share) {
@@ -671,7 +671,7 @@ bool pick(const PickTile& tile) {
               });
 }
 
-// Of all lanes; one after the other would take longer than a splat's pixels.
+// The sum of all lanes. Adding lane after lane would take longer than blending a splat's pixels.
 float sumOf(Floats v) {
   typedef float Four __attribute__((vector_size(16)));
   Four parts[kLanes / 4];
@@ -684,7 +684,7 @@ float sumOf(Floats v) {
 bool contribute(const ContributeTile& tile) {
   TilePixels& pixels = *tile.pixels;
   Contribution* next = tile.splats;
-  Floats weights = {}, energies = {}, errors = {}, residuals = {};  // of the splat that is walked
+  Floats weights = {}, energies = {}, errors = {}, residuals = {};  // of the current splat
   const auto finish = [&] {
     if (next == tile.splats) return;
     next[-1] = {sumOf(weights), sumOf(energies), sumOf(errors), sumOf(residuals)};
@@ -708,7 +708,7 @@ bool contribute(const ContributeTile& tile) {
                if (tile.residual) {
                  residuals = fma(weight, load(tile.residual + pixel), residuals);
                }
-               // Without it, what is behind would be seen by 1 / (1 - alpha) as much.
+               // Without the splat, the colour behind would be 1 / (1 - alpha) times as strong.
                const Floats uncovers = alpha / (1.0f - alpha);
                for (int i = 0; i < 3; ++i) {
                  float* const channel = pixels.colour[i] + pixel;

@@ -1,7 +1,7 @@
 #pragma once
 
-// The loops that a picture spends its time in, compiled for several targets from one source; plain
-// types alone, see simd.hpp.
+// The inner loops of CpuRasterizer, compiled for several targets from one source. Plain types
+// alone: see simd.hpp.
 
 #include <cstddef>
 #include <cstdint>
@@ -15,13 +15,13 @@ namespace rosplat::cpu {
 constexpr int kMostLanes = 16;  // of any target
 constexpr int kTilePixels = kTile * kTile;
 
-// A Cut.
+// A Cut (levels/cut.hpp) in float32.
 struct CutView {
   float focal, from, over_span;  // over_span: 1 / (to - from)
   bool orthographic;
 };
 
-// What a slot is tested with before anything else: SortView, and a box.
+// The camera for the first test of a slot: SortView, with the clip box and the cut.
 struct CullView {
   float fx, fy, offset_x, offset_y, half_width, half_height, slope_x, slope_y;
   float near_clip, far_clip;
@@ -33,22 +33,22 @@ struct CullView {
 
 // A slot that may be seen.
 struct Candidate {
-  std::uint32_t key;    // the smaller, the nearer
-  std::uint32_t index;  // of its page in the order of pages, times slots of a page, and in that
+  std::uint32_t key;    // nearer slots have smaller keys
+  std::uint32_t index;  // index of the page in Work::pages * kPageSlots + slot in the page
 };
 
-// A page of HostSlots, or of nodes.
+// A page of slots of a map, or of nodes of its levels.
 struct PageSlots {
   const float* position[3];
   const float* extent;
   const GroupView* group;
-  const std::uint32_t* words;     // 3 to 8, all slots of each
-  const std::uint32_t* bands[4];  // by coefficient, all slots of each
-  const float* channel;           // values of the one that is drawn
-  const float* parents;           // widths of cells, or null where all is drawn in full [m]
-  float own_cell;                 // of nodes: how wide their cells are [m], else 0
-  float opacity_unit;
-  std::uint32_t first_index;  // Candidate::index of its first slot
+  const std::uint32_t* words;     // words 3 to 8 of packed slots, all slots of each word
+  const std::uint32_t* bands[4];  // all slots of each coefficient; bands[0] is unused
+  const float* channel;           // values of the channel that is drawn
+  const float* parents;           // width of each slot's parent cell [m]; null: drawn in full
+  float own_cell;                 // of nodes: width of their cells [m], else 0
+  float opacity_unit;             // opacity of code 1
+  std::uint32_t first_index;      // Candidate::index of the first slot
 };
 
 // The uniforms of splat_project.comp.
@@ -67,33 +67,33 @@ struct ProjectView {
   CutView cut;
 };
 
-// Up to which window depth something may still be seen, tile by tile, and the most of that in 2x2,
+// The largest window depth where something may still be seen, by tile, and the maxima over 2x2,
 // 4x4, ... tiles.
 struct Pyramid {
   static constexpr int kMostLevels = 16;
 
   const float* open;
-  std::int32_t begins[kMostLevels], widths[kMostLevels];  // of the levels in `open`
+  std::int32_t begins[kMostLevels], widths[kMostLevels];  // of each level in `open`
   std::int32_t across, down;                              // tiles
 };
 
 // A splat in the picture, ready to be blended.
 struct alignas(64) Record {
   float x, y;            // centre [px]
-  float ux, uy, vx, vy;  // axes over kExponent of them [1/px]
-  float peak;            // log2 of the opacity, over kSquared
+  float ux, uy, vx, vy;  // axes, scaled for the formula at kSquarings [1/px]
+  float peak;            // log2(opacity) / kSquared
   float colour[3];
   float depth, window_depth;
-  std::int16_t left, top, right, bottom;  // pixels around it, the last two beyond it
+  std::int16_t left, top, right, bottom;  // bounding box: [left, right) x [top, bottom) [px]
   std::uint32_t index;                    // as Candidate::index
-  float share;  // of it that is drawn: 1 - (1 - alpha)^share; or below 0, a solid ball
+  float share;  // share in a Cut, drawn with opacity 1 - (1 - alpha)^share; or a ball's, below 0
 };
 static_assert(sizeof(Record) == 64);
 
-// Shares of solid balls, which differ from splats pixel by pixel.
+// Values of Record::share for solid balls, which are blended differently.
 constexpr float kFlatBallShare = -1, kGaussianBallShare = -2;
 
-// alpha = (2^(peak - u^2 - v^2))^kSquared
+// alpha = (2^(peak - u^2 - v^2))^kSquared, with u, v: a pixel's offset from the centre along axes.
 constexpr int kSquarings = 4;
 constexpr float kSquared = 1 << kSquarings;
 
@@ -101,13 +101,14 @@ constexpr float kSquared = 1 << kSquarings;
 struct Footprint {
   static constexpr int kRows = 4;
 
-  std::int16_t top, bottom;                          // rows, the last one beyond it
-  std::int16_t first[kRows], last[kRows];            // columns in the first of these rows, or...
-  std::int16_t left, right;                          // ...in all, and where...
-  float x, y, reach_y, half_width, lean, rightmost;  // ...as in Outline of splat_tiles.glsl
+  std::int16_t top, bottom;                // rows of tiles: [top, bottom)
+  std::int16_t first[kRows], last[kRows];  // columns [first, last) in each of the first rows
+  std::int16_t left, right;                // columns of all rows: [left, right)
+  // Set only if there are more than kRows rows; as Outline in splat_tiles.glsl.
+  float x, y, reach_y, half_width, lean, rightmost;
 };
 
-// A splat of a tile.
+// A splat in the list of a tile.
 struct Listed {
   std::uint32_t key;
   std::uint32_t record;
@@ -117,65 +118,65 @@ struct Listed {
 struct alignas(64) TilePixels {
   float transmittance[kTilePixels];
   float colour[3][kTilePixels];
-  float depth[kTilePixels];  // weighted sum; of a median the depth, 0 where there is none so far
+  float depth[kTilePixels];  // kMean: weighted sum; kMedian: the depth, 0 if there is none yet
 };
 
-// A tile, and what is listed with it.
+// A tile, and the splats in its list.
 struct ListedTile {
   const Listed* listed;  // nearest first
   std::size_t count;
   const Record* records;
   int left, top;        // [px]
-  const float* opaque;  // window depth that hides what is farther; or null
+  const float* opaque;  // window depths of opaque objects, which hide splats behind; or null
 };
 
 struct BlendTile : ListedTile {
-  float ends_at;         // transmittance that counts as none
-  TilePixels* pixels;    // of what is nearer than `divided`, if that is given
-  TilePixels* behind;    // of the others; its depth is 1 - window depth
-  const float* divided;  // of translucent objects; or null
+  float ends_at;         // a pixel ends at this transmittance
+  TilePixels* pixels;    // splats before `divided`, or all splats if that is null
+  TilePixels* behind;    // splats behind `divided`; the depth is of 1 - window depth
+  const float* divided;  // window depths of translucent objects; or null
 };
 
 struct PickTile : ListedTile {
   float* transmittance;
-  float* most;           // contribution so far
-  std::uint32_t* index;  // that it is from
+  float* most;           // largest contribution so far
+  std::uint32_t* index;  // Record::index of the splat that made it
 };
 
-// What a splat is to a picture: sums over its pixels.
+// What a splat contributes to a picture: sums over its pixels, as in Contributions.
 struct Contribution {
-  float weight;    // of alpha x transmittance: of how many pixels it is the colour
-  float energy;    // of the squares of these
-  float error;     // of the squares by which red, green and blue change without it
-  float residual;  // of weights times ContributeTile::residual
+  float weight;    // of alpha x transmittance
+  float energy;    // of (alpha x transmittance)^2
+  float error;     // of squared changes of red, green and blue without the splat
+  float residual;  // of alpha x transmittance x ContributeTile::residual
 };
 
 struct ContributeTile : ListedTile {
-  float ends_at;          // as BlendTile
-  const float* residual;  // or null
-  TilePixels* pixels;     // their colour: what is still to come of the picture's
-  Contribution* splats;   // of the listed, one for each
+  float ends_at;          // as in BlendTile
+  const float* residual;  // by pixel; or null
+  TilePixels* pixels;     // colour: the part of the picture's that is still to come from behind
+  Contribution* splats;   // output, one for each in the list
 };
 
 struct Kernels {
   const char* name;
-  // Writes the slots of a page that may be seen; returns how many.
+  // Writes the slots of a page that may be seen; returns how many. candidates: room for all slots.
   std::size_t (*cull)(const CullView& view, const PageSlots& page, Candidate* candidates);
-  // Leaves those slots of a page that tiles may still show, and their numbers so far; returns how
-  // many.
+  // Removes from places the slots that no tile may show any more; returns the number left. numbers:
+  // output, the former index in places of each slot left.
   std::size_t (*hide)(const CullView& view, const ProjectView& project_view, const Pyramid& pyramid,
                       const PageSlots& page, std::uint16_t* places, std::uint16_t* numbers,
                       std::size_t count);
-  // Projects slots of a page, by their places in it (beyond them kMostLanes may be read); returns
-  // how many are in the picture. kept: the number of each that is.
+  // Projects the slots at some places of a page; returns how many are in the picture. kept: output,
+  // the index in places of each of these. places must have room to read kMostLanes more.
   std::size_t (*project)(const ProjectView& view, const PageSlots& page,
                          const std::uint16_t* places, std::size_t count, Record* records,
                          Footprint* footprints, std::uint16_t* kept);
-  // Blends until nothing behind can be seen; returns whether that is so.
+  // Blends the list until nothing behind can be seen; returns whether that is so at the end.
   bool (*blend)(const BlendTile& tile, PictureDepth depth);
   bool (*pick)(const PickTile& tile);
   bool (*contribute)(const ContributeTile& tile);
-  // Of 0 to 1, rounded; what is beyond is clamped.
+  // Converts values of 0 to 1, rounded; clamps values beyond.
   void (*toBytes)(const float* from, std::size_t count, std::uint8_t* bytes);
 };
 

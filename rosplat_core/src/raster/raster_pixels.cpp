@@ -1,4 +1,4 @@
-// What a tile shows: blended, picked, or found to contribute.
+// Stages that work tile by tile: blending, picking, finding contributions.
 
 #include <algorithm>
 #include <cstring>
@@ -10,7 +10,7 @@ namespace rosplat {
 
 namespace {
 
-// Copies a tile of some depths, far where there is no pixel; null where nothing is.
+// Copies a tile's depths, 1 beyond the picture. Returns null if nothing is nearer than 1.
 const float* depthsOf(const ArrayView<float>& depths, const TileRect& rect, float* copy) {
   if (depths.empty()) return nullptr;
   std::fill_n(copy, kTilePixels, 1.0f);
@@ -50,7 +50,7 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
       });
     }
   }
-  // What was blended so far is in the picture.
+  // Former slices are blended into the picture already.
   const auto read = [&](TilePixels& pixels, const std::vector<float>& colour) {
     std::memset(&pixels, 0, sizeof(pixels));
     rect.forEach([&](std::size_t i, std::size_t pixel) {
@@ -142,7 +142,7 @@ void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatP
   });
 }
 
-// Tile by tile, so that sums are the same for any number of threads.
+// Adds in the order of tiles, so that sums are the same for any number of threads.
 void CpuRasterizer::Work::addUp(Contributions& contributions) {
   of_records.assign(parts.back().end, {});
   for (std::size_t i = 0; i < total_pairs; ++i) {

@@ -1,4 +1,4 @@
-// Which slots may be seen, in slices of depth, and what the slices before leave to be seen.
+// Stages that cull slots, deal them out to slices of depth, and find what nearer slices hide.
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +10,7 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kSliceSize = std::size_t{1} << 18;  // splats that are worth a slice
+constexpr std::size_t kSliceSize = std::size_t{1} << 18;  // splats worth a slice
 constexpr std::size_t kMostSlices = 32;
 
 }  // namespace
@@ -44,11 +44,11 @@ void CpuRasterizer::Work::cull() {
   for (const StepShare& part : parts) candidates += part.end - part.begin;
 }
 
-// Deals what was found out to slices of depth, nearest first, in each in the order of slots.
+// Deals the candidates out to slices of depth, nearest first; within a slice in the order of slots.
 void CpuRasterizer::Work::deal() {
   const std::size_t slices = std::clamp<std::size_t>(candidates / kSliceSize, 1, kMostSlices);
 
-  // So that about as many are in each, by samples.
+  // Samples choose the bounds, so that slices have about as many candidates each.
   std::vector<std::uint32_t> samples, bounds_of_slices;
   const std::size_t stride = std::max<std::size_t>(candidates / (256 * slices), 1);
   std::size_t skip = 0;
@@ -95,7 +95,7 @@ void CpuRasterizer::Work::deal() {
   });
 }
 
-// Makes two of a slice, each in the order of slots.
+// Splits a slice by depth into two, each in the order of slots.
 void CpuRasterizer::Work::halve(const DepthSlice& slice) {
   Candidate* const begin = dealt.get() + slice.begin;
   Candidate* const end = begin + (slice.end - slice.begin);
@@ -111,7 +111,7 @@ void CpuRasterizer::Work::halve(const DepthSlice& slice) {
   waiting.push_back({slice.begin, half});
 }
 
-// Up to which depth each tile may show something, before the first splat is blended.
+// Sets up the pyramid: before the first splat is blended, only opaque objects hide anything.
 void CpuRasterizer::Work::openTiles(const PictureRequest& request) {
   pyramid.across = across;
   pyramid.down = down;
@@ -160,13 +160,13 @@ void CpuRasterizer::Work::raisePyramid() {
   }
 }
 
-// Whether all that a page may hold lies behind what tiles may still show. Bounds beyond float32
-// hide nothing: see isBeyond().
+// Whether all splats that a page may hold are hidden in all tiles. Pages with bounds beyond float32
+// are never hidden: see isBeyond().
 bool CpuRasterizer::Work::hidden(const SeenPage& seen) const {
   const SeenLayer& layer = layers[seen.layer];
   const SlotPage& page = *seen.page;
   const ProjectView& v = layer.project;
-  float centre[3], half[3];  // of a box around it, as the camera sees it [m]
+  float centre[3], half[3];  // of a box around the page, in the camera's frame [m]
   for (int axis = 0; axis < 3; ++axis) {
     const float* const row = layer.groups[page.group].floats.to_camera[axis];
     centre[axis] = row[3];
@@ -182,7 +182,7 @@ bool CpuRasterizer::Work::hidden(const SeenPage& seen) const {
   const float ndc = (v.ndc_scale * nearest + v.ndc_offset) / (v.orthographic ? 1 : nearest);
   const float window_depth = 0.5f * std::min(ndc, 1.0f) + 0.5f;
   const auto tilesAlong = [&](int axis, float focal, float middle, float slope, int count) {
-    constexpr float kMargin = 3;  // of the low-pass filter, and for rounding [px]
+    constexpr float kMargin = 3;  // for the low-pass filter, and for rounding [px]
     const float least = centre[axis] - half[axis], most = centre[axis] + half[axis];
     const float over_near = v.orthographic ? 1 : 1 / nearest;
     const float over_far = v.orthographic ? 1 : 1 / farthest;

@@ -1,4 +1,4 @@
-// A slice projected, and listed by the tiles that it touches.
+// Stages that project a slice, and list its splats by the tiles that they touch.
 
 #include <algorithm>
 #include <array>
@@ -13,9 +13,9 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kMostPairs = std::size_t{1} << 24;  // of splat and tile, at a time: 256 MiB
+constexpr std::size_t kMostPairs = std::size_t{1} << 24;  // in a slice: 256 MiB with their lists
 
-// From where to where tiles are covered in a row of them; see across() in splat_tiles.glsl.
+// Finds the tiles [first, last) that a splat may cover in a row; see across() in splat_tiles.glsl.
 void columnsOf(const Footprint& f, int row, int& first, int& last) {
   const float top = float(kTile * row) + 0.5f - f.y, bottom = top + float(kTile - 1);
   const auto inside = [](float v, float limit) { return std::clamp(v, -limit, limit); };
@@ -35,7 +35,7 @@ void columnsOf(const Footprint& f, int row, int& first, int& last) {
   last = int(std::clamp(std::floor(most / kTile) + 1, float(f.left), float(f.right)));
 }
 
-// By key, and those of equal keys as they come.
+// Sorts by key; stable.
 void sortByKey(Listed* listed, std::size_t count, Listed* spare) {
   if (count < 48) {
     for (std::size_t i = 1; i < count; ++i) {
@@ -79,7 +79,7 @@ void sortByKey(Listed* listed, std::size_t count, Listed* spare) {
 
 }  // namespace
 
-// Pairs a record with its tiles.
+// Pairs a record with the tiles that it touches and that may still show it.
 void CpuRasterizer::Work::findTiles(const Footprint& f, std::uint32_t record,
                                     StepShare& part) const {
   Pair* out = part.pairs.makeRoom(std::size_t(f.bottom - f.top) * std::size_t(f.right - f.left));
@@ -105,7 +105,7 @@ void CpuRasterizer::Work::findTiles(const Footprint& f, std::uint32_t record,
   part.pairs.size = std::size_t(out - part.pairs.pairs.get());
 }
 
-// Projects a slice and finds its splats' tiles; false where there are too many pairs.
+// Projects a slice, and finds its splats' tiles. Returns false if there are more than kMostPairs.
 bool CpuRasterizer::Work::project(const DepthSlice& slice) {
   const std::size_t begin = slice.begin, end = slice.end;
   records.reserve(end - begin + kSlots);
@@ -153,7 +153,7 @@ bool CpuRasterizer::Work::project(const DepthSlice& slice) {
   return pairs <= kMostPairs;
 }
 
-// Of layers of mode kDepth without a range: that of all that is in the picture of them.
+// Sets the range of layers of mode kDepth without one: that of all these layers' splats in view.
 void CpuRasterizer::Work::findDepthRanges() {
   const auto wants = [](const SeenLayer& layer) {
     const ProjectView& view = layer.project;
@@ -197,7 +197,7 @@ void CpuRasterizer::Work::list() {
   });
 }
 
-// Nearest first.
+// Sorts a tile's list, nearest first.
 void CpuRasterizer::Work::sortTile(std::size_t tile, Member& member) {
   const std::size_t count = inTile(tile);
   sortByKey(listed.get() + begins[tile], count, member.spare.reserve(count));

@@ -1,5 +1,4 @@
-// What a picture looks at: its camera and settings as the kernels take them, and the pages that it
-// may show.
+// Stages that prepare a picture: the kernels' camera and settings, and the pages that may be seen.
 
 #include <algorithm>
 
@@ -17,7 +16,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLay
   const ClipBox& box = settings.clip_box;
   seen.groups = seenGroups(camera, layer.slots->index().groups(), box);
   seen.error = layer.levels ? layer.error : 0;
-  // But for where groups are, they all are seen alike.
+  // All groups share this; SeenGroup has each group's pose.
   const SortView view = sortView(camera, {}, 1.0);
   CullView& c = seen.cull;
   c.fx = view.fx;
@@ -87,7 +86,7 @@ void CpuRasterizer::Work::setOrder(const HostSlots& slots, const ArrayView<std::
   }
 }
 
-// Those of a layer that may have something in the picture.
+// Chooses the pages and nodes of a layer that the picture may show.
 void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t number) {
   const HostSlots& slots = *layer.slots;
   SeenLayer& seen = layers[number];

@@ -1,6 +1,6 @@
 #pragma once
 
-// What the stages of CpuRasterizer share, for their sources alone.
+// The data that the stages of CpuRasterizer share. Only their sources include this.
 
 #include <algorithm>
 #include <array>
@@ -26,9 +26,9 @@ namespace cpu {
 
 constexpr std::uint32_t kSlots = HostSlots::kSlots;
 constexpr std::uint32_t kNotOrdered = 0xffffffffu;
-constexpr float kOpen = 2, kEnded = -1;  // window depths up to which tiles may show something
+constexpr float kOpen = 2, kEnded = -1;  // as Pyramid::open: all may be seen, none may
 
-// Dealt candidates that are nearer than those of the next slice.
+// A range of the dealt candidates, all nearer than those of the next slice.
 struct DepthSlice {
   std::size_t begin, end;
 };
@@ -38,9 +38,9 @@ struct Pair {
   std::uint32_t tile, record;
 };
 
-// Pairs one after the other, in memory that is made before they are written.
+// A growing array of pairs. Pairs are written first and counted in `size` afterwards.
 struct PairList {
-  // Where so many more may be written.
+  // Makes room for `more` pairs; returns where to write them.
   Pair* makeRoom(std::size_t more) {
     if (size + more > room) {
       const std::size_t larger = size + more + room / 2;
@@ -56,12 +56,12 @@ struct PairList {
   std::size_t size = 0, room = 0;
 };
 
-// A map of the picture as it is looked at.
+// A layer of the picture, as the kernels need it.
 struct SeenLayer {
   std::vector<SeenGroup> groups;
   CullView cull;
   ProjectView project;
-  std::size_t channel = 0;  // of HostSlots::Page::channels
+  std::size_t channel = 0;  // index in HostSlots::Page::channels
   double error = 0;         // [px]
 };
 
@@ -72,17 +72,17 @@ struct SeenPage {
   std::uint32_t layer;
 };
 
-// A share of a step, and what was found in it.
+// A share of a step, and the step's results for it.
 struct StepShare {
   std::size_t begin = 0, end = 0;
-  std::vector<std::size_t> slices;    // candidates of each, then where the next one goes
-  std::vector<std::uint32_t> counts;  // pairs of each tile, then where the next one goes
+  std::vector<std::size_t> slices;    // candidates by slice, then where the next one goes
+  std::vector<std::uint32_t> counts;  // pairs by tile, then where the next one goes
   PairList pairs;
-  std::size_t drawn = 0;
-  std::vector<std::size_t> of_layers;  // what was found or drawn of each
+  std::size_t drawn = 0;               // records
+  std::vector<std::size_t> of_layers;  // records by layer
 };
 
-// The part of a picture that a tile is.
+// The rectangle of a picture that a tile covers.
 struct TileRect {
   TileRect(std::size_t tile, int across, int width_of_all, int height_of_all)
       : left(int(tile) % across * kTile),
@@ -115,7 +115,7 @@ struct CpuRasterizer::Work {
   Work(std::shared_ptr<ThreadTeam> with, const Kernels& fastest)
       : team(std::move(with)), kernels(fastest), members(team->size()) {}
 
-  // A member's own.
+  // The workspace of one member of the team.
   struct Member {
     TilePixels pixels, behind;
     alignas(64) float opaque[kTilePixels], divided[kTilePixels], most[kTilePixels];
@@ -125,12 +125,12 @@ struct CpuRasterizer::Work {
     std::vector<Footprint> footprints;
   };
 
-  // Draws, or picks, or draws and finds what contributes.
+  // The outputs of run(): a picture, or picks, or contributions with the picture for them.
   struct Wanted {
     SplatPicture* picture = nullptr;
     std::vector<std::uint32_t>* picked = nullptr;  // Record::index, kNoSlot where there is none
     Contributions* contributions = nullptr;
-    bool drawn = false;  // the picture is
+    bool drawn = false;  // `picture` is drawn already; only contributions are to be found
   };
 
   bool run(const PictureRequest& request, const Wanted& wanted);
@@ -155,14 +155,14 @@ struct CpuRasterizer::Work {
   void contribute(const PictureRequest& request, const SplatPicture& picture, bool first,
                   std::size_t tile, Member& member);
   void addUp(Contributions& contributions);
-  // Of all but what is particular to blending, picking or contributing.
+  // Returns what blending, picking and contributing have in common.
   ListedTile listedTile(const PictureRequest& request, const TileRect& rect, std::size_t tile,
                         Member& member) const;
   void sortTile(std::size_t tile, Member& member);
   std::size_t inTile(std::size_t tile) const { return begins[tile + 1] - begins[tile]; }
   void findDepthRanges();
 
-  // Does step(part, member) for parts of [0, count), side by side.
+  // Calls step(part, member) for parts of [0, count), in parallel. Throws std::bad_alloc.
   template <typename Step>
   void inParts(std::size_t count, std::size_t least_share, const Step& step);
   bool cancelled() const { return cancel && cancel->load(std::memory_order_relaxed); }
@@ -180,26 +180,26 @@ struct CpuRasterizer::Work {
   std::vector<SeenLayer> layers;
   std::vector<SeenPage> pages;  // layer by layer, in the order of slots, nodes last
   std::array<HostSlots::PerSlot<float>, kLevels> node_parents;  // PageSlots::parents, by level
-  ScratchBuffer<std::uint32_t> ranks;  // in a given order, by place of a page and in that
-  bool ordered = false;
-  Candidate* found = nullptr;  // in the memory of records, which come once it is dealt
+  ScratchBuffer<std::uint32_t> ranks;  // PictureRequest::order's, by place * kSlots + slot in page
+  bool ordered = false;                // the request has an order
+  Candidate* found = nullptr;  // in the memory of `records`, which are written after dealing
   ScratchBuffer<Candidate> dealt;
   std::size_t candidates = 0;
-  std::vector<DepthSlice> waiting;  // the nearest one last
-  std::vector<float> open;          // the pyramid's
-  std::vector<float> picking;       // transmittance and the most contributed so far, by pixel
-  float ends_at = 0;                // transmittance that counts as none
-  SplatPicture seen;                // that contributions were found in
-  std::vector<float> remaining;  // transmittance and what is still to come of the colour, by pixel
+  std::vector<DepthSlice> waiting;  // slices still to draw, the nearest one last
+  std::vector<float> open;          // Pyramid::open
+  std::vector<float> picking;       // by pixel: transmittance, largest contribution so far
+  float ends_at = 0;                // a pixel ends at this transmittance
+  SplatPicture seen;                // the picture that contribute() draws
+  std::vector<float> remaining;     // by pixel: colour still to come from behind, transmittance
   ScratchBuffer<Contribution> of_listed;
   std::vector<Contribution> of_records;
   Pyramid pyramid;
   int levels = 0;
-  bool hides = false;  // some tile isn't open
+  bool hides = false;  // some tile isn't kOpen
   ScratchBuffer<Record> records;
-  ScratchBuffer<std::uint32_t> keys;  // of the records
+  ScratchBuffer<std::uint32_t> keys;  // by record
   ScratchBuffer<Listed> listed;
-  std::vector<std::size_t> begins;  // of each tile's
+  std::vector<std::size_t> begins;  // where each tile's part of `listed` begins, and the end
   int across = 0, down = 0;         // tiles
   std::size_t tiles = 0, total_pairs = 0;
 

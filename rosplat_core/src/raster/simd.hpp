@@ -1,8 +1,8 @@
 #pragma once
 
-// Vectors of floats, as wide as the target has them that this is compiled for: GCC's and Clang's
-// own arithmetic, and what it lacks. Of the standard library nothing but types may be included
-// here, nor by what includes this: the linker might keep a target's copy of a function for all.
+// Vectors of floats, as wide as the compiler's target has them: GCC's and Clang's own arithmetic,
+// and the functions that it lacks. This file and those that include it may include nothing of the
+// standard library but types: the linker might keep one target's copy of a function for all.
 
 #include <cstddef>
 #include <cstdint>
@@ -77,7 +77,7 @@ inline Floats sqrt(Floats v) {
 #endif
 }
 
-// The second where one is no number.
+// min() and max() return b if either is NaN.
 inline Floats min(Floats a, Floats b) {
 #if defined(__AVX512F__)
   return _mm512_min_ps(a, b);
@@ -105,7 +105,7 @@ inline Floats abs(Floats v) { return (Floats)((Ints)v & 0x7fffffff); }
 inline Ints min(Ints a, Ints b) { return a < b ? a : b; }
 inline Ints max(Ints a, Ints b) { return a > b ? a : b; }
 
-// Whether any is true.
+// Whether any lane is true (-1).
 inline bool any(Ints where) {
 #if defined(__AVX512F__)
   return _mm512_test_epi32_mask((__m512i)where, (__m512i)where);
@@ -119,10 +119,10 @@ inline bool any(Ints where) {
 }
 
 inline Floats toFloats(Ints v) { return __builtin_convertvector(v, Floats); }
-// Towards zero; only for what fits.
+// Rounds towards zero. Values must fit an int32.
 inline Ints toInts(Floats v) { return __builtin_convertvector(v, Ints); }
 inline Floats floor(Floats v) {
-  const Ints fits = abs(v) < 8388608.0f;  // from 2^23 on, all are whole
+  const Ints fits = abs(v) < 8388608.0f;  // from 2^23 on, all floats are integers
   const Floats whole = toFloats(toInts(fits ? v : Floats{}));
   return fits ? whole + toFloats(whole > v) : v;  // true is -1
 }
@@ -150,9 +150,9 @@ inline Words gather(const std::uint32_t* from, Ints index) {
 #endif
 }
 
-// 2^v, to 2e-7 of it, for v of -126 to 127.
+// 2^v for v of -126 to 127, with a relative error of 2e-7.
 inline Floats exp2(Floats v) {
-  const Floats rounder = all(12582912.0f);  // 1.5 * 2^23: sums end in the integer next to v
+  const Floats rounder = all(12582912.0f);  // 1.5 * 2^23: a sum's low bits are v, rounded
   const Floats sum = v + rounder;
   const Floats f = v - (sum - rounder);
   Floats p = all(1.5403530e-4f);  // Taylor's, of e^(f ln 2)
@@ -165,7 +165,7 @@ inline Floats exp2(Floats v) {
   return (Floats)((Ints)p + ((Ints)sum << 23));
 }
 
-// log2(v), to 1e-7 and 2e-7 of it, for normal v > 0.
+// log2(v) for normal v > 0, with an error of 1e-7 plus 2e-7 of the result.
 inline Floats log2(Floats v) {
   // v = m 2^e, m from sqrt(1/2) on; log2(m) = 2 atanh((m - 1) / (m + 1)) / ln 2.
   const Ints e = ((Ints)v - 0x3f3504f3) >> 23;
@@ -179,7 +179,7 @@ inline Floats log2(Floats v) {
   return fma(s, p, toFloats(e));
 }
 
-// A half float in the lower 16 bits; none is infinite.
+// Converts half floats, in the lower 16 bits. Infinity and NaN are not supported.
 inline Floats halfToFloats(Words half) {
   const Floats magnitude = (Floats)((half & 0x7fffu) << 13) * 0x1p112f;
   return (Floats)((Words)magnitude | (half & 0x8000u) << 16);

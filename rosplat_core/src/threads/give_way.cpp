@@ -10,7 +10,7 @@ namespace rosplat {
 
 void giveWay() {
 #ifdef __linux__
-  // Twice that and pictures are twice as old on a busy machine, frames no shorter.
+  // Measured on a busy machine: with twice this, pictures are twice as old, and frames no shorter.
   constexpr int kNicer = 5;
   const auto self = static_cast<id_t>(syscall(SYS_gettid));
   setpriority(PRIO_PROCESS, self, getpriority(PRIO_PROCESS, self) + kNicer);

@@ -10,10 +10,10 @@ namespace {
 
 using Vector = std::array<double, 3>;
 
-// So far back motion is measured: moves of a mouse don't come in step with frames. [s]
+// Motion is measured over this time [s], as a mouse's moves don't come in step with frames.
 constexpr double kOfLate = 0.1;
-// Who turns a mouse's motion round has it stand for a frame.
-constexpr std::size_t kResting = 3;  // frames with the same camera
+// A camera rests after so many equal frames: a mouse that turns round stands still for one frame.
+constexpr std::size_t kResting = 3;
 
 Vector cross(const Vector& a, const Vector& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
@@ -52,7 +52,8 @@ SplatCamera moved(const SplatCamera& camera, const CameraMotion& motion, double 
   for (double& part : w) part *= seconds;
   for (double& part : v) part *= seconds;
   const double angle = std::hypot(w[0], w[1], w[2]);
-  double sine = 1, cosine = 0.5, rest = 1.0 / 6;  // over the angle, its square and its cube
+  // sin(a) / a, (1 - cos(a)) / a^2 and (a - sin(a)) / a^3, for a small angle at first.
+  double sine = 1, cosine = 0.5, rest = 1.0 / 6;
   if (constexpr double kSmall = 1e-4; angle > kSmall) {
     sine = std::sin(angle) / angle;
     cosine = (1 - std::cos(angle)) / (angle * angle);

@@ -6,7 +6,7 @@ namespace rosplat {
 
 namespace {
 
-constexpr float kFarthest = 1e38f;  // ends of a gradient, so that its range is finite
+constexpr float kFarthest = 1e38f;  // limit of a gradient's ends, so that its range is finite
 
 }  // namespace
 

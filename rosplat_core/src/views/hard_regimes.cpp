@@ -9,15 +9,16 @@ namespace rosplat {
 
 namespace {
 
-// Positions are rounded by a sixteenth of a splat: 25 to 48 dB ("Far from the origin").
-constexpr double kCoarseStep = 1.0 / 8;  // between two floats, in standard deviations
-// 100 degrees: EWA is 27 dB from exact rays ("Wide fields of view").
+// Rounding moves positions by up to 1/16 standard deviation: 25 to 48 dB ("Far from the origin" in
+// docs/stability.md, as the sections quoted below).
+constexpr double kCoarseStep = 1.0 / 8;  // between two floats [standard deviations]
+// Half of 100 degrees: EWA is 27 dB from exact rays ("Wide fields of view").
 constexpr double kWideTangent = 1.1918;
-// 15 to 21 dB, where Antialiasing has 33 ("Zoomed out").
-constexpr double kSmall = 0.5;   // standard deviation [px]
-constexpr double kShaken = 0.5;  // by rounded coordinates of the viewer [px]
+// 15 to 21 dB, but 33 dB with Antialiasing ("Zoomed out").
+constexpr double kSmall = 0.5;   // standard deviation of a splat [px]
+constexpr double kShaken = 0.5;  // rounding error of the viewer's own coordinates [px]
 
-// Distance from a float to the next.
+// The distance from a float to the next.
 double stepAt(double value) {
   return value == 0 ? 0 : std::ldexp(1.0, std::ilogb(static_cast<float>(value)) - 23);
 }
@@ -41,10 +42,10 @@ bool isWide(const SplatCamera& camera) {
   return std::max(across, down) > kWideTangent;
 }
 
-// What stands for the splats that a camera sees.
+// A splat as a camera sees it, or the medians over all that the camera sees.
 struct Seen {
-  double pixels = 0;  // standard deviation [px], 0 where nothing is seen
-  double scale = 0;   // of the picture where they are [px/m]
+  double pixels = 0;  // standard deviation [px], 0 if nothing is seen
+  double scale = 0;   // of the picture at the splat [px/m]
 };
 
 Seen middleOf(const SplatCamera& camera, const Groups& groups,

@@ -6,7 +6,7 @@ namespace rosplat {
 
 namespace {
 
-// An extent as the graphics card unpacks it may be larger than the map's.
+// Factor on extents: those that the graphics card unpacks may be larger than the map's.
 constexpr double kPacked = 1.02;
 
 }  // namespace
@@ -15,7 +15,7 @@ PageView::PageView(const SortView& view, const GroupView& group, const ClipBox& 
     : clips_(box.enabled) {
   const float* r = view.rotation;
   const float* t = view.translation;
-  // A factor of the mean's x or y and one of w, which is z or 1: as planes in the group's frame.
+  // Adds the side factor * (x or y) + of_w * w <= slope * extent in camera axes, w = z or 1.
   const auto side = [&](int axis, double factor, double of_w, double slope) {
     std::array<double, 4> sum{}, terms{};
     for (int i = 0; i < 4; ++i) {

@@ -10,7 +10,7 @@ SortView sortView(const SplatCamera& camera, const std::array<double, 3>& origin
                         camera.extent_scale, overscan);
   };
   SortView part = view(camera.cx, camera.cy, camera.width, camera.height);
-  // Ellipses grow as in the whole picture.
+  // A part's footprints grow as in the whole picture.
   const SplatCamera::Whole whole = camera.whole();
   const SortView all = view(whole.cx, whole.cy, whole.width, whole.height);
   part.slope_x = all.slope_x;

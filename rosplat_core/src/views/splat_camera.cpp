@@ -71,10 +71,10 @@ SplatCamera makeCamera(const std::array<double, 3>& position,
                        double fy, double cx, double cy, double width, double height,
                        double near_clip, double far_clip) {
   constexpr double kLongestSide = 16384, kMostPixels = 1 << 25;  // 512 MiB of float colours
-  // Of a projection matrix's elements: products of four are 32-bit floats, and so is the inverse.
+  // Limits of a projection matrix's elements: products of four, and the inverse, fit 32-bit floats.
   constexpr double kLeast = 1e-9, kMost = 1e9;
-  constexpr double kFarthest = 1e18;  // whose square is a 32-bit float [m]
-  const auto isMost = [](double x, double most) { return std::fabs(x) <= most; };  // not of NaN
+  constexpr double kFarthest = 1e18;  // the square fits a 32-bit float [m]
+  const auto isMost = [](double x, double most) { return std::fabs(x) <= most; };  // false for NaN
   const auto isElement = [&](double x) { return x >= kLeast && x <= kMost; };
   const auto& [x, y, z, w] = orientation;
   const double norm = x * x + y * y + z * z + w * w;

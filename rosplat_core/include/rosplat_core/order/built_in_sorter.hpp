@@ -21,44 +21,43 @@
 
 namespace rosplat {
 
-// The viewer's own sorter: a worker with the positions of the map, so that no frame waits for a
-// sort.
+// The viewer's own sorter: a worker thread with a copy of the map's positions, so that no frame
+// waits for a sort.
 class BuiltInSorter {
  public:
-  // Has apply() given the map as it is.
+  // Calls apply() with edits that build the current map.
   using Feed = std::function<void()>;
 
-  // The pool makes its orders, and must outlive it. With a feed, it holds nothing until the first
-  // order is asked for; then it is fed, and takes edits from there on.
+  // The pool makes the orders, and must outlive the sorter. With a feed, the sorter ignores edits
+  // until the first order is asked for; then it calls the feed, and takes edits from there on.
   explicit BuiltInSorter(OrderPool& pool, Feed feed = nullptr);
   ~BuiltInSorter();
 
-  // Edits reach the worker in order, before any sort asked for later.
+  // Passes an edit to the worker, which applies edits in order, before sorts asked for later.
   void apply(EditQueue::Node edit) noexcept;
-  // Lets the map go until an order is asked for again.
+  // Frees the map. With a feed, ignores edits until an order is asked for again.
   void rest();
 
-  // Sorts for a camera; a newer request for the same view replaces one that waits. With `base`, a
-  // sidecar's order of an older revision, only the slots changed since are sorted and merged into
-  // it.
+  // Asks for a sort; replaces a request of the same view that still waits. With `base`, a sidecar's
+  // order of an older revision, only the slots changed since are sorted and merged into it.
   void request(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera,
                OrderPtr base = nullptr);
 
-  // The newest finished order of a view, once.
+  // Returns the newest finished order of a view, each only once; else null.
   OrderPtr take(const std::string& view_id);
 
-  // Sorts and waits for it.
+  // Sorts for a camera, and waits for the order.
   OrderPtr sortNow(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
 
   void forget(const std::string& view_id);
-  // What it holds. Of a map that it has no memory for nothing, and its orders are empty and say so.
+  // Size of the copy of the map. 0 if that found no memory: orders are empty then, and say so.
   std::size_t bytes() const;
 
  private:
   struct Request {
     SplatCamera camera;
     OrderPtr base;
-    std::shared_ptr<Order> order;  // to be filled; until then, it says that memory is lacking
+    std::shared_ptr<Order> order;  // to be filled; `source` tells of lacking memory until then
   };
   void begin();
   std::unique_lock<std::mutex> ask(const std::string& view_id, std::uint64_t sequence,
@@ -67,7 +66,7 @@ class BuiltInSorter {
   void apply(EditQueue::Waiting item) noexcept;
   void hold(const GaussianEdit& edit);
   OrderPtr sort(const Request& request) noexcept;
-  // Of each group.
+  // Returns a view for each group.
   std::vector<SortView> viewsOf(const SplatCamera& camera) const;
   void sortAll(const Request& request, std::vector<std::uint32_t>& slots);
   void merge(const Request& request, std::vector<std::uint32_t>& merged);
@@ -80,18 +79,18 @@ class BuiltInSorter {
   bool stop_ = false;
   EditQueue edits_;
   std::map<std::string, Request> requests_;
-  std::map<std::string, OrderPtr> orders_;  // of views that asked, null before there is one
+  std::map<std::string, OrderPtr> orders_;  // finished ones, by view that asked; null if none
   std::size_t bytes_ = 0;
 
-  // The worker's own.
+  // For the worker's thread only.
   std::string map_id_;
   std::uint64_t round_ = 0, revision_ = 0;
-  std::uint64_t begun_at_ = 0;  // revision since which slots alone have changed
+  std::uint64_t begun_at_ = 0;  // revision since which only slots changed: no clear, no group moved
   bool out_of_memory_ = false;  // until the next clear
   std::uint32_t capacity_ = 0;  // as GaussianEdit::capacity
   SplatRows rows_;
-  std::vector<std::uint64_t> changed_at_;    // revision of a row's last change
-  std::vector<std::uint64_t> page_changed_;  // of a page's, by place
+  std::vector<std::uint64_t> changed_at_;    // revision of the last change, by row
+  std::vector<std::uint64_t> page_changed_;  // revision of the last change, by SlotPage::place
   DepthOrder depth_order_{ThreadTeam::ofViewers()};
   std::thread thread_;
 };

@@ -31,9 +31,9 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-// In the widest vectors that the machine has which it runs on.
+// Compiles a function twice, with AVX2 and without: a machine runs the best copy that it can.
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__) && \
-    !defined(__SANITIZE_THREAD__)  // which is not ready yet when a variant is chosen
+    !defined(__SANITIZE_THREAD__)  // ThreadSanitizer isn't ready when a copy is chosen
 #define ROSPLAT_VECTORISED __attribute__((target_clones("avx2", "default")))
 #else
 #define ROSPLAT_VECTORISED
@@ -41,15 +41,15 @@
 
 namespace rosplat {
 
-// Neighbouring slots of a map, from first_slot on, and where they are kept: in rows from
-// place * kSlots on. A map has rows for its pages alone; authors number slots as they like.
+// Neighbouring slots of a map, from first_slot on. Their rows begin at place * kSlots. A map has
+// rows for its pages alone, as authors number slots as they like.
 struct SortPage {
   static constexpr std::uint32_t kSlots = kPageSlots;
 
   std::uint32_t first_slot;
   std::uint32_t place;
-  // Which view positions here are seen by: one camera has a view for each group of a map. These
-  // differ in rotation and translation alone, so depths of all groups compare.
+  // Index of the view for positions in this page: one camera has a view for each group of a map.
+  // The views differ in rotation and translation alone, so depths compare between groups.
   std::uint32_t view = 0;
 };
 
@@ -58,14 +58,14 @@ class DepthOrder {
  public:
   // Threads to sort with, the caller's included; 0 takes as many as the machine runs at once.
   explicit DepthOrder(unsigned threads = 0) : DepthOrder(std::make_shared<ThreadTeam>(threads)) {}
-  // With a team that others sort with, too.
+  // Sorts with a team that others may share.
   explicit DepthOrder(std::shared_ptr<ThreadTeam> team)
       : team_(std::move(team)), scratch_(team_->size()) {}
 
   unsigned threads() const { return team_->size(); }
 
-  // The visible slots of [0, count), back to front; of equal depths the higher slot first.
-  // positions: 3 * count [m]; extents: count [m], negative for what is never visible.
+  // Returns the visible slots of [0, count), back to front; of equal depths the higher slot first.
+  // positions: 3 * count [m]; extents: count [m], negative for slots that are never visible.
   // The result is valid until the next call.
   const std::vector<std::uint32_t>& sort(const SortView& view, const float* positions,
                                          const float* extents, std::size_t count) {
@@ -73,15 +73,15 @@ class DepthOrder {
     return order_;
   }
 
-  // The same into memory of the caller's: allocate(m) returns where the m visible slots go.
+  // The same into the caller's memory: allocate(m) returns where the m visible slots go.
   template <typename Allocate>
   void sort(const SortView& view, const float* positions, const float* extents, std::size_t count,
             const Allocate& allocate) {
     sort(Splats{&view, positions, extents, nullptr, nullptr, nullptr, count}, allocate);
   }
 
-  // The same for a map by pages, which ascend: positions and extents have a row for each of their
-  // slots, views has those that the pages name.
+  // The same for the slots of pages, which must ascend. positions and extents: by row, as in
+  // SortPage. views: by SortPage::view.
   template <typename Allocate>
   void sort(const SortView* views, const float* positions, const float* extents,
             const SortPage* pages, std::size_t page_count, const Allocate& allocate) {
@@ -89,8 +89,8 @@ class DepthOrder {
          allocate);
   }
 
-  // The same of the count given slots, which ascend: positions and extents have a row for each, and
-  // view_of which of the views it is seen by.
+  // The same for the count given slots, which must ascend. positions, extents and view_of: a row
+  // for each slot. view_of: index of the slot's view.
   const std::vector<std::uint32_t>& sort(const SortView* views, const float* positions,
                                          const float* extents, const std::uint32_t* slots,
                                          const std::uint32_t* view_of, std::size_t count) {
@@ -98,7 +98,7 @@ class DepthOrder {
     return order_;
   }
 
-  // The depth along the optical axis that sort() orders by. [m]
+  // Returns the depth along the optical axis that sort() orders by [m].
   static float depth(const SortView& view, const float* position) {
     return transform(view, 2, position);
   }
@@ -108,19 +108,19 @@ class DepthOrder {
   static_assert(SortPage::kSlots % kBlock == 0, "a block lies in one page");
   static constexpr std::size_t kLeastShare = 1u << 15;   // splats worth waking a thread for
   static constexpr std::size_t kBucketSize = 1u << 13;   // entries worth a bucket
-  static constexpr unsigned kMostBuckets = 256;          // a line of each is in L1
-  static constexpr std::size_t kSamples = 16;            // of depths, for each bucket
-  static constexpr std::size_t kCells = 1u << 14;        // of depths, that make up the buckets
+  static constexpr unsigned kMostBuckets = 256;          // a cache line of each stays in L1
+  static constexpr std::size_t kSamples = 16;            // sampled depths per bucket
+  static constexpr std::size_t kCells = 1u << 14;        // cells of depth, which make up buckets
   static constexpr std::size_t kMostScratch = 1u << 17;  // entries, in L2
   static constexpr unsigned kDigitBits = 9;              // 512 targets stay in L1 and its TLB
 
-  // What is sorted: count slots, those of a list or of pages, else from 0 on.
+  // The count slots to sort: those of a list if `slots` is set, or of `pages`, else from 0 on.
   struct Splats {
     const SortView& view(std::size_t i) const {
       if (slots) return views[view_of[i]];
       return pages ? views[pages[i / SortPage::kSlots].view] : *views;
     }
-    // How many from i on, of a most, lie side by side and are seen by the same view.
+    // How many splats from i on, at most `most`, have neighbouring rows and the same view.
     std::size_t alike(std::size_t i, std::size_t most) const {
       if (!slots) return std::min(most, kBlock);  // blocks begin at multiples of their size
       std::size_t size = 1;
@@ -153,7 +153,7 @@ class DepthOrder {
     std::uint32_t slot;
   };
 
-  // Allocates memory of the sorter's own.
+  // Allocates in the sorter's own memory.
   struct Keep {
     std::vector<std::uint32_t>& order;
     std::uint32_t* operator()(std::size_t total) const {
@@ -162,11 +162,11 @@ class DepthOrder {
     }
   };
 
-  // A share of the splats, then of the entries that were found in it.
+  // A share of the splats; after cull() the range of the entries found there.
   struct SortShare {
     std::size_t begin;
     std::size_t end;
-    std::array<std::size_t, kMostBuckets> buckets;  // how many entries, then where the next goes
+    std::array<std::size_t, kMostBuckets> buckets;  // counts; after shareOut() the next targets
   };
 
   static float transform(const SortView& view, int axis, const float* p) {
@@ -174,8 +174,8 @@ class DepthOrder {
     return ((r[0] * p[0] + r[1] * p[1]) + r[2] * p[2]) + view.translation[axis];
   }
 
-  // Whether any of a splat's footprint can touch the picture; not of one that is beyond float32,
-  // infinite or NaN. w: 1 if orthographic, else z.
+  // Whether any of a splat's footprint can touch the picture; false if float32 can't hold the
+  // position (infinite or NaN). w: 1 if orthographic, else z.
   static bool visible(const SortView& view, float x, float y, float z, float w, float extent) {
     const bool in_depth = (extent >= 0.0f) & (z > view.near_clip) & (z < view.far_clip);
     const bool in_width =
@@ -185,7 +185,7 @@ class DepthOrder {
     return in_depth & in_width & in_height;
   }
 
-  // Unsigned integers that compare as the depths do.
+  // Maps a depth to an unsigned integer. Keys compare as the depths do.
   static std::uint32_t key(float depth) {
     depth += 0.0f;  // -0 and 0 are the same depth
     std::uint32_t bits;
@@ -194,8 +194,8 @@ class DepthOrder {
     return bits ^ (negative | 0x80000000u);
   }
 
-  // Keys of the depths of so many splats, and 1 for those that are visible, else 0. Without
-  // branches, and in a loop for each projection, to vectorise.
+  // Writes the keys of the depths of count splats, and 1 for visible ones, else 0. No branches, and
+  // a loop for each projection, so that compilers vectorise.
   ROSPLAT_VECTORISED
   static void look(const SortView& camera, const float* positions, const float* extents,
                    std::size_t count, std::uint32_t* keys, std::uint32_t* seen) {
@@ -216,13 +216,13 @@ class DepthOrder {
     }
   }
 
-  // Deals what is visible out to buckets of depths, chosen by samples (Frazer and McKellar 1970,
-  // "Samplesort"), then sorts each in the cache. So it goes through memory twice, not once a digit.
+  // Deals the visible splats out to buckets of depths, chosen by samples (Frazer and McKellar 1970,
+  // "Samplesort"), then sorts each bucket in the cache: two passes through memory, not one a digit.
   template <typename Allocate>
   void sort(const Splats& splats, const Allocate& allocate) {
     chooseBuckets(splats);
     const unsigned members = team_->size();
-    // Twice as many as members, so that one who comes late leaves some to the others.
+    // Twice as many shares as members, so that a member that wakes late leaves some to the others.
     parts_.resize(
         std::min<std::size_t>(members > 1 ? 2 * members : 1, 1 + splats.count / kLeastShare));
     const auto parts = static_cast<unsigned>(parts_.size());
@@ -248,12 +248,12 @@ class DepthOrder {
       const std::size_t begin = begins_[bucket];
       const std::size_t size = begins_[bucket + 1] - begin;
       Entry* const spare = size > kMostScratch ? found + begin : scratch_[member].get();
-      // Ascending depth, read from its end, is back to front.
+      // Slots by ascending depth are written from the end on: back to front.
       sortBucket(dealt + begin, size, spare, order + total - begin);
     });
   }
 
-  // So that about as many splats are in each; equal depths are in the same.
+  // Chooses buckets with about as many splats in each. Equal depths share a bucket.
   void chooseBuckets(const Splats& splats) {
     const auto worth = [](std::size_t entries) {
       return static_cast<unsigned>(std::clamp<std::size_t>(entries / kBucketSize, 1, kMostBuckets));
@@ -275,7 +275,7 @@ class DepthOrder {
     buckets_ = worth(splats.count / tries * samples_.size());
     if (buckets_ == 1) return;
 
-    // Cells are as fine as most depths allow. What lies beyond is in the outermost ones.
+    // The cells span the bulk of the sampled depths. Depths beyond fall in the outermost cells.
     std::sort(samples_.begin(), samples_.end());
     const std::size_t beyond = samples_.size() / (2 * buckets_);
     first_cell_ = samples_[beyond];
@@ -294,7 +294,7 @@ class DepthOrder {
   }
   unsigned bucketOf(std::uint32_t key) const { return bucket_of_cell_[cellOf(key)]; }
 
-  // Finds where each part's entries go; returns how many there are.
+  // Finds where each part's entries go; returns the number of all entries.
   std::size_t shareOut() {
     std::size_t next = 0;
     std::size_t largest = 0;
@@ -309,8 +309,8 @@ class DepthOrder {
     return next;
   }
 
-  // Writes an entry for each visible splat of [part.begin, part.end), shortens the part to them,
-  // and counts them by bucket.
+  // Writes an entry for each visible splat of [part.begin, part.end), counts the entries by bucket,
+  // and shortens the part to them.
   void cull(const Splats& splats, Entry* entries, SortShare& part) const {
     std::array<std::uint32_t, kBlock> keys;
     std::array<std::uint32_t, kBlock> seen;
@@ -368,10 +368,10 @@ class DepthOrder {
   std::shared_ptr<ThreadTeam> team_;
   std::vector<std::uint32_t> samples_;  // keys
   unsigned buckets_ = 1;
-  std::uint32_t first_cell_ = 0;  // its first key
-  unsigned cell_shift_ = 0;       // from keys to cells
+  std::uint32_t first_cell_ = 0;  // the first cell's first key
+  unsigned cell_shift_ = 0;       // log2 of the number of keys in a cell
   std::array<std::uint8_t, kCells> bucket_of_cell_;
-  std::vector<std::size_t> begins_;  // where each bucket begins, and the last one ends
+  std::vector<std::size_t> begins_;  // where each bucket begins, and where the last one ends
   std::vector<SortShare> parts_;
   ScratchBuffer<Entry> found_;
   ScratchBuffer<Entry> dealt_;

@@ -11,23 +11,23 @@
 
 namespace rosplat {
 
-// The visible slots of a view, farthest first, and what they answer.
+// The visible slots of a view, farthest first, and the camera and map that they answer.
 struct Order {
   std::string view_id;
   std::uint64_t sequence = 0;  // of the view's camera
   std::string map_id;
   std::uint64_t revision = 0;  // of the map
-  std::string source;          // who sorted
+  std::string source;          // the sorter's name
   double sort_time = 0;        // [s]
   std::vector<std::uint32_t> slots;
-  std::size_t bound = 0;  // that all slots are below
+  std::size_t bound = 0;  // all slots are less
 };
 using OrderPtr = std::shared_ptr<const Order>;
 
-// Makes orders whose slots lie in the memory of former ones. Any thread may make and drop them.
+// Makes orders that reuse the memory of dropped orders. Any thread may make and drop orders.
 class OrderPool {
  public:
-  // An order that answers nothing yet; its slots are what was left there.
+  // Returns an order that answers nothing yet; its slots are those that a former order left.
   std::shared_ptr<Order> make() {
     auto order = std::make_unique<Order>();
     order->slots = spare_->take();
@@ -38,7 +38,7 @@ class OrderPool {
   }
 
  private:
-  // Lives for as long as there are orders of it.
+  // Shared with the orders, which may outlive the pool.
   std::shared_ptr<SpareSlots> spare_ = std::make_shared<SpareSlots>();
 };
 

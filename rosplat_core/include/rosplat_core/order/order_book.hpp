@@ -13,44 +13,44 @@
 
 namespace rosplat {
 
-// Decides, view by view, which order to draw: a sidecar's that answers the newest camera and map;
-// else the sidecar's last one for a moment, changed slots merged in; else the built-in sort. All
-// times are of one monotonic clock. [s]
+// Decides, view by view, which order to draw: a sidecar's order that answers the newest camera and
+// map; else, for kPatience, the sidecar's last order with changed slots merged in; else an order of
+// the built-in sorter. All times are of one monotonic clock [s].
 class OrderBook {
  public:
-  // How long a silent sidecar is waited for. Above the 82 ms that sorting 5M splats takes on one
-  // core.
+  // How long to wait for a sidecar [s]. Above the 82 ms that sorting 5M splats takes on one core.
   static constexpr double kPatience = 0.25;
 
   struct Choice {
     OrderPtr order;  // null until there is one
     bool fresh = false;
-    double age = 0;  // since the order's camera was left, 0 where fresh [s]
+    double age = 0;  // time since the view left the order's camera, 0 if fresh [s]
   };
 
   explicit OrderBook(BuiltInSorter& built_in) : built_in_(built_in) {}
 
-  // The view's camera; sequence grows by one with each.
+  // Sets the view's camera; sequence grows by one with each.
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera,
                  double now);
 
-  // The map has another revision now.
+  // Tells that the map has another revision.
   void mapChanged(const MapState& map, double now);
 
-  // A sidecar's order; false where it answers no view or map that is here.
+  // Takes a sidecar's order; one of a map or revision that isn't here yet waits for that. Returns
+  // false if the order is refused: of an unknown view or camera, worse than the last, or too large.
   bool offer(const OrderPtr& order, double now);
 
-  // A sidecar's order is there that answers the newest camera and the newest map.
+  // Whether a sidecar's order answers the newest camera and the newest map.
   bool answered(const std::string& view_id) const;
 
-  // The order to draw now; asks the built-in sorter for what is missing. A source other than kAuto
-  // rules the others out.
+  // Returns the order to draw now; asks the built-in sorter if the sidecar's isn't enough. A source
+  // other than kAuto rules the other sources out.
   Choice choose(const std::string& view_id, double now, OrderSource source = OrderSource::kAuto);
 
-  // The same, but sorted here and now, whatever the sidecar said.
+  // The same, but waits for a sort by the built-in sorter, whatever the sidecar sent.
   Choice sortNow(const std::string& view_id);
 
-  // The sidecar's newest order of the map as it is; null where it has lost patience with it.
+  // Returns the sidecar's newest order if it is of the map's revision and at most kPatience old.
   Choice received(const std::string& view_id, double now) const;
 
   void forget(const std::string& view_id);
@@ -62,12 +62,12 @@ class OrderBook {
     double time = 0;
   };
   struct ViewOrders {
-    std::deque<Camera> cameras;  // newest last; equal ones are one
+    std::deque<Camera> cameras;  // newest last; equal cameras in a row are kept once
     std::uint64_t sequence = 0;  // newest
     OrderPtr sidecar, built_in, drawn;
-    OrderPtr early;            // the sidecar's, of a revision that has not arrived here yet
-    double waiting_since = 0;  // for the sidecar
-    std::uint64_t requested_sequence = 0, requested_at = 0;
+    OrderPtr early;            // the sidecar's, of a map or revision that isn't here yet
+    double waiting_since = 0;  // for the sidecar [s]
+    std::uint64_t requested_sequence = 0, requested_at = 0;  // requested_at: by changes_
     OrderPtr requested_base;
   };
 
@@ -78,7 +78,7 @@ class OrderBook {
   BuiltInSorter& built_in_;
   std::map<std::string, ViewOrders> views_;
   MapState map_;
-  std::uint64_t changes_ = 0;  // of it
+  std::uint64_t changes_ = 0;  // of map_, so far
 };
 
 }  // namespace rosplat

@@ -1,13 +1,12 @@
 // How the slots of an order travel from the sorter to a viewer, as rosplat_msgs/SplatOrder says:
 // packed bit by bit, or through a segment of shared memory.
 //
-// A segment is a file in /dev/shm that holds one order at a time; SplatOrder.msg has the bytes. The
-// sorter writes them (rosplat_sorter/shared_orders.py). Readers use read(), not mmap(): a file that
-// somebody cuts short is then an error, not a SIGBUS.
+// A segment is a file in /dev/shm that holds one order at a time; SplatOrder.msg describes its
+// bytes. The sorter writes segments (rosplat_sorter/shared_orders.py). Readers use read(), not
+// mmap(): a file that somebody cuts short is then an error, not a SIGBUS.
 //
-// What reads slots writes them into a vector of the caller's, which may be one of SpareSlots. On
-// the way it finds the slots' bound, the least number that all of them are below, for a check
-// against the map.
+// Functions that read slots write them into the caller's vector, which may come from SpareSlots.
+// They also find the slots' bound, the least number above all slots, for a check against the map.
 
 #pragma once
 
@@ -35,17 +34,17 @@ namespace rosplat {
 // The most slots a map may have, rosplat_msgs/GaussianArray.MAX_SLOTS.
 constexpr std::size_t kMostSlots = 1u << 25;
 
-// An order whose slots can't be had; the text says why.
+// The slots of an order can't be read; the text says why.
 struct OrderError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// A segment of a sorter that is older or newer than its reader.
+// A segment is of a sorter that is older or newer than the reader.
 struct OtherVersionError : OrderError {
   using OrderError::OrderError;
 };
 
-// Refuses an order of more slots than there are to draw, before memory is taken for it.
+// Throws OrderError for an order of more than `most` slots. To be called before allocating.
 inline void checkCount(std::size_t count, std::size_t most) {
   if (count > most) {
     throw OrderError("it has " + std::to_string(count) + " slots, the map at most " +
@@ -53,7 +52,7 @@ inline void checkCount(std::size_t count, std::size_t most) {
   }
 }
 
-// Bytes that count numbers of `bits` bits each take.
+// The size of count numbers of `bits` bits each [bytes].
 constexpr std::size_t packedBytes(std::size_t count, unsigned bits) {
   return (count * bits + 7) / 8;
 }
@@ -68,7 +67,7 @@ inline void packSlots(const std::uint32_t* slots, std::size_t count, unsigned bi
   for (std::size_t i = 0; i < count; ++i) {
     pending |= (slots[i] & mask) << filled;
     filled += bits;
-    if (filled >= 32) {  // four bytes, which compilers write as one
+    if (filled >= 32) {  // compilers make one store of these four bytes
       for (unsigned byte = 0; byte < 4; ++byte) {
         *packed++ = static_cast<std::uint8_t>(pending >> 8 * byte);
       }
@@ -81,11 +80,11 @@ inline void packSlots(const std::uint32_t* slots, std::size_t count, unsigned bi
   }
 }
 
-// The memory of orders that are forgotten, for those to come: pages that are new to a process cost
-// several times what filling them does. For any thread.
+// Keeps the memory of dropped orders for new ones: memory pages that are new to a process take
+// several times as long as filling them. For any thread.
 class SpareSlots {
  public:
-  // The largest that were kept, as they were, or none.
+  // Returns the largest kept memory, with its contents; an empty vector if none is kept.
   std::vector<std::uint32_t> take() {
     const std::lock_guard<std::mutex> lock(mutex_);
     const auto largest = std::max_element(
@@ -93,7 +92,7 @@ class SpareSlots {
         [](const auto& one, const auto& other) { return one.capacity() < other.capacity(); });
     return std::exchange(*largest, {});
   }
-  // Not of an order that needed little of it: of a map that was replaced nothing stays.
+  // Drops memory of which the order used less than an eighth, lest that of a former map stays.
   void keep(std::vector<std::uint32_t>&& slots) noexcept {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (slots.size() < slots.capacity() / 8) return;
@@ -103,13 +102,13 @@ class SpareSlots {
   }
 
  private:
-  static constexpr std::size_t kMost = 3;  // an order is drawn while one waits and one is read
+  static constexpr std::size_t kMost = 3;  // one order drawn, one that waits, one being read
 
   std::mutex mutex_;
   std::array<std::vector<std::uint32_t>, kMost> kept_;
 };
 
-// The bound of slots.
+// Returns the bound of slots: the highest plus 1, or 0.
 inline std::size_t boundOf(const std::uint32_t* slots, std::size_t count) {
   if (count == 0) return 0;
   std::array<std::uint32_t, 8> highest{};  // side by side, to vectorise
@@ -141,7 +140,7 @@ inline std::size_t unpackSlots(const std::uint8_t* packed, std::size_t size, std
   unsigned filled = 0;
   std::uint32_t highest = 0;
   for (std::uint32_t& slot : slots) {
-    if (filled < bits && end - packed >= 4) {  // four bytes, which compilers read as one
+    if (filled < bits && end - packed >= 4) {  // compilers make one load of these four bytes
       const std::uint32_t next = packed[0] | std::uint32_t{packed[1]} << 8 |
                                  std::uint32_t{packed[2]} << 16 | std::uint32_t{packed[3]} << 24;
       pending |= std::uint64_t{next} << filled;
@@ -157,11 +156,11 @@ inline std::size_t unpackSlots(const std::uint8_t* packed, std::size_t size, std
   return count == 0 ? 0 : std::size_t{highest} + 1;
 }
 
-// What a segment begins with.
+// The beginning of a segment.
 struct SegmentHeader {
   static constexpr std::array<char, 8> kMagic = {'R', 'O', 'S', 'P', 'L', 'A', 'T', '\0'};
   static constexpr std::uint32_t kVersion = 1;
-  static constexpr std::size_t kBytes = 4096;  // a page, so that the slots begin with one
+  static constexpr std::size_t kBytes = 4096;  // a memory page: the slots begin at the next
   static constexpr const char* kFolder = "/dev/shm/";
   static constexpr const char* kPrefix = "rosplat_order_";
 
@@ -172,21 +171,21 @@ struct SegmentHeader {
   std::uint64_t generation = 0;
 };
 
-// Marks what a segment holds, for the one that writes it: an odd generation before it touches the
-// slots, the next even one after. header: where the segment is mapped.
+// Marks a segment's contents. The writer marks an odd generation before touching the slots, and the
+// next even one after. header: where the segment is mapped.
 inline void markSegment(void* header, std::uint64_t generation) {
   auto* mark = reinterpret_cast<std::atomic<std::uint64_t>*>(static_cast<char*>(header) +
                                                              offsetof(SegmentHeader, generation));
   static_assert(sizeof(*mark) == sizeof(generation));
-  std::atomic_thread_fence(std::memory_order_seq_cst);  // after the slots that were written before
+  std::atomic_thread_fence(std::memory_order_seq_cst);  // mark after earlier writes of slots
   mark->store(generation, std::memory_order_relaxed);
-  std::atomic_thread_fence(std::memory_order_seq_cst);  // before those that are written next
+  std::atomic_thread_fence(std::memory_order_seq_cst);  // mark before later writes of slots
 }
 
-// A segment to read from, open as long as this lives.
+// A segment to read from, open as long as the reader lives.
 class SegmentReader {
  public:
-  // Throws OrderError for a name that is none, or a segment that this process can't read.
+  // Throws OrderError if the name isn't a segment's, or this process can't read the segment.
   explicit SegmentReader(const std::string& name) : name_(name) {
     const std::size_t prefix = std::strlen(SegmentHeader::kPrefix);
     if (name.compare(0, prefix, SegmentHeader::kPrefix) != 0 || name.size() > prefix + 64 ||
@@ -195,7 +194,7 @@ class SegmentReader {
         })) {
       throw OrderError("segment is not the name of one");
     }
-    // Whatever lies there under this name, no link is followed and nobody waited for.
+    // Whatever has this name: open() follows no link, and doesn't wait (for a pipe's writer).
     file_ = ::open((SegmentHeader::kFolder + name).c_str(),
                    O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
     struct stat status;
@@ -218,8 +217,8 @@ class SegmentReader {
 
   std::uint64_t key() const { return header().key; }
 
-  // Reads the count slots that the segment holds in a generation; returns their bound. Throws
-  // OrderError where it holds others.
+  // Reads the count slots of a generation; returns their bound. Throws OrderError if the segment
+  // holds another generation.
   std::size_t read(std::size_t count, std::uint64_t generation, std::vector<std::uint32_t>& slots,
                    ThreadTeam& team) const {
     struct stat status;
@@ -241,7 +240,7 @@ class SegmentReader {
       const std::size_t end = count * (share + 1) / bounds.size();
       if (!readSlots(begin, end, slots.data(), bounds[share])) complete = false;
     });
-    std::atomic_thread_fence(std::memory_order_acquire);  // the slots first, then the mark
+    std::atomic_thread_fence(std::memory_order_acquire);  // read the mark after the slots
     if (!complete || header().generation != generation) {
       throw OrderError(complaint("was overwritten while it was read"));
     }
@@ -251,17 +250,17 @@ class SegmentReader {
  private:
   std::string complaint(const std::string& what) const { return "segment " + name_ + " " + what; }
 
-  // Of no key where it can't be read.
+  // Returns a header with key 0 if the segment's can't be read.
   SegmentHeader header() const {
     SegmentHeader header;
     const bool complete = readBytes(&header, sizeof(header), 0);
     return complete && header.magic == SegmentHeader::kMagic ? header : SegmentHeader();
   }
 
-  // Reads the slots [begin, end) to where they belong, and finds their bound.
+  // Reads the slots [begin, end) to slots + begin, and finds their bound. Returns false on failure.
   bool readSlots(std::size_t begin, std::size_t end, std::uint32_t* slots,
                  std::size_t& bound) const {
-    constexpr std::size_t kPart = 1u << 14;  // slots that stay in the cache until they are checked
+    constexpr std::size_t kPart = 1u << 14;  // slots that stay in the cache until boundOf()
     for (std::size_t first = begin; first < end; first += kPart) {
       const std::size_t size = std::min(kPart, end - first);
       if (!readBytes(slots + first, size * sizeof(std::uint32_t),
@@ -289,16 +288,16 @@ class SegmentReader {
   int file_;
 };
 
-// A viewer's side: gets the slots of its orders, and the key that proves to the sorter that it can
-// read its segments. One thread reads, any may ask for the key.
+// The viewer's side: reads the slots of its orders, and the key that proves to the sorter that the
+// viewer can read the sorter's segments. One thread reads; any thread may call key().
 class OrderReader {
  public:
   // As in SplatOrder.
   enum Encoding : std::uint8_t { kSlots, kPacked, kShared };
 
-  // Reads the slots of an order that doesn't carry them plainly, arguments as in SplatOrder, at
-  // most so many; returns their bound. Throws OrderError; what `slots` holds then is nobody's
-  // order.
+  // Reads the slots of an order in an encoding other than kSlots; arguments as in SplatOrder.
+  // Returns the slots' bound. Throws OrderError, also for more than `most` slots; the contents of
+  // `slots` are undefined then.
   std::size_t read(std::uint8_t encoding, const std::uint8_t* packed, std::size_t packed_size,
                    std::size_t count, unsigned slot_bits, const std::string& segment,
                    std::uint64_t generation, std::vector<std::uint32_t>& slots,
@@ -320,11 +319,11 @@ class OrderReader {
   // For ViewCamera.segment_key; 0 while no segment can be read.
   std::uint64_t key() const { return key_; }
 
-  // Why orders come in messages, though there are segments: once, else empty. For who reads.
+  // Returns, once, why orders come in messages despite segments; else empty. Reading thread only.
   std::string takeRemark() { return std::exchange(remark_, {}); }
 
  private:
-  // Orders of a segment that can't be read any more are asked for plainly.
+  // Opens a segment. On failure sets the key to 0, which asks for orders in messages.
   SegmentReader open(const std::string& segment) {
     try {
       return SegmentReader(segment);
@@ -339,7 +338,7 @@ class OrderReader {
       key_ = segment.empty() ? 0 : open(segment).key();
     } catch (const OtherVersionError& error) {
       if (!std::exchange(remarked_, true)) remark_ = error.what();
-    } catch (const OrderError&) {  // of another machine, container or user
+    } catch (const OrderError&) {  // the segment is of another machine, container or user
     }
   }
 

@@ -8,21 +8,21 @@
 
 namespace rosplat {
 
-// What sorting needs of a map: centres and extents, in rows. Each page of the map has a row for
-// each of its slots, by its place.
+// The part of a map that sorting needs: centres and extents, in rows. Each slot of the map's pages
+// has a row: see rowOf().
 class SplatRows {
  public:
   // Runs of rows: first, count.
   using Runs = std::vector<std::pair<std::size_t, std::size_t>>;
 
-  // Returns the rows that changed. Throws std::bad_alloc: then the rows are as they were.
+  // Applies an edit; returns the rows that changed. If it throws std::bad_alloc, nothing changed.
   Runs apply(const GaussianEdit& edit);
 
   const SlotPages& pages() const { return pages_; }
   std::size_t size() const { return extents_.size(); }
-  // 3 a row, relative to the origin of the page's group. [m]
+  // 3 numbers a row, relative to the origin of the page's group [m].
   const float* positions() const { return positions_.data(); }
-  // As GaussianEdit::extents; -1 in an empty slot. [m]
+  // As GaussianEdit::extents; -1 for an empty slot [m].
   const float* extents() const { return extents_.data(); }
   std::size_t bytes() const {
     return (positions_.capacity() + extents_.capacity()) * sizeof(float) + pages_.bytes();

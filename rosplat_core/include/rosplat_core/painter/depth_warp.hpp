@@ -6,8 +6,8 @@
 
 namespace rosplat {
 
-// Window depths of a camera's picture, 1 where nothing is, as another of the same scene, of as many
-// pixels, would see what is there: by pixel, with gaps of one closed.
+// Moves the window depths of a camera's picture (1: nothing there) to where another camera of the
+// same scene and picture size sees them: pixel by pixel, then closes gaps one pixel wide.
 std::vector<float> warpDepths(const std::vector<float>& depths, const SplatCamera& camera,
                               const SplatCamera& other);
 

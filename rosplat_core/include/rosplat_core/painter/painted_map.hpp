@@ -22,75 +22,75 @@
 
 namespace rosplat {
 
-// A map in the processor's memory, to be painted. Its painter takes its edits, and has levels of
-// detail made of it while some view wants any.
+// A map in the processor's memory, for a Painter. The painter takes the map's edits, and has levels
+// of detail made while any view wants levels.
 class PaintedMap {
  public:
-  // Has the oldest edit that waits applied; false where none is to be taken. Any thread.
+  // Applies the oldest waiting edit; returns false if there is none to take. Called by any thread.
   using TakeEdit = std::function<bool(const Arrivals::Apply&)>;
 
   explicit PaintedMap(TakeEdit take_edit);
 
-  // All of these from any thread. now: the clock of `change` in packed_slot.hpp.
+  // For any thread, down to slots(). now: the clock of `change` in packed_slot.hpp.
 
-  // Begins with a map that another has drawn so far: its pages, and its state.
+  // Takes a map over from another drawer: first page by page, then its state.
   void hold(const GaussianEdit& page, double now);
   void hold(const MapState& map);
-  // What writes the map elsewhere: where its groups are, then a page of it at a time.
+  // Calls take() with edits that rebuild the map elsewhere: the group poses, then page by page.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
   MapState state() const;
   std::size_t bytes() const;  // without levels
   std::size_t levelsBytes() const { return levels_bytes_; }
 
-  // While a picture of it is drawn.
+  // To be held while a picture of the map is drawn.
   std::shared_lock<std::shared_mutex> lock() const { return std::shared_lock(slots_mutex_); }
   const HostSlots& slots() const { return slots_; }
 
-  // The rest is the painter's thread's alone.
+  // The rest is for the painter's thread only.
 
-  // Takes edits until they make up so many bytes, or until `stop` is set; whether none is left.
+  // Takes edits until none is left or `stop` is set; returns false if most_bytes ended it before.
   bool takeEdits(std::size_t most_bytes, const std::atomic<bool>& stop, double now);
-  // What of a view's next picture is to be drawn by nodes.
   struct Chosen {
     bool settled = true;  // another picture would be in the same detail
-    std::string error;    // why it is not in the detail that was asked for
+    std::string error;    // why the picture isn't in the detail that was asked for
   };
-  // stop: levels aren't to be waited for any longer, after so many seconds.
+  // Chooses the detail of a view's next picture: sets the layer's levels and error. Works on the
+  // levels until stop(patience); patience: after how long a picture should do without [s].
   Chosen chooseDetail(const std::string& view_id, const std::function<bool(double)>& stop,
                       PictureLayer& layer);
-  // What became of it [s]. If that missed a budget that is to be kept at once: the error to which
-  // it has to be drawn again.
+  // Tells what the view's picture drew, and how long that took [s]. Returns the error [px] to
+  // redraw with if the picture missed a budget that must hold at once.
   std::optional<double> drew(const std::string& view_id, const PictureLayer& layer,
                              const SplatPicture::OfLayer& drawn, double seconds);
-  // Why a picture with levels isn't in the detail that was asked for; empty where it is.
+  // Why the view's last picture isn't in the detail that was asked for; empty if it is.
   std::string detailProblem(const std::string& view_id) const;
-  // Views that there are none of any more, or that don't want levels.
+  // Drops what is known of the views that keep() denies; without any view left, drops the levels.
   void keepViews(const std::function<bool(const std::string& view_id)>& keep);
-  // Goes on with levels until `stop`; where memory is lacking, not until a view wants them again.
+  // Works on wanted levels until stop(). Without memory, gives up until a view wants levels again.
   void goOnWithLevels(const std::function<bool()>& stop);
 
  private:
   void apply(const GaussianEdit& edit, const MapState& after, double now);
   void setState(const MapState& map);
-  // Whether the levels hold all of the map. Throws std::bad_alloc.
+  // Works on the levels until stop(); returns whether they are complete. Throws std::bad_alloc.
   bool advanceLevels(const std::function<bool()>& stop);
   void dropLevels();
 
   const TakeEdit take_edit_;
 
-  // Under a lock of its own: showing a picture must never wait for the slots.
-  mutable std::mutex state_mutex_;  // what follows
+  // The state has a mutex of its own: showing a picture must never wait for the slots.
+  mutable std::mutex state_mutex_;  // guards state_ and bytes_
   MapState state_;                  // of the slots
   std::size_t bytes_ = 0;
 
-  mutable std::shared_mutex slots_mutex_;  // what follows; it is painted with a shared lock
+  mutable std::shared_mutex slots_mutex_;  // guards slots_; painting holds a shared lock
   HostSlots slots_;
 
   Levels levels_;
-  std::map<std::string, DetailControl> controls_;  // of views that aren't painted in full
-  bool wants_levels_ = false;                      // some of these do
-  double seconds_in_full_ = 0;                     // that the last picture without levels took
+  std::map<std::string, DetailControl> controls_;  // of the views that aren't painted in full
+  bool wants_levels_ = false;                      // any view does
+  double seconds_in_full_ = 0;                     // duration of the last picture without levels
   std::atomic<std::size_t> levels_bytes_{0};
 };
 using PaintedMapPtr = std::shared_ptr<PaintedMap>;

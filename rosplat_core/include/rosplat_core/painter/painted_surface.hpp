@@ -8,17 +8,17 @@
 
 namespace rosplat {
 
-// Where splats are that a picture shows, for cameras that are near the one that saw it.
+// The surface of the splats in a picture, for cameras near the picture's own camera.
 class PaintedSurface {
  public:
   PaintedSurface() = default;
-  // Of a picture's mean depths, and the camera that sees it.
+  // depths: PictureDepth::kMean of the camera's picture [m].
   PaintedSurface(const SplatCamera& camera, std::vector<float> depths)
       : camera_(camera), depths_(std::move(depths)) {}
 
-  // How deep they are in the middle of each pixel of a camera's picture, top row first [m]; NaN
-  // where they cover less than so much of it, by the picture as bytes. Of the camera of the
-  // picture, or a part of that, exactly.
+  // Returns the surface's depth at the centre of each pixel of a camera's picture, top row first
+  // [m]; NaN where the alpha of the surface's own picture, rgba, is less than least_alpha. Exact if
+  // the camera is the picture's own, or a part of it.
   std::vector<double> seenBy(const SplatCamera& camera, const std::vector<std::uint8_t>& rgba,
                              float least_alpha) const;
 

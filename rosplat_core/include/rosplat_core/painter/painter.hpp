@@ -30,14 +30,14 @@
 
 namespace rosplat {
 
-// What a view is to show of a map.
+// A map that a view is to show.
 struct PaintLayer {
   PaintedMapPtr map;
-  SplatCamera camera;  // in its frame; see PictureRequest::layers
+  SplatCamera camera;  // in the map's frame; see PictureRequest::layers
   RenderSettings settings;
-  OrderPtr order;         // where the map still is as it says, of one layer alone; else by depth
-  bool unsorted = false;  // or by nobody: as the slots are numbered
-  std::uint64_t age_tick = 0;  // of what is coloured by age: the time
+  OrderPtr order;         // of a single layer, for the map's revision; by depth if null or outdated
+  bool unsorted = false;  // of a single layer: draw in the order of slot numbers
+  std::uint64_t age_tick = 0;  // in DrawMode::kAge the time, so that later requests differ
 
   bool operator==(const PaintLayer& o) const;
 };
@@ -46,22 +46,22 @@ struct PaintLayer {
 struct PaintRequest {
   std::vector<PaintLayer> layers;                     // at least one
   std::vector<float> scene_depth, translucent_depth;  // as PictureRequest has them
-  // How its camera moves: if it goes on like that, what is painted is what is seen in the middle of
-  // the time in which that is shown.
+  // How the camera moves. The picture is painted for where the camera will be, if it goes on so, in
+  // the middle of the time for which the picture is shown.
   CameraMotion motion;
-  bool window = false;  // it goes on a window
-  bool rests = false;   // what is shown is of this camera and map already, in less detail
+  bool window = false;  // the picture is for a window
+  bool rests = false;   // the picture shown has this camera and map already, in less detail
 
   const SplatCamera& camera() const { return layers.front().camera; }
   bool interactive() const { return layers.front().settings.interactive; }
-  // How it sees a map; null where it doesn't show that.
+  // Returns the layer of a map; null if there is none.
   const PaintLayer* of(const PaintedMap& map) const;
 
   bool operator==(const PaintRequest& o) const;
 };
 using PaintRequestPtr = std::shared_ptr<const PaintRequest>;
 
-// What a window is shown of a picture: values by pixel, and the cells of its mesh where any matter.
+// A part of a picture for a window: values by pixel, and which cells of the mesh show any of them.
 template <typename T>
 struct PaintedLayer {
   std::vector<T> values;
@@ -76,74 +76,74 @@ struct PaintedLayer {
 
 // A picture of a view.
 struct Painting {
-  // What it shows of a map.
+  // What the picture shows of a map.
   struct OfMap {
     MapState map;
-    OrderPtr order;            // that it is drawn in; null: by depth, or by nobody's
+    OrderPtr order;            // the order drawn; null: by depth, or unsorted
     std::size_t drawn = 0;     // splats and nodes
-    double error = 0;          // as SplatPicture has it [px]
-    std::string detail_error;  // why it is not in the detail that was asked for
+    double error = 0;          // as SplatPicture::OfLayer [px]
+    std::string detail_error;  // why the map isn't in the detail that was asked for
   };
 
-  PaintRequestPtr request;     // as it was asked for, or of a camera that has moved on
+  PaintRequestPtr request;     // the request, with its camera moved on by the motion
   std::vector<OfMap> maps;     // by layer
-  double asked = 0, took = 0;  // when, of a monotonic clock, and how long [s]
-  double due = 0;              // when its camera is there, if it goes on as it moves [s]
-  std::string error;           // why it failed; empty if it is good
+  double asked = 0, took = 0;  // time of the request on a monotonic clock, and duration [s]
+  double due = 0;              // when the moving camera reaches the request's camera [s]
+  std::string error;           // why the picture failed; empty if it is good
   bool settled = true;         // another picture would be the same
   std::map<std::string, double> profile;
 
-  SplatPicture picture;  // unless it is interactive: then only a window sees it
-  // For windows: premultiplied RGBA, as many bits as they have.
+  SplatPicture picture;  // empty if the request is interactive: then only a window shows it
+  // For windows only: premultiplied RGBA, with as many bits as windows have.
   PaintedLayer<std::uint8_t> colour, behind;
-  PaintedLayer<float> hiding;  // window depth of what is behind translucent objects and hides them
+  PaintedLayer<float> hiding;  // window depth of `behind`, where that hides what is farther
   PictureMesh mesh;
   PaintedSurface surface;
 };
 using PaintingPtr = std::shared_ptr<const Painting>;
 
-// Paints pictures of maps in a thread of its own, so that the render thread never waits. Knows no
+// Paints pictures of maps in a thread of its own, so that the render thread never waits. Uses no
 // OpenGL.
 class Painter {
  public:
   Painter();
   ~Painter();
 
-  // All of these from any thread.
+  // Any thread may call all of these.
 
   // Takes the edits of a map from now on.
   void add(PaintedMapPtr map);
   // Takes no more edits of a map.
   void remove(const PaintedMapPtr& map);
-  // Says that there are edits. They are taken before the next picture, or at once if none waits.
+  // Tells that edits wait. The painter takes them before the next picture, or at once if idle.
   void wake();
-  // Asks for a picture of a view, in place of the request that waits for it.
+  // Asks for a picture of a view. Replaces a request of the view that still waits.
   void ask(const std::string& view_id, PaintRequestPtr request);
-  // Gives up the picture that is being painted of a view, if a newer one was asked for; never twice
-  // in a row.
+  // Cancels the picture of a view that is being painted if a newer one was asked for. Never cancels
+  // two in a row.
   void hurry(const std::string& view_id);
   // The newest finished picture of a view, null if there is none.
   PaintingPtr newest(const std::string& view_id) const;
-  // Waits for the whole maps and a picture of them. Throws PictureError.
+  // Waits until all edits are taken and the picture is painted. Throws PictureError.
   PaintingPtr paintNow(const std::string& view_id, PaintRequestPtr request);
   void forget(const std::string& view_id);
 
-  // Has the splats found that a picture shows, before anything is painted; where that fails, by
-  // PictureError. Those of each layer.
+  // Has the splats found that a picture shows, ahead of all painting. Returns a Pick by layer;
+  // Pick::slots() throws PictureError if that fails.
   std::vector<Pick> pick(PaintRequest asked);
-  std::size_t bytes() const { return workspace_; }  // beside the maps
+  std::size_t bytes() const { return workspace_; }  // without the maps
   const char* instructions() const { return rasterizer_.instructions(); }
 
-  // Of `change` in packed_slot.hpp.
+  // The clock of `change` in packed_slot.hpp.
   double clock() const;
 
  private:
   struct Waiting {
     std::uint64_t number = 0;
     PaintRequestPtr request;
-    std::shared_ptr<Painting> painting;  // what it is to become, or why that fails
-    double asked = 0;
-    double takes = 0;  // probably [s]
+    std::shared_ptr<Painting> painting;  // to be filled; allocated early, to tell of failures
+    double asked = 0;                    // when [s]
+    double takes = 0;                    // estimate, from the last picture [s]
   };
   using GivenUp = std::shared_ptr<std::atomic<bool>>;
   struct PickJob {
@@ -153,9 +153,9 @@ class Painter {
   };
   struct ViewPaintings {
     std::optional<Waiting> waiting;
-    std::uint64_t painted = 0;  // number of the newest that is finished
+    std::uint64_t painted = 0;  // Waiting::number of the newest finished picture
     PaintingPtr newest;
-    bool given_up = false;  // the last
+    bool given_up = false;  // hurry() cancelled the last picture
   };
 
   void run();
@@ -163,19 +163,19 @@ class Painter {
   bool paints(const std::string& view_id) const {
     return !painting_.empty() && painting_.front() == view_id;
   }
-  // Of the work that there is, with the lock of what follows; whatever fails, the next is tried.
+  // Called and left with mutex_ locked. If one fails, the next work is tried all the same.
   void findNext(std::unique_lock<std::mutex>& lock);
   void paintNext(std::unique_lock<std::mutex>& lock);
   void goOnWithMaps();
   std::vector<PaintedMapPtr> maps() const;
   void takeEdits(const std::vector<PaintedMapPtr>& maps, std::size_t most_bytes);
   PictureRequest pictureOf(const PaintRequest& asked) const;
-  // Has maps know which views there are, of which one is to show these layers.
+  // Has the maps forget former views. view_id: the view that is to show these layers.
   void keepViews(const std::vector<PaintedMapPtr>& maps, const std::string& view_id,
                  const std::vector<PaintLayer>& layers);
   void chooseDetail(const std::string& view_id, PictureRequest& request, Painting& painting) const;
   static PaintRequestPtr movedOn(const PaintRequest& request, double seconds);
-  // False where it was given up.
+  // Returns false if cancelled.
   bool paint(const std::string& view_id, const Waiting& job);
   bool draw(const std::string& view_id, const Waiting& job);
   void find(PickJob& job);
@@ -183,20 +183,20 @@ class Painter {
 
   const double start_;
 
-  mutable std::mutex mutex_;  // what follows
+  mutable std::mutex mutex_;  // guards what follows, down to picking_
   std::condition_variable wake_, finished_;
   bool stop_ = false, edits_ = false;
   std::vector<PaintedMapPtr> maps_;
   std::map<std::string, ViewPaintings> views_;
-  std::list<std::string> queue_;     // views, those first that have waited longest
-  std::list<std::string> painting_;  // the view that was, if any
-  std::uint64_t asked_ = 0;          // that ever were
-  bool refining_ = false;            // it, for a camera that rests
+  std::list<std::string> queue_;     // views that wait, the longest wait first
+  std::list<std::string> painting_;  // the view that is being painted, if any
+  std::uint64_t asked_ = 0;          // requests so far
+  bool refining_ = false;            // the request being painted has PaintRequest::rests
   std::deque<PickJob> picks_;
-  GivenUp picking_;  // what is being found, if anything
+  GivenUp picking_;  // of the PickJob in progress, if any
   std::atomic<bool> cancelled_{false};
 
-  // The painter's own.
+  // For the painter's thread only; workspace_ for any.
   CpuRasterizer rasterizer_;
   SplatPicture picture_;
   std::atomic<std::size_t> workspace_{0};

@@ -10,49 +10,49 @@
 
 namespace rosplat {
 
-// A picture on a mesh of cells of 16x16 pixels, whose corners are where the splats around them are:
-// what another camera sees of it is about what it sees of the splats, as long as it isn't far (3D
-// warping; Mark, McMillan and Bishop 1997). A cell more all around, its edges go on beyond the
-// picture, which is nearer to what comes in there than nothing.
+// A picture on a mesh of cells of 16x16 pixels. A corner has the mean depth of the splats around.
+// So a camera near by sees the mesh about as it sees the splats (3D warping; Mark, McMillan and
+// Bishop 1997). One more ring of cells continues the picture's edges outwards: that is nearer to
+// what comes into view there than nothing.
 class PictureMesh {
  public:
   static constexpr int kCell = 16;  // [px]; twice that costs playbot 3 dB, half of it gains nothing
 
   struct Corner {
-    float x, y, w;  // where a camera sees it: clip coordinates, y up
-    float u, v;     // what is there: 0 to 1 over the picture, from its top left; or beyond
+    float x, y, w;  // where a camera sees the corner: clip coordinates, y up
+    float u, v;     // texture coordinates: 0 to 1 over the picture, from its top left; or beyond
   };
   // Corners row by row, from the top left.
   struct CornerGrid {
     std::size_t columns;
     std::vector<Corner> corners;
-    bool moved;  // not the picture's own camera
+    bool moved;  // the camera isn't the picture's own
   };
-  // How much of a cell, and of what is beside it, hides what is behind.
+  // How much of a cell and of the pixels around hides the background.
   enum class Cover : std::uint8_t { kNothing, kSome, kAll };
-  // Of the cells, row by row. Those beyond the picture are like the nearest in it.
+  // The cells' cover, row by row. Cells of the outer ring are like the nearest in the picture.
   using Cells = std::vector<Cover>;
 
   PictureMesh() = default;
-  // Of a picture with its mean depth, and the camera that sees it.
+  // picture: with PictureDepth::kMean, as the camera sees it.
   PictureMesh(const SplatCamera& camera, const SplatPicture& picture);
 
-  // Of a picture, given by cover(first pixel, count) of pixels in a row.
+  // Finds the cells' cover in a picture [px]; cover(first pixel, count) is that of pixels in a row.
   template <typename CoverOf>
   static Cells cells(int width, int height, const CoverOf& cover);
 
-  // As a camera of the same map sees it.
+  // Returns the mesh as a camera of the same map sees it.
   CornerGrid seenBy(const SplatCamera& camera) const;
 
  private:
   SplatCamera camera_;
   int columns_ = 0, rows_ = 0;  // of corners
-  std::vector<float> depths_;   // of corners [m]; of perspective cameras one over it
+  std::vector<float> depths_;   // of corners: orthographic depth [m], perspective 1 / depth [1/m]
 };
 
 template <typename CoverOf>
 PictureMesh::Cells PictureMesh::cells(int width, int height, const CoverOf& cover) {
-  // One pixel more around it, which a cell that has moved blends with its own.
+  // With one more pixel around: a cell that has moved blends these pixels with its own.
   const auto coverAt = [&](int left, int top) {
     const int first = std::max(left - 1, 0), last = std::min(left + kCell + 1, width);
     const auto inRow = [&](int y) {

@@ -24,56 +24,56 @@
 
 namespace rosplat {
 
-// A map in a picture, and how it is drawn there.
+// A map in a picture, and how the picture draws the map.
 struct PictureLayer {
   const HostSlots* slots = nullptr;
   const MapState* map = nullptr;
   SplatCamera camera;  // in the map's frame
   RenderSettings settings;
-  // Nodes of the map to be drawn in place of what is smaller than `error`. Null: all is drawn in
-  // full, as it is where the order is given, and for picks.
+  // Levels of detail: a node is drawn in place of splats whose cell is smaller than `error`. Null:
+  // the map is drawn in full. Must be null for picks, and where `PictureRequest::order` is set.
   const Levels* levels = nullptr;
   double error = 0;  // [px]
 };
 
-// What a picture shows. Arrays are the caller's, and by pixel, top row first.
+// What a picture shows. The caller owns the arrays. Arrays by pixel begin with the top row.
 struct PictureRequest {
-  // At least one. Their cameras are one camera: all that differs is the frame that it is in, and
-  // how large splats are. Splats of the same depth come in the order of the layers.
+  // At least one layer. All layers have the same camera: only the frame that the camera is given in
+  // and its extent_scale may differ. Splats of equal depth are drawn in the order of the layers.
   std::vector<PictureLayer> layers;
   double now = 0;  // the clock of `change` in packed_slot.hpp
-  // Window depth, 0 to 1, of what is opaque: splats behind it are hidden. Empty: nothing is there.
+  // Window depths, 0 to 1, of opaque objects, which hide the splats behind them. Empty: no objects.
   ArrayView<float> scene_depth;
-  // The same of the nearest translucent object, 1 where there is none. If given, the splats behind
-  // it make a picture of their own.
+  // Window depths of the nearest translucent objects, 1 where there is none. If given, the splats
+  // behind these objects go to a picture of their own, `SplatPicture::behind`.
   ArrayView<float> translucent_depth;
-  // Slots of the one layer that there is then, farthest first, to be drawn in this order; what it
-  // leaves out isn't drawn. Unset: by depth, with the sorters' ties.
+  // The slots to draw, farthest first; requires exactly one layer. Other slots aren't drawn. Unset:
+  // all slots, by depth; ties are broken as by the sorters (DepthOrder).
   std::optional<ArrayView<std::uint32_t>> order;
   PictureDepth depth = PictureDepth::kNone;
-  // Of contribute(): a number for each pixel that is dealt to the splats. Empty: none is.
+  // For contribute(): numbers by pixel, to be shared out to the pixel's splats. May be empty.
   ArrayView<float> residual;
-  // Set by another thread to have the picture given up.
+  // Another thread sets this to cancel the picture.
   const std::atomic<bool>* cancelled = nullptr;
 };
 
-// Of width * height pixels, top row first. What wasn't asked for is empty.
+// Arrays of width * height pixels, top row first. Arrays that weren't asked for are empty.
 struct SplatPicture {
   int width = 0, height = 0;    // [px]
   std::vector<float> colour;    // premultiplied RGBA
-  std::vector<float> behind;    // the same behind translucent objects; colour is before them
-  std::vector<float> nearness;  // of these: (1 - window depth) * alpha, alpha; as splat_hide.frag
-  std::vector<std::uint8_t> divided;  // tiles that may have either; they are 0 in the others
+  std::vector<float> behind;    // the splats behind translucent objects; `colour` lacks them then
+  std::vector<float> nearness;  // of `behind`: (1 - window depth) * alpha, alpha: splat_hide.frag
+  std::vector<std::uint8_t> divided;  // tiles where `behind` and `nearness` may not be all 0
   std::vector<float> depth;           // PictureDepth [m], NaN where there is none
   struct OfLayer {
-    std::size_t drawn = 0;  // splats in the picture, as far as it was looked
-    double error = 0;       // that it was drawn to, 0 in full [px]
+    std::size_t drawn = 0;  // projected splats and nodes; hidden ones may have been skipped before
+    double error = 0;       // PictureLayer::error of the levels of detail, 0 if drawn in full [px]
   };
   std::vector<OfLayer> layers;
   std::map<std::string, double> profile;  // by stage [s]
 };
 
-// Transmittance below which splats may count as hidden where contributions are found.
+// Transmittance below which contribute() may count splats as hidden.
 constexpr float kLeastSeen = 0.01f;
 
 // A splat that a pixel shows.
@@ -83,13 +83,12 @@ struct PickedSplat {
   bool operator==(const PickedSplat& o) const { return layer == o.layer && slot == o.slot; }
 };
 
-// What the splats of the one layer are to pictures, by slot: sums over their pixels.
+// What the splats of one layer contribute to pictures: sums over their pixels, by slot.
 struct Contributions {
-  std::vector<float> weight;  // of alpha x transmittance: of how many pixels a splat is the colour
-  std::vector<float> energy;  // of the squares of these
-  std::vector<float> error;   // of the squares by which red, green and blue change without it
-  // Of weights times the request's residual; zeros where that has none.
-  std::vector<float> residual;
+  std::vector<float> weight;    // of alpha x transmittance: how many pixels the splat fills
+  std::vector<float> energy;    // of (alpha x transmittance)^2
+  std::vector<float> error;     // of squared changes of red, green and blue without the splat
+  std::vector<float> residual;  // of alpha x transmittance x PictureRequest::residual, 0 without
 };
 
 // A picture that can't be drawn; the text says why.
@@ -97,32 +96,32 @@ struct PictureError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// Draws maps with the processor alone, all of a picture in one depth order. What the shaders in
-// ogre_media do is done here, too: projection, order, tiles of 16x16 pixels, front to back. The
-// picture is the same to the bit for any number of threads. Keeps its workspace between pictures;
-// one caller at a time.
+// Draws maps with the processor alone; all layers of a picture share one depth order. The steps are
+// those of the shaders in ogre_media: projection, sorting, blending of 16x16 pixel tiles front to
+// back. Pictures are the same to the bit for any number of threads. Keeps its workspace between
+// pictures; one caller at a time.
 class CpuRasterizer {
  public:
-  // Vector instructions to use; what the machine doesn't have becomes the best that it has.
+  // Vector instructions to use. A machine without them uses the best below them that it has.
   enum class Instructions { kPlain, kAvx2, kAvx512, kBest };
 
   explicit CpuRasterizer(std::shared_ptr<ThreadTeam> team = ThreadTeam::ofViewers(),
                          Instructions instructions = Instructions::kBest);
   ~CpuRasterizer();
 
-  // Draws into `picture`, whose memory is used again. False where it was cancelled: then the
-  // picture is no good. Throws PictureError, or std::bad_alloc where there is no memory for its
-  // text, and may be used on.
+  // Draws into `picture` and reuses its memory. Returns false if cancelled: the picture is invalid
+  // then. Throws PictureError, or std::bad_alloc if even the error's text finds no memory; the
+  // rasterizer stays usable.
   bool draw(const PictureRequest& request, SplatPicture& picture);
 
-  // The splat that contributes most to each pixel, at least kLeastPicked of its colour; of slot
-  // kNoSlot where there is none. For a part of a picture crop() the cameras, and the depths. Empty
-  // where it was cancelled. Throws PictureError.
+  // Returns the splat that contributes most to each pixel; its slot is kNoSlot where no splat
+  // contributes kLeastPicked or more. For a part of a picture crop() the cameras and the depths.
+  // Returns an empty vector if cancelled. Throws PictureError.
   std::vector<PickedSplat> pick(const PictureRequest& request);
 
-  // Adds what each slot of one layer contributes to a picture in colour, without translucent
-  // objects; nothing where less than kLeastSeen of it is. False where it was cancelled. Throws
-  // PictureError.
+  // Adds what each slot of the one layer contributes to a picture in DrawMode::kColor without
+  // translucent objects. Behind a transmittance below kLeastSeen it may add nothing. Returns false
+  // if cancelled. Throws PictureError.
   bool contribute(const PictureRequest& request, Contributions& contributions);
 
   const char* instructions() const;  // in use
@@ -134,10 +133,10 @@ class CpuRasterizer {
   std::unique_ptr<Work> work_;
 };
 
-// The best vector instructions that this machine has, of those up to the wanted ones.
+// Returns the best vector instructions that this machine has, at most the wanted ones.
 CpuRasterizer::Instructions available(CpuRasterizer::Instructions wanted);
 
-// Values of 0 to 1 as bytes, rounded; what is beyond is clamped.
+// Converts values of 0 to 1 to bytes of 0 to 255, rounded. Clamps values beyond.
 void toBytes(const float* values, std::size_t count, std::uint8_t* bytes);
 
 }  // namespace rosplat

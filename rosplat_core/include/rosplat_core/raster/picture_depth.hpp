@@ -2,11 +2,11 @@
 
 namespace rosplat {
 
-// Which depth a pixel has, along z, of the centres of the splats that it shows.
+// How a pixel's depth follows from the depths (z of the centres) of the splats that it shows.
 enum class PictureDepth {
   kNone,
-  kMean,    // weighted by what each contributes
-  kMedian,  // of the splat that leaves half of the light through, or less; none where no splat does
+  kMean,    // weighted by each splat's contribution
+  kMedian,  // of the splat that brings the transmittance to 0.5 or less; none if no splat does
 };
 
 }  // namespace rosplat

@@ -4,8 +4,8 @@
 
 namespace rosplat {
 
-// Returns memory that was freed to the system: glibc keeps it for each thread, below what still is
-// in use. Takes 20 ms for 300 MB.
+// Returns freed memory to the system: glibc keeps, for each thread, freed memory that lies below
+// memory still in use. Takes 20 ms for 300 MB.
 inline void returnFreedMemory() {
 #ifdef __GLIBC__
   malloc_trim(0);

@@ -2,7 +2,7 @@
 
 namespace rosplat {
 
-// Has this thread, and those that it starts, give way to what shows pictures.
+// Lowers the priority of this thread and of threads that it starts: what draws frames goes first.
 void giveWay();
 
 }  // namespace rosplat

@@ -8,8 +8,8 @@
 
 namespace rosplat {
 
-// Does step(number) for each number below count, side by side if there is a team. Throws
-// std::bad_alloc, once all have ended, where one of them did.
+// Calls step(number) for each number below count, in parallel if there is a team. If any step
+// throws std::bad_alloc, throws that once all steps have ended.
 template <typename Step>
 void inParts(ThreadTeam* team, std::size_t count, const Step& step) {
   std::atomic<bool> out_of_memory{false};

@@ -5,7 +5,7 @@
 
 namespace rosplat {
 
-// Working memory of a thread, made anew when it has to grow: it keeps no values, and clears none.
+// Working memory of a thread. Growing loses the values; new memory is uninitialised.
 template <typename T>
 class ScratchBuffer {
  public:
@@ -18,7 +18,7 @@ class ScratchBuffer {
     }
     return memory_.get();
   }
-  // The same, but gives memory back that is not nearly needed.
+  // The same, but shrinks the memory if less than a quarter of it is needed.
   T* fit(std::size_t size) {
     if (size < size_ / 4) {
       memory_.reset();

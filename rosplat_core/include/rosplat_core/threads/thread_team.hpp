@@ -13,15 +13,15 @@
 
 namespace rosplat {
 
-// Threads that wait for work between the short parallel steps of a sort. They begin when there is
-// some first; callers take turns.
+// Threads that wait for work between the short parallel steps of a sort. A thread starts when it is
+// first needed. Callers take turns.
 class ThreadTeam {
  public:
   // threads counts the caller's own; 0 takes as many as the machine runs at once.
   explicit ThreadTeam(unsigned threads) : size_(threads > 0 ? threads : machine()) {}
 
-  // The team of all who draw in a process, while any of them has it. A core stays theirs, but of
-  // two, sorting gains more than drawing loses.
+  // The team that all viewers of a process share; lives while any viewer holds it. It leaves a core
+  // to drawing, unless there are only two: there, sorting gains more than drawing loses.
   static std::shared_ptr<ThreadTeam> ofViewers() {
     constexpr unsigned kMost = 16;  // measured up to there
     static std::mutex mutex;
@@ -50,9 +50,9 @@ class ThreadTeam {
 
   unsigned size() const { return size_; }
 
-  // Does task(number, member) for each number below count, side by side, and returns when all are
-  // done. Who does one is the member, 0 being the caller; who wakes late leaves more to the others.
-  // The task must not throw.
+  // Calls task(number, member) for each number below count, in parallel, and returns when all are
+  // done. member: the thread that runs the task, 0 is the caller's. A thread that wakes late leaves
+  // more to the others. The task must not throw.
   void run(unsigned count, const std::function<void(unsigned, unsigned)>& task) {
     const std::lock_guard<std::mutex> turn(callers_);
     begin(std::min(count, size_));
@@ -68,7 +68,7 @@ class ThreadTeam {
  private:
   static unsigned machine() { return std::max(1u, std::thread::hardware_concurrency()); }
 
-  // Sees to it that there are so many, the caller included, or as many as the system lets be.
+  // Starts threads until there are so many members, the caller included, or the system refuses.
   void begin(unsigned members) {
     try {
       while (workers_.size() + 1 < members) {
@@ -86,7 +86,7 @@ class ThreadTeam {
     }
   }
 
-  // Does what nobody has begun with, until nothing of it is left; lets go of the lock meanwhile.
+  // Runs tasks that no member has begun, until none is left. Releases the lock during each.
   void work(unsigned member, std::unique_lock<std::mutex>& lock) {
     while (next_ < count_) {
       const unsigned number = next_++;
@@ -105,7 +105,7 @@ class ThreadTeam {
   std::condition_variable done_;
   const std::function<void(unsigned, unsigned)>* task_ = nullptr;
   unsigned count_ = 0;
-  unsigned next_ = 0;  // that nobody has begun with
+  unsigned next_ = 0;  // the first number that no member has begun
   unsigned undone_ = 0;
   bool stopping_ = false;
   std::vector<std::thread> workers_;

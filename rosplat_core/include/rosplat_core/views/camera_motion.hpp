@@ -8,7 +8,7 @@
 
 namespace rosplat {
 
-// How a camera moves, in its own frame: a screw, which is what an orbit and a straight flight are.
+// How a camera moves, in its own frame: a screw. An orbit and a straight flight are screws.
 struct CameraMotion {
   std::array<double, 3> turn{};   // axis times angle [rad/s]
   std::array<double, 3> shift{};  // [m/s]
@@ -17,16 +17,17 @@ struct CameraMotion {
   bool operator==(const CameraMotion& o) const { return turn == o.turn && shift == o.shift; }
 };
 
-// What takes a camera to another of the same map in so long [s]; none where that is half a turn.
+// Returns the motion from a camera to another of the same map in a time [s]; none for nearly half a
+// turn (3 rad) or more.
 CameraMotion motionBetween(const SplatCamera& from, const SplatCamera& to, double seconds);
 
-// Where a camera is that has moved for so long. [s]
+// Returns the camera after it has moved for a time [s].
 SplatCamera moved(const SplatCamera& camera, const CameraMotion& motion, double seconds);
 
-// Finds how a camera moves by where it was of late.
+// Finds a camera's motion from its recent poses.
 class MotionTracker {
  public:
-  // Of a camera as it is now [s]; none where it rests.
+  // To be called each frame. Returns the camera's motion now [s]; none if the camera rests.
   CameraMotion follow(const SplatCamera& camera, double now);
 
  private:

@@ -10,7 +10,7 @@ namespace rosplat {
 
 // How the values of a channel become colours.
 struct ChannelColouring {
-  ChannelKind kind = kNoColours;  // of no channel: as of no value
+  ChannelKind kind = kNoColours;  // without the channel: drawn like slots without a value
   std::size_t channel = 0;
   float least = 0, most = 0;  // ends of a gradient
   float per_range = 0;        // 1 / (most - least)

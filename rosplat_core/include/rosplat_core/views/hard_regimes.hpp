@@ -11,8 +11,8 @@
 
 namespace rosplat {
 
-// In which of the places a map and its views are where pictures are known to fail, and what helps:
-// a sentence each. docs/stability.md measures these places, and names those that need no warning.
+// Finds which regimes that spoil pictures a map and its views are in. Returns a sentence for each,
+// with what helps. docs/stability.md measures all regimes, and names those that need no warning.
 std::vector<std::string> hardRegimes(const MapState& map, const MapSample& sample,
                                      const Groups& groups, const RenderSettings& settings,
                                      const std::vector<SplatCamera>& cameras);

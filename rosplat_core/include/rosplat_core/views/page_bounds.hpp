@@ -8,13 +8,13 @@
 
 namespace rosplat {
 
-// Whether a bound of a page shows that all of the page lies beyond a limit. A bound that float32
-// can't hold, infinite or NaN, shows nothing: the slots of such a page are tested one by one.
+// Whether a bound of a page proves that all of the page lies beyond a limit. A bound that float32
+// can't hold, infinite or NaN, proves nothing: the slots of such a page are tested one by one.
 inline bool isBeyond(float bound, float limit) {
   return (bound > limit) & (bound <= std::numeric_limits<float>::max());
 }
 
-// Bounds of pages side by side, so that a processor tests several at once: as SlotPage has them.
+// SlotPage's bounds of several pages side by side, so that a processor tests several at once.
 template <std::size_t N>
 struct PageBounds {
   template <typename T>

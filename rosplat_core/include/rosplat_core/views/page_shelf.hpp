@@ -11,21 +11,21 @@
 
 namespace rosplat {
 
-// Some neighbouring pages of a group. What a view can't show by the bounds of all of them, it needs
-// not test page by page; and the others are tested side by side.
+// Neighbouring pages of a group. A view tests the bounds of all pages first; if these may be seen,
+// it tests the pages side by side.
 struct PageShelf {
   static constexpr std::size_t kPages = 32;
 
-  std::size_t begin, end;             // among all pages
-  SlotPage bounds;                    // as if they were one
-  float widest_parent;                // of the cells whose nodes stand for their slots [m]
-  PageBounds<kPages> pages;           // each page's
-  std::array<float, kPages> parents;  // the same
-  // The same, as SlotPage has them: to read these as well would take as long as the tests.
+  std::size_t begin, end;             // indices among all pages
+  SlotPage bounds;                    // around all pages of the shelf
+  float widest_parent;                // widest cell whose node stands for a slot of the shelf [m]
+  PageBounds<kPages> pages;           // by page
+  std::array<float, kPages> parents;  // widest_parent by page [m]
+  // Copies of SlotPage's by page: reading the SlotPages as well would take as long as the tests.
   std::array<std::uint32_t, kPages> first_slots, places;
 };
 
-// widest_parent: of a page.
+// Puts all pages on shelves. widest_parent(page): as PageShelf::widest_parent, of one page [m].
 std::vector<PageShelf> shelve(const std::vector<SlotPage>& pages,
                               const std::function<float(const SlotPage&)>& widest_parent);
 

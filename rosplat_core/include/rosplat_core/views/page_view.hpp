@@ -13,26 +13,26 @@
 
 namespace rosplat {
 
-// Of what float32 rounds here and in shaders, relative to all that is summed up: some 8 operations
-// each.
+// Bound of the rounding errors of float32, here and in shaders, relative to the sum of the terms'
+// magnitudes: some 8 operations each.
 constexpr double kPageRounding = 2e-6;
 
-// Which pages of a group a view may show: those of which a splat could pass the sorters' test of
-// single splats (depth_order.hpp's visible(), splat_cull.comp), by their bounds alone.
+// Finds, by bounds alone, which pages of a group a view may show: those where a splat could pass
+// the sorters' test of single splats (depth_order.hpp's visible(), splat_cull.comp).
 class PageView {
  public:
-  // The group's; box: what is kept of the map.
+  // view, group: of the group that the pages belong to.
   PageView(const SortView& view, const GroupView& group, const ClipBox& box);
 
   bool mayShow(const SlotPage& page) const;
-  // Of each of several: 1 or 0. sides: those of the view to test, as bits.
+  // Returns 1 or 0 for each of several pages. sides: which sides of the view to test, as bits.
   template <std::size_t N>
   std::array<std::uint32_t, N> mayShow(const PageBounds<N>& pages, std::uint32_t sides = ~0u) const;
-  // The sides of the view, as bits, that don't have all within some bounds on their inner side:
-  // pages within them need no test against the others.
+  // Returns, as bits, the sides of the view that some of the bounds lies beyond. Pages within the
+  // bounds need no test against the other sides.
   std::uint32_t sidesAcross(const SlotPage& bounds) const;
-  // Nearly the same of single splats, side by side: 1 or 0. What float32 can't hold isn't shown, as
-  // the sorters have it.
+  // Returns 1 or 0 for each of several single splats; approximate near the view's edges. Positions
+  // that float32 can't hold aren't shown, as in the sorters.
   template <std::size_t N>
   std::array<std::uint32_t, N> mayShow(const std::array<std::array<float, N>, 3>& means,
                                        const std::array<float, N>& extents) const;
@@ -40,7 +40,7 @@ class PageView {
  private:
   // A splat passes where normal . mean + offset <= slope * extent.
   struct Plane {
-    std::array<double, 3> normal, rounding;  // of float32, for each metre of a coordinate
+    std::array<double, 3> normal, rounding;  // rounding: error of float32 per metre of a coordinate
     double offset, slope;
   };
 
@@ -48,7 +48,7 @@ class PageView {
 
   std::array<Plane, 6> planes_;
   std::size_t count_ = 0;
-  // A mean is kept where its coordinates in the box are no larger than half of that.
+  // A splat passes the clip box where |axis . mean + offset| <= half, for each axis.
   struct Slab {
     std::array<double, 3> axis;
     double offset, half;

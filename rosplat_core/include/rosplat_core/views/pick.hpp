@@ -9,16 +9,15 @@
 
 namespace rosplat {
 
-// Which splats of a map a part of a picture shows, once somebody has found them: slots by pixel,
-// top row first, kNoSlot where there is none. Who lets go of all that are found at once gives them
-// up.
+// The splats of a map in a part of a picture, once they are found: slots by pixel, top row first,
+// kNoSlot where there is none. Dropping all Picks of one search cancels the search.
 class Pick {
  public:
   using Slots = std::vector<std::uint32_t>;
 
   Pick(std::future<Slots> slots, std::shared_ptr<void> wanted)
       : slots_(std::move(slots)), wanted_(std::move(wanted)) {}
-  // Found already.
+  // For slots that are found already.
   explicit Pick(Slots slots) {
     std::promise<Slots> promise;
     promise.set_value(std::move(slots));
@@ -28,7 +27,7 @@ class Pick {
   bool found() const {
     return slots_.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
   }
-  // Once; waits for them. Throws what kept them from being found.
+  // Waits for the slots. To be called once. Throws the search's exception if that failed.
   Slots slots() { return slots_.get(); }
 
  private:

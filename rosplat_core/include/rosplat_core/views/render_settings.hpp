@@ -11,12 +11,12 @@ namespace rosplat {
 
 // How values of a channel become colours.
 enum class ChannelColours {
-  kAuto,        // categories where all are integers
-  kCategories,  // the nearest integers have colours that are easy to tell apart
+  kAuto,        // categories if all values are integers, else a gradient
+  kCategories,  // rounded to integers, each in a colour that is easy to tell from others
   kGradient,
 };
 
-// Whether splats are solid.
+// Whether splats are drawn as solid balls.
 inline bool drawsBalls(DrawMode mode) {
   return mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall;
 }
@@ -24,18 +24,18 @@ inline bool drawsBalls(DrawMode mode) {
 // Opacity compensation for the 2D low-pass filter (Mip-Splatting).
 enum class Antialiasing { kAsTrained, kOn, kOff };
 
-// Whose order is drawn.
+// Which sorter's order is drawn.
 enum class OrderSource { kAuto, kSidecar, kBuiltIn, kOff, kGpu };
 
-// What blends the splats.
+// How the splats are blended.
 enum class Rasterizer {
-  kAuto,       // tiles where a graphics card draws, else the processor
+  kAuto,       // kTiles if a graphics card draws, else kProcessor
   kQuads,      // the fixed-function blending of quads, back to front
   kTiles,      // compute shaders, tile by tile, front to back
   kProcessor,  // the processor's own vector instructions
 };
 
-// What is kept of a map: splats with their mean in a box of the map's frame.
+// Only splats whose mean lies in this box, in the map's frame, are drawn.
 struct ClipBox {
   bool enabled = false;
   std::array<float, 3> centre{};       // [m]
@@ -50,8 +50,8 @@ struct ClipBox {
 struct Detail {
   enum class Kind {
     kFull,    // all of it
-    kError,   // what is no wider than so much may be one Gaussian [px]
-    kSplats,  // so many Gaussians at most
+    kError,   // one Gaussian may stand for all in a cell of at most `amount` width [px]
+    kSplats,  // at most `amount` Gaussians
   };
   Kind kind = Kind::kFull;
   double amount = 0;
@@ -64,28 +64,28 @@ struct RenderSettings {
   DrawMode mode = DrawMode::kColor;
   int max_sh_degree = kMaxShDegree;
   int only_band = -1;  // draw one band of spherical harmonics alone; -1: all
-  // In 32-bit floats instead of 16-bit ones: more exact ("Half floats" in docs/stability.md); quads
-  // take two to five times as long. The processor always does.
+  // Blend in 32-bit instead of 16-bit floats: more exact ("Half floats" in docs/stability.md), but
+  // quads take two to five times as long. The processor always uses 32 bits.
   bool float_blending = false;
-  // Nobody waits for a picture. The processor's follow the camera, and the newest is shown
-  // meanwhile; a budget is come to by small steps.
+  // Nobody waits for a picture: the processor paints after the camera, and the newest picture is
+  // shown meanwhile. The level of detail approaches a budget in small steps.
   bool interactive = false;
   float scale = 1;    // of the splats' size
   float opacity = 1;  // of their opacity, 0 to 1
   Antialiasing antialiasing = Antialiasing::kAsTrained;
   OrderSource order = OrderSource::kAuto;
   Rasterizer rasterizer = Rasterizer::kAuto;
-  bool profile = false;  // measure the stages of a frame; waits for the graphics card
+  bool profile = false;  // measure the stages of a frame; this waits for the graphics card
   Detail detail;
   ClipBox clip_box;
   float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
-  std::array<float, 2> depth_range{};  // of kDepth [m]; empty: the nearest and farthest so drawn
+  std::array<float, 2> depth_range{};  // of kDepth [m]; empty: that of the splats drawn in kDepth
   float age_range = 10;                // of kAge [s]
   std::string channel;                 // of kChannel; empty: the map's first
   ChannelColours channel_colours = ChannelColours::kAuto;
-  std::array<float, 2> channel_range{};  // ends of a gradient; empty: all values that there were
+  std::array<float, 2> channel_range{};  // ends of a gradient; empty: all values so far
 
-  // Whether splats are projected alike.
+  // Whether the projected splats are the same with both settings.
   bool projectsAs(const RenderSettings& o) const {
     return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
            scale == o.scale && opacity == o.opacity && antialiasing == o.antialiasing &&
@@ -95,21 +95,20 @@ struct RenderSettings {
            detail == o.detail && blendsLevels() == o.blendsLevels();
   }
 
-  // Whether levels of detail blend into one another, lest they pop: solids can't, and the budget of
-  // a picture that is waited for has better uses.
+  // Whether levels of detail blend into one another, lest they pop. Solid balls can't blend, and a
+  // picture that is waited for spends its budget better.
   bool blendsLevels() const {
     return !drawsBalls(mode) && (interactive || detail.kind != Detail::Kind::kSplats);
   }
 
-  // Nodes have no values of channels: these are drawn in full.
+  // Nodes have no values of channels, so kChannel is drawn in full.
   Detail drawnDetail() const { return mode == DrawMode::kChannel ? Detail{} : detail; }
 };
 
-// How many times as large as in the map splats are culled: SplatCamera::extent_scale.
+// Returns the settings' SplatCamera::extent_scale: the factor on the splats' extents in culling.
 inline double extentScale(const RenderSettings& settings) { return std::max(1.0f, settings.scale); }
 
-// The same without what is for the eye's speed alone: for the mouse, and for pictures that are
-// kept.
+// Returns the settings without what only serves speed: for the mouse, and for pictures to be kept.
 inline RenderSettings inFull(RenderSettings settings) {
   settings.interactive = false;
   settings.detail = {};

@@ -11,19 +11,19 @@
 
 namespace rosplat {
 
-// A group as a camera sees it. Composed in double precision: neither the group's place and origin
-// nor the camera's position reaches 32-bit floats.
+// A group as a camera sees it. Composed in double precision: the group's place and origin and the
+// camera's position reach 32-bit floats only relative to one another.
 struct SeenGroup {
   // camera: in the map's frame.
   SeenGroup(const SplatCamera& camera, const Group& group, const ClipBox& box);
 
   SplatCamera camera;  // in the group's frame
-  SortView view;       // of the picture alone
+  SortView view;       // without overscan
   GroupView floats;
   PageView pages;
 };
 
-// All of a map's, by index.
+// Returns all of a map's groups, by index.
 std::vector<SeenGroup> seenGroups(const SplatCamera& camera, const std::vector<Group>& groups,
                                   const ClipBox& box);
 

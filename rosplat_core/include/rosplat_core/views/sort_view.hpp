@@ -10,7 +10,7 @@
 
 namespace rosplat {
 
-// A camera as the sorter needs it, in float32: what positions are multiplied with.
+// A camera as the sorters need it, in float32.
 struct SortView {
   float rotation[9];              // the positions' frame to camera optical frame, row-major
   float translation[3];           // [m]
@@ -25,18 +25,18 @@ struct SortView {
 // Half the low-pass filter's reach, 3.33 * sqrt(0.3) = 1.82 px, with room for rounding.
 constexpr double kMarginPixels = 2.0;
 
-// How much wider than the picture an order is culled: it is drawn for cameras that have moved on,
-// and lacks what came in. 1.25 saves 11 dB after a turn of 3 degrees (docs/stability.md).
+// How much wider than the picture an order is culled: by the time it is drawn, the camera has moved
+// on to splats beyond the picture. 1.25 saves 11 dB after a turn of 3 degrees (docs/stability.md).
 constexpr double kOverscan = 1.25;
 
-// The SortView of a camera at rotation (map to camera optical frame, row-major) and translation (of
-// the positions' origin in the camera frame, [m]) with the intrinsics and the extent_scale of
-// ViewCamera. Where a translation is beyond float32, nothing is visible.
+// Returns the SortView of a camera. rotation: map to camera optical frame, row-major. translation:
+// the positions' origin in the camera frame [m]; if it is beyond float32, nothing is visible. The
+// intrinsics and extent_scale are as in ViewCamera.
 inline SortView makeSortView(const double rotation[9], const double translation[3], double fx,
                              double fy, double cx, double cy, double width, double height,
                              double near_clip, double far_clip, bool orthographic,
                              double extent_scale = 1.0, double overscan = kOverscan) {
-  // A perspective footprint grows with the slope of its ray, which the renderer clamps so.
+  // A perspective footprint grows with the slope of its ray, which the renderer clamps as here.
   const auto slope = [=](double focal, double centre, double size) {
     if (orthographic) return extent_scale * focal;
     const double tangent = std::max(size - centre, centre) / focal + kTangentSlack * (size / focal);
@@ -47,7 +47,7 @@ inline SortView makeSortView(const double rotation[9], const double translation[
   float* const t = view.translation;
   std::copy(translation, translation + 3, t);
   if (!(std::isfinite(t[0]) && std::isfinite(t[1]) && std::isfinite(t[2]))) {
-    // No depth that is infinite is nearer than far_clip.
+    // An infinite depth is never nearer than far_clip.
     std::fill(t, t + 3, std::numeric_limits<float>::infinity());
   }
   view.fx = static_cast<float>(fx);
@@ -64,7 +64,7 @@ inline SortView makeSortView(const double rotation[9], const double translation[
   return view;
 }
 
-// The part of a camera that decides an order, relative to the map's origin.
+// Returns the SortView of a camera for positions relative to `origin`.
 SortView sortView(const SplatCamera& camera, const std::array<double, 3>& origin,
                   double overscan = kOverscan);
 
