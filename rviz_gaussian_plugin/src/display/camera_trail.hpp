@@ -20,7 +20,7 @@ class CameraTrail {
   rclcpp::Publisher<geometry_msgs::msg::PoseStamped>::SharedPtr pose_publisher_;
   rclcpp::Publisher<nav_msgs::msg::Path>::SharedPtr path_publisher_;
   nav_msgs::msg::Path path_;
-  bool grew_ = false;  // since it was published
+  bool grew_ = false;  // since path_ was published
   std::chrono::steady_clock::time_point published_;
 };
 

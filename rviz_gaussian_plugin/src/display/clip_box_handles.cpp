@@ -21,10 +21,10 @@ using visualization_msgs::msg::InteractiveMarkerControl;
 using visualization_msgs::msg::InteractiveMarkerFeedback;
 using visualization_msgs::msg::Marker;
 
-// Of the box's longest edge.
+// Sizes relative to the box's longest edge.
 constexpr float kHandle = 0.1f;
 constexpr float kLine = 0.01f;
-constexpr float kLeast = 1e-3f;  // a face can't be pushed through the one opposite [m]
+constexpr float kLeast = 1e-3f;  // the least edge: no face passes the opposite one [m]
 
 geometry_msgs::msg::Point point(const std::array<float, 3>& p) {
   geometry_msgs::msg::Point message;
@@ -46,7 +46,7 @@ Marker marker(int type, float scale, const std::array<float, 3>& color) {
   return message;
 }
 
-// About the box's middle.
+// The box's edges about its middle.
 Marker edges(const std::array<float, 3>& size, float width) {
   Marker lines = marker(Marker::LINE_LIST, width, {0.9f, 0.9f, 0.9f});
   for (int corner = 0; corner < 8; ++corner) {
@@ -76,7 +76,7 @@ ClipBoxHandles::ClipBoxHandles(rviz_common::DisplayContext* context, DragCallbac
                          dragged_ = handle;
                        } else if (feedback.event_type == InteractiveMarkerFeedback::MOUSE_UP) {
                          dragged_.reset();
-                         frame_id_.clear();  // all are placed anew
+                         frame_id_.clear();  // so that show() places all handles
                        } else if (dragged_ == handle) {
                          const auto& to = feedback.pose.position;
                          drag(handle, {float(to.x), float(to.y), float(to.z)});
@@ -118,7 +118,7 @@ void ClipBoxHandles::place(std::size_t handle) {
   if (handle != kMiddle) {
     position[axis] += (handle % 2 ? 0.5f : -0.5f) * box_.size[axis];
     color = {axis == 0 ? 0.9f : 0.1f, axis == 1 ? 0.8f : 0.1f, axis == 2 ? 1.0f : 0.1f};
-    control.interaction_mode = InteractiveMarkerControl::MOVE_AXIS;  // x, as it is turned
+    control.interaction_mode = InteractiveMarkerControl::MOVE_AXIS;  // along the turned x axis
     if (axis == 1) control.orientation.z = 1;
     if (axis == 2) control.orientation.y = 1;
   }

@@ -22,8 +22,8 @@ class InteractiveMarker;
 
 namespace rosplat {
 
-// Handles on a clip box, for rviz's Interact tool: its faces are pulled, its middle moves it all.
-// They are rviz's interactive markers, without a server.
+// Handles on a clip box, for rviz's Interact tool: one on each face moves that face, one in the
+// middle moves the box. They are rviz's interactive markers, without a server.
 class ClipBoxHandles {
  public:
   using DragCallback = std::function<void(const ClipBox& box)>;
@@ -31,11 +31,11 @@ class ClipBoxHandles {
   ClipBoxHandles(rviz_common::DisplayContext* context, DragCallback on_drag);
   ~ClipBoxHandles();
 
-  // Once a frame: puts them on a box of a frame, which they follow.
+  // Call it once a frame: puts the handles on a box in a TF frame, which they follow.
   void show(const ClipBox& box, const std::string& frame_id);
 
  private:
-  // Before it two faces of each axis, the lower one first.
+  // Handles 0 to 5 are the faces, two of each axis, the lower one first.
   static constexpr std::size_t kMiddle = 6;
 
   void place(std::size_t handle);

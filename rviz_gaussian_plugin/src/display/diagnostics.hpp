@@ -11,13 +11,13 @@
 
 namespace rosplat {
 
-// What a display says on /diagnostics each second, in the words of docs/reference.md.
+// Publishes a display's state on /diagnostics once a second, as docs/reference.md describes.
 class Diagnostics {
  public:
-  // topic: of the map, which names the status beside the node.
+  // topic: the map's, for the status name "NODE: TOPIC".
   Diagnostics(rclcpp::Node& node, const std::string& topic);
 
-  // Does nothing before a second has passed. lines: of the display's Status.
+  // Does nothing before a second has passed. lines: of the display's Status, at least one.
   void tell(const std::vector<StatusLine>& lines, const SplatScene& scene, std::size_t views);
 
  private:

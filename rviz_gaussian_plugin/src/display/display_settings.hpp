@@ -24,9 +24,9 @@ class DisplaySettings {
   DisplaySettings(rviz_common::properties::Property* display, std::function<void()> on_change);
 
   RenderSettings get() const;
-  // Has the map's channels to choose from.
+  // Offers the map's channels as options of the property Channel.
   void offerChannels(const std::vector<Channel>& channels);
-  // Why its detail is Full instead of what was typed; empty where it isn't.
+  // Why Detail is Full instead of the text that was typed; empty if that text is valid.
   std::string detailError() const;
 
   // Whether the clip box has handles.

@@ -12,7 +12,7 @@ namespace {
 
 using rviz_common::properties::StatusProperty;
 
-// In a second of slow motion, half of what is seen may have come in since. [s]
+// Older orders are a warning: in a second of slow motion, half of the view may be new. [s]
 constexpr double kOldOrder = 1.0;
 
 template <typename... Parts>

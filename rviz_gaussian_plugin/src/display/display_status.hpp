@@ -8,7 +8,7 @@
 #include "gaussian_client.hpp"
 #include "splat_scene.hpp"
 
-// What the Status of a display says of what it knows.
+// The lines of a display's Status.
 namespace rosplat {
 
 struct StatusLine {
@@ -22,24 +22,24 @@ struct StatusLine {
 
 // Whether batches arrive, and if not, why.
 StatusLine topicStatus(const GaussianClient::Status& received);
-// How far the loading of a scene file is; `says` is the loader's own sentence.
+// How far a scene file is loaded; `says` is the loader's own sentence.
 StatusLine sceneFileStatus(const std::string& says, bool loading, bool failed, const MapState& map);
-// What became of the wish for a backend (empty: any), beside what sorted the views.
+// What became of the switch to a backend (empty: any), checked against the views' orders.
 StatusLine sidecarStatus(const GaussianClient::Status& received, const std::string& wanted,
                          const std::vector<DrawnViews::Report>& views);
-// Why pictures may be worse than elsewhere: SplatScene::hardRegimes().
+// Why pictures may be inaccurate; regimes: SplatScene::hardRegimes().
 StatusLine accuracyStatus(const std::vector<std::string>& regimes);
-// What there is of the map, what is missing, and what waits to be drawn.
+// What is here of the map, what is missing, and what waits to be drawn.
 StatusLine mapStatus(const MapState& map, const Backlog& backlog);
-// Who sorted a frame, and what it took; `view` is empty for rviz's own.
+// What sorted a frame, and how long it took. `view` is empty for rviz's main view.
 StatusLine orderStatus(const FrameReport& frame, const std::string& view);
 StatusLine frameStatus(const FrameReport& frame, const std::string& view);
-// What was drawn of the map, to which error, and what its levels of detail take.
+// How much of the map was drawn, to which error, and the memory of its levels of detail.
 StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::size_t levels_bytes,
                         const std::string& view);
 // Which channel is drawn, and how.
 StatusLine channelStatus(const MapState& map, const RenderSettings& settings);
-// shared: by what all maps are drawn with.
+// shared: memory of the renderers, which all maps share.
 StatusLine memoryStatus(std::size_t gpu_bytes, std::size_t host_bytes, std::size_t shared_gpu_bytes,
                         std::size_t shared_host_bytes);
 

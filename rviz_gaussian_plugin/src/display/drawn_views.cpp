@@ -10,7 +10,7 @@ using namespace std::chrono_literals;
 
 // A view's camera goes out at least this often, so that a sorter that starts late learns of it.
 constexpr auto kKeepAlive = 1s;
-constexpr auto kUnseen = 2s;  // after which a view that isn't drawn is gone
+constexpr auto kUnseen = 2s;  // a view that isn't drawn for longer is forgotten
 
 }  // namespace
 
@@ -30,7 +30,7 @@ OrderedView& DrawnViews::draw(const Ogre::Viewport* viewport, const SplatCamera&
   drawn.time = std::chrono::steady_clock::now();
   drawn.updates = 0;
   drawn.view.setPosePublished(main && publish_pose);
-  // A sidecar's order is of one map: no sorter works for a picture of several.
+  // A sidecar's order covers one map only, so none is wanted for a picture of several maps.
   drawn.view.setOrdersWanted(orders_wanted && scene_.report(drawn.view.id()).maps == 1);
   drawn.view.look(camera);
   return drawn.view;
@@ -44,7 +44,7 @@ void DrawnViews::update() {
     const FrameReport report = scene_.report(view.id());
     if (report.order_fresh && report.order_source.rfind("sidecar", 0) == 0) {
       view.publish();
-    } else {  // a view or an order may have been lost while the two got to know each other
+    } else {  // during discovery, a view or an order may have been lost
       view.ask(view.camera());
     }
   }

@@ -21,7 +21,7 @@ class FairQueue {
     if (own == clients_.end()) own = clients_.insert(own, Waiting{client, {}});
     own->requests.push_back(std::move(request));
     if (++size_ <= most_) return std::nullopt;
-    // Of those that have asked as much, the one whose turn comes last.
+    // Of clients with equally many requests, the one whose turn comes last.
     const auto greediest =
         std::prev(std::max_element(clients_.rbegin(), clients_.rend(),
                                    [](const Waiting& a, const Waiting& b) {
@@ -56,7 +56,7 @@ class FairQueue {
   };
 
   std::size_t most_;
-  std::size_t size_ = 0;         // of all
+  std::size_t size_ = 0;         // requests of all clients
   std::deque<Waiting> clients_;  // the next to be served first
 };
 

@@ -6,7 +6,7 @@ namespace rosplat {
 
 namespace {
 
-// Slower is rest: the exponential would never get there. [m/s]
+// Slower motion counts as rest, which the exponential never reaches. [m/s]
 constexpr float kRest = 1e-4f;
 
 }  // namespace

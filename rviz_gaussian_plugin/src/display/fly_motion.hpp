@@ -13,7 +13,7 @@ struct Heading {
   Ogre::Vector3 left() const;
 };
 
-// Of a camera that looks along a direction; seen straight up or down, its up vector tells the yaw.
+// The heading of a camera that looks along a direction; if vertical, `up` decides the yaw.
 Heading headingOf(const Ogre::Vector3& direction, const Ogre::Vector3& up);
 
 struct FlyKeys {
@@ -28,14 +28,14 @@ struct FlyKeys {
 
 constexpr float kFastFactor = 4;
 
-// What the keys ask for: forward is where the camera looks, up is the world's. [m/s]
+// The velocity that the keys ask for: forward is where the camera looks, up is the world's. [m/s]
 Ogre::Vector3 flyVelocity(const FlyKeys& keys, const Heading& heading, float speed);
 
 // A velocity that approaches its target exponentially.
 class FlyMotion {
  public:
-  // Flies for dt [s] with smoothing as the time constant [s]; returns the way made. Exact while the
-  // target stays the same, so the path is the same at any frame rate.
+  // Flies for dt [s] with smoothing as the time constant [s]; returns the way made [m]. Exact while
+  // the target stays the same, so the path is the same at any frame rate.
   Ogre::Vector3 advance(const Ogre::Vector3& target, float dt, float smoothing);
   void stop() { velocity_ = Ogre::Vector3::ZERO; }
 

@@ -1,4 +1,4 @@
-#undef QT_NO_KEYWORDS  // rviz_rendering/render_window.hpp has them
+#undef QT_NO_KEYWORDS  // rviz_rendering/render_window.hpp uses Qt's keywords
 #include "fly_view_controller.hpp"
 
 #include <OgreCamera.h>
@@ -35,7 +35,7 @@ constexpr float kMaxPitch = 1.5697963f;           // [rad]
 constexpr float kRadiansPerPixel = 0.005f;        // as rviz's other views
 constexpr float kSpeedStep = 1.2f;                // of one notch of the wheel
 constexpr float kWheelNotch = 120;                // Qt's eighths of a degree
-constexpr std::chrono::milliseconds kStall{500};  // a frame that took longer throws no camera
+constexpr std::chrono::milliseconds kStall{500};  // limits the flight of a frame that took longer
 
 bool FlyKeys::* flyKey(int key) {
   switch (key) {
@@ -112,7 +112,7 @@ bool FlyViewController::eventFilter(QObject* watched, QEvent* event) {
       }
       break;
     case QEvent::FocusOut:
-      if (!hasFocus()) {  // the releases will go elsewhere
+      if (!hasFocus()) {  // key releases will go elsewhere
         fly();
         keys_ = {};
       }
@@ -152,7 +152,7 @@ void FlyViewController::update(UpdateDuration wall_dt, UpdateDuration ros_dt) {
   placeCamera();
 }
 
-// Up to now, on a clock of its own: each key acts from the moment of its event, not of a frame.
+// Flies up to now, on its own clock: each key acts from the moment of its event, not of a frame.
 void FlyViewController::fly() {
   const auto now = std::chrono::steady_clock::now();
   const std::chrono::duration<float> dt =
@@ -183,7 +183,7 @@ void FlyViewController::handleMouseEvent(rviz_common::ViewportMouseEvent& event)
                 .arg(speed_->getFloat(), 0, 'g', 3));
 }
 
-// Where the surface is, empty where none is, or while the camera turns.
+// The surface's point under the cursor, as text. Empty if there is none or a mouse button is down.
 QString FlyViewController::underCursor(const rviz_common::ViewportMouseEvent& event) {
   Ogre::Vector3 point;
   if (event.buttons_down != Qt::NoButton ||
@@ -217,7 +217,7 @@ void FlyViewController::mimic(rviz_common::ViewController* source_view) {
   const Ogre::Quaternion orientation = camera->getDerivedOrientation();
   Ogre::Vector3 position = camera->getDerivedPosition() - reference_position_;
   if (camera->getProjectionType() == Ogre::PT_ORTHOGRAPHIC) {
-    // A view from the top stands anywhere above; fly where as much of the ground is in sight.
+    // A view from the top may have any height: fly where as much of the ground is in sight.
     const float half_height = 1 / static_cast<float>(camera->getProjectionMatrix()[1][1]);
     position.z = half_height / std::tan(camera_->getFOVy().valueRadians() / 2);
   }

@@ -31,8 +31,8 @@ class FlyViewController : public rviz_common::FramePositionTrackingViewControlle
   void mimic(rviz_common::ViewController* source_view) override;
 
   // rviz hands on key presses only, and gives its tools' shortcuts ("s" selects) the first choice.
-  // So the keys are taken from the events of the render panel, and of its window, to which a click
-  // moves the focus until the mouse moves.
+  // So the keys are taken from the events of the render panel and of its window: a click moves the
+  // focus to the window until the mouse moves.
   bool eventFilter(QObject* watched, QEvent* event) override;
 
  protected:

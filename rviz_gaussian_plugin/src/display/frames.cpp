@@ -10,7 +10,7 @@ namespace rosplat {
 
 namespace {
 
-// tf2 knows no leading slash.
+// Drops a leading slash, which tf2 doesn't know.
 std::string bare(const std::string& frame) {
   return frame.substr(!frame.empty() && frame.front() == '/');
 }
@@ -31,7 +31,7 @@ std::optional<geometry_msgs::msg::Pose> inFixedFrame(rviz_common::FrameManagerIf
     const auto& [x, y, z] = std::tie(there.position.x, there.position.y, there.position.z);
     if (std::isfinite(x + y + z)) return there;
   } catch (const rviz_common::transformation::FrameTransformerException&) {
-    // The answer says so.
+    // The caller gets no pose.
   }
   return std::nullopt;
 }

@@ -9,8 +9,8 @@ class FrameManagerIface;
 
 namespace rosplat {
 
-// Where a pose is in rviz's Fixed Frame, at its stamp or, without one, now; nothing where TF
-// doesn't say. As FrameManagerIface::transform(), whose answers are floats: a quarter of a metre
+// Transforms a pose to rviz's Fixed Frame, at its stamp or, without one, now; none if TF can't.
+// Used instead of FrameManagerIface::transform(), whose float results are a quarter of a metre
 // apart at 4,500 km.
 std::optional<geometry_msgs::msg::Pose> inFixedFrame(rviz_common::FrameManagerIface& frames,
                                                      const geometry_msgs::msg::PoseStamped& pose);

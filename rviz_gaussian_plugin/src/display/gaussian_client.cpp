@@ -17,20 +17,20 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr double kWatchPeriod = 1;  // [s]
-// Of edits that wait to be drawn: while there are more, what can be pulled later isn't taken.
+// While more edits wait to be drawn, batches that can be pulled later aren't taken. [bytes]
 constexpr std::size_t kMostBacklog = std::size_t{1} << 26;
-constexpr std::size_t kServedDepth = 8;  // of a history, where what is missing can be pulled
+constexpr std::size_t kServedDepth = 8;  // history depth where missing batches can be pulled
 
 // As in rosplat_sorter's qos.py, which says why.
 rclcpp::QoS viewQos(std::size_t depth) {
   return rclcpp::QoS(rclcpp::KeepLast(depth)).reliable().durability_volatile();
 }
-// All of what one box of the mouse picks.
+// As deep as the most splats that one selection publishes, MapSelection::kListed.
 rclcpp::QoS pickedQos() {
   return rclcpp::QoS(rclcpp::KeepLast(100)).reliable().durability_volatile();
 }
 
-// Of a clock that nobody sets. [s]
+// Monotonic time. [s]
 double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
@@ -46,7 +46,7 @@ MapPull<std::shared_ptr<const Message>>::Labelled labelled(std::shared_ptr<const
   return {{m.map_id, m.revision, m.operation == Message::REPLACE, bytes}, std::move(message)};
 }
 
-// Who sent a request.
+// The client that sent a request.
 std::string clientOf(const rmw_request_id_t& id) {
   return {std::begin(id.writer_guid), std::end(id.writer_guid)};
 }
@@ -105,7 +105,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
     while (!stop_ && rclcpp::ok()) {
       try {
         executor_.spin_once(100ms);
-      } catch (const std::exception& error) {  // of a message that memory is lacking for, say
+      } catch (const std::exception& error) {  // memory may be lacking for a message, say
         RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: %s", topic_.c_str(),
                               printable(error.what()).c_str());
       }
@@ -128,7 +128,7 @@ void GaussianClient::subscribe(const rclcpp::QoS& qos) {
       [this](std::shared_ptr<const GaussianArray> message) { hear(std::move(message)); }, options);
 }
 
-// Who can pull needs no history: of what comes faster than it is taken, only the newest waits.
+// With pulls no history is needed: of batches that come too fast, only the newest wait.
 rclcpp::QoS GaussianClient::qosFor(bool all_are_volatile) const {
   rclcpp::QoS qos(qos_);
   if (serves_) qos.keep_last(std::clamp<std::size_t>(qos.depth(), 1, kServedDepth));
@@ -139,7 +139,7 @@ rclcpp::QoS GaussianClient::qosFor(bool all_are_volatile) const {
 void GaussianClient::hear(std::shared_ptr<const GaussianArray> message) {
   note(message->map_id);
   pull_.held = isFull();
-  // A REPLACE drops all that waits.
+  // A REPLACE is taken in any case: it drops all that waits.
   if (pull_.held && served() && message->operation != GaussianArray::REPLACE) {
     return pull_.miss(labelled(std::move(message)).label);
   }
@@ -253,7 +253,7 @@ void GaussianClient::watch() {
   watched_ = now();
   try {
     sidecar_->tell();
-    watchPublishers();  // last: a subscription that it replaces may be destroyed by who hears
+    watchPublishers();  // last: the executor's thread may destroy a subscription that this replaces
   } catch (const std::exception& error) {
     if (!node_->get_node_base_interface()->get_context()->is_valid()) return;  // ROS has ended
     RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: %s", topic_.c_str(),
@@ -264,8 +264,8 @@ void GaussianClient::watch() {
 void GaussianClient::watchPublishers() {
   views_followed_ =
       view_publisher_->get_subscription_count() > node_->count_publishers(remapped_ + "/order");
-  // A transient local subscription gets nothing from a volatile publisher. Never two of them: what
-  // comes twice would take the map back.
+  // A transient local subscription gets nothing from a volatile publisher. There are never two
+  // subscriptions: a batch that comes twice would take the map back.
   bool any_latched = false, any_volatile = false, any_best_effort = false;
   std::string other_type;
   std::vector<std::string> names;

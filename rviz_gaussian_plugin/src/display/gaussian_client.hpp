@@ -28,14 +28,14 @@
 namespace rosplat {
 
 // The ROS side of a display: feeds a scene from a map's topic and its sorter's, in a thread of its
-// own so that no message holds up the GUI. For a map on /gaussians: what is missing of it is pulled
-// from /gaussians/pull, the views go out on /gaussians/view, orders come in on /gaussians/order,
-// pictures may be asked for at /gaussians/render.
+// own so that no message holds up the GUI. For a map on /gaussians, missing parts are pulled from
+// /gaussians/pull, views go out on /gaussians/view, orders come in on /gaussians/order, and clients
+// ask for pictures at /gaussians/render.
 class GaussianClient {
  public:
   using RenderView = rosplat_msgs::srv::RenderView;
 
-  // A picture that somebody waits for.
+  // A client's request for a picture.
   struct RenderRequest {
     std::shared_ptr<rclcpp::Service<RenderView>> service;
     std::shared_ptr<rmw_request_id_t> id;
@@ -50,35 +50,34 @@ class GaussianClient {
     std::string frame_id;  // of the map
     std::uint64_t batches = 0;
     std::uint64_t refused = 0;            // batches that contradict themselves
-    std::string refusal;                  // why, if the last one did
-    std::string dropped_order;            // why the last order was dropped, if it was
+    std::string refusal;                  // of the last batch; empty if it was taken
+    std::string dropped_order;            // why the last order was dropped; empty if it wasn't
     std::vector<std::string> publishers;  // nodes that publish on the map's topic
-    bool contended = false;               // a map came back that another had replaced
-    std::string other_type;               // that one of them publishes
-    std::string unheard;            // what one of them offers, if that may be why nothing is heard
-    SidecarSwitch::Report sidecar;  // what became of switchBackend()
+    bool contended = false;               // a map came back after another had replaced it
+    std::string other_type;               // type that a publisher has instead of mapType()
+    std::string unheard;                  // a publisher's QoS that may be why no batch arrives
+    SidecarSwitch::Report sidecar;        // what became of switchBackend()
   };
 
   static const char* mapType();  // of the map's topic
-  // As publishers of maps offer it: reliable, transient local, and as deep as the history that they
-  // keep.
+  // The QoS that publishers of maps offer: reliable, transient local, as deep as their history.
   static rclcpp::QoS mapQos();
 
   // The scene must outlive the client. If all publishers are volatile, the subscription is volatile
-  // even if qos is transient local. If the map can be pulled, it is volatile with a short history.
-  // Throws rclcpp's exceptions for a topic with an invalid name.
+  // even if qos is transient local. If the map can be pulled, the subscription is volatile with a
+  // short history. Throws rclcpp's exceptions for a topic with an invalid name.
   GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
                  const rclcpp::QoS& qos, SplatScene& scene);
   ~GaussianClient();
 
   // Looks at the topic's publishers, at most once a second. Call it again and again from the thread
-  // that constructed this: only one thread may make a node's subscriptions and clients.
+  // that constructed the client: only one thread may make a node's subscriptions and clients.
   void watch();
   // Publishes a view. A sequence above 0 asks for an order.
   void publish(rosplat_msgs::msg::ViewCamera view);
-  // Whether others than sorters hear the views, a streaming publisher for example.
+  // Whether the views have other subscribers than sorters, a streaming publisher for example.
   bool viewsFollowed() const { return views_followed_; }
-  // Forgets a view: orders that still come for it aren't read.
+  // Forgets a view: orders for it are ignored from now on.
   void forget(const std::string& view_id);
   // Publishes a splat that the mouse has picked.
   void publish(const rosplat_msgs::msg::Gaussian& picked) { picked_publisher_->publish(picked); }
@@ -99,7 +98,7 @@ class GaussianClient {
   using GaussianArray = rosplat_msgs::msg::GaussianArray;
   using SplatOrder = rosplat_msgs::msg::SplatOrder;
   using Pull = MapPull<std::shared_ptr<const GaussianArray>>;
-  static constexpr std::size_t kMostRequests = 64;  // for pictures, that wait
+  static constexpr std::size_t kMostRequests = 64;  // waiting requests for pictures
 
   void subscribe(const rclcpp::QoS& qos);
   rclcpp::QoS qosFor(bool all_are_volatile) const;
@@ -118,14 +117,14 @@ class GaussianClient {
 
   rclcpp::Node::SharedPtr node_;
   rclcpp::Clock steady_clock_{RCL_STEADY_TIME};  // simulated time may stand still
-  std::string topic_;                            // as it was given
-  std::string remapped_;                         // as ROS has it; the others' names begin with it
+  std::string topic_;                            // as given to the constructor
+  std::string remapped_;                         // as ROS resolves it; prefix of the other topics
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
-  double watched_ = 0;     // when, last [s]
-  rclcpp::QoS qos_;        // that is asked for
-  rclcpp::QoS asked_qos_;  // what is asked for instead
-  bool serves_ = false;    // someone answers pulls, or did while there were publishers
+  double watched_ = 0;     // time of the last watch [s]
+  rclcpp::QoS qos_;        // that the user asked for
+  rclcpp::QoS asked_qos_;  // of the subscription
+  bool serves_ = false;    // pulls are answered, or were while there were publishers
   rclcpp::Subscription<GaussianArray>::SharedPtr map_;
   Pull pull_;
   std::shared_ptr<PullClient> pull_client_;
@@ -141,9 +140,9 @@ class GaussianClient {
 
   mutable std::mutex mutex_;  // status_, requests_, views_
   Status status_;
-  std::array<std::string, 2> maps_;  // the newest, and the one before
+  std::array<std::string, 2> maps_;  // ids of the newest map, and of the one before
   FairQueue<std::string, RenderRequest> requests_{kMostRequests};
-  std::set<std::string> views_;  // that asked for orders
+  std::set<std::string> views_;  // published and not forgotten: their orders are read
 
   rclcpp::executors::SingleThreadedExecutor executor_;
   std::atomic<bool> stop_{false};

@@ -39,9 +39,9 @@ using rviz_common::properties::StatusProperty;
 constexpr const char* kResourceGroup = "rviz_rendering";
 constexpr const char* kUnchanged = "As Started";
 constexpr const char* kAnyBackend = "auto";
-constexpr const char* kGraphics = "OpenGL";  // the line of the Status
+constexpr const char* kGraphics = "OpenGL";  // a line of the Status
 constexpr std::chrono::milliseconds kStatusPeriod{500};
-constexpr std::chrono::milliseconds kSending{20};  // ten times what answers take
+constexpr std::chrono::milliseconds kSending{20};  // ten times as long as sending takes
 
 std::string uniqueName() {
   std::random_device device;
@@ -153,7 +153,7 @@ void GaussianDisplay::subscribe() {
                  "No topic set: choose one of type rosplat_msgs/GaussianArray"}});
     return;
   }
-  const std::string name = uniqueName();  // among all viewers
+  const std::string name = uniqueName();  // unique among all viewers
   cloud_ = std::make_unique<SplatCloud>(
       name, kResourceGroup, [this](Ogre::Viewport* viewport, const SplatCamera& camera) {
         return onView(viewport, camera);
@@ -202,7 +202,7 @@ void GaussianDisplay::openScene() {
 bool GaussianDisplay::takeDrop(const QString& path) {
   if (!isEnabled()) return false;
   if (scene_file_->getString() == path) {
-    openScene();  // once more
+    openScene();  // loads the file once more
   } else {
     scene_file_->setString(path);
   }
@@ -225,11 +225,11 @@ void GaussianDisplay::serve() {
 void GaussianDisplay::endService() {
   if (!render_service_) return;
   const std::string why = "the display was turned off or removed, or its service turned off";
-  // The middleware sends in a thread of its own, and tells nobody when it has: a service that is
-  // destroyed at once may take answers along.
+  // The middleware sends in a thread of its own, and doesn't tell when it has sent: if a service is
+  // destroyed at once, its last answers may be lost.
   if (render_service_->refuse(why)) std::this_thread::sleep_for(kSending);
   client_->setServing(false);
-  render_service_->refuse(why);  // who has asked since
+  render_service_->refuse(why);  // requests that have come since
   render_service_.reset();
 }
 
@@ -256,10 +256,10 @@ void GaussianDisplay::updateTransform() {
   map.header.frame_id = client_->frameId();
   const bool named = !map.header.frame_id.empty();
   const auto pose = named ? inFixedFrame(*context_->getFrameManager(), map) : std::nullopt;
-  // Where the map belongs nobody knows: showing it somewhere would be wrong.
+  // Without a transform the map's place is unknown: showing it anywhere would be wrong.
   placed_ = pose.has_value();
   scene_node_->setVisible(placed_);
-  cloud_->setVisible(true);  // or it would neither upload nor draw pictures for services
+  cloud_->setVisible(true);  // a hidden cloud would neither upload nor draw pictures for services
   if (placed_) {
     cloud_->setPlace(toPlacement(*pose));
     selection_->follow();
@@ -347,7 +347,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
 }
 
 void GaussianDisplay::showStatus(std::vector<StatusLine> lines) {
-  for (StatusLine& line : lines) line.text = printable(line.text);  // some of it is a peer's
+  for (StatusLine& line : lines) line.text = printable(line.text);  // some text is a peer's
   const auto contains = [](const std::vector<StatusLine>& among, const auto& like) {
     return std::any_of(among.begin(), among.end(), like);
   };

@@ -29,8 +29,8 @@ class RosTopicProperty;
 
 namespace rosplat {
 
-// Shows the map of a GaussianArray topic: its properties, and what wires the others together. What
-// is drawn is SplatCloud's business, what is received GaussianClient's.
+// Shows the map of a GaussianArray topic. Holds the properties and connects the parts: SplatCloud
+// draws, GaussianClient receives.
 class GaussianDisplay : public rviz_common::Display {
   Q_OBJECT
 
@@ -86,7 +86,7 @@ class GaussianDisplay : public rviz_common::Display {
   std::unique_ptr<SceneLoader> loader_;
   std::unique_ptr<SceneDrop> drop_;
   std::unique_ptr<ClipBoxHandles> handles_;
-  bool placed_ = false;  // there is a map, and where it belongs is known
+  bool placed_ = false;  // there is a map, and its pose in the Fixed Frame is known
   std::vector<StatusLine> shown_status_;
   std::chrono::steady_clock::time_point status_time_;
 };

@@ -26,7 +26,7 @@ constexpr std::chrono::milliseconds kRefreshPeriod{250};  // of a map that chang
 constexpr float kOutlineSigmas = 2;  // where a splat still has an eighth of its opacity
 constexpr float kBand0 = 0.28209479f;
 
-// Rounded to a unit, which leaves whole coordinates of maps far from their frame's origin.
+// Rounds to a unit, not to so many digits: coordinates far from the frame's origin stay whole.
 template <typename Values>
 QString text(const Values& values, double unit) {
   QStringList numbers;
@@ -70,7 +70,7 @@ Property* describe(const SplatValues& splat, const std::vector<Channel>& channel
   return parent;
 }
 
-// Ascending, each once.
+// Slots in ascending order, each once, without kNoSlot.
 Pick::Slots sorted(Pick::Slots picked) {
   std::sort(picked.begin(), picked.end());
   picked.erase(std::unique(picked.begin(), picked.end()), picked.end());
@@ -84,7 +84,7 @@ MapSelection::MapSelection(SplatCloud* cloud, Ogre::SceneNode* node, SelectCallb
     : cloud_(*cloud), on_select_(std::move(on_select)) {
   const std::string name = cloud_.getName() + "/selection";
   material_ = rviz_rendering::MaterialManager::createMaterialWithNoLighting(name);
-  material_->setDepthCheckEnabled(false);  // what is selected is never hidden
+  material_->setDepthCheckEnabled(false);  // selected splats are never hidden
   material_->setDepthWriteEnabled(false);
   outlines_ = std::make_unique<Ogre::ManualObject>(name);
   outlines_->setRenderQueueGroup(static_cast<Ogre::uint8>(cloud_.getRenderQueueGroup() + 1));

@@ -24,27 +24,27 @@ namespace rosplat {
 // The slots of a map that are selected: outlined in the scene, described in the Selection panel.
 class MapSelection {
  public:
-  // What is known of them at most: of more splats than these nothing is shown or told.
+  // The most splats that are outlined, and that are listed and given to SelectCallback.
   static constexpr std::size_t kOutlined = 2000;
   static constexpr std::size_t kListed = 100;
 
-  // Called with what has been selected anew, kListed splats at most.
+  // Called with the newly selected splats, kListed at most.
   using SelectCallback = std::function<void(const std::vector<SplatValues>&)>;
 
-  // Of the cloud, which hangs on the node; both must outlive it.
+  // The cloud is attached to the node; both must outlive the selection.
   MapSelection(SplatCloud* cloud, Ogre::SceneNode* node, SelectCallback on_select);
   ~MapSelection();
   MapSelection(const MapSelection&) = delete;
   MapSelection& operator=(const MapSelection&) = delete;
 
   SplatCloud& cloud() const { return cloud_; }
-  // Render thread, as all that follows: slots as a pick has found them.
+  // Render thread, as all methods that follow: slots as a Pick gives them.
   void add(Pick::Slots picked);
   void remove(Pick::Slots picked);
   void clear();
-  // Reads what is selected again where the map has changed, some times a second; whether it did.
+  // Reads selected splats again if the map has changed, at most 4 times a second; whether it did.
   bool refresh();
-  // Puts the outlines to where the map is now.
+  // Moves the outlines to where the map is now.
   void follow();
 
   void drawOutlines();
@@ -59,12 +59,12 @@ class MapSelection {
   SplatCloud& cloud_;
   SelectCallback on_select_;
   std::vector<std::uint32_t> slots_;  // ascending
-  std::vector<SplatValues> splats_;   // of the first kOutlined of them
-  std::string read_map_;              // as it was when they were read
+  std::vector<SplatValues> splats_;   // values of the first kOutlined slots
+  std::string read_map_;              // id of the map when splats_ were read
   std::uint64_t read_revision_ = 0;
   std::chrono::steady_clock::time_point read_at_;
-  std::array<double, 3> origin_{};  // among them; outlines are relative to it, for Ogre's floats
-  Ogre::SceneNode* outline_node_;   // stands there
+  std::array<double, 3> origin_{};  // of a splat; outlines are relative to it, for Ogre's floats
+  Ogre::SceneNode* outline_node_;   // at origin_
   std::unique_ptr<Ogre::ManualObject> outlines_;
   Ogre::MaterialPtr material_;
 };

@@ -13,14 +13,14 @@
 #include "rosplat_core/order/order_slots.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
-// Between the renderer's own types and ROS messages.
+// Conversions between the renderer's own types and ROS messages.
 namespace rosplat {
 
-// A batch that looks into the message, which must outlive it.
+// A batch that points into the message, which must outlive it.
 GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message);
 
-// Fills an order; takes the slots, `most` of them, from the message or from where it says. Throws
-// OrderError.
+// Fills an order. Takes its slots, `most` at most, from the message or from the shared memory that
+// the message names. Throws OrderError.
 void toOrder(rosplat_msgs::msg::SplatOrder& message, std::size_t most, OrderReader& reader,
              Order& order);
 
@@ -28,7 +28,7 @@ rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::st
                                         std::uint64_t sequence,
                                         const std_msgs::msg::Header& header);
 
-// With its orientation as a unit quaternion.
+// The orientation becomes a unit quaternion.
 rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::msg::Header& header,
                                       const MapState& map);
 

@@ -9,9 +9,9 @@
 
 namespace rosplat {
 
-// A view of the map that asks for its orders: each of its cameras goes to the scene and, if orders
-// are wanted, out to sidecars, under a number that the orders answer; to others who follow it in
-// any case. Render thread only.
+// A view of the map that asks for its orders. Each of its cameras goes to the scene and, if orders
+// are wanted, to sidecars, with a sequence number that the orders repeat. Other followers of views
+// get each camera in any case. Render thread only.
 class OrderedView {
  public:
   // Scene and client must outlive it.
@@ -19,15 +19,15 @@ class OrderedView {
 
   const std::string& id() const { return id_; }
   const SplatCamera& camera() const { return camera_; }
-  std::chrono::steady_clock::duration age() const;  // since it was published
+  std::chrono::steady_clock::duration age() const;  // since the camera was published
 
   // Asks for an order of this camera.
   void ask(const SplatCamera& camera);
-  // The same, if it isn't what was asked for last.
+  // The same, unless this camera was asked for last.
   void look(const SplatCamera& camera);
-  // Nobody looks any more.
+  // Ends the view: scene and client forget it.
   void forget();
-  // Tells sidecars that start late.
+  // Publishes the camera again, for sidecars that start late.
   void publish();
   // Whether sidecars are asked at all, from now on.
   void setOrdersWanted(bool wanted);

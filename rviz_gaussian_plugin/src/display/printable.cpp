@@ -7,7 +7,7 @@ std::string printable(const std::string& text, std::size_t most) {
   std::string line;
   for (std::size_t i = 0; i < text.size(); ++i) {
     const auto byte = static_cast<unsigned char>(text[i]);
-    const bool inside = (byte & 0xc0u) == 0x80u;  // a character of UTF-8
+    const bool inside = (byte & 0xc0u) == 0x80u;  // a character in UTF-8
     if (!inside && line.size() >= most) {
       return line + "... (" + std::to_string(text.size()) + " bytes)";
     }

@@ -11,9 +11,8 @@
 
 namespace rosplat {
 
-// Asks those who serve a map for what is missing of it, and hears what each of them answers: of
-// several answers to a request, rclcpp's own client takes the first alone. By one thread, that of
-// the group.
+// Asks the servers of a map for its missing parts, and hears the answer of each server. (rclcpp's
+// own client takes only the first answer to a request.) Only the group's thread asks and hears.
 class PullClient : public rclcpp::Client<rosplat_msgs::srv::PullMap> {
  public:
   using Hear = std::function<void(std::shared_ptr<const Response>)>;
@@ -39,7 +38,7 @@ class PullClient : public rclcpp::Client<rosplat_msgs::srv::PullMap> {
   void handle_response(std::shared_ptr<rmw_request_id_t> request,
                        std::shared_ptr<void> response) override {
     if (request->sequence_number != asked_) return;
-    const Hear hear = hear_;  // which may ask again
+    const Hear hear = hear_;  // a copy: the call may ask again
     hear(std::static_pointer_cast<const Response>(response));
   }
 

@@ -22,7 +22,7 @@ using Clock = std::chrono::steady_clock;
 constexpr auto kAskAgain = 250ms;      // how long a picture waits for an order before it asks again
 constexpr double kLongestWait = 60.0;  // for the order of a picture [s]
 constexpr auto kSharedWait = 1s;       // the same while other requests wait
-constexpr auto kUnserved = 1s;         // after which nobody will draw any
+constexpr auto kUnserved = 1s;         // without a frame; then requests are refused
 
 sensor_msgs::msg::Image toImage(const std::vector<float>& pixels, const char* encoding,
                                 const rosplat_msgs::msg::ViewCamera& camera) {
@@ -90,7 +90,7 @@ RenderSettings RenderService::settings() const {
 }
 
 SplatCamera RenderService::inMapFrame(rosplat_msgs::msg::ViewCamera camera) const {
-  const SplatCamera asked = toCamera(camera);  // names what is wrong with it
+  const SplatCamera asked = toCamera(camera);  // throws if a field is invalid, naming it
   geometry_msgs::msg::PoseStamped map, eye;
   map.header.frame_id = client_.frameId();
   eye.header = camera.header;
@@ -109,7 +109,7 @@ GaussianClient::RenderView::Response RenderService::draw(bool sort_now) {
   GaussianClient::RenderView::Response response;
   SplatScene& scene = cloud_.scene();
   FrameReport report = scene.draw(view_.id(), settings(), Canvas::kNone, sort_now);
-  if (!sort_now && !report.order_fresh) {  // the map went on since the order was there
+  if (!sort_now && !report.order_fresh) {  // the map has changed since the order came
     report = scene.draw(view_.id(), settings(), Canvas::kNone, true);
   }
   const auto& camera = request_->request->camera;

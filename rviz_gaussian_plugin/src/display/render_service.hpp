@@ -15,22 +15,22 @@ class FrameManagerIface;
 
 namespace rosplat {
 
-// Draws the pictures that others ask for at <topic>/render, one after the other, its clients in
-// turn, each as soon as its order is there, if it takes another's. Render thread only.
+// Draws the pictures that clients ask for at <topic>/render, one after the other, clients in turn.
+// A picture that takes a sidecar's order waits for that. Render thread only.
 class RenderService {
  public:
-  // All of them must outlive it; view_id names its view among all viewers'.
+  // All arguments must outlive it. view_id: unique among all viewers' views.
   RenderService(const std::string& view_id, SplatCloud& cloud, GaussianClient& client,
                 rviz_common::FrameManagerIface& frames);
   ~RenderService() { view_.forget(); }
   RenderService(const RenderService&) = delete;
   RenderService& operator=(const RenderService&) = delete;
 
-  // Once a frame, where the context is current: draws what is due.
+  // Once a frame, with the OpenGL context current: draws the picture that is due.
   void serve();
-  // Once an update of the display: refuses what nobody will draw.
+  // Once an update of the display: refuses all requests once rviz has drawn nothing for a second.
   void refuseUnserved();
-  // Refuses all that wait; whether any did.
+  // Refuses all waiting requests. Returns whether there were any.
   bool refuse(const std::string& why);
 
  private:
@@ -47,11 +47,11 @@ class RenderService {
   rviz_common::FrameManagerIface& frames_;
   OrderedView view_;
   std::optional<GaussianClient::RenderRequest> request_;
-  Detail detail_;               // that it asks for
-  Clock::time_point taken_;     // when its turn came
+  Detail detail_;               // that request_ asks for
+  Clock::time_point taken_;     // when the request's turn came
   Clock::time_point deadline_;  // of its order, unless others wait
-  bool served_ = true;          // since the last update
-  Clock::time_point unserved_;  // since when they were not
+  bool served_ = true;          // serve() was called since the last update
+  Clock::time_point unserved_;  // last update that found served_
 };
 
 }  // namespace rosplat

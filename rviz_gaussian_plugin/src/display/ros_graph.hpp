@@ -5,8 +5,8 @@
 
 namespace rosplat {
 
-// The full name of the node that a publisher or subscription belongs to; empty where that is not
-// known yet, for endpoints are heard of before their nodes.
+// The full name of the node that a publisher or subscription belongs to. Empty while that is
+// unknown: discovery tells of endpoints before their nodes.
 std::string nodeOf(const rclcpp::TopicEndpointInfo& endpoint);
 
 }  // namespace rosplat

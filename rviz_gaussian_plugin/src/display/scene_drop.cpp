@@ -28,7 +28,7 @@ SceneDrop::SceneDrop(QWidget* window, QWidget* panel, DropCallback on_drop)
     : on_drop_(std::move(on_drop)) {
   window->setAcceptDrops(true);
   window->installEventFilter(this);
-  // The widget that holds an embedded window takes what is dragged over it, and hands it on there.
+  // The widget that holds an embedded window gets the drags over it, and passes them to the window.
   for (QWidget* holder : panel->findChildren<QWidget*>()) holder->installEventFilter(this);
 }
 
@@ -37,7 +37,7 @@ bool SceneDrop::eventFilter(QObject*, QEvent* event) {
   if (!drop && event->type() != QEvent::DragEnter && event->type() != QEvent::DragMove) {
     return false;
   }
-  auto* drag = static_cast<QDropEvent*>(event);  // what the others derive from
+  auto* drag = static_cast<QDropEvent*>(event);  // base of the other drag events
   const QString path = sceneIn(*drag->mimeData());
   if (path.isEmpty() || (drop && !on_drop_(path))) return false;
   drag->acceptProposedAction();

@@ -9,8 +9,8 @@ class QWidget;
 
 namespace rosplat {
 
-// The scene that a drag carries: a local .ply, .spz, .sog or a folder of a SOG, the first of them.
-// Empty where there is none.
+// The first scene that a drag carries: a local scene file, or a folder with the meta.json of a SOG.
+// Empty if there is none.
 QString sceneIn(const QMimeData& data);
 
 // Takes scene files that are dropped on a window, or on a panel of it that embeds another window.

@@ -15,11 +15,11 @@ using namespace std::chrono_literals;
 using Clock = std::chrono::steady_clock;
 
 constexpr int kGrace = 3000;      // what a publisher gets to end by itself [ms]
-constexpr auto kDiscovery = 5s;   // until a node knows those that were started with it
+constexpr auto kDiscovery = 5s;   // until nodes that start together know each other
 constexpr auto kMeeting = 500ms;  // until a new client knows its service
 constexpr auto kLookAgain = 100ms;
 
-// As the value of a parameter on the command line: as it is, ROS reads it as YAML.
+// Quotes a parameter's value for the command line, which ROS reads as YAML.
 QString quoted(const std::string& text) {
   return "'" + QString::fromStdString(text).replace("'", "''") + "'";
 }
@@ -65,7 +65,7 @@ void SceneLoader::choosePublisher() {
   if (Clock::now() < choice_ends_) return;
   client_.reset();
   endChoice();
-  if (process_ || publishers.empty()) {  // one of its own may not have a service yet
+  if (process_ || publishers.empty()) {  // a publisher started here may not have a service yet
     stopPublisher();
     startPublisher(path_);
   } else {
@@ -97,7 +97,7 @@ void SceneLoader::startPublisher(const std::string& path) {
         ament_index_cpp::get_package_prefix("rosplat_tools") + "/lib/rosplat_tools/ply_publisher";
     process_ = std::make_unique<QProcess>();
     process_->setProcessChannelMode(QProcess::MergedChannels);
-    // A name of its own, or its service would be that of other displays' publishers, too; and the
+    // A node name of its own, or other displays' publishers would have the same service; and the
     // topic as rviz2 resolves it, which may have a namespace and remappings.
     const QString id = QUuid::createUuid().toString(QUuid::Id128).left(8);
     const std::string topic = node_->get_node_topics_interface()->resolve_topic_name(topic_);
@@ -148,10 +148,10 @@ void SceneLoader::readPublisher() {
   const QStringList lines = QString::fromUtf8(process_->readAll()).split('\n', Qt::SkipEmptyParts);
   const bool ended = process_->state() == QProcess::NotRunning;
   if (!lines.isEmpty()) {
-    // Without what ROS puts before a line of the log: "[INFO] [time] [name]: ".
+    // Without the prefix of a line of ROS's log: "[INFO] [time] [name]: ".
     const int text = lines.last().lastIndexOf("]: ");
     status_ = lines.last().mid(text < 0 ? 0 : text + 3).toStdString();
-    // What was loaded begins with the path; its last line where it ends is the reason.
+    // The result begins with the path. If the process has ended, the last line is the reason.
     if (status_.rfind(path_ + ":", 0) == 0) report(status_, ended);
   }
   if (ended && !failed_) report(status_, true);
@@ -159,7 +159,7 @@ void SceneLoader::readPublisher() {
 
 const std::string& SceneLoader::status() {
   const bool lacking = (loading_ || failed_) && client_ && !choice_.isActive();
-  if (lacking && !client_->service_is_ready()) load(path_);  // who was asked is gone: others are
+  if (lacking && !client_->service_is_ready()) load(path_);  // the publisher is gone: asks another
   if (process_ && !failed_ && !choice_.isActive()) readPublisher();
   return status_;
 }

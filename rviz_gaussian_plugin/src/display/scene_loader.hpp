@@ -11,9 +11,9 @@
 
 namespace rosplat {
 
-// Publishes a scene file on a topic: by the topic's publisher, if that can load scenes, else by a
-// ply_publisher that it starts and that ends with it. In the first seconds of the process it waits
-// for a publisher to appear. Never blocks; status() tells how it goes.
+// Publishes a scene file on a topic: by the topic's publisher, which must be able to load scenes,
+// or without one by a ply_publisher that the loader starts and ends. In the first seconds of the
+// process the loader waits for a publisher to appear. Never blocks; status() tells how it goes.
 class SceneLoader {
  public:
   SceneLoader(rclcpp::Node::SharedPtr node, std::string topic);
@@ -21,12 +21,12 @@ class SceneLoader {
 
   const std::string& topic() const { return topic_; }
 
-  // Takes the place of what is being loaded.
+  // Loads a file, in place of one that is being loaded.
   void load(const std::string& path);
-  // Ends what is being loaded, and a publisher that was started here.
+  // Cancels a load, and ends a publisher that was started here.
   void cancel();
 
-  // A sentence for the user, empty where nothing was asked for.
+  // A sentence for the user, empty if no file was asked for.
   const std::string& status();
   bool loading() const { return loading_; }  // as of status()
   bool failed() const { return failed_; }    // as of status()

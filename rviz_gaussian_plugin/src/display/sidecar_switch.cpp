@@ -34,13 +34,13 @@ void SidecarSwitch::tell() {
   if (backend_.empty()) return;
   const auto sorters = node_->get_publishers_info_by_topic(order_topic_);
   // The thread that hears answers may be the last to hold a client, and destroy it. Nothing may be
-  // made meanwhile, so a new sorter is told the next time.
+  // created meanwhile, so a new sorter is asked the next time.
   const bool gone = forgetGone(sorters);
   for (auto sorter = sorters.begin(); !gone && sorter != sorters.end(); ++sorter) tell(*sorter);
   note();
 }
 
-// Whether any is.
+// Forgets sorters that are gone. Returns whether there were any.
 bool SidecarSwitch::forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters) {
   const std::size_t before = sidecars_.size();
   for (auto sidecar = sidecars_.begin(); sidecar != sidecars_.end();) {
@@ -65,7 +65,7 @@ void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter) {
         std::make_shared<rclcpp::AsyncParametersClient>(node_, name, parametersQos(), group_);
   }
   if (!sidecar.parameters->service_is_ready()) return;
-  // While the two get to know each other, question or answer may be lost.
+  // During discovery a request or its answer may be lost, so it is repeated.
   const auto now = std::chrono::steady_clock::now();
   if (sidecar.told == backend_ && (sidecar.answer || now - sidecar.told_at < 3s)) return;
   sidecar.told = backend_;

@@ -13,7 +13,7 @@
 
 namespace rosplat {
 
-// Has the parameter `backend` of all who publish a map's orders set, and of who comes after.
+// Sets the parameter `backend` of all nodes that publish a map's orders, now or later.
 class SidecarSwitch {
  public:
   // The result, empty while nothing is asked for.
@@ -22,15 +22,15 @@ class SidecarSwitch {
     bool failed = false;
   };
 
-  // Answers are heard in the group, by another thread.
+  // Answers call back in the group, in another thread.
   SidecarSwitch(rclcpp::Node::SharedPtr node, std::string order_topic,
                 rclcpp::CallbackGroup::SharedPtr group);
 
   // Asks all sorters for a backend; empty: stops that. From any thread, as report().
   void ask(const std::string& backend);
   Report report() const;
-  // Asks sorters that weren't asked yet. Call it now and then, from the thread that makes the
-  // node's clients.
+  // Asks sorters that weren't asked yet or didn't answer within 3 s. Call it now and then, from the
+  // thread that makes the node's clients.
   void tell();
 
  private:
@@ -44,7 +44,7 @@ class SidecarSwitch {
     std::optional<Report> answer;
   };
 
-  // All with the mutex locked.
+  // To be called with mutex_ locked.
   bool forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters);
   void tell(const rclcpp::TopicEndpointInfo& sorter);
   void note();
@@ -53,9 +53,9 @@ class SidecarSwitch {
   std::string order_topic_;
   rclcpp::CallbackGroup::SharedPtr group_;
 
-  mutable std::mutex mutex_;  // what follows
+  mutable std::mutex mutex_;  // of all members below
   std::map<Gid, Sidecar> sidecars_;
-  std::string backend_;  // that is asked for
+  std::string backend_;  // that the user asks for
   Report report_;
 };
 

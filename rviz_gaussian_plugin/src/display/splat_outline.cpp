@@ -9,14 +9,14 @@ namespace rosplat {
 
 namespace {
 
-constexpr int kSegments = 32;  // of a section
+constexpr int kSegments = 32;  // lines of a section
 
 Ogre::Vector3 centreOf(const SplatValues& splat) {
   return Ogre::Vector3(Ogre::Real(splat.position[0]), Ogre::Real(splat.position[1]),
                        Ogre::Real(splat.position[2]));
 }
 
-// The principal axes, as long as so many standard deviations.
+// The principal axes, `sigmas` standard deviations long.
 std::array<Ogre::Vector3, 3> axesOf(const SplatValues& splat, float sigmas) {
   const auto& [x, y, z, w] = splat.orientation;
   Ogre::Quaternion rotation(w, x, y, z);

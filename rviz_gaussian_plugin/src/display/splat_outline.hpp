@@ -10,11 +10,11 @@
 
 namespace rosplat {
 
-// The ellipsoid of so many standard deviations about a splat, as its three principal sections:
-// pairs of ends of lines, in the map's frame. [m]
+// A splat's ellipsoid of `sigmas` standard deviations, as its three principal sections: pairs of
+// line ends in the map's frame. [m]
 std::vector<Ogre::Vector3> outline(const SplatValues& splat, float sigmas);
 
-// The box about that ellipsoid along the axes of a frame, given the map's pose in it. [m]
+// The box about that ellipsoid along the axes of a frame in which the map has the pose `map`. [m]
 Ogre::AxisAlignedBox boxAround(const SplatValues& splat, float sigmas, const Ogre::Affine3& map);
 
 }  // namespace rosplat

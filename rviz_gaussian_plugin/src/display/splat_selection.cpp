@@ -69,7 +69,7 @@ void SplatSelection::onSelect(const Picked& picked) {
 
 void SplatSelection::onDeselect(const Picked& picked) {
   if (picked.extra_handles.empty()) return;
-  // rviz removes all that it has selected, or what has been picked for nothing else.
+  // rviz deselects all that was selected, or splats that were picked only to be deselected.
   if (!tickets_.count(*picked.extra_handles.begin())) return begin(false);
   tickets_.clear();
   waiting_.clear();
@@ -78,7 +78,7 @@ void SplatSelection::onDeselect(const Picked& picked) {
   drawOutlines();
 }
 
-// Right after a pick: the context that it was drawn in is current.
+// To be called right after a pick, while the context that it was drawn in is current.
 void SplatSelection::begin(bool adds) {
   Waiting& waiting = waiting_.emplace_back(Waiting{{}, adds});
   for (MapSelection* map : maps_) {
@@ -87,7 +87,7 @@ void SplatSelection::begin(bool adds) {
   if (take()) drawOutlines();
 }
 
-// What has been found, in the order in which it was asked for; whether there was any.
+// Takes picks that are found, in the order in which they began. Returns whether there were any.
 bool SplatSelection::take() {
   bool any = false;
   for (; !waiting_.empty() && waiting_.front().found(); waiting_.pop_front()) {
@@ -114,7 +114,7 @@ void SplatSelection::take(Waiting& found) {
 void SplatSelection::refresh() {
   bool fresh = take();
   for (MapSelection* map : maps_) fresh = map->refresh() || fresh;
-  if (fresh) shown_ = false;  // nor may it be now: the outlines are being drawn
+  if (fresh) shown_ = false;  // drawn by updateProperties(): Ogre is using the outlines now
 }
 
 void SplatSelection::drawOutlines() {

@@ -12,22 +12,22 @@
 
 namespace rosplat {
 
-// What rviz's Select tool has selected, of all maps, since which of them a pixel shows may be known
-// only later. Its extra handles are tickets, of which each stands for all that has been picked at
-// once.
+// The splats that rviz's Select tool has selected. One handler serves all maps, since it may be
+// known only later which map a pixel shows. Its extra handles are tickets: each stands for all
+// splats of one pick.
 class SplatSelection : public rviz_common::interaction::SelectionHandler {
  public:
-  // That which the displays of a process share.
+  // The instance that the displays of a process share.
   static std::shared_ptr<SplatSelection> ofProcess(rviz_common::DisplayContext* context);
   // Made by createSelectionHandler(), as every handler.
   explicit SplatSelection(rviz_common::DisplayContext* context) : SelectionHandler(context) {}
 
-  // Of the cloud, which hangs on the node, for as long as it is held; both must outlive it.
+  // Adds a cloud, attached to the node, for as long as the result is held; both must outlive that.
   std::shared_ptr<MapSelection> of(SplatCloud* cloud, Ogre::SceneNode* node,
                                    MapSelection::SelectCallback on_select);
 
-  // Render thread: takes what has been found since, and reads what is selected again where a map
-  // has changed. updateProperties() shows it.
+  // Render thread: takes the picks found since the last call, and reads selected splats again if
+  // their map has changed. updateProperties() shows the result.
   void refresh();
 
   // rviz_common::interaction::SelectionHandler
@@ -47,7 +47,7 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
  private:
   struct Waiting {
     std::vector<std::pair<SplatCloud*, Pick>> picks;
-    bool adds;  // to what is selected, or removes from it
+    bool adds;  // to the selection; else removes from it
 
     bool found() const;
   };
@@ -62,8 +62,8 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
   std::vector<MapSelection*> maps_;
   std::set<std::uint64_t> tickets_;  // selected
   std::deque<Waiting> waiting_;      // picks whose slots aren't known yet
-  std::string error_;                // why those of the last never will be
-  bool shown_ = true;                // outlines and panel show what is known
+  std::string error_;                // why the last pick's slots never will be known
+  bool shown_ = true;                // outlines and panel are up to date
 };
 
 }  // namespace rosplat

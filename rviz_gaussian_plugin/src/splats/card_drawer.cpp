@@ -7,9 +7,9 @@ namespace rosplat {
 
 namespace {
 
-// What one frame uploads at most, so that a map that streams in doesn't stop the picture.
+// The most that a frame uploads, so that a map that streams in doesn't stop the picture. [bytes]
 constexpr std::size_t kUploadBytesPerFrame = 32u << 20;
-const OrderPtr kNoOrder = std::make_shared<const Order>();  // yet
+const OrderPtr kNoOrder = std::make_shared<const Order>();  // until there is one: draws nothing
 
 double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -33,11 +33,11 @@ MapState CardDrawer::update(bool all) {
 void CardDrawer::take(const EditQueue::Waiting& arrival) {
   const auto& [edit, state, now, taken, more] = arrival;
   if (edit->clear) {
-    // What replaces a map in parts doesn't show before it is whole.
+    // A map that comes in parts is built beside the drawn one, and shown once it is whole.
     const bool beside = more && map_.splats > 0;
     next_card_ = beside ? renderer_->makeMap() : nullptr;
   }
-  MapState after = state;  // first, lest memory be lacking once the edit is there
+  MapState after = state;  // copied first: later memory may be lacking
   if (next_card_) {
     next_card_->apply(edit, renderer_->clock());
     next_map_ = std::move(after);
@@ -62,7 +62,7 @@ void CardDrawer::hold(const GaussianEdit& page) {
   card_->apply(std::make_shared<const GaussianEdit>(page), renderer_->clock());
 }
 
-// A graphics card sorts in less time than another's order takes to be uploaded.
+// Auto sorts on an accelerated card: that takes less time than uploading another sorter's order.
 bool CardDrawer::sorts(OrderSource source) const {
   const bool may =
       source == OrderSource::kGpu || (source == OrderSource::kAuto && renderer_->accelerated());

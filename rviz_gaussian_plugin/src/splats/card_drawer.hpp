@@ -15,7 +15,7 @@ namespace rosplat {
 // A map on the graphics card.
 class CardDrawer : public Drawer {
  public:
-  // The sorter has what is uploaded, and must outlive it.
+  // The sorter gets every edit that is uploaded. It must outlive the drawer.
   CardDrawer(std::shared_ptr<SplatRenderer> renderer, Arrivals::Taker taker, BuiltInSorter& sorter)
       : renderer_(std::move(renderer)), taker_(std::move(taker)), sorter_(sorter) {}
 
@@ -68,7 +68,7 @@ class CardDrawer : public Drawer {
   BuiltInSorter& sorter_;
   std::shared_ptr<CardMap> card_ = renderer_->makeMap();
   MapState map_;
-  std::shared_ptr<CardMap> next_card_;  // what replaces that, until it is whole
+  std::shared_ptr<CardMap> next_card_;  // replaces card_ once it is whole
   MapState next_map_;
   OrderPtr unsorted_;
   std::array<std::uint64_t, 3> unsorted_of_{};  // round, capacity and number of pages

@@ -19,19 +19,19 @@ namespace rosplat {
 
 // What a frame drew.
 struct FrameReport {
-  std::size_t splats = 0;                 // drawn, and nodes of levels in place of others
+  std::size_t splats = 0;                 // drawn, counting nodes that stand for splats
   std::size_t maps = 1;                   // in this picture, sorted together
   double error = 0;                       // of the levels drawn, 0 in full detail [px]
   std::string detail_error;               // why the detail asked for could not be drawn
   std::string order_source;               // what sorted, empty if nothing is sorted yet
-  bool order_fresh = false;               // whether it is for this camera and this map
+  bool order_fresh = false;               // whether the order is for this camera and map
   double order_age = 0;                   // [s]
   double sort_time = 0;                   // [s]
   double draw_time = 0;                   // of the render thread [s]
-  double paint_time = 0;                  // of the painter's thread, if it rasterises [s]
+  double paint_time = 0;                  // of the painter's thread, if that rasterises [s]
   double frame_interval = 0;              // 95th percentile over recent frames [s]
-  double picture_age = 0;                 // the largest recent one, 0 for this camera's own [s]
-  double camera_off = 0;                  // the largest recent lag of its camera behind this [s]
+  double picture_age = 0;                 // recent maximum, 0 for a picture of this camera [s]
+  double camera_off = 0;                  // recent maximum: time from its camera to this one [s]
   std::string rasterizer;                 // "quads", "tiles" or "processor"
   std::map<std::string, double> profile;  // time of each stage, if asked for [s]
   MapState map;                           // the map as it was drawn
@@ -40,7 +40,7 @@ struct FrameReport {
 // The memory of a map where it is drawn.
 struct DrawnBytes {
   std::size_t map = 0, levels = 0;
-  std::size_t gpu = 0, host = 0;                // of both, and of the sorter
+  std::size_t gpu = 0, host = 0;                // of both, uploads and the built-in sorter
   std::size_t shared_gpu = 0, shared_host = 0;  // further memory, shared with other maps
 };
 
@@ -63,40 +63,40 @@ class Drawer {
   virtual ~Drawer() = default;
   virtual DrawnBy by() const = 0;
 
-  // Copies all that another holds. Throws gl::Error or std::bad_alloc if there is no memory for it.
+  // Copies all that another Drawer holds. Throws gl::Error or std::bad_alloc if memory is lacking.
   void hold(Drawer& other) {
     other.settle();
     other.forEachPage([this](const GaussianEdit& page) { hold(page); });
     hold(other.map());
   }
-  // Applies arrived edits: all of them, or as many as a frame has time for. Returns the state that
-  // an order must be of to be drawn.
+  // Applies arrived edits: all of them, or as many as a frame has time for. Returns the map state
+  // that an order must match to be drawn.
   virtual MapState update(bool all) = 0;
-  // Shows what is held, even if parts of it are still to come.
+  // Shows the newest map that is held, even if parts of it are still to come.
   virtual void settle() {}
-  // The map as it is held and shown.
+  // The state of the map as it is held and shown.
   virtual MapState map() const = 0;
-  // Calls take with edits that write the map elsewhere: its groups first, then page by page.
+  // Calls take() with edits that rebuild the map elsewhere: group poses first, then page by page.
   virtual void forEachPage(const std::function<void(const GaussianEdit&)>& take) const = 0;
   // The values of slots as they are drawn, in the map's frame.
   virtual std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const = 0;
 
-  // Whether it draws orders of other sorters.
+  // Whether the drawer uses the orders of sidecars.
   virtual bool wantsOrders(OrderSource source) = 0;
-  // The order of a map that is alone in its picture; see Look::order. sort_now: sorts at once
-  // instead of waiting for an order.
+  // Returns the order for a map that is alone in its picture; see Look::order. sort_now: sorts at
+  // once instead of waiting for an order.
   virtual std::optional<OrderBook::Choice> choose(OrderBook& book, const std::string& view_id,
                                                   OrderSource source, bool sort_now) = 0;
 
   // Whether both maps can be in one picture, sorted together.
   virtual bool drawsWith(const Drawer& other) = 0;
-  // Whether the picture for a look is finished; begins it otherwise.
+  // Whether the picture for a look is finished. If not, begins that picture.
   virtual bool ready(const Look& look) = 0;
-  // Draws maps that are drawn together, this one among them, into the current framebuffer. Returns
+  // Draws maps in one picture, this drawer's map among them, into the current framebuffer. Returns
   // a report of each map.
   virtual std::vector<FrameReport> draw(const std::vector<Look>& looks, Canvas canvas,
                                         const Surroundings& around) = 0;
-  // After draw() of a view with translucent objects. SplatRenderer explains this and the next four.
+  // After draw() of a view with translucent objects. SplatRenderer explains these five methods.
   virtual void hideFarther(const std::string& view_id) const = 0;
   virtual void drawBefore(const std::string& view_id) const = 0;
   virtual void drawSurface(const std::vector<Look>& looks, Canvas canvas, double far_clip) = 0;

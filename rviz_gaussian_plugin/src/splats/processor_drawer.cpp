@@ -23,14 +23,14 @@ ProcessorDrawer::ProcessorDrawer(std::shared_ptr<SoftwareRenderer> renderer,
   painter().add(painted_);
 }
 
-// What has arrived is painted before anything that is waited for.
+// Returns the state after all waiting edits: the painter takes these before the next picture.
 MapState ProcessorDrawer::update(bool) {
   painter().wake();
   return taker_.from().state();
 }
 
-// The map as a picture that is waited for will show it: with all that has arrived, unless memory is
-// lacking for that.
+// The state that a picture shows if one waits for it: after all waiting edits, unless memory is
+// lacking for these.
 MapState ProcessorDrawer::reachable() const {
   return taker_.from().error().empty() ? taker_.from().state() : painted_->state();
 }
@@ -85,7 +85,7 @@ std::vector<FrameReport> ProcessorDrawer::draw(const std::vector<Look>& looks, C
 FrameReport ProcessorDrawer::describe(const Look& look, const Painting& painting) const {
   FrameReport report;
   const PaintLayer* const layer = painting.request->of(*painted_);
-  if (!layer) return report;  // it isn't in the picture yet
+  if (!layer) return report;  // the map isn't in the picture yet
   const Painting::OfMap& of = painting.maps[std::size_t(layer - painting.request->layers.data())];
   const bool exact = renderer_->exact();
   report.map = of.map;

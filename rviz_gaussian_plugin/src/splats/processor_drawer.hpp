@@ -10,8 +10,8 @@
 
 namespace rosplat {
 
-// A map in the processor's memory. Its painter takes the edits, and draws while the render thread
-// shows what it has drawn before.
+// A map in the processor's memory. The painter's thread takes the edits and paints, while the
+// render thread shows the newest finished picture.
 class ProcessorDrawer : public Drawer {
  public:
   ProcessorDrawer(std::shared_ptr<SoftwareRenderer> renderer, const Arrivals::Taker& taker);

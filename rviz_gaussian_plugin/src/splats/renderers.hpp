@@ -12,18 +12,18 @@
 
 namespace rosplat {
 
-// What draws maps, on a graphics card and without: each is there while a map is drawn by it. Maps
-// that have the same are drawn together. Render thread only.
+// The renderers of the graphics card and of the processor. Each exists while a map is drawn by it.
+// Only maps with the same renderer can share a picture. Render thread only.
 class Renderers {
  public:
   explicit Renderers(ShaderSource shaders) : shaders_(std::move(shaders)) {}
-  // Those that the maps of a process share.
+  // The instance that all maps of a process share.
   static std::shared_ptr<Renderers> ofProcess(const ShaderSource& shaders);
 
-  // Throw gl::Error where the driver can't do it.
+  // Throw gl::Error if the driver lacks what the renderer needs.
   std::shared_ptr<SplatRenderer> onCard();
   std::shared_ptr<SoftwareRenderer> onProcessor();
-  // A map's side of one of them, without anything in it.
+  // Makes a Drawer of an empty map that draws with one of these renderers.
   std::unique_ptr<Drawer> makeDrawer(DrawnBy by, const Arrivals::Taker& taker,
                                      BuiltInSorter& sorter);
 
@@ -33,8 +33,7 @@ class Renderers {
   std::weak_ptr<SoftwareRenderer> processor_;
 };
 
-// Where a rasterizer draws. Auto: on the processor if there is no graphics card that can. Render
-// thread only.
+// Where a rasterizer draws. Auto: on the processor if no card can draw. Render thread only.
 DrawnBy drawnBy(Rasterizer rasterizer);
 
 }  // namespace rosplat

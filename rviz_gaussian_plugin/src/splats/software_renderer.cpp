@@ -10,7 +10,7 @@ namespace rosplat {
 
 namespace {
 
-constexpr float kSurfaceAlpha = 0.5f;  // more splats than void
+constexpr float kSurfaceAlpha = 0.5f;  // splats cover at least half of the pixel
 
 double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -18,7 +18,7 @@ double now() {
 
 bool same(const MapState& a, const MapState& b) { return a.edits == b.edits && a.torn == b.torn; }
 
-// Whether that is it, or failed.
+// Whether a painting answers a request, for the present states of its maps; a failed one does, too.
 bool shows(const Painting& painting, const PaintRequest& request,
            const std::vector<ViewedMap>& maps) {
   const auto as = [](const Painting::OfMap& shown, const ViewedMap& map) {
@@ -37,8 +37,8 @@ const ViewedMap* oneIn(const PaintRequest& picture, const std::vector<ViewedMap>
   return found == maps.end() ? nullptr : &*found;
 }
 
-// A camera in the frame of a map, as one in the frame of the first map of a picture that shows
-// both.
+// Converts a camera from the frame of a map to that of the picture's first map. The picture must
+// show the map.
 SplatCamera inFirst(const PaintRequest& picture, const PaintedMap& map, const SplatCamera& camera) {
   const PaintLayer* const layer = picture.of(map);
   if (layer == &picture.layers.front()) return camera;

@@ -21,38 +21,38 @@ namespace rosplat {
 
 using ViewedMap = Viewed<PaintedMap>;
 
-// Draws maps where no graphics card does: a painter makes their pictures, and OpenGL only lays them
-// over the window. Maps of one view are in one picture, by depth. Knows no Ogre; runs in the render
-// thread only, which waits for a picture if it isn't interactive, and never otherwise.
+// Draws maps without a graphics card: a painter makes the pictures, and OpenGL only lays them over
+// the window. The maps of a view share one picture, sorted together. Knows no Ogre. Render thread
+// only, which waits for a picture only if that isn't interactive.
 class SoftwareRenderer {
  public:
-  // Throws gl::Error where the driver can't do it.
+  // Throws gl::Error if the driver can't compile the shaders.
   explicit SoftwareRenderer(const ShaderSource& source) : overlay_(source) {}
 
-  // Who takes the maps' edits.
+  // Its thread also takes the maps' edits.
   Painter& painter() { return painter_; }
-  // Has a picture made of a map that isn't for a window; whether it is there, of the map as it is
-  // now.
+  // Has a picture made of a map that no window shows. Returns whether the picture of the map's
+  // present state is finished, or has failed.
   bool ready(const ViewedMap& map);
-  // Shows a view as SplatRenderer::draw() does, or what there is of it: the newest picture, carried
-  // over to this camera. What is shown, and null where nothing is yet; not all of these maps have
-  // to be in it, and others may. Throws PictureError.
+  // Shows a view as SplatRenderer::draw() does. An interactive view shows the newest finished
+  // picture, warped to this camera. Returns the picture that is shown, null if there is none yet.
+  // It may lack some of these maps, and hold others. Throws PictureError.
   PaintingPtr draw(const std::vector<ViewedMap>& maps, Canvas canvas,
                    const Surroundings& around = {});
-  // Whether that was this very camera, and the maps as they are now.
+  // Whether draw() showed exactly its camera and the maps' states at that time.
   bool exact() const { return exact_; }
   // After a draw() with translucent objects; see SplatRenderer.
   void hideFarther() const;
   void drawBefore() const;
 
-  // See SplatRenderer. Where the surface is in what a view shows.
+  // See SplatRenderer. Uses the surface of the picture that the view shows.
   void drawSurface(const std::vector<ViewedMap>& maps, Canvas canvas, double far_clip);
-  // See SplatRenderer. Where maps are in what their view shows; which splats, the painter finds.
+  // See SplatRenderer. Marks where the shown picture has splats; the painter finds which ones.
   void drawPick(const std::vector<ViewedMap>& maps, Canvas canvas, std::uint32_t number);
-  // After drawPick(), of each of its maps.
+  // After drawPick(): the picked splats of each of its maps.
   std::vector<Pick> pick() { return painter_.pick(picked_); }
 
-  // What draw() showed last; see SplatRenderer. Throw PictureError where it is interactive.
+  // What draw() showed last; see SplatRenderer. Throw PictureError if that was interactive.
   const std::vector<float>& readColor() const;
   const std::vector<float>& readDepth() const;
 
@@ -61,7 +61,7 @@ class SoftwareRenderer {
   std::size_t gpuBytes() const;
 
  private:
-  // What displays show together.
+  // A view that one or more displays show together.
   struct ShownView {
     PaintRequestPtr asked;
     std::vector<MapState> asked_of;
@@ -71,18 +71,18 @@ class SoftwareRenderer {
   };
 
   PaintRequest requestOf(const std::vector<ViewedMap>& maps) const;
-  // The name of the view that maps are in.
+  // Joins the views of maps to one view, and returns its name.
   const std::string& join(const std::vector<ViewedMap>& maps);
-  // Whether a picture of these maps as they are now is what was asked for last.
+  // Whether the view's last request equals this one, for the same states of these maps.
   static bool asked(const ShownView& view, const PaintRequest& request,
                     const std::vector<ViewedMap>& maps);
   void ask(const std::string& name, PaintRequestPtr request, const std::vector<ViewedMap>& maps);
   void show(ShownView& view, const PaintingPtr& painting);
-  // Of what the view of maps shows, how deep it is for their cameras, where it has so much of
-  // splats before what is opaque [m]; NaN elsewhere, and none where it shows nothing.
+  // Depths of the shown picture's splats, by pixel of the maps' camera [m]; NaN where they are less
+  // opaque than least_alpha or behind the opaque scene. Empty if the view shows none of the maps.
   std::vector<double> depthsShown(const std::vector<ViewedMap>& maps,
                                   const std::vector<float>& scene_depth, float least_alpha) const;
-  // Writes numbers of 24 bits by pixel, top row first; nothing where one is 0.
+  // Writes a number of 24 bits to each pixel, top row first. A 0 writes nothing.
   void drawNumbers(const CanvasScope& window, const SplatCamera& camera,
                    const std::vector<std::uint32_t>& numbers);
   void drop(const std::string& name);
@@ -97,7 +97,7 @@ class SoftwareRenderer {
   // Of the last draw().
   const ShownView* drawn_ = nullptr;
   Canvas canvas_ = Canvas::kNone;
-  PictureMesh::CornerGrid mesh_;  // how it saw the picture
+  PictureMesh::CornerGrid mesh_;  // the picture, as that draw()'s camera saw it
   bool exact_ = false;
 };
 

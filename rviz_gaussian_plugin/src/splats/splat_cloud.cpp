@@ -27,9 +27,9 @@ namespace {
 constexpr Ogre::uint8 kRenderQueue = Ogre::RENDER_QUEUE_7;
 constexpr std::uint32_t kMostTickets = (1u << 24) - 1;  // a pixel of rviz's selection has 24 bits
 
-std::uint64_t made = 0;  // clouds
+std::uint64_t made = 0;  // clouds so far
 
-// Sorted with the translucent objects, the farthest first, but itself neither.
+// Has Ogre sort the layers among the translucent objects, farthest first. Nothing is drawn with it.
 Ogre::MaterialPtr layerMaterial() {
   auto& materials = Ogre::MaterialManager::getSingleton();
   const std::string name = "rosplat/Layer";
@@ -43,7 +43,7 @@ Ogre::MaterialPtr layerMaterial() {
   return material;
 }
 
-// Deletes what maps that are gone have left on the graphics card, while Ogre's context is current.
+// Deletes OpenGL objects that destroyed maps have left, while Ogre's context is current.
 struct Undertaker : Ogre::FrameListener {
   bool frameEnded(const Ogre::FrameEvent&) override {
     gl::deleteAbandoned();
@@ -52,11 +52,11 @@ struct Undertaker : Ogre::FrameListener {
 };
 
 void callUndertaker() {
-  static auto* const undertaker = new Undertaker;  // Ogre may end after all that is static
+  static auto* const undertaker = new Undertaker;  // Ogre may end after all statics
   Ogre::Root::getSingleton().addFrameListener(undertaker);
 }
 
-// Lists what a queue holds.
+// Lists the renderables in a queue.
 struct Lister : Ogre::QueuedRenderableVisitor {
   std::vector<Ogre::RenderablePass> found;
   void visit(Ogre::RenderablePass* object) override { found.push_back(*object); }
@@ -65,8 +65,8 @@ struct Lister : Ogre::QueuedRenderableVisitor {
   }
 };
 
-// The part of a camera's picture that holds what it sees of some objects at most: all of it where
-// their bounds aren't known, or reach behind the camera.
+// The part of a camera's picture that some objects may cover. All of it if their bounds aren't
+// known, or reach behind the camera.
 PictureRect reachOf(const std::vector<Ogre::RenderablePass>& objects, const Ogre::Camera& camera,
                     int width, int height) {
   constexpr float kMargin = 2;  // [px]
@@ -95,8 +95,8 @@ PictureRect reachOf(const std::vector<Ogre::RenderablePass>& objects, const Ogre
           within(std::ceil(reach.getMaximum().y + kMargin), height)};
 }
 
-// Makes the rows of a rotation of 32-bit floats perpendicular, of unit length: by as little as it
-// lacks, it would turn a map that is 4,500 km away by a quarter of a metre.
+// Makes the rows of a rotation of 32-bit floats perpendicular and of unit length: the floats'
+// errors would move a map that is 4,500 km away by a quarter of a metre.
 void orthonormalise(std::array<double, 9>& rotation) {
   for (int i = 0; i < 3; ++i) {
     double* row = &rotation[3 * i];
@@ -113,8 +113,8 @@ void orthonormalise(std::array<double, 9>& rotation) {
   }
 }
 
-// Depth and stencil are one buffer: to clear half of that, software reads it all first, which of a
-// window of rviz takes a fifth of what a frame without any display does.
+// Has the stencil cleared with the depth. To clear half of their one buffer, software rendering
+// reads it all first, which takes a fifth of the time of an rviz frame without displays.
 void clearStencilToo(Ogre::Viewport& viewport) {
   const unsigned int cleared = viewport.getClearBuffers();
   if ((cleared & Ogre::FBT_DEPTH) && !(cleared & Ogre::FBT_STENCIL)) {
@@ -122,7 +122,7 @@ void clearStencilToo(Ogre::Viewport& viewport) {
   }
 }
 
-// What an Ogre camera sees, in the optical convention.
+// Converts an Ogre camera to the optical convention.
 SplatCamera cameraOf(const Ogre::Camera& ogre, int width, int height) {
   SplatCamera camera;
   const Ogre::Matrix4 view = ogre.getViewMatrix();
@@ -149,7 +149,7 @@ SplatCamera cameraOf(const Ogre::Camera& ogre, int width, int height) {
   }
   camera.ndc_scale = -projection[2][2];
   camera.ndc_offset = projection[2][3];
-  // From the matrix: the camera of rviz's selection has its own, and Ogre's default distances.
+  // From the matrix: rviz's selection camera has a matrix of its own, but Ogre's default distances.
   const double nearest = (-1 - camera.ndc_offset) / camera.ndc_scale;
   camera.near_clip = camera.orthographic ? nearest : -camera.ndc_offset / (1 + camera.ndc_scale);
   if (ogre.getFarClipDistance() > 0) camera.far_clip = ogre.getFarClipDistance();  // 0: infinite
@@ -210,7 +210,7 @@ void SplatCloud::Layer::getWorldTransforms(Ogre::Matrix4* transform) const {
   *transform = cloud_._getParentNodeFullTransform();
 }
 
-// Farther than all that is translucent, so that it comes first.
+// Farther than all translucent objects, so that Ogre comes to the layer first.
 Ogre::Real SplatCloud::Layer::getSquaredViewDepth(const Ogre::Camera*) const {
   const Ogre::Real farthest = std::numeric_limits<Ogre::Real>::max();
   return turn_ == Turn::kBehind ? farthest : farthest / 2;
@@ -258,7 +258,7 @@ std::vector<SplatCloud*> SplatCloud::cloudsIn(Ogre::SceneManager& manager) {
     auto* const group = priorities.getNext();
     group->getTransparents().acceptVisitor(&lister,
                                            Ogre::QueuedRenderableCollection::OM_SORT_DESCENDING);
-    // Of which schemes of rviz's mouse tools make them.
+    // In the schemes of rviz's mouse tools the layers are solids.
     group->getSolidsBasic().acceptVisitor(&lister, Ogre::QueuedRenderableCollection::OM_PASS_GROUP);
   }
   std::vector<SplatCloud*> clouds;
@@ -295,7 +295,7 @@ void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
   const bool seen = scheme == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
   const bool picked = pick_handle_ && (scheme == "Pick" || scheme == "Pick1");
   if (!(seen || scheme == "Depth" || picked) || !camera_) return;
-  // A narrow box of rviz's selection has none, once shrunk to its texture.
+  // A narrow box of rviz's selection may have no pixels once shrunk to its texture.
   if (viewport->getActualWidth() < 1 || viewport->getActualHeight() < 1) return;
   const Canvas canvas =
       viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
@@ -328,7 +328,7 @@ std::optional<SplatScene::InView> SplatCloud::touched(Ogre::Viewport* viewport) 
   SplatCamera camera = cameraIn(*viewport);
   auto view = seen_.begin();
   while (view != seen_.end() && !makePart(camera, view->second)) ++view;
-  if (view == seen_.end()) view = seen_.begin();  // it has moved since
+  if (view == seen_.end()) view = seen_.begin();  // the camera has moved since
   return SplatScene::InView{scene_.get(), view->first, settings_, camera};
 }
 

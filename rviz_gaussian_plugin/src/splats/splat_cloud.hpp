@@ -18,15 +18,15 @@
 
 namespace rosplat {
 
-// A map as a part of an Ogre scene: drawn after everything opaque, hidden by it, before and behind
-// what is translucent. It is where setPlace() says, wherever the node is that it is attached to.
-// The clouds of a view are drawn together, by the first that Ogre comes to: in one order, where the
-// same draws them.
+// A map in an Ogre scene. Opaque objects are drawn before it and hide it; translucent objects are
+// drawn between the splats behind and before them. setPlace() places the map, whatever the pose of
+// its node. The first cloud of a view that Ogre reaches draws all clouds of the view: in one order
+// if one renderer draws them.
 class SplatCloud : public Ogre::MovableObject {
  public:
-  // Names the view that a viewport shows and registers its camera with the scene; called in the
-  // render thread before each draw. `camera` is what the viewport's Ogre camera sees of the map.
-  // Without a name nothing is drawn, and the map only kept up to date.
+  // Returns the name of the view that a viewport shows and registers its camera with the scene.
+  // Called in the render thread before each draw. `camera` is the viewport's camera in the map's
+  // frame. If the name is empty, the map is kept up to date but not drawn.
   using ViewCallback = std::function<std::string(Ogre::Viewport*, const SplatCamera& camera)>;
 
   // Shaders are read from the Ogre resource group that holds ogre_media.
@@ -35,23 +35,24 @@ class SplatCloud : public Ogre::MovableObject {
   SplatScene& scene() { return *scene_; }
   const RenderSettings& settings() const { return settings_; }
   void setSettings(const RenderSettings& settings) { settings_ = settings; }
-  // Where the map's frame is in the scene; a node has only floats for that.
+  // The pose of the map's frame in the scene. A node would round it to floats.
   void setPlace(const Placement& place) { place_ = place; }
   const Placement& place() const { return place_; }
-  // Sort in the next draws rather than take what order there is.
+  // Whether the next draws sort at once instead of taking the newest order.
   void setSortNow(bool sort_now) { sort_now_ = sort_now; }
 
-  // What rviz's selection knows clouds by, 24 bits; 0: they can't be selected. What is selected, it
-  // knows by a ticket, another with each pick.
+  // The handle by which rviz's selection knows clouds, 24 bits; 0: the cloud can't be selected. The
+  // selected splats have a ticket as their handle, a new one for each pick.
   void setPickHandle(std::uint32_t handle) {
     pick_handle_ = handle;
     picked_with_.clear();
   }
-  // Right after a pick: which splats that were, of this cloud and those that were drawn with it;
-  // none where another has drawn it.
+  // Right after a pick: the picked splats of this cloud and of those drawn with it. Empty if
+  // another cloud drew this one.
   std::vector<std::pair<SplatCloud*, Pick>> pick();
 
-  // A sentence for the user; drawing pauses for a second, or until clearError().
+  // A sentence for the user, empty without an error. After an error drawing pauses for a second, or
+  // until clearError().
   const std::string& error() const { return error_; }
   void clearError() { error_.clear(); }
 
@@ -66,11 +67,11 @@ class SplatCloud : public Ogre::MovableObject {
  private:
   // When a part of the map is drawn, in this order.
   enum class Turn {
-    kBehind,  // between the opaque and the translucent objects, if there are any
+    kBehind,  // between the opaque and the translucent objects, if there are translucent ones
     kHide,    // the same, once all maps are through with kBehind
     kBefore,  // after both, before overlays
   };
-  // What Ogre's queues hold.
+  // An entry in Ogre's queues: draws the map in its turn.
   class Layer : public Ogre::Renderable {
    public:
     Layer(SplatCloud& cloud, Turn turn) : cloud_(cloud), turn_(turn) {}
@@ -94,40 +95,39 @@ class SplatCloud : public Ogre::MovableObject {
     std::vector<SplatScene::InView> maps;
   };
 
-  // That Ogre is drawing now, in the order in which they were made.
+  // The clouds that Ogre is drawing now, oldest first.
   static std::vector<SplatCloud*> cloudsIn(Ogre::SceneManager& manager);
   void draw(Turn turn, Ogre::SceneManager& manager);
   void drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas);
   // For rviz's mouse tools.
   void drawTouched(Ogre::SceneManager& manager, Canvas canvas);
-  // Draws all that Ogre is drawing now, as a method finds each.
+  // Draws all clouds that Ogre is drawing now, group by group. `find` tells how a cloud is in view.
   using Find = std::optional<SplatScene::InView> (SplatCloud::*)(Ogre::Viewport*);
   static void drawAll(Ogre::SceneManager& manager, Find find,
                       const std::function<void(const Group&)>& draw);
-  // The map as a viewport sees it, if it is to be drawn; after an error it isn't for a while.
+  // The map as a viewport sees it; none if it is not to be drawn, as for a while after an error.
   std::optional<SplatScene::InView> seen(Ogre::Viewport* viewport);
-  // The same of a viewport of rviz's mouse tools, if the map was seen.
+  // The same for a viewport of rviz's mouse tools; none if no view has shown the map.
   std::optional<SplatScene::InView> touched(Ogre::Viewport* viewport);
   SplatCamera cameraIn(const Ogre::Viewport& viewport) const;
   bool pauses() const;
   void fail(const std::exception& error);
   std::vector<Ogre::RenderablePass> translucent(Ogre::SceneManager& manager) const;
-  static bool anyOpaque(Ogre::SceneManager& manager);  // before the splats in this view
+  static bool anyOpaque(Ogre::SceneManager& manager);  // drawn before the splats in this view
 
   std::array<Layer, 3> layers_{Layer(*this, Turn::kBehind), Layer(*this, Turn::kHide),
                                Layer(*this, Turn::kBefore)};
-  const std::uint64_t number_;  // of those that were ever made
+  const std::uint64_t number_;  // counts the clouds that were ever made
   std::unique_ptr<SplatScene> scene_;
   ViewCallback on_view_;
-  std::map<std::string, SplatCamera> seen_;  // by view, as drawn last; mouse tools draw parts
+  std::map<std::string, SplatCamera> seen_;  // last cameras by view; mouse tools draw parts
   RenderSettings settings_;
   Placement place_;
   bool sort_now_ = false;
   std::uint32_t pick_handle_ = 0;
-  std::vector<SplatCloud*> picked_with_;  // those that it has drawn in the last pick, itself first
+  std::vector<SplatCloud*> picked_with_;  // which this one drew in the last pick, itself first
   bool drawn_ = false;                    // in this frame
-  // The view that was drawn, if it was divided at the translucent objects: kHide and kBefore
-  // follow.
+  // The view drawn in this frame, if divided at translucent objects: kHide and kBefore follow.
   std::string divided_;
   std::string error_;
   std::chrono::steady_clock::time_point error_ends_;

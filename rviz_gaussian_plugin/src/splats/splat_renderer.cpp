@@ -9,16 +9,16 @@ namespace rosplat {
 
 namespace {
 
-// What views may take together, beside one.
+// Once the states of views take more, a new view takes over the oldest state. [bytes]
 constexpr std::size_t kMostViewBytes = std::size_t{1} << 30;
-constexpr const char* kMouseView = "mouse";  // of picks and of the surface
+constexpr const char* kMouseView = "mouse";  // of drawPick() and drawSurface()
 
 const ShaderSource& checked(const ShaderSource& source) {
   if (const std::string reason = gl::unsupported(); !reason.empty()) throw gl::Error(reason);
   return source;
 }
 
-// Whether of any map a budget was missed that can be kept with another error, which it has then.
+// Whether a map missed a budget that another error would keep. Sets that error in its layer.
 bool missesBudget(Frame& frame, const std::vector<std::size_t>& drawn,
                   const std::vector<CardView>& maps) {
   bool misses = false;
@@ -46,7 +46,7 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       compute_composite_(shaders_.compute({"splat_composite.comp"})),
       hide_(shaders_.draw({"splat_composite.vert"}, {"splat_hide.frag"})),
       surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})) {
-  const ViewState compiled(shaders_, sort_);  // what all views draw with
+  const ViewState compiled(shaders_, sort_);  // compiles the programs that all views draw with
 }
 
 double SplatRenderer::clock() const {
@@ -135,7 +135,7 @@ Frame SplatRenderer::frame(const std::vector<CardView>& maps, Canvas canvas,
 void SplatRenderer::copyDepth(const CanvasScope& window, const gl::Target& target) {
   const GLenum format = window.depthFormat();
   if (format && format == refused_depth_) return clearDepth();
-  // Errors are asked for once: a driver with threads of its own would have to wait for them.
+  // Asks for errors once per format: a driver with threads of its own has to wait for these.
   const bool tried = !format || format == copied_depth_;
   if (!tried) gl::dropErrors();
   window.copyDepth(target);
@@ -148,7 +148,7 @@ void SplatRenderer::copyDepth(const CanvasScope& window, const gl::Target& targe
   }
 }
 
-// Has the depth of the translucent objects in the samples of the framebuffer.
+// Draws the depth of the translucent objects, in as many samples as the framebuffer has.
 void SplatRenderer::keepTranslucent(ViewState& view, const SplatCamera& camera,
                                     const std::function<void()>& draw) {
   GLint samples = 0;
@@ -163,8 +163,8 @@ void SplatRenderer::keepTranslucent(ViewState& view, const SplatCamera& camera,
   draw();
 }
 
-// Has the depth of the view's colour, so far the opaque scene's, let pass only what is before the
-// translucent objects, and keeps the opaque scene's in `behind`.
+// view.color begins with the opaque scene's depth. Copies that to view.behind, then lowers the
+// depth in view.color to the translucent objects, so that only splats before these pass.
 void SplatRenderer::divide(ViewState& view) const {
   const gl::Target& color = view.color;
   const int width = color.width(), height = color.height();
@@ -234,7 +234,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
   }
   view.blend(frame, scope, in_tiles, bool(translucent));
   glFlush();
-  // All is submitted: the graphics card goes on while this waits for what it counted first.
+  // All is submitted: the graphics card works on while the loop waits for its first counts.
   while (!view.hasRoom(frame) || missesBudget(frame, view.splats().countsOfLayers(), maps)) {
     view.prepare(frame);
     view.blend(frame, scope, in_tiles, bool(translucent));

@@ -31,50 +31,50 @@ namespace rosplat {
 
 using CardView = Viewed<CardMap>;
 
-// Draws maps with OpenGL 4.4: what is visible is projected once a frame, then blended in a given
-// order or in one found here, as quads or in tiles. Maps of one view are in one picture, by depth,
-// for which the settings of the first decide what doesn't concern a map alone: the rasterizer, its
-// precision, the profile. Knows no Ogre; runs in the render thread only.
+// Draws maps with OpenGL 4.4. Visible splats are projected once a frame, then blended as quads or
+// in tiles, in a given order or in one found here. The maps of a view share one picture, sorted
+// together; the settings of the first map decide the rasterizer, its precision and the profile.
+// Knows no Ogre. Render thread only.
 class SplatRenderer {
  public:
-  // Throws gl::Error where the driver can't do it.
+  // Throws gl::Error if the driver lacks what this needs.
   explicit SplatRenderer(const ShaderSource& source);
 
   double clock() const;  // of `change` in packed_slot.hpp
 
-  // A map without slots, for no other renderer.
+  // Makes an empty map for this renderer alone.
   std::shared_ptr<CardMap> makeMap() const { return std::make_shared<CardMap>(scatter_); }
 
   // What draw() drew of each map.
   struct OfMap {
-    std::size_t drawn = 0;     // splats, and nodes that stand for some
-    double error = 0;          // to which they do, 0 in full [px]
+    std::size_t drawn = 0;     // splats, and nodes that stand for splats
+    double error = 0;          // to which nodes stand for splats, 0 in full detail [px]
     std::string detail_error;  // why it is not in the detail that was asked for
   };
-  // Blends the splats, in an order or, without one, by the sorters' depth and with their ties,
-  // hidden where the current framebuffer and viewport have something nearer, into a target of the
-  // view's; then over that viewport, which has the camera's size. Where the scene has translucent
-  // objects, which come next, the splats are divided at the nearest of them in each pixel, and only
-  // those behind it are laid over. What a view sees is kept until it is forgotten, or others need
-  // the memory.
+  // Blends the splats into a target of the view, then lays the target over the current viewport,
+  // which has the camera's size. Without a given order, splats are sorted by the sorters' depth,
+  // with the same ties. Nearer objects in the current framebuffer and viewport hide splats. If
+  // translucent objects are to follow, the splats are divided at the nearest of these in each
+  // pixel, and only splats behind it are laid over. The view's state is kept until forget(), or
+  // until others need the memory.
   std::vector<OfMap> draw(const std::vector<CardView>& maps, Canvas canvas,
                           const Surroundings& around = {});
   void forget(const std::string& view_id);
-  // Lets the splats that a divided draw() of a view has laid over hide what is translucent and
-  // farther, where they are more opaque than not.
+  // After a divided draw() of a view: the splats laid over hide farther translucent objects where
+  // their opacity is at least one half.
   void hideFarther(const std::string& view_id) const;
-  // Lays over the splats that it has kept back, once the translucent objects are drawn.
+  // Lays over the splats that draw() kept back, once the translucent objects are drawn.
   void drawBefore(const std::string& view_id) const;
 
-  // Writes where the splats' surface is, for rviz's mouse tools, into the current framebuffer and
-  // viewport: mean depth / far_clip as 24-bit colour, lowest byte in blue.
+  // Writes the depth of the splats' surface, for rviz's mouse tools, into the current framebuffer
+  // and viewport: mean depth / far_clip as 24-bit colour, lowest byte in blue.
   void drawSurface(const std::vector<CardView>& maps, Canvas canvas, double far_clip);
 
-  // Finds the splat that contributes most to each pixel, at least a twentieth of its colour, among
-  // those that the current framebuffer and viewport don't hide; then writes there a number, for
-  // rviz's selection, as 24-bit colour.
+  // Finds the splat that contributes most to each pixel, if that is at least a twentieth of its
+  // colour, among splats that the current framebuffer and viewport don't hide. Writes a number to
+  // these pixels as 24-bit colour, for rviz's selection.
   void drawPick(const std::vector<CardView>& maps, Canvas canvas, std::uint32_t number);
-  // What it found of each map: width * height slots, top row first; kNoSlot where there is none.
+  // The slots that drawPick() found, by map: width * height, top row first, kNoSlot for none.
   std::vector<Pick> readPick() const;
 
   // The values of slots as they are drawn.
@@ -83,14 +83,14 @@ class SplatRenderer {
 
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
   std::vector<float> readColor() const;
-  // Draws the mean depth of the splats as draw() saw them: width * height [m], NaN where nothing
-  // is. Only right after it: what is drawn for the mouse sees others.
+  // Draws the mean depth of the splats as draw() saw them: width * height [m], NaN where there are
+  // none. Only right after draw(): a picture for mouse tools may take over the view's state.
   std::vector<float> readDepth();
 
-  // Whether the GPU sorts right, which is tried when first asked: if not, nothing is drawn or
-  // picked in tiles, nor without an order.
+  // Whether the GPU sorts correctly; the first call tests that. If not, nothing is drawn or picked
+  // in tiles, nor drawn without an order.
   bool sorts();
-  // What the driver can't do, and what is done instead, for the user; empty where nothing is.
+  // For the user: what the driver can't do and what is done instead. Empty if it can do everything.
   std::string warning() const;
 
   // Whether a graphics card draws, not the processor.
@@ -106,18 +106,18 @@ class SplatRenderer {
     explicit RenderedView(std::unique_ptr<ViewState> of) : state(std::move(of)) {}
 
     std::unique_ptr<ViewState> state;
-    std::uint64_t used = 0;  // the last time
+    std::uint64_t used = 0;  // used_ when it was last drawn
   };
 
-  // The name of the view that maps are in.
+  // Joins the views of maps to one view, and returns its name.
   const std::string& join(const std::vector<CardView>& maps);
-  // What is kept of a view; where that were too much, another's, drawn longest ago, becomes its.
+  // The state of a view. If all states take too much memory, a new view takes over the oldest one.
   RenderedView& view(const std::string& name);
-  // Null where there is nothing of a display's view.
+  // The state of a display's view, null if none is kept.
   const ViewState* stateOf(const std::string& view_id) const;
   void drop(const std::string& name);
   Frame frame(const std::vector<CardView>& maps, Canvas canvas, gl::Stopwatch& stopwatch) const;
-  // As the window's own, where the driver can.
+  // Copies the window's depth into the target that is bound, or clears that if the driver can't.
   void copyDepth(const CanvasScope& window, const gl::Target& target);
   static void keepTranslucent(ViewState& view, const SplatCamera& camera,
                               const std::function<void()>& draw);
@@ -136,11 +136,11 @@ class SplatRenderer {
 
   ViewNames names_;
   std::map<std::string, RenderedView> views_;  // by name
-  std::uint64_t used_ = 0;                     // views so far
+  std::uint64_t used_ = 0;                     // number of view() calls
   ViewState* drawn_ = nullptr;                 // last
   std::size_t picked_layers_ = 0;
   gl::Target depth_, surface_depth_, pick_depth_;
-  GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver did, or wouldn't copy
+  GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver copied, and refused
   std::map<std::string, double> profile_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };

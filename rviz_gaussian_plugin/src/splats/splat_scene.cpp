@@ -10,8 +10,8 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kMostOrders = 64;  // that wait, a view's newest each
-// The view of the mouse tools, which no sidecar hears of.
+constexpr std::size_t kMostOrders = 64;  // waiting orders, the newest of each view
+// The view of the mouse tools, which is not published to sidecars.
 constexpr const char* kSurfaceView = "surface";
 
 double now() {
@@ -22,7 +22,7 @@ bool same(const MapState& a, const MapState& b) {
   return a.edits == b.edits && a.pulled == b.pulled;
 }
 
-// Who waited for a sidecar in vain takes what is best here.
+// After a vain wait for a sidecar, the best source here takes its place.
 OrderSource sourceOf(const RenderSettings& settings, bool sort_now) {
   const bool in_vain = sort_now && settings.order == OrderSource::kSidecar;
   return in_vain ? OrderSource::kAuto : settings.order;
@@ -87,7 +87,7 @@ void SplatScene::prepare(const RenderSettings& settings) {
   asked_ = settings.rasterizer;
 }
 
-// The next Drawer takes over all that the present one holds, or the present one goes on.
+// The next Drawer takes over all that the present one holds; if that throws, the present one stays.
 void SplatScene::exchange(DrawnBy by) {
   const Arrivals::Taker taker = arrivals_->makeTaker();
   std::unique_ptr<Drawer> next = renderers_->makeDrawer(by, taker, sorter_);
@@ -117,7 +117,7 @@ void SplatScene::upload(const RenderSettings& settings) {
   update(false);
 }
 
-// Only what is drawn; what waits will reach it as it is.
+// Feeds the map as it is drawn. Edits that still wait reach the sorter as they are uploaded.
 void SplatScene::feedSorter() {
   const MapState map = drawer_->map();
   const auto give = [&](GaussianEdit&& edit) {
@@ -215,7 +215,7 @@ FrameReport SplatScene::report(const std::string& view_id) const {
   return found == reports_.end() ? FrameReport{} : found->second;
 }
 
-// What the mouse touches is drawn in full, and sorted here.
+// Mouse tools see the map in full detail, sorted here.
 std::vector<Drawer::Look> SplatScene::touched(const std::vector<InView>& maps) {
   std::vector<Drawer::Look> looks;
   for (const InView& map : maps) {

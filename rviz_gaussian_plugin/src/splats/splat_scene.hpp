@@ -35,14 +35,14 @@ class SplatScene {
 
   // Any thread: checks a batch and queues it for the next frame. Throws BatchError.
   BatchReport apply(const GaussianBatch& batch);
-  // Any thread: an order to fill; hands in a sidecar's order.
+  // Any thread: newOrder() returns an order to fill, offer() hands in a sidecar's order.
   std::shared_ptr<Order> newOrder() { return pool_.make(); }
   void offer(OrderPtr order);
   // Any thread: the most slots that an order of a map can have.
   std::size_t mostSlots(const std::string& map_id, std::uint64_t revision) const;
   // Any thread: the map including all queued edits.
   MapState state() const;
-  // Any thread: where some of the map's splats are, in its frame. [m]
+  // Any thread: the positions of a sample of the map's splats, in the map's frame. [m]
   std::vector<std::array<double, 3>> samplePositions() const { return map_.samplePositions(); }
   // Any thread: the edits that wait to be drawn.
   Backlog backlog() const { return arrivals_->backlog(); }
@@ -51,17 +51,17 @@ class SplatScene {
   std::vector<std::string> hardRegimes(const RenderSettings& settings,
                                        const std::vector<SplatCamera>& cameras) const;
 
-  // Render thread: the camera of a view; sequence grows by one with each.
+  // Render thread: sets the camera of a view; sequence grows by one with each.
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
   // Render thread: makes the Drawer that the settings ask for. If that fails, the present one goes
-  // on until the settings name another rasterizer. Throws gl::Error if there is none.
+  // on until the settings name another rasterizer; throws gl::Error if there is none.
   void prepare(const RenderSettings& settings);
   // Render thread: uploads some of the waiting edits of a map that no view shows. Throws gl::Error.
   void upload(const RenderSettings& settings);
-  // Render thread: whether it draws a sidecar's orders. Throws gl::Error.
+  // Render thread: whether a sidecar's orders are drawn. Throws gl::Error.
   bool wantsOrders(const RenderSettings& settings);
-  // Render thread: uploads what waits. Returns whether the sidecar has answered the view's newest
-  // camera for the whole map. Throws gl::Error.
+  // Render thread: uploads all waiting edits. Returns whether the sidecar has answered the view's
+  // newest camera for the whole map. Throws gl::Error.
   bool answered(const std::string& view_id, const RenderSettings& settings);
 
   // The map in a view.
@@ -69,12 +69,12 @@ class SplatScene {
     SplatScene* scene;
     std::string view_id;
     RenderSettings settings;
-    std::optional<SplatCamera> camera = {};  // if it isn't the view's
+    std::optional<SplatCamera> camera = {};  // in place of the view's own
   };
   // Render thread: whether draw() with these settings, which aren't interactive, need not wait for
-  // the processor; begins the picture otherwise. Throws gl::Error.
+  // the processor. If not, begins the picture. Throws gl::Error.
   bool ready(const std::string& view_id, const RenderSettings& settings, bool sort_now);
-  // Render thread: uploads what waits, chooses an order and draws into the current framebuffer.
+  // Render thread: uploads waiting edits, chooses an order and draws into the current framebuffer.
   // sort_now: doesn't wait for an order but sorts here, on the graphics card if there is one,
   // unless the settings name another source. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
@@ -94,7 +94,7 @@ class SplatScene {
   // Render thread: the report of a view's last draw(); without an order source before the first.
   FrameReport report(const std::string& view_id) const;
   // Render thread, for rviz's mouse tools: writes the depth of the surface that a view shows; see
-  // SplatRenderer. A graphics card draws it anew, and waits for its order.
+  // SplatRenderer. A graphics card draws it anew, in an order sorted for it.
   static void drawSurface(const std::vector<InView>& maps, Canvas canvas, double far_clip);
   // Render thread: writes a number where pick() finds splats; see SplatRenderer. A graphics card
   // sorts for it. The processor uses the picture that the view shows.
@@ -126,7 +126,7 @@ class SplatScene {
  private:
   // A view's recent frames.
   struct Pace {
-    // Times of frames, ages of their pictures, and lags of these pictures' cameras. [s]
+    // Times of frames, ages of their pictures, and time offsets of these pictures' cameras [s].
     std::deque<double> times, ages, offs;
   };
 
@@ -139,7 +139,7 @@ class SplatScene {
 
   struct Trim {
     ~Trim() { returnFreedMemory(); }
-  } trim_;  // first, so that all else is gone by then
+  } trim_;  // first: destroyed last, when all memory is freed
 
   std::mutex orders_mutex_;  // orders_
   OrderPool pool_;
@@ -158,7 +158,7 @@ class SplatScene {
   std::map<std::string, Pace> paces_;
   std::uint64_t touches_ = 0;
   std::unique_ptr<Drawer> drawer_;
-  std::optional<Rasterizer> asked_;  // by the last settings
+  std::optional<Rasterizer> asked_;  // of the last settings
   std::string refusal_;              // why drawer_ isn't the one asked for
 };
 

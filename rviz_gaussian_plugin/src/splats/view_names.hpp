@@ -7,17 +7,17 @@
 
 namespace rosplat {
 
-// What displays call the views that they show, each for itself: those that show one together have
-// one name for it.
+// Names of views. Each display has an id of its own for its view; displays that show a view
+// together share its name.
 class ViewNames {
  public:
-  // Is told of a name that no display has any more.
+  // Called with a name that no display's view has any more.
   using Unused = std::function<void(const std::string& name)>;
 
-  // The one that these views are, by name; they have another one together if they were apart.
+  // Gives these views one name, that of the first with a name or else the first id. Returns it.
   const std::string& join(const std::vector<std::string>& view_ids, const Unused& unused);
   void forget(const std::string& view_id, const Unused& unused);
-  // Null where it is none, or forgotten.
+  // The name of a display's view; null if it was never joined or is forgotten.
   const std::string* of(const std::string& view_id) const;
 
  private:

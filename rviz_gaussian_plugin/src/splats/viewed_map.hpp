@@ -10,15 +10,15 @@
 
 namespace rosplat {
 
-// A map in a view, as what draws it holds it.
+// A map in a view, for the renderer that holds it as a Map.
 template <typename Map>
 struct Viewed {
-  std::string view_id;  // its display's name for it
+  std::string view_id;  // the display's name of the view
   std::shared_ptr<Map> map;
   SplatCamera camera;  // in the map's frame
   RenderSettings settings;
-  OrderPtr order;  // null: by depth; of a map that is alone
-  MapState state;  // on a graphics card as it is there, else with all that waits
+  OrderPtr order;  // only for a map alone in its picture; null: sorted by depth
+  MapState state;  // on a graphics card: as uploaded; else after all waiting edits
 };
 
 }  // namespace rosplat
