@@ -513,6 +513,19 @@ TEST(CpuRasterizer, draws_more_pairs_of_splat_and_tile_than_there_is_room_for) {
   }
 }
 
+TEST(CpuRasterizer, colours_by_the_depths_of_more_pairs_than_there_is_room_for) {
+  Scene scene;
+  for (int i = 0; i < 4096; ++i) {  // on each of 8,192 tiles: 34 million pairs
+    scene.add({0, 0, 5 + 0.001f * float(i)}, 1000, 0.5f, {1, 1, 1});
+  }
+  scene.write();
+  PictureRequest by_depth = request(2048, 1024, scene);
+  by_depth.layers[0].settings.mode = DrawMode::kDepth;
+  const SplatPicture found = draw(rasterizer(), by_depth);
+  by_depth.layers[0].settings.depth_range = {5, 5 + 0.001f * 4095};
+  EXPECT_EQ(found.colour, draw(rasterizer(), by_depth).colour);
+}
+
 TEST(CpuRasterizer, rounds_to_bytes) {
   std::vector<float> values = {0, 1, -0.5f, 1e9f, 0.5f / 255, 0.49f / 255, 254.4f / 255, 0.6f};
   values.insert(values.end(), 9, 0.1f);  // more than a vector, and some

@@ -184,6 +184,9 @@ TEST(PublishedMap, AnEditWithoutMemoryIsPulledOrNeverWas) {
     return splats;
   }();
   const Slots scattered = {5, 2000, 9000};
+  Slots blocks_and_one(2 * kBlock);
+  std::iota(blocks_and_one.begin(), blocks_and_one.end(), 0u);
+  blocks_and_one.push_back(2900);
   const PublishedMap::Poses poses = {{0, {{1, 0, 0}, {0, 0, 0, 1}}}, {7, {}}};
   const std::vector<std::function<void(PublishedMap&)>> edits = {
       [&](PublishedMap& map) { map.upsert(900, some); },
@@ -191,16 +194,17 @@ TEST(PublishedMap, AnEditWithoutMemoryIsPulledOrNeverWas) {
       [&](PublishedMap& map) { map.upsert(8 * kBlock, label, 3); },
       [&](PublishedMap& map) { map.erase({3, 1030}); },
       [&](PublishedMap& map) { map.erase(0, 2 * kBlock); },
+      [&](PublishedMap& map) { map.erase(blocks_and_one); },
       [&](PublishedMap& map) { map.move(poses); },
       [&](PublishedMap& map) { map.replace(some); },
       [&](PublishedMap& map) { map.repeat(); },
   };
   std::size_t failures = 0;
-  for (const auto& edit : edits) {
+  const auto tried = [&](const std::function<void(PublishedMap&)>& edit, std::size_t chunk_bytes) {
     for (std::size_t allowed = 0;; ++allowed) {
       std::vector<Batch> sent;
       sent.reserve(100);
-      PublishedMap map(20'000, "none", wireTo(sent));
+      PublishedMap map(chunk_bytes, "none", wireTo(sent));
       map.replace(splatsOf(3000));
       map.move({{0, {{4, 0, 0}, {0, 0, 0, 1}}}});
       map.erase({17});
@@ -230,6 +234,10 @@ TEST(PublishedMap, AnEditWithoutMemoryIsPulledOrNeverWas) {
       if (!failed) break;
       ASSERT_LT(allowed, 10'000u);
     }
+  };
+  // Blocks that are written in one batch have no revisions of single slots yet.
+  for (const std::size_t chunk_bytes : {20'000u, 1'000'000u}) {
+    for (const auto& edit : edits) tried(edit, chunk_bytes);
   }
   EXPECT_GT(failures, 100u);
 }

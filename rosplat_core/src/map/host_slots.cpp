@@ -151,10 +151,11 @@ void HostSlots::dropParents() {
 }
 
 std::size_t HostSlots::bytes() const {
-  std::size_t words = 0;  // of bands and channels
+  std::size_t words = 0;  // of bands, channels and parents
   for (const auto& page : memory_) {
     for (int band = 1; band <= sh_degree_; ++band) words += page->bands[band] ? bandWords(band) : 0;
     for (const auto& channel : page->channels) words += channel ? kSlots : 0;
+    words += page->parents ? kSlots : 0;
   }
   return memory_.size() * sizeof(Page) + words * sizeof(std::uint32_t) + pages_.bytes() +
          memory_.capacity() * sizeof(memory_[0]);

@@ -334,7 +334,8 @@ void PublishedMap::erase(const NamedSlots& slots, const When& stamp) {
   const Lock turn(turns_), lock(mutex_);
   for (const auto& [number, count] : slots.touched()) {
     const auto found = map_->pages.find(number);
-    if (found != map_->pages.end() && count < kPageSlots) found->second.changed.reserve();
+    if (found == map_->pages.end()) continue;
+    if (slots.listed() || count < kPageSlots) found->second.changed.reserve();
   }
   const std::size_t most = slots.listed() ? chunk_bytes_ / sizeof(std::uint32_t) : kMaxSlots;
   const auto parts = slots.parts(std::max<std::size_t>(1, most));

@@ -115,15 +115,15 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   bool first = true, contributes = false;
   while (!waiting.empty()) {
     const DepthSlice slice = waiting.back();
-    waiting.pop_back();
     if (hides) raisePyramid();
     const bool fits = project(slice);
     lap("project");
     if (cancelled()) return false;
     if (!fits && slice.end - slice.begin > 1) {
-      halve(slice);
+      halve(waiting.size() - 1);
       continue;
     }
+    waiting.pop_back();
     list();
     lap("list");
     // Contributions need the colour behind a splat. After several slices they take a second run.

@@ -95,8 +95,9 @@ void CpuRasterizer::Work::deal() {
   });
 }
 
-// Splits a slice by depth into two, each in the order of slots.
-void CpuRasterizer::Work::halve(const DepthSlice& slice) {
+// Splits a waiting slice by depth into two, each in the order of slots.
+void CpuRasterizer::Work::halve(std::size_t number) {
+  const DepthSlice slice = waiting[number];
   Candidate* const begin = dealt.get() + slice.begin;
   Candidate* const end = begin + (slice.end - slice.begin);
   const auto bySlot = [](const Candidate& a, const Candidate& b) { return a.index < b.index; };
@@ -107,8 +108,8 @@ void CpuRasterizer::Work::halve(const DepthSlice& slice) {
   std::sort(begin, middle, bySlot);
   std::sort(middle, end, bySlot);
   const std::size_t half = slice.begin + std::size_t(middle - begin);
-  waiting.push_back({half, slice.end});
-  waiting.push_back({slice.begin, half});
+  waiting[number] = {half, slice.end};
+  waiting.insert(waiting.begin() + std::ptrdiff_t(number) + 1, {slice.begin, half});
 }
 
 // Sets up the pyramid: before the first splat is blended, only opaque objects hide anything.

@@ -162,8 +162,13 @@ void CpuRasterizer::Work::findDepthRanges() {
   if (std::none_of(layers.begin(), layers.end(), wants)) return;
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
   std::array<float, 2> range{kInfinity, -kInfinity};
-  for (const DepthSlice& slice : waiting) {
-    project(slice);
+  for (std::size_t number = 0; number < waiting.size();) {
+    const DepthSlice slice = waiting[number];
+    if (!project(slice) && slice.end - slice.begin > 1 && !cancelled()) {
+      halve(number);
+      continue;
+    }
+    ++number;
     for (const StepShare& part : parts) {
       for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
         if (!wants(layers[pages[records[i].index / kSlots].layer])) continue;

@@ -140,7 +140,7 @@ struct CpuRasterizer::Work {
   void choose(const SlotPage& page, const HostSlots::Page& memory, std::uint32_t layer);
   void cull();
   void deal();
-  void halve(const DepthSlice& slice);
+  void halve(std::size_t number);
   void openTiles(const PictureRequest& request);
   void raisePyramid();
   bool hidden(const SeenPage& page) const;

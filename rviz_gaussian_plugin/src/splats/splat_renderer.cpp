@@ -93,6 +93,7 @@ SplatRenderer::RenderedView& SplatRenderer::view(const std::string& name) {
       if (at->second.used < oldest->second.used) oldest = at;
     }
     if (bytes > kMostViewBytes) {
+      if (oldest->second.state.get() == drawn_) drawn_ = nullptr;
       auto node = views_.extract(oldest);
       node.key() = name;
       found = views_.insert(std::move(node)).position;
