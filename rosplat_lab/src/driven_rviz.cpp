@@ -143,13 +143,13 @@ QJsonObject places() {
   return found;
 }
 
-// Memory that nobody has given back, whatever of it the system thinks is in use. [bytes]
+// Memory that is allocated and not freed, whether it is resident or not. [bytes]
 double allocated() {
   const struct mallinfo2 heaps = mallinfo2();
   return static_cast<double>(heaps.uordblks + heaps.hblkhd);
 }
 
-// The names in use, of each kind of OpenGL object that contexts share.
+// How many names are in use, by kind of OpenGL object.
 QJsonObject glObjects() {
   constexpr GLuint kNames = 1u << 16;
   if (!epoxy_has_gl_extension("GL_ARB_vertex_buffer_object") && epoxy_gl_version() < 15) {
@@ -173,7 +173,7 @@ QJsonObject glObjects() {
 }
 
 // Drops a file in the middle of the render panel, as the window system hands it to the window;
-// returns whether somebody took it.
+// returns whether the drop was accepted.
 bool drop(const QString& file) {
   QMimeData data;
   data.setUrls({QUrl::fromLocalFile(file)});
@@ -211,7 +211,7 @@ QTreeWidget& topicTree() {
   return *tabs->currentWidget()->findChild<QTreeWidget*>();
 }
 
-// Makes the render panel as large as asked for, sooner or later; returns how large it is now.
+// Resizes the render panel, which may take effect later; returns its size before.
 QJsonArray resize(const QSize& size) {
   for (auto* dock : frame().findChildren<QDockWidget*>()) dock->hide();
   const QSize panel = manager().getRenderPanel()->size();
@@ -219,7 +219,7 @@ QJsonArray resize(const QSize& size) {
   return {panel.width(), panel.height()};
 }
 
-// Times the frames of rviz's window: while it runs, rviz draws as often as it can.
+// Times the frames of rviz's window. While the watch runs, rviz draws as often as it can.
 class Stopwatch : public QObject, public Ogre::FrameListener {
  public:
   Stopwatch() {
@@ -228,7 +228,7 @@ class Stopwatch : public QObject, public Ogre::FrameListener {
   }
   ~Stopwatch() override { Ogre::Root::getSingleton().removeFrameListener(this); }
 
-  // The Orbit view turns by so much. [rad/s]
+  // turn: how fast the Orbit view turns [rad/s]
   void start(double turn) {
     turn_ = turn;
     first_yaw_ = yaw().getValue().toDouble();
@@ -240,8 +240,8 @@ class Stopwatch : public QObject, public Ogre::FrameListener {
 
   int frames() const { return static_cast<int>(swaps_.size()); }
 
-  // frame: between two swaps of the window's buffers. drawing: between a frame's begin and its
-  // swap, by the GPU's clock. [ms]
+  // frame: times between two swaps of the window's buffers. drawing: times between a frame's begin
+  // and its swap, by the GPU's clock. [ms]
   QJsonObject stop() {
     running_ = false;
     makeCurrent();
@@ -255,7 +255,7 @@ class Stopwatch : public QObject, public Ogre::FrameListener {
             {"renderer", reinterpret_cast<const char*>(glGetString(GL_RENDERER))}};
   }
 
-  // Writes the next frame as it will be shown; the file is there when it is whole.
+  // Writes the next frame as it will be shown. The file appears only when it is complete.
   void photograph(const QString& file) {
     picture_ = file;
     manager().queueRender();
@@ -275,7 +275,7 @@ class Stopwatch : public QObject, public Ogre::FrameListener {
     return *rviz_rendering::RenderWindowOgreAdapter::getOgreViewport(panel)->getTarget();
   }
 
-  // Queries belong to a context, of which each window has its own.
+  // Queries belong to an OpenGL context, and each window has its own.
   static void makeCurrent() {
     Ogre::Root::getSingleton().getRenderSystem()->_setRenderTarget(&window());
   }
@@ -345,7 +345,7 @@ class Stopwatch : public QObject, public Ogre::FrameListener {
   }
 
   bool running_ = false;
-  bool drawn_ = false;  // the watch ran when this frame began
+  bool drawn_ = false;  // whether the watch ran when this frame began
   double turn_ = 0;
   double first_yaw_ = 0;
   Clock::time_point began_;
@@ -370,7 +370,7 @@ QJsonValue answer(const QJsonObject& request, Stopwatch& watch) {
   if (what == "set") {
     if (!at(request).setValue(request["value"].toVariant())) throw Refusal("not changed");
   } else if (what == "load") {
-    frame().setWindowModified(false);  // else it asks whether to save
+    frame().setWindowModified(false);  // or rviz asks whether to save
     frame().loadDisplayConfig(request["file"].toString());
   } else if (what == "save") {
     if (!frame().saveDisplayConfig(request["file"].toString())) throw Refusal("not saved");
@@ -389,7 +389,7 @@ QJsonValue answer(const QJsonObject& request, Stopwatch& watch) {
   } else if (what == "topics") {
     return texts(*topicTree().invisibleRootItem());
   } else if (what == "add topic") {
-    // Topics are folded by their words: the display is the item of that text in the topic's own.
+    // The tree nests topics by the words of their names; the path's last item is a display.
     QTreeWidgetItem* item = topicTree().invisibleRootItem();
     for (const auto& text : request["path"].toArray()) {
       QTreeWidgetItem* child = nullptr;

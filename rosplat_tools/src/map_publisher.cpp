@@ -22,8 +22,8 @@ using RepeatMap = rosplat_msgs::srv::RepeatMap;
 using Clock = std::chrono::steady_clock;
 
 constexpr int kWarningPeriod = 5000;  // [ms]
-// How long repeat() waits for a subscriber that acknowledges nothing: the middleware has given up
-// one that is gone by then. It looks every so often whether there is still a reason to wait.
+// How long repeat() waits for a subscriber that acknowledges nothing: by then the middleware has
+// given up a subscriber that is gone. Every kLook, repeat() checks whether it should wait on.
 constexpr std::chrono::seconds kPatience(30);
 constexpr std::chrono::milliseconds kLook(100);
 
@@ -70,7 +70,7 @@ Message messageOf(PublishedMap::Batch&& batch, const std::string& frame_id, rclc
   return message;
 }
 
-// Serves what a callback group has in a thread of its own, whether the node is spun or not.
+// Serves a callback group in a thread of its own, whether the node is spun or not.
 class ServiceThread {
  public:
   explicit ServiceThread(const rclcpp::node_interfaces::NodeBaseInterface::SharedPtr& node)
@@ -107,7 +107,7 @@ class ServiceThread {
 
 PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const MapOptions& options,
                                         const std::shared_ptr<std::atomic<bool>>& closing) {
-  // A late joiner hears of the map by the last batch. The others are for readers that lag behind.
+  // From the last batch a late joiner learns of the map. The others are for subscribers that lag.
   const auto qos = rclcpp::QoS(8).reliable().transient_local();
   rclcpp::PublisherOptions overridable;
   overridable.qos_overriding_options = rclcpp::QosOverridingOptions::with_default_policies();

@@ -12,7 +12,7 @@ namespace rosplat {
 
 namespace {
 
-// Squared errors by the first bits of floats, which grow with them: 16 bins an octave, from 2^-12.
+// The first bits of a squared error's float are its bin: 16 bins an octave, from 2^-12 px^2 on.
 constexpr int kOctaveBits = 4, kOctave = 1 << kOctaveBits;
 constexpr int kDropped = 23 - kOctaveBits;  // of a float's 23 bits
 constexpr int kLeastBits = (127 - 12) * kOctave;
@@ -23,7 +23,7 @@ std::int32_t bitsOf(float value) {
   return bits;
 }
 
-// The error at a place among bins.
+// The error [px] at a place among bins, which may be between two.
 double errorAt(double place) {
   const auto bits = static_cast<std::int32_t>((kLeastBits + place) * (1 << kDropped));
   float squared;
@@ -39,14 +39,14 @@ CutEstimate::CutEstimate(const std::vector<LevelSamples>& levels, const SplatCam
   const auto binsOf = [](const NodeSamples::Each<float>& squared) {
     Places bins;
     for (std::size_t i = 0; i < bins.size(); ++i) {
-      // Room for half an octave of errors more.
+      // Leaves room for half an octave of errors, which is an octave of their squares.
       bins[i] =
           std::clamp((bitsOf(squared[i]) >> kDropped) - kLeastBits, 0, int(kBins) - 1 - kOctave);
     }
     return bins;
   };
   const int rise = blends ? kOctave : 0;
-  // In each bin, how many more are drawn where the error that is allowed falls below it.
+  // For each bin, how many more are drawn as soon as the allowed error falls below it.
   std::array<double, kBins + 1>& more = drawn_;
   for (std::size_t group = 0; group < levels.size(); ++group) {
     const SeenGroup seen(camera, groups[group], box);
@@ -60,8 +60,8 @@ CutEstimate::CutEstimate(const std::vector<LevelSamples>& levels, const SplatCam
         const Places parents = binsOf(cut.squaredErrors(samples.parent_corner, 2 * size));
         for (std::size_t i = 0; i < NodeSamples::kCount; ++i) {
           if (!shown[i]) continue;
-          // Splats are drawn below the end of the rise of their parent's share, half an octave up
-          // where levels blend; nodes also above the beginning of their own.
+          // Splats are drawn at errors below their cell's (half an octave above it where levels
+          // blend), nodes below their parent cell's (likewise) and above their own cell's.
           more[std::size_t(own[i] + rise)] += samples.members[i];
           more[std::size_t(top ? kBins - 1 : parents[i] + rise)] += samples.nodes[i];
           more[std::size_t(own[i])] -= samples.nodes[i];

@@ -13,14 +13,14 @@ namespace rosplat {
 
 namespace {
 
-constexpr double kAim = 0.95;         // of a budget or of all, to draw fewer: estimates err
-constexpr double kClose = 0.9;        // of one is drawn at least, or all
-constexpr double kLeastStep = 1.02;   // of the error, from one that missed to the next
-constexpr int kMostNarrowed = 4;      // pictures that are only to come closer
-constexpr double kMostStep = 1.1;     // of the error, from picture to picture
-constexpr double kLeastError = 0.25;  // what is finer is all there is [px]
+constexpr double kAim = 0.95;         // share of a budget or of all to aim at: estimates err
+constexpr double kClose = 0.9;        // share of a budget to draw at least, if not all
+constexpr double kLeastStep = 1.02;   // least factor from an error that missed to the next
+constexpr int kMostNarrowed = 4;      // most pictures that only come closer to a budget
+constexpr double kMostStep = 1.1;     // most factor of the error from picture to picture
+constexpr double kLeastError = 0.25;  // finer errors draw all there is [px]
 
-// The finest that draws fewer splats than there are. [px]
+// The finest error that draws fewer splats than full detail. [px]
 double finestOf(const CutEstimate& cut) {
   return std::max(kLeastError, cut.errorFor(kAim * cut.drawn(0)));
 }
@@ -32,7 +32,7 @@ Detail parseDetail(const std::string& text) {
   for (const char c : text) {
     if (c != ' ') word += static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
   }
-  // Thousands of splats; who writes 1,5 for 1.5 is told.
+  // Commas may group thousands. Any other comma, as in 1,5 for 1.5, is refused below.
   if (std::regex_match(word, std::regex("[1-9][0-9]{0,2}(,[0-9]{3})+"))) {
     word.erase(std::remove(word.begin(), word.end(), ','), word.end());
   }
@@ -98,8 +98,8 @@ double DetailControl::choose(const RenderSettings& settings,
       break;
   }
   wanted = drawable(wanted);
-  if (!error_) return wanted;  // nobody saw another
-  // A camera that rests keeps its picture, whatever the last bits of counts say.
+  if (!error_) return wanted;  // there is no picture to move on from
+  // With a camera at rest the picture stays, though counts may differ in their last bits.
   if (std::fabs(wanted - *error_) <= (kLeastStep - 1) * *error_) return drawable(*error_);
   const double from = std::max(*error_, finest);
   const double error = drawable(std::clamp(wanted, from / kMostStep, from * kMostStep));
@@ -108,7 +108,7 @@ double DetailControl::choose(const RenderSettings& settings,
 }
 
 double DetailControl::errorForBudget() const {
-  const double splats = search_->most / drawn_of_expected_;  // that are expected
+  const double splats = search_->most / drawn_of_expected_;  // that the estimate would have
   const double all = search_->expected.errorFor(splats);
   return all == 0 ? 0 : search_->expected.errorFor(kAim * splats);
 }
@@ -126,7 +126,7 @@ std::optional<double> DetailControl::drew(double error, std::size_t drawn) {
   }
   if (!of.at_once || (fits && (error == 0 || double(drawn) >= kClose * of.most))) return {};
 
-  // Between the largest error at which too many were drawn and the least at which few enough.
+  // The next error is between the largest that drew too many and the least that drew few enough.
   const double tried = std::max(error, kLeastError);
   if (fits) {
     of.coarse = tried;

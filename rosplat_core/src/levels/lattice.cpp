@@ -10,12 +10,12 @@ namespace {
 
 constexpr int kAxisBits = 19;                           // of a coordinate
 constexpr std::int32_t kOffset = 1 << (kAxisBits - 1);  // to make it positive
-constexpr int kTop = 3 * (kAxisBits - 1);               // where the highest bits of the three begin
+constexpr int kTop = 3 * (kAxisBits - 1);               // place of the highest bits of all three
 constexpr Cell kBelowTop = (Cell{1} << (kTop - 3)) - 1;
-constexpr float kSigmas = 2;     // that a cell is wider than
-constexpr float kLeast = 1e-9f;  // of sizes that matter [m]
+constexpr float kSigmas = 2;     // a cell is wider than so many standard deviations
+constexpr float kLeast = 1e-9f;  // smaller sizes count as this [m]
 
-// 2^octave, of one that is far from the ends of what floats hold; and the octave of a number.
+// 2^octave, which must be a normal float; octaveOf() is its inverse, rounded down.
 float powerOfTwo(int octave) {
   const std::uint32_t bits = std::uint32_t(127 + octave) << 23;
   float value;
@@ -28,7 +28,7 @@ int octaveOf(float value) {
   return int(bits >> 23 & 255u) - 127;
 }
 
-// Two zeros before each bit.
+// Puts two zeros before each bit; gathered() is the inverse.
 Cell spread(std::uint32_t coordinate) {
   Cell x = coordinate;
   x = (x | x << 32) & 0x1f00000000ffff;
@@ -84,8 +84,8 @@ std::array<double, 3> cornerOf(Cell cell) {
   return corner;
 }
 
-// A coordinate x + 2^18 becomes (x >> 1) + 2^18: all but its highest bit move down, below which its
-// opposite comes in.
+// A coordinate x + 2^18 becomes (x >> 1) + 2^18: the highest bit stays, its opposite comes in below
+// it, and all other bits move down by one.
 Cell parentOf(Cell cell) {
   const Cell top = cell >> kTop & 7;
   return firstCell(levelOf(cell) + 1) | top << kTop | (~top & 7) << (kTop - 3) |

@@ -15,7 +15,7 @@ namespace rosplat {
 
 namespace {
 
-constexpr double kLeastTime = 0.05;  // for which building goes on whatever waits [s]
+constexpr double kLeastTime = 0.05;  // of building, even if edits wait [s]
 constexpr std::uint64_t kNever = std::numeric_limits<std::uint64_t>::max();
 
 double seconds() {
@@ -154,7 +154,7 @@ void LevelBuilder::run() {
   }
 }
 
-// Into the slots.
+// Applies an edit to the slots.
 void LevelBuilder::take(const GaussianEdit& edit, double now, std::uint64_t number) {
   if (edit.clear) levels_.clear();
   taken_ = number;
@@ -173,7 +173,7 @@ void LevelBuilder::take(Run run) {
   spare_.back().channels = std::move(edit.channels);
 }
 
-// Takes what waits by now, in the order of its numbers.
+// Takes over all edits and runs that wait by now, in the order of their numbers.
 void LevelBuilder::takeWaiting() {
   std::unique_lock lock(mutex_);
   const std::uint64_t last = applied_;
@@ -201,14 +201,14 @@ void LevelBuilder::takeWaiting() {
   bytes_ = bytes;
 }
 
-// had_time: building had its share.
+// Whether building must stop. had_time: building had its share of time.
 bool LevelBuilder::isInterrupted(bool had_time) const {
   const std::lock_guard lock(mutex_);
   const bool clears = !edits_.empty() && edits_.front().edit->clear;
   return stop_ || clears || (had_time && waits());
 }
 
-// Takes what waits, and that into the nodes, until more waits: for as long as taking it took.
+// Takes over what waits, then builds nodes; if more waits, only for as long as taking over took.
 void LevelBuilder::build() {
   const double begin = seconds();
   takeWaiting();
@@ -227,7 +227,7 @@ void LevelBuilder::handOver(const std::vector<std::uint32_t>& changed) {
   std::set<std::uint32_t> pages(changed.begin(), changed.end());
   {
     const std::lock_guard lock(mutex_);
-    // What nobody took may have been written since.
+    // Pages of an update that nobody took go into this one: they may have been written since.
     for (std::size_t i = 0; update_ && i < update_->entries.size(); ++i) {
       pages.insert(update_->entries[i].first);
     }

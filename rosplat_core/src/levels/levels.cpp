@@ -25,7 +25,7 @@ class NodeCursor {
     skipTo(from);
   }
 
-  // To the first node from a cell on that isn't before this one.
+  // Goes on to the first node whose cell isn't before `from`; never back.
   void skipTo(Cell from) {
     for (; page_ != end_ && (*page_)->cells.back() < from; ++page_) i_ = 0;
     if (page_ == end_) return;
@@ -48,7 +48,7 @@ class NodeCursor {
   std::size_t i_ = 0;
 };
 
-// Where slots lie that come in ascending order, mostly.
+// Finds the pages of slots that mostly ascend: looks a page up only where it changes.
 class SlotFinder {
  public:
   explicit SlotFinder(const HostSlots& slots) : slots_(slots) {}
@@ -69,7 +69,7 @@ auto changesFrom(const Changes& changes, Cell from) {
                           [](const auto& change, Cell cell) { return change.cell < cell; });
 }
 
-// Of all nodes of a level, those in the middle of as many equal runs, each with what is in its run.
+// Divides a level's nodes into equal runs. The node in the middle of each run stands for the run.
 std::vector<NodeSamples> sampledLevel(const Levels::Pages& pages) {
   std::size_t nodes = 0;
   for (const auto& page : pages) nodes += page->cells.size();
@@ -77,8 +77,8 @@ std::vector<NodeSamples> sampledLevel(const Levels::Pages& pages) {
   std::vector<NodeSamples> samples((count + NodeSamples::kCount - 1) / NodeSamples::kCount);
   if (!samples.empty()) samples.back().extent.fill(-1);
   auto page = pages.begin();
-  std::size_t before = 0, members_before = 0;  // in the pages before
-  const auto find = [&](std::size_t node) {    // as they ascend; the end is in the last page
+  std::size_t before = 0, members_before = 0;  // in the pages before *page
+  const auto find = [&](std::size_t node) {    // calls ascend; the end is in the last page
     while (node - before >= (*page)->cells.size() && page + 1 != pages.end()) {
       before += (*page)->cells.size();
       members_before += (*page)->membersBefore((*page)->cells.size());
@@ -86,7 +86,7 @@ std::vector<NodeSamples> sampledLevel(const Levels::Pages& pages) {
     }
     return node - before;
   };
-  std::size_t begin = 0, members_begin = 0;  // of a run
+  std::size_t begin = 0, members_begin = 0;  // of the run
   for (std::size_t k = 0; k < count; ++k) {
     NodeSamples& of = samples[k / NodeSamples::kCount];
     const std::size_t at = k % NodeSamples::kCount, end = nodes * (k + 1) / count;
@@ -110,7 +110,7 @@ std::vector<NodeSamples> sampledLevel(const Levels::Pages& pages) {
   return samples;
 }
 
-// Of neighbours that are alike, the first.
+// Appends a cell, unless it equals the last one.
 void append(std::vector<Cell>& cells, Cell cell) {
   if (cells.empty() || cells.back() != cell) cells.push_back(cell);
 }
@@ -226,7 +226,7 @@ bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
   return true;
 }
 
-// Finds what has changed since nodes were made last.
+// Begins a job: finds what has changed in the next group since its nodes were made last.
 void Levels::begin(const HostSlots& slots) {
   auto next = marked_.lower_bound(next_group_);
   if (next == marked_.end()) next = marked_.begin();
@@ -247,10 +247,10 @@ void Levels::begin(const HostSlots& slots) {
     }
   });
   job->changes = sorted(parts);
-  // What has gone to other groups stays marked for these.
+  // Pages that now belong to other groups stay marked, for those groups.
   auto still_marked = marked_;
   still_marked.erase(group);
-  std::vector<std::pair<Known*, std::uint32_t>> regrouped;  // and to which
+  std::vector<std::pair<Known*, std::uint32_t>> regrouped;  // and the new group
   for (const std::uint32_t first_slot : marked) {
     const SlotPage& page = *slots.index().find(first_slot);
     if (page.group == group) continue;
@@ -261,7 +261,7 @@ void Levels::begin(const HostSlots& slots) {
   marked_ = std::move(still_marked);
   job_ = std::move(job);
 
-  // Nothing here needs memory: the job has what was marked.
+  // Nothing from here on needs memory, so the job takes all marks or, after a throw, none.
   inParts(team_.get(), job_->marked.size(),
           [this, &slots](std::size_t i) { know(slots, *slots.index().find(job_->marked[i])); });
   for (const auto& [known, to] : regrouped) {
@@ -270,17 +270,17 @@ void Levels::begin(const HostSlots& slots) {
   }
 }
 
-// Where a slot enters the group that is known of its page.
+// The cell at which a slot enters the lattice of known.group; kNoCell if it has left that group.
 Cell Levels::cellOf(const Known& known, const SlotPage& of, const HostSlots::Page& page,
                     std::uint32_t i) {
   if (of.group != known.group || page.extent[i] < 0) return kNoCell;
-  std::array<std::uint32_t, 5> words;  // all that matters here
+  std::array<std::uint32_t, 5> words;  // largestScale() reads no more
   for (std::size_t k = 0; k < words.size(); ++k) words[k] = page.word(k, i);
   return entryOf({page.position[0][i], page.position[1][i], page.position[2][i]},
                  largestScale(words.data()));
 }
 
-// What is marked is what the nodes will hold.
+// Notes that the nodes will hold the marked slots as they are now.
 void Levels::know(const HostSlots& slots, const SlotPage& of) {
   Known& known = *known_[of.place];
   for (std::uint32_t i = 0; i < kSlots; ++i) {
@@ -302,10 +302,10 @@ void Levels::findChanges(const HostSlots& slots, const SlotPage& of,
   }
 }
 
-// Dealt out to ranges of cells, each of which is sorted then, side by side.
+// A sample sort: deals the changes out to ranges of cells, then sorts the ranges side by side.
 Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) const {
   constexpr std::size_t kSamples = 32;  // of a part
-  std::vector<Cell> samples, ends;      // of ranges
+  std::vector<Cell> samples, ends;      // ends: of the ranges but the last
   Changes changes;
   for (const auto& part : parts) {
     changes.count += part.size();
@@ -322,7 +322,7 @@ Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) co
   const auto rangeOf = [&ends](const Change& change) {
     return std::size_t(std::upper_bound(ends.begin(), ends.end(), change.cell) - ends.begin());
   };
-  std::vector<std::size_t> next(ranges * parts.size());  // place, by range, then part
+  std::vector<std::size_t> next(ranges * parts.size());  // where to write, by range, then part
   inParts(team_.get(), parts.size(), [&](std::size_t part) {
     for (const Change& change : parts[part]) ++next[rangeOf(change) * parts.size() + part];
   });
@@ -345,11 +345,11 @@ Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) co
   return changes;
 }
 
-// Cuts the next level into pieces: where its pages begin, and so that in none more cells are
-// touched than a page holds.
+// Puts the finished level away and cuts the next one into pieces: where its old pages begin, and so
+// that no piece has more touched cells than a page holds.
 void Levels::nextLevel() {
   Job& job = *job_;
-  Pages pages;  // of the level before
+  Pages pages;  // of the finished level
   std::vector<Cell> touched;
   for (const Piece& piece : job.pieces) {
     pages.insert(pages.end(), piece.pages.begin(), piece.pages.end());
@@ -403,7 +403,7 @@ void Levels::cut(int level, std::vector<Cell> touched, std::vector<Piece>& piece
   }
 }
 
-// So many pieces more: nodes side by side, a few at a time, then the pages that they lie in.
+// Makes the next `count` touched pieces: their nodes side by side, then the pages of each piece.
 void Levels::make(const HostSlots& slots, std::size_t count) {
   constexpr std::size_t kCells = 64;
   Job& job = *job_;
@@ -434,7 +434,7 @@ void Levels::make(const HostSlots& slots, std::size_t count) {
   job.done += count;
 }
 
-// Those of some of its touched cells, from what is in them.
+// Merges the nodes of touched cells begin to end of a piece.
 Levels::Made Levels::nodesOf(const HostSlots& slots, const Piece& piece, std::size_t begin,
                              std::size_t end) const {
   static const Pages kNone;
@@ -477,7 +477,7 @@ Levels::Made Levels::nodesOf(const HostSlots& slots, const Piece& piece, std::si
       const std::uint32_t slot = made.members[k];
       mixture.add(found.pageOf(slot).packed(slot % kSlots, degree), 1);
     }
-    if (mixture.empty()) {  // what was there is gone by now
+    if (mixture.empty()) {  // nothing is left in the cell
       made.members.resize(before);
       continue;
     }
@@ -488,10 +488,10 @@ Levels::Made Levels::nodesOf(const HostSlots& slots, const Piece& piece, std::si
   return made;
 }
 
-// The pages of a piece: of what was made of its touched cells, and of the others as they are.
+// Fills the pages of a piece: with the new nodes of touched cells and the old nodes of the others.
 void Levels::fill(Piece& piece, const std::vector<Made>& made, int sh_degree) const {
   struct Source {
-    const NodePage* page;  // or null: it was made
+    const NodePage* page;  // of an old node; null: it was made
     const Made* made;
     std::size_t i;
   };
@@ -534,12 +534,12 @@ void Levels::fill(Piece& piece, const std::vector<Made>& made, int sh_degree) co
   }
 }
 
-// Tells the slots that were marked of their nodes, but for what was written since.
+// Sets the parents of the job's slots, but none of slots that were written since the job began.
 void Levels::publish(HostSlots& slots) const {
   inParts(team_.get(), job_->marked.size(), [&](std::size_t number) {
     slots.makeParents(*slots.index().find(job_->marked[number]));
   });
-  // Nothing here needs memory: none is told while another can't be.
+  // Nothing here needs memory, so all slots get their parents or, after a throw, none does.
   inParts(team_.get(), job_->marked.size(), [&](std::size_t number) {
     const SlotPage& of = *slots.index().find(job_->marked[number]);
     const Known& known = *known_[of.place];

@@ -7,21 +7,21 @@ namespace rosplat {
 
 namespace {
 
-// What a picture's low-pass filter adds to the covariance of a splat where its cell is 8 px wide,
-// in widths of the cell: 0.3 px^2. More, as where cells are smaller, costs some dB where they
-// aren't.
+// What a picture's low-pass filter (0.3 px^2) adds to a splat's covariance where its cell is 8 px
+// wide, in squared widths of the cell. The larger value that suits smaller cells would cost some dB
+// at all others.
 constexpr double kBlur = 0.3 / (8 * 8);
 
 using Matrix = std::array<std::array<double, 3>, 3>;
 
-// Eigenvalues of a symmetric matrix, which is left diagonal, and its eigenvectors as columns
-// (Jacobi's rotations).
+// Returns the eigenvectors of a symmetric matrix as columns, and leaves its eigenvalues on the
+// diagonal (Jacobi's rotations).
 Matrix eigenvectors(Matrix& a) {
   Matrix v{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
   for (int sweep = 0; sweep < 12; ++sweep) {
     const double off = a[0][1] * a[0][1] + a[0][2] * a[0][2] + a[1][2] * a[1][2];
     const double on = a[0][0] * a[0][0] + a[1][1] * a[1][1] + a[2][2] * a[2][2];
-    if (off <= 1e-15 * on) break;  // far below what a slot holds of a rotation
+    if (off <= 1e-15 * on) break;  // far below the steps of a slot's rotation
     for (const auto& [p, q] : {std::pair{0, 1}, {0, 2}, {1, 2}}) {
       if (a[p][q] * a[p][q] <= 1e-16 * on) continue;
       const double theta = 0.5 * (a[q][q] - a[p][p]) / a[p][q];
@@ -45,8 +45,8 @@ Matrix eigenvectors(Matrix& a) {
   return v;
 }
 
-// Of the rotation whose columns are three axes, x y z w. They are as right-handed as the rotations
-// that made them.
+// The quaternion x y z w of the rotation with these columns. They are right-handed, for a product
+// of rotations made them.
 std::array<float, 4> quaternionOf(const Matrix& m) {
   const double trace = m[0][0] + m[1][1] + m[2][2];
   std::array<double, 4> q;
@@ -77,7 +77,7 @@ std::array<double, 6> covarianceOf(const Splat& splat) {
   return {element(0, 0), element(0, 1), element(0, 2), element(1, 1), element(1, 2), element(2, 2)};
 }
 
-// Whether a time of `change` is after another, of which the clock goes round.
+// Whether one time of `change` is after another. Its clock wraps around.
 bool isLater(std::uint16_t a, std::uint16_t b) { return std::int16_t(a - b) > 0; }
 
 }  // namespace
@@ -94,8 +94,8 @@ Mixture::Mixture(Cell cell, int sh_degree)
       corner_(cornerOf(cell)),
       size_(cellSize(levelOf(cell))) {}
 
-// The root mean square, over all directions, of the area of one standard deviation. With the
-// low-pass filter: what is small covers no less than that.
+// The root mean square, over all directions, of the area of one standard deviation. The low-pass
+// filter is part of it: nothing covers less than the filter does.
 double Mixture::areaOf(const Symmetric& s) const {
   const double blur = kBlur * size_ * size_, xx = s[0] + blur, yy = s[3] + blur, zz = s[5] + blur;
   const double minors = xx * yy - s[1] * s[1] + xx * zz - s[2] * s[2] + yy * zz - s[4] * s[4];
@@ -142,7 +142,7 @@ PackedSlot Mixture::pack() const {
   std::array<double, 3> mean;
   for (std::size_t i = 0; i < 3; ++i) {
     mean[i] = mean_[i] / mass_;
-    // It lies in its cell, whatever is rounded.
+    // Rounding must not move the mean out of its cell.
     const float least = float(corner_[i]), end = float(corner_[i] + size_);
     splat.position[i] = std::clamp(float(corner_[i] + mean[i]), least, std::nextafter(end, least));
     splat.color[i] = float(color_[i] / mass_);
@@ -156,7 +156,7 @@ PackedSlot Mixture::pack() const {
   splat.orientation = quaternionOf(eigenvectors(matrix));
   for (std::size_t i = 0; i < 3; ++i)
     splat.scale[i] = float(std::sqrt(std::max(matrix[i][i], 0.0)));
-  constexpr float kLeastOpacity = 1 / 65535.0f;  // that a slot can hold
+  constexpr float kLeastOpacity = 1 / 65535.0f;  // the least above 0 that a slot can hold
   splat.opacity = std::max(float(mass_ / areaOf(covariance)) / kMostNodeOpacity, kLeastOpacity);
 
   std::array<float, 45> sh;

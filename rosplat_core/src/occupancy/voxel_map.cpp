@@ -19,7 +19,7 @@ constexpr int kAxisBits = 21;
 constexpr std::int64_t kAxisOffset = std::int64_t{1} << (kAxisBits - 1);
 constexpr std::uint64_t kAxisMask = (std::uint64_t{1} << kAxisBits) - 1;
 constexpr std::uint32_t kSlotsATask = 256;
-constexpr std::size_t kSharesAtOnce = 1024;  // of a thread for a shard, before it adds them
+constexpr std::size_t kSharesAtOnce = 1024;  // that a thread gathers for a shard
 
 // z, y, x from the highest bits down, so that keys sort as cells do.
 std::uint64_t keyOf(const std::array<std::int64_t, 3>& cell) {
@@ -38,7 +38,7 @@ std::array<std::int32_t, 3> cellOf(std::uint64_t key) {
   return cell;
 }
 
-// Neighbouring voxels go to one shard, and their hashes lie far apart.
+// A hash for shards and their maps: neighbouring voxels lie far apart.
 std::uint64_t mixed(std::uint64_t key) {
   key = (key ^ key >> 30) * 0xbf58476d1ce4e5b9u;  // splitmix64 (Steele et al. 2014)
   key = (key ^ key >> 27) * 0x94d049bb133111ebu;
@@ -63,7 +63,7 @@ Matrix product(const Matrix& a, const Matrix& b) {
   return c;
 }
 
-// One placement after another.
+// First `inner`, then `outer`.
 Placement composed(const Placement& outer, const Placement& inner) {
   return {product(outer.rotation, inner.rotation), outer(inner.translation)};
 }
@@ -76,7 +76,7 @@ std::array<float, 3> principal(Matrix m) {
     for (double& value : m) value /= trace;
     m = product(m, m);
   }
-  int column = 0;  // any may be zero but the longest
+  int column = 0;  // the longest: others may be zero
   for (int other = 1; other < 3; ++other) {
     if (m[4 * other] > m[4 * column]) column = other;
   }
@@ -90,7 +90,7 @@ std::array<float, 3> principal(Matrix m) {
 struct Samples {
   static constexpr int kMost = 513;
 
-  int count = 0;                         // 0 where these would be too many
+  int count = 0;                         // 0 if there would be more than kMost
   std::array<double, kMost> at, weight;  // places in voxels
 
   // deviation: in voxels. A splat that is thin beside a voxel has one point.
@@ -138,7 +138,7 @@ VoxelMap::VoxelMap(const VoxelGrid& grid, unsigned threads) : grid_(grid), team_
 
 void VoxelMap::apply(const GaussianEdit& edit) {
   const bool whole = whole_;
-  whole_ = false;  // until all of it is done
+  whole_ = false;  // until the edit is done
   if (edit.clear) {
     clear();
   } else if (whole) {
@@ -171,7 +171,7 @@ void VoxelMap::rebuild() {
   sum(allParts(), 1);
 }
 
-// An edit writes slots, empties slots or moves groups.
+// The slots that an edit changes, none twice: it writes slots, empties slots or moves groups.
 std::vector<VoxelMap::PageSpan> VoxelMap::partsOf(const GaussianEdit& edit) const {
   std::vector<PageSpan> parts;
   for (const auto& [first, count] : edit.runs) {
@@ -202,7 +202,7 @@ std::vector<VoxelMap::PageSpan> VoxelMap::allParts() const {
 
 void VoxelMap::sum(const std::vector<PageSpan>& parts, int sign) {
   if (full_ || parts.empty()) return;
-  std::vector<std::size_t> tasks{0};  // first parts of neighbours that are done together
+  std::vector<std::size_t> tasks{0};  // the first part of each task, and the end
   std::uint32_t slots = 0;
   for (std::size_t part = 0; part < parts.size(); ++part) {
     if (slots > 0 && slots + parts[part].count > kSlotsATask) {
@@ -285,8 +285,8 @@ void VoxelMap::share(const Splat& splat, const Placement& in_grid, int sign, Sha
     return;
   }
 
-  // Of the whole splat: area that it hides, in faces of a voxel, seen along each axis of the grid,
-  // and seen along its own shortest axis, which is the normal.
+  // The area that the whole splat hides, in faces of a voxel: `depth` as seen along each axis of
+  // the grid, `area` as seen along the splat's shortest axis, which is its normal.
   const int shortest =
       int(std::min_element(deviation.begin(), deviation.end()) - deviation.begin());
   std::array<double, 3> faces;  // of the splat, seen along its own axes
@@ -305,7 +305,7 @@ void VoxelMap::share(const Splat& splat, const Placement& in_grid, int sign, Sha
   const std::array<double, 3> normal{axes[shortest], axes[3 + shortest], axes[6 + shortest]};
 
   std::uint64_t key = 0;
-  double weight = 0;  // of the points in that voxel, one after the other
+  double weight = 0;  // of the points so far in voxel `key`
   std::array<double, 3> offset{};
   const auto put = [&] {
     if (weight == 0) return;

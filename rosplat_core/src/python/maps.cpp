@@ -9,7 +9,7 @@ namespace rosplat::python {
 
 namespace {
 
-// At the identity where it was never named.
+// A map's group; one at the identity if none of that number was ever named.
 Group groupOf(const GaussianMap& map, std::uint32_t number) {
   const Group* const group = map.groups().find(number);
   return group ? *group : Group{};
@@ -29,7 +29,7 @@ Array<T> viewOf(const py::object& map, const T* values, std::vector<py::ssize_t>
   return Array<T>(std::move(shape), values, map);
 }
 
-// The frames of a map's groups by index: from what positions are relative to into the map's frame.
+// By group index: the matrix that takes positions, as the rows have them, into the map's frame.
 Array<double> framesOf(const SortMap& map) {
   const std::vector<Group>& groups = map.rows.pages().groups();
   std::vector<double> frames;
@@ -63,7 +63,7 @@ Array<std::int64_t> changedOf(const SortMap& map) {
   return toArray(std::move(runs), {static_cast<py::ssize_t>(map.changed.size()), 2});
 }
 
-// Whatever Python calls a batch, with its label: map_id, revision, whether it replaces, bytes.
+// A batch, any Python object, behind its label: map_id, revision, whether it replaces, bytes.
 using Pull = MapPull<py::object>;
 using Labelled = std::tuple<std::string, std::uint64_t, bool, std::size_t, py::object>;
 
@@ -72,7 +72,7 @@ Pull::Labelled labelled(const Labelled& from) {
   return {{map_id, revision, replaces, bytes}, batch};
 }
 
-// The batches to apply, each with how it came, and the request to send, or None.
+// The batches to apply, each with its Arrival, and the request to send, or None.
 py::tuple toPython(const Pull::Step& step) {
   py::object request = py::none();
   if (const auto& asked = step.request) {

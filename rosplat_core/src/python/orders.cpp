@@ -22,7 +22,7 @@ namespace {
 
 using Slots = py::array_t<std::uint32_t, py::array::c_style>;
 
-// As they are, without a silent copy or cast of a whole map.
+// Arrays are taken as they are, without a silent copy or cast of a whole map.
 using Floats = py::array_t<float, py::array::c_style>;
 
 Floats floats(const py::handle& object, py::ssize_t size, const char* name) {
@@ -63,7 +63,7 @@ std::vector<SortView> toViews(const py::handle& object) {
   return views;
 }
 
-// Rows of first slot, place and group, one for each page of a map of so many rows and groups.
+// The pages of a map of so many rows and groups. object: first slot, place and group of each page.
 std::vector<SortPage> toPages(const py::handle& object, py::ssize_t rows, std::size_t groups) {
   if (!py::isinstance<Slots>(object)) {
     throw py::type_error("pages must be a contiguous uint32 array");
@@ -109,7 +109,7 @@ Slots sort(DepthOrder& sorter, const py::object& view_object, const py::object& 
   return order;
 }
 
-// What a reader has read, for as long as there is an array of it.
+// The slots that a reader has read: the memory of an array, which owns this.
 struct ReadSlots {
   explicit ReadSlots(std::shared_ptr<SpareSlots> from) : spare(std::move(from)) {
     slots = spare->take();
@@ -122,7 +122,7 @@ struct ReadSlots {
   std::vector<std::uint32_t> slots;
 };
 
-// A reader for Python, whose arrays lie in the memory of former ones.
+// A reader for Python. Its arrays reuse the memory of former ones.
 class ArrayReader {
  public:
   std::uint64_t key() const { return reader_.key(); }

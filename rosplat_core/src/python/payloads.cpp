@@ -16,7 +16,7 @@ namespace {
 
 using Floats = Array<float>;
 
-// The arrays of a rosplat_core.payload.Arrays, which has to outlive them.
+// Holds the arrays of a rosplat_core.payload.Arrays, and views them.
 struct HeldArrays {
   std::vector<Floats> arrays;
   SplatArrays<const float> splats;
@@ -106,7 +106,7 @@ Array<std::uint32_t> pack(const py::object& arrays, const Array<bool>& usable) {
   return rows;
 }
 
-// Makes the i-th row of an array that which was the order[i]-th, in its own memory.
+// Permutes the rows of an array in place: row order[i] becomes row i.
 void putInOrder(py::array& array, const Array<std::int64_t>& order) {
   const auto n = static_cast<std::size_t>(order.size());
   if (n == 0) return;

@@ -26,7 +26,7 @@ PublishedMap::When whenOf(const Time& time) {
   return Stamp(time->first, time->second);
 }
 
-// A Splats or PackedSplats of Python's, whose arrays are there for as long as this.
+// Holds the arrays of Python's Splats or PackedSplats, and views them.
 struct HeldSplats {
   std::vector<py::object> arrays;
   SplatsView view;
@@ -66,7 +66,7 @@ struct HeldSplats {
   }
 };
 
-// Keeps the arrays beyond the call. Their release takes the interpreter's lock.
+// Keeps the arrays beyond the call. Any thread may release them: that takes Python's lock.
 std::shared_ptr<const void> keeperOf(HeldSplats&& splats) {
   return {new HeldSplats(std::move(splats)), [](const HeldSplats* held) {
             const py::gil_scoped_acquire gil;
@@ -171,7 +171,7 @@ py::tuple toPython(PublishedMap::Group&& group) {
 }  // namespace
 
 void definePublishing(py::module_& module) {
-  const py::call_guard<py::gil_scoped_release> free;  // what is sent takes it again
+  const py::call_guard<py::gil_scoped_release> free;  // sending takes the lock again
   defineBatch(module);
   py::class_<PublishedMap>(module, "PublishedMap", "See published_map.hpp.")
       .def(py::init(&makeMap), "chunk_bytes"_a, "compression"_a, "send"_a, "warn"_a, "settle"_a)

@@ -43,13 +43,13 @@ BatchReport take(CpuRenderer& renderer, const GaussianBatch& batch) {
   return report;
 }
 
-// Has nodes made of all of the map; returns how many there are.
+// Makes the nodes of the whole map; returns how many there are.
 std::size_t merge(CpuRenderer& renderer) {
   renderer.levels.advance(renderer.slots, [] { return false; });
   return renderer.levels.nodes();
 }
 
-// A map in a picture.
+// The renderer's map as a layer of a picture.
 PictureLayer layerOf(const CpuRenderer& renderer, const SplatCamera& camera) {
   PictureLayer layer;
   layer.slots = &renderer.slots;
@@ -60,7 +60,7 @@ PictureLayer layerOf(const CpuRenderer& renderer, const SplatCamera& camera) {
   return layer;
 }
 
-// Whose arrays must outlive it.
+// The renderer and the order must outlive the request, which refers to them.
 PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
                          const std::optional<Array<std::uint32_t>>& order = {}) {
   PictureRequest request;
@@ -155,8 +155,8 @@ py::dict splatsOf(const CpuRenderer& renderer) {
                   "sh"_a = toArray(std::move(sh), {n, 1, 3}));
 }
 
-// The nodes of a level of a group, by ascending cells: the width of these, their corners [m], and
-// values as of splats.
+// The nodes of a level of a group, by ascending cells: the width and corners of the cells [m], and
+// the nodes' values as of splats.
 py::dict nodesOf(const CpuRenderer& renderer, int level, std::uint32_t group) {
   const int degree = renderer.slots.shDegree();
   std::vector<double> corners;

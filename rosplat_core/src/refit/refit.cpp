@@ -17,12 +17,12 @@ using cpu::FitTile;
 
 namespace {
 
-// Where a splat's values are.
+// Where each kind begins among a splat's values.
 constexpr std::size_t kPosition = 0, kScale = 3, kRotation = 6, kOpacity = 10, kHarmonics = 11;
 constexpr std::size_t kMostValues = kHarmonics + 48;
 constexpr std::size_t kChunk = 4096;  // splats that one thread projects at a time
 constexpr float kBand0 = 0.28209479f;
-constexpr float kMostLogit = 9.0f;  // opacities stay where a gradient is left
+constexpr float kMostLogit = 9.0f;  // keeps opacities where they still have a gradient
 
 cpu::FitTileFunction functionFor(CpuRasterizer::Instructions wanted) {
   switch (available(wanted)) {
@@ -57,16 +57,16 @@ void basisOf(int degree, float x, float y, float z, float* basis) {
   basis[14] = 1.44530572f * z * (xx - yy), basis[15] = -0.59004359f * x * (xx - 3 * yy);
 }
 
-// A splat on its way into a picture, and what the way back needs of it.
+// A splat that project() has projected: what backward() needs.
 struct ProjectedSplat {
-  float at[3];           // in the camera [m]
-  float jacobian[2][3];  // of the picture by that
-  bool clamped[2];       // its third column, along x and along y
+  float at[3];           // position in the camera's frame [m]
+  float jacobian[2][3];  // d pixel / d at
+  bool clamped[2];       // the tangent in the third column, along x and y
   float axes[3][3];      // columns of the rotation: [row][axis]
   float scales[3];
   float rows[2][3];     // J W
   float m[2][3];        // J W R S
-  float opacity, kept;  // kept: of it where the picture is antialiased
+  float opacity, kept;  // kept: the share that antialiasing leaves
   float det0, det;
   float a0, b, c0;  // covariance without the low-pass filter [px^2]
   float basis[16];
@@ -108,14 +108,14 @@ struct Refit::Drawing {
     const SplatCamera::Whole whole = camera.whole();
     const double focal[2] = {camera.fx, camera.fy}, centre[2] = {whole.cx, whole.cy};
     const double size[2] = {whole.width, whole.height};
-    for (int i = 0; i < 2; ++i) {  // as the rasteriser's
+    for (int i = 0; i < 2; ++i) {  // as in the rasteriser
       const double slack = kTangentSlack * size[i] / focal[i];
       least_tangent[i] = float(-centre[i] / focal[i] - slack);
       most_tangent[i] = float((size[i] - centre[i]) / focal[i] + slack);
     }
   }
 
-  // False where the picture shows nothing of it.
+  // Projects a splat. Returns false if the picture shows nothing of it.
   bool project(const float* values, ProjectedSplat& p, FitSplat& splat) const {
     for (int i = 0; i < 3; ++i) {
       const float* const row = to_camera[i];
@@ -200,7 +200,7 @@ struct Refit::Drawing {
     return true;
   }
 
-  // The gradient by a splat's values, from that by what a picture has of it.
+  // Writes the gradient by a splat's values, from the sums over the picture's pixels.
   void backward(const float* values, const ProjectedSplat& p, const FitSplat& splat,
                 const FitSums& sums, float* gradient) const {
     const int coefficients = (degree + 1) * (degree + 1);
@@ -212,7 +212,7 @@ struct Refit::Drawing {
     }
     gradient[kOpacity] = sums.p * (1 - p.opacity);  // d ln(opacity) / d logit
 
-    // By the covariance: of the inverse, d(-d^T Q d / 2) = d^T Q dS Q d / 2.
+    // By the covariance S, where Q is its inverse: d(-d^T Q d / 2) = d^T Q dS Q d / 2.
     const float a = splat.a, b = splat.b, c = splat.c;
     const float xx = 0.5f * sums.pxx, xy = 0.5f * sums.pxy, yy = 0.5f * sums.pyy;
     const float left[2][2] = {{a * xx + b * xy, a * xy + b * yy},
@@ -239,7 +239,7 @@ struct Refit::Drawing {
     }
     rotationBackward(values + kRotation, by_axes, gradient + kRotation);
 
-    // By the place in the camera: of the centre, and of the Jacobian.
+    // By the position in the camera's frame: through the centre, and through the Jacobian.
     const float by_centre[2] = {a * sums.px + b * sums.py, b * sums.px + c * sums.py};
     float by_at[3] = {};
     for (int i = 0; i < 2; ++i) {
@@ -266,7 +266,7 @@ struct Refit::Drawing {
     }
   }
 
-  // By a quaternion that is made one of length 1.
+  // The gradient by a quaternion that is normalised before it is used.
   static void rotationBackward(const float* q, const float (&by)[3][3], float* gradient) {
     const float over = 1 / std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     const float x = q[0] * over, y = q[1] * over, z = q[2] * over, w = q[3] * over;
@@ -285,7 +285,7 @@ struct Refit::Drawing {
   }
 };
 
-// A splat of the picture.
+// A splat that the picture shows.
 struct Refit::Seen {
   std::uint32_t splat;
   FitSums sums;
@@ -296,7 +296,7 @@ struct Refit::Work {
   std::vector<std::vector<std::pair<std::uint32_t, FitSplat>>> chunks;
   std::vector<FitSplat> splats;
   std::vector<Seen> seen;
-  std::vector<std::size_t> begins;  // of tiles' lists, and the end
+  std::vector<std::size_t> begins;  // of each tile's list in `listed`, and the end
   std::vector<std::uint32_t> listed;
   std::vector<FitSums> sums;
   std::vector<double> errors;
@@ -326,7 +326,7 @@ Refit::Refit(const SplatsView& start, std::shared_ptr<ThreadTeam> team,
     std::copy_n(from.positions + 3 * i, 3, values + kPosition);
     float largest = 1e-12f;
     for (std::size_t k = 0; k < 3; ++k) largest = std::max(largest, from.scales[3 * i + k]);
-    for (std::size_t k = 0; k < 3; ++k) {  // a disc has no logarithm
+    for (std::size_t k = 0; k < 3; ++k) {  // a scale of 0 has no logarithm
       values[kScale + k] = std::log(std::max(from.scales[3 * i + k], 1e-4f * largest));
     }
     std::copy_n(from.orientations + 4 * i, 4, values + kRotation);
@@ -446,7 +446,7 @@ double Refit::gradientAt(const SplatCamera& camera, const float* target,
 }
 
 double Refit::step(const SplatCamera& camera, const float* target, const RefitRates& rates) {
-  constexpr float kMean = 0.9f, kSquare = 0.99f;  // how much of its moments Adam keeps
+  constexpr float kMean = 0.9f, kSquare = 0.99f;  // share of its moments that Adam keeps
   float rate[kMostValues];
   std::fill_n(rate + kPosition, 3, rates.position);
   std::fill_n(rate + kScale, 3, rates.scale);

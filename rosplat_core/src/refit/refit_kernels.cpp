@@ -8,7 +8,7 @@ namespace {
 
 constexpr int kPixels = kTile * kTile;
 constexpr float kLog2E = 1.44269504f;
-constexpr std::size_t kPatience = 16;  // splats before a tile is asked whether it has ended
+constexpr std::size_t kPatience = 16;  // splats between two checks of ended()
 
 struct alignas(64) Planes {
   float transmittance[kPixels];
@@ -30,8 +30,8 @@ bool ended(const float* transmittance) {
   return true;
 }
 
-// Calls each(pixel, dx, dy, unclamped alpha, where it counts) for the vectors of pixels that a
-// splat covers.
+// Calls each(pixel, dx, dy, alpha) for the vectors of pixels that a splat covers. alpha: not yet
+// clamped to kMaxAlpha; 0 where it is below the cutoff.
 template <typename Each>
 void overPixels(const FitTile& tile, const FitSplat& e, const Each& each) {
   const int first = e.top > tile.top ? e.top - tile.top : 0;
@@ -78,8 +78,8 @@ double fitTile(const FitTile& tile) {
     });
   }
 
-  // The derivative by each pixel's colour takes that colour's place, and `behind` is what is still
-  // to come of the picture, along that derivative.
+  // The derivative by each pixel's colour takes that colour's place. behind: the dot product of
+  // that derivative with the colour that splats farther back still add.
   alignas(64) float behind[kPixels] = {};
   double error = 0;
   for (int row = 0; row < tile.bottom - tile.top; ++row) {
@@ -117,7 +117,7 @@ double fitTile(const FitTile& tile) {
       const Floats left = fma(-weight, along, load(behind + pixel));
       store(behind + pixel, left);
       const Floats by_alpha = transmittance * along - left / (1.0f - alpha);
-      // Where it is clamped, a little more opacity changes nothing.
+      // Where alpha is clamped, a little more opacity changes nothing.
       const Floats p = unclamped < kMaxAlpha ? by_alpha * alpha : Floats{};
       const Floats along_x = p * dx, along_y = p * dy;
       p_sum += p;

@@ -14,16 +14,16 @@ namespace rosplat::cpu {
 struct FitSplat {
   float x, y;       // centre [px]
   float a, b, c;    // inverse of its covariance [1/px^2]
-  float log2_peak;  // of its opacity
+  float log2_peak;  // log2 of its peak alpha
   float colour[3];
   float depth;
-  std::int16_t left, top, right, bottom;  // pixels around it, the last two beyond it
+  std::int16_t left, top, right, bottom;  // pixels; right and bottom are exclusive
 };
 
-// What a picture's error would have of a splat in one tile: sums over pixels of p, the derivative
-// by the logarithm of alpha, and of the derivative by the colour.
+// The gradient of the error by a splat in one tile: sums over the pixels of p, the derivative by
+// the logarithm of alpha, and of the derivative by the colour.
 struct FitSums {
-  float p, px, py, pxx, pxy, pyy;  // p, times the way from the centre to the pixel [px]
+  float p, px, py, pxx, pxy, pyy;  // p times powers of dx, dy: centre to pixel [px]
   float colour[3];
 };
 
@@ -31,15 +31,15 @@ struct FitTile {
   const std::uint32_t* listed;  // nearest first
   std::size_t count;
   const FitSplat* splats;
-  int left, top, right, bottom;  // pixels of the picture, the last two beyond
+  int left, top, right, bottom;  // pixels of the picture; right, bottom exclusive
   int width;                     // of the picture [px]
-  const float* target;           // the picture's, RGB interleaved, 0 to 1
-  float gradient_scale;          // of a pixel's difference
-  FitSums* sums;                 // of the listed, one for each
+  const float* target;           // of the picture, RGB interleaved, 0 to 1
+  float gradient_scale;          // from a pixel's difference to its gradient
+  FitSums* sums;                 // one for each of the listed
 };
 
-// Draws a tile and goes back through it. Returns the sum of squares by which it differs from its
-// target, where what is brighter than white is as bright.
+// Draws a tile and fills its sums. Returns the sum of squared differences from the target, in which
+// a colour above 1 counts as 1.
 using FitTileFunction = double (*)(const FitTile& tile);
 
 namespace plain {

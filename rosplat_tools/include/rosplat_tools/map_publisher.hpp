@@ -62,7 +62,7 @@ class MapPublisher : public PublishedMap {
   static Wire wireOf(Interfaces node, const MapOptions& options,
                      const std::shared_ptr<std::atomic<bool>>& closing);
 
-  const std::shared_ptr<std::atomic<bool>> closing_;  // nobody is waited for any more
+  const std::shared_ptr<std::atomic<bool>> closing_;  // true: repeat() waits no longer
   std::unique_ptr<Services> services_;
 };
 

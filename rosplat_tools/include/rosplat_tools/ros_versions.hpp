@@ -13,7 +13,7 @@
 
 namespace rosplat {
 
-// What Node::create_service and AsyncParametersClient take.
+// Qualities of service in the types that Node::create_service and AsyncParametersClient take.
 #if RCLCPP_VERSION_MAJOR >= 17  // Iron
 inline rclcpp::QoS serviceQos() { return rclcpp::ServicesQoS(); }
 inline rclcpp::QoS parametersQos() { return rclcpp::ParametersQoS(); }
@@ -22,20 +22,20 @@ inline rmw_qos_profile_t serviceQos() { return rmw_qos_profile_services_default;
 inline rmw_qos_profile_t parametersQos() { return rmw_qos_profile_parameters; }
 #endif
 
-// After clients, services or subscriptions of a group were destroyed, for whoever spins it.
+// Tells the executor of a group that clients, services or subscriptions of it were destroyed.
 inline void collectEntities([[maybe_unused]] rclcpp::CallbackGroup& group) noexcept {
 #if RCLCPP_VERSION_MAJOR >= 28  // Jazzy
-  // There an executor looks for its entities only when one was created. Until then it takes those
-  // behind a destroyed one for their neighbours, and what they receive waits.
+  // Since Jazzy an executor looks for its entities only when one was created. Until then it takes
+  // the entities behind a destroyed one for their neighbours, and what they receive waits.
   try {
     group.trigger_notify_guard_condition();
   } catch (const std::exception&) {
-    // ROS has ended: nobody spins it.
+    // ROS was shut down: no executor spins the group.
   }
 #endif
 }
 
-// What a Display and a ViewController are updated with.
+// The type of the time step that update() of a Display or a ViewController gets.
 #ifdef RVIZ_COMMON_VERSION
 #if RVIZ_COMMON_VERSION >= 150108  // Lyrical
 using UpdateDuration = std::chrono::nanoseconds;

@@ -6,7 +6,7 @@
 
 namespace rosplat {
 
-// One reading. What isn't known is NaN.
+// One reading. An unknown value is NaN.
 struct ImuSample {
   double stamp = 0;  // [s]
   std::array<double, 6>
@@ -17,7 +17,7 @@ struct ImuSample {
 class ImuHistory {
  public:
   static constexpr std::size_t kCapacity = 60000;  // a minute at 1 kHz
-  // Time that runs back by more is a new start (a bag that loops); by less, a late message. [s]
+  // A stamp that is earlier by more is a new start (a bag that loops); by less, a late message. [s]
   static constexpr double kJumpBack = 0.5;
 
   explicit ImuHistory(double window) : window_(window) {}

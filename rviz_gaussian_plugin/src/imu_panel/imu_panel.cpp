@@ -23,11 +23,11 @@ namespace rosplat {
 namespace {
 
 constexpr int kRedrawPeriod = 50;               // [ms]
-constexpr int kSilence = 1000;                  // [ms] without a message, to be worth a word
+constexpr int kSilence = 1000;                  // [ms] without a message until the status says so
 constexpr double kStandardGravity = 9.80665;    // [m/s^2]
-constexpr double kDegrees = 57.29577951308232;  // in a radian
+constexpr double kDegrees = 57.29577951308232;  // degrees in a radian
 
-// Asks for its entries when it opens: topics come and go.
+// A combo box that asks for its entries each time it opens: topics come and go.
 class TopicBox : public QComboBox {
  public:
   using List = std::function<QStringList()>;

@@ -11,7 +11,7 @@ namespace {
 
 // rviz's red, green and blue for x, y and z, dark enough for a light background.
 const QColor kColors[] = {QColor(214, 48, 49), QColor(34, 153, 84), QColor(41, 111, 209)};
-constexpr double kLeastMargin = 0.01;  // about a constant, in any of the units
+constexpr double kLeastMargin = 0.01;  // around a constant value, in any of the units
 const char* const kNames[] = {"x", "y", "z"};
 
 }  // namespace
@@ -31,15 +31,15 @@ ImuPlot::ImuPlot(const QString& quantity, std::size_t first) : first_(first) {
     axis->grid()->setPen(QPen(faint, 0, Qt::DotLine));
     axis->grid()->setZeroLinePen(QPen(faint));
   }
-  yAxis->ticker()->setTickCount(3);  // for panels are low
-  // The plots stand above each other: their axes in one line, whatever the labels' width.
+  yAxis->ticker()->setTickCount(3);  // few, because panels are low
+  // One plot stands above the other: their axes line up, however wide the labels are.
   axisRect()->setMinimumMargins(QMargins(8 * fontMetrics().averageCharWidth() + 16, 4, 8, 4));
 
   for (std::size_t i = 0; i < 3; ++i) {
     addGraph()->setPen(QPen(kColors[i]));
     graph()->setName(kNames[i]);
   }
-  // Above the curves, not on them.
+  // The title and the legend stand above the curves, not on them.
   auto* header = new QCPLayoutGrid;
   plotLayout()->insertRow(0);
   plotLayout()->addElement(0, 0, header);
@@ -53,7 +53,7 @@ ImuPlot::ImuPlot(const QString& quantity, std::size_t first) : first_(first) {
   legend->setBrush(Qt::NoBrush);
   legend->setBorderPen(Qt::NoPen);
   legend->setTextColor(text);
-  legend->setFont(QFontDatabase::systemFont(QFontDatabase::FixedFont));  // no dancing digits
+  legend->setFont(QFontDatabase::systemFont(QFontDatabase::FixedFont));  // digits stay in place
   legend->setIconSize(10, 8);
   legend->setIconTextPadding(3);
   legend->setMargins(QMargins(0, 0, 0, 0));

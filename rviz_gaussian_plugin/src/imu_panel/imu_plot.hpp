@@ -13,7 +13,7 @@ namespace rosplat {
 // The x, y and z of one quantity over the last seconds, with the newest values in the legend.
 class ImuPlot : public QCustomPlot {
  public:
-  // Of the axes first .. first + 2 of a sample.
+  // Plots the axes first to first + 2 of a sample.
   ImuPlot(const QString& quantity, std::size_t first);
 
   void setUnit(const QString& unit, double scale);  // scale: units in one SI unit

@@ -20,7 +20,7 @@ class ImuReceiver {
   struct Snapshot {
     std::vector<ImuSample> samples;
     std::string frame_id;
-    std::uint64_t received = 0;  // messages, ever
+    std::uint64_t received = 0;  // messages since the start
   };
 
   // Throws rclcpp's exceptions for a topic with an invalid name.
@@ -37,7 +37,7 @@ class ImuReceiver {
   rclcpp::CallbackGroup::SharedPtr group_;
   rclcpp::Subscription<sensor_msgs::msg::Imu>::SharedPtr subscription_;
 
-  mutable std::mutex mutex_;  // history_, frame_id_, received_
+  mutable std::mutex mutex_;  // guards history_, frame_id_, received_
   ImuHistory history_;
   std::string frame_id_;
   std::uint64_t received_ = 0;

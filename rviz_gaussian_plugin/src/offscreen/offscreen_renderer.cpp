@@ -63,7 +63,7 @@ OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string
 
 OffscreenRenderer::~OffscreenRenderer() {
   for (const auto& cloud : clouds_) cloud->detachFromParent();
-  clouds_.clear();  // while their context is there
+  clouds_.clear();  // while their OpenGL context exists
   if (texture_) {
     Ogre::TextureManager::getSingleton().remove(texture_);
     texture_.reset();
@@ -100,7 +100,7 @@ SplatScene& OffscreenRenderer::drawn() {
 
 std::vector<float> OffscreenRenderer::readDepth() {
   SplatScene& scene = drawn();
-  if (picked_) update();  // other splats are projected by now: those of a part of the picture
+  if (picked_) update();  // pick() has projected the splats of a part of the picture instead
   return scene.readDepth();
 }
 
@@ -132,7 +132,7 @@ FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now) {
     cloud->setSettings(settings);
   }
 
-  // Ogre's camera for the opaque objects; the splats are drawn with the exact one.
+  // Ogre's camera draws the opaque objects; the splats are drawn with the exact camera.
   Ogre::Matrix4 view = Ogre::Matrix4::IDENTITY, projection = Ogre::Matrix4::ZERO;
   for (int i = 0; i < 3; ++i) {
     const double sign = i == 0 ? 1.0 : -1.0;
@@ -242,7 +242,7 @@ void OffscreenRenderer::update() {
   picked_ = false;
   for (const auto& cloud : clouds_) cloud->clearError();
   Ogre::RenderTarget* target = texture_->getBuffer()->getRenderTarget();
-  // Drawing over a picture, or over its depth, takes a card for computing as long as a small map.
+  // To clear a picture or its depth by drawing takes a compute card as long as a small map.
   const bool box = manager_->hasManualObject("box"), computes = clear_ && !box;
   target->getViewport(0)->setClearEveryFrame(
       !computes, box ? Ogre::FBT_COLOUR | Ogre::FBT_DEPTH : Ogre::FBT_COLOUR);

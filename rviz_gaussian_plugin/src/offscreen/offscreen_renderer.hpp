@@ -17,9 +17,8 @@
 
 namespace rosplat {
 
-// The renderer in an Ogre of its own, drawing into a texture: for programs without rviz. Needs an X
-// display; one at a time in a process; all calls but apply() and offer() from the thread that made
-// it.
+// Draws maps into a texture with an Ogre of its own, for programs without rviz. Needs an X display.
+// One at a time in a process. Only on the thread that made it, except apply() and offer() of maps.
 class OffscreenRenderer {
  public:
   // media: the folder of the shaders; plugins: the folder of Ogre's RenderSystem_GL.
@@ -28,24 +27,24 @@ class OffscreenRenderer {
   ~OffscreenRenderer();
 
   SplatScene& scene() { return clouds_.front()->scene(); }
-  // Another map, drawn together with that of scene() and as long as it.
+  // Adds a map, which is drawn together with that of scene(). It lives as long as the renderer.
   SplatScene& addMap();
   RenderSettings settings;   // of the next draw
   OrderReader order_reader;  // for one thread at a time
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
-  // Draws the scene as a view's camera sees it, sorted here if sort_now. Throws std::runtime_error,
-  // as do all that read what was drawn, where nothing was. Reports on scene(), but the splats of
-  // all.
+  // Draws all maps as a view's camera sees them; sort_now: sorts here, waits for no order. Reports
+  // on scene(), but the splats of all maps. Throws std::runtime_error, as do the functions that
+  // read a picture if there is none.
   FrameReport draw(const std::string& view_id, bool sort_now);
 
-  // A white box to hide splats behind and before, in the map's frame [m], or a veil of it; of no
-  // size, none any more.
+  // Puts a white box into the map's frame [m], which hides the splats behind it: opaque, or
+  // translucent if opacity is below 1. A size of 0 removes the box.
   void setBox(const std::array<float, 3>& centre, const std::array<float, 3>& size, float opacity);
 
   std::vector<float> readColor() { return drawn().readColor(); }
   std::vector<float> readDepth();
-  // The slot that each pixel of a rectangle of a view shows, kNoSlot where none does; of the map as
+  // The slot that each pixel of a rectangle of a view shows, kNoSlot where none does; of scene() as
   // drawn last.
   std::vector<std::uint32_t> pick(const std::string& view_id, int left, int top, int width,
                                   int height);
@@ -73,12 +72,12 @@ class OffscreenRenderer {
   Ogre::Camera* camera_ = nullptr;
   Ogre::TexturePtr texture_;
   std::array<float, 3> background_{};
-  std::optional<gl::Program> clear_;                 // where a graphics card draws
-  std::vector<std::unique_ptr<SplatCloud>> clouds_;  // a map each
+  std::optional<gl::Program> clear_;                 // unset without a graphics card
+  std::vector<std::unique_ptr<SplatCloud>> clouds_;  // one for each map
   std::map<std::string, SplatCamera> cameras_;
   std::string view_id_;
-  bool drawn_ = false;   // the last draw() succeeded
-  bool picked_ = false;  // since
+  bool drawn_ = false;   // whether the last draw() succeeded
+  bool picked_ = false;  // whether pick() was called since
   std::string graphics_;
 };
 

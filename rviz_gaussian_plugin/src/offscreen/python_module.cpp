@@ -1,4 +1,4 @@
-// Python's door to the renderer: rviz_gaussian_plugin._offscreen.
+// The offscreen renderer for Python: rviz_gaussian_plugin._offscreen.
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -54,7 +54,7 @@ void setOrder(OffscreenRenderer& renderer, const std::string& view_id, std::uint
   });
 }
 
-// Returns what is to be said of it, mostly nothing.
+// Offers an order that came in a message. Returns a remark for the user, mostly empty.
 std::string readOrder(OffscreenRenderer& renderer, const std::string& view_id,
                       std::uint64_t sequence, const std::string& map_id, std::uint64_t revision,
                       const std::string& source, double sort_time, std::uint8_t encoding,
@@ -73,7 +73,7 @@ std::string readOrder(OffscreenRenderer& renderer, const std::string& view_id,
 py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort_now) {
   FrameReport report;
   {
-    const py::gil_scoped_release release;  // or orders would wait for the frame
+    const py::gil_scoped_release release;  // so that orders needn't wait for the frame
     report = renderer.draw(view_id, sort_now);
   }
   const DrawnBytes bytes = renderer.scene().bytes();
@@ -104,7 +104,7 @@ py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>
 }  // namespace
 
 PYBIND11_MODULE(_offscreen, module) {
-  py::module_::import("rosplat_core._core");  // whose classes these take
+  py::module_::import("rosplat_core._core");  // defines classes that are used here
   py::class_<SplatScene> beside(module, "MapBeside", "Another map of a Renderer.");
   defineApply(beside,
               [](SplatScene& scene, const GaussianBatch& batch) { return scene.apply(batch); });

@@ -11,8 +11,8 @@
 
 namespace rosplat {
 
-// How far down a view goes from a group's coarsest nodes to its splats. The error of a cell is how
-// wide it is in the picture, at its nearest point: e [px]. A node's share of what is drawn is
+// How far down a view goes from a group's coarsest nodes to its splats. The error e of a cell is
+// its width in the picture, at its nearest point [px]. A node's share of what is drawn is
 // s(e of its parent's cell) - s(e of its own), where s rises from 0 to 1 over half an octave that
 // ends at the error that is allowed; the share of a splat is s(e of its parent's cell). So what is
 // drawn depends on positions alone, and shares sum to 1 from each splat up to the coarsest node.
@@ -26,14 +26,14 @@ struct Cut {
   // camera: in the group's frame; blends: else s is a step.
   Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool blends);
 
-  // Squared, of cells of a size, by their corners [m]. [px2]
+  // The squared errors of cells, by their corners and size [m]. [px2]
   template <std::size_t N>
   std::array<float, N> squaredErrors(const std::array<std::array<float, N>, 3>& corners,
                                      float size) const;
-  // Whether anything of a page may have a share. own: of its nodes' cells, 0 of splats; parent: of
-  // the widest of their parents. [m]
+  // Whether anything of a page may have a share. own: the width of its nodes' cells, 0 for splats;
+  // parent: the width of the widest parent cell. [m]
   bool mayShow(const SlotPage& page, float own, float parent) const;
-  // Of each of several: 1 or 0.
+  // The same for several pages: 1 or 0 each.
   template <std::size_t N>
   std::array<std::uint32_t, N> mayShow(const PageBounds<N>& pages, float own,
                                        const std::array<float, N>& parents) const;
@@ -43,7 +43,7 @@ template <std::size_t N>
 std::array<float, N> Cut::squaredErrors(const std::array<std::array<float, N>, 3>& corners,
                                         float size) const {
   constexpr float kNearest = 1e-12f;  // squared [m2]
-  std::array<float, N> errors{};      // first: distances
+  std::array<float, N> errors{};      // squared distances at first
   for (std::size_t axis = 0; axis < 3; ++axis) {
     const float at = static_cast<float>(eye[axis]);
     for (std::size_t i = 0; i < N; ++i) {
@@ -80,7 +80,7 @@ std::array<std::uint32_t, N> Cut::mayShow(const PageBounds<N>& pages, float own,
     nearest.fill(1);
     farthest.fill(1);
   }
-  // Squares of errors times distances: maps have tens of thousands of pages.
+  // All is squared and multiplied, nothing divided: maps have tens of thousands of pages.
   const float wide = static_cast<float>(kRounding * focal);
   const float narrow = static_cast<float>(focal / kRounding) * own;
   const float from_squared = static_cast<float>(from * from);

@@ -10,25 +10,25 @@
 
 namespace rosplat {
 
-// Where nothing is left to be merged. [px]
+// An error at which nothing is left to be merged. [px]
 constexpr double kCoarsestError = 1e15;
 
-// How many splats and nodes a view draws, by the error that is allowed: by samples.
+// Estimates from samples how many splats and nodes a view draws at each allowed error.
 class CutEstimate {
  public:
   CutEstimate() = default;
-  // groups: where those of the levels are, by index; blends: whether levels do.
+  // levels, groups: of the map, by group index; blends: whether levels blend into one another.
   CutEstimate(const std::vector<LevelSamples>& levels, const SplatCamera& camera,
               const std::vector<Group>& groups, const ClipBox& box, bool blends);
 
   double drawn(double error) const;
-  // The least error at which no more are drawn: 0 where it is all of them.
+  // The least error [px] that draws no more than `splats`: 0 for all, kCoarsestError if none does.
   double errorFor(double splats) const;
 
  private:
   static constexpr std::size_t kBins = 960;
 
-  std::array<double, kBins + 1> drawn_{};  // by the errors at which bins begin
+  std::array<double, kBins + 1> drawn_{};  // at the errors at which bins begin
 };
 
 }  // namespace rosplat

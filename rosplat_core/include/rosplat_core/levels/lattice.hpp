@@ -9,28 +9,28 @@
 
 namespace rosplat {
 
-// A cube of one of a few lattices in a group's frame, each twice as wide as the one before, with a
-// corner at the group's origin: so each cell lies in one of the next level. As a number by which
-// cells sort by level, then in Morton's order; parents sort as their children do.
+// A cell: a cube of one level's lattice in a group's frame. Cells are twice as wide as those of the
+// level before, with a corner at the group's origin, so each lies in one cell of the next level.
+// The numbers sort cells by level, then in Morton order; parents sort as their children do.
 using Cell = std::uint64_t;
 constexpr Cell kNoCell = ~Cell{0};
 
-// Of a level's cells; kBoundless of those beyond the last level. [m]
+// The width of a level's cells; kBoundless beyond the last level. [m]
 float cellSize(int level);
-// The least of a level's, or one that is greater than all of the level before.
+// The least cell of a level: greater than all of the level before. level: kLevels at most.
 inline Cell firstCell(int level) { return Cell(level) << 57; }
 inline int levelOf(Cell cell) { return static_cast<int>(cell >> 57); }
-// Where a splat enters: in the first cells that are wider than it is, and near enough to the origin
-// to be counted (2^18 of them to either side). kNoCell for one that is too large or too far.
+// The cell at which a splat enters: of the first level whose cells are wider than twice its largest
+// scale and reach its position (2^18 cells either side). kNoCell if it is too large or too far.
 Cell entryOf(const std::array<float, 3>& position, float largest_scale);
-// The cell around a position, relative to the group's origin [m], which must be near enough.
+// The cell around a position relative to the group's origin [m]. The level's cells must reach it.
 Cell cellAt(const std::array<float, 3>& position, int level);
 // The corner of the least coordinates. [m]
 std::array<double, 3> cornerOf(Cell cell);
 
-// Of the next level, which there must be.
+// The cell of the next level around this one; there must be a next level.
 Cell parentOf(Cell cell);
-// The first of the eight cells of the level before that lie in this one, one after the other.
+// The first of the eight cells of the level before that lie in this one: consecutive numbers.
 Cell childrenOf(Cell cell);
 
 }  // namespace rosplat

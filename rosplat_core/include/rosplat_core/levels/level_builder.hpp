@@ -19,48 +19,48 @@
 
 namespace rosplat {
 
-// At which level each slot of a page enters the lattice; kNoLevel where no node holds what it is.
+// The level at which each slot of a page enters the lattice; kNoLevel if no node holds it yet.
 using EntryLevels = std::array<std::uint8_t, SlotPage::kSlots>;
 constexpr std::uint8_t kNoLevel = 0xff;
 
-// That of a slot as an edit has just written it, by its place in the edit; what can't be seen may
-// as well have one.
+// The entry level of a slot that an edit has just written. source: its place in the edit's arrays.
+// kNoLevel, for no node holds the slot yet; an invisible slot may have any level.
 inline std::uint8_t levelOfNew(const GaussianEdit& edit, std::size_t source) {
   return edit.extents[source] >= 0 ? kNoLevel : 0;
 }
 
-// Levels of detail as they are after so many edits.
+// The levels of detail after some edits.
 struct LevelsUpdate {
-  std::uint64_t edits = 0;
+  std::uint64_t edits = 0;            // how many, as apply() numbers them
   std::vector<Levels::Nodes> groups;  // by index
-  std::vector<LevelSamples> samples;  // of these
-  // Of pages where they have changed, which ascend, by the first slot.
+  std::vector<LevelSamples> samples;  // the same
+  // Entry levels of the pages where they have changed, by ascending first slots.
   std::vector<std::pair<std::uint32_t, EntryLevels>> entries;
 };
 
 // Builds and repairs the levels of detail of a map that something else draws: in a thread of its
-// own, from a copy of the map in the processor's memory. What comes while it builds waits, without
-// what later edits overwrite, and goes into the copy between two steps; but half of the time is for
-// building, however much comes.
+// own, from a copy of the map in the processor's memory. Edits that come while it builds wait in a
+// queue, which drops what later edits overwrite; the copy takes them over between two steps. Half
+// of the time is for building, however many edits come.
 class LevelBuilder {
  public:
   LevelBuilder();
   ~LevelBuilder();
 
-  // What comes next of the map; returns how many edits there were so far. now: the clock of
-  // `change` in packed_slot.hpp.
+  // Queues the next edit or run of the map. Returns its number: how many there were so far. now:
+  // the clock of `change` in packed_slot.hpp.
   std::uint64_t apply(std::shared_ptr<const GaussianEdit> edit, double now);
   std::uint64_t apply(PackedRun run, double now);
-  // Memory for the next run: that of one that was taken, if there is any.
+  // Returns memory for the next run: that of a run that was taken over, if there is any.
   PackedRun spare();
-  // Whether more of the map is to come, before which nodes aren't worth the work.
+  // Tells whether more of the map is to come. As long as more is, no nodes are built.
   void expectMore(bool more);
-  // What has changed since it was asked last; null where nothing has. wait: until the nodes hold
-  // all that was applied.
+  // Returns what has changed since the last call; null if nothing has. wait: waits first until the
+  // nodes hold all that was applied, or can't be built.
   std::unique_ptr<LevelsUpdate> take(bool wait);
-  // Why there are no more; empty where nothing is wrong.
+  // Why no more updates come; empty if nothing is wrong.
   std::string error() const;
-  std::size_t bytes() const;  // with what waits
+  std::size_t bytes() const;  // with the edits that wait
 
  private:
   struct Run {
@@ -79,20 +79,20 @@ class LevelBuilder {
   bool isInterrupted(bool had_time) const;
   void handOver(const std::vector<std::uint32_t>& changed);
 
-  mutable std::mutex mutex_;  // what follows
+  mutable std::mutex mutex_;  // guards all down to bytes_
   std::condition_variable wake_, rests_;
   bool stop_ = false, busy_ = false;
-  bool more_ = false, complete_ = false;  // complete: since nodes were made last
-  EditQueue edits_;                       // that wait; MapState::edits is their number
-  std::deque<Run> runs_;                  // the same
-  std::size_t runs_bytes_ = 0;            // of these
-  std::vector<PackedRun> spare_;          // while more of the map is to come
+  bool more_ = false, complete_ = false;  // complete: all has come since the last build
+  EditQueue edits_;                       // that wait; MapState::edits: their numbers
+  std::deque<Run> runs_;                  // that wait
+  std::size_t runs_bytes_ = 0;            // of runs_
+  std::vector<PackedRun> spare_;          // kept while more of the map is to come
   std::uint64_t applied_ = 0;
   std::unique_ptr<LevelsUpdate> update_;
   std::string error_;
   std::size_t bytes_ = 0;  // of slots_ and levels_
 
-  // The thread's own.
+  // For thread_ only.
   std::shared_ptr<ThreadTeam> team_;
   HostSlots slots_;
   Levels levels_;

@@ -17,84 +17,84 @@
 
 namespace rosplat {
 
-// One Gaussian for all that is in a cell.
+// A node of a level: one Gaussian in place of all that is in a cell.
 struct Node {
   Cell cell;
-  PackedSlot packed;                   // as Mixture::pack() has it
+  PackedSlot packed;                   // as Mixture::pack() returns it
   float extent;                        // as nodeExtentOf()
   std::vector<std::uint32_t> members;  // slots that enter the lattice here, ascending
 };
 
-// Some nodes of a level, neighbours in space, with the corners of their cells and of their
-// parents'.
+// Sampled nodes of a level, neighbours in space, with the corners of their cells and of their
+// parents' cells.
 struct NodeSamples {
   static constexpr std::size_t kCount = 16;
   template <typename T>
   using Each = std::array<T, kCount>;
 
   std::array<Each<float>, 3> position, corner, parent_corner;  // [m]
-  Each<float> extent;                                          // less than 0: there is none
-  Each<float> nodes, members;  // that each stands for: all of the level do for some
+  Each<float> extent;                                          // less than 0: no sample
+  Each<float> nodes, members;  // how many each sample stands for; they sum to all of the level
 };
-// Of each level of a group, spread evenly over its nodes, side by side in memory: what a view shows
-// of large maps is estimated by these alone.
+// By level of a group: samples spread evenly over the level's nodes. A CutEstimate reads nothing
+// else, for maps are large.
 using LevelSamples = std::array<std::vector<NodeSamples>, kLevels>;
 
-// Nodes of one level, neighbours in space. Never changed, once it is filled.
+// Nodes of one level, neighbours in space. Immutable once it is filled.
 class NodePage {
  public:
   NodePage(int sh_degree, std::uint32_t group);
-  // In the order of their cells.
+  // Adds a node; cells must ascend from call to call.
   void add(Cell cell, const PackedSlot& packed, const std::uint32_t* members, std::size_t count);
   SlotPage bounds;          // as if the nodes were slots
-  HostSlots::Page slots{};  // the nodes, in the order of their cells
+  HostSlots::Page slots{};  // the nodes, by ascending cells
   std::vector<Cell> cells;
 
   int level() const { return levelOf(cells.front()); }
   Node node(std::size_t i, int sh_degree) const;
-  // Of a node: from where, and how many.
+  // A node's members: where they begin, and how many there are.
   std::pair<const std::uint32_t*, std::size_t> membersOf(std::size_t i) const;
-  // Of all nodes before one, which may be the end.
+  // How many members all nodes before node i have; i may be one past the last.
   std::size_t membersBefore(std::size_t i) const { return i > 0 ? ends_[i - 1] : 0; }
   std::size_t bytes() const;
 
  private:
   int sh_degree_;
-  std::vector<std::uint32_t> members_, ends_;  // those of one node after the other
+  std::vector<std::uint32_t> members_, ends_;  // by node; ends_[i]: where node i's end in members_
 };
 
 // Levels of detail, merged from a map group by group, in the group's frame, so that they move with
-// it: a node for each cell of the lattice that holds anything, of the nodes in that cell and the
-// slots that enter there. An edit has the cells that it touches, and those around them, made anew
-// from all that is in them, in a fixed order: so the nodes are to the bit those of a map that was
-// there at once. What they don't hold yet has no parent, and is drawn in full. For one thread at a
-// time, with the help of a team.
+// the group. Each cell of the lattice that holds anything has a node, merged from the child nodes
+// in that cell and the slots that enter there. After an edit, the cells that it touches and all
+// cells around those are merged again from everything in them, in a fixed order: the nodes equal,
+// to the bit, those of a map that was built at once. A slot that no node holds yet has no parent
+// and is drawn in full. For one thread at a time, with the help of a team.
 class Levels {
  public:
-  using Pages = std::vector<std::shared_ptr<const NodePage>>;  // by their cells
+  using Pages = std::vector<std::shared_ptr<const NodePage>>;  // by ascending cells
   using Nodes = std::array<Pages, kLevels>;
 
   explicit Levels(std::shared_ptr<ThreadTeam> team) : team_(std::move(team)) {}
 
-  // Slots were written, or emptied.
+  // Tells of slots that an edit has just written or emptied.
   void mark(const HostSlots& slots, const SlotRuns& runs);
-  // The map is another.
+  // Forgets all nodes: the map is another.
   void clear();
 
-  // Works on what is marked, the first time on all, until `stop` says so, which is asked every few
-  // milliseconds; whether nothing is left. The nodes are those of before until all of the new ones
-  // stand, of which `stand` is told: of slots in which pages, by the first. Throws std::bad_alloc,
-  // and goes on from there the next time.
+  // Merges the marked slots, the first time all slots, until `stop` returns true; calls `stop`
+  // every few milliseconds. Returns whether nothing is left to do. A group keeps its old nodes
+  // until all of its new ones stand; then calls `stand` with the first slots of the pages that had
+  // marked slots. Throws std::bad_alloc; the next call goes on from there.
   bool advance(HostSlots& slots, const std::function<bool()>& stop,
                const std::function<void(const std::vector<std::uint32_t>&)>& stand = nullptr);
 
-  const std::vector<Nodes>& groups() const { return nodes_; }  // by index, as far as there are any
-  const std::vector<LevelSamples>& samples() const { return samples_; }  // of them
+  const std::vector<Nodes>& groups() const { return nodes_; }  // by index; further groups have none
+  const std::vector<LevelSamples>& samples() const { return samples_; }  // the same
   std::size_t nodes() const;
   std::size_t bytes() const;
 
  private:
-  // A slot that enters a cell, or is there anew; or that leaves it.
+  // A slot that enters a cell, or was written again in it (enters), or that leaves it.
   struct Change {
     Cell cell;
     std::uint32_t slot;
@@ -108,35 +108,35 @@ class Levels {
     const Change* begin() const { return all.get(); }
     const Change* end() const { return all.get() + count; }
   };
-  // What is known of a page of slots.
+  // What the nodes hold of a page of slots.
   struct Known {
-    std::uint32_t group;                       // whose nodes hold it, or soon will
-    std::array<Cell, SlotPage::kSlots> cells;  // in which they do
+    std::uint32_t group;                       // whose nodes hold it, or soon will: its index
+    std::array<Cell, SlotPage::kSlots> cells;  // at which each slot entered; kNoCell: none
     std::bitset<SlotPage::kSlots> marked;
   };
-  // A range of a level's cells.
+  // A range of a level's cells, begin to end.
   struct Piece {
     Cell begin, end;
     std::vector<Cell> touched;
-    Pages pages;                // what it becomes
-    std::vector<Cell> parents;  // of what is touched
+    Pages pages;                // its new ones
+    std::vector<Cell> parents;  // of touched cells
   };
   // Nodes of some touched cells.
   struct Made {
     std::vector<Cell> cells;
     std::vector<PackedSlot> packed;
-    std::vector<std::uint32_t> members, ends;  // those of one node after the other
+    std::vector<std::uint32_t> members, ends;  // as NodePage's
   };
-  // The way from what was marked of a group to nodes that hold it, level by level.
+  // Work on the nodes of one group that had marked slots, level by level.
   struct Job {
     std::uint32_t group;
     std::vector<std::uint32_t> marked;  // first slots of pages
     Changes changes;
     Nodes pages;
-    int level = -1;  // that is being made
+    int level = -1;  // being made; -1 before the first
     std::vector<Piece> pieces;
-    std::vector<std::size_t> touched;  // of them: the others are what they were
-    std::size_t done = 0;              // of these
+    std::vector<std::size_t> touched;  // indices of pieces to make; the others stay as they were
+    std::size_t done = 0;              // of touched
   };
 
   void begin(const HostSlots& slots);
@@ -160,10 +160,10 @@ class Levels {
   bool begun_ = false;
   std::vector<std::unique_ptr<Known>> known_;                   // by place
   std::map<std::uint32_t, std::vector<std::uint32_t>> marked_;  // first slots of pages, by group
-  std::uint32_t next_group_ = 0;                                // groups take turns
+  std::uint32_t next_group_ = 0;                                // whose turn is next, by index
   std::unique_ptr<Job> job_;
   std::vector<Nodes> nodes_;           // by group
-  std::vector<LevelSamples> samples_;  // of these
+  std::vector<LevelSamples> samples_;  // by group
 };
 
 }  // namespace rosplat

@@ -9,19 +9,19 @@
 
 namespace rosplat {
 
-// As extentOf().
+// extentOf() a node, whose opacity is in units of kMostNodeOpacity.
 float nodeExtentOf(const PackedSlot& node);
 
-// One Gaussian for all that is in a cell: of the same mean, covariance and mean harmonics, where
-// each counts by its mass, its opacity times the area that it covers; and of the same mass.
+// Merges all that is in a cell into one Gaussian of the same mean, covariance, mean harmonics and
+// mass. Each Gaussian counts by its mass: its opacity times the area that it covers.
 // tests/merged_levels.py is its plain twin.
 class Mixture {
  public:
   Mixture(Cell cell, int sh_degree);
 
-  // opacity_unit: 1 of splats, kMostNodeOpacity of nodes. Empty slots are left out.
+  // opacity_unit: 1 for splats, kMostNodeOpacity for nodes. Empty slots are left out.
   void add(const PackedSlot& slot, float opacity_unit);
-  // As a node; what is alone in its cell stays what it is.
+  // Returns the node; a Gaussian that is alone in its cell stays as it is.
   PackedSlot pack() const;
   bool empty() const { return count_ == 0; }
 
@@ -40,7 +40,7 @@ class Mixture {
   float only_unit_ = 1;
   std::uint16_t change_ = 0;  // the latest
   double mass_ = 0;
-  std::array<double, 3> mean_{};  // from here on times mass; relative to the corner
+  std::array<double, 3> mean_{};  // from here on: sums weighted by mass; relative to the corner
   Symmetric square_{};
   std::array<double, 3> color_{};
   std::array<float, 45> sh_{};

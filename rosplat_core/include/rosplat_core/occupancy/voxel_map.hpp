@@ -21,10 +21,10 @@ struct VoxelGrid {
 
   double resolution = 0.05;  // edge of a voxel [m]
   int across = 2048;         // voxels along each axis; coordinates are -across/2 to across/2 - 1
-  std::size_t most = std::size_t{1} << 24;  // voxels that are held: 2 GB
+  std::size_t most = std::size_t{1} << 24;  // voxels to hold at most: 2 GB
 };
 
-// What voxels of a map are made of, one entry each.
+// The surface that voxels of a map hold: in each array, one entry a voxel.
 struct VoxelSurface {
   std::vector<std::array<std::int32_t, 3>> cells;
   std::vector<std::array<float, 3>> depths;     // optical depth along x, y, z
@@ -50,21 +50,21 @@ class VoxelMap {
 
   // Throws std::bad_alloc: then the next edit builds all voxels anew.
   void apply(const GaussianEdit& edit);
-  // Puts the map elsewhere: its frame in that of the grid. Builds all voxels anew.
+  // Places the map's frame in the grid's frame. Builds all voxels anew.
   void place(const Placement& map_in_grid);
 
-  // Voxels whose depth along some axis is `least_depth` or more, ordered by z, y, x. surface: with
-  // all that they have, else with cells and depths.
+  // Voxels whose depth along some axis is `least_depth` or more, ordered by z, y, x. surface: fills
+  // all arrays, otherwise only cells and depths.
   VoxelSurface find(double least_depth, bool surface) const;
 
-  // Splats that are too large for the resolution: they would take more than kMostSamples points,
-  // half a voxel apart. They are left out.
+  // How many splats are left out as too large for the resolution: each would take more than
+  // kMostSamples points, half a voxel apart.
   std::uint64_t tooLarge() const { return too_large_; }
-  // Splats whose centre is beyond the grid. Those with it are left out.
+  // How many splats are left out because their centre is beyond the grid.
   std::uint64_t beyond() const { return beyond_; }
   std::size_t voxels() const { return count_; }
   std::size_t most() const { return grid_.most; }
-  // Whether they would be more than that. Then there are none until the map is cleared or
+  // Whether there would be more voxels than most(). Then there are none until the map is cleared or
   // placed.
   bool full() const { return full_; }
 
@@ -72,10 +72,10 @@ class VoxelMap {
 
  private:
   static constexpr std::size_t kShards = 16;
-  // A sum over splats. Unsigned: what overflows comes back when it is taken away.
+  // Sums over splats. Unsigned: an overflow is undone when its splats are taken away.
   struct Voxel {
     std::array<std::uint64_t, 3> depth{};   // in kDepthUnit
-    std::array<std::uint32_t, 3> color{};   // the others: times the area, in kAreaUnit
+    std::array<std::uint32_t, 3> color{};   // from here on: weighted by area, in kAreaUnit
     std::array<std::uint32_t, 3> offset{};  // from the voxel's corner, in voxels
     std::array<std::uint32_t, 6> normal{};  // products: xx xy xz yy yz zz
 
@@ -109,7 +109,7 @@ class VoxelMap {
   void sum(const std::vector<PageSpan>& parts, int sign);
   void share(const PageSpan& part, int sign, Shares& shares);
   void share(const Splat& splat, const Placement& in_grid, int sign, Shares& shares);
-  void hand(std::size_t number, Shares& shares);  // to a shard
+  void hand(std::size_t number, Shares& shares);  // adds them to shard `number`
   void clear();
   void rebuild();
 
@@ -120,7 +120,7 @@ class VoxelMap {
   std::array<Shard, kShards> shards_;
   std::atomic<std::size_t> count_{0};  // of voxels
   std::atomic<std::uint64_t> too_large_{0}, beyond_{0};
-  bool whole_ = true;  // else the voxels aren't those of the slots
+  bool whole_ = true;  // false: the voxels aren't those of the slots
   bool full_ = false;
 };
 

@@ -1,4 +1,4 @@
-// What bindings of maps to Python share. Not a part of the engine, which knows no Python.
+// What the Python bindings of maps share. Not a part of the engine, which doesn't know Python.
 
 #pragma once
 
@@ -41,7 +41,7 @@ inline Array<double> toArray(const std::vector<std::array<double, 3>>& points) {
   return array;
 }
 
-// 7 a group: position [m], quaternion x y z w.
+// Poses from 7 numbers each: position [m], quaternion x y z w.
 inline std::vector<Pose> posesOf(const Array<double>& values) {
   const ArrayView<double> numbers = values;
   if (numbers.size % 7 != 0) throw BatchError("poses are of 7 numbers each");
@@ -53,7 +53,7 @@ inline std::vector<Pose> posesOf(const Array<double>& values) {
   return poses;
 }
 
-// As Camera and set_camera take one from Python.
+// A camera from the arguments of Python's SplatCamera and set_camera.
 inline SplatCamera cameraOf(const std::array<double, 3>& position,
                             const std::array<double, 4>& orientation, int projection, double fx,
                             double fy, double cx, double cy, double width, double height,

@@ -12,36 +12,36 @@
 
 namespace rosplat {
 
-// How far one step moves a splat's values at most, about.
+// About how far one step moves a splat's values at most.
 struct RefitRates {
-  float position = 0;  // of the splat's own size
-  float scale = 0;     // of its logarithm
-  float rotation = 0;  // of its unit quaternion
-  float opacity = 0;   // of its logit
+  float position = 0;  // in units of the splat's own size
+  float scale = 0;     // of the logarithms
+  float rotation = 0;  // of the unit quaternion
+  float opacity = 0;   // of the logit
   float colour = 0;    // of the coefficient of band 0
-  float bands = 0;     // of the others
+  float bands = 0;     // of the coefficients of the other bands
 };
 
-// Fits splats to pictures of them: each step draws one picture, and moves what is seen in it
+// Fits splats to pictures of them: each step draws one picture, and moves the splats seen in it
 // against the gradient of its mean squared error (Kerbl et al. 2023, Adam of Kingma and Ba 2015).
 // The gradient by the position leaves out that colours change with the direction of view.
 class Refit {
  public:
-  // Throws std::invalid_argument as SplatsView::check() does, and for splats that draw nothing
-  // sensible: each has finite values and a quaternion that is not zero.
+  // Throws std::invalid_argument as SplatsView::check() does, and if a splat has a value that isn't
+  // finite, a negative scale or a quaternion of zero.
   Refit(const SplatsView& start, std::shared_ptr<ThreadTeam> team,
         CpuRasterizer::Instructions instructions = CpuRasterizer::Instructions::kBest);
   ~Refit();
 
   // Makes a step towards a picture over black: RGB of 0 to 1, rows of the camera's width. Returns
-  // the mean squared error before it.
+  // the mean squared error before the step.
   double step(const SplatCamera& camera, const float* target, const RefitRates& rates);
 
-  // The mean squared error, and its gradient: values() a splat.
+  // Returns the mean squared error; gradient: values() numbers a splat.
   double gradientAt(const SplatCamera& camera, const float* target, std::vector<float>& gradient);
 
-  // As trainers have them: position [m], logarithms of scales, quaternion x y z w, logit of the
-  // opacity, harmonics.
+  // How many values a splat has, as trainers keep them: position [m], logarithms of scales,
+  // quaternion x y z w, logit of the opacity, harmonics.
   std::size_t values() const { return values_; }
 
   Splats splats() const;
@@ -61,7 +61,7 @@ class Refit {
   bool antialiased_;
   std::array<double, 3> origin_;
   std::size_t count_, values_;
-  std::vector<float> now_, mean_, square_;  // values() a splat: what they are, and Adam's moments
+  std::vector<float> now_, mean_, square_;  // values() a splat: as they are, and Adam's moments
   std::vector<std::uint16_t> steps_;        // that each splat has made
   std::unique_ptr<Work> work_;              // of the picture that is drawn
 };
