@@ -1,6 +1,6 @@
 """Maps of 3D Gaussians without ROS: files, edits, depth order, pictures, simplification.
 
-What stands here is the public interface, loaded when it is first used; the modules are private.
+This is the public interface; each name's module is loaded at first use. The modules are private.
 """
 
 from __future__ import annotations

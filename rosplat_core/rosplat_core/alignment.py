@@ -1,12 +1,12 @@
-"""Where a camera was: its pose refined until the map looks as its picture does. Knows no ROS.
+"""A camera's pose, refined until the map looks as the camera's picture does. Knows no ROS.
 
-Direct alignment, from coarse to fine (Lucas and Kanade 1981; Kerl et al. 2013): the map is drawn in
-colours and depths at the pose, its pixels are moved to where another pose has them in the picture,
-and the pose, with a gain and a bias for each channel, follows by Gauss-Newton's steps. Gradients
-are the means of those of both pictures (Malis 2004), errors count by Cauchy's weights, and steps
-are damped (Levenberg 1944) by how far they move pixels, since metres and radians have no common
-measure. On the finest level, steps are Newton's, by the map's gradients alone, and what stands in
-front counts no more: errors have Tukey's biweight (Beaton and Tukey 1974).
+Direct alignment, from coarse to fine (Lucas and Kanade 1981; Kerl et al. 2013): the map's colours
+and depths are drawn at the pose, the drawn pixels are projected into the picture from another pose,
+and Gauss-Newton steps find that pose, with a gain and a bias for each channel. Gradients are the
+means of both pictures' (Malis 2004), errors have Cauchy's weights, and steps are damped (Levenberg
+1944) by how far they move pixels, since metres and radians have no common measure. On the finest
+level, steps are Newton's, with the map's gradients alone, and errors have Tukey's biweight (Beaton
+and Tukey 1974), so that objects in front of the map don't count.
 """
 
 from __future__ import annotations
@@ -26,44 +26,44 @@ from rosplat_core.splats import Splats
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
-LONGEST_SIDE = 640  # of the finest level; larger pictures are reduced to it, at least [px]
-TRIES = 3  # from ever finer levels, where the coarsest lead astray
+LONGEST_SIDE = 640  # of the finest level, at most; larger pictures are reduced [px]
+TRIES = 3  # each begins on a finer level, as the coarsest may lead astray
 COARSEST = 10  # shorter side of the coarsest level, at least [px]
-LEAST_POINTS = 60  # pixels of the map, for a level to count
+LEAST_POINTS = 60  # pixels that show the map, for a level to count
 LEAST_ALPHA = 0.5  # of a pixel of the map that has a surface
-LEAST_COMMON = 0.3  # share of the map's pixels that stay in the picture
-STEPS = 10  # between two drawings of the map, on levels but the finest
+LEAST_COMMON = 0.3  # share of the map's pixels that must stay in the picture
+STEPS = 10  # between two drawings of the map, at most, on all levels but the finest
 DRAWINGS, FINEST_DRAWINGS = 3, 8  # of a level, at most
-LONGEST_STEP = 2.0  # root mean square of what pixels move by, in the level's own [px]
-STILL, FINEST_STILL = 0.1, 0.01  # a level ends where pixels move by less
+LONGEST_STEP = 2.0  # root mean square of the pixels' motion, in pixels of the level [px]
+STILL, FINEST_STILL = 0.1, 0.01  # a level ends once pixels move by less [px]
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-4, 1e4
 CAUCHY = 1.5  # standard deviations, beyond which errors count less than half
-BIWEIGHT = 4.685  # standard deviations, from which on they don't count on the finest level
+BIWEIGHT = 4.685  # standard deviations, beyond which errors don't count on the finest level
 LEAST_DEVIATION = 1 / 255
 ROUNDING = LEAST_DEVIATION**2 / 12  # variance of values of 8 bits
-LEAST_CURVATURE = 0.5  # which Gaussian errors exceed
-RIDGE = 1e-6  # that keeps the gain of a picture of one colour
-MOST_TINT = 2.0  # between the gains of channels
+LEAST_CURVATURE = 0.5  # lower bound; Gaussian errors have more
+RIDGE = 1e-6  # keeps gain and bias where a picture of one colour doesn't determine them
+MOST_TINT = 2.0  # ratio of the largest gain of a channel to the smallest
 LEAST_EXPLAINED = 0.75  # share of the picture's variance
-MOST_UNCERTAIN = 1.0  # root mean square of pixels' standard deviations by the pose's [px]
+MOST_UNCERTAIN = 1.0  # root mean square of pixels' standard deviations due to the pose's [px]
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A pose that was refined, and what speaks for it."""
+    """A refined pose, and how far it can be trusted."""
 
     world_to_camera: Array
-    """(4, 4) [m]"""
+    """(4, 4) rigid transform into the optical frame. [m]"""
     covariance: Array
     """(6, 6) of the camera's position [m] and its rotation about the map's axes x, y, z [rad], as
-    PoseWithCovariance has it. Of noise that differs from pixel to pixel; what is wrong with the map
-    comes on top. Infinite where nothing is known."""
+    in PoseWithCovariance. Covers noise that is independent from pixel to pixel, not the map's own
+    errors. Infinite where the search failed."""
     problem: str
-    """Why the pose is none to use; empty where it converged."""
+    """Why the pose can't be used; empty where it converged."""
     iterations: int
     """How often the map was drawn."""
     residual: float
-    """Standard deviation of the errors that remain, by their median. Of values of 0 to 1."""
+    """Standard deviation of the remaining errors, from their median. Colours are 0 to 1."""
     explained: float
     """Share of the picture's variance that the map explains, where it shows something."""
     gain: Array
@@ -72,7 +72,7 @@ class Alignment:
 
     @property
     def converged(self) -> bool:
-        """Whether the pose stands still, and the picture is one of the map from there."""
+        """Whether the pose stands still, and the picture shows the map from there."""
         return not self.problem
 
 
@@ -82,9 +82,9 @@ def align(
     camera: Camera,
     mask: NDArray[np.bool_] | None = None,
 ) -> Alignment:
-    """Refines a camera's pose, from where `camera` is, by a picture that it took.
+    """Refines the pose of `camera` by a picture that it took.
 
-    picture: RGB (height, width, 3), uint8 or 0 to 1. mask: (height, width), true of pixels that
+    picture: RGB (height, width, 3), uint8 or 0 to 1. mask: (height, width), true for pixels that
     count. To align several pictures with the same splats, keep a CpuRenderer. Raises ValueError for
     an orthographic camera, and for a picture or mask of another size.
     """
@@ -133,7 +133,7 @@ def _checked(
 
 
 def _blocks(values: Pixels, size: int) -> Pixels:
-    """(h, size, w, size, ...) of an array (height, width, ...); what is left over is cut off."""
+    """(h, size, w, size, ...) of an array (height, width, ...), without incomplete last blocks."""
     height, width = values.shape[0] // size, values.shape[1] // size
     cut = values[: height * size, : width * size]
     return cut.reshape(height, size, width, size, *values.shape[2:])
@@ -147,7 +147,7 @@ def _means(values: Pixels, size: int) -> Pixels:
 
 
 def _masked_means(colours: Pixels, counts: Pixels, size: int) -> tuple[Pixels, Pixels]:
-    """Of the pixels that count, and the shares of those."""
+    """Means (h, w, 3) over each block's pixels that count, and the shares (h, w) of those."""
     shares = _means(counts, size)
     sums = _means(colours * counts[..., None], size)
     means = sums / np.maximum(shares, np.float32(1e-6))[..., None]
@@ -155,7 +155,7 @@ def _masked_means(colours: Pixels, counts: Pixels, size: int) -> tuple[Pixels, P
 
 
 def _reduced(camera: Camera, size: int) -> Camera:
-    """The camera of a picture of blocks' means."""
+    """The camera of the picture of means of size x size pixels."""
     return replace(
         camera, width=camera.width // size, height=camera.height // size,
         fx=camera.fx / size, fy=camera.fy / size, cx=camera.cx / size, cy=camera.cy / size,
@@ -163,19 +163,19 @@ def _reduced(camera: Camera, size: int) -> Camera:
 
 
 def _gradients(colours: Pixels) -> tuple[Pixels, Pixels]:
-    """Along x and y, of each channel."""
+    """Gradients of each channel along x, and along y. [1/px]"""
     if min(colours.shape[:2]) < 2:
         return np.zeros_like(colours), np.zeros_like(colours)
     down, across = (np.asarray(each, np.float32) for each in np.gradient(colours, axis=(0, 1)))
     for slopes, axis in ((down, 0), (across, 1)):
-        # Of fourth order: differences of neighbours alone have less than fine detail's slopes.
+        # Fourth order: differences of neighbours alone underestimate the slopes of fine detail.
         to, of = np.moveaxis(slopes, axis, 0), np.moveaxis(colours, axis, 0)
         to[2:-2] = (8 * (of[3:-1] - of[1:-3]) - (of[4:] - of[:-4])) / 12
     return across, down
 
 
 def _between(values: Pixels, x: Pixels, y: Pixels) -> Pixels:
-    """(n, c) of values (height, width, c) at places within, bilinear."""
+    """(n, c) bilinear samples of values (height, width, c) at places x, y (n,) inside. [px]"""
     height, width, channels = values.shape
     left = np.minimum(x.astype(np.int32), width - 2)
     top = np.minimum(y.astype(np.int32), height - 2)
@@ -204,7 +204,7 @@ class _Level:
 
 
 def motion(step: ArrayLike) -> Array:
-    """(4, 4) of a camera that moves along its axes by step[:3] and turns by the vector step[3:]."""
+    """(4, 4) motion of a camera along its axes by step[:3] [m], turned by vector step[3:] [rad]."""
     moved = np.eye(4)
     along, turn = np.split(np.asarray(step, np.float64), 2)
     angle = float(np.linalg.norm(turn))
@@ -217,33 +217,33 @@ def motion(step: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Of a step of the pose (6), as of motion(), and of gain and bias of each channel (6).
+    """Normal equations for a step: the pose's 6, as in motion(), then each channel's gain and bias.
 
-    Means over pixels and channels, as they count.
+    All sums are weighted means over pixels and channels.
     """
 
     hessian: Array
-    """(12, 12) of half the squared errors, by Gauss and Newton."""
+    """(12, 12) of half the squared errors, in Gauss-Newton's approximation."""
     gradient: Array
     """(12,)"""
     flow: Array
-    """(6, 6) A step's square by it is the mean square of what it moves pixels by. [px^2]"""
+    """(6, 6) step @ flow @ step is the mean square by which a step moves pixels. [px^2]"""
     cost: float
     deviation: float
-    """Of the errors, by their median."""
+    """Standard deviation of the errors, from their median."""
     curvature: float
-    """Of the cost, over that of the hessian: weights fall where errors grow."""
+    """The cost's over the hessian's, less than 1, as weights fall where errors grow."""
     variance: float
-    """Of the step, for a hessian of 1: that of M-estimates (Huber 1981)."""
+    """Of the step for a hessian of 1, as of M-estimates (Huber 1981)."""
     explained: float
     contrast: float
-    """Mean square of the gradients, as they count, along an axis."""
+    """Weighted mean square of the gradients along an axis."""
     weight: float
-    """Of all pixels' channels."""
+    """Sum over all channels of all pixels."""
 
 
 class MapPixels:
-    """What a camera at a pose has of the map: places, colours and gradients of its pixels."""
+    """The pixels of a drawing that show the map: points, colours and gradients."""
 
     def __init__(self, level: _Level, drawn: dict[str, Any]) -> None:
         self._level, camera, size = level, level.camera, level.size
@@ -271,11 +271,11 @@ class MapPixels:
         *,
         cut: bool = False,
     ) -> Equations | None:
-        """For a camera that has moved; None where too little of the map is in its picture.
+        """Equations for a camera moved by `move` (4, 4); None for too little map in its picture.
 
-        deviation: of the errors that count in full, 0 for what their median says. ours: share of
-        the map's gradients, the picture's have the rest. cut: large errors don't count at all, by
-        Tukey's biweight.
+        exposure: (3, 2) gain and bias of each channel. deviation: standard deviation of the errors,
+        0 to take it from their median. ours: share of the map's gradients; the picture's have the
+        rest. cut: large errors don't count at all, by Tukey's biweight, instead of Cauchy's.
         """
         level = self._level
         camera = level.camera
@@ -352,7 +352,7 @@ class MapPixels:
 
 
 def _flows(camera: Camera, points: Pixels) -> tuple[Pixels, Pixels]:
-    """(6, n) How x and y [px] of points (3, n) follow a step, as of motion()."""
+    """Derivatives of x, and of y [px], of points (3, n) by a step as in motion(): (6, n) each."""
     x, y, z = points
     a, b = np.float32(camera.fx) / z, np.float32(camera.fy) / z
     u, v, none = x / z, y / z, np.zeros_like(z)
@@ -366,7 +366,7 @@ def _flows(camera: Camera, points: Pixels) -> tuple[Pixels, Pixels]:
 
 
 class _Search:
-    """A pose on its way, from level to level."""
+    """The pose as it is refined from level to level."""
 
     def __init__(self, renderer: CpuRenderer, camera: Camera, drawings: int) -> None:
         self._renderer, self._camera = renderer, camera
@@ -399,10 +399,10 @@ class _Search:
         return MapPixels(level, self._renderer.draw(posed(camera), mean_depth=True))
 
     def _step(self, pixels: MapPixels) -> float | None:
-        """One step, after which the map is to be drawn again; what it moves pixels by. [px]
+        """Takes one step, after which the map must be drawn again; returns the pixels' motion. [px]
 
-        By Newton, as far as that is known, so that a short step means a place near the minimum; and
-        by the map's gradients alone, which have no noise: the covariance is that of such steps.
+        A Newton step with estimated curvature: a short one means that the minimum is near. It uses
+        the map's gradients alone, which have no noise; the covariance is that of such steps.
         """
         self._last = pixels.equations(np.eye(4), self._exposure, ours=1.0, cut=True)
         if self._last is None:
@@ -412,7 +412,7 @@ class _Search:
         return moved
 
     def _search(self, level: _Level, pixels: MapPixels) -> float | None:
-        """Steps that make the errors less; what they move pixels by, together. [px]"""
+        """Takes steps that reduce the errors; returns the pixels' motion by all of them. [px]"""
         move, exposure, damping = np.eye(4), self._exposure, DAMPING
         now = start = pixels.equations(move, exposure)
         if now is None or start is None:
@@ -436,7 +436,7 @@ class _Search:
         self._exposure = self._exposure + step[6:].reshape(3, 2)
 
     def result(self) -> Alignment:
-        """What was found, on the finest level."""
+        """The result on the finest level."""
         found, covariance = self._last, np.diag(np.full(6, np.inf))
         problem = self._problem
         if found and not problem:
@@ -468,17 +468,17 @@ class _Search:
         return inverse
 
     def _covariance(self, found: Equations) -> tuple[Array, float]:
-        """About the map's axes, and by how much pixels are uncertain. [px]"""
+        """The pose's (6, 6) about the map's axes, and the pixels' uncertainty by it. [px]"""
         hessian = found.hessian + np.diag(np.full(12, RIDGE * RIDGE))
         of_step = np.linalg.inv(hessian)[:6, :6] * found.variance / found.weight
-        of_step = (of_step + of_step.T) / 2  # to the bit
+        of_step = (of_step + of_step.T) / 2  # symmetric to the bit
         turned = np.kron(np.eye(2), self._pose[:3, :3])
         uncertain = math.sqrt(max(float(np.trace(found.flow @ of_step)), 0.0))
         return turned @ of_step @ turned.T, uncertain
 
 
 def _solved(equations: Equations, damping: float, curvature: float = 1.0) -> tuple[Array, float]:
-    """A step of pose and exposure, not too long a one, and what it moves pixels by. [px]"""
+    """A step (12,) of pose and exposure, LONGEST_STEP at most, and the pixels' motion. [px]"""
     hessian = curvature * equations.hessian
     hessian[:6, :6] += damping * equations.contrast * equations.flow
     hessian[range(12), range(12)] += [*[0.0] * 6, *[RIDGE] * 6]

@@ -30,7 +30,7 @@ class Camera:
 
     id: int
     width: int
-    """Of the picture. [px]"""
+    """Size of the picture. [px]"""
     height: int
     fx: float
     """Focal lengths [px]; for orthographic cameras [px/m]."""
@@ -147,10 +147,10 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
 
 
 def load_trajectory(path: str | Path, camera: Camera) -> list[Camera]:
-    """A camera at each pose of its optical frame in a trajectory as the TUM benchmark writes it.
+    """Reads a trajectory of the TUM benchmark (Sturm et al. 2012): `camera` at each of its poses.
 
-    A line is time x y z qx qy qz qw [s, m] (Sturm et al. 2012). Raises SceneError naming the file
-    and the line.
+    A line is time x y z qx qy qz qw [s, m], the optical frame's pose in the world. Raises
+    SceneError naming the file and the line.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -210,10 +210,10 @@ def orbit(
     azimuth: float = 0.0,
     up: ArrayLike = UP,
 ) -> list[Camera]:
-    """count cameras on a circle around the bounds (2, 3) [m], evenly spaced, that see all of them.
+    """count cameras, evenly spaced on a circle, each of which sees all of the bounds (2, 3). [m]
 
-    fov is the smaller angle of view, elevation the height above the horizon, azimuth where the
-    circle begins. [rad] up (3,) is the scene's vertical.
+    width, height: of the pictures [px]. fov: the smaller angle of view [rad]. elevation: above the
+    horizon [rad]. azimuth: where the circle begins [rad]. up (3,): the scene's vertical.
     """
     lower, upper = np.asarray(bounds, np.float64)
     target = (lower + upper) / 2
@@ -245,7 +245,7 @@ class Place:
 
 
 def place(splats: Splats) -> Place:
-    """Of the middle nine tenths along each axis: few stray splats don't move it."""
+    """The place of the middle 90 % of the splats along each axis: few stray ones don't move it."""
     sample = splats.positions[:: len(splats) // 1_000_000 + 1]
     low, high = np.quantile(sample.astype(np.float64), [0.05, 0.95], axis=0)
     centre = (low + high) / 2 + splats.origin

@@ -1,4 +1,4 @@
-"""Named channels: what a map keeps of each splat beside what is drawn of it. Pure."""
+"""Named channels: further values of each splat, such as a label. Knows no ROS."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rosplat_core.log_text import shown
 
 MOST = 8  # as GaussianArray.MAX_CHANNELS
 
-_NAME = re.compile(r"[!-~]{1,64}")  # printable, ASCII, no spaces: a PLY's header has no others
+_NAME = re.compile(r"[!-~]{1,64}")  # printable ASCII without spaces, as a PLY's header needs
 
 
 class ChannelError(ValueError):
@@ -17,14 +17,14 @@ class ChannelError(ValueError):
 
 
 def is_name(text: str) -> bool:
-    """Whether a channel may be called so."""
+    """Whether a text may be a channel's name."""
     return _NAME.fullmatch(text) is not None
 
 
 def joined(known: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """The channels of a map that had some, once it is written with others, too.
+    """The channels of a map that has the known ones, after a batch with these names.
 
-    Raises ChannelError for a name that is none or there twice, and for more than MOST together.
+    Raises ChannelError for an invalid name, a name that is there twice, and more than MOST in all.
     """
     for name in names:
         if not is_name(name):

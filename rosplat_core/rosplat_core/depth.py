@@ -1,11 +1,11 @@
-"""Depths, culling and order in plain NumPy: the twin that every backend equals to the bit.
+"""Depths, culling and order in plain NumPy: the reference that every backend equals to the bit.
 
 Everything is IEEE float32 and each operation is rounded by itself, so a backend must not fuse a
 product with a sum. Written out for a splat at p:
 
     x y z  = ((r0 * px + r1 * py) + r2 * pz) + t     for each row r of the rotation; z is the depth
 
-with the rotation and translation of the splat's group: depths of all groups compare.
+with the rotation and translation of the splat's group, so that depths of all groups compare.
 
 Why the culling is safe. The renderer draws a Gaussian of covariance V up to k standard deviations
 of its projection, k = min(3.33, sqrt(2 ln(255 opacity))), beyond which its alpha is below 1/255.
@@ -58,8 +58,8 @@ def transform(
 ) -> NDArray[np.float32]:
     """Coordinate along an axis of the camera optical frame, float32 (n,) [m].
 
-    positions: float32 (n, 3), relative to their group's origin. groups: the place in view of each
-    one's group, or of all.
+    positions: float32 (n, 3) [m], relative to their group's origin. groups: index in the view of
+    each position's group, (n,), or of the one group of all.
     """
     r0, r1, r2 = view.rotations[groups, axis].T
     px, py, pz = positions.T
@@ -86,7 +86,7 @@ def visible(
 
 def sort_keys(depths: NDArray[np.float32]) -> NDArray[np.uint32]:
     """Unsigned integers that compare as the depths do, uint32 (n,)."""
-    bits = (depths + np.float32(0)).view(np.uint32)  # the sum makes one depth of -0 and 0
+    bits = (depths + np.float32(0)).view(np.uint32)  # the sum turns -0 into 0: they are equal
     negative = np.uint32(0) - (bits >> np.uint32(31))
     return bits ^ (negative | np.uint32(1 << 31))
 
@@ -102,7 +102,7 @@ def order(
     """The visible slots back to front, uint32 (m,); of equal depths the higher slot first.
 
     positions: float32 (n, 3) [m], relative to their group's origin. extents: float32 (n,) [m].
-    slots: whose they are, uint32 (n,), by default those from 0 on. groups: as for transform.
+    slots: each position's, uint32 (n,), by default 0 to n - 1. groups: as for transform.
     """
     rows = np.flatnonzero(visible(view, positions, extents, groups))
     slots = rows.astype(np.uint32) if slots is None else slots[rows]

@@ -41,10 +41,10 @@ def basis(directions: Array, degree: int) -> Array:
 
 
 def turned(sh: NDArray[np.float32], rotation: Array) -> NDArray[np.float32]:
-    """Coefficients (n, k, 3) of the same colours on directions that a rotation (3, 3) has turned.
+    """Coefficients (n, k, 3) of the same colours, turned by a rotation (3, 3).
 
-    Band by band: a rotation mixes no two of them (Ivanic and Ruedenberg 1996 give the matrices in
-    closed form; here they are solved for, from twice as many directions as there are unknowns).
+    Works band by band, as a rotation mixes no two bands. Ivanic and Ruedenberg 1996 give the
+    matrices in closed form; here they are solved for, by least squares from 32 directions.
     """
     degree = round(sh.shape[1] ** 0.5) - 1
     directions = np.random.default_rng(0).normal(size=(32, 3))

@@ -1,6 +1,6 @@
 """Pictures that a calibrated camera takes of a map: colours, depths, normals. Knows no ROS.
 
-A pixel has a surface where less than half of the light comes from behind the splats that it shows.
+A pixel has a surface where at most half of its light comes from behind the splats that it shows.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ Pixels = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class LensPicture:
-    """What a camera sees; None of what wasn't asked for."""
+    """What a camera sees; fields that weren't asked for are None."""
 
     colour: Pixels
-    """(height, width, 3) RGB over black, 0 and more."""
+    """(height, width, 3) RGB over black, 0 or more."""
     depth: Pixels | None = None
-    """(height, width) along the camera's z [m]; inf where no surface is, NaN where the lens has no
-    ray that leads to something in front of it."""
+    """(height, width) along the camera's z [m]; inf without a surface, NaN for pixels that no ray
+    reaches, and for points that are not in front of the lens."""
     normals: Pixels | None = None
-    """(height, width, 3) unit vectors in the camera's optical frame, towards the camera; NaN where
-    no surface is."""
+    """(height, width, 3) unit vectors in the camera's optical frame, towards the camera; NaN
+    without a surface."""
 
 
 def take_picture(
@@ -45,11 +45,12 @@ def take_picture(
     depth: str = "",
     normals: bool = False,
 ) -> LensPicture:
-    """Draws the renderer's map through a lens at a pose (4, 4).
+    """Draws the renderer's map through a lens.
 
-    near, far: splats whose centres lie between these depths are drawn. [m]
-    depth: "median", of the splat with which half of the light or less is left; "expected", the mean
-    of the splats, weighted by what they contribute; "", none. Raises ValueError for another.
+    world_to_lens: (4, 4) rigid transform into the lens's optical frame [m]. near, far: splats whose
+    centres lie between these depths are drawn [m]. depth: "median", that of the splat at which half
+    of the light or less is left; "expected", the mean of the splats' depths, weighted by their
+    contributions; "", none. Raises ValueError for another.
     """
     if depth not in ("", *DEPTHS):
         raise ValueError(f"depth is '{depth}', expected one of {', '.join(DEPTHS)}")
@@ -83,7 +84,7 @@ def _depth(drawn: dict[str, Any]) -> Pixels:
 
 
 def _normals(colour: Pixels) -> Pixels:
-    """(h, w, 3) unit vectors in the map of a picture of (normal + 1) / 2, premultiplied."""
+    """Unit normals (h, w, 3) in the map's frame, of a premultiplied picture of (normal + 1) / 2."""
     alpha = colour[..., 3:]
     normals = 2 * colour[..., :3] - alpha
     length = np.linalg.norm(normals, axis=-1, keepdims=True)

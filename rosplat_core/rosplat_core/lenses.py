@@ -1,4 +1,4 @@
-"""Lenses: where a calibrated camera has a ray in its picture, and pinhole pictures warped to it.
+"""Lenses: where a calibrated camera images a ray, and how pinhole pictures warp to its picture.
 
 The models are those of sensor_msgs/distortion_models.hpp, as OpenCV defines them: plumb_bob and
 rational_polynomial (Brown 1966; cv::projectPoints), equidistant (Kannala and Brandt 2006;
@@ -23,15 +23,15 @@ from rosplat_core.cameras import Camera
 Array = NDArray[np.float64]
 
 PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT = "", "plumb_bob", "rational_polynomial", "equidistant"
-# How many coefficients a model has; what is left out is 0.
+# How many coefficients a model has; missing ones are 0.
 COEFFICIENTS = {PINHOLE: 0, PLUMB_BOB: 5, RATIONAL: 8, EQUIDISTANT: 4}
 
 LONGEST_SIDE = 8192  # [px]
 WIDEST = math.tan(math.radians(50))  # beyond, splats lose their shape in one pinhole picture
-STEEPEST = math.radians(84)  # of rays that a polynomial of their tangents may have [rad]
+STEEPEST = math.radians(84)  # most angle of a ray for polynomials of its tangent [rad]
 NEWTON_STEPS = 4
-TOLERANCE = 1e-4  # of a ray's place in the picture, found and meant [px]
-MARGIN = 3  # pixels around what is warped, for the taps of the filter
+TOLERANCE = 1e-4  # between a pixel and the projection of the ray found for it [px]
+MARGIN = 3  # around the part of a pinhole picture that is warped, for the filter's taps [px]
 
 
 class LensError(ValueError):
@@ -40,16 +40,16 @@ class LensError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A calibrated camera without its pose. Raises LensError for values that can't be one's."""
+    """A calibrated camera without its pose. Raises LensError for values that no camera has."""
 
     width: int
-    """Of the picture. [px]"""
+    """Size of the picture. [px]"""
     height: int
     fx: float
-    """Focal lengths, at the centre where there is distortion. [px]"""
+    """Focal lengths; with distortion, those at the centre. [px]"""
     fy: float
     cx: float
-    """Principal point. [px]"""
+    """Principal point, where the centre of the top left pixel is (0, 0). [px]"""
     cy: float
     model: str = PINHOLE
     coefficients: tuple[float, ...] = ()
@@ -90,9 +90,9 @@ class Lens:
         return self.model != EQUIDISTANT and not any(self.coefficients)
 
     def project(self, rays: ArrayLike) -> Array:
-        """Pixels (..., 2) where rays (..., 3) of any length arrive; optical axes, see Camera.
+        """Pixels (..., 2) of rays (..., 3) of any length: x right, y down, z forward.
 
-        NaN for rays that don't: from behind, or from beyond where the distortion folds.
+        NaN for rays past the fold of the distortion and, unless equidistant, from behind the lens.
         """
         rays = np.asarray(rays, np.float64)
         ahead, beside = rays[..., 2], np.linalg.norm(rays[..., :2], axis=-1)
@@ -108,9 +108,9 @@ class Lens:
         return points * (self.fx, self.fy) + (self.cx, self.cy)
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Rays (..., 3) that arrive at pixels (..., 2); z is 1, of equidistant lenses their length.
+        """Rays (..., 3) that arrive at pixels (..., 2), the inverse of project().
 
-        NaN where none does, because the distortion folds before.
+        Their z is 1; of equidistant lenses, their length. NaN where the distortion folds before.
         """
         pixels = np.asarray(pixels, np.float64)
         goals = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
@@ -135,10 +135,10 @@ class Lens:
         rays[~(miss < TOLERANCE)] = np.nan
         return rays
 
-    # --- Polynomials of the radius: the tangent of a ray, or its angle ---------------------------
+    # --- Polynomials of the radius: a ray's tangent; of equidistant lenses, its angle -------------
 
     def _profile(self, radius: Array) -> Array:
-        """Where the radial part of the distortion takes a radius."""
+        """Distorted radii by the radial part of the distortion."""
         square = radius * radius
         if self.model == EQUIDISTANT:
             return radius * _polynomial(square, (1, *self.coefficients))
@@ -150,7 +150,7 @@ class Lens:
 
     @cached_property
     def _reach(self) -> tuple[Array, Array]:
-        """Radii up to where the distortion folds, and where each is taken to, both ascending."""
+        """Radii up to the fold of the distortion, and their distorted radii, both ascending."""
         angles = np.linspace(0, math.pi if self.model == EQUIDISTANT else STEEPEST, 8192)
         radii = angles if self.model == EQUIDISTANT else np.tan(angles)
         with np.errstate(all="ignore"):
@@ -160,7 +160,7 @@ class Lens:
         return radii[:end], taken[:end]
 
     def _radial(self, square: Array) -> tuple[Array, Array]:
-        """The factor of a squared radius, and its derivative by that."""
+        """The radial factor at squared radii, and its derivative by the squared radius."""
         k1, k2, _, _, k3, *below = self.coefficients or (0.0,) * 5
         above, denominator = (1, k1, k2, k3), (1, *below)
         a, b = _polynomial(square, above), _polynomial(square, denominator)
@@ -168,7 +168,7 @@ class Lens:
         return a / b, (da * b - a * db) / (b * b)
 
     def _distorted(self, points: Array) -> Array:
-        """Points (..., 2) at z 1 as the lens has them, there."""
+        """Distorted places of points (..., 2), both on the plane z = 1."""
         _, _, p1, p2, *_ = self.coefficients or (0.0,) * 5
         x, y = points[..., 0], points[..., 1]
         square = x * x + y * y
@@ -182,7 +182,7 @@ class Lens:
         )
 
     def _newton_step(self, points: Array, goals: Array) -> Array:
-        """By how much points miss the ones that are taken to the goals, to first order."""
+        """What to subtract from points (..., 2) so that, to first order, they distort to goals."""
         _, _, p1, p2, *_ = self.coefficients
         x, y = points[..., 0], points[..., 1]
         factor, slope = self._radial(x * x + y * y)
@@ -208,7 +208,7 @@ def _derived(coefficients: Sequence[float]) -> list[float]:
 
 # --- Pinhole pictures to the lens's ---------------------------------------------------------------
 
-_FACES = (  # of a cube around the camera: right, down and forward of each
+_FACES = (  # the axes right, down, forward of each face of a cube around the camera
     ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
     ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
@@ -220,27 +220,27 @@ _FACES = (  # of a cube around the camera: right, down and forward of each
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """What of the lens's picture is warped from one pinhole picture."""
+    """The n pixels of the lens's picture that are warped from one pinhole picture."""
 
-    camera: Camera  # at the lens's own pose
-    pixels: NDArray[np.intp]  # (n,) of the lens's picture, flat
-    taps: csr_matrix  # (n, pixels of the pinhole picture)
-    nearest: NDArray[np.intp]  # (n,) of the pinhole picture, flat
-    along: NDArray[np.float32]  # (n,) a point's depth for the lens, over its depth for the pinhole
+    camera: Camera  # its world is the lens's optical frame
+    pixels: NDArray[np.intp]  # (n,) flat indices in the lens's picture
+    taps: csr_matrix  # (n, pixels of the pinhole picture) weights for resampling
+    nearest: NDArray[np.intp]  # (n,) flat indices in the pinhole picture
+    along: NDArray[np.float32]  # (n,) depth along the lens's axis over that along the pinhole's
 
 
 class Warp:
-    """Makes the picture of a lens of those of one to six pinhole cameras at its place.
+    """Warps the pictures of one to six pinhole cameras, at a lens's place, to the lens's picture.
 
-    Straight lenses take one picture, and nothing is warped. Up to 50 degrees off the axis, one
+    A lens without distortion needs one picture and no warp. Up to 50 degrees off the axis, one
     wider picture is enough; beyond, the faces of a cube are drawn. Colours are resampled by cubic
     convolution (Keys 1981), depths and normals by their nearest pixel.
     """
 
     def __init__(self, lens: Lens) -> None:
-        """Raises LensError where the distortion folds within the picture.
+        """Raises LensError for too large a pinhole picture, or a fold of the distortion in view.
 
-        Around the round picture of an equidistant lens, though, may be pixels that no ray meets.
+        Around the round picture of an equidistant lens, though, pixels may have no ray.
         """
         self.lens = lens
         self.met: NDArray[np.bool_] = np.ones((lens.height, lens.width), bool)
@@ -248,7 +248,7 @@ class Warp:
         self._straight: Camera | None = None
         self._parts: list[_Part] = []
         if lens.is_pinhole:
-            centre = lens.cx + 0.5, lens.cy + 0.5  # of Camera, whose first pixel ends at 1
+            centre = lens.cx + 0.5, lens.cy + 0.5  # Camera has the first pixel's centre at 0.5
             self._straight = Camera(
                 0, lens.width, lens.height, lens.fx, lens.fy, *centre, np.eye(4)
             )
@@ -273,7 +273,7 @@ class Warp:
                 self._parts.append(self._part(rays[pixels], pixels, face))
 
     def cameras(self, world_to_lens: NDArray[np.float64], near: float, far: float) -> list[Camera]:
-        """The pinhole cameras to draw, for a pose (4, 4) of the lens and depths [m]."""
+        """The pinhole cameras to draw, for the transform (4, 4) to the lens, and depths [m]."""
         cameras = [self._straight] if self._straight else [part.camera for part in self._parts]
         return [
             replace(
@@ -295,7 +295,7 @@ class Warp:
     def depth(self, pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """(height, width) along the lens's axis [m] from one (h, w) for each camera.
 
-        NaN where the point is not in front of the lens, and where pictures are.
+        NaN where no ray arrives, the point is not in front of the lens, or the pictures have NaN.
         """
         if self._straight:
             return pictures[0]
@@ -305,7 +305,7 @@ class Warp:
         return warped.reshape(self.lens.height, self.lens.width)
 
     def nearest(self, pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """(height, width, c) from one (h, w, c) for each camera, without mixing pixels."""
+        """(height, width, c) from one (h, w, c) for each camera, unmixed; NaN without a ray."""
         if self._straight:
             return pictures[0]
         channels = pictures[0].shape[2]
@@ -317,7 +317,7 @@ class Warp:
     def back(self, values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """(h, w) for each camera from (height, width): the adjoint of colour().
 
-        What a pixel of the lens has is dealt to the pixels that it is made of, by their shares.
+        Splits each value among the pinhole pixels that colour() mixes there, by their weights.
         """
         if self._straight:
             return [values]
@@ -349,17 +349,17 @@ class Warp:
 
 
 class Straightened:
-    """Makes the picture of a pinhole camera of that of a lens at its place: Warp, the other way."""
+    """Warps the picture of a lens to that of a pinhole camera at its place: Warp, the other way."""
 
     def __init__(self, lens: Lens) -> None:
         """Raises LensError for a lens that has no ray ahead, or needs too large a picture.
 
-        What is seen beyond 50 degrees off the axis is left out.
+        The pinhole picture leaves out all beyond 50 degrees off the axis.
         """
         self._lens = lens
         self.camera: Camera
-        """With the pose of the lens as its world."""
-        self._places: Array | None = None  # (2, height, width) rows and columns of the lens's
+        """The pinhole camera; its world is the lens's optical frame."""
+        self._places: Array | None = None  # (2, height, width) rows, columns in the lens's picture
         if lens.is_pinhole:
             (self.camera,) = Warp(lens).cameras(np.eye(4), 0.01, 1e10)
             return
@@ -384,7 +384,7 @@ class Straightened:
     def picture(
         self, colours: NDArray[np.uint8], counts: NDArray[np.bool_]
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Colours (h, w, 3), interpolated linearly, and which of them count, of the lens's."""
+        """Warps the lens's colours (h, w, 3), linearly, and the mask (h, w) of those that count."""
         if self._places is None:
             return colours, counts
 
@@ -400,7 +400,7 @@ class Straightened:
 
 
 def _taps(places: Array, width: int, height: int) -> csr_matrix:
-    """Rows of 16 shares that pixels have at places (n, 2) between them: cubic convolution."""
+    """(n, width * height) weights, 16 a row, of cubic convolution at places (n, 2). [px]"""
     first = np.floor(places)
     wx, wy = np.moveaxis(_cubic((places - first).astype(np.float32)), 1, 0)
     near = np.arange(-1, 3, dtype=np.int32)
@@ -413,7 +413,7 @@ def _taps(places: Array, width: int, height: int) -> csr_matrix:
 
 
 def _cubic(t: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Shares (..., 4) of the neighbours at -1, 0, 1 and 2 of a place t, 0 to 1. Keys, a = -1/2."""
+    """Weights (..., 4) of pixels -1, 0, 1, 2 at places t, 0 to 1 (Keys 1981, a = -1/2)."""
     t2, t3 = t * t, t * t * t
     shares: NDArray[np.float32] = np.stack(
         [

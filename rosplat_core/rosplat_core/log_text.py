@@ -1,10 +1,10 @@
-"""What goes into a line of a log."""
+"""Text from elsewhere, made safe for a line of a log."""
 
 from __future__ import annotations
 
 
 def shown(text: object, most: int = 100) -> str:
-    """What a peer sent, or an error says of it: cut, and without control characters."""
+    """A peer's or an error's text, cut to `most` characters, with control characters escaped."""
     whole = str(text)
     line = "".join(c if c.isprintable() else _escaped(c) for c in whole[:most])
     return line + "…" * (len(whole) > most)

@@ -1,4 +1,4 @@
-"""Maps in C++, as their author and as receivers hold them: batches, and what is pulled."""
+"""The C++ maps of publishers and receivers, their batches, and pulls of what a receiver lacks."""
 
 from __future__ import annotations
 
@@ -11,4 +11,4 @@ MapPull = _core.MapPull
 PublishedBatch = _core.PublishedBatch
 PublishedMap = _core.PublishedMap
 
-REPLACE, UPSERT, DELETE, MOVE = range(4)  # what a batch does, as in GaussianArray
+REPLACE, UPSERT, DELETE, MOVE = range(4)  # operations of a batch, as in GaussianArray

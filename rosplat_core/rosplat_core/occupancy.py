@@ -1,4 +1,4 @@
-"""What of a map stands in a robot's way: voxels, and a grid of cells seen from above.
+"""The obstacles of a map for a robot: voxels, and a grid of cells seen from above.
 
 A voxel is occupied where its splats take away enough of the light that crosses it. `OccupancyMap`
 keeps the voxels while the map changes; voxel_map.hpp has the definition.
@@ -25,9 +25,9 @@ __all__ = [
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100  # as nav_msgs/OccupancyGrid has them
 MOST_ACROSS = 4096  # voxels along an axis
-START_REACH = 0.3  # from the start to where the robot may begin [m]
+START_REACH = 0.3  # most distance from the start to a free cell near it [m]
 
-# map_server's grey values of them, and its thresholds, between which cells are unknown.
+# map_server's grey values of these, and its thresholds: cells between the two are unknown.
 _GREY = {UNKNOWN: 205, FREE: 254, OCCUPIED: 0}
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
 
@@ -50,7 +50,7 @@ def depth_of(absorbed: float) -> float:
 
 
 def voxels_across(size: float, resolution: float) -> int:
-    """Voxels along each axis of a cube of a size, an even number [m]. Raises SceneError if many."""
+    """Voxels along each axis of a cube of a size [m], even. Raises SceneError above MOST_ACROSS."""
     across = 2 * math.ceil(size / resolution / 2)
     if across > MOST_ACROSS:
         raise SceneError(
@@ -67,17 +67,17 @@ def grid_of(
     level: float = 0.0,
     start: tuple[float, float] = (0.0, 0.0),
 ) -> Grid:
-    """What a robot meets that is as high as a band over a level.
+    """The grid of cells for a robot that stands on a level and is as high as a band over it.
 
-    cells: occupied voxels (n, 3), z up. band: heights over the level [m]. start: x and y where the
-    robot is or was [m].
+    cells: occupied voxels (n, 3), z up. resolution: width of a voxel [m]. band: least and greatest
+    height over the level [m]. level: height [m]. start: x and y where the robot is or was [m].
 
-    Occupied: a voxel of the band is, its centre counts. Free: nothing in the band is occupied, the
-    floor is, which is what lies less than the band's lower end above or below the level, and the
-    robot gets there from its start over such cells, side by side. Whoever saw the floor saw that
-    nothing hides it. All else is unknown. The start is the widest area of such cells within 0.3 m,
-    for floors have holes; without any nothing is free. The grid reaches as far as floor and band
-    have occupied voxels; without any it is one unknown cell.
+    Occupied: a voxel is occupied whose centre is in the band. Floor: not occupied, but a voxel is
+    whose centre is less than the band's lower end above or below the level. Free: floor that the
+    robot reaches from its start over floor, cell by cell across their sides. (The camera that saw
+    the floor saw that nothing hides it.) All else is unknown. As floors have holes, the robot
+    begins on the largest area of floor within START_REACH, or a cell; without one, nothing is free.
+    The grid covers the occupied voxels of floor and band; without any it is one unknown cell.
     """
     low, high = band
     height = (cells[:, 2] + 0.5) * resolution - level
@@ -126,7 +126,7 @@ def save_grid(path: Path, grid: Grid) -> None:
     grey = np.full(grid.cells.shape, _GREY[UNKNOWN], np.uint8)
     for value, shade in _GREY.items():
         grey[grid.cells == value] = shade
-    with replacing(picture) as partial:  # its first row is the farthest along y
+    with replacing(picture) as partial:  # the picture's first row is the farthest along y
         partial.write_bytes(b"P5\n%d %d\n255\n" % (width, height) + grey[::-1].tobytes())
     x, y = grid.origin
     write_text(

@@ -1,4 +1,4 @@
-"""The order in which a camera's splats are blended."""
+"""The order in which splats are blended for a camera."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def depth_order(splats: Splats, camera: Camera, *, threads: int = 0) -> NDArray[
 
 
 def view_of(camera: Camera, splats: Splats) -> SortView:
-    """What a sorter needs of a camera that looks at these splats. Raises CameraError."""
+    """A sorter's view of a camera that looks at these splats. Raises CameraError as depth_order."""
     posed = PosedCamera(
         position=tuple(camera.position.tolist()),
         orientation=tuple(camera.orientation.tolist()),

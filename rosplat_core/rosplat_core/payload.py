@@ -35,22 +35,22 @@ def size(count: int, sh_degree: int) -> int:
 
 
 def suits(arrays: Arrays, usable: NDArray[np.bool_]) -> bool:
-    """Whether quantising shows splats as they are: no stray one makes the steps of all too large.
+    """Whether quantised splats still look the same: no stray one makes the steps of all too large.
 
-    Steps of position may be a 16th of the median splat's size, or a 65,536th of where most are.
+    Steps of position may be 1/16 of the median splat's size, or 1/65,536 of where most splats lie.
     """
     return _core.payload_suits(arrays, usable)
 
 
 def encode(arrays: Arrays, usable: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """The quantised payload, uint8, of splats. usable: which mean something, bool (n,)."""
+    """The quantised payload, uint8, of splats. usable: bool (n,), false for splats to leave out."""
     return _core.encode_payload(arrays, usable)
 
 
 def decode(
     payload: NDArray[np.uint8], count: int, sh_degree: int, format: str = QUANTISED
 ) -> Arrays:
-    """The splats of a payload. Raises PayloadError where it is of another length, or no such."""
+    """The splats of a payload. Raises PayloadError for a wrong length, format or content."""
     try:
         return Arrays(**_core.decode_payload(payload, count, sh_degree, format))
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""A camera that asks for an order, as the message ViewCamera describes it, checked."""
+"""The camera that an order is asked for, as the message ViewCamera describes it, checked."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class PosedCamera:
 
     position: of the optical frame, x y z [m]. orientation: of the optical frame, a quaternion
     x y z w of any length but zero. fx fy: [px], orthographic [px/m]. cx cy width height: [px].
-    near_clip far_clip: [m]. extent_scale: how many times as large as in the map splats are drawn.
+    near_clip far_clip: [m]. extent_scale: factor by which splats are drawn larger than in the map.
     Raises CameraError for values that no picture can be drawn with.
     """
 

@@ -28,16 +28,16 @@ Rasterizer = _core.Rasterizer
 RenderSettings = _core.RenderSettings
 SplatCamera = _core.SplatCamera
 
-MOST_PSNR = 150.0  # what equal pictures count as in JSON, which knows no infinity [dB]
+MOST_PSNR = 150.0  # of equal pictures, as JSON has no infinity [dB]
 
-BATCH_BYTES = 8_000_000  # as publishers send them
+BATCH_BYTES = 8_000_000  # as in publishers' batches
 MAP = "map"
 
 _NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)
 
 
 class CpuRenderer(_core.CpuRenderer):
-    """Holds a map in memory, of which it draws pictures. One thread at a time."""
+    """Holds a map in memory and draws pictures of it. Use it from one thread at a time."""
 
     def __init__(
         self,
@@ -46,8 +46,8 @@ class CpuRenderer(_core.CpuRenderer):
         threads: int = 0,
         instructions: _core.Instructions = Instructions.BEST,
     ) -> None:
-        """threads: to draw with, 0 for as many as the machine runs at once. instructions: of the
-        processor's vectors, the best that it has.
+        """threads: how many draw, 0 for as many as the machine runs at once. instructions: vector
+        instructions of the processor to draw with, by default the best that it has.
         """
         super().__init__(threads, instructions)
         if splats is not None:
@@ -81,18 +81,18 @@ def posed(camera: Camera) -> _core.SplatCamera:
     return SplatCamera(*pose(camera))
 
 
-# --- Splats to what takes batches: a CpuRenderer, a GaussianMap, the plugin's Renderer -----------
+# --- Batches of splats for a CpuRenderer, a GaussianMap or the plugin's Renderer ------------------
 
 
 def batches(splats: Splats) -> Iterator[slice]:
-    """The batches in which a publisher would send them."""
+    """Slices of the splats, the batches in which a publisher would send them."""
     step = max(1, BATCH_BYTES * len(splats) // max(1, splats.nbytes))
     for start in range(0, len(splats), step):
         yield slice(start, min(start + step, len(splats)))
 
 
 def insert(renderer: Any, splats: Splats, part: slice, revision: int) -> None:
-    """Gives a renderer a part of the splats, of slots alike; revision 1 begins the map."""
+    """Writes a part of the splats to a renderer's slots of the same numbers; revision 1 begins."""
     renderer.apply(
         REPLACE if revision == 1 else UPSERT, part.start, part.stop - part.start, _NO_SLOTS,
         splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),
@@ -113,7 +113,7 @@ def insert_all(renderer: Any, splats: Splats) -> int:
 def edit(
     renderer: Any, operation: int, slots: NDArray[np.integer], splats: Splats, revision: int
 ) -> None:
-    """UPSERT: writes splats to these slots. DELETE: empties them; of no splats."""
+    """UPSERT: writes splats to the slots. DELETE: empties the slots, with splats of length 0."""
     renderer.apply(
         operation, 0, len(slots), slots.astype(np.uint32),
         splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),

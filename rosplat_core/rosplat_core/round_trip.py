@@ -12,7 +12,7 @@ QUANTILES = (0.5, 0.99, 1.0)
 
 
 def errors(before: Splats, after: Splats) -> dict[str, NDArray[np.float64]]:
-    """(n,) errors of each splat, by field and unit; both have the same n splats in one order."""
+    """(n,) errors of each splat, by field and unit. Both must have the same splats in one order."""
     degree = max(before.sh_degree, after.sh_degree)
     names = ["position [m]", "scale [%]", "rotation [deg]", "opacity", "color"]
     names += ["harmonics"] if degree else []
@@ -22,7 +22,7 @@ def errors(before: Splats, after: Splats) -> dict[str, NDArray[np.float64]]:
         differ = np.abs(old.sh.astype(np.float64) - new.sh).max(axis=2)
         moved = old.positions.astype(np.float64) - new.positions + (old.origin - new.origin)
         found["position [m]"][part] = np.linalg.norm(moved, axis=1)
-        least = np.finfo(np.float32).tiny  # of flat splats
+        least = np.finfo(np.float32).tiny  # in place of a flat splat's 0
         ratios = np.maximum(new.scales, least) / np.maximum(old.scales, least).astype(np.float64)
         found["scale [%]"][part] = 100 * np.abs(ratios - 1).max(axis=1)
         found["rotation [deg]"][part] = np.degrees(_angles(old.orientations, new.orientations))
@@ -34,7 +34,7 @@ def errors(before: Splats, after: Splats) -> dict[str, NDArray[np.float64]]:
 
 
 def report(before: Splats, after: Splats) -> str:
-    """Lines that tell the errors' quantiles; splats must be in one order."""
+    """A table of the errors' quantiles; splats must be in one order."""
     if len(before) != len(after):
         return f"read back: {len(after):,} of {len(before):,} splats"
     lines = [f"{'read back, error':<18}" + "".join(f"{_percent(q):>11}" for q in QUANTILES)]

@@ -21,7 +21,7 @@ NAMES = (
 
 
 def is_generated(name: str) -> bool:
-    """Whether a scene's name asks for one to be generated, and is no file's."""
+    """Whether a scene's name asks for a generated scene, and is no file's."""
     return name.startswith(tuple(GENERATED))
 
 
@@ -36,7 +36,7 @@ def check_scene(name: str) -> None:
 
 
 def vertical(name: str) -> tuple[float, float, float] | None:
-    """Which way is up in a scene's coordinates, where its format fixes that.
+    """The unit vector that points up in a scene's coordinates; None if its format doesn't say.
 
     Raises SceneError for a file that isn't there, or is no scene.
     """
@@ -49,7 +49,7 @@ def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:
 
 
 def load_scene_into(into: Into[Made], name: str, progress: Progress, warn: Warn) -> Made:
-    """As load_scene."""
+    """As load_scene, with splats of the kind that `into` makes."""
     splats = _read(into, name, progress, warn)
     if len(splats) == 0:
         raise SceneError(f"{name}: holds no splats")
@@ -57,7 +57,7 @@ def load_scene_into(into: Into[Made], name: str, progress: Progress, warn: Warn)
 
 
 def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
-    """Reads a scene file, or generates COUNT splats; as formats.load.
+    """Reads a scene file as formats.load, or generates COUNT splats.
 
     Raises SceneError, also for more splats than a map or this machine's memory holds.
     """
@@ -82,7 +82,7 @@ def _generated(into: Into[Made], name: str, progress: Progress) -> Made:
 
 
 def _numbers(name: str) -> tuple[int, int]:
-    """COUNT and SEED of a scene that is to be generated. Raises SceneError."""
+    """COUNT and SEED of a generated scene's name. Raises SceneError."""
     kind, _, numbers = name.partition(":")
     match = re.fullmatch(r"(\d{1,18})(?::(\d{1,18}))?", numbers, re.ASCII)
     if not match:

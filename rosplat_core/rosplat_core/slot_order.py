@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosplat_core import _core
 from rosplat_core.splats import Splats
 
-_BITS = 21  # an axis, of the 64 of a code
+_BITS = 21  # of each axis, in a code of 64
 
 
 def space_order(positions: NDArray[np.float32]) -> NDArray[np.intp]:
@@ -35,7 +35,7 @@ def space_order(positions: NDArray[np.float32]) -> NDArray[np.intp]:
 def slot_order(splats: Splats) -> NDArray[np.intp]:
     """Indices (n,) that put splats of finite positions in the order of a map's slots.
 
-    Large ones come first, those of a size (within a factor of four) in space order.
+    Large splats come first; those of one size, within a factor of four, are in space order.
     """
     return order_by_size(splats.positions, splats.scales.max(axis=1, initial=0))
 
@@ -57,7 +57,7 @@ def put_in_slot_order(splats: Splats) -> None:
 
 
 def _spread(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Moves the lowest 21 bits of each number three apart."""
+    """Spreads the lowest 21 bits of each number to every third bit."""
     for shift, mask in (
         (32, 0x001F00000000FFFF),
         (16, 0x001F0000FF0000FF),

@@ -20,14 +20,14 @@ MAX_SH_DEGREE = 3
 # float32 holds half a millimetre at this distance from zero; farther out, an origin is needed.
 FAR_FROM_ZERO = 1e4
 
-LONGEST_ERROR = 10_000  # with a path or a URL in it [characters]
+LONGEST_ERROR = 10_000  # of an error's text, which may hold a path or a URL [characters]
 
 
 class SceneError(ValueError):
-    """A scene, camera or option that can't be used; its text, a line, is meant for the user."""
+    """A scene, camera or option that can't be used. The text is one line, meant for the user."""
 
     def __init__(self, text: str) -> None:
-        """Escapes control characters; whoever quotes a file, not a name, cuts the quotation."""
+        """Escapes control characters. Callers that quote a file's content cut the quotation."""
         super().__init__(shown(text, LONGEST_ERROR))
 
 
@@ -54,7 +54,7 @@ class Splats:
     antialiased: bool = False
     """Trained with opacity compensation for the 2D low-pass filter (Mip-Splatting)."""
     channels: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
-    """(n,) named values beside what is drawn, "label" say; not finite where a splat has none."""
+    """(n,) values by name that the splats carry, e.g. "label"; not finite where there is none."""
 
     @classmethod
     def from_trained(
@@ -69,7 +69,7 @@ class Splats:
         antialiased: bool = False,
         channels: Mapping[str, ArrayLike] | None = None,
     ) -> Splats:
-        """Splats from what trainers optimise, as NumPy arrays or torch tensors on any device.
+        """Makes splats of a trainer's parameters, NumPy arrays or torch tensors on any device.
 
         means (n, 3) [m]; quaternions_wxyz (n, 4) of any length; log_scales (n, 3), or (n, 1) for
         spheres; logits of the opacities (n,) or (n, 1); sh0 (n, 1, 3) and shN (n, k, 3), as gsplat
@@ -102,7 +102,7 @@ class Splats:
     def __post_init__(self) -> None:
         """Converts each array to its dtype and checks its shape.
 
-        Where float32 would lose positions of another dtype, the origin takes what they share.
+        Positions in float64 are rebased: an origin takes over what float32 would lose of them.
         """
         n = len(self.positions)
         positions = np.asarray(self.positions)
@@ -121,7 +121,7 @@ class Splats:
         }
         for name, shape in shapes.items():
             dtype = np.float64 if name == "origin" else np.float32
-            with np.errstate(over="ignore"):  # infinite then: publishers leave it out and say so
+            with np.errstate(over="ignore"):  # to infinity: publishers drop such splats and warn
                 array = np.ascontiguousarray(getattr(self, name), dtype)
             if array.shape != shape:
                 raise ValueError(f"Splats.{name}: expected shape {shape}, got {array.shape}")
@@ -170,7 +170,7 @@ class Splats:
 
     @property
     def arrays(self) -> tuple[NDArray[np.float32], ...]:
-        """All that has a row for each splat."""
+        """Every array with a row for each splat."""
         drawn = (self.positions, self.orientations, self.scales, self.opacities, self.sh)
         return (*drawn, *self.channels.values())
 
@@ -193,10 +193,10 @@ class Splats:
         return self if degree == self.sh_degree else self.with_sh_degree(degree)
 
     def moved(self, pose: ArrayLike) -> Splats:
-        """The same splats as seen from another frame, in which theirs has a pose.
+        """The same splats in another frame.
 
-        pose: rigid transform, (4, 4). What they look like turns with them. The origin becomes where
-        the old one is.
+        pose: their present frame in the other one, a rigid transform (4, 4) [m]. Orientations and
+        harmonics turn with it; the origin becomes the old origin's place in the other frame.
         """
         pose = np.asarray(pose, np.float64)
         rotation = pose[:3, :3]
@@ -211,13 +211,13 @@ class Splats:
 
 @dataclass(frozen=True, eq=False)
 class PackedSplats:
-    """Splats in less than half of the memory, as exact as displays hold them.
+    """Splats in less than half of the memory, in the precision of a display's own map.
 
-    Positions and channels are exact. packed_slot.hpp says how the rest is kept.
+    Positions and channels are exact; packed_slot.hpp has the format of the rest.
     """
 
     rows: NDArray[np.uint32]
-    """(n, 8 + (degree + 1)^2) packed slots, each with its further bands."""
+    """(n, 8 + (degree + 1)^2) words: each splat's packed slot, then its bands above 0."""
     sh_degree: int
     """Highest band of spherical harmonics, 0 to 3."""
     origin: NDArray[np.float64]
@@ -229,12 +229,12 @@ class PackedSplats:
 
     @property
     def arrays(self) -> tuple[NDArray[np.generic], ...]:
-        """All that has a row for each splat."""
+        """Every array with a row for each splat."""
         return (self.rows, *self.channels.values())
 
 
 def _shaped(name: str, array: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.floating[Any]]:
-    """As _host. Raises ValueError, naming the array, where it has none of the shapes."""
+    """As _host. Raises ValueError, naming the array, for a shape that is none of `shapes`."""
     values = _host(array)
     if values.shape not in shapes:
         known = " or ".join(map(str, shapes))
@@ -243,7 +243,7 @@ def _shaped(name: str, array: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np
 
 
 def _host(array: ArrayLike) -> NDArray[np.floating[Any]]:
-    """An array or tensor as NumPy's, without a copy where it lies in this machine's memory."""
+    """An array or tensor as a floating NumPy array, without a copy where that is possible."""
     detach = getattr(array, "detach", None)  # torch's, without importing torch
     values = np.asarray(detach().cpu() if detach else array)
     return values if np.issubdtype(values.dtype, np.floating) else values.astype(np.float32)
@@ -255,7 +255,7 @@ def sh_coefficients(degree: int) -> int:
 
 
 def splat_bytes(sh_degree: int) -> int:
-    """Memory that a splat takes, and a message with it. [bytes]"""
+    """Size of a splat, in memory and in a message. [bytes]"""
     floats = 3 + 4 + 3 + 1 + 3 * sh_coefficients(sh_degree)
     return 4 * floats
 
@@ -263,26 +263,26 @@ def splat_bytes(sh_degree: int) -> int:
 def rebase(positions: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Splits (n, 3) positions into float32 offsets and a float64 origin (3,). [m]
 
-    The origin is zero unless a position lies so far out that float32 would lose it: then it is the
-    median of those that are finite, which a stray splat does not move, in hundreds of metres, so
-    that a map that grows mostly keeps it.
+    The origin is zero unless a position lies so far out that float32 would lose it. Then the origin
+    is the median of the finite positions, which a stray splat does not move, rounded to 100 m, so
+    that a growing map mostly keeps its origin.
     """
     origin = np.zeros(3)
     if np.fmax.reduce(np.abs(positions), axis=None, initial=0.0) > FAR_FROM_ZERO:
-        # What float32 can't hold is left out, whatever the origin.
+        # Positions beyond float32 are lost with any origin, so they have no say in it.
         finite = positions[(np.abs(positions) <= np.finfo(np.float32).max).all(axis=1)]
         if len(finite):
             origin = 100 * np.round(np.median(finite, axis=0) / 100)
             positions = positions - origin
-    with np.errstate(over="ignore"):  # infinite then: publishers leave it out and say so
+    with np.errstate(over="ignore"):  # to infinity: publishers drop such splats and warn
         return positions.astype(np.float32), origin
 
 
 def concatenate(parts: Sequence[Splats]) -> Splats:
     """Joins sets of splats, in order; the result has the first one's origin and the highest degree.
 
-    Where a part lacks a channel, its splats have no value. Raises ValueError when there are none,
-    when only some are antialiased, or for more channels than a map has.
+    Where a part lacks a channel, its splats have NaN. Raises ValueError without any part, when only
+    some parts are antialiased, or for more channels than a map can have.
     """
     if not parts:
         raise ValueError("nothing to concatenate")

@@ -13,8 +13,8 @@ from rosplat_core.posed_camera import CameraError, PosedCamera
 
 # Half the low-pass filter's reach, 3.33 * sqrt(0.3) = 1.82 px, with room for rounding.
 MARGIN_PIXELS = 2.0
-# How much wider than the picture an order is culled: it is drawn for cameras that have moved on,
-# and lacks what came in. 1.25 saves 11 dB after a turn of 3 degrees (docs/stability.md).
+# An order is culled to so many times the picture's size: by the time it is drawn, the camera has
+# moved on and sees more. 1.25 saves 11 dB after a turn of 3 degrees (docs/stability.md).
 OVERSCAN = 1.25
 
 IDENTITY: NDArray[np.float64] = np.eye(4)[None]
@@ -22,7 +22,7 @@ IDENTITY: NDArray[np.float64] = np.eye(4)[None]
 
 @dataclass(frozen=True)
 class SortView:
-    """What positions are multiplied with. SortView in C++, for all groups.
+    """A camera's numbers for the depths and culling of all groups, as SortView in C++.
 
     rotations: each group's frame to camera optical frame, float32 (g, 3, 3). translations: of each
     group's origin in the camera frame, float32 (g, 3) [m]. The rest are float32 as well: focal
@@ -49,23 +49,23 @@ class SortView:
     def of(cls, camera: PosedCamera, frames: ArrayLike = IDENTITY) -> SortView:
         """The view of a camera on groups in the given frames, float64 (g, 4, 4).
 
-        frames: rigid transforms from what each group's positions are relative to into the map's
-        frame. Everything is float64 until the end, so that nothing is lost far from its origin.
-        A group whose translation is beyond float32 isn't visible: the translation is infinite.
+        frames: rigid transforms into the map's frame from the one that each group's positions are
+        in. Everything is float64 until the end: float32 would lose digits far from the origin. A
+        group whose translation is beyond float32 isn't visible: its translation becomes infinite.
         Raises CameraError for a camera that float32 can't hold.
         """
         frames = np.asarray(frames, np.float64)
         rotation = rotation_matrix(*camera.orientation).T
-        # Sums of three written out: NumPy's depend on how many groups there are.
+        # Sums of three are written out: rounding in NumPy's depends on the number of groups.
         with np.errstate(over="ignore", invalid="ignore"):
             x, y, z = (np.asarray(camera.position) - frames[:, :3, 3]).T[:, :, None]
             translations = -rotation[:, 0] * x - rotation[:, 1] * y - rotation[:, 2] * z
             translations = translations.astype(np.float32)
-        # No depth that is infinite is nearer than far_clip.
+        # An infinite depth is never nearer than far_clip, so the group is culled.
         translations[~np.isfinite(translations).all(axis=1)] = np.inf
 
         def slope(focal: float, centre: float, size: int) -> float:
-            # A perspective footprint grows with the slope of its ray, which the renderer clamps so.
+            # A perspective footprint grows with its ray's slope, which the renderer clamps like so.
             if camera.orthographic:
                 return camera.extent_scale * focal
             tangent = max(size - centre, centre) / focal + 0.3 * (0.5 * size / focal)
@@ -96,12 +96,12 @@ class SortView:
 def frame_at(
     position: ArrayLike, orientation: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
 ) -> NDArray[np.float64]:
-    """Rigid transform, float64 (4, 4), out of a frame at a position, 3 [m], turned by a quaternion.
+    """Rigid transform, float64 (4, 4), from a frame to the one that its pose is given in.
 
-    orientation: x y z w, of any length but zero.
+    position: 3 [m]. orientation: quaternion x y z w, of any length but zero.
     """
     frame = np.eye(4)
-    largest = max(map(abs, orientation))  # whose square may be beyond any number
+    largest = max(map(abs, orientation))  # divides all, since its square may overflow
     frame[:3, :3] = rotation_matrix(*(value / largest for value in orientation))
     frame[:3, 3] = position
     return frame

@@ -1,6 +1,6 @@
 """Orders the splats of a 3D Gaussian map by depth for each view that looks at it.
 
-What stands here is the public interface, loaded when it is first used; the modules are private.
+This is the public interface; each name's module is loaded at first use. The modules are private.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a node makes of its command line."""
+"""A node's command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rclpy.utilities import remove_ros_args
 
 
 def take_ros_arguments_only(program: str, description: str | None) -> None:
-    """Answers --help; ends the program at what only looks like an argument, a scene's path say."""
+    """Answers --help; ends the program at an argument that isn't ROS's, such as a scene's path."""
     parser = argparse.ArgumentParser(
         prog=program,
         description=description,
@@ -22,7 +22,7 @@ def take_ros_arguments_only(program: str, description: str | None) -> None:
     try:
         parser.parse_args(remove_ros_args(sys.argv)[1:])
     except RuntimeError as error:  # RCLInvalidROSArgsError, UnknownROSArgsError: not public
-        # Less where in rcl's sources it was found.
+        # Leaves out the line of rcl's sources that found it.
         parser.error(
             "--ros-args: " + re.sub(r"( Error: Expected lexeme.*)?, at /.*", "", str(error))
         )

@@ -23,8 +23,8 @@ _ARRAYS = (
 def apply(target: Any, batch: GaussianArray, arrival: Arrival = Arrival.HEARD) -> dict[str, int]:
     """Hands a batch to a Renderer, a CpuRenderer or a map of rosplat_core.
 
-    Returns how many batches were missed, and how many splats were dropped. Raises BatchError,
-    naming the field, for a batch that contradicts itself.
+    Returns "missed", the number of batches missed before it, and "dropped", that of its splats that
+    were dropped. Raises BatchError, naming the field, for a batch that contradicts itself.
     """
     origin = batch.origin
     report: dict[str, int] = target.apply(
@@ -67,7 +67,7 @@ def positions_of(batch: GaussianArray) -> NDArray[np.float32]:
 
 
 def array_bytes(batch: GaussianArray) -> int:
-    """Memory that a batch's arrays take: nearly all of it. [bytes]"""
+    """Size of a batch's arrays, nearly all of the batch. [bytes]"""
     arrays = (getattr(batch, name) for name in _ARRAYS)
     return sum(len(values) * values.itemsize for values in arrays)
 

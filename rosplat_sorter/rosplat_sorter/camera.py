@@ -14,7 +14,7 @@ ORTHOGRAPHIC = 1
 
 
 def decode(message: ViewCamera) -> PosedCamera:
-    """The camera of a message. Raises CameraError where it is degenerate."""
+    """The camera of a message. Raises CameraError for an unknown projection, or as PosedCamera."""
     if message.projection not in (PERSPECTIVE, ORTHOGRAPHIC):
         raise CameraError(f"projection is {message.projection}, known are 0 and 1")
     position, orientation = message.pose.position, message.pose.orientation

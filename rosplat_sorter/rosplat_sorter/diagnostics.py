@@ -1,7 +1,7 @@
-"""What a node says of itself on /diagnostics, each second.
+"""A node's reports on /diagnostics, one each second.
 
-In the form that diagnostic_updater gives it, which isn't on PyPI. All nodes use the same words for
-the same figures: docs/reference.md lists them.
+They have the form that diagnostic_updater, which isn't on PyPI, gives them. All nodes use the same
+words for the same figures: docs/reference.md lists them.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Report(NamedTuple):
     message: str
     """In a few words."""
     values: Mapping[str, object]
-    """Figures by their words, each with its unit: {"Splats": 500, "Age (s)": 0.25}."""
+    """Figures by name, with the unit in the name: {"Splats": 500, "Age (s)": 0.25}."""
     warns: bool = False
-    """Whether somebody should look after it."""
+    """Whether somebody should look into it."""
 
 
 class Diagnostics:
@@ -56,7 +56,7 @@ class Diagnostics:
         self._timer = self._spun.create_timer(PERIOD, self._tell, clock=steady)
 
     def close(self) -> None:
-        """Says no more. Not while the spun node's executor may be at a report."""
+        """Ends the reports. Call it while the spun node's executor can't be at one."""
         self._spun.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
 

@@ -1,4 +1,4 @@
-"""The map as edits leave it: what is in each slot, as far as sorting needs it."""
+"""The map after its edits, as far as sorting needs it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rosplat_sorter import batches
 if TYPE_CHECKING:
     from rosplat_msgs.msg import GaussianArray
 
-# As NumPy indexes with them: a range, or one by one.
+# An index for NumPy: a range of rows, or an array of them.
 Rows: TypeAlias = "slice | NDArray[np.int64]"
 
 _WITHIN = np.arange(SLOTS_PER_PAGE, dtype=np.uint32)
@@ -29,10 +29,10 @@ class SplatMap(SortMap):
     """
 
     def take(self, batch: GaussianArray, arrival: Arrival = Arrival.HEARD) -> dict[str, int]:
-        """Applies a batch; returns how many batches were missed, and splats dropped.
+        """Applies a batch; returns the numbers of batches missed and splats dropped, as apply.
 
         Raises BatchError for a batch that contradicts itself or the map, and MemoryError where the
-        map can't grow so far. The map is as it was then.
+        map can't grow so far. The map then stays as it was.
         """
         return batches.apply(self, batch, arrival)
 
@@ -52,14 +52,14 @@ class SplatMap(SortMap):
         return rows
 
     def by_place(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        """The first slot and the group of each page, by the place of its rows, uint32 (p,)."""
+        """Each page's first slot and its group's index in frames, by place, uint32 (p,) each."""
         first_slots, groups = np.empty((2, len(self.pages)), np.uint32)
         slot, place, group = self.pages.T
         first_slots[place], groups[place] = slot, group
         return first_slots, groups
 
     def slots_and_groups(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        """The slot of each row, and the place in frames of its group, uint32 (rows,)."""
+        """Each row's slot and its group's index in frames, uint32 (rows,) each."""
         first_slots, groups = self.by_place()
         slots = (first_slots[:, None] + _WITHIN).ravel()
         return slots, np.repeat(groups, SLOTS_PER_PAGE)

@@ -1,4 +1,4 @@
-"""How Python hears of a map."""
+"""A subscription to a map, with pulls of what it lacks."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ PULL_PERIOD = 0.1  # [s]
 class MapSubscription:
     """Hears the publishers of a map's topic, and pulls what is missing from their servers.
 
-    A subscription that asks for what was sent before doesn't match a publisher that keeps nothing,
-    nor a reliable one a publisher that is best effort. So the subscription asks for less where all
-    publishers are such, or where pulls are known to be served when it begins. It never hears one
-    batch twice, which would take the map back to it.
+    A transient local subscription doesn't match a volatile publisher, nor a reliable one a best
+    effort publisher. So the subscription asks for less where all publishers offer less, or where
+    pulls are known to be served when it begins. It never hears a batch twice, which would take the
+    map back to that batch.
     """
 
     def __init__(
@@ -51,21 +51,21 @@ class MapSubscription:
         the node has.
 
         busy: whether there is no room for batches. They are dropped then, and pulled later.
-        most_sh_degree: what is pulled has no harmonics above this degree.
+        most_sh_degree: pulled batches have no harmonics above this degree.
         """
         self._node, self._on_batch, self._group, self._busy = node, on_batch, callback_group, busy
         self._most_sh_degree = most_sh_degree
         self.topic = node.resolve_topic_name("gaussians")
         self._mixed: set[str] = set()  # policies in which publishers differ
-        self._maps = ("", "")  # of the last batch, and the one before that
+        self._maps = ("", "")  # the last batch's map_id, and the other one before that
         self._pull = MapPull()
-        self._lock = RLock()  # the answers to requests come outside of the group
-        self._pulls = self._server_is_known()  # from the beginning on
+        self._lock = RLock()  # answers to requests come outside of the callback group
+        self._pulls = self._server_is_known()  # whether it has been since the beginning
         self._qos = self._qos_for(self._publishers())
         self._client: Client = node.create_client(
             PullMap, f"{self.topic}/pull", callback_group=callback_group
         )
-        self._answer: Future | None = None  # that is waited for
+        self._answer: Future | None = None  # of the last request
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         node.create_timer(WATCH_PERIOD, self._meet_publishers, callback_group, steady)
@@ -73,7 +73,7 @@ class MapSubscription:
 
     @property
     def pulling(self) -> bool:
-        """Whether a part of the map is missing that is on its way."""
+        """Whether a part of the map is missing and being pulled."""
         return self._pull.pulling
 
     def _subscribe(self) -> Subscription:
@@ -86,7 +86,7 @@ class MapSubscription:
         )
 
     def _publishers(self) -> list[QoSProfile]:
-        """What publishers offer."""
+        """The QoS that the topic's publishers of GaussianArray offer."""
         known = self._node.get_publishers_info_by_topic(self.topic)
         ours = type_name(GaussianArray)
         return [publisher.qos_profile for publisher in known if publisher.topic_type == ours]
@@ -124,8 +124,8 @@ class MapSubscription:
         return bool(self._client.service_is_ready())
 
     def _server_is_known(self) -> bool:
-        """Whether some node serves pulls, ready or not. A service that has clients alone is listed,
-        too, but by no node.
+        """Whether some node serves pulls, ready or not. (The graph's list of all services would
+        also have a service with clients alone.)
         """
         for node, namespace in self._node.get_node_names_and_namespaces():
             try:
@@ -150,7 +150,7 @@ class MapSubscription:
                 f"{self.topic}: pulling {what}",
                 throttle_duration_sec=5.0,
             )
-        if self._answer:  # it has come, or doesn't count any more
+        if self._answer:  # arrived, or outdated
             self._client.remove_pending_request(self._answer)
         self._answer = self._client.call_async(
             PullMap.Request(
@@ -160,7 +160,7 @@ class MapSubscription:
                 most_sh_degree=self._most_sh_degree,
             )
         )
-        pending = self._client._pending_requests  # all that tells of the number that ROS gave it
+        pending = self._client._pending_requests  # only this has the request's number in ROS
         sequence = next((key for key, asked in pending.items() if asked is self._answer), 0)
         self._answer.add_done_callback(lambda answer: self._take(number, sequence, answer))
 
@@ -170,7 +170,7 @@ class MapSubscription:
             self._pull.held = self._busy()
             if answer is not self._answer:
                 return
-            if not response.batches:  # rclpy takes the first answer for the only one
+            if not response.batches:  # no such map there: rclpy is made to take another's answer
                 self._answer = self._client._pending_requests[sequence] = Future()
                 self._answer.add_done_callback(lambda other: self._take(number, sequence, other))
             batches = [labelled(message) for message in response.batches]

@@ -1,4 +1,4 @@
-"""How a program's memory is given back."""
+"""How a program takes less memory."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ _LARGE = 1 << 20  # [bytes]
 
 
 def give_back_large_blocks() -> None:
-    """Has what is larger than a mebibyte go back to the system when it is freed. For programs.
+    """Makes blocks larger than 1 MiB go back to the system when they are freed. For programs.
 
-    As it comes, glibc keeps blocks as large as the largest that was freed so far in heaps, where
-    small ones between messages of megabytes hold them: programs grow for as long as they run.
+    By default, glibc puts blocks up to the largest one freed so far into heaps, where small blocks
+    between messages of megabytes keep these from going back: programs grow as long as they run.
     """
     ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE)
 
 
 def take_little_shared_memory() -> None:
-    """Has Fast DDS take 4 MB, not 32, by the profile of rosplat_msgs. For programs without a map.
+    """Makes Fast DDS take 4 MB, not 32, by rosplat_msgs' profile. For programs that send no map.
 
-    Before ROS begins: that is when a process takes all of what it may send by.
+    Call it before ROS begins, when a process takes all of the shared memory that it sends by.
     """
     for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
         profile = Path(os.environ.get(name, ""))
@@ -31,6 +31,6 @@ def take_little_shared_memory() -> None:
 
 
 def resident_bytes() -> int:
-    """Memory that this process has in RAM."""
+    """Memory that this process has in RAM. [bytes]"""
     pages = Path("/proc/self/statm").read_text().split()[1]  # proc(5)
     return int(pages) * os.sysconf("SC_PAGE_SIZE")

@@ -1,4 +1,4 @@
-"""What ROS says nothing about: unknown parameters, topics of another type, a missing /clock."""
+"""Mistakes that ROS is silent about: unknown parameters, topics of another type, no /clock."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ PERIOD = 5.0  # [s]
 
 
 class Mistakes:
-    """Mistakes of the user who starts a node. The log names each once.
+    """Finds mistakes of the user who starts a node, and logs each once.
 
-    When the node has declared all of its parameters: Mistakes(node).
+    Make it when the node has declared all of its parameters: Mistakes(node).
     """
 
     def __init__(self, node: Node) -> None:
@@ -31,8 +31,8 @@ class Mistakes:
     def _find_unknown_parameters(self) -> None:
         known = self._node.get_parameters_by_prefix("")
         ours = sorted(name for name in known if not name.startswith(("qos_", "start_type_")))
-        for name in self._node._parameter_overrides:  # nothing public has them
-            # Those of QoS are declared with what they are for, which may come later.
+        for name in self._node._parameter_overrides:  # no public function has them
+            # QoS overrides are declared with their publisher or subscription, maybe later.
             if name not in known and not name.startswith("qos_overrides."):
                 self._say(f"parameter {name}: not known, ignored; known are {', '.join(ours)}")
 
@@ -56,6 +56,6 @@ class Mistakes:
 
 
 def type_name(message: Any) -> str:
-    """As ROS writes it: std_msgs/msg/String."""
+    """The name of a message's class as ROS writes it: std_msgs/msg/String."""
     package, kind, *_ = message.__module__.split(".")
     return f"{package}/{kind}/{message.__name__}"

@@ -34,21 +34,21 @@ from rosplat_sorter.spinning import spin_until
 from rosplat_sorter.worker import Answer, Worker
 
 THROTTLE = 5.0  # least time between two lines of the log of one kind [s]
-FORGET_AFTER = 60.0  # the map, when no view has wanted an order [s]
-WATCH_PERIOD = 1.0  # whether one has [s]
+FORGET_AFTER = 60.0  # without a view that wants an order, until the map is forgotten [s]
+WATCH_PERIOD = 1.0  # of the look for such a view [s]
 CHOICES = (AUTO, *BACKENDS)
 SETTINGS = ("backend", "threads")
 LOSSES = ("Batches dropped", "Splats dropped", "Views dropped")
 
 
 class _AtWork:
-    """What is there while views want orders: the map, who hears of it, and who sorts it."""
+    """What exists while views want orders: the worker, which has the map, and a subscription."""
 
     def __init__(self, node: SorterNode, backend: str, threads: int) -> None:
         self.worker = worker = Worker(node, backend, threads)
         self._map = MapSubscription(node, worker.edit, busy=lambda: worker.busy, most_sh_degree=0)
-        self._spoilt = 0  # figures of what is lost, together, at the last report
-        self.wanted = time.monotonic()  # an order, the last time
+        self._spoilt = 0  # sum of the LOSSES at the last report
+        self.wanted = time.monotonic()  # when a view last wanted an order
 
     def report(self) -> Report:
         """Warns of a backlog, a map that isn't whole, and of losses since the last report."""
@@ -67,12 +67,12 @@ class _AtWork:
 class SorterNode(Node):
     """Hears `gaussians/view`; while views want orders, `gaussians`; publishes `gaussians/order`.
 
-    No callback waits for anything: parameters are answered at once. unwanted is set when no view
-    has wanted an order for a minute, and the node is to begin anew without a map.
+    No callback waits for anything: parameters are answered at once. unwanted is set once no view
+    has wanted an order for a minute; the process should then begin anew, without a map.
     """
 
     def __init__(self) -> None:
-        self._at_work: _AtWork | None = None  # first: since Kilted, half a node is destroyed, too
+        self._at_work: _AtWork | None = None  # first: since Kilted, half-made nodes are destroyed
         super().__init__("sorter")
         self._said: dict[str, float] = {}
         self.declare_parameter(
@@ -100,7 +100,7 @@ class SorterNode(Node):
             SplatOrder, f"{topic}/order", **qos.overridable(qos.ORDER)
         )
         self.unwanted = Event()
-        self._is_told = hasattr(self, "add_post_set_parameters_callback")  # of what was set: Iron
+        self._is_told = hasattr(self, "add_post_set_parameters_callback")  # since Iron
         self.add_on_set_parameters_callback(self._validate)
         if self._is_told:
             self.add_post_set_parameters_callback(self._use)
@@ -197,9 +197,10 @@ def _unknown(backend: str) -> str:
 
 
 def _begin_anew(parameters: list[str]) -> None:
-    """Gives back all memory: middleware and libraries for GPUs keep some until their process ends.
+    """Executes the program anew, to give back all memory.
 
-    It is the same process to whoever started it, with its parameters as they are.
+    Middleware and libraries for GPUs keep some as long as their program runs. Whoever started the
+    process sees the same one. parameters: "NAME:=VALUE" each, to keep.
     """
     for file in map(int, os.listdir("/proc/self/fd")):  # middleware leaves some open
         if file > 2:
@@ -218,7 +219,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, lambda *_: None)
     try:
         rclpy.init()
-        # First: where ROS has ended, rclpy (up to Jazzy) prints a traceback in place of making one.
+        # The executor first: if ROS has ended, rclpy (up to Jazzy) prints a traceback for one.
         executor = SingleThreadedExecutor()
         node = SorterNode()
         try:

@@ -25,13 +25,13 @@ class OrderReader:
 
     @property
     def key(self) -> int:
-        """For ViewCamera.segment_key; 0 while no segment of the sorter can be read."""
+        """The value for ViewCamera.segment_key; 0 while no segment of the sorter can be read."""
         return self._reader.key
 
     def read(self, message: SplatOrder) -> NDArray[np.uint32]:
         """The slots of an order, uint32 (n,), unchecked against the map.
 
-        Raises OrderError where they contradict themselves, or are in shared memory no more.
+        Raises OrderError where its fields contradict each other, or shared memory has it no more.
         """
         if message.encoding == SLOTS:
             return np.frombuffer(message.slots, np.uint32)

@@ -27,8 +27,8 @@ MAP = _map_qos(1000)
 # The same for publishers that are volatile.
 MAP_VOLATILE = _map_qos(1000, DurabilityPolicy.VOLATILE)
 
-# For a publisher that answers pulls: a late joiner learns of the map by the last batch. The others
-# are for readers that lag behind.
+# For a publisher that answers pulls: a late joiner learns of the map by the last batch. The other
+# batches are for readers that lag behind.
 PULLED_MAP = _map_qos(8)
 
 # For a subscription that can pull: if it is too slow, only the newest batches wait.
@@ -45,8 +45,8 @@ def _view_qos(depth: int) -> QoSProfile:
 
 
 # Cameras and orders: the newest of each view counts, and all views share the topics. An order may
-# take megabytes, and once a reader has been slow, Fast DDS keeps room for as many: a view that
-# misses its own asks again.
+# take megabytes, and once a reader has been slow, Fast DDS keeps room for `depth` orders. A small
+# depth does: a view that misses its order asks again.
 VIEW = _view_qos(32)
 ORDER = _view_qos(8)
 
@@ -55,8 +55,8 @@ def overridable(profile: QoSProfile, adapted: QoSProfile | None = None) -> dict[
     """Arguments of create_publisher and create_subscription: QoS with parameters that override it.
 
     The parameters are qos_overrides.<topic>.<publisher or subscription>.{history,depth,
-    reliability}, and profile has their defaults. adapted: what holds instead of profile, policy by
-    policy, where no parameter says otherwise; another the next time, if need be.
+    reliability}, and profile has their defaults. adapted: replaces profile, policy by policy, where
+    no parameter overrides it; it may differ in the next call for the same topic.
     """
 
     def adapt(chosen: QoSProfile) -> SetParametersResult:

@@ -24,14 +24,14 @@ HEADER_BYTES = 4096
 
 
 class Memory(mmap.mmap):
-    """A segment's, which a device may borrow for as long as the segment is there."""
+    """A segment's memory, which a device may borrow for as long as the segment exists."""
 
     def __init__(self, *_: object) -> None:
-        self.lent = contextlib.ExitStack()  # takes it back
+        self.lent = contextlib.ExitStack()  # close() takes the memory back from devices
 
 
 def memory_of(slots: NDArray[np.uint32]) -> Memory | None:
-    """What an array that a segment began lies in; None of any other."""
+    """The memory of an array that Segment.begin() returned; None for any other array."""
     base = getattr(slots.base, "obj", slots.base)  # through a memoryview
     return base if isinstance(base, Memory) else None
 
@@ -39,8 +39,8 @@ def memory_of(slots: NDArray[np.uint32]) -> Memory | None:
 class Segment:
     """A file in shared memory that holds one order at a time.
 
-    It appears whole and locked, and is locked for as long as its sorter lives, so that the next one
-    can tell what a crash has left behind.
+    The file appears whole and locked, and stays locked for as long as its sorter lives, so that the
+    next sorter can tell what a crash has left behind.
     """
 
     def __init__(self, key: int, capacity: int) -> None:
@@ -55,42 +55,42 @@ class Segment:
         self._file = os.open(FOLDER, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.posix_fallocate(self._file, 0, size)  # a full /dev/shm kills who writes to it
+            os.posix_fallocate(self._file, 0, size)  # later, a full /dev/shm would kill the writer
             self._memory = Memory(self._file, size)
             self._memory[:24] = struct.pack("=8sIIQ", MAGIC, VERSION, 0, key)
-            # An absolute path has no use for src_dir_fd, but without it Python links the link.
+            # An absolute path has no use for src_dir_fd, but without it Python links the symlink.
             os.link(f"/proc/self/fd/{self._file}", FOLDER / self.name, src_dir_fd=self._file)
         except OSError:
             os.close(self._file)
             raise
 
     def begin(self, count: int) -> NDArray[np.uint32]:
-        """Where to write the next order, uint32 (count,); what the segment held is void."""
+        """The array for the next order, uint32 (count,); the order before it becomes void."""
         _core.mark_segment(self._memory, self._generation + 1)
         return np.frombuffer(self._memory, np.uint32, count, HEADER_BYTES)
 
     def finish(self) -> int:
-        """The order is written; returns its generation."""
+        """Marks the order as written; returns its generation."""
         self._generation += 2
         _core.mark_segment(self._memory, self._generation)
         return self._generation
 
     def remove(self) -> None:
-        """Takes the file away, and the memory from devices; who has it open may still read it."""
+        """Removes the file, and takes its memory from devices. Open readers may still read it."""
         self._memory.lent.close()
         (FOLDER / self.name).unlink(missing_ok=True)
         os.close(self._file)
 
 
 class SharedOrders:
-    """The segments of one run of a sorter, and the key in them that its viewers show it."""
+    """The segments of one run of a sorter, and the key in them that viewers read and send back."""
 
     def __init__(self) -> None:
         """Raises OSError where there is no shared memory."""
         remove_stale()
         self.key = secrets.randbits(63) + 1
         self._segments: list[Segment] = []
-        self.probe = self.segment(0).name
+        self.probe = self.segment(0).name  # by which viewers find out whether they can read any
 
     def segment(self, capacity: int) -> Segment:
         """A new segment. Raises OSError where there is no room for it."""
@@ -99,21 +99,21 @@ class SharedOrders:
         return segment
 
     def remove(self, segment: Segment) -> None:
-        """Takes a segment away."""
+        """Removes a segment."""
         self._segments.remove(segment)
         segment.remove()
 
     def close(self) -> None:
-        """Takes all of them away."""
+        """Removes all segments."""
         for segment in self._segments:
             segment.remove()
         self._segments.clear()
 
 
 class OrderBuffer:
-    """Where the orders of one view are written: two segments in turn.
+    """The memory of one view's orders: two segments, written in turn.
 
-    So an order outlives the making of the next, and a viewer has that time to copy it.
+    So an order stays while the next one is written, and a viewer has that time to copy it.
     """
 
     def __init__(self, orders: SharedOrders) -> None:
@@ -122,7 +122,7 @@ class OrderBuffer:
         self._turn = 0
 
     def begin(self, count: int) -> NDArray[np.uint32]:
-        """Where to write the view's next order, uint32 (count,). Raises OSError without room."""
+        """The array for the view's next order, uint32 (count,). Raises OSError without room."""
         segment = self._segments[self._turn]
         if segment is None or segment.capacity < count:
             self._segments[self._turn] = None
@@ -132,20 +132,20 @@ class OrderBuffer:
         return segment.begin(count)
 
     def finish(self) -> tuple[str, int]:
-        """The order is written; returns the segment that holds it, and its generation."""
+        """Marks the order as written; returns its segment's name, and its generation."""
         segment = self._segments[self._turn]
         assert segment, "finish follows begin"
         self._turn = 1 - self._turn
         return segment.name, segment.finish()
 
     def close(self) -> None:
-        """Takes the segments away."""
+        """Removes the segments."""
         for segment in filter(None, self._segments):
             self._orders.remove(segment)
 
 
 def remove_stale() -> None:
-    """Takes away the segments of sorters that ended without doing so."""
+    """Removes the segments of sorters that ended without doing so."""
     for path in FOLDER.glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):  # another user's, or its sorter lives
             file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -1,4 +1,4 @@
-"""How a thread runs callbacks for as long as a program lives."""
+"""A thread's loop that runs callbacks for as long as a program lives."""
 
 from threading import Event
 
@@ -8,7 +8,7 @@ from rclpy.executors import Executor
 def spin_until(executor: Executor, ended: Event) -> None:
     """Runs callbacks until one of them sets an event, or ROS ends.
 
-    rclpy's spin_until_future_complete keeps a function for each callback that it ever ran.
+    rclpy's spin_until_future_complete would keep a function for each callback that it ever ran.
     """
     while executor.context.ok() and not ended.is_set():
         executor.spin_once()

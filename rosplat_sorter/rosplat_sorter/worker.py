@@ -29,19 +29,19 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# Viewers show their cameras at least each second; who is silent for so long is gone. [s]
+# Viewers send their cameras at least each second; a viewer silent for so long is gone. [s]
 FORGET_AFTER = 10.0
 MAX_VIEWS = 32
 
 MOST_SHOWN = 300  # characters of an error in a line of the log
 
-# While a pull is under way, from one answer of a view to the next. [s]
+# Between two answers to a view while a pull is under way, at least. [s]
 PULL_PATIENCE = 1.0
 
-# Of batches that wait: while there are more, none is to be handed over. [bytes]
+# Of waiting batches: while there are more, the worker is busy, and should get none. [bytes]
 MOST_WAITING = 1 << 25
 
-# Of batches that are applied from one answer to the next, if one alone isn't larger. [bytes]
+# Of batches: once so much is applied, the next view gets its answer. [bytes]
 SLICE = 1 << 22
 
 
@@ -49,8 +49,8 @@ SLICE = 1 << 22
 class Answer:
     """An order for a view, field by field as in SplatOrder.
 
-    slots: uint32 (n,), below 2^slot_bits. segment: the one that holds them in that generation, or
-    with generation 0 any that the viewer may look for.
+    slots: uint32 (n,), below 2^slot_bits. sort_time: [s]. segment: the one that holds the slots in
+    that generation; with generation 0, one by which the viewer may find out whether it can read it.
     """
 
     header: Header
@@ -67,12 +67,12 @@ class Answer:
 
 
 class Host(Protocol):
-    """What the worker talks to, from its own thread and from those that hand it messages."""
+    """The worker's owner. Its methods are called from the worker's thread, and while it is made."""
 
     def publish(self, answer: Answer) -> None: ...
 
     def inform(self, subject: str, text: str) -> None:
-        """May be called often, as warn may; to be throttled by subject."""
+        """Logs a text. May be called often, as may warn; both have to throttle each subject."""
 
     def warn(self, subject: str, text: str) -> None: ...
 
@@ -108,9 +108,9 @@ class _Viewer:
     message: ViewCamera
     camera: PosedCamera
     seen: float
-    due_from: float  # while a pull is under way [s]
+    due_from: float  # time of the next answer while a pull is under way [s]
     answer: Answer | None = None
-    answered: tuple[PosedCamera, int] | None = None  # by camera, and number of batches
+    answered: tuple[PosedCamera, int] | None = None  # the answer's camera, and number of batches
     buffer: OrderBuffer | None = None  # in shared memory, if the viewer reads that
 
     def unshare(self) -> None:
@@ -120,12 +120,12 @@ class _Viewer:
 
 
 class Worker:
-    """Keeps one map and answers each view with an order, the newest camera first and only.
+    """Keeps one map and answers each view with an order, for its newest camera only.
 
-    A view is answered when it shows a camera with a new sequence, and when the map changed; what
-    hasn't changed isn't sorted again. While many batches wait, views are answered between them, in
-    turn. While a pull is under way, or batches are missing, the map is of no single revision: an
-    order then names revision 0. While a pull is under way, a view gets one a second.
+    A view is answered when it sends a camera with a new sequence, and when the map changed; an
+    unchanged map and camera aren't sorted again. While many batches wait, views are answered
+    between them, in turn. While a pull is under way, or batches are missing, the map is of no
+    single revision: an order then names revision 0. During a pull, a view gets one order a second.
     """
 
     def __init__(self, host: Host, backend: str = AUTO, threads: int = 0) -> None:
@@ -133,7 +133,7 @@ class Worker:
         self._map = SplatMap()
         self._frame_id = ""  # of the map
         self._batches = 0  # that were applied
-        self._applied = time.monotonic()  # the last of them, or when there was none yet
+        self._applied = time.monotonic()  # when the last of them was; at first, the start
         self._viewers: dict[str, _Viewer] = {}  # the one seen longest ago first
         self._due: dict[str, None] = {}  # views to answer, in turn
         self._backend: Backend | None = None  # that has the whole map
@@ -180,7 +180,7 @@ class Worker:
             self._wake.notify_all()
 
     def figures(self) -> dict[str, Any]:
-        """Where the work is, for diagnostics. From any thread."""
+        """The state of the work, for diagnostics. From any thread."""
         splats, backend = self._map, self._backend
         return {
             "Map": splats.map_id,
@@ -197,7 +197,7 @@ class Worker:
         }
 
     def close(self) -> None:
-        """Ends the thread after the sort it is at."""
+        """Ends the thread after its present sort, and waits for that; removes shared memory."""
         with self._wake:
             self._closing = True
             self._wake.notify_all()
@@ -227,7 +227,7 @@ class Worker:
                 self._attempt(self._answer, view_id)
 
     def _attempt(self, do: Callable[[T], object], what: T) -> None:
-        """No message and no device may end the node, or take others' messages with it."""
+        """Logs an exception: no message or device may end the node, or cost other messages."""
         try:
             do(what)
         except Exception as error:
@@ -252,7 +252,7 @@ class Worker:
         return next((name for name in self._due if self._viewers[name].due_from <= now), None)
 
     def _longest_wait(self) -> float | None:
-        """Until a view is due, or silent. [s]"""
+        """Time until a view is due, or has been silent for too long. [s]"""
         if self._due and self._map.pulled:
             first = min(self._viewers[name].due_from for name in self._due)
             return max(0.0, first - time.monotonic())
@@ -261,7 +261,7 @@ class Worker:
     # --- Batches ----------------------------------------------------------------------------------
 
     def _apply_slice(self) -> None:
-        """Applies the next batches that wait, as many as views may wait for."""
+        """Applies the next batches that wait, until SLICE bytes are applied."""
         applied = 0
         while applied < SLICE:
             with self._wake:
@@ -271,7 +271,7 @@ class Worker:
             size = array_bytes(waiting[0])
             self._attempt(self._apply, waiting)
             applied += size
-            del waiting  # its memory goes before it counts no more
+            del waiting  # frees its memory before the count of waiting bytes falls
             with self._wake:
                 self._inbox.batch_bytes -= size
 
@@ -328,14 +328,14 @@ class Worker:
         except CameraError as error:
             self._drop_view(message, error)
             return
-        viewer = self._viewers.pop(message.view_id, None)  # to the end of the row
+        viewer = self._viewers.pop(message.view_id, None)  # comes back at the end of the dict
         if viewer is None:
             now = time.monotonic()
             viewer = _Viewer(message, seen, now, now + PULL_PATIENCE)
             self._due[message.view_id] = None
         elif (
             viewer.message.sequence != message.sequence
-            or viewer.message.segment_key != message.segment_key  # it may have missed the last one
+            or viewer.message.segment_key != message.segment_key  # may have missed the last order
             or viewer.camera != seen
         ):
             self._due[message.view_id] = None
@@ -430,7 +430,7 @@ class Worker:
             return None
 
     def _share(self, viewer: _Viewer) -> bool:
-        """Whether the viewer reads this sorter's shared memory; makes it a buffer there."""
+        """Whether the viewer reads this sorter's shared memory; if so, makes its buffer."""
         if not self._orders or viewer.message.segment_key != self._orders.key:
             viewer.unshare()
         elif viewer.buffer is None:
@@ -447,7 +447,7 @@ class Worker:
         return backends.new_array(count)
 
     def _placed(self, viewer: _Viewer, answer: Answer) -> Answer:
-        """Says where the slots of an answer are that _allocate made room for."""
+        """The answer, with the place of its slots, for which _allocate made room."""
         if viewer.buffer:
             segment, generation = viewer.buffer.finish()
         else:
@@ -459,19 +459,19 @@ class Worker:
     def _use(self, wanted: tuple[str, int]) -> None:
         self._wanted = wanted
         self._failed = frozenset()
-        for view_id, viewer in self._viewers.items():  # that they see who sorts
+        for view_id, viewer in self._viewers.items():  # so that orders name the new backend
             viewer.answered, self._due[view_id] = None, None
         self._open_backend()
 
     def _open_backend(self) -> Backend:
-        """Has the best of those left take over the map. Raises Unavailable where none does."""
+        """Opens the best backend left and gives it the map. Raises Unavailable without any."""
         self._close_backend()  # others may need its memory
         wanted, threads = self._wanted
         while self._backend is None:
             try:
                 backend, reasons = backends.choose(wanted, threads, self._failed)
             except Unavailable:
-                self._failed = frozenset()  # another map may not be too large for them
+                self._failed = frozenset()  # a smaller map may suit them
                 raise
             try:
                 backend.update(self._map, slice(0, self._map.rows))
@@ -489,7 +489,7 @@ class Worker:
         return backend
 
     def _leave(self, backend: Backend, error: Exception) -> None:
-        """Sorts with a backend that failed no more."""
+        """Closes a backend that failed, and doesn't open it again."""
         reason = str(error) or type(error).__name__
         self._host.warn(f"backend {backend.name}", f"backend '{backend.name}' failed: {reason}")
         self._failed |= {backend.name}

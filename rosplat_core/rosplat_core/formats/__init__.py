@@ -1,6 +1,6 @@
 """Scene files of 3D Gaussians: one format, one module, told apart by what a file begins with.
 
-One that begins with nothing of its own is told by its ending.
+A format without such a signature is told by the path's ending.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 
-# Each module has NAME, recognises(path, head), axes(path), read(path, progress, warn, into). What
-# can be written has SUFFIXES and write(stream, path, splats) as well, where path is for errors to
-# name, IN_SPACE_ORDER where it packs neighbours, FINITE where it has no way to write other numbers,
-# KEEPS_CHANNELS where it does, TELLS_UP where write takes the vertical as well, and require(path)
-# where it needs a package that may be missing. DRAWN says how a format has its splats drawn.
+# Each module has NAME, recognises(path, head), axes(path), read(path, progress, warn, into). One
+# that writes has SUFFIXES and write(stream, path, splats): path, which stream will replace, tells
+# the ending and is named in errors. Optional: IN_SPACE_ORDER (it packs neighbours), FINITE (it has
+# no other numbers), KEEPS_CHANNELS, TELLS_UP (write takes the vertical, too), require(path) (raises
+# where a package is missing), DRAWN (how the format has its splats drawn, if otherwise).
 FORMATS: tuple[ModuleType, ...] = (
     compressed_ply,
     ply,
@@ -84,7 +84,7 @@ def format_of(path: str | Path) -> ModuleType:
     with _told(path):
         head = b""
         if not path.is_dir():
-            size_of(path)  # a pipe would be waited for
+            size_of(path)  # refuses a pipe, on which open() would wait
             with path.open("rb") as file:
                 head = file.read(HEAD)
         for module in FORMATS:
@@ -120,10 +120,10 @@ def load(
 
 
 def load_into(into: Into[Made], path: str | Path, progress: Progress, warn: Warn) -> Made:
-    """As load."""
+    """As load, with splats of the kind that `into` makes."""
     path = Path(path)
     module = format_of(path)
-    # What overflows on the way is not finite in the end, and dropped with its splat.
+    # A number that overflows is not finite in the end, and is dropped with its splat.
     with _told(path), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         made: Made = module.read(path, progress, warn, into)
     progress(1.0)
@@ -133,8 +133,8 @@ def load_into(into: Into[Made], path: str | Path, progress: Progress, warn: Warn
 def check_output(path: str | Path, overwrite: bool = False) -> None:
     """Raises SceneError, before there is anything to write, where save would fail.
 
-    For an ending that can't be written, a package that this needs, a folder that isn't there or
-    that nothing can be written to, and a file that would be lost.
+    That is for an ending that can't be written, a missing package, a folder that is missing or
+    can't be written to, and a file that exists, unless overwrite is given.
     """
     path = Path(path)
     writer = _writer(path)
@@ -177,7 +177,7 @@ def save(path: str | Path, splats: Splats, up: tuple[float, float, float] | None
         if packs:
             splats = splats[space_order(splats.positions)]
         more = {"up": up} if getattr(writer, "TELLS_UP", False) else {}
-        # What a format has no number for becomes its largest.
+        # A number beyond a format's range becomes its largest.
         with (
             replacing(path) as partial,
             partial.open("wb") as stream,
@@ -189,7 +189,7 @@ def save(path: str | Path, splats: Splats, up: tuple[float, float, float] | None
 
 def _require_finite(path: Path, splats: Splats) -> None:
     arrays = (splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
-    with np.errstate(invalid="ignore"):  # of infinities
+    with np.errstate(invalid="ignore"):  # in sums of infinities
         if not all(np.isfinite(array.sum(dtype=np.float64)) for array in arrays):
             raise SceneError(f"{path}: a number that is not finite can't be written")
 
@@ -205,8 +205,8 @@ def _writer(path: Path) -> ModuleType:
 
 @contextlib.contextmanager
 def _told(path: Path) -> Iterator[None]:
-    """What a file or this machine can't do becomes a SceneError that names the file."""
-    if "\0" in str(path):  # which Python's own functions meet in many ways
+    """Turns errors of the system, or for want of memory, into a SceneError that names the file."""
+    if "\0" in str(path):  # Python's own functions fail on it in many ways
         raise SceneError(f"{str(path)!r}: no name of a file")
     try:
         yield

@@ -1,4 +1,4 @@
-"""What readers share: a file's claims held against its size, and errors of its fields."""
+"""Shared by readers: checks of a file's claims against its size, and errors of its fields."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from rosplat_core.log_text import shown
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import SceneError
 
-MAX_RATIO = 100  # unpacked to packed: real scenes unpack to 2 to 10 times their file
-FREE = 1 << 24  # what any file may unpack to, however small it is [bytes]
+MAX_RATIO = 100  # of unpacked to packed size; real scenes unpack to 2 to 10 times their file
+FREE = 1 << 24  # any file may unpack to this, however small it is [bytes]
 
 
 def size_of(path: Path) -> int:
@@ -26,8 +26,8 @@ def size_of(path: Path) -> int:
 def claim(path: Path, count: int, unpacked: int, held: int) -> None:
     """Raises SceneError for more splats than a map can have, or than a file can hold.
 
-    unpacked: what `count` splats take once decompressed, before they are decoded; held: what the
-    file has of them. [bytes]
+    unpacked: size of `count` splats once decompressed, before they are decoded [bytes]. held: their
+    size in the file [bytes].
     """
     if count > MAX_SLOTS:
         raise SceneError(f"{path}: {count:,} splats; a map has at most {MAX_SLOTS:,}")
@@ -37,7 +37,7 @@ def claim(path: Path, count: int, unpacked: int, held: int) -> None:
 
 @contextmanager
 def refusing(what: str) -> Iterator[None]:
-    """Makes a SceneError, which begins with `what`, of what a field of a wrong kind causes."""
+    """Turns errors that a field of a wrong kind causes into a SceneError: `what` begins it."""
     try:
         yield
     except SceneError:
@@ -49,5 +49,5 @@ def refusing(what: str) -> Iterator[None]:
 
 
 def unpackable(held: int) -> int:
-    """The most that so many bytes may unpack to; what claims more is damaged, or a bomb."""
+    """The most bytes that so many may unpack to; a file that claims more is damaged, or a bomb."""
     return max(FREE, MAX_RATIO * held)

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats.decoded import Floats, blocks
 
-SAMPLE = 1 << 20  # values that a codebook is made from
-VECTORS = 64  # that a palette is made from, for each of its own
-LEAF = 512  # vectors of a palette that k-means finds at a time, or
-GROUPS = 64  # groups that it makes of vectors where there are to be more
+SAMPLE = 1 << 20  # values that a codebook is made from, at most
+VECTORS = 64  # sampled for each centre that k-means finds
+LEAF = 512  # centres that k-means finds at a time; for more, it first makes groups
+GROUPS = 64  # of vectors, which are then handled one by one
 ROUNDS = 8
-MOST_OCTAVES = 58  # of a vector's numbers: their squares' sum is beyond no float32
+MOST_OCTAVES = 58  # of a vector's numbers, so that float32 holds the sum of their squares
 # Multiplications of a matrix product that OpenBLAS leaves to one thread: waking others takes longer
 # than the many small products here.
 SMALL_PRODUCT = 1 << 18
@@ -26,7 +26,7 @@ def codebook(values: Floats, size: int = 256) -> NDArray[np.float32]:
     if not len(flat):
         return np.zeros(size, np.float32)
     sample = np.sort(flat[:: -(-len(flat) // SAMPLE)]).astype(np.float64)
-    # Few are best spread by the cube root of their density (Panter and Dite 1951).
+    # A few values are best spread by the cube root of the density (Panter and Dite 1951).
     counts, edges = np.histogram(sample, size)
     shares = np.concatenate([[0], np.cumsum(np.cbrt(counts))])
     book: NDArray[np.float64] = np.interp(
@@ -45,12 +45,12 @@ def codebook(values: Floats, size: int = 256) -> NDArray[np.float32]:
 
 
 def nearest(values: Floats, book: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Index of the value in an ascending codebook of 256 that is next to each."""
+    """Index of the value, in an ascending codebook of 256, that is nearest to each of values."""
     return np.searchsorted(book[1:] / 2 + book[:-1] / 2, values).astype(np.uint8)
 
 
 def palette(vectors: NDArray[np.float32], size: int) -> tuple[NDArray[np.float32], _Labels]:
-    """Up to size vectors that stand for (n, d), n > 0, and (n,) which of them stands for which.
+    """Up to size vectors (m, d) that stand for vectors (n, d), n > 0, and the index (n,) for each.
 
     k-means of groups of groups: a little worse than k-means of all, and far faster.
     """

@@ -54,7 +54,7 @@ RANGES = [
     [f"{end}_{name}" for end in ("min", "max") for name in names]
     for names in (("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b"))
 ]
-LOG_SCALES = (-20, 20)  # as the other writer limits them
+LOG_SCALES = (-20, 20)  # as splat-transform limits them
 
 BITS_OF_3 = ((21, 11), (11, 10), (0, 11))  # shift and width of fields, the first one highest
 BITS_OF_4 = ((24, 8), (16, 8), (8, 8), (0, 8))

@@ -1,4 +1,4 @@
-"""What all readers end with: a file's numbers become splats that can be drawn."""
+"""The last step of all readers: a file's numbers become splats that can be drawn."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def blocks(
 
 
 def share(progress: Progress, begin: float, end: float) -> Progress:
-    """The progress of what leads from one part of the whole to another."""
+    """The progress of a task that is the part from begin to end, 0 to 1, of a whole."""
     return lambda part: progress(begin + part * (end - begin))
 
 
@@ -81,7 +81,7 @@ class Columns(NamedTuple):
         )
 
     def part(self, which: slice | NDArray[np.bool_]) -> Columns:
-        """Some of the splats: what is written to these is written here."""
+        """Some of the splats; with a slice, views: a write to them is a write here."""
         return Columns(
             self.positions[which],
             self.orientations[which],
@@ -95,12 +95,12 @@ Made = TypeVar("Made", Splats, PackedSplats)
 
 
 class Into(ABC, Generic[Made]):
-    """What a file's numbers become."""
+    """Takes a file's numbers and makes splats of them, in one of several forms."""
 
     def blocks(
         self, n: int, k: int, progress: Progress = lambda fraction: None, size: int = BLOCK
     ) -> Iterator[tuple[slice, Columns]]:
-        """Room for some of n splats of k coefficients after the other, to be written to."""
+        """Yields, for n splats of k coefficients, one slice after the other and room to fill."""
         for _, part, room in self.blocks_of([n], k, progress, size):
             yield part, room
 
@@ -111,7 +111,7 @@ class Into(ABC, Generic[Made]):
         progress: Progress = lambda fraction: None,
         size: int = BLOCK,
     ) -> Iterator[tuple[int, slice, Columns]]:
-        """As blocks, for splats of several sources: which source, and which of its splats."""
+        """As blocks, for several sources; yields the source's index and a slice of its splats."""
         n = sum(counts)
         self._begin(n, k)
         first = 0
@@ -131,7 +131,7 @@ class Into(ABC, Generic[Made]):
         antialiased: bool = False,
         channels: Mapping[str, Floats] = MappingProxyType({}),
     ) -> Made:
-        """What was written; channels: (n,) each.
+        """The splats that were written. channels: (n,) each.
 
         Drops splats that hold a number that is not finite or a quaternion of length zero, and tells
         warn how many.
@@ -147,7 +147,7 @@ class Into(ABC, Generic[Made]):
         return self._made(kept, antialiased, {name: each[kept] for name, each in channels.items()})
 
     def make(self, path: Path, warn: Warn, columns: Columns, antialiased: bool = False) -> Made:
-        """The same of all numbers at once. The arrays are the callee's from then on."""
+        """As blocks and made, for all numbers at once. Takes over the arrays."""
         n, k = columns.sh.shape[:2]
         self._begin(n, k, columns)
         for part in blocks(n):
@@ -213,7 +213,7 @@ class IntoPacked(Into[PackedSplats]):
         super()._take(part, written)
         self._positions[part] = written.positions
         self._sizes[part] = written.scales.max(axis=1)
-        near = written.positions.astype(np.float32)  # until there is an origin
+        near = written.positions.astype(np.float32)  # replaced once there is an origin
         self._rows[part] = _core.pack_splats(Arrays(near, *written[1:]), self._usable[part])
 
     def _made(

@@ -45,15 +45,15 @@ FINITE = True
 DRAWN = "sorted by distance from the camera, cut at 3 sigma"
 
 EXTENSION = "KHR_gaussian_splatting"
-READ = {EXTENSION, "KHR_mesh_quantization"}  # of what a file may require
+READ = {EXTENSION, "KHR_mesh_quantization"}  # extensions that a file may require
 COLOUR_SPACE = "srgb_rec709_display"
 
 MAGIC = b"glTF"
 HEADER = struct.Struct("<4sII")  # magic, version, length of all
 CHUNK = struct.Struct("<I4s")  # length, kind
-LARGEST_JSON = 1 << 26  # a .gltf holds its buffers in it [bytes]
+LARGEST_JSON = 1 << 26  # a .gltf may hold its buffers in its JSON [bytes]
 MOST_PRIMITIVES = 10_000  # a mesh may stand in many places
-MAX_BYTES = 1 << 53  # JSON's whole numbers
+MAX_BYTES = 1 << 53  # the end of JSON's exact whole numbers
 LONGEST_NAME = 255  # of a file [bytes]
 
 POINTS, TRIANGLES = 0, 4  # modes of a primitive; the latter where none is given
@@ -124,14 +124,14 @@ class _Column(NamedTuple):
     component: int
     kind: str
     values: Callable[[slice], NDArray[Any]]
-    """(n, width) of some splats."""
+    """(n, width) numbers of the splats in a slice."""
 
     @property
     def dtype(self) -> np.dtype[Any]:
         return DTYPES[self.component]
 
     def size(self, count: int) -> int:
-        """Of so many splats, a multiple of four. [bytes]"""
+        """Size for so many splats, a multiple of four. [bytes]"""
         return count * WIDTHS[self.kind] * self.dtype.itemsize
 
 
@@ -149,7 +149,7 @@ def _written(splats: Splats) -> list[_Column]:
 
 
 def _coefficient(splats: Splats, k: int, part: slice) -> NDArray[Any]:
-    """(n, 3) the k-th of some splats."""
+    """(n, 3) the k-th coefficients of the splats in a slice."""
     return splats.sh[part, k]
 
 
@@ -160,14 +160,14 @@ def _coefficients(degree: int) -> list[str]:
 
 
 def _colours(splats: Splats) -> NDArray[np.uint8]:
-    """(n, 4) colours of band 0, which COLOR_0 has linear, and opacities."""
+    """(n, 4) for COLOR_0: linear colours of band 0, and opacities."""
     encoded = np.clip(SH_C0 * splats.sh[:, 0] + 0.5, 0, 1)
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     return to_bytes(255 * np.column_stack([linear, splats.opacities]))
 
 
 def _described(splats: Splats, columns: list[_Column], size: int) -> dict[str, Any]:
-    """What the JSON says of splats, at least one."""
+    """The fields of the JSON that describe splats, at least one."""
     views, accessors, offset = [], [], 0
     for index, column in enumerate(columns):
         length = column.size(len(splats))
@@ -210,20 +210,20 @@ def _described(splats: Splats, columns: list[_Column], size: int) -> dict[str, A
 
 
 class _Primitive(NamedTuple):
-    """Splats of a mesh, as the file has them, and where they stand."""
+    """Splats of a mesh, as the file has them, and the mesh's pose."""
 
     pose: NDArray[np.float64]
     """(4, 4), finite."""
     degree: int
     antialiased: bool
     attributes: dict[str, tuple[NDArray[Any], float]]
-    """By name: (n, width) numbers in the file, and what each is divided by."""
+    """By name: (n, width) numbers in the file, and their divisor."""
 
     def __len__(self) -> int:
         return len(self.attributes["POSITION"][0])
 
     def numbers(self, name: str, part: slice) -> NDArray[np.float32]:
-        """(n, width) of some splats."""
+        """(n, width) numbers of an attribute, of the splats in a slice."""
         values, divisor = self.attributes[name]
         numbers = values[part].astype(np.float32)
         return np.maximum(numbers / np.float32(divisor), -1) if divisor != 1 else numbers
@@ -263,10 +263,10 @@ class _Asset:
     """A file's JSON and buffers."""
 
     def __init__(self, path: Path) -> None:
-        """Reads the JSON. Raises SceneError for another version, or what requires more."""
+        """Reads the JSON. Raises SceneError for a version or required extension that isn't read."""
         self.path = path
         self.size = size_of(path)
-        """Of the file, and of the buffers beside it that were opened. [bytes]"""
+        """Size of the file, and of the buffers beside it that were opened. [bytes]"""
         self.warnings: list[str] = []
         self._buffers: dict[int, NDArray[np.uint8]] = {}
         with path.open("rb") as stream:
@@ -285,7 +285,7 @@ class _Asset:
                 raise SceneError(f"{path}: requires {shown(repr(name))}, which isn't read")
 
     def primitives(self) -> Iterator[_Primitive]:
-        """The splats of the scene. Raises SceneError for a file that has none to tell of."""
+        """The splats of the scene. Raises SceneError for a file that doesn't use the extension."""
         count = 0
         for mesh, pose in self._meshes():
             for primitive in self._item("meshes", mesh)["primitives"]:
@@ -375,7 +375,7 @@ class _Asset:
     # --- Nodes
 
     def _meshes(self) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Meshes of the scene, or of all nodes that none holds, with where they stand."""
+        """Meshes of the scene, or without one of all root nodes, and their poses (4, 4)."""
         nodes = self._json.get("nodes", [])
         if "scenes" in self._json:
             roots = self._item("scenes", self._json.get("scene", 0)).get("nodes", [])
@@ -398,7 +398,7 @@ class _Asset:
             stack += [(child, pose) for child in reversed(node.get("children", []))]
 
     def _local(self, node: Any) -> NDArray[np.float64]:
-        """(4, 4) where a node stands in its parent."""
+        """(4, 4) a node's transform into its parent."""
         if "matrix" in node:
             pose = np.array(node["matrix"], np.float64).reshape(4, 4).T
             pose[3] = 0, 0, 0, 1
@@ -449,7 +449,7 @@ class _Asset:
         return _Primitive(pose, degree, antialiased, attributes)
 
     def _degree(self, accessors: Any) -> int:
-        """The highest degree that is there; bands are there whole, and with those below."""
+        """The highest degree that is there; its band and all below then have to be whole."""
         names = {name for name in accessors if name.startswith(f"{EXTENSION}:SH_")}
         known = _coefficients(MAX_SH_DEGREE)
         if names - set(known):
@@ -460,7 +460,7 @@ class _Asset:
         return 0
 
     def _accessor(self, name: str, index: int, kind: str) -> tuple[NDArray[Any], float]:
-        """(n, width) numbers of an attribute, where they lie in the file, and their divisor."""
+        """(n, width) numbers of an attribute, a view of the file, and their divisor."""
         accessor = self._item("accessors", index)
         if "sparse" in accessor:
             raise SceneError(f"{self.path}: {name}: a sparse accessor isn't read")
@@ -491,7 +491,7 @@ class _Asset:
         return values, float(np.iinfo(dtype).max) if normalized else 1.0
 
     def _item(self, kind: str, index: Any) -> Any:
-        """One of a list of the JSON's."""
+        """An item of one of the JSON's lists."""
         items = self._json[kind]
         if type(index) is not int or not 0 <= index < len(items):  # true is an int, too
             raise SceneError(f"{self.path}: no {kind}[{shown(repr(index))}]")
@@ -500,7 +500,7 @@ class _Asset:
     def _whole(
         self, holder: Any, name: str, least: int, most: int, default: int | None = None
     ) -> int:
-        """A whole number of the JSON's."""
+        """A whole number, least to most, of an object in the JSON."""
         number = holder[name] if default is None else holder.get(name, default)
         if type(number) is not int or not least <= number <= most:
             raise SceneError(
@@ -510,7 +510,7 @@ class _Asset:
 
 
 def _mapped(path: Path, begin: int, length: int) -> NDArray[np.uint8]:
-    """Bytes of a file, which are read where they are looked at."""
+    """Bytes of a file, mapped: they are read when they are used."""
     if not length:
         return np.empty(0, np.uint8)
     return np.memmap(path, np.uint8, "r", begin, (length,))

@@ -11,7 +11,7 @@ buckets (3 float32), the full ones first, and the splats, bucket by bucket:
               least and greatest coefficient
 
 All is little-endian. After src/loaders/SplatBuffer.js of github.com/mkkellogg/GaussianSplats3D and
-splat-transform's read-ksplat.ts. Nothing in such a file says what it is: its ending does.
+splat-transform's read-ksplat.ts. The file has no signature: its ending tells the format.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ TYPES = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))
 
 
 class Section(NamedTuple):
-    """One section: its header, and where its parts begin in the file."""
+    """One section: its header, and where its parts begin in the file. [bytes]"""
 
     header: np.void
     counts: int

@@ -9,14 +9,14 @@ from rosplat_core import harmonics
 from rosplat_core.formats.decoded import Columns, blocks
 from rosplat_core.quaternions import from_matrices, product, to_matrices
 
-UNIFORM = 1e-6  # the most by which scales along the axes differ where they count as one
+UNIFORM = 1e-6  # most relative difference of scales along the axes that count as equal
 
 
 def place(columns: Columns, pose: NDArray[np.float64]) -> None:
     """Moves splats, in place, by a finite affine transform (4, 4); its last row is (0, 0, 0, 1).
 
-    Where it scales the axes differently, each splat becomes the ellipsoid that its own is stretched
-    to. Colours turn by the nearest rotation, mirrored where the transform mirrors.
+    If it scales the axes differently, each splat becomes its stretched ellipsoid. Colours turn by
+    the nearest rotation, mirrored where the transform mirrors.
     """
     if np.array_equal(pose, np.eye(4)):
         return

@@ -46,13 +46,13 @@ ROTATION = ["rot_0", "rot_1", "rot_2", "rot_3"]
 # Brush's comment for models trained as Mip-Splatting; splat-transform reads and writes it too.
 ANTIALIASED = "SplatRenderMode: mip"
 
-# Mip-Splatting's own PLYs hold its 3D smoothing filter beside what it is to be applied to. [m]
+# Mip-Splatting's own PLYs hold its 3D smoothing filter apart, still to be applied. [m]
 FILTER = "filter_3D"
 
-# What others write beside f_dc_*, for viewers of points.
+# Some programs write these beside f_dc_*, for viewers of points.
 POINT_COLOR = ["red", "green", "blue", "alpha"]
 
-PARSING = 0.9  # part of the time that it takes to read text
+PARSING = 0.9  # share of the time to read a text PLY
 
 TINY = np.finfo(np.float32).tiny
 
@@ -115,10 +115,10 @@ def from_rows(
         if rest:
             by_channel = _columns(block, rest).reshape(len(block), 3, k - 1)
             sh[:, 1:] = by_channel.transpose(0, 2, 1)
-        with np.errstate(over="ignore"):  # infinite: none
+        with np.errstate(over="ignore"):  # infinite: no value
             for name, values in channels.items():
                 values[part] = block[name]
-        if isinstance(rows.base, mmap):  # what was read stays in this process's memory otherwise
+        if isinstance(rows.base, mmap):  # else pages that were read stay in this process's memory
             rows.base.madvise(MADV_DONTNEED)
     return into.made(path, warn, bool(filters) or antialiased, channels)
 
@@ -161,13 +161,13 @@ def _rows(splats: Splats) -> NDArray[np.void]:
 
 
 def _has_meaning(name: str) -> bool:
-    """Whether a property called so is more than a channel."""
+    """Whether a property of this name has a meaning, and so is no channel."""
     known = [*POSITION, *NORMAL, *COLOR, "opacity", *SCALE, *ROTATION, FILTER, *POINT_COLOR]
     return name in known or name.startswith("f_rest_")
 
 
 def _channels(path: Path, rows: NDArray[np.void], warn: Warn) -> dict[str, Floats]:
-    """(n,) room for the first properties without a meaning, as many as a map has channels."""
+    """Room (n,) for each channel: the first properties without a meaning, MOST_CHANNELS at most."""
     further = [name for name in rows.dtype.names or () if not _has_meaning(name)]
     kept = [name for name in further if is_name(name)][:MOST_CHANNELS]
     if len(kept) < len(further):
@@ -177,7 +177,7 @@ def _channels(path: Path, rows: NDArray[np.void], warn: Warn) -> dict[str, Float
 
 
 def antialiased(comments: list[str]) -> bool:
-    """Whether a header says so: Brush's comment, or Postshot's `antialiased 1`; the last counts."""
+    """Whether comments say so, Brush's or Postshot's `antialiased 1`; the last of them counts."""
     found = False
     for comment in comments:
         words = comment.lower().split()

@@ -21,7 +21,7 @@ from rosplat_core.splats import SceneError
 
 LARGEST_HEADER = 1 << 16  # that of a trained scene takes 2,000 [bytes]
 
-ROWS = 1 << 12  # of text that are parsed at a time: all other threads wait for that
+ROWS = 1 << 12  # of text that are parsed at a time, while all other threads wait
 
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 TYPES = {
@@ -44,14 +44,14 @@ class PlyFile:
     """A PLY whose header is read. Raises SceneError for one that is broken or cut short."""
 
     def __init__(self, path: Path) -> None:
-        """Reads the header and holds what it promises against the file's size."""
+        """Reads the header and checks what it promises against the file's size."""
         self.path = path
         self.comments: list[str] = []
         self.elements: dict[str, Element] = {}
         size = size_of(path)
         with path.open("rb") as stream:
             head = stream.read(LARGEST_HEADER)
-        # The first line's end is that of all.
+        # All lines end as the first does.
         match = re.match(rb"ply(\r\n|\r|\n)(?:.*?\1)??end_header(?:\1|$)", head, re.DOTALL)
         if not match:
             raise SceneError(f"{path}: broken PLY: no end_header in {len(head):,} bytes")
@@ -140,7 +140,7 @@ class PlyFile:
         held, skip = 0, self._lines + before
         try:
             with self.path.open(encoding="latin-1") as text, warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of no rows at all
+                warnings.simplefilter("ignore")  # NumPy's warning of no rows at all
                 while held < len(rows):
                     part = np.loadtxt(
                         text, element.dtype, comments=None, skiprows=skip,

@@ -1,4 +1,4 @@
-"""What formats share that keep numbers as others."""
+"""Shared by formats that store numbers in few bits."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def sigmoid(x: Floats) -> Floats:
 
 
 def smallest_three(quaternions: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """What stores a rotation: the index of the largest component, and the three others, in order.
+    """Splits unit quaternions (n, 4) into the largest one's index (n,) and the others (n, 3).
 
-    (n, 4) unit quaternions to (n,) and (n, 3), the latter within sqrt(1/2) of zero, of the
-    quaternion or its negative: the same rotation, with the largest component positive.
+    The others keep their order and lie within sqrt(1/2) of zero. Where the largest component is
+    negative, they are those of the negative quaternion, which is the same rotation.
     """
     largest = np.abs(quaternions).argmax(axis=1)
     rows = np.arange(len(quaternions))
@@ -33,7 +33,7 @@ def smallest_three(quaternions: Floats) -> tuple[NDArray[np.intp], Floats]:
 
 
 def largest_restored(largest: NDArray[np.integer], others: Floats) -> NDArray[np.float32]:
-    """(n, 4) unit quaternions from what smallest_three makes of them."""
+    """(n, 4) unit quaternions: the inverse of smallest_three."""
     rows = np.arange(len(others))
     quaternions = np.empty((len(others), 4), np.float32)
     quaternions[rows[:, None], OTHERS[largest]] = others
@@ -41,5 +41,5 @@ def largest_restored(largest: NDArray[np.integer], others: Floats) -> NDArray[np
     return quaternions
 
 
-# The components that remain when one is left out.
+# Row i: the components that remain without component i.
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])

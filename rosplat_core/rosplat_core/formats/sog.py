@@ -13,8 +13,8 @@ Each pixel of a picture, row by row, belongs to one splat; in meta.json each fie
             numbers are coded as those of scales, and the palette's index for each splat
 
 After developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog and splat-transform's
-read-sog.ts and read-sog-v1.ts. The specification has y up, but what writes SOG keeps the axes of
-its input.
+read-sog.ts and read-sog-v1.ts. The specification has y up, but programs that write SOG keep the
+axes of their input.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ SUFFIXES = (".sog",)
 IN_SPACE_ORDER = True
 
 META = "meta.json"
-LARGEST_META = 1 << 20  # it takes 15,000 [bytes]
+LARGEST_META = 1 << 20  # of meta.json, which usually takes 15,000 [bytes]
 LONGEST_NAME = 255  # of a file, as most file systems have it
 LARGEST_TAG = 252  # alpha of a quaternion's pixel: 252 + index of the component left out
 PALETTE_PER_ROW = 64
@@ -121,7 +121,7 @@ class Packed:
     steps: NDArray[np.uint16]
     """(n, 3) positions, from lowest to highest."""
     quaternions: NDArray[np.uint8]
-    """(n, 4) the smallest three components, and which is the other."""
+    """(n, 4) the smallest three components, and LARGEST_TAG plus the index of the largest."""
     scales: NDArray[np.uint8]
     """(n, 3) rows of scale_table, (256, 3) [m]."""
     scale_table: NDArray[np.float32]
@@ -130,7 +130,7 @@ class Packed:
     colour_table: NDArray[np.float32]
     opacity_table: Floats
     labels: NDArray[np.uint16] | None
-    """(n,) rows of bands, (m, k - 1, 3), for what has bands above 0."""
+    """(n,) rows of bands, (m, k - 1, 3); both None without bands above 0."""
     bands: Floats | None
 
     def __len__(self) -> int:
@@ -193,7 +193,7 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
         "sh0": {"codebook": color_book.tolist(), "files": ["sh0.webp"]},
     }
     if splats.antialiased:
-        meta |= {"antialias": True, "model": "antialiased"}  # as the specification and its writer
+        meta |= {"antialias": True, "model": "antialiased"}  # the specification's, its writer's
     with zipfile.ZipFile(stream, "w") as bundle:
 
         def add(name: str, columns: list[NDArray[Any]], shape: tuple[int, int] = shape) -> None:
@@ -279,7 +279,7 @@ class _Reader:
             raise SceneError(f"{path}: broken {META}: {shown(error)}") from error
         if not isinstance(self._meta, dict):
             raise SceneError(f"{path}: {META} holds no fields")
-        self._version = self._meta.get("version", 1)  # which version 1 had not
+        self._version = self._meta.get("version", 1)  # version 1 has no such field
         if self._version not in (1, 2):
             raise SceneError(
                 f"{path}: SOG version {shown(repr(self._version))} can't be read, only 1 and 2"
@@ -314,7 +314,7 @@ class _Reader:
         table = self._table("sh0", 4 if self._version == 1 else 3)
         opacity = sigmoid(table[:, 3]) if self._version == 1 else np.arange(256) / np.float32(255)
         bands = self._palette() if self._has_bands() else None
-        with np.errstate(over="ignore"):  # whoever has such a scale is left out
+        with np.errstate(over="ignore"):  # splats of an infinite scale are dropped
             scale_table = np.exp(self._table("scales", 3))
         return Packed(
             path=self._path,
@@ -352,7 +352,7 @@ class _Reader:
         return self._meta.get("shN") is not None
 
     def _sh_degree(self) -> int:
-        """Of a scene with bands above 0."""
+        """The SH degree of a scene with bands above 0."""
         if self._version == 2:
             degree = self._field("shN", "bands")
             if type(degree) is not int or not 1 <= degree <= MAX_SH_DEGREE:
@@ -366,7 +366,7 @@ class _Reader:
         raise SceneError(f"{self._path}: {self._name('shN', 0)} is {width} px wide, not {wanted}")
 
     def _table(self, field: str, channels: int) -> NDArray[np.float32]:
-        """(256, channels) what the bytes of a field's channels stand for."""
+        """(256, channels) the value of each byte in a field's channels."""
         if self._version == 2:
             book = self._numbers(field, "codebook", 256)
             return np.repeat(book[:, None], channels, axis=1).astype(np.float32)
@@ -449,7 +449,7 @@ class _Reader:
             raise SceneError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
 
     def _file(self, name: str) -> bytes:
-        self._size(name)  # what is too large, or not a file
+        self._size(name)  # raises for too large a file, or none
         try:
             return self._files.read(name)
         except (
@@ -479,7 +479,7 @@ class _Reader:
 
 
 def _palette_width(degree: int) -> int:
-    """Of a palette's picture. [px]"""
+    """Width of a palette's picture. [px]"""
     return PALETTE_PER_ROW * (sh_coefficients(degree) - 1)
 
 

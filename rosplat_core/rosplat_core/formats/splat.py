@@ -6,7 +6,7 @@
     28  4 bytes     quaternion w x y z; 128 + 128 q
 
 All is little-endian. There are no spherical harmonics above band 0. After convert.py and main.js of
-github.com/antimatter15/splat. Nothing in such a file says what it is: its ending does.
+github.com/antimatter15/splat. The file has no signature: its ending tells the format.
 """
 
 from __future__ import annotations

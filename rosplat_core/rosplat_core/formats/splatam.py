@@ -65,7 +65,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
 
 
 def _array(path: Path, archive: zipfile.ZipFile, name: str) -> Floats:
-    """An array of the archive as float32, after its header was held against its size."""
+    """An array of the archive as float32, after its header was checked against its size."""
     try:
         entry = archive.getinfo(f"{name}.npy")
     except KeyError:

@@ -39,9 +39,9 @@ SUFFIXES = (".spz",)
 IN_SPACE_ORDER = True  # packs better
 
 MAGIC = b"NGSP"
-VERSION = 4  # written
+VERSION = 4  # that is written
 HEADER = struct.Struct("<4sIIBBBB")
-TABLE_PLACE = struct.Struct("<I12x")  # what a header of version 4 has behind that
+TABLE_PLACE = struct.Struct("<I12x")  # follows HEADER in version 4
 TABLE_ENTRY = struct.Struct("<QQ")  # sizes of a stream: packed, unpacked
 EXTENSION = struct.Struct("<II")  # type, length
 FLAG_ANTIALIASED = 0x1
@@ -50,7 +50,7 @@ FLAG_EXTENSIONS = 0x2
 COLOR_SCALE = 0.15  # of the first SH coefficient: room for colours outside 0..1
 SH_BITS = (5, 4)  # of band 1 and of those above it, as the reference writer does
 FRACTIONAL_BITS = 12  # the reference writer's: a quarter of a millimetre
-STORED_DEGREE = 4  # what a file may have
+STORED_DEGREE = 4  # that a file may have, at most
 
 # Extension SPZ_ADOBE_coordinate_system: directions of x, y, z (Left, Up, Front, ...) by number.
 COORDINATE_SYSTEM = 0xADBE0003
@@ -61,7 +61,7 @@ SYSTEMS = (
 
 
 class Header(NamedTuple):
-    """The beginning of a file."""
+    """The header of a file, without its magic."""
 
     version: int
     splats: int
@@ -72,7 +72,7 @@ class Header(NamedTuple):
 
     @property
     def widths(self) -> dict[str, int]:
-        """Bytes a splat of each attribute, in the order of the file."""
+        """Size of each attribute, in the file's order. [bytes/splat]"""
         return {
             "positions": 6 if self.version == 1 else 9,
             "alphas": 1,
@@ -124,7 +124,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     """Writes splats as version 4, coordinates as they are. Needs the Python package zstandard.
 
-    Keeps fewer fractional bits where 24 don't reach; raises SceneError where none are left.
+    Keeps fewer fractional bits for far positions; raises SceneError where even none leave room.
     """
     zstandard = require(path)
     degree = splats.sh_degree
@@ -201,7 +201,7 @@ def _read_gzip(
             found += len(piece)
         packed[name] = data
         progress((i + 1) / (len(header.widths) + 1))
-    # To the checksum, which is behind whatever else there is.
+    # Reads on to the checksum at the end of the stream, past whatever else it holds.
     for _ in range(0, unpackable(size), 1 << 20):
         if not unzipped.read(1 << 20):
             return header, packed
@@ -286,7 +286,7 @@ def _system(path: Path, stream: BinaryIO) -> str:
 
 
 def require(path: Path):  # type: ignore[no-untyped-def]  # a module
-    """The package that version 4 needs. Raises SceneError that names it."""
+    """The package that version 4 needs. Raises SceneError naming it where it is missing."""
     try:
         import zstandard
     except ImportError as error:  # rosdep has no key for it

@@ -66,7 +66,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Streamed:
-    """What a lod-meta.json says."""
+    """The contents of a lod-meta.json."""
 
     path: Path
     files: tuple[Path, ...]
@@ -77,12 +77,12 @@ class Streamed:
 
     @property
     def splats(self) -> int:
-        """Of all chunks at their finest."""
+        """Number of splats of all chunks at their finest."""
         return sum(chunk.levels[-1].count for chunk in self.chunks)
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Whether a path is a lod-meta.json, or a folder that has only that."""
+    """Whether a path is a lod-meta.json, or a folder with one but without a SOG's meta.json."""
     folder = (path / META).is_file() and not (path / sog.META).is_file()
     return folder or path.name == META
 
@@ -111,9 +111,9 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
 
 
 def open_streamed(path: Path) -> Streamed:
-    """Reads a lod-meta.json, and holds what it claims against its files' own meta.json.
+    """Reads a lod-meta.json, and checks its claims against its files' own meta.json.
 
-    Raises SceneError that names the file: for one that is missing or has fewer splats than a level
+    Raises SceneError naming a file that is missing, can't be read or has fewer splats than a level
     takes from it, and for a scene without a chunk.
     """
     path = path / META if path.is_dir() else path
@@ -168,7 +168,7 @@ def _scene(path: Path, meta: Any) -> Streamed:
 
 
 def _claims(files: list[Path], chunks: list[Chunk]) -> list[sog.Claims]:
-    """Of the files that chunks take something from, each of which has as much."""
+    """Claims of the files that chunks use. Raises SceneError for one with too few splats."""
     ends = dict.fromkeys(range(len(files)), 0)
     for chunk in chunks:
         for part in chunk.levels:
@@ -204,7 +204,7 @@ def _part(path: Path, level: str, lods: Any, files: int) -> FileRange:
 
 
 def _inside(path: Path, name: Any) -> Path:
-    """A file below lod-meta.json's folder."""
+    """A file below lod-meta.json's folder. Raises SceneError for any other name."""
     relative = Path(name)
     outside = relative.is_absolute() or ".." in relative.parts
     if outside or "\0" in name or len(name) > sog.LONGEST_NAME:
@@ -213,12 +213,12 @@ def _inside(path: Path, name: Any) -> Path:
 
 
 class Pieces:
-    """Levels of chunks as splats. Files that were decoded lately are kept as they are packed.
+    """Reads levels of chunks as splats; keeps the files that were used last, packed.
 
-    For any thread; several decode several files at a time.
+    Safe from any thread; several threads decode several files at a time.
     """
 
-    KEPT_BYTES = 1 << 28
+    KEPT_BYTES = 1 << 28  # of files, but always one
 
     def __init__(self, scene: Streamed, warn: Warn) -> None:
         self._scene = scene
@@ -229,7 +229,7 @@ class Pieces:
         self._closed = False
 
     def read(self, part: FileRange) -> Splats:
-        """A level of a chunk, without what can't be drawn of it.
+        """A level of a chunk, without splats that can't be drawn.
 
         Raises SceneError that names the file that can't be read, and CancelledError after close().
         """
@@ -241,7 +241,7 @@ class Pieces:
             raise SceneError(f"{path}: too large for this machine's memory") from error
 
     def packed(self, file: int) -> sog.Packed:
-        """A file's splats. Raises as read does."""
+        """A file's splats, packed. Raises as read does."""
         path = self._scene.files[file]
         try:
             with self._decoding[file]:
@@ -250,7 +250,7 @@ class Pieces:
             raise SceneError(f"{path}: too large for this machine's memory") from error
 
     def close(self) -> None:
-        """Ends what is being decoded."""
+        """Ends decoding, also in other threads, which get CancelledError."""
         self._closed = True
 
     def _unpack(self, path: Path) -> sog.Packed:

@@ -13,7 +13,7 @@ All may be halves instead, under the same name and an h. Prims stand where their
 those of their parents place them; upAxis and metersPerUnit say what the scene's coordinates mean.
 After OpenUSD's usdVol/schema.usda and extras/imaging/examples/hdParticleField/py3dgsPlyToUsd.py.
 
-Needs the Python package usd-core. A file is read by a process of its own: usd-core trusts it.
+Needs the Python package usd-core. A process of its own reads a file, as usd-core trusts any file.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ TELLS_UP = True
 BEGINNINGS = (b"#usda", b"PXR-USDC")
 ZIP = b"PK\x03\x04"
 UPS = {"Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
-UP = "Z"  # where nobody says: REP-103
-NEEDED = 1 << 27  # by usd-core, for whatever file [bytes]
-LONGEST_HEADER = 1 << 24  # of what the child says [bytes]
-HIGHEST_DEGREE = 10  # of harmonics, where the schema has no bound
+UP = "Z"  # written where the vertical isn't known: REP-103
+NEEDED = 1 << 27  # memory that usd-core takes for any file [bytes]
+LONGEST_HEADER = 1 << 24  # of the child's line of JSON [bytes]
+HIGHEST_DEGREE = 10  # of harmonics; the schema has no bound
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -108,7 +108,7 @@ def write(
     """
     Sdf, Tf, Usd, UsdGeom, _ = require(path)
     suffix = path.suffix.lower()
-    # USD writes to files by their ending. A folder beside the file: its disk has the room.
+    # USD chooses the format by a file's ending. The folder is beside the file, whose disk has room.
     with tempfile.TemporaryDirectory(prefix=".usd.", dir=path.parent) as folder:
         scene = Path(folder) / ("scene.usdc" if suffix == ".usdz" else f"scene{suffix}")
         try:
@@ -129,7 +129,7 @@ def write(
 
 
 def _authored(path: Path, stage: Any, splats: Splats) -> Any:
-    """A prim of splats, as OpenUSD's own converter of PLY has it."""
+    """Adds a prim of splats to a stage, as OpenUSD's own converter of PLY does."""
     Sdf, _, _, UsdGeom, Vt = require(path)
     types, uniform = Sdf.ValueTypeNames, Sdf.VariabilityUniform
     prim = stage.DefinePrim("/Splats", usd_child.SPLATS)
@@ -158,7 +158,7 @@ def _authored(path: Path, stage: Any, splats: Splats) -> Any:
 
 
 def require(path: Path) -> tuple[Any, ...]:
-    """Modules of usd-core that write. Raises SceneError that names it where it is missing."""
+    """Modules of usd-core for writing. Raises SceneError naming it where it is missing."""
     try:
         from pxr import Sdf, Tf, Usd, UsdGeom, Vt
     except ImportError as error:  # rosdep has no key for it
@@ -184,7 +184,7 @@ def _extent(splats: Splats) -> NDArray[np.float32]:
 
 @functools.lru_cache(maxsize=16)
 def _up(path: Path, modified: int, size: int) -> str:
-    """A file's upAxis; of a file that changes, once for each change."""
+    """A file's upAxis; modified and size are keys of the cache, so that a change is seen."""
     with _child(path, size, lambda fraction: None, metadata_only=True) as (told, _):
         return str(told["up"]) if told["up"] in UPS else "Y"
 
@@ -193,11 +193,11 @@ def _up(path: Path, modified: int, size: int) -> str:
 def _child(
     path: Path, size: int, progress: Progress, metadata_only: bool = False
 ) -> Iterator[tuple[dict[str, Any], IO[bytes]]]:
-    """What usd_child says of a file, and its arrays. Raises SceneError for what it can't read."""
+    """Yields usd_child's JSON on a file of size [bytes], and its arrays. Raises SceneError."""
     if importlib.util.find_spec("pxr") is None:
         raise _lacking(path)
     arguments = [str(path.absolute()), str(NEEDED + unpackable(size))]
-    # Each of its threads would count as memory.
+    # One thread, as each would count towards the child's limit of memory.
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
         "PXR_WORK_THREAD_LIMIT": "1",
@@ -211,7 +211,7 @@ def _child(
             stream = child.stdout
             assert stream is not None
             while not select.select([stream], [], [], 0.1)[0]:
-                progress(0.0)  # may raise: whoever waits gave up
+                progress(0.0)  # may raise, which ends the child
             line = stream.readline(LONGEST_HEADER)
             if not line.endswith(b"\n"):
                 raise SceneError(
@@ -227,7 +227,7 @@ def _child(
 
 
 class _Field(NamedTuple):
-    """What the child says of a prim's splats."""
+    """The child's description of a prim's splats."""
 
     splats: int
     degree: int
@@ -238,12 +238,12 @@ class _Field(NamedTuple):
     """(4, 4), finite, in metres."""
     antialiased: bool
     arrays: list[tuple[np.dtype[Any], int] | None]
-    """What the numbers of each of usd_child.ARRAYS are, and how many rows; None: it has none."""
+    """Type and number of rows of each of usd_child.ARRAYS; None for one that the prim lacks."""
     hints: dict[str, str]
 
     @classmethod
     def of(cls, path: Path, told: Any, meters: float) -> _Field:
-        """Raises SceneError for a transform or a degree that can't be."""
+        """Raises SceneError for a transform that is not finite, or a degree out of range."""
         pose = np.diag([meters] * 3 + [1]) @ np.array(told["pose"], np.float64).T
         if not np.isfinite(pose).all():
             raise SceneError(f"{path}: {shown(told['path'])}: its transform is not finite")
@@ -262,7 +262,7 @@ class _Field(NamedTuple):
         return cls(count, kept, stored, pose, told["antialiased"], arrays, told["hints"])
 
     def differs(self) -> Iterator[str]:
-        """What of it is drawn or kept in another way."""
+        """Yields a warning for each thing that is not drawn or kept as the file has it."""
         for name, value in self.hints.items():
             if value != usd_child.HINTS[name]:
                 yield f"{name} is {shown(value)}; drawn as {usd_child.HINTS[name]}"
@@ -273,7 +273,7 @@ class _Field(NamedTuple):
 def _fill(path: Path, columns: Columns, field: _Field, stream: IO[bytes]) -> None:
     """Reads a prim's arrays, one after the other, into columns.
 
-    An array that is missing or too short is the schema's: no rotation, scale 1, opaque, grey.
+    A missing or too short array becomes the schema's default: no rotation, scale 1, opaque, grey.
     """
     columns.orientations[:] = 0, 0, 0, 1
     columns.scales[:] = 1
@@ -296,7 +296,7 @@ def _fill(path: Path, columns: Columns, field: _Field, stream: IO[bytes]) -> Non
         for part in blocks(wanted):
             values = _numbers(path, stream, dtype, (part.stop - part.start) * each * width)
             target[part] = values.reshape(-1, each, width)[:, : target.shape[1]]
-        for part in blocks(rows - wanted * each):  # that nobody needs
+        for part in blocks(rows - wanted * each):  # skips the others
             _numbers(path, stream, dtype, (part.stop - part.start) * width)
     np.abs(scales, out=scales)
     np.clip(opacities, 0, 1, out=opacities)

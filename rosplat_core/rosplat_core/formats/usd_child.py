@@ -1,8 +1,8 @@
-"""Reads an OpenUSD file for usd.py, in a process of its own: a broken file may end it.
+"""Reads an OpenUSD file for usd.py, in a process of its own, which a broken file may end.
 
-usd-core trusts what a file says of its sizes. Arguments are the file's name, how much memory it may
-take [bytes], and any third one where its metadata is to be read alone. Standard output gets a line
-of JSON, and behind it the arrays that this names, one after the other.
+usd-core trusts the sizes that a file states. Arguments are the file's name, how much memory reading
+may take [bytes], and any third one to read the metadata alone. Standard output gets a line of JSON,
+then the arrays that the JSON lists, one after the other.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ARRAYS = {
     "radiance:sphericalHarmonicsCoefficients": 3,
 }
 DEGREE = "radiance:sphericalHarmonicsDegree"
-# What composes a prim of others.
+# Metadata by which a prim is composed from others.
 ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames", "clips")
 ANTIALIASED = "rosplat:antialiased"  # of customData
 HINTS = {"sortingModeHint": "zDepth", "projectionModeHint": "perspective"}
@@ -65,7 +65,7 @@ def main(path: str, most: int, metadata_only: bool) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """What usd-core says of a file, without names of its own."""
+    """usd-core's complaint about a file, without internal names."""
     try:
         return re.sub(r"pxrInternal_\w+::", "", error.args[0].commentary)
     except UnicodeDecodeError:
@@ -73,14 +73,14 @@ def _reason(error: Exception) -> str:
 
 
 def _limit(most: int) -> None:
-    """Lets this process take so much more memory than it has. [bytes]"""
+    """Limits this process to `most` bytes more memory than it has now."""
     with open("/proc/self/status", encoding="ascii") as status:
         has = next(int(line.split()[1]) << 10 for line in status if line.startswith("VmData:"))
     resource.setrlimit(resource.RLIMIT_DATA, (has + most, has + most))
 
 
 def _arcs(layer: Any) -> list[str]:
-    """What a file is composed of beyond its own tree of prims, which could be anything."""
+    """Names of all that composes a file beyond its own tree of prims: it could be any file."""
     found = [f"sublayer {path}" for path in layer.subLayerPaths]
 
     def look(path: Any) -> None:
@@ -92,7 +92,7 @@ def _arcs(layer: Any) -> list[str]:
 
 
 def _field(prim: Any) -> tuple[dict[str, Any], list[Any]]:
-    """What a prim says of its splats, and its arrays, where there are any, at the earliest time."""
+    """A prim's description for the JSON, and those arrays that it has, at the earliest time."""
     from pxr import Usd, UsdGeom
 
     time = Usd.TimeCode.EarliestTime()

@@ -15,7 +15,7 @@ from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats
 
 SCENES: dict[str, type[Garden] | type[Rooms]] = {"garden": Garden, "rooms": Rooms}
 
-BLOCK = 1 << 18  # splats made at a time: bounds the memory that the float64 in between takes
+BLOCK = 1 << 18  # splats made at a time, which bounds the memory of float64 intermediates
 
 
 def generate(
@@ -37,7 +37,7 @@ def generate(
 def generate_into(
     into: Into[Made], count: int, seed: int, sh_degree: int, progress: Progress, scene: str
 ) -> Made:
-    """As generate."""
+    """As generate, with splats of the kind that `into` makes."""
     if not 1 <= count <= MAX_SLOTS:
         raise SceneError(f"count is {count:,}, expected 1 to {MAX_SLOTS:,}, as many as a map holds")
     if seed < 0:

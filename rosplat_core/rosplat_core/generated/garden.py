@@ -29,13 +29,13 @@ SUNLIGHT = np.array([1.0, 0.93, 0.80])
 SKYLIGHT = np.array([0.36, 0.42, 0.55])
 
 GARDEN_RADIUS = 2.0
-RIPPLE = 0.105  # from crest to crest of the raked sand
+RIPPLE = 0.105  # from crest to crest of the raked sand [m]
 RIPPLE_HEIGHT = 0.013
 
 KNOT_CENTER = np.array([0.0, 0.0, 0.98])
 KNOT_TUBE = 0.115
 
-# Rocks: centre x, y and half axes x, y, z.
+# Rocks: centre x, y and half axes x, y, z. [m]
 ROCKS = np.array(
     [
         [-1.02, 0.62, 0.40, 0.30, 0.42],
@@ -47,12 +47,12 @@ ROCKS = np.array(
 
 
 class Garden:
-    """Makes one thing in the garden with each method: the splats of some numbers among a total."""
+    """Each method of parts() makes one thing: its splats of the given numbers, out of a total."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
         self._noise = Noise(rng)
-        # The knot by length: a table to look up where a share of it ends.
+        # A table of lengths along the knot, to look up the turn at which a share of it ends.
         turns = np.linspace(0, 2 * np.pi, 8193)
         lengths = np.linalg.norm(np.diff(_knot_curve(turns), axis=0), axis=1)
         self._knot_turns = turns
@@ -60,7 +60,7 @@ class Garden:
         self._shadow = self._shadow_map()
 
     def parts(self) -> list[Part]:
-        """Each thing, and its share of the splats."""
+        """Each thing's share of the splats, and the method that makes it."""
         return [
             (0.4605, self.sand),
             (0.31, self.knot),
@@ -102,7 +102,7 @@ class Garden:
         normals = np.cos(around)[:, None] * side + np.sin(around)[:, None] * np.cross(along, side)
         points = center + KNOT_TUBE * normals
         spacing = np.sqrt(length * 2 * np.pi * KNOT_TUBE / total)
-        # What faces the knot's own middle sees less of the sky.
+        # Sides that face the knot's own middle see less of the sky.
         inward = 0.5 - 0.5 * (normals * unit(center - KNOT_CENTER)).sum(axis=1)
         light = 0.50 + 0.50 * np.clip(normals @ SUN, 0, 1) + 0.16 * normals[:, 2] - 0.22 * inward
         bounce = np.clip(-normals[:, 2], 0, 1)[:, None] * [0.16, 0.12, 0.07]
@@ -197,7 +197,7 @@ class Garden:
         white = self._rng.uniform(0, 1, (n, 1)) ** 2
         albedo = np.array([0.98, 0.55, 0.66]) + white * np.array([0.02, 0.33, 0.27])
         sunlit = 1 - 0.8 * np.where(falling, 0, self._shadow_at(points))
-        # Thin enough for light from the other side to shine through.
+        # Falling petals are thin enough for light from the other side to shine through.
         facing_sun = np.where(falling[:, None], SUN, normals)
         color = _lit(albedo, facing_sun, sunlit, np.ones(n))
         scales = size[:, None] * np.array([1.0, 0.62, 0.08])
@@ -225,7 +225,7 @@ class Garden:
         """Height [m], its two slopes, and how close (0 to 1) the nearest rock is."""
 
         def height(x: Array, y: Array) -> tuple[Array, Array]:
-            rings = np.hypot(x, y)  # around what hovers in the middle
+            rings = np.hypot(x, y)  # around the knot in the middle
             phase, weight = rings, np.clip(1.5 - 1.6 * rings, 0, 1)
             nearest = np.full_like(x, np.inf)
             for rock_x, rock_y, half_x, half_y, _ in ROCKS:
@@ -274,7 +274,7 @@ class Garden:
         return shadow
 
     def _shadow_at(self, points: Array) -> Array:
-        """(n,) shadow at points (n, 3), bilinear; what is off the ground casts along the sun."""
+        """(n,) shadow at points (n, 3), bilinear, of the ground behind each, seen from the sun."""
         ground = points[:, :2] - points[:, 2:] * SUN[:2] / SUN[2]
         cells = (ground / (1.1 * GARDEN_RADIUS) + 1) * 128 - 0.5
         low = np.clip(np.floor(cells), 0, 254).astype(int)

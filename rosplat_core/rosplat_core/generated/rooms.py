@@ -1,7 +1,7 @@
 """A flat of furnished rooms without a ceiling: from within one, walls hide most of the others.
 
-Nine rooms of 4 x 4 m under hanging lamps, whose light and shadows are in the splats' colours; what
-stands in each is up to the seed. z is up, units are metres, the middle of the floor is the origin.
+Nine rooms of 4 x 4 m under hanging lamps, whose light and shadows are in the splats' colours; the
+furniture is up to the seed. z is up, units are metres, the middle of the floor is the origin.
 """
 
 from __future__ import annotations
@@ -29,9 +29,7 @@ ROOMS = 3  # along x, and along y
 SIZE = 4.0  # of a room, from the middle of a wall to that of the opposite one
 WALL, WALL_HEIGHT = 0.14, 2.5
 DOOR_WIDTH, DOOR_HEIGHT = 0.9, 2.05
-DOOR_ASIDE = (
-    -1.2
-)  # from the middle of a wall along y: these doors lie in a row; those along x don't
+DOOR_ASIDE = -1.2  # from the middle of walls along y: only their doors lie in a row
 LAMP, LAMP_HEIGHT = 0.16, 2.2
 LAMPLIGHT = np.array([1.0, 0.9, 0.74])
 DAYLIGHT = np.array([0.36, 0.4, 0.46])  # from above and everywhere
@@ -46,7 +44,7 @@ class _Material:
     """By how much the colour is lighter (n,) at points (n, 3)."""
     gloss: float = 0.05
     density: float = 1.0
-    """Splats for each area, as a multiple."""
+    """Factor on the splats per area."""
 
 
 def _planks(points: Array, noise: Noise) -> Array:
@@ -104,29 +102,29 @@ class _Box:
 
 
 class Rooms:
-    """Makes the splats of some numbers among a total, as all generated scenes do."""
+    """Each method of parts() makes one thing: its splats of the given numbers, out of a total."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
         self._noise = Noise(rng)
-        self._walls = rng.uniform(-0.13, 0.1, (ROOMS**2, 3))  # what each room's colour differs by
+        self._walls = rng.uniform(-0.13, 0.1, (ROOMS**2, 3))  # by which each room's colour differs
         walls = list(_walls())
         furniture = [
             [_moved(box, room) for box in FURNITURE[kind](rng)]
             for room, kind in enumerate(rng.permutation(np.arange(ROOMS**2) % len(FURNITURE)))
         ]
-        self._in_room = [  # the boxes that may keep its lamp's light off something, (k, 2, 3)
+        self._in_room = [  # by room, the boxes (k, 2, 3) that may cast shadows of its lamp
             np.array([(box.low, box.high) for box in boxes]) for boxes in furniture
         ]
         self._boxes = [_floor(), *walls, *(box for boxes in furniture for box in boxes)]
         self._faces = _Faces.of(self._boxes)
 
     def parts(self) -> list[Part]:
-        """Each thing, and its share of the splats."""
+        """Each thing's share of the splats, and the method that makes it."""
         return [(0.98, self.boxes), (0.02, self.lamps)]
 
     def sides(self) -> tuple[Array, Array]:
-        """Corners of all rectangles that splats lie on, the least and the greatest, (n, 3) [m]."""
+        """Least and greatest corners (n, 3) of all rectangles that splats lie on. [m]"""
         faces = self._faces
         return faces.corners, faces.corners + faces.first + faces.second
 
@@ -178,7 +176,7 @@ class Rooms:
         """(n, 16, 3) harmonics of surfaces under the lamps and a little light from above."""
         room = _room(points + 0.1 * normals)
         lamps = np.column_stack([_middles()[room], np.full(len(room), LAMP_HEIGHT)])
-        # From anywhere on the lamp: shadows have soft edges.
+        # Light comes from anywhere on the lamp, so that shadows have soft edges.
         away = lamps + LAMP * self._rng.normal(size=lamps.shape) / 2 - points
         distance = np.linalg.norm(away, axis=1)
         light = away / distance[:, None]
@@ -196,11 +194,11 @@ class Rooms:
 
 @dataclass(frozen=True)
 class _Faces:
-    """The sides of boxes, but those that lie on the ground, (n, ...) each."""
+    """The sides of boxes, except those that lie on the ground, (n, ...) each."""
 
     corners: Array
     first: Array
-    """From the corner along the two edges. [m]"""
+    """The first edge from the corner; second: the other one. [m]"""
     second: Array
     normals: Array
     box: NDArray[np.intp]
@@ -259,7 +257,7 @@ def _floor() -> _Box:
 
 
 def _walls() -> list[_Box]:
-    """Between all rooms and around them, with a door to each neighbour."""
+    """The walls between all rooms and around them, with a door to each neighbour."""
     half = ROOMS * SIZE / 2
     boxes = []
     for along in (0, 1):
@@ -306,7 +304,7 @@ def _table(x: float, y: float, width: float, depth: float, height: float) -> lis
 
 
 def _chair(x: float, y: float, back: float) -> list[_Box]:
-    """back: 0 or 0.4, where along y it is."""
+    """back: where the chair's back is along y, 0 or 0.4. [m]"""
     rest = _Box((x, y + back, 0.45), (x + 0.44, y + back + 0.04, 0.95), WOOD)
     return [*_table(x, y, 0.44, 0.44, 0.45), rest]
 

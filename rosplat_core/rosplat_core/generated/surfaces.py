@@ -1,4 +1,4 @@
-"""What generated scenes are made of: flat splats on surfaces, how these shine, noise."""
+"""The means of generated scenes: flat splats on surfaces, their shine, and noise."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Patch:
 
 
 Part = tuple[float, Callable[[Numbers, int], Patch]]
-"""A thing's share of a scene's splats, and what makes those of some numbers among its total."""
+"""A thing's share of a scene's splats, and a function that makes some, by numbers and the total."""
 
 
 def surface(

@@ -12,11 +12,11 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Where the block is to write what then takes the path's place: a new file beside it.
+    """Yields a new file beside the path, for the block to write, which then replaces the path.
 
-    Its name is nobody's to guess, so that no link can stand there. A reader sees the old file or
-    the new one. Where the block raises, the old one stays; an OSError that names no other file
-    names the path. What is there and no file, a device say, is refused so, too.
+    Nobody can guess the new file's name and put a link there. A reader sees the old file or the new
+    one. If the block raises, the old one stays; an OSError that names no other file is made to name
+    the path. Raises OSError, too, for a path that is there but no regular file, such as a device.
     """
     prefix, partial = f".{path.name[:100]}.", None
     try:
@@ -44,15 +44,15 @@ def _umask() -> int:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text in UTF-8 in place of the file, if any."""
+    """Writes a text in UTF-8; replaces a file that exists, whole. Raises OSError as replacing."""
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
 
 def write_below(path: Path, above: str, mark: str, text: str) -> None:
-    """Writes mark and text in place of what a text file in UTF-8 has from the mark on.
+    """Replaces all of a UTF-8 text file from the mark on by the mark and a text.
 
-    What stands above it there, written by hand, stays; without file or mark, `above` does.
+    The text above the mark, written by hand, stays; without a file or a mark, `above` is written.
     """
     if path.is_file():
         before, found, _ = path.read_text(encoding="utf-8").partition(mark)

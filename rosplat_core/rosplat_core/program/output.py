@@ -8,7 +8,7 @@ from typing import NoReturn
 
 
 def say(text: object) -> None:
-    """Prints a line, at once. Ends the program where it can't, as `unheard` does."""
+    """Prints a line and flushes. Where that fails, ends the program by `unheard`."""
     try:
         print(text, flush=True)
     except OSError as error:
@@ -16,7 +16,7 @@ def say(text: object) -> None:
 
 
 def finish() -> None:
-    """Writes what is still to be printed, --help say. Ends the program where it can't."""
+    """Flushes what is still to be printed, such as --help. Where that fails, as `say`."""
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -24,16 +24,16 @@ def finish() -> None:
 
 
 def told(error: BaseException) -> str:
-    """What went wrong, for the user: the file comes first where an error of the system has one."""
+    """An error's text for the user; the file's name comes first where an OSError has one."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error) or ("not enough memory" if isinstance(error, MemoryError) else repr(error))
 
 
 def unheard(error: OSError) -> NoReturn:
-    """Ends the program where its output can't be written, with code 1.
+    """Ends the program with code 1, because its output can't be written.
 
-    Quietly, where the reader has gone, `head` say; else, on a full disk say, by a line.
+    Says nothing if the reader has gone, such as `head`; else, as on a full disk, tells stderr why.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python's last flush fails
     if not isinstance(error, BrokenPipeError):

@@ -1,4 +1,4 @@
-"""How far something is, for who watches a terminal; elsewhere nothing is shown."""
+"""Bars that show progress in a terminal; elsewhere nothing is shown."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from rosplat_core.formats import Progress
 
 
 def bar(what: str, total: float = 1.0) -> tqdm[None]:
-    """A bar that goes when its block ends."""
+    """A bar that disappears when its block ends."""
     form = "{desc}: {percentage:3.0f}%|{bar}|"
     return tqdm(desc=what, total=total, bar_format=form, disable=None, leave=False)
 
 
 @contextmanager
 def watched(what: str) -> Iterator[Progress]:
-    """A bar for what tells its progress, 0 to 1."""
+    """Shows a bar; yields the function to call with the progress, 0 to 1."""
     with bar(what) as shown:
 
         def tell(part: float) -> None:

@@ -1,4 +1,4 @@
-"""Fewer splats that look the same."""
+"""Simplification: fewer splats that look the same."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ def simplify(
 ) -> Splats:
     """The fewest splats whose pictures have a PSNR of `psnr`, or at most `max_splats` of them.
 
-    Neighbours that look most like one are merged, those first that views from in and around the map
-    miss least. psnr: of other views together, against the map as it is [dB]. refine: how long what
-    is left is then refitted to pictures of the map, which raises its PSNR [s]. cameras: a path, if
-    only views along it matter: what is missed least there is left out. margin: how far from the
-    path such views are at most [m], a quarter of the way to what is nearest to it by default.
-    Raises SceneError unless either psnr or max_splats is given, above 0, and for an empty path.
+    Merges neighbours that look most like one splat, first those that views in and around the map
+    miss least. psnr: over all held-back views together, against the given map [dB]. refine: time
+    for refitting the splats that are left to pictures of the map, which raises the PSNR [s].
+    cameras: a path, if only views along it matter; splats that these miss least are left out.
+    margin: most distance of such views from the path [m], by default a quarter of the way to the
+    nearest splats. Raises SceneError for an empty path, and unless exactly one of psnr and
+    max_splats is given, above 0.
     """
     from rosplat_core.simplification.search import Simplification  # scipy takes its time
 

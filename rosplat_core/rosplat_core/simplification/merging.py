@@ -1,9 +1,9 @@
 """Merging of neighbours: which two splats look most like one, and the one that takes their place.
 
-Pairs are merged by their moments, weighted by what each contributes to pictures. What that costs is
-the squared error of the pair's field against the merged splat's, in closed form, seen along the
-three axes (L2 of mixtures: Jian and Vemuri 2011), in units of what pictures change without each of
-the two. Where leaving one out costs less, it is left out. Knows no renderer.
+A merged splat has its pair's moments, weighted by what each of the two contributes to pictures. The
+cost of a merge is the squared error of the pair's field against the merged splat's, in closed form,
+seen along the three axes (L2 of mixtures: Jian and Vemuri 2011), in units of what pictures change
+without each of the two. A splat that costs less to leave out is left out. Knows no renderer.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ Array = NDArray[np.floating[Any]]
 Indices = NDArray[np.intp]
 
 NEIGHBOURS = 4  # that a splat may be merged with; 16 gain 0.3 dB
-MOST = 0.25  # of the splats that go before neighbours are looked for again
-INEXACT = 0.1  # part of what leaving one of a pair out costs that merging it costs at least
+MOST = 0.25  # share of the splats that go before neighbours are looked for again
+INEXACT = 0.1  # share of the cost of leaving one of a pair out that is added to a merge's cost
 CHUNK = 1 << 15  # pairs, or splats, whose arrays stay in the cache
 BLOCK = 1 << 13  # pairs that are merged at a time
 LARGEST = 1e15  # variance whose square a 32-bit float holds [px^2]
-LEAST = 1e-12  # of areas and weights that are divided by
+LEAST = 1e-12  # lower bound of areas and weights that divide
 
 
 @dataclass(frozen=True)
 class Contributions:
-    """What each splat is to pictures: (n,) sums over their pixels."""
+    """What each splat contributes to pictures: (n,) sums over their pixels."""
 
     weight: NDArray[np.float64]
-    """Of alpha x transmittance: of how many pixels it is the colour."""
+    """Sums of alpha x transmittance: how many pixels' colour a splat makes up."""
     energy: NDArray[np.float64]
-    """Of the squares of these."""
+    """Sums of the squares of alpha x transmittance."""
     error: NDArray[np.float64]
-    """Of the squares by which red, green and blue change without it."""
+    """Sums of the squares by which red, green and blue change without the splat."""
 
     def __getitem__(self, index: slice | Indices | NDArray[np.bool_]) -> Contributions:
-        """Those of the splats that a slice, an index array or a mask picks."""
+        """The contributions of the splats that a slice, an index array or a mask picks."""
         return Contributions(self.weight[index], self.energy[index], self.error[index])
 
     @classmethod
     def concatenate(cls, parts: list[Contributions]) -> Contributions:
-        """Those of some splats after those of others."""
+        """Joins contributions, in order."""
         none = np.zeros(0)
         return cls(
             np.concatenate([none, *(part.weight for part in parts)]),
@@ -66,10 +66,10 @@ class Contributions:
 
 
 class Pairs:
-    """Splats to be merged, no splat in two pairs, those first that are missed least.
+    """Pairs of splats to merge, no splat in two pairs, those first that are missed least.
 
-    What is its own partner is to be left out. What takes the place of the others is worked out when
-    it is asked for: most of it never is.
+    A splat paired with itself is to be left out. Merged splats are computed when they are asked
+    for, as most never are.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Pairs:
     ) -> None:
         self.first, self.second = first, second
         self.costs = costs
-        """About the sum of the squares by which pictures change."""
+        """Estimates of the sum of the squares by which pictures change, for each pair."""
         self._splats, self._contributions, self._pixel = splats, contributions, pixel
         self._two = np.flatnonzero(first != second)
         self._blocks: list[tuple[Splats, Contributions]] = []
@@ -92,7 +92,7 @@ class Pairs:
         return len(self.first)
 
     def merged(self, begin: int, end: int) -> tuple[Indices, Splats, Contributions]:
-        """What pairs of a range become: the first splat of each, and what takes its place."""
+        """Merges the pairs of a range: each one's first splat, merged splat, and contributions."""
         begin, end = np.searchsorted(self._two, [begin, end])
         blocks = range(len(self._blocks), -(-end // BLOCK))
         with ThreadPoolExecutor() as pool:
@@ -118,7 +118,7 @@ class Pairs:
 
 
 def areas(splats: Splats) -> NDArray[np.float64]:
-    """(n,) mean of the squares of an ellipsoid's three projected sizes, its root. [m^2]"""
+    """(n,) root mean square of the products of two of a splat's three scales. [m^2]"""
     x, y, z = (splats.scales.astype(np.float64) ** 2).T
     mean: NDArray[np.float64] = np.sqrt((x * y + y * z + z * x) / 3)
     return mean
@@ -132,8 +132,8 @@ def find_pairs(
 ) -> Pairs:
     """Pairs of neighbours for a map's next round, at most MOST of its splats.
 
-    pixel: size of one where the map is [m]; what is smaller is blurred by the low-pass filter of
-    the renderer, and costs little.
+    pixel: size of a pixel at the map [m]. The renderer's low-pass filter blurs smaller splats, so
+    that they cost little.
     """
     count = len(splats)
     if count < 2:
@@ -155,7 +155,7 @@ def find_pairs(
 def merge(
     splats: Splats, contributions: Contributions, pairs: Pairs, count: int
 ) -> tuple[Splats, Contributions]:
-    """A map in which the first count pairs are merged or left out, and what it contributes."""
+    """The map with the first count pairs merged or left out, and its contributions."""
     kept = np.ones(len(splats), bool)
     kept[pairs.second[:count]] = False
     first, merged, found = pairs.merged(0, count)
@@ -171,7 +171,7 @@ def merge(
 def combine(
     one: Splats, other: Splats, of_one: Contributions, of_other: Contributions, pixel: float
 ) -> tuple[Splats, Contributions]:
-    """Each of some splats and another as one, and what that contributes."""
+    """Merges each splat of `one` with that of `other`; returns them and their contributions."""
     weight = of_one.weight + of_other.weight
     share = (of_other.weight + LEAST) / (weight + 2 * LEAST)
     apart = (other.positions - one.positions).astype(np.float64)
@@ -198,7 +198,7 @@ def combine(
 
 
 def _neighbours(positions: NDArray[np.float32]) -> tuple[Indices, Indices]:
-    """Each splat and the nearest to it, by number the lower and the higher, no pair twice."""
+    """Pairs of each splat and its nearest: the lower and the higher index, no pair twice."""
     count = len(positions)
     tree = cKDTree(positions, balanced_tree=False)
     most = min(NEIGHBOURS + 1, count)
@@ -217,9 +217,9 @@ def _neighbours(positions: NDArray[np.float32]) -> tuple[Indices, Indices]:
 
 
 def in_chunks(count: int, work: Callable[[slice], Any]) -> list[Any]:
-    """What work gives for each part of count things, in order, in as many threads as cores.
+    """Results of work, run in threads, for each slice of count things, in order.
 
-    An interrupt waits for them, where libraries' own would go on with memory that is gone.
+    An interrupt waits for these threads; a library's own would go on with memory that is gone.
     """
     chunks = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
     with ThreadPoolExecutor() as pool:
@@ -228,12 +228,12 @@ def in_chunks(count: int, work: Callable[[slice], Any]) -> list[Any]:
 
 @dataclass(frozen=True)
 class _Field:
-    """What pairs are compared by, single precision."""
+    """The numbers that pairs are compared by, in single precision."""
 
-    positions: Array
-    covariances: Array  # (n, 6), with the low-pass filter
+    positions: Array  # (n, 3) [px]
+    covariances: Array  # (n, 6), with the low-pass filter [px^2]
     weights: Array
-    amplitudes: Array  # what the integral of each splat's Gaussian is taken times
+    amplitudes: Array  # (n,) factor on each splat's Gaussian of unit mass
     contrasts: Array
     errors: Array
     colours: Array
@@ -289,8 +289,8 @@ class _Field:
 
 
 def _disjoint(low: Indices, high: Indices, costs: Array, count: int, most: int) -> Indices:
-    """Takes the cheapest pair of all that are left, again and again; returns which, in order."""
-    enough = count  # of the cheapest, among which there may be most
+    """Takes the cheapest pair that is left, at most `most` times; returns the indices, in order."""
+    enough = count  # of the cheapest to look at; may not hold `most` disjoint pairs
     while True:
         if enough < len(costs):
             cheap = np.flatnonzero(costs <= np.partition(costs, enough)[enough])
@@ -305,9 +305,9 @@ def _disjoint(low: Indices, high: Indices, costs: Array, count: int, most: int) 
 
 
 def _ascending(values: NDArray[np.float32]) -> Indices:
-    """Which come in what order, of values that aren't negative; equal ones by their places.
+    """Stable argsort of values that aren't negative.
 
-    Bits of such floats are ordered as they are, and numbers are sorted faster than places.
+    The bits of such floats have the same order, and sorting integers is faster than argsort.
     """
     keys = (values + np.float32(0)).view(np.uint32).astype(np.uint64) << np.uint64(32)
     keys |= np.arange(len(values), dtype=np.uint64)
@@ -316,7 +316,7 @@ def _ascending(values: NDArray[np.float32]) -> Indices:
 
 
 def _first_disjoint(low: Indices, high: Indices, count: int) -> Indices:
-    """Pairs that share no splat with one before that is taken: which, in order."""
+    """Indices, in order, of the pairs that share no splat with a pair taken before."""
     rank = np.arange(len(low))
     taken = []
     free = np.ones(count, bool)
@@ -350,7 +350,7 @@ def _covariances(splats: Splats) -> Array:
 
 
 def _mixed(one: Array, other: Array, apart: Array, share: Array) -> Array:
-    """(n, 6) covariances of mixtures of two; share: the other's."""
+    """(n, 6) covariances of mixtures of two; share: the weight (n,) of `other`, 0 to 1."""
     part = share[:, None]
     outer = apart[:, _ROWS] * apart[:, _COLUMNS]
     mixed: Array = one + part * (other - one) + part * (1 - part) * outer
@@ -358,7 +358,7 @@ def _mixed(one: Array, other: Array, apart: Array, share: Array) -> Array:
 
 
 def _blurred(covariances: Array, pixel: float) -> Array:
-    """(n, 6) in pixels, with the renderer's low-pass filter. [px^2]"""
+    """(n, 6) covariances in pixels, with the renderer's low-pass filter. [px^2]"""
     blurred: Array = np.clip(covariances / pixel**2, -LARGEST, LARGEST).astype(np.float32)
     blurred[:, :3] += LOW_PASS
     return blurred

@@ -1,7 +1,7 @@
 """Splats moved, resized and recoloured until their pictures are those of another map.
 
 Each step draws a part of a new view, and moves what is seen there against the gradient of the error
-(Kerbl et al. 2023). New views matter: of a fixed set, splats learn nothing but the set.
+(Kerbl et al. 2023). The views must be new: of a fixed set, splats learn that set only.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from rosplat_core.rendering import CpuRenderer, SplatCamera, posed
 from rosplat_core.splats import Splats
 
 PART = 2  # views are this many times as wide and high as the part that a step draws
-TIMED = 16  # steps that tell how many there is time for
+TIMED = 16  # first steps, which are timed to tell how many there is time for
 MOST_STEPS = 20_000
-CHECKS = 8  # of maps on the way
-WARM = 20  # steps until rates are whole: Adam's moments begin with one picture
-# A step's rates where pictures differ as much as those that they were found with; less where less.
+CHECKS = 8  # maps that are yielded on the way
+WARM = 20  # steps until rates are full: Adam's moments begin with one picture
+# A step's rates for pictures that differ by RATED, for which they were found, or more; else lower.
 RATES = {
     "position": 0.004,
     "scale": 0.003,
@@ -33,10 +33,10 @@ RATES = {
     "bands": 0.001,
 }
 RATED = 0.0126  # root mean square of that difference: 38 dB
-RECENT = 0.95  # part of the mean square error that a step keeps of the one before
+RECENT = 0.95  # share of the error before in the running mean square error
 
 Views = Callable[[int, int], list[Camera]]
-"""Makes so many cameras of a seed."""
+"""Called with a count and a seed; makes so many cameras."""
 
 
 def refit(
@@ -50,9 +50,9 @@ def refit(
 ) -> Iterator[Splats]:
     """Fits splats to pictures of the map that `full` holds; yields CHECKS maps on the way.
 
-    The rates fall to nothing with the last step: as many as there is time for, most_steps at most.
-    progress: hears how much is done, 0 to 1. Raises MemoryError where Adam's moments, two numbers
-    for each of a splat's, have no room.
+    There are as many steps as take `seconds` [s], most_steps at most; the rates fall to zero with
+    the last. progress: called with the share done, 0 to 1. Raises MemoryError where Adam's moments,
+    two for each number of a splat, have no room.
     """
     fitting = Refit(
         start.positions, start.orientations, start.scales, start.opacities, start.sh,
@@ -82,7 +82,7 @@ def refit(
 
 
 def picture(renderer: CpuRenderer, camera: SplatCamera) -> NDArray[np.float32]:
-    """What a screen shows of a map over black, float32 (height, width, 3)."""
+    """What a screen shows of a map over black, float32 (height, width, 3), 0 to 1."""
     colour = renderer.draw(camera)["colour"][..., :3]
     clipped: NDArray[np.float32] = np.clip(colour, 0, 1)
     return clipped

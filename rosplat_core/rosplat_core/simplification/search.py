@@ -33,24 +33,24 @@ from rosplat_core.simplification.refitting import MOST_STEPS, picture, refit
 from rosplat_core.simplification.views import HEIGHT, WIDTH, Along, Around, Views, resized
 from rosplat_core.splats import SceneError, Splats
 
-PIXELS = WIDTH * HEIGHT // 4  # of a view that contributions are found in: more views gain more
+PIXELS = WIDTH * HEIGHT // 4  # of a view for contributions: more views gain more than more pixels
 VALUES = 3 * PIXELS
-LEARNT, MOST_LEARNT = 24, 768  # of these views, at first and in the end
+LEARNT, MOST_LEARNT = 24, 768  # views for contributions, at first and at most
 LEARNT_SEED = 0
 REFIT_SEED = 2  # of the views that maps are refitted to
-LEFT_OUT = 60.0  # PSNR down to which leaving out beats merging, where only such views matter [dB]
+LEFT_OUT = 60.0  # PSNR down to which leaving out beats merging, where only a path matters [dB]
 BATCH = 1 << 19  # splats that are sent to a renderer at a time
-UNSEEN = 0.03  # transmittance that each splat counts as seen through beside what views see of it
-CONTRAST = 0.09  # mean square by which what no view sees counts as different from what is behind it
-LEAST = 1e-30  # error whose logarithm is taken
-CLOSE = 0.01  # part of a map's splats up to which the smallest is looked for
-NEAR = 0.2  # or above the bound [dB]
-ALIKE = 3.0  # PSNR of maps that differ most in the same views [dB]
-TELLING = 3  # views that tell of all, once these were seen
-COHERENT = 0.9  # logarithm of how many times their sum errors of neighbours are, to begin with
+UNSEEN = 0.03  # transmittance at which each splat counts as seen beside what views see of it
+CONTRAST = 0.09  # mean square difference that an unseen splat is taken to have from its background
+LEAST = 1e-30  # lower bound of errors in logarithms
+CLOSE = 0.01  # the search for the smallest map ends within this share of its splats
+NEAR = 0.2  # or within this above the bound [dB]
+ALIKE = 3.0  # maps whose PSNR is this close differ most in the same views [dB]
+TELLING = 3  # views that stand for all, once all were drawn
+COHERENT = 0.9  # first guess of log10 of the error of neighbours together over the sum of theirs
 
 Progress = Callable[[str, float], None]
-"""Hears what is being done, and how much of that, 0 to 1."""
+"""Called with the present task, and how much of it is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Quality:
 
     @classmethod
     def of(cls, errors: NDArray[np.float64]) -> Quality:
-        """That of mean squares by which views differ."""
+        """The quality for the mean square errors (n,) of views."""
         return cls(_decibels(float(errors.mean())), _decibels(float(errors.max())))
 
 
@@ -77,18 +77,18 @@ class Step:
 
 
 class Judge:
-    """Holds maps against pictures of another, from views of its own."""
+    """Compares maps with pictures of the original, from cameras of its own."""
 
     def __init__(self, trial: Trial, cameras: list[Camera]) -> None:
         self._poses = [posed(camera) for camera in cameras]
         self._pictures = [picture(trial.renderer, camera) for camera in self._poses]
 
     def __call__(self, splats: Splats) -> Quality:
-        """PSNR of what a screen shows, over black."""
+        """Quality of the pictures that a screen shows, over black."""
         return Quality.of(self.errors(Trial(splats)))
 
     def errors(self, trial: Trial, which: Indices | None = None) -> NDArray[np.float64]:
-        """Mean squares by which pictures differ, of some of the views, or all."""
+        """Mean square errors of the pictures from some of the views, by default all."""
         views = range(len(self._poses)) if which is None else which
         return np.array(
             [
@@ -99,7 +99,7 @@ class Judge:
 
 
 class Trial:
-    """A map in a renderer, with more or fewer of its pairs merged. Only these are sent."""
+    """A map in a renderer, with more or fewer of its pairs merged. Only changes are sent."""
 
     def __init__(self, splats: Splats) -> None:
         self.splats = splats
@@ -128,21 +128,21 @@ class Trial:
 
 @dataclass(frozen=True)
 class Learnt:
-    """What views tell of splats, and how many of them did."""
+    """What views tell of splats."""
 
     contributions: Contributions
     alone: Indices
-    """Splats by what is lost without them, the least first; none where other views matter, too."""
+    """Splats by what is lost without them, the least first; empty where there is no path."""
     pixel: float
-    """Size of one where the splats are, in views that maps are held to. [m]"""
+    """Size of a pixel at the splats, in views that maps are compared in. [m]"""
     views: int
 
 
 def learn(trial: Trial, places: Views, progress: Progress) -> Learnt:
-    """Finds contributions in as many views as it takes: twice as many, as long as that tells more.
+    """Finds contributions in as many views as it takes: doubles them as long as that tells more.
 
-    Views held back are asked what they would lose with the half that contributes least. Raises
-    SceneError where nothing shows along a path.
+    The measure is what held-back views lose without the half of the splats that contributes least.
+    Raises SceneError where no camera of a path sees a splat.
     """
     held = []
     for number, camera in enumerate(places.held):
@@ -168,13 +168,13 @@ def learn(trial: Trial, places: Views, progress: Progress) -> Learnt:
 
 
 def _look(trial: Trial, camera: Camera, sums: Sums) -> NDArray[np.float32]:
-    """(n,) squares by which pictures change without each splat, once a view is added to sums."""
+    """Adds a view to sums; returns (n,) squares by which pictures change without each splat."""
     trial.renderer.contribute(posed(resized(camera, PIXELS)), sums)
     return sums.error[: len(trial.splats)]
 
 
 def _learnt(splats: Splats, places: Views, sums: Sums, views: int) -> Learnt:
-    """With a little for what no view sees: others will."""
+    """The result of `views` views, with a little added for what no view sees: others will."""
     found = [array[: len(splats)] for array in (sums.weight, sums.energy, sums.error)]
     hidden = found[0] == 0
     if places.complete and hidden.all():
@@ -183,7 +183,7 @@ def _learnt(splats: Splats, places: Views, sums: Sums, views: int) -> Learnt:
     unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixels**2, PIXELS)
     weight = views * UNSEEN * unhidden
     if places.complete:
-        weight *= hidden  # what is seen now and then needs no more: it would displace what matters
+        weight *= hidden  # more for splats seen now and then would displace those that matter
     energy = weight * UNSEEN * splats.opacities / 2  # a Gaussian's squares have half its integral
     missed = (weight, energy, CONTRAST * energy)
     contributions = Contributions(*(one + more for one, more in zip(found, missed, strict=True)))
@@ -193,7 +193,7 @@ def _learnt(splats: Splats, places: Views, sums: Sums, views: int) -> Learnt:
 
 
 class Simplification:
-    """A map on its way to fewer splats, and what was tried."""
+    """A map that is made smaller, and the maps that were tried."""
 
     def __init__(
         self,
@@ -202,7 +202,7 @@ class Simplification:
         path: Sequence[Camera] | None = None,
         margin: float | None = None,
     ) -> None:
-        """Looks at the map: along a path, as Along, or where none is given, from all around."""
+        """Looks at the map along a path, see Along, or without a path from all around."""
         self.splats = splats
         self.steps: list[Step] = []
         self._progress = progress
@@ -214,26 +214,26 @@ class Simplification:
         self._whole = splats, self._contributions
         progress("drawing the views to check", 0.0)
         self.judge = Judge(self._trial, self.views.held)
-        # What the tries so far say: errors go about with a power of the sum of the pairs' costs.
+        # Fit to the tries so far: the error is about a power of the sum of the pairs' costs.
         self._slope, self._offset = 1.0, COHERENT
         self._telling, self._others = np.arange(len(self.views.held)), 1.0
         self._first = self._spare() if self.views.complete else self._pairs()
 
     def reduce(self, count: int) -> None:
-        """To count splats, or a few fewer."""
-        self._trial = None  # with its memory
+        """Reduces the map to count splats, or a few fewer."""
+        self._trial = None  # frees its memory
         for pairs in self._rounds():
             if len(self.splats) <= count:
                 return
             self._merge(pairs, min(len(pairs), len(self.splats) - count))
 
     def shrink(self, bound: float) -> None:
-        """To about as few splats as have a PSNR of bound [dB], which may be all of them."""
+        """Reduces the map to about the fewest splats with a PSNR of bound [dB], maybe all."""
         self.splats, self._contributions = self._whole
         before = 0.0  # mean square of errors
         for pairs in self._rounds():
             count, before = self._most(pairs, bound, before)
-            self._trial = None  # with its memory
+            self._trial = None  # frees its memory
             self._merge(pairs, count)
             if count < len(pairs) or _decibels(before) < bound + NEAR:
                 return
@@ -241,12 +241,12 @@ class Simplification:
     def refine(
         self, seconds: float, bound: float = MOST_PSNR, most_steps: int = MOST_STEPS
     ) -> None:
-        """Refits the map for so long or so many steps, or until it has a PSNR of bound [dB].
+        """Refits the map for `seconds` [s], most_steps, or until it has a PSNR of bound [dB].
 
-        Keeps only what is better in all views to check together, and in the worst no worse. Ctrl-C
-        ends it, and keeps what is best so far.
+        Keeps only a map that is better in the held-back views together, and no worse in the worst
+        of them. Ctrl-C ends the fit and keeps the best map so far; without one, it is raised.
         """
-        self._trial = None  # with its memory
+        self._trial = None  # frees its memory
         whole = self._whole[0]
         first = best = self.judge(self.splats)
         self.steps.append(Step(len(self.splats), first))
@@ -269,7 +269,7 @@ class Simplification:
         self.steps.append(Step(len(self.splats), best))
 
     def _most(self, pairs: Pairs, bound: float, before: float) -> tuple[int, float]:
-        """How many pairs may be merged, and the mean square of errors then. before: that of now."""
+        """How many pairs may be merged, and the mean square error then. before: the error now."""
         costs = np.log10(np.cumsum(pairs.costs, dtype=np.float64) / self._values + LEAST)
         aim = math.log10(max(10 ** (-(bound + NEAR / 2) / 10) - before, LEAST))
         good, bad, error = 0, len(pairs) + 1, before
@@ -293,9 +293,9 @@ class Simplification:
         return good, error
 
     def _look(self, pairs: Pairs, count: int, bound: float) -> float:
-        """Mean square of errors with some pairs merged.
+        """Mean square error with the first count pairs merged.
 
-        Once a map of about that PSNR was seen from all views, by those alone that differed most.
+        Once a map of about that PSNR was drawn from all views, draws only those that differed most.
         """
         left = len(self.splats) - count
         self._progress(f"checking {left:,} splats", 0.0)
@@ -317,7 +317,7 @@ class Simplification:
             pairs = self._pairs()
 
     def _spare(self) -> Pairs:
-        """What is left out before anything is merged: all that is not missed at LEFT_OUT."""
+        """The splats to leave out before any merge: as many as keep a PSNR of LEFT_OUT."""
 
         def first(count: int) -> Pairs:
             which = self.learnt.alone[:count]

@@ -1,4 +1,4 @@
-"""Cameras that look at a map: anywhere, or as those of a path do."""
+"""Cameras that look at a map: from anywhere, or from along a path."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from rosplat_core.splats import SceneError, Splats
 
 WIDTH, HEIGHT = 1280, 720  # [px]
 FOCAL = 0.5 * HEIGHT / math.tan(math.radians(30))  # 60 degrees from top to bottom [px]
-NEAREST, FARTHEST = 0.1, 2.5  # of cameras from the middle of the map, in its radii
-WIDEST = 1e9  # radius of a map, so that near planes are those of 32-bit floats [m]
-REMOTEST = 1e12  # of its radii, how far it is from zero: cameras are in 64-bit floats
+NEAREST, FARTHEST = 0.1, 2.5  # distances of cameras from the map's middle, in its radii
+WIDEST = 1e9  # most radius of a map, so that 32-bit floats hold near planes [m]
+REMOTEST = 1e12  # most distance of a map from zero, in its radii: cameras are in 64-bit floats
 CELLS = 16  # of the grid that tells free places, in a radius
-OPAQUE = 0.3  # opacity of splats that no camera is put beside
+OPAQUE = 0.3  # least opacity of splats that no camera is put beside
 PATIENCE = 64  # tries to find a free place for a camera
-CHECKED = 8  # views that maps are held to
-HELD = 30  # as many along a path
+CHECKED = 8  # held-back views, by which maps are judged
+HELD = 30  # the same along a path
 HELD_SEED = 1
 LEAST_BETWEEN = 10  # cameras of a path from one that is held back to the next
-MARGIN = 0.25  # of neighbours from the path, as a part of the way to what is nearest
+MARGIN = 0.25  # of neighbours from the path, as a share of the way to the nearest splats
 TURN = 10  # by which neighbours are turned at most [deg]
-TURNED = 0.25  # part of the neighbours that look anywhere around
+TURNED = 0.25  # share of the neighbours that look anywhere around
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 def whereabouts(splats: Splats) -> Place:
-    """Where the bulk of the splats is, as large as they are where they lie in one place.
+    """Where the bulk of the splats is; its radius is at least two typical scales of a splat.
 
     Raises SceneError where it is too wide, or too far from zero, for a camera to look at.
     """
@@ -53,21 +53,21 @@ def whereabouts(splats: Splats) -> Place:
 
 
 class Views(Protocol):
-    """Where a map is looked at from."""
+    """Views from which a map is looked at."""
 
     margin: float | None
-    """Of views from a path, where there is one. [m]"""
+    """Most distance of views from a path; None without a path. [m]"""
     complete: bool
-    """Whether what shows in none of many such views need not show in any."""
+    """Whether a splat that shows in none of many such views need not show in any."""
     still: float
-    """By which the worst of held-back views gains less where there are views enough. [dB]"""
+    """Views are enough once the worst held-back view gains less than this from more. [dB]"""
     held: list[Camera]
-    """That maps are held to, and nothing is learnt from."""
+    """Held-back views: maps are judged by them, and nothing is learnt from them."""
     pixels: NDArray[np.float64]
-    """(n,) how large a pixel is where each splat is. [m]"""
+    """(n,) size of a pixel at each splat. [m]"""
 
     def cameras(self, count: int, seed: int) -> list[Camera]:
-        """The first so many of a seed; with another seed, no camera is the same."""
+        """The first count views of a seed; another seed gives other views."""
 
 
 class Around:
@@ -89,7 +89,7 @@ class Around:
         self.held = self.cameras(CHECKED, HELD_SEED)
 
     def cameras(self, count: int, seed: int) -> list[Camera]:
-        """The first so many of a seed; with another seed, no camera is the same."""
+        """The first count views of a seed; another seed gives other views."""
         random = np.random.default_rng(seed)
         radius = self._here.radius
         cameras = []
@@ -120,8 +120,8 @@ class Along:
     still: float = 1.0
 
     def __init__(self, splats: Splats, path: Sequence[Camera], margin: float | None = None) -> None:
-        """margin: of neighbours from the path [m]; MARGIN of the way to what is nearest to the
-        path, in its median, where none is given. Raises SceneError for a path of no camera.
+        """margin: most distance of neighbours from the path [m], by default MARGIN of the median
+        distance from the path to the nearest opaque splats. Raises SceneError for an empty path.
         """
         if not path:
             raise SceneError("the path has no camera")
@@ -141,12 +141,12 @@ class Along:
         self.held += self.cameras(HELD - len(self.held), HELD_SEED)
 
     def cameras(self, count: int, seed: int) -> list[Camera]:
-        """The first so many of a seed; with another seed, no camera is the same."""
+        """The first count views of a seed; another seed gives other views."""
         random = np.random.default_rng(seed)
         start = random.uniform()
         cameras = []
         for index in range(count):
-            # Steps of the golden ratio: any number of them is spread evenly.
+            # Steps of the golden ratio spread evenly, however many there are.
             number = int(len(self._path) * ((start + GOLDEN * index) % 1))
             camera, reach = self._path[number], self._reach[number]
             aside = reach * random.uniform() ** (1 / 3) * _direction(random)
@@ -162,7 +162,7 @@ class Along:
 
 
 def resized(camera: Camera, pixels: int) -> Camera:
-    """What a camera sees, in a picture of no more than about so many pixels."""
+    """The camera with a picture of about `pixels` pixels at most, of the same view."""
     factor = min(1.0, math.sqrt(pixels / (camera.width * camera.height)))
     return replace(
         camera,
@@ -174,13 +174,13 @@ def resized(camera: Camera, pixels: int) -> Camera:
 def _clearances(
     splats: Splats, places: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) from each splat to the nearest place, (m,) from each place to an opaque splat. [m]"""
+    """(n,) from each splat to the nearest place, (m,) from each place to the nearest opaque. [m]"""
     places = places - splats.origin
     tree = cKDTree(places)
     found = in_chunks(len(splats), lambda part: tree.query(splats.positions[part]))
     away, nearest = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
     opaque = splats.opacities >= min(OPAQUE, splats.opacities.max())
-    bounds = np.zeros(len(places))  # what is nearest to a place may be nearer to another
+    bounds = np.zeros(len(places))  # upper ones: a place's nearest splat may be nearer to another
     bounds[nearest[opaque]] = np.inf
     np.minimum.at(bounds, nearest[opaque], away[opaque])
     reach = bounds.max()
@@ -195,7 +195,7 @@ def _direction(random: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _cells(offsets: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:
-    """In which cells of a grid around the middle something is, as far as cameras go and beyond."""
+    """Which cells of a grid around the middle hold an offset; it reaches past all cameras."""
     half = math.ceil((FARTHEST + 1) * CELLS)
     taken = np.zeros((2 * half, 2 * half, 2 * half), bool)
     cells = _cell(offsets[np.abs(offsets).max(axis=1, initial=0) < half * radius / CELLS], radius)
@@ -204,7 +204,7 @@ def _cells(offsets: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:
 
 
 def _beside(offset: NDArray[np.float64], taken: NDArray[np.bool_], radius: float) -> bool:
-    """Whether something is in a place's cell or one that touches it."""
+    """Whether a place's cell, or one that touches it, is taken."""
     x, y, z = _cell(offset, radius)
     return bool(taken[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].any())
 

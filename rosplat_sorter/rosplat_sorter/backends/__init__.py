@@ -1,7 +1,7 @@
-"""What sorts: interchangeable backends, each a file of its own, equal to the bit.
+"""The backends that sort: interchangeable, each a file of its own, with orders equal to the bit.
 
-A backend is found by name in BACKENDS; one whose file or library is missing is not available, and
-`choose` says why.
+BACKENDS has them by name. A backend whose file or library is missing is not available, and `choose`
+says why.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ Allocate = Callable[[int], NDArray[np.uint32]]
 
 
 def new_array(count: int) -> NDArray[np.uint32]:
-    """An array of its own for each order."""
+    """A new array for each order."""
     return np.empty(count, np.uint32)
 
 
 def room_for(rows: int, room: int) -> int:
-    """For how many rows a device has room from now on: as for now, if that is about right."""
+    """The number of rows to have room for on a device: `room`, as now, if that is about right."""
     return room if rows <= room <= 4 * rows + (1 << 16) else rows + rows // 2
 
 
@@ -40,7 +40,7 @@ class Backend(Protocol):
     """As in BACKENDS."""
 
     device: str
-    """What it runs on, for people."""
+    """The device that it runs on, for the log."""
 
     def update(self, splats: SplatMap, changed: Rows) -> None:
         """Takes over the rows that changed since the last call, and those that the map grew by.
@@ -49,13 +49,13 @@ class Backend(Protocol):
         """
 
     def close(self) -> None:
-        """Gives back its memory, on the device as well; it is not used again."""
+        """Gives back the backend's memory, on the device as well. It can't be used afterwards."""
 
     def order(self, view: SortView, allocate: Allocate = new_array) -> NDArray[np.uint32]:
         """The visible slots back to front, uint32 (m,), exactly as depth.order.
 
-        They are written to the array that allocate(m) makes, once they are counted: shared memory
-        or a message.
+        Once they are counted, they are written to the array that allocate(m) makes, in shared
+        memory or for a message.
         """
 
 
@@ -65,7 +65,7 @@ class Unavailable(Exception):
 
 @dataclass(frozen=True)
 class Entry:
-    """Where a backend is, and whether it is for GPUs."""
+    """The module and class of a backend, and whether it is for GPUs."""
 
     module: str
     factory: str
@@ -84,10 +84,10 @@ BACKENDS = {
 
 
 def open_backend(name: str, threads: int = 0, gpu_only: bool = False) -> Backend:
-    """Opens a backend by name.
+    """Opens a backend by its name in BACKENDS. Raises Unavailable where it can't run.
 
-    threads: for those that run on the CPU, 0 for as many as there are. gpu_only: not where it would
-    run on the CPU. Raises Unavailable.
+    threads: for backends on the CPU, 0 for as many as there are. gpu_only: raises Unavailable where
+    it would run on the CPU.
     """
     entry = BACKENDS[name]
     try:
@@ -96,7 +96,7 @@ def open_backend(name: str, threads: int = 0, gpu_only: bool = False) -> Backend
         return factory(threads, gpu_only)
     except Unavailable:
         raise
-    except Exception as error:  # whatever a library's import or a GPU's driver may come up with
+    except Exception as error:  # whatever a library's import or a GPU's driver may raise
         raise Unavailable(_one_line(error)) from error
 
 
@@ -105,7 +105,7 @@ def choose(
 ) -> tuple[Backend, dict[str, str]]:
     """Opens a backend by name, or else the best one present; also says why others were not taken.
 
-    without: names that are out of the question. Raises Unavailable where none is left.
+    without: names of backends that are not to be opened. Raises Unavailable where none is left.
     """
     reasons: dict[str, str] = {}
     if name != AUTO and name not in without:

@@ -1,6 +1,6 @@
-// Culls and sorts by depth. Cull: one pass that writes what is visible, the highest slot first, and
-// counts its digits. Sort: "Onesweep", Adinets and Merrill 2022, a pass for each digit. Both hand
-// their running sums from tile to tile by decoupled look-back, Merrill and Garland 2016.
+// Culls and sorts by depth. Cull: one pass that writes the visible splats, the highest slot first,
+// and counts their keys' digits. Sort: "Onesweep", Adinets and Merrill 2022, a pass for each digit.
+// Both hand running sums from tile to tile by decoupled look-back, Merrill and Garland 2016.
 
 namespace {
 
@@ -13,15 +13,15 @@ constexpr unsigned kCullItems = CULL_ITEMS, kCullTile = kCullItems * kThreads;
 constexpr unsigned kPageSlots = SLOTS_PER_PAGE;
 constexpr unsigned kSortItems = SORT_ITEMS, kSortTile = kSortItems * kThreads;
 
-// What a tile tells those after it: its own sum, or the sum up to its end.
+// Flags of what a tile tells later ones: its own sum, or the sum up to its end. 0: nothing yet.
 constexpr unsigned kOwn = 1u << 30, kInclusive = 2u << 30, kSum = kOwn - 1;
 
 // Zero before each order.
 struct Header {
   unsigned count;                  // of visible splats
   unsigned largest;                // of their depth keys
-  unsigned tickets;                // of tiles, culled ...
-  unsigned sort_tickets[kDigits];  // ... and sorted
+  unsigned tickets;                // tiles taken by cull ...
+  unsigned sort_tickets[kDigits];  // ... and by sort_digit, for each digit
 };
 
 // IEEE float32: never fused, and with subnormal numbers, which CuPy's -ftz=true takes for zero.
@@ -59,12 +59,12 @@ __device__ bool operator<=(Real a, Real b) {
 
 __device__ Real abs(Real a) { return {__uint_as_float(__float_as_uint(a.value) & 0x7fffffffu)}; }
 
-// A page of neighbouring slots, where its rows are, and which group its splats are of.
+// A page of neighbouring slots, the place of its rows, and its group's index in frames.
 struct Page {
   unsigned first_slot, place, group;
 };
 
-// From what positions of a group are relative to into the camera's optical frame.
+// Rigid transform of a group's positions into the camera's optical frame.
 struct Frame {
   Real rotation[9], translation[3];
 };
@@ -79,9 +79,9 @@ __device__ Real transform(const Frame& frame, int axis, const Real (&p)[3]) {
   return ((r[0] * p[0] + r[1] * p[1]) + r[2] * p[2]) + frame.translation[axis];
 }
 
-// Compares as depths do.
+// An integer that compares as the depth does.
 __device__ unsigned depth_key(Real z) {
-  const unsigned bits = __float_as_uint((z + Real{0.0f}).value);  // one depth of -0 and 0
+  const unsigned bits = __float_as_uint((z + Real{0.0f}).value);  // turns -0 into 0
   return bits ^ ((bits >> 31) ? 0xffffffffu : 0x80000000u);
 }
 
@@ -132,7 +132,7 @@ __device__ unsigned block_scan(unsigned value) {
   return sum_before(warp_totals) + inclusive - value;
 }
 
-// Tiles are handed out in turn, so that those looked back on are always at work.
+// Tiles are handed out in turn, so that the earlier tiles that are looked back on are all at work.
 __device__ unsigned take_tile(unsigned* tickets) {
   __shared__ unsigned tile;
   if (threadIdx.x == 0) tile = atomicAdd(tickets, 1u);
@@ -140,7 +140,7 @@ __device__ unsigned take_tile(unsigned* tickets) {
   return tile;
 }
 
-// Sum of what all tiles before this one have; called by a warp, for one row of sums.
+// Sum over all tiles before this one. Called by a whole warp; sums: one for each tile.
 __device__ unsigned warp_look_back(volatile const unsigned* sums, unsigned tile) {
   unsigned before = 0;
   for (int last = static_cast<int>(tile) - 1;; last -= kLanes) {
@@ -156,7 +156,7 @@ __device__ unsigned warp_look_back(volatile const unsigned* sums, unsigned tile)
   }
 }
 
-// The same by a thread for each bin; row 0 of the sums is that before all tiles.
+// The same for each bin, by one thread each; row 0 of the sums is the sum before all tiles.
 __device__ unsigned bin_look_back(volatile const unsigned* sums, unsigned tile) {
   unsigned before = 0;
   for (volatile const unsigned* sum = sums + tile * kBins + threadIdx.x;; sum -= kBins) {
@@ -171,8 +171,8 @@ __device__ unsigned bin_look_back(volatile const unsigned* sums, unsigned tile) 
 
 }  // namespace
 
-// Writes keys that ascend back to front, and their slots, of all rows of pages that are in order of
-// slots. sums: one for each tile, from 0.
+// Writes the keys, which ascend back to front, and slots of all visible splats. pages: in order of
+// slots. sums: one for each tile, 0 at first.
 extern "C" __global__ void __launch_bounds__(kThreads)
     cull(const View view, const bool orthographic, const Frame* frames, const Real* positions,
          const Real* extents, const Page* pages, const unsigned count, Header* header,
@@ -225,7 +225,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
 #pragma unroll
       for (unsigned place = 0; place < kDigits; ++place) {
         const unsigned digit = digit_of(~own[i], place);
-        // Nothing is after the last bin of all, where most splats' highest digit is.
+        // No bin needs the count of the last one, which has the highest digit of most splats.
         if (place < kDigits - 1 || digit != digit_of(kAll, place))
           atomicAdd(&histogram[place * kBins + digit], 1u);
       }
@@ -252,14 +252,14 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     if (histogram[i]) atomicAdd(&histograms[i], histogram[i]);
 }
 
-// Where each bin begins, for each digit: row 0 of the sums of its sort. One block a digit.
+// Writes where each bin begins to row 0 of the sums of each digit's sort. One block a digit.
 extern "C" __global__ void __launch_bounds__(kThreads)
     begin_bins(const unsigned* histograms, unsigned* sums, const unsigned sums_per_digit) {
   const unsigned place = blockIdx.x, bin = threadIdx.x;
   sums[place * sums_per_digit + bin] = kInclusive | block_scan(histograms[place * kBins + bin]);
 }
 
-// Sorts by one digit, stably. sums: a row of bins, then one for each tile, from 0.
+// Sorts by one digit, stably. sums: row 0 by begin_bins, then a row for each tile, 0 at first.
 extern "C" __global__ void __launch_bounds__(kThreads, 2)
     sort_digit(const unsigned place, Header* header, volatile unsigned* sums, const unsigned* keys,
                const unsigned* slots, unsigned* sorted_keys, unsigned* sorted_slots) {
@@ -321,7 +321,7 @@ extern "C" __global__ void __launch_bounds__(kThreads, 2)
   for (unsigned i = 0; i < kSortItems; ++i)
     if (first + i * kLanes < count) own[i] = slots[first + i * kLanes];
 
-  // Rank among all, and there.
+  // Rank among all, which is where keys and slots are written.
   const unsigned before = bin_look_back(sums, tile);
   sums[(tile + 1) * kBins + bin] = kInclusive | (before + total);
   bin_target[bin] = before - tile_first;

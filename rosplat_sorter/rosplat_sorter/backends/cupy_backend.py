@@ -17,7 +17,7 @@ from rosplat_sorter.backends import Allocate, new_array, room_for
 from rosplat_sorter.map import Rows, SplatMap
 from rosplat_sorter.shared_orders import Memory, memory_of
 
-# Sorted by digits, the lowest first; where the last is the same for all, it is left out.
+# Keys are sorted by digits, the lowest first; the last is left out where it is the same in all.
 _DIGIT_BITS = 9
 _BINS = 1 << _DIGIT_BITS
 _DIGITS = -(-32 // _DIGIT_BITS)
@@ -78,10 +78,10 @@ class CupyBackend:
         """Makes room for so many rows; those held so far are lost."""
         self._positions = cupy.empty((capacity, 3), cupy.float32)
         self._extents = cupy.empty(capacity, cupy.float32)
-        # Where a digit is sorted from, and where to, in turn.
+        # Source and target of the sort by a digit, in turn.
         self._keys = cupy.empty((2, capacity), cupy.uint32)
         self._slots = cupy.empty((2, capacity), cupy.uint32)
-        # What is zero before each order.
+        # All of this is zero before each order.
         sizes = (
             _HEADER,
             _DIGITS * _BINS,
@@ -121,7 +121,7 @@ class CupyBackend:
         return result
 
     def _order_on_device(self, view: SortView) -> cupy.ndarray:
-        """The order as a GPU array, uint32 (m,), which may still be in the making.
+        """The order as a GPU array, uint32 (m,), which the GPU may still be writing.
 
         The next order is written to the same memory.
         """
@@ -167,14 +167,14 @@ class CupyBackend:
     def _pin(self, result: NDArray[np.uint32]) -> None:
         """Lets the GPU itself write to a result in shared memory, at three times the speed.
 
-        That memory is pinned until its segment goes, which is before it is unmapped.
+        That memory is pinned until its segment is removed, which is before it is unmapped.
         """
         memory = memory_of(result)
         if memory is None or memory in self._pinned:
             return
-        self._pinned.add(memory)  # tried once
+        self._pinned.add(memory)  # even if that fails: one try is enough
         whole = np.frombuffer(memory, np.uint8)
-        with contextlib.suppress(cupy.cuda.runtime.CUDARuntimeError):  # just slower
+        with contextlib.suppress(cupy.cuda.runtime.CUDARuntimeError):  # the copy is just slower
             cupy.cuda.runtime.hostRegister(whole.ctypes.data, whole.nbytes, 0)
             memory.lent.callback(_unpin, whole.ctypes.data)
 
@@ -201,5 +201,5 @@ def _unpin(address: int) -> None:
 
 
 def _blocks_for(count: int, items: int) -> int:
-    """How many blocks take so many splats, with so many for each thread."""
+    """The number of blocks for count splats, with `items` of them for each thread."""
     return max(1, -(-count // (_THREADS * items)))

@@ -10,7 +10,7 @@ from rosplat_core.view import SortView
 from rosplat_sorter.backends import Allocate, new_array
 from rosplat_sorter.map import Rows, SplatMap
 
-_BLOCK = 1 << 15  # splats culled at a time, so that what lies between stays in cache
+_BLOCK = 1 << 15  # splats culled at a time, so that intermediate arrays stay in the cache
 
 
 class NumpyBackend:
@@ -45,5 +45,5 @@ class NumpyBackend:
         entries = np.concatenate(packed)
         entries.sort()
         result = allocate(len(entries))
-        result[:] = entries[::-1]  # the lower half of each
+        result[:] = entries[::-1]  # keeps the lower half of each, the slot
         return result

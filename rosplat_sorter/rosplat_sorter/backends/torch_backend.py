@@ -80,7 +80,7 @@ class TorchBackend:
         if not self._ascending:
             slots, places = torch.sort(slots)
             rows = rows[places]
-        bits = (z[rows] + 0.0).view(torch.int32)  # the sum makes one depth of -0 and 0
+        bits = (z[rows] + 0.0).view(torch.int32)  # the sum turns -0 into 0: they are equal
         keys = bits ^ ((bits >> 31) & 0x7FFFFFFF)  # integers that compare as the depths do
         ascending = torch.sort(keys, stable=True).indices
         result = allocate(len(slots))
@@ -92,7 +92,7 @@ class TorchBackend:
 
 
 def _transform(pages: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
-    """A coordinate of the positions (p, n, 3) of pages, with a row of each one's frame, or of all.
+    """A coordinate (p, n) of positions (p, n, 3), by a row of each page's frame, or of one for all.
 
     rotation: (p or 1, 3, 1). translation: (p or 1, 1).
     """
