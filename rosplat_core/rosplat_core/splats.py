@@ -102,11 +102,12 @@ class Splats:
     def __post_init__(self) -> None:
         """Converts each array to its dtype and checks its shape.
 
-        Positions in float64 are rebased: an origin takes over what float32 would lose of them.
+        Positions of another dtype than float32 are rebased: an origin takes over what float32 would
+        lose of them.
         """
         n = len(self.positions)
         positions = np.asarray(self.positions)
-        if positions.dtype == np.float64 and positions.shape == (n, 3):
+        if positions.dtype != np.float32 and positions.shape == (n, 3):
             near, shift = rebase(positions)
             object.__setattr__(self, "positions", near)
             if shift.any():

@@ -110,6 +110,9 @@ def test_far_positions_need_nobody_to_rebase_them() -> None:
     at = some.positions.astype(np.float64) + far
     moved = replace(some, positions=at)
     np.testing.assert_allclose(moved.positions + moved.origin, at, atol=1e-5, rtol=0)
+    whole = np.round(at).astype(np.int64)
+    moved = replace(some, positions=whole)
+    np.testing.assert_allclose(moved.positions + moved.origin, whole, atol=1e-5, rtol=0)
     # Those that are relative to an origin stay so.
     again = replace(some, positions=at, origin=far)
     np.testing.assert_allclose(again.positions + again.origin, at + far, atol=1e-5, rtol=0)

@@ -8,7 +8,7 @@ namespace rosplat {
 namespace {
 
 // The most that a frame uploads, so that a map that streams in doesn't stop the picture. [bytes]
-constexpr std::size_t kUploadBytesPerFrame = 32u << 20;
+constexpr std::size_t kUploadBytesPerFrame = 16u << 20;
 const OrderPtr kNoOrder = std::make_shared<const Order>();  // until there is one: draws nothing
 
 double now() {
