@@ -7,8 +7,9 @@ namespace rosplat {
 
 namespace {
 
-// Where nothing is in the middle of a pixel, the nearest that is in one beside it: some of the
-// window's samples of that pixel may have it. To divide splats where nothing is changes nothing.
+// Gives a pixel with nothing in its middle the nearest depth of the pixels around it: an object
+// there may be in some of the window's samples of this pixel. Splats that are divided at a depth
+// where no object is look the same.
 void widen(std::vector<float>& depths, int width, int height) {
   const auto columns = static_cast<std::size_t>(width), rows = static_cast<std::size_t>(height);
   const auto least = [](float a, float b, float c) { return std::min(std::min(a, b), c); };
@@ -31,7 +32,7 @@ void widen(std::vector<float>& depths, int width, int height) {
   }
 }
 
-// The texture of a framebuffer's colour, where shaders can write it as RGBA8; else 0.
+// Returns the texture of a framebuffer's colour if shaders can write it as RGBA8, else 0.
 GLuint imageOf(GLuint framebuffer) {
   if (framebuffer == 0 || epoxy_gl_version() < 44) return 0;
   glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer);
@@ -61,7 +62,7 @@ CanvasScope::CanvasScope(Canvas canvas) : canvas_(canvas) {
   glGetIntegerv(GL_VIEWPORT, viewport.data());
   x_ = viewport[0];
   y_ = viewport[1];
-  // What Ogre may have left that would spoil a pass.
+  // Ogre may have left these on, and each would spoil a pass.
   for (const GLenum off : {GL_ALPHA_TEST, GL_CULL_FACE, GL_SCISSOR_TEST, GL_STENCIL_TEST,
                            GL_POLYGON_OFFSET_FILL, GL_SAMPLE_ALPHA_TO_COVERAGE}) {
     glDisable(off);
@@ -133,7 +134,7 @@ std::vector<float> depthsOf(Canvas canvas, int width, int height, const PictureR
   glGetIntegerv(GL_DRAW_FRAMEBUFFER_BINDING, &drawn);
   glGetIntegerv(GL_READ_FRAMEBUFFER_BINDING, &read);
   glGetIntegerv(GL_VIEWPORT, viewport.data());
-  // Floats as they are read: software clears and converts 24 bits value by value.
+  // Depths are read as floats: software clears and converts depths of 24 bits value by value.
   const bool floats =
       epoxy_gl_version() >= 30 || epoxy_has_gl_extension("GL_ARB_depth_buffer_float");
   const gl::DepthFramebuffer framebuffer(floats ? GL_DEPTH_COMPONENT32F : GL_DEPTH_COMPONENT24,

@@ -10,7 +10,7 @@
 namespace rosplat::gl {
 
 namespace {
-constexpr GLint kStorageBindings = 16, kImageUnits = 3;  // that shaders use
+constexpr GLint kStorageBindings = 16, kImageUnits = 3;  // as many as shaders use
 }
 
 Buffer::Buffer(std::size_t bytes, GLenum usage) : bytes_(bytes) {
@@ -40,7 +40,7 @@ void Buffer::read(std::size_t offset, void* data, std::size_t bytes) const {
 
 void Buffer::reserve(std::size_t bytes) {
   if (bytes_ >= bytes) return;
-  release();  // first, so that there is never room for both
+  release();  // first, so that the old and the new memory never exist at once
   *this = Buffer(bytes, GL_DYNAMIC_COPY);
   settle();
 }
@@ -63,7 +63,7 @@ void Buffer::copy(const Buffer& from, std::size_t offset, std::size_t bytes, std
                       static_cast<GLintptr>(to), static_cast<GLsizeiptr>(bytes));
 }
 
-// NVIDIA's driver (580) clears them, on its own and sometimes only after what follows has written.
+// NVIDIA's driver (580) clears new buffers by itself, sometimes after later commands wrote to them.
 void settle() { glFinish(); }
 
 std::size_t largestStorageBuffer() {
@@ -79,7 +79,7 @@ void Slice::write(const void* data) const {
 }
 
 void waitFor(GLsync fence) {
-  constexpr GLuint64 kMinute = 60'000'000'000;  // that no frame takes, not even in software
+  constexpr GLuint64 kMinute = 60'000'000'000;  // [ns]; no frame takes as long, even in software
   const GLenum state = glClientWaitSync(fence, GL_SYNC_FLUSH_COMMANDS_BIT, kMinute);
   if (state == GL_TIMEOUT_EXPIRED || state == GL_WAIT_FAILED) {
     throw Error("the graphics card doesn't answer any more");
@@ -114,7 +114,7 @@ const GLuint* Readback::wait() const {
 
 namespace {
 
-// Programs that wait to be used again, by label.
+// OpenGL programs of destroyed Program objects, by label.
 std::multimap<std::string, GLuint>& retiredPrograms() {
   static std::multimap<std::string, GLuint> programs;
   return programs;
@@ -129,7 +129,7 @@ std::string labelOf(GLuint program) {
   return label.data();
 }
 
-// 0 where none waits. What waited in a context that is gone has lost its label.
+// Returns 0 if there is none. Drops programs of contexts that are gone: their labels are lost.
 GLuint takeRetired(const std::string& label) {
   auto& retired = retiredPrograms();
   for (auto found = retired.find(label); found != retired.end(); found = retired.find(label)) {
@@ -202,7 +202,7 @@ void Program::link(const std::string& name) {
 }
 
 void Program::numberBlocks() {
-  if (epoxy_gl_version() < 43) return;  // there are none
+  if (epoxy_gl_version() < 43) return;  // without storage blocks
   GLint count = 0;
   glGetProgramInterfaceiv(id_, GL_SHADER_STORAGE_BLOCK, GL_ACTIVE_RESOURCES, &count);
   for (GLuint block = 0; block < static_cast<GLuint>(count); ++block) {
@@ -240,7 +240,7 @@ GLint Program::at(const char* uniform) const {
 }
 
 void dispatch(std::size_t work_groups) {
-  constexpr std::size_t kMost = 65535;  // that every driver takes in a dimension
+  constexpr std::size_t kMost = 65535;  // in a dimension; every driver takes as many
   const std::size_t rows = (work_groups + kMost - 1) / kMost;
   if (rows == 0) return;
   glDispatchCompute(static_cast<GLuint>((work_groups + rows - 1) / rows), static_cast<GLuint>(rows),
@@ -254,7 +254,7 @@ void storageBarrier() {
 }
 
 void dropErrors() {
-  // Not until there are none: without a context, drivers always find one.
+  // Not until no error is left: without a context, drivers always return one.
   for (int i = 0; i < 16 && glGetError() != GL_NO_ERROR; ++i) {
   }
 }
@@ -332,7 +332,7 @@ bool Target::become(GLenum color_format, int width, int height, GLenum depth_for
     return false;
   }
   for (Object* texture : {&color_, &second_, &depth_}) {
-    texture->release();  // first, so that there is never room for both
+    texture->release();  // first, so that the old and the new memory never exist at once
   }
   *this = Target(color_format, width, height, depth_format, second_format);
   return true;
@@ -381,7 +381,7 @@ SampledDepth::SampledDepth(int width, int height, int samples)
   glGenTextures(1, &id);
   glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, id);
   texture_ = Object(GL_TEXTURE, id);
-  // Not of immutable storage: Mesa 22.3 attaches that to a framebuffer only once.
+  // Not of immutable storage: Mesa 22.3 attaches such a texture to a framebuffer only once.
   glTexImage2DMultisample(GL_TEXTURE_2D_MULTISAMPLE, samples, GL_DEPTH_COMPONENT24, width, height,
                           GL_TRUE);
   glBindTexture(GL_TEXTURE_2D_MULTISAMPLE, static_cast<GLuint>(bound));
@@ -498,7 +498,7 @@ StateGuard::StateGuard()
 }
 
 StateGuard::~StateGuard() {
-  // First: the attributes hold the draw and read buffers of the framebuffer that was bound.
+  // Framebuffers first: the attributes hold the draw and read buffers of the one that was bound.
   if (framebuffers_) {
     glBindFramebuffer(GL_DRAW_FRAMEBUFFER, draw_framebuffer_);
     glBindFramebuffer(GL_READ_FRAMEBUFFER, read_framebuffer_);
@@ -513,7 +513,7 @@ StateGuard::~StateGuard() {
   if (vertex_arrays_) glBindVertexArray(static_cast<GLuint>(vertex_array_));
   glBindBuffer(GL_ARRAY_BUFFER, static_cast<GLuint>(array_buffer_));
   glUseProgram(static_cast<GLuint>(program_));
-  if (epoxy_gl_version() < 44) return;  // nor was any of the rest bound
+  if (epoxy_gl_version() < 44) return;  // then nothing has bound the rest either
   glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, kStorageBindings, nullptr);
   for (const GLuint block : {0, 1}) glBindBufferBase(GL_UNIFORM_BUFFER, block, 0);
   glBindImageTextures(0, kImageUnits, nullptr);

@@ -14,10 +14,10 @@
 
 #include "gl/object.hpp"
 
-// Owners of OpenGL objects. All of this needs the context current and runs in the render thread.
+// Owners of OpenGL objects. All functions run in the render thread, with the context current.
 namespace rosplat::gl {
 
-// What the driver refuses: a shader, memory, a framebuffer.
+// Thrown if the driver refuses something: a shader, memory, a framebuffer.
 struct Error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -26,7 +26,7 @@ struct Error : std::runtime_error {
 class Buffer {
  public:
   Buffer() = default;
-  // Not to be written before settle(). Throws Error where the driver has no memory for it.
+  // Callers call settle() before they write. Throws Error if the driver has no memory.
   Buffer(std::size_t bytes, GLenum usage);
 
   GLuint id() const { return object_.id(); }
@@ -36,13 +36,13 @@ class Buffer {
   void read(std::size_t offset, void* data, std::size_t bytes) const;
   void zero() { zero(0, bytes_); }
   void zero(std::size_t offset, std::size_t bytes);  // whole words
-  // Has a part of another from a place on.
+  // Copies `bytes` bytes of another buffer, from `offset` on, to the byte `to` of this one.
   void copy(const Buffer& from, std::size_t offset, std::size_t bytes, std::size_t to = 0);
-  // Makes room for so many bytes; what was in it is lost if it grows.
+  // Makes room for so many bytes. The content is lost if the buffer grows.
   void reserve(std::size_t bytes);
-  // Gives its memory back.
+  // Frees the memory.
   void release();
-  // Makes room for all of these, and begins with them.
+  // Makes room for the values and writes them to the start of the buffer.
   template <typename Value>
   void upload(const std::vector<Value>& values) {
     reserve(values.size() * sizeof(Value));
@@ -54,7 +54,7 @@ class Buffer {
   std::size_t bytes_ = 0;
 };
 
-// Waits until buffers that were just made are there.
+// Waits until the driver has finished making new buffers.
 void settle();
 
 // The largest buffer that a shader can read. [bytes]
@@ -62,7 +62,7 @@ std::size_t largestStorageBuffer();
 
 // A part of a buffer for a shader to bind.
 struct Slice {
-  static constexpr std::size_t kAlignment = 256;  // of where it begins, for every driver
+  static constexpr std::size_t kAlignment = 256;  // of `offset`, for every driver [bytes]
 
   GLuint buffer = 0;
   std::size_t offset = 0, bytes = 0;
@@ -70,30 +70,30 @@ struct Slice {
   void write(const void* data) const;
 };
 
-// Waits until a fence is passed. Throws Error where the graphics card is gone.
+// Waits until a fence is passed. Throws Error if the graphics card doesn't answer for a minute.
 void waitFor(GLsync fence);
 
-// A copy of a small buffer, which the CPU waits for while the graphics card goes on.
+// A copy of a small buffer for the CPU, which waits for the copy alone: the graphics card goes on.
 class Readback {
  public:
-  // Of a buffer of so many words.
+  // words: size of the buffers to copy.
   explicit Readback(std::size_t words);
 
-  // Asks for the buffer as it is between what was submitted and what comes next.
+  // Submits the copy: of the buffer as the commands submitted so far leave it.
   void ask(const Buffer& buffer);
-  // Waits for what was asked for last: its words. Throws Error where the graphics card is gone.
+  // Waits for the last copy that was asked for, and returns its words. Throws as waitFor().
   const GLuint* wait() const;
 
  private:
   Object copy_;
   const GLuint* mapped_ = nullptr;
-  GLsync copied_ = nullptr;  // left to its context in the end
+  GLsync copied_ = nullptr;  // of the last copy; the destructor leaves it to its context
 };
 
-// A linked program; uniforms are set and storage blocks are bound by name, those that it doesn't
-// have to no effect. What is destroyed waits for the next program of the
-// same sources: drivers (Mesa 22.3's llvmpipe) crash where a program is deleted that another
-// context used.
+// A linked program. Uniforms are set and storage blocks are bound by name; names that the program
+// lacks have no effect. The OpenGL program of a destroyed Program is kept for the next one of the
+// same sources: drivers (Mesa 22.3's llvmpipe) crash if a program is deleted that another context
+// used.
 class Program {
  public:
   Program() = default;
@@ -106,7 +106,7 @@ class Program {
   void link(const std::string& name);
 
   void use() const { glUseProgram(id_); }
-  // The same for a storage block of a program that need not be in use.
+  // Bind a buffer to a storage block. The program need not be in use.
   void bind(std::string_view block, const Buffer& buffer) const;
   void bind(std::string_view block, const Slice& slice) const;
 
@@ -131,35 +131,35 @@ class Program {
   GLuint id_ = 0;
   mutable std::map<std::string, GLint, std::less<>> locations_;
   std::vector<std::string> blocks_;  // storage blocks, by binding
-  std::vector<Shader> shaders_;      // until they are linked
-  std::string label_;                // of the linked program: says what it was made from
+  std::vector<Shader> shaders_;      // attached, until they are linked
+  std::string label_;                // identifies the sources of the linked program
 };
 
 // Runs the compute program in use in at least so many work groups, in two dimensions where there
 // are many.
 void dispatch(std::size_t work_groups);
-// The same for at least so many invocations, 256 a work group.
+// Runs it in at least so many invocations, 256 a work group.
 void dispatchInvocations(std::size_t invocations);
 
-// Makes what was written to storage buffers visible to the shaders that come next.
+// Makes writes to storage buffers visible to later shaders, and to later copies and reads.
 void storageBarrier();
 
-// Forgets what went wrong so far.
+// Discards OpenGL's pending errors.
 void dropErrors();
 
-// The format of a texture that a framebuffer's depth can be copied to, 0 where it has no depth.
+// Returns the format of a texture that a framebuffer's depth can be copied to, 0 without a depth.
 // Binds the framebuffer for reading.
 GLenum depthFormat(GLuint framebuffer);
 
-// A single-sample colour texture with a depth texture and, if it has a format, a second colour
-// texture.
+// A single-sample colour texture with a depth texture and, if second_format isn't 0, a second
+// colour texture.
 class Target {
  public:
   Target() = default;
   Target(GLenum color_format, int width, int height, GLenum depth_format = GL_DEPTH24_STENCIL8,
          GLenum second_format = 0);
 
-  // Made anew unless it has these formats and this size already; whether it was.
+  // Makes the textures anew unless they have these formats and this size. Returns whether it did.
   bool become(GLenum color_format, int width, int height, GLenum depth_format = GL_DEPTH24_STENCIL8,
               GLenum second_format = 0);
 
@@ -180,17 +180,17 @@ class Target {
 };
 
 // A framebuffer and a vertex array for the duration of a scope: contexts share textures and
-// buffers, but neither of these, and rviz has a context for each window.
+// buffers, but not framebuffers and vertex arrays, and rviz has a context for each window.
 class DrawScope {
  public:
   explicit DrawScope(const Target& target) : DrawScope(target, target) {}
-  // With the depth of another of its size.
+  // With the depth of another target of the same size.
   DrawScope(const Target& target, const Target& depth);
   ~DrawScope();
   DrawScope(const DrawScope&) = delete;
   DrawScope& operator=(const DrawScope&) = delete;
 
-  // Once more, where another has been in between.
+  // Binds both again, after another scope.
   void bind() const;
   GLuint framebuffer() const { return framebuffer_; }
 
@@ -216,7 +216,8 @@ class SampledDepth {
   std::size_t bytes_ = 0;
 };
 
-// Has all that Ogre draws in a scope leave its depth in a texture, cleared first, and nothing else.
+// Within the scope, all that Ogre draws writes its depth alone, into a texture that is cleared
+// first.
 class DepthScope {
  public:
   explicit DepthScope(const SampledDepth& depth);
@@ -233,7 +234,7 @@ class DepthScope {
 // Whether the current context has framebuffer objects.
 bool hasFramebuffers();
 
-// Pixels go to and come from plain memory for the duration of a scope, whatever was set before.
+// Within the scope, pixels go to and come from plain memory, whatever buffers and offsets were set.
 class PixelScope {
  public:
   PixelScope();
@@ -245,7 +246,7 @@ class PixelScope {
   GLint pack_buffer_ = 0, unpack_buffer_ = 0;
 };
 
-// A framebuffer of depths alone, bound for drawing.
+// A framebuffer of depths alone. The constructor binds it.
 class DepthFramebuffer {
  public:
   DepthFramebuffer(GLenum format, int width, int height);
@@ -259,14 +260,15 @@ class DepthFramebuffer {
   GLuint id_ = 0, depths_ = 0;
 };
 
-// Window depths of the framebuffer that is bound for reading, the last row first unless top_first.
+// Returns window depths of the framebuffer that is bound for reading, the picture's top row first.
+// top_first: the framebuffer's first row is the picture's top.
 std::vector<float> readDepths(int x, int y, int width, int height, bool top_first);
 
-// The colour of the framebuffer that is bound for reading: RGBA, its first row first.
+// Returns the RGBA colour of the framebuffer that is bound for reading, in its order of rows.
 std::vector<float> readPixels(int width, int height);
 
-// Puts back, at the end of its scope, the state that Ogre believes is set, and lets go of what else
-// was bound: a context that draws no more would keep it in memory.
+// At the end of its scope, restores the state that Ogre believes is set and unbinds all other
+// objects: a context that draws no more would keep them in memory.
 class StateGuard {
  public:
   StateGuard();
@@ -277,13 +279,13 @@ class StateGuard {
   GLuint drawFramebuffer() const { return draw_framebuffer_; }
 
  private:
-  bool framebuffers_, vertex_arrays_, sampled_textures_;  // the context has
+  bool framebuffers_, vertex_arrays_, sampled_textures_;  // whether the context has these
   GLint program_ = 0, vertex_array_ = 0, array_buffer_ = 0;
   GLint active_texture_ = 0, texture_ = 0, sampled_texture_ = 0;
   GLuint draw_framebuffer_ = 0, read_framebuffer_ = 0;
 };
 
-// Times of the graphics card. Waits for it, so that only who asks for a profile should run one.
+// Measures times on the graphics card. laps() waits for the card: run one only for a profile.
 class Stopwatch {
  public:
   explicit Stopwatch(bool running) : running_(running) { lap(""); }
@@ -291,7 +293,7 @@ class Stopwatch {
   Stopwatch(const Stopwatch&) = delete;
   Stopwatch& operator=(const Stopwatch&) = delete;
 
-  // Ends a lap.
+  // Ends a lap and names it.
   void lap(const char* name);
   // The laps so far, by name [s].
   std::map<std::string, double> laps() const;

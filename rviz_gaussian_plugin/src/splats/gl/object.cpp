@@ -19,7 +19,7 @@ struct Abandoned {
 
 std::mutex mutex;
 std::uint64_t objects = 0;
-// Never destroyed: objects may outlive it.
+// Never destroyed, because an Object may be destroyed even later.
 std::vector<Abandoned>& abandoned = *new std::vector<Abandoned>;
 
 std::string labelOf(std::uint64_t number) { return "rosplat " + std::to_string(number); }

@@ -6,12 +6,13 @@
 
 namespace rosplat::gl {
 
-// Whether the current context's objects can be given labels, by which they are known again.
+// Whether objects of the current context can have labels, by which they are recognised later.
 bool hasLabels();
 
-// Owns a buffer, a texture or a query. Whoever destroys a map may have another context current, as
-// in a slot of Qt's, where the same name is somebody else's: so what is destroyed is only noted,
-// and deleted by deleteAbandoned(). What nobody comes for, or has no label, goes with its context.
+// Owns a buffer, a texture or a query. Code that destroys a map, as a slot of Qt, may have another
+// context current, in which the same name is a different object: so the destructor only notes the
+// object, and deleteAbandoned() deletes it. An object that has no label, or whose context is never
+// current in such a call, goes with its context.
 class Object {
  public:
   Object() = default;
@@ -22,15 +23,15 @@ class Object {
   ~Object();
 
   GLuint id() const { return id_; }
-  // Whether it is one of the current context. Contexts share all but queries.
+  // Whether the object is one of the current context. Contexts share all but queries.
   bool isHere() const;
-  // Deletes it at once: its context is current.
+  // Deletes the object at once. Its context must be current.
   void release();
 
  private:
   GLenum kind_ = 0;
   GLuint id_ = 0;
-  std::uint64_t number_ = 0;  // of all objects that there ever were
+  std::uint64_t number_ = 0;  // unique among all objects that there ever were
 };
 
 // Deletes the abandoned objects of the context that is current.

@@ -18,13 +18,12 @@ gl::Program programOf(const ShaderSource& source, const char* fragment) {
 
 using Cover = PictureMesh::Cover;
 
-// The cells of which so much is covered. Without arrays: these would be as whoever drew before has
-// left them.
+// Draws the cells of a cover. Not from vertex arrays: their state is that of the previous drawing.
 void draw(const CanvasScope& canvas, const OverlayTexture& texture,
           const PictureMesh::CornerGrid& mesh, const PictureMesh::Cells& cells, Cover cover) {
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, texture.id());
-  // Pixel on pixel there is nothing to smooth.
+  // In an unmoved mesh, texels lie on pixels: there is nothing to smooth.
   const GLint filter = mesh.moved ? GL_LINEAR : GL_NEAREST;
   glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, filter);
   glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, filter);
@@ -41,7 +40,7 @@ void draw(const CanvasScope& canvas, const OverlayTexture& texture,
     for (auto begin = std::find(first, last, cover), end = begin; begin != last;
          begin = std::find(end, last, cover)) {
       end = std::find_if(begin, last, [cover](Cover of) { return of != cover; });
-      // Where nothing has moved, the corners between lie on a line.
+      // In an unmoved mesh, the corners in between lie on a line.
       const auto step = mesh.moved ? 1 : end - begin;
       glBegin(GL_TRIANGLE_STRIP);
       for (auto column = begin - first; column <= end - first; column += step) {
@@ -98,10 +97,10 @@ Overlay::Overlay(const ShaderSource& source)
 void Overlay::draw(const CanvasScope& canvas, const OverlayTexture& texture,
                    const PictureMesh::CornerGrid& mesh, const PictureMesh::Cells& cells) const {
   colour_.use();
-  // All samples of a pixel are alike: in software, that saves a fifth. Depths that a shader writes
-  // need each.
+  // All samples of a pixel get one colour, which saves software a fifth of the time. drawDepth()
+  // needs each sample: a shader writes its depths.
   glDisable(GL_MULTISAMPLE);
-  glDisable(GL_BLEND);  // which takes software a third of the time, and hides all the same
+  glDisable(GL_BLEND);  // takes software a third of the time; fully covered cells hide all anyway
   rosplat::draw(canvas, texture, mesh, cells, Cover::kAll);
   blendOver();
   rosplat::draw(canvas, texture, mesh, cells, Cover::kSome);

@@ -10,10 +10,10 @@
 
 namespace rosplat {
 
-// A texture of what the processor has made, its top row first.
+// A texture of a picture, or its depths, that the processor has made; top row first.
 class OverlayTexture {
  public:
-  // Throws gl::Error where it is too large.
+  // Both throw gl::Error if the driver has no texture of this size [px].
   void write(int width, int height, const std::vector<std::uint8_t>& rgba);
   void write(int width, int height, const std::vector<float>& window_depths);
 
@@ -30,20 +30,20 @@ class OverlayTexture {
   std::size_t bytes_ = 0;
 };
 
-// Draws on a canvas what the processor has made. Needs no more of OpenGL than rviz itself: 2.1.
+// Draws the processor's pictures on a canvas. Needs only OpenGL 2.1, as rviz itself does.
 class Overlay {
  public:
   // Throws gl::Error.
   explicit Overlay(const ShaderSource& source);
 
-  // A texture on the cells of a mesh where there is something, blended over what is there, with the
-  // depth test that is set.
+  // Blends a texture over the canvas: the cells of a mesh that are covered, all or in part. Keeps
+  // the depth test as it is set.
   void draw(const CanvasScope& canvas, const OverlayTexture& texture,
             const PictureMesh::CornerGrid& mesh, const PictureMesh::Cells& cells) const;
-  // Its depths alone, with the depth test that is set.
+  // Draws window depths alone, on the partly covered cells. Keeps the depth test as it is set.
   void drawDepth(const CanvasScope& canvas, const OverlayTexture& texture,
                  const PictureMesh::CornerGrid& mesh, const PictureMesh::Cells& cells) const;
-  // One as large as the canvas, all of it, in the place of what is there.
+  // Replaces the whole canvas with a texture of its size, except where alpha is 0.
   void draw(const CanvasScope& canvas, const OverlayTexture& texture) const;
 
  private:

@@ -6,7 +6,7 @@ namespace rosplat::gl {
 
 namespace {
 
-constexpr std::size_t kAlignment = 16;  // of what is written
+constexpr std::size_t kAlignment = 16;  // of each write [bytes]
 
 bool isOver(GLsync fence) {
   const GLenum state = glClientWaitSync(fence, 0, 0);

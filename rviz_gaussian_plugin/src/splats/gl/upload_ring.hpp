@@ -24,9 +24,9 @@ class UploadRing {
   UploadRing(const UploadRing&) = delete;
   UploadRing& operator=(const UploadRing&) = delete;
 
-  // Writes `count` items from the first-th of a buffer on, each of `width` values.
-  // fill(values, from, n) writes n of them, counted from 0, to memory that is slow to read. Throws
-  // Error where the driver has no memory left, or doesn't answer any more.
+  // Writes `count` items, each of `width` values, to a buffer, from its first-th item on.
+  // fill(values, from, n) writes n of the items, from number `from` of 0 to count - 1 on, to memory
+  // that is slow to read. Throws Error if the driver has no memory left, or doesn't answer.
   template <typename Value, typename Fill>
   void write(const Buffer& to, std::size_t first, std::size_t count, std::size_t width,
              const Fill& fill) {
@@ -35,7 +35,7 @@ class UploadRing {
       copy(to, (first + done) * bytes, n * bytes);
     });
   }
-  // The same of items that lie in memory.
+  // The same for items that lie in memory.
   template <typename Value>
   void write(const Buffer& to, std::size_t first, std::size_t count, std::size_t width,
              const Value* items) {
@@ -43,9 +43,9 @@ class UploadRing {
       std::memcpy(values, items + from * width, n * width * sizeof(Value));
     });
   }
-  // Has a shader read `count` items, each of `width` values, that fill() writes as above: some at a
-  // time, read(from, first, n) gets n of them, which begin at the first-th value of `from`. That is
-  // no larger than any driver lets a shader read.
+  // Lets a shader read `count` items, each of `width` values, that fill() writes as above. Calls
+  // read(from, first, n) for n items at a time, which begin at the first-th value of `from`. Every
+  // driver lets a shader read a slice as large as `from`.
   template <typename Value, typename Fill, typename Read>
   void show(std::size_t count, std::size_t width, const Fill& fill, const Read& read) {
     lend<Value>(count, width, fill, [&](std::size_t, std::size_t n) {
@@ -61,8 +61,8 @@ class UploadRing {
         [value](Value* values, std::size_t, std::size_t n) { std::fill_n(values, n, value); });
   }
 
-  // Writers end with close(); who reads what they wrote, maybe in another context, begins with
-  // await(). Only the graphics card waits.
+  // Call close() after writing, and await() before commands that read what was written, maybe in
+  // another context. Only the graphics card waits.
   void close();
   void await() const;
 
@@ -73,10 +73,10 @@ class UploadRing {
     Object buffer;
     std::size_t bytes = 0;
     std::uint8_t* memory = nullptr;
-    GLsync read = nullptr;  // left to its context in the end
+    GLsync read = nullptr;  // of the card's last read; the destructor leaves it to its context
   };
 
-  // Has items filled, some at a time, and then taken: take(done, n).
+  // Calls fill(), then take(done, n), for some items at a time. done: number of items taken before.
   template <typename Value, typename Fill, typename Take>
   void lend(std::size_t count, std::size_t width, const Fill& fill, const Take& take) {
     const std::size_t bytes = width * sizeof(Value);
@@ -88,15 +88,15 @@ class UploadRing {
     }
   }
   MappedBuffer makePart();
-  // Where to write at least so many bytes.
+  // Returns memory for at least so many bytes.
   void* room(std::size_t bytes);
-  // Has what was written there copied.
+  // Submits a copy of what was written to room().
   void copy(const Buffer& to, std::size_t offset, std::size_t bytes);
-  // What is there is not written again before the card is through with it.
+  // Marks what was written to room() as in use: not written again before the card is through.
   void use(std::size_t bytes);
 
-  MappedBuffer part_;              // that is written to
-  std::size_t used_ = 0;           // of it
+  MappedBuffer part_;              // the part that is written to
+  std::size_t used_ = 0;           // bytes of `part_` in use
   std::size_t bytes_ = 0;          // of all parts
   std::deque<MappedBuffer> busy_;  // parts that the card may still read, oldest first
   GLsync closed_ = nullptr;

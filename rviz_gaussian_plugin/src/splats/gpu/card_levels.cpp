@@ -9,7 +9,7 @@ namespace rosplat {
 
 namespace {
 
-// What a frame reads back and uploads.
+// Limits of what a frame reads back, and reads at once, and of what it uploads [bytes].
 constexpr std::size_t kPagesPerFrame = 64, kPagesAtOnce = 256, kBytesPerFrame = 32u << 20;
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
@@ -49,7 +49,7 @@ void CardLevels::note(const GaussianEdit& edit, std::uint64_t number) {
   });
 }
 
-// Gives the builder what of the map it lacks.
+// Gives the builder pages of the map that it lacks.
 void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages) {
   const auto& pages = store.pages().pages();
   if (copied_ == 0) {
@@ -90,9 +90,9 @@ void CardLevels::advance(SlotStore& store, double now, bool all) {
   } while (all);
 }
 
-// From here on the nodes are drawn, and what they hold is not.
+// From here on the new nodes are drawn in place of the slots that they hold.
 void CardLevels::finish(SlotStore& store) {
-  // What is written anew is in no node.
+  // Slots that were written since the update are in no node.
   for (auto& [first_slot, levels] : update_->entries) {
     const auto page = written_.find(first_slot);
     if (page == written_.end()) continue;

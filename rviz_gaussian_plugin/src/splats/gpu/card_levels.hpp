@@ -15,22 +15,22 @@
 
 namespace rosplat {
 
-// Levels of detail of the map in a SlotStore, for as long as they are wanted: what is edited goes
-// to a builder beside the render thread, and its nodes come back to the card.
+// The levels of detail of the map in a SlotStore, while a view wants them. Edits go to a builder in
+// a thread of its own, whose nodes are uploaded to the card.
 class CardLevels {
  public:
-  // ring: to write with; stays.
+  // ring: writes the nodes; must outlive this.
   explicit CardLevels(gl::UploadRing& ring) : ring_(ring), nodes_(ring) {}
 
-  // The store, which has this edit by now; nodes of another map are gone.
+  // Passes on an edit that the store has applied already. An edit that clears drops all nodes.
   void apply(const SlotStore& store, const std::shared_ptr<const GaussianEdit>& edit, double now);
-  // Goes on with what there is to do, in the store too; some of it, or all, which it waits for.
+  // Does some of the work, in the store too or, with `all`, all of it: then waits for the builder.
   // Throws gl::Error when the driver has no memory left.
   void advance(SlotStore& store, double now, bool all);
 
   const NodeStore& nodes() const { return nodes_; }
-  const std::vector<LevelSamples>& samples() const { return samples_; }  // of these, by group
-  // Why there are none; empty where nothing is wrong.
+  const std::vector<LevelSamples>& samples() const { return samples_; }  // of nodes(), by group
+  // Why there are no levels; empty if nothing is wrong.
   std::string error() const { return builder_.error(); }
   std::size_t bytes() const {
     return nodes_.bytes() + builder_.bytes() + written_.size() * sizeof(Written);
@@ -38,8 +38,8 @@ class CardLevels {
   std::size_t gpuBytes() const { return nodes_.bytes(); }
 
  private:
-  // A page that edits have written to which the nodes may lack: which edit wrote each slot last,
-  // and at which level the slot enters until they have it.
+  // A page that was written by edits that the nodes may lack: the number of the last edit of each
+  // slot, and the level at which the slot enters until the nodes hold it.
   struct Written {
     std::array<std::uint64_t, SlotPage::kSlots> numbers{};
     EntryLevels levels;
@@ -54,10 +54,10 @@ class CardLevels {
   LevelBuilder builder_;
   NodeStore nodes_;
   std::vector<LevelSamples> samples_;
-  std::unique_ptr<LevelsUpdate> update_;                       // that is being uploaded
+  std::unique_ptr<LevelsUpdate> update_;                       // is being uploaded, or null
   std::map<std::uint32_t, std::unique_ptr<Written>> written_;  // by the page's first slot
   std::uint64_t cleared_ = 0;  // number of the last edit that emptied the map
-  // Pages of the map before these slots were given to the builder, or come as edits.
+  // The builder has been given the pages before this slot, or gets them as edits.
   std::uint32_t copied_ = 0;
 };
 

@@ -15,7 +15,7 @@ void CardMap::advanceLevels(double now) {
   if (levels_) makeLevels(now, false);
 }
 
-// Some of them or, if that is waited for, all.
+// Does some of the work on the levels or, with `all`, all of it.
 void CardMap::makeLevels(double now, bool all) {
   if (!levels_error_.empty()) return;
   try {

@@ -20,35 +20,35 @@ namespace rosplat {
 // any. now: the clock of `change` in packed_slot.hpp.
 class CardMap {
  public:
-  // scatter: slot_scatter.comp; stays.
+  // scatter: slot_scatter.comp; must outlive this.
   explicit CardMap(const gl::Program& scatter) : store_(ring_, scatter) {}
 
-  // Uploads what the edit changes; its slots are new from now on. Throws gl::Error when the driver
-  // has no memory left.
+  // Uploads what the edit changes; the age of its slots counts from `now`. Throws gl::Error when
+  // the driver has no memory left.
   void apply(const std::shared_ptr<const GaussianEdit>& edit, double now);
-  // Goes on with levels of detail, if there are some: even if none is drawn now.
+  // Does some work on the levels of detail, if there are any, even if no view draws.
   void advanceLevels(double now);
 
-  // Has what is drawn from here on wait for what was uploaded, maybe in another context.
+  // Makes later drawing wait for all uploads, which may be of another context.
   void await() const { ring_.await(); }
 
   const SlotStore& store() const { return store_; }
   const SlotPages& pages() const { return store_.pages(); }
-  // Those of levels of detail that are drawn by now; null where there are none.
+  // The nodes of the levels of detail that are drawn; null without levels.
   const NodeStore* nodes() const { return levels_ ? &levels_->nodes() : nullptr; }
-  // What writes the map elsewhere: where its groups are, then a page of it at a time.
+  // Calls take() with edits that rebuild the map elsewhere: its group poses, then page by page.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
 
-  // What a view's next picture draws where no order is given: nodes that are no wider than an error
-  // in place of splats, 0 for none [px].
+  // The detail of a view's next picture, if no order is given: nodes that are no wider than `error`
+  // [px] are drawn in place of splats; 0: no nodes.
   struct Chosen {
     double error = 0;
     std::string problem;  // why that isn't the detail that was asked for
   };
   Chosen chooseDetail(const std::string& view_id, const RenderSettings& settings,
                       const SplatCamera& camera, double now);
-  // How many of both it drew. If that missed a budget that is to be kept at once: the error to
-  // which it has to be drawn again.
+  // Tells how many splats and nodes the view drew. Returns the error [px] to redraw with if that
+  // missed a budget that must hold at once.
   std::optional<double> drew(const std::string& view_id, double error, std::size_t drawn);
   // Why a picture with levels isn't in the detail that was asked for; empty where it is.
   std::string detailProblem(const std::string& view_id) const;
@@ -61,10 +61,10 @@ class CardMap {
   }
 
  private:
-  // Of a view that isn't drawn in full.
+  // The detail of a view that isn't drawn in full.
   struct ViewDetail {
     DetailControl control;
-    bool chooses = false;  // how that is drawn is up to the control
+    bool chooses = false;  // whether `control` chose the detail of the last picture
   };
 
   void makeLevels(double now, bool all);
@@ -74,7 +74,7 @@ class CardMap {
   gl::UploadRing ring_;
   SlotStore store_;
   std::optional<CardLevels> levels_;
-  std::string levels_error_;  // why there are none although they were to be made
+  std::string levels_error_;  // why making levels failed; empty if it didn't
   std::map<std::string, ViewDetail> views_;
 };
 

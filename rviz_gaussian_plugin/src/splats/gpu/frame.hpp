@@ -18,14 +18,14 @@ namespace rosplat {
 // A map in a frame, and how it is drawn there.
 struct FrameLayer {
   const SlotStore& store;
-  const NodeStore* nodes;     // of levels of detail; null where there are none
+  const NodeStore* nodes;     // of the levels of detail; null without levels
   const SplatCamera& camera;  // in the map's frame
   const MapState& map;
   const RenderSettings& settings;
-  double error = 0;  // to which nodes stand for splats, 0: all is drawn in full [px]
+  double error = 0;  // width up to which nodes stand for splats, 0: no nodes [px]
 
   bool cuts() const { return nodes && error > 0; }
-  // seen_from: the camera in the frame of a group, of which this is the origin.
+  // seen_from: the camera in the frame of a group; origin: that of the group.
   Cut cut(const SplatCamera& seen_from, const std::array<double, 3>& origin) const {
     return {seen_from, origin, error, settings.blendsLevels()};
   }
@@ -33,11 +33,10 @@ struct FrameLayer {
 
 // What is drawn, and how.
 struct Frame {
-  // At least one. Their cameras are one camera: all that differs is the frame that it is in, and
-  // how large splats are. Splats of the same depth come in the order of the layers.
+  // At least one. All cameras are one camera: only the frame that it is given in and its
+  // extent_scale differ. Splats of the same depth come in the order of the layers.
   std::vector<FrameLayer> layers;
-  OrderPtr order;  // of the one layer that there is then; null: by the sorters' depth and with
-                   // their ties
+  OrderPtr order;  // of the only layer; null: sorted here by depth, with ties as in the sorters
   bool top_first;  // the target's first row is the picture's top
   double now;      // the clock of `change` in packed_slot.hpp
   gl::Stopwatch& stopwatch;

@@ -9,7 +9,7 @@ void GroupSums::reserve(std::size_t count) {
 }
 
 void GroupSums::run(const gl::Program& program, const Tally& count) {
-  constexpr GLuint kRuns = 7;  // that shaders tell apart
+  constexpr GLuint kRuns = 7;  // runs that look_back.glsl tells apart
   if (run_ == kRuns) {
     words_.zero();
     run_ = 0;
@@ -35,7 +35,7 @@ void PrefixSum::run(const gl::Buffer& values, const Tally& count, const Tally& t
   sum_.bind("Length", count.words());
   sum_.bind("Total", total.words());
   sums_.run(sum_, count);
-  glMemoryBarrier(GL_COMMAND_BARRIER_BIT);  // the total is work to dispatch
+  glMemoryBarrier(GL_COMMAND_BARRIER_BIT);  // the total is read by indirect dispatches
 }
 
 }  // namespace rosplat

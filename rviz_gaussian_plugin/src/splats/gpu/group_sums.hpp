@@ -8,7 +8,7 @@
 
 namespace rosplat {
 
-// Dispatches in which each work group knows the sums of those before it, as look_back.glsl has it.
+// Runs dispatches whose work groups learn the sums of the groups before them (look_back.glsl).
 class GroupSums {
  public:
   // The shaders must outlive it.
@@ -18,9 +18,9 @@ class GroupSums {
   void reserve(std::size_t count);
   void release() { words_.release(); }
   const gl::Buffer& words() const { return words_; }
-  // A shader has cleared them.
+  // Tells that a shader has cleared the sums.
   void cleared() { run_ = 0; }
-  // Runs the program in use, for Tally::kBlock of a number a work group.
+  // Runs the program, which must be in use: a work group for each Tally::kBlock of `count`.
   void run(const gl::Program& program, const Tally& count);
   std::size_t bytes() const { return words_.bytes(); }
 
@@ -39,8 +39,8 @@ class PrefixSum {
 
   // Makes room for so many values.
   void reserve(std::size_t count) { sums_.reserve(count / Tally::kBlock + 1); }
-  // Sums up as many uint32 of a buffer as a tally says, or one for each so many, in place; their
-  // total becomes another tally, for which there is room for so many.
+  // Sums up uint32 values in place: one for each `each` of `count`. Writes the sum of all to
+  // `total`, whose count is at most `room`.
   void run(const gl::Buffer& values, const Tally& count, const Tally& total, std::size_t room,
            std::size_t each = 1);
 

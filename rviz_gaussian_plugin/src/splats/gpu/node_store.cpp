@@ -39,7 +39,7 @@ void NodeStore::replace(const std::vector<Levels::Nodes>& groups, int sh_degree)
   arenas_.makeRoom(places_);
 }
 
-// Both ascend by their cells.
+// `before` and `pages` ascend by their cells.
 void NodeStore::replace(int level, const Levels::Pages& before, const Level& held,
                         const Levels::Pages& pages, Level& next) {
   const auto free = [this] {
@@ -70,7 +70,7 @@ bool NodeStore::upload(std::size_t& bytes, ThreadTeam* team) {
   constexpr std::size_t kMostAtOnce = 64;
   const std::size_t of_page = pageBytes(arenas_.shDegree());
   while (uploaded_ < new_.size() && bytes > 0) {
-    // Neighbours go together.
+    // Pages in neighbouring places are uploaded together.
     const New* const first = &new_[uploaded_];
     const SlotArenas::Place at = arenas_.placeOf(first->place);
     const std::size_t most = std::min({kMostAtOnce, new_.size() - uploaded_, bytes / of_page + 1});

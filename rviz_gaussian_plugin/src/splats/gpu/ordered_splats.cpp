@@ -7,7 +7,7 @@ namespace rosplat {
 namespace {
 
 constexpr std::size_t kLeastRoom = 65536;  // for visible splats
-constexpr int kPatience = 16;              // frames until fewer bits are sorted
+constexpr int kPatience = 16;              // frames that need fewer bits until fewer are sorted
 
 }  // namespace
 
@@ -23,7 +23,7 @@ bool OrderedSplats::answers(const Frame& frame) const {
     return prepared.camera == layer.camera && prepared.settings.projectsAs(layer.settings) &&
            prepared.antialiased == layer.map.antialiased &&
            prepared.version == layer.store.version() && prepared.error == layer.error &&
-           layer.settings.mode != DrawMode::kAge;  // which changes with time
+           layer.settings.mode != DrawMode::kAge;  // ages change with time
   };
   return kept_ && order_ == frame.order &&
          std::equal(prepared_.begin(), prepared_.end(), frame.layers.begin(), frame.layers.end(),
@@ -49,7 +49,7 @@ void OrderedSplats::prepare(const Frame& frame) {
 }
 
 void OrderedSplats::takeOrder(const OrderPtr& order) {
-  order_ = nullptr;  // should there be no memory
+  order_ = nullptr;  // stays so if memory is lacking
   if (!order) return slots_.release();
   slots_.reserve(order->slots.size() * sizeof(std::uint32_t));
   if (!order->slots.empty()) slots_.upload(order->slots);

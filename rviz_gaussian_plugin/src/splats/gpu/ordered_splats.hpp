@@ -14,35 +14,35 @@
 
 namespace rosplat {
 
-// What a camera sees of maps, projected, and in the order in which it is drawn: a given one, or
-// one that is found here. It stays while camera, maps, settings and order do.
+// The splats that a camera sees of maps, projected and in the order in which they are drawn: a
+// given order, or one that is sorted here. Kept while camera, maps, settings and order stay.
 class OrderedSplats {
  public:
-  // The sort may be one that others use too.
+  // sort: may be shared with other objects.
   OrderedSplats(Shaders& shaders, RadixSort& sort, const Tallies& tallies);
 
-  // Whether what was prepared is what is to be drawn.
+  // Whether the splats that were prepared last are those of a frame.
   bool answers(const Frame& frame) const;
-  // Submits what projects and orders what is visible.
+  // Submits the projection and the ordering of the visible splats.
   void prepare(const Frame& frame);
-  // Whether there was room for all of it, which is kept then; else makes it, but never for more
-  // than `most`: growth is how much more is to be expected. Waits for the tallies, which must have
-  // been asked for.
+  // Returns whether prepare() had room for all splats and sorted enough bits: then they are kept.
+  // Else makes room for `growth` times as many splats, but at most `most`. Waits for the tallies,
+  // which must have been asked for.
   bool checkRoom(std::size_t most, double growth);
 
   const Projection& projection() const { return projection_; }
   const gl::Buffer& drawn() const { return drawn_; }  // indices of ellipses, nearest first
-  // How many: what the graphics card knows, what was counted last, and at most.
+  // How many splats are drawn: on the graphics card; count(): as checkRoom() read; at most most().
   const Tally& tally() const { return order_ ? order_length_ : projection_.visible(); }
   std::size_t count() const { return count_; }
-  // Whether any may be a solid ball.
+  // Whether any splat may be a solid ball.
   bool hasBalls() const;
   const std::vector<std::size_t>& countsOfLayers() const { return counts_; }
   std::size_t most() const { return order_ ? order_->slots.size() : projection_.room(); }
   std::size_t bytes() const;
 
  private:
-  // What the projected, ordered splats answer, of a layer.
+  // What the prepared splats of a layer depend on.
   struct Prepared {
     SplatCamera camera;
     RenderSettings settings;
@@ -58,16 +58,16 @@ class OrderedSplats {
   RadixSort& sort_;
   Projection projection_;
   const gl::Program& order_program_;
-  OrderPtr order_;      // farthest first; null: what is visible is sorted here
-  gl::Buffer slots_;    // of the order
-  Tally order_length_;  // the same
+  OrderPtr order_;      // farthest first; null: visible splats are sorted here
+  gl::Buffer slots_;    // of `order_`
+  Tally order_length_;  // of `order_`
   std::vector<Prepared> prepared_;
-  bool kept_ = false;  // prepared_ is whole
+  bool kept_ = false;  // nothing of `prepared_` was left out
   gl::Buffer page_numbers_, drawn_;
   std::size_t count_ = 0;
   std::vector<std::size_t> counts_;
-  int key_bits_ = 32;       // by which depths are sorted
-  int fewer_bits_for_ = 0;  // frames for which fewer would have done
+  int key_bits_ = 32;       // of the depth keys that are sorted
+  int fewer_bits_for_ = 0;  // frames in a row that needed fewer bits
 };
 
 }  // namespace rosplat

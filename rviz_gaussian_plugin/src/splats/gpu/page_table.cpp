@@ -8,9 +8,9 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::uint32_t kOfSlots = 0xffffffffu;  // in place of a level
+constexpr std::uint32_t kOfSlots = 0xffffffffu;  // level of a page of slots
 
-// take(i): of those among the shelf's pages that are shown.
+// Calls take(i) for the i-th page of the shelf, if it is shown.
 template <typename Shown, typename Take>
 void forEach(const Shown& shown, const PageShelf& shelf, const Take& take) {
   for (std::size_t i = 0; i < shelf.end - shelf.begin; ++i) {
@@ -39,7 +39,7 @@ void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup
   }
   layer_begins_.push_back(kept_.size());
 
-  // By arena: how many, then where the next one goes.
+  // Orders the pages by arena: counts those of each arena, then finds where the next one goes.
   for (const Kept& page : kept_) ++ranges_[page.place.arena].count;
   std::vector<std::size_t> next;
   std::size_t first = 0;
@@ -75,7 +75,7 @@ void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& grou
   for (std::size_t group = 0; layer.cuts() && group < groups.size(); ++group) {
     cuts.push_back(layer.cut(groups[group].camera, store.pages().groups()[group].originOrZero()));
   }
-  // own: of nodes' cells, 0 of slots. [m]
+  // own: width of the nodes' own cells, 0 for slots [m]
   const auto forEachShown = [&](const PageShelf& shelf, float own, const auto& take) {
     const PageView& view = groups[shelf.bounds.group].pages;
     if (!view.mayShow(shelf.bounds)) return;

@@ -17,7 +17,7 @@ constexpr std::array<const char*, Shaders::kEllipseParts> kEllipses{"Ellipses[0]
 
 constexpr std::size_t kShareStep = gl::Slice::kAlignment / sizeof(GLuint);
 
-// What isn't there isn't read, but something must be bound.
+// Shaders don't read levels that an arena lacks, but a buffer must be bound.
 void bindLevels(const gl::Program& program, const SlotArenas::Arena& arena) {
   program.bind("Levels", arena.levels.id() ? arena.levels : arena.slots);
 }
@@ -44,7 +44,7 @@ void Projection::reserve(std::size_t count) {
                     std::to_string(Shaders::kEllipseParts * part_size_) +
                     " visible splats, this view has " + std::to_string(count));
   }
-  room_ = 0;  // should there be no memory
+  room_ = 0;  // stays so if memory is lacking
   for (std::size_t part = 0; part * part_size_ < count; ++part) {
     ellipses_[part].reserve(std::min(part_size_, count - part * part_size_) *
                             Shaders::kEllipseBytes);
@@ -100,7 +100,7 @@ void Projection::cull() {
   prefix_sum_.run(before_, words_, visible_count_, room_);
 }
 
-// As soon as they are known, so that nobody waits for what comes next.
+// Copies the counts as soon as they are known, so that visibleOf() doesn't wait for later work.
 void Projection::askForLayers() {
   const std::vector<std::size_t>& begins = pages_.layerBegins();
   const std::size_t layers = begins.size() - 1;
@@ -121,7 +121,7 @@ std::vector<std::size_t> Projection::visibleOf(std::size_t visible) const {
   std::vector<std::size_t> counts(begins.size() - 1);
   const bool several = counts.size() > 1 && pages_.count() > 0;
   const GLuint* const before = several ? visible_before_copy_->wait() : nullptr;
-  // From the last: what comes after it is all.
+  // From the last layer, which ends with the last visible splat.
   for (std::size_t layer = counts.size(), end = visible; layer-- > 0;) {
     const bool any = begins[layer] < begins.back();
     const std::size_t begin = !any ? end : several ? before[layer] : 0;
@@ -156,7 +156,7 @@ void Projection::project(const Frame& frame, const gl::Buffer& keys) {
     project_.bind("Slots", range.arena->slots);
     bindLevels(project_, *range.arena);
     for (int band = 1; band <= kMaxShDegree; ++band) {
-      // What isn't there isn't read, but something must be bound.
+      // Shaders don't read bands that the map lacks, but a buffer must be bound.
       project_.bind(kBands[band],
                     band <= layer.store.shDegree() ? range.arena->bands[band] : range.arena->slots);
     }

@@ -14,9 +14,9 @@
 
 namespace rosplat {
 
-// What the camera sees of maps: the slots that may be visible are found, counted and projected to
-// ellipses that lie one after the other, map by map in the order of their slots. Only the graphics
-// card knows how many; of more than there is room for, the last are left out.
+// Finds the slots of maps that may be visible to the camera, counts them, and projects them to
+// ellipses, which lie one after the other, map by map in the order of their slots. Only the
+// graphics card knows their number. If there is no room for all, the last ones are left out.
 class Projection {
  public:
   Projection(Shaders& shaders, const Tallies& tallies);
@@ -25,22 +25,23 @@ class Projection {
   void reserve(std::size_t count);
   std::size_t room() const { return room_; }
 
-  // keys: room for as many.
+  // Submits the projection. keys: gets the depth keys; has room for room() of them.
   void run(const Frame& frame, const gl::Buffer& keys);
 
   const Tally& visible() const { return visible_count_; }
-  // How many of all that are visible, and what of several layers, each shows: waits for them.
+  // Returns how many of all `visible` splats each layer shows. Waits for the counts if there are
+  // several layers.
   std::vector<std::size_t> visibleOf(std::size_t visible) const;
-  // As splat_ellipses.glsl and splat_visible.glsl have them.
+  // Bind the buffers of splat_ellipses.glsl and splat_visible.glsl.
   void bindEllipses(const gl::Program& program) const;
   void bindVisible(const gl::Program& program) const;
-  // Of what these bind: a bit for each slot of pages().
+  // Words of the bits that bindVisible() binds: a bit for each slot of pages().
   std::size_t slotWords() const { return pages_.count() * SlotPage::kSlots / 32; }
   const PageTable& pages() const { return pages_; }
-  // The least and the largest key drawn, depthKey() of their depths.
+  // The least and the largest depthKey() that is drawn, as splat_colour.glsl has them.
   const gl::Slice& depthRange() const { return depth_range_; }
   const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
-  // Whether nodes stand for some; and what of each is drawn then, else anything.
+  // Whether nodes stand for some splats. If so, shares() are the drawn shares, else anything.
   bool hasShares() const { return shares_begin_ > 0; }
   gl::Slice shares() const { return {boxes_.id(), shares_begin_, boxes_.bytes() - shares_begin_}; }
   std::size_t bytes() const;
@@ -58,12 +59,12 @@ class Projection {
   gl::Buffer groups_, maps_;  // as splat_groups.glsl and splat_map.glsl have them
   gl::Buffer visible_, before_;
   Tally words_, visible_count_;
-  // Of several layers: how many splats are visible before each.
+  // With several layers: how many splats are visible in the layers before each.
   gl::Buffer visible_before_;
   std::optional<gl::Readback> visible_before_copy_;
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
   gl::Buffer boxes_;
-  std::size_t shares_begin_ = 0;  // in these [bytes]
+  std::size_t shares_begin_ = 0;  // in `boxes_` [bytes]; 0: no shares
   gl::Slice depth_range_;
   std::size_t room_ = 0;
 };

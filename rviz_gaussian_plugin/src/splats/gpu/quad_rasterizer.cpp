@@ -34,7 +34,7 @@ void QuadRasterizer::blendDepth(const OrderedSplats& splats, const gl::Target& t
   draw(splats, splats.drawn(), target, Quads::kDepth);
 }
 
-// Lists the splats that may be seen before and behind what divides them, by tiles.
+// Lists the splats that any tile may show before the translucent objects, and those behind them.
 void QuadRasterizer::divide(const OrderedSplats& splats, const gl::Target& target,
                             const gl::Target& behind) {
   const int across = tilesIn(target.width()), down = tilesIn(target.height());

@@ -12,12 +12,12 @@ class QuadRasterizer {
  public:
   explicit QuadRasterizer(Shaders& shaders);
 
-  // Overwrites the colour of a target, whose scope this is, where its depth lets a splat pass;
-  // `behind`, if there is one, gets those that the target's depth hides and its own lets pass, and
-  // in its second colour their nearness, as splat_hide.frag reads it.
+  // Overwrites the target's colour with the splats that its depth lets pass. scope: the target's.
+  // `behind`, if not null, gets the splats that the target's depth hides and its own depth lets
+  // pass; its second colour gets their nearness, as splat_hide.frag reads it.
   void blend(const OrderedSplats& splats, const gl::Target& target, const gl::DrawScope& scope,
              const gl::Target* behind);
-  // Overwrites the colour of the target that is bound by depth [m] and how much there is, instead.
+  // Overwrites the bound target's colour with the splats' depth [m] times alpha, and with alpha.
   void blendDepth(const OrderedSplats& splats, const gl::Target& target) const;
 
   std::size_t bytes() const;

@@ -11,10 +11,10 @@ namespace rosplat {
 
 namespace {
 constexpr std::size_t kDigits = 1u << RadixSort::kDigitBits;
-// Invocations of a work group: the more, the less each waits. Where subgroups are narrower than the
-// driver says, they are too many.
+// Invocations of a work group: the more, the less each waits. If subgroups are narrower than the
+// driver says, kLanes are too many.
 constexpr int kLanes = 512, kFewLanes = 256;
-// Of all passes that there may be, as radix_count.comp has them.
+// Digits of all passes that there may be; radix_count.comp has the same.
 constexpr std::size_t kTotals = kDigits * 32 / RadixSort::kDigitBits;
 const Shaders::Files kScatter{"group_sum.glsl", "look_back.glsl", "radix_digit.glsl",
                               "radix_scatter.comp"};
@@ -53,7 +53,7 @@ bool RadixSort::sortsInSomeWarps() {
 }
 
 bool RadixSort::sortsRight() {
-  // Three full blocks and one that isn't; of each key about six, in the top bits that depths have.
+  // Three full blocks and a part of one; each key about six times, with the top bits of depths.
   constexpr std::size_t kKeys = 3 * Tally::kBlock + 1000;
   constexpr GLuint kLeast = 0xbf800000u;
   std::minstd_rand random;
@@ -80,7 +80,7 @@ bool RadixSort::sortsRight() {
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
   order(count, least, 2 * kDigitBits, ordered);
   if (!holds(ordered, places)) return false;
-  // As values, what was sorted goes through passes of its own.
+  // sort() moves values in passes of its own, unlike order().
   std::vector<GLuint> values(kKeys);
   std::iota(values.rbegin(), values.rend(), 0u);
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
@@ -123,7 +123,7 @@ void RadixSort::run(const Tally& count, const gl::Slice& least, int bits, const 
   scatter_->use();
   const int last = passes(bits) - 1;
   for (int pass = 0; pass <= last; ++pass) {
-    // Back and forth, so that the last pass ends where it is to.
+    // Values go back and forth between two buffers, so that the last pass writes to `sorted`.
     const bool there = (last - pass) % 2 == 0;
     scatter_->bind("Keys", keys_);
     scatter_->bind("Values", there ? values_ : sorted);

@@ -8,8 +8,8 @@ namespace rosplat {
 namespace {
 
 constexpr std::size_t kMostArenaPages = 2048;  // 72 MiB of slots
-// In the card's memory from the first: NVIDIA's driver (580) has what is GL_DYNAMIC_DRAW in the
-// processor's for some pictures.
+// Keeps buffers in the card's memory from the start: NVIDIA's driver (580) keeps GL_DYNAMIC_DRAW
+// buffers in the processor's memory for some pictures.
 constexpr GLenum kUsage = GL_DYNAMIC_COPY;
 
 std::size_t slotsOf(const SlotArenas::Arena& arena) {
@@ -68,7 +68,7 @@ void SlotArenas::dropLevels() {
   for (Arena& arena : arenas_) arena.levels.release();
 }
 
-// The last arena grows by a quarter at least, so that what is copied stays in proportion.
+// The last arena grows by a quarter at least, so that copies stay in proportion to its size.
 void SlotArenas::makeRoom(std::uint32_t pages) {
   for (std::uint32_t first = 0; first < pages; first += arenaPages()) {
     if (placeOf(first).arena == arenas_.size()) arenas_.emplace_back();

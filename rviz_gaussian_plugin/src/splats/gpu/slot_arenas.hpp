@@ -11,8 +11,8 @@
 
 namespace rosplat {
 
-// Memory of the GPU for pages of slots, by place, in arenas that are each as large as a shader's
-// buffer may be: what grows is not copied, but for the last arena, until that is full.
+// Memory of the GPU for pages of slots, by place, in arenas whose buffers are small enough for
+// shaders. Growth copies only the last arena, until that is full.
 class SlotArenas {
  public:
   struct Arena {
@@ -27,16 +27,16 @@ class SlotArenas {
     std::uint32_t arena, page;
   };
 
-  // ring: to write with; stays.
+  // ring: writes the first content of new buffers; must outlive this.
   explicit SlotArenas(gl::UploadRing& ring);
 
   void clear();
-  // Makes room for so many pages, and for bands. Throw gl::Error when the driver has no memory
-  // left.
+  // Make room for so many pages, for further bands, channels and levels. Throw gl::Error when the
+  // driver has no memory left.
   void makeRoom(std::uint32_t pages);
-  void addBands(int degree);            // which are empty
-  void addChannels(std::size_t count);  // the first of a map, without values
-  // Makes room for a byte a slot, 255 of those that are there; and gives that back.
+  void addBands(int degree);            // of zeros
+  void addChannels(std::size_t count);  // up to so many, of kNoValue
+  // Adds a level for each slot, 255; frees the levels.
   void addLevels();
   void dropLevels();
 
@@ -53,7 +53,7 @@ class SlotArenas {
   std::uint32_t arenaPages() const { return 1u << arena_bits_; }
 
   gl::UploadRing* ring_;
-  unsigned arena_bits_ = 0;  // of the number of a page in an arena
+  unsigned arena_bits_ = 0;  // how many bits of a place are the page's number in its arena
   std::vector<Arena> arenas_;
   int sh_degree_ = 0;
   std::size_t channels_ = 0;

@@ -33,7 +33,7 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
     const Group* group;
   };
   std::vector<SplatValues> values(slots.size());
-  std::vector<Held> held;  // arena by arena; other slots are empty
+  std::vector<Held> held;  // sorted by arena; slots that no page holds stay empty
   for (std::size_t i = 0; i < slots.size(); ++i) {
     values[i].slot = slots[i];
     const SlotPage* const page = store.pages().find(slots[i]);

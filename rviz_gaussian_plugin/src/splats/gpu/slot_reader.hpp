@@ -15,7 +15,7 @@ class SlotReader {
  public:
   explicit SlotReader(Shaders& shaders) : gather_(shaders.compute({"slot_gather.comp"})) {}
 
-  // Slots as they are drawn. Waits for the graphics card, once.
+  // Returns slots as they are drawn. Waits for the graphics card, once.
   std::vector<SplatValues> read(const SlotStore& store,
                                 const std::vector<std::uint32_t>& slots) const;
 

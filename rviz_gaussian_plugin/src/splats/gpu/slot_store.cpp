@@ -10,11 +10,12 @@ namespace rosplat {
 namespace {
 
 constexpr std::size_t kWord = sizeof(std::uint32_t);
-// From how many pieces on, of how many slots each at most, an edit is written by a shader. On an
-// H200 a copy takes 2.6 us whatever its size, for each buffer; a shader 50, and 0.03 for each slot.
+// A shader writes edits of kFewScattered pieces or more, if these are shorter than kLongRun slots
+// on average. On an H200, a copy takes 2.6 us a buffer, whatever its size; the shader 50 us, and
+// 0.03 us a slot.
 constexpr std::size_t kFewScattered = 16, kLongRun = 128;
 
-// Writes a slot's words with the time of their change; where the next ones go.
+// Writes a slot's words with the time of their change. Returns where the next slot's words go.
 std::uint32_t* put(const GaussianEdit& edit, std::size_t source, std::uint32_t change,
                    std::uint32_t* words) {
   const std::uint32_t* const slot = &edit.slots[kSlotWords * source];
@@ -135,7 +136,7 @@ void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_
   }
 }
 
-// By a shader, which knows no order: of a slot that is listed twice, the last counts.
+// Writes by a shader, in no order: if an edit has a slot twice, only the last one is passed on.
 void SlotStore::scatter(const GaussianEdit& edit, const std::vector<Piece>& pieces,
                         std::uint32_t change) {
   const gl::StateGuard guard;
@@ -161,7 +162,7 @@ void SlotStore::scatter(const GaussianEdit& edit, const std::vector<Piece>& piec
 
 void SlotStore::scatter(const GaussianEdit& edit, const Arena& arena,
                         const std::vector<Spot>& spots, std::uint32_t change) {
-  // Of each slot its place, then what these hold of it.
+  // The shader gets a slot's place, then the slot's words for each of these buffers.
   std::vector<std::pair<const gl::Buffer*, std::size_t>> held{{&arena.slots, kSlotBytes}};
   if (edit.sh_degree >= 0) {
     for (int band = 1; band <= shDegree(); ++band) {
@@ -231,7 +232,7 @@ PackedRun SlotStore::read(std::size_t first, std::size_t most, PackedRun run) co
   std::size_t pages = 1;
   while (pages < most && first + pages < all.size() && follows(pages)) ++pages;
   const Arena& arena = arenas_.arenas()[place.arena];
-  // NVIDIA's driver (580) writes at 80 MB/s to a buffer that was ever read: so a copy is.
+  // A copy is read: NVIDIA's driver (580) writes at 80 MB/s to a buffer that was ever read.
   gl::Buffer copy;
   const auto values = [&](const gl::Buffer& from, std::size_t of_slot, auto& to) {
     to.resize(pages * SlotPage::kSlots * of_slot);
@@ -249,7 +250,7 @@ PackedRun SlotStore::read(std::size_t first, std::size_t most, PackedRun run) co
   for (std::size_t channel = 0; channel < channels(); ++channel) {
     values(arena.channels[channel], 1, run.channels[channel]);
   }
-  // What another map left there.
+  // Clears what another map left in `run`.
   for (int band = shDegree() + 1; band <= kMaxShDegree; ++band) run.bands[band].clear();
   for (std::size_t channel = channels(); channel < kMostChannels; ++channel) {
     run.channels[channel].clear();

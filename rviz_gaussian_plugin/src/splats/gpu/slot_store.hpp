@@ -14,13 +14,13 @@
 
 namespace rosplat {
 
-// The slots of a map in the GPU's memory. A range of slots that nobody uses costs nothing.
+// The slots of a map in the GPU's memory. Pages of slots that no edit has written cost no memory.
 class SlotStore {
  public:
   using Arena = SlotArenas::Arena;
   using Place = SlotArenas::Place;
 
-  // ring, scatter: slot_scatter.comp, to write with; stay.
+  // ring, scatter (slot_scatter.comp): write the slots; must outlive this.
   SlotStore(gl::UploadRing& ring, const gl::Program& scatter)
       : ring_(ring), scatter_(scatter), arenas_(ring) {}
   SlotStore(const SlotStore&) = delete;
@@ -31,37 +31,37 @@ class SlotStore {
   void apply(const GaussianEdit& edit, double now);
 
   const SlotPages& pages() const { return pages_; }
-  // Whether there was memory for a page.
+  // Whether the card holds a page, by its place: false if there was no memory for it.
   bool holds(const SlotPage& page) const { return holds(page.place); }
   bool holds(std::uint32_t place) const { return place < held_.size() && held_[place]; }
   Place placeOf(const SlotPage& page) const { return arenas_.placeOf(page.place); }
   Place placeOf(std::uint32_t place) const { return arenas_.placeOf(place); }
   const std::vector<Arena>& arenas() const { return arenas_.arenas(); }
-  // What is in pages()[first] and its neighbours in the same arena, so many of them at most. Waits
-  // for the graphics card. run: memory to use again.
+  // Returns pages()[first] and the pages after it that lie next to each other in map and arena, at
+  // most `most` in all. Waits for the graphics card. run: memory to use again.
   PackedRun read(std::size_t first, std::size_t most, PackedRun run = {}) const;
 
-  // Says at which levels of detail the slots of a page enter these; what is written anew enters
-  // none.
+  // Sets the level at which each slot of a page enters the levels of detail. Slots that are written
+  // later have levelOfNew() until the next call.
   void setLevels(std::uint32_t first_slot, const EntryLevels& levels);
-  // There are none any more.
+  // Drops the levels of all slots.
   void dropLevels();
-  // How wide the cells are, at most, whose nodes stand for the slots of a page. [m]
+  // The width of the widest cell whose node stands for a slot of a page. [m]
   float widestParent(const SlotPage& page) const {
     return page.place < coarsest_.size() ? cellSize(coarsest_[page.place]) : kBoundless;
   }
 
-  // All pages, as they are now.
+  // All pages, as they are now, on shelves.
   const std::vector<PageShelf>& shelves() const;
 
   std::uint32_t capacity() const { return capacity_; }  // one past the highest slot in use
-  // How many may be in use.
+  // Upper bound of the number of slots in use.
   std::size_t slots() const {
     return std::min<std::size_t>(capacity_, pages_.pages().size() * SlotPage::kSlots);
   }
   int shDegree() const { return arenas_.shDegree(); }
-  std::size_t channels() const { return arenas_.channels(); }  // that there are values of
-  // Of what is in it: no two stores ever have the same, unless they are empty.
+  std::size_t channels() const { return arenas_.channels(); }  // number of channels with values
+  // Changes with the content. No two stores ever have the same, except 0: never changed.
   std::uint64_t version() const { return version_; }
   std::size_t bytes() const { return arenas_.bytes(); }
 
@@ -72,7 +72,7 @@ class SlotStore {
     std::size_t first, source, count;
   };
 
-  // A slot of an edit, and of an arena.
+  // A slot: its index in an edit, and its place in an arena.
   struct Spot {
     std::size_t source;
     std::uint32_t place;
@@ -91,11 +91,11 @@ class SlotStore {
   SlotPages pages_;
   SlotArenas arenas_;
   std::vector<bool> held_;              // by a page's place
-  std::vector<std::uint8_t> coarsest_;  // the highest level of a page's slots, if there are any
+  std::vector<std::uint8_t> coarsest_;  // the highest level of a page's slots; empty without levels
   std::uint32_t capacity_ = 0;
   std::uint64_t version_ = 0;
-  mutable std::vector<PageShelf> shelves_;  // of the version:
-  mutable std::uint64_t shelved_ = 0;
+  mutable std::vector<PageShelf> shelves_;
+  mutable std::uint64_t shelved_ = 0;  // version of `shelves_`
 };
 
 }  // namespace rosplat

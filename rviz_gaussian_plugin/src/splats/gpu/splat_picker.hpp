@@ -17,13 +17,13 @@ class SplatPicker {
  public:
   explicit SplatPicker(Shaders& shaders);
 
-  // Among those that the depth of the target doesn't hide. They should be listed by the target's
-  // tiles: without, each tile walks all of them.
+  // Picks among the splats that the target's depth doesn't hide. lists: the splats by the target's
+  // tiles; with null, each tile walks all splats.
   void pick(const OrderedSplats& splats, const TileRasterizer* lists, const gl::Target& target,
             bool top_first);
-  // Writes a number as 24-bit colour wherever there is a splat.
+  // Writes a number as 24-bit colour wherever a splat was picked.
   void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t number) const;
-  // width * height slots of a layer, top row first; kNoSlot where there is none.
+  // Returns the picked slots of a layer: width * height, top row first; kNoSlot for none.
   std::vector<std::uint32_t> read(std::size_t layer) const;
 
   std::size_t bytes() const { return picked_.bytes(); }
@@ -31,7 +31,7 @@ class SplatPicker {
  private:
   const gl::Program &pick_, &colour_;
   gl::Buffer picked_;  // numbers of slots, as PageTable has them
-  // The same of that.
+  // PageTable::firstSlots() and layerBegins(), as pick() found them.
   std::vector<std::uint32_t> first_slots_;
   std::vector<std::size_t> layer_begins_;
   std::size_t width_ = 0, height_ = 0;

@@ -7,15 +7,15 @@
 
 namespace rosplat {
 
-// Room to make for a number that may be larger in the next frame, and grows by a factor.
+// Returns the room to make for a count that may be larger in the next frame, and grows by a factor.
 constexpr std::size_t withSlack(std::size_t count, double growth = 1) {
   return static_cast<std::size_t>(growth * static_cast<double>(count + count / 8));
 }
 
-// How much of a number's room is used: there is more at once, but less only after a while.
+// Tracks how much of a room is used: the room grows at once, but shrinks only after kPatience uses.
 class UsageTracker {
  public:
-  // Notes what is needed; true where for long not a quarter was of what there is.
+  // Notes a use. Returns true if, for kPatience uses, less than a quarter of the room was needed.
   bool wastes(std::size_t needed) {
     size_ = std::max(size_, needed);
     most_ = std::max(most_, needed);
@@ -34,27 +34,27 @@ class UsageTracker {
   int uses_ = 0;
 };
 
-// A number that shaders find, with the work that it makes for those that follow, so that none of it
-// has to wait for the CPU. splat_common.glsl has the same.
+// A count that a shader finds, with the sizes of the dispatches and draws that process it, so that
+// these need not wait for the CPU. splat_common.glsl has the same.
 class Tally {
  public:
   static constexpr std::size_t kBlock = 4096;
   static constexpr std::size_t kBytes = 12 * sizeof(GLuint);
-  static constexpr std::size_t kWanted = 1;  // word: the number with room for all
+  static constexpr std::size_t kWanted = 1;  // word: what the count would be with room for all
 
-  // In a slice of kBytes.
+  // words: of kBytes; get a count of 0.
   explicit Tally(const gl::Slice& words) : words_(words) { set(0); }
 
-  // Makes it a number that is known here.
+  // Sets a count that the CPU knows.
   void set(std::size_t count);
-  // A shader is to make it another one.
+  // Tells that a shader will set another count.
   void forget();
 
   const gl::Slice& words() const { return words_; }  // for a shader to bind
-  // Runs the compute program in use for 256, or for kBlock, a work group.
+  // Run the compute program in use, a work group for each 256, or each kBlock, of the count.
   void dispatchGroups() const;
   void dispatchBlocks() const;
-  // Draws triangle strips of four vertices.
+  // Draws as many triangle strips of four vertices as the count.
   void drawQuads() const;
 
  private:
@@ -65,7 +65,7 @@ class Tally {
   std::size_t count_ = 0;
 };
 
-// What is counted for a view, side by side, so that one copy brings the CPU all of it.
+// The counts of a view, side by side, so that one copy brings all of them to the CPU.
 class Tallies {
  public:
   enum Of : std::size_t { kVisible, kPairs, kSlotWords, kOrder, kDepthRange, kZero, kCount };
@@ -74,7 +74,7 @@ class Tallies {
 
   gl::Slice of(Of what) const { return {words_.id(), what * gl::Slice::kAlignment, Tally::kBytes}; }
   void ask() { copy_.ask(words_); }
-  // Waits for what was asked for last: a word of it.
+  // Waits for the copy of the last ask(), and returns a word of a count.
   GLuint wait(Of what, std::size_t word) const { return copy_.wait()[what * kStride + word]; }
 
  private:

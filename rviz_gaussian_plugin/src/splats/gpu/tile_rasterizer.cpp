@@ -9,15 +9,15 @@ namespace rosplat {
 
 namespace {
 
-constexpr int kPatience = 64;             // pictures, until memory that was lacking may be there
+constexpr int kPatience = 64;             // pictures until memory that was lacking is tried again
 constexpr std::size_t kListed = 32;       // splats counted together, as in splat_tiles.glsl
 constexpr std::size_t kRangesEach = 255;  // tiles, as in tile_ranges.comp
 
-// Splats in a tile's segments. Shorter first ones end the last work groups sooner, but have more
-// blended that walls hide.
+// Splats in a tile's first and in its later segments. With shorter first segments the last work
+// groups end sooner, but more splats are blended that walls hide.
 constexpr GLuint kFirstSegment = 2048, kLaterSegment = 1024;
-constexpr std::size_t kMostLater = 32768;  // which every driver dispatches in one dimension
-// As tile_segments.glsl has them: none yet.
+constexpr std::size_t kMostLater = 32768;  // every driver dispatches as many in one dimension
+// The work groups of tile_segments.glsl: none yet.
 constexpr std::array<GLuint, 6> kNoGroups{0, 1, 1, 0, 1, 1};
 constexpr GLintptr kLaterGroups = 0, kCutGroups = 3 * sizeof(GLuint);
 
@@ -25,17 +25,17 @@ GLuint laterSegment(std::size_t room) {
   return std::max(kLaterSegment, static_cast<GLuint>(room / kMostLater));
 }
 
-// A buffer of the sort with room for these has it for what segments of so many pairs leave: a word
-// a pair, since 1,024 pairs and more leave 256 pixels of four floats.
+// Returns for how many keys the sort's buffers need room to hold the partials of segments of so
+// many pairs: a word a pair, as a segment of 1,024 pairs or more leaves 256 pixels of four floats.
 std::size_t roomForPartials(std::size_t pairs) { return pairs + kLaterSegment; }
 
-// 1 GiB with what sorts them.
+// Returns how many pairs may be listed: with the buffers that sort them, these take 1 GiB.
 std::size_t mostPairs() {
   return std::min(std::size_t{1} << 26,
                   gl::largestStorageBuffer() / sizeof(GLuint) - kLaterSegment);
 }
 
-// What blends tiles, of these kinds of splats.
+// Returns the program that blends tiles. of: the files that say what kinds of splats it blends.
 const gl::Program& blender(Shaders& shaders, std::initializer_list<const char*> of) {
   std::vector<const char*> files{"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
                                  "splat_colour.glsl"};
@@ -87,7 +87,7 @@ bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
   width_ = width;
   height_ = height;
   listed_ = false;
-  room_ = 0;  // should there be no memory
+  room_ = 0;  // stays so if memory is lacking
   try {
     counts_.reserve((splats.most() / kListed + 1) * sizeof(GLuint));
     prefix_sum_.reserve(splats.most() / kListed + 1);
@@ -173,7 +173,7 @@ void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
   glBindTexture(GL_TEXTURE_2D, target.depth());
   glBindImageTexture(0, target.color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, target.format());
   if (!behind) {
-    sort_.reserve(roomForPartials(room_));  // if another view's was smaller
+    sort_.reserve(roomForPartials(room_));  // another view may have shrunk the buffers
     useSegments(program);
     program.set("later", 0);
   }
@@ -190,12 +190,12 @@ void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
     glDispatchComputeIndirect(kCutGroups);
   }
   glMemoryBarrier(GL_TEXTURE_FETCH_BARRIER_BIT | GL_FRAMEBUFFER_BARRIER_BIT |
-                  GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);  // what comes may be blended once more
+                  GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);  // the picture may be blended once more
 }
 
 void TileRasterizer::useSegments(const gl::Program& program) const {
   program.bind("Segments", segments_);
-  // What has been sorted isn't needed any more.
+  // The sort's buffers are free: the lists are sorted, their tiles' beginnings known.
   program.bind("FirstPartials", sort_.spareKeys());
   program.bind("LaterPartials", sort_.spareValues());
   program.set("first_segment", kFirstSegment);

@@ -15,35 +15,35 @@ namespace rosplat {
 // then blends each pixel front to back in 32-bit floats and stops where nothing more can be seen.
 class TileRasterizer {
  public:
-  // The sort may be one that others use too.
+  // sort: may be shared with other objects.
   TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies& tallies);
 
-  // Counts the pairs of a splat and a tile that it touches, of a picture of such a size; false
-  // where there is no memory to list them, which is refused() then.
+  // Counts the pairs of a splat and a tile that it touches, in a picture of this size [px]. Returns
+  // false, and is refused(), if there is no memory to list them.
   bool count(const OrderedSplats& splats, int width, int height);
-  // Lists what was counted; of more pairs than there is room for, the last are left out.
+  // Lists the pairs that were counted. If there is no room for all, the last ones are left out.
   void list(const OrderedSplats& splats, gl::Stopwatch& stopwatch);
-  // Whether what was listed last is for a picture of this size.
+  // Whether the last lists are for a picture of this size.
   bool listed(int width, int height) const { return listed_ && counted(width, height); }
 
-  // What is listed: indices of ellipses, tile by tile, nearest first; where each tile's begin.
+  // The lists: indices of ellipses, tile by tile, nearest first; and where each tile's list begins.
   const gl::Buffer& splats() const { return splats_; }
   const gl::Buffer& begins() const { return begins_; }
 
-  // Overwrites the target's colour by what is listed, where its depth lets a splat pass; `behind`,
-  // if there is one, gets those that the target's depth hides and its own lets pass, and in its
-  // second colour their nearness, as splat_hide.frag reads it.
+  // Overwrites the target's colour with the listed splats that its depth lets pass. `behind`, if
+  // not null, gets the splats that the target's depth hides and its own depth lets pass; its second
+  // colour gets their nearness, as splat_hide.frag reads it.
   void blend(const OrderedSplats& splats, const gl::Target& target, const gl::Target* behind);
 
-  // Whether there was room for so many pairs; else makes it, better for more by a factor, or, where
-  // that takes too much memory, refuses.
+  // Returns whether there was room for so many pairs. Else has the next count() make room, for more
+  // by the factor `growth` if possible, or refuses if the pairs take too much memory.
   bool checkRoom(std::size_t pairs, double growth);
-  // Whether too many were refused last, so that the next ones should be counted before they are
-  // listed; and whether it was these, for a picture of this size.
+  // Whether pairs were refused last: then wait for the next count before listing. With a size:
+  // whether the pairs of a picture of this size were refused.
   bool refused() const { return refused_; }
   bool refused(int width, int height) const { return refused_ && counted(width, height); }
 
-  // The splats or their order aren't those of the last picture any more.
+  // Tells that the splats or their order have changed since the last picture.
   void forget() {
     width_ = 0;
     listed_ = false;
@@ -65,11 +65,11 @@ class TileRasterizer {
   gl::Slice zero_;
   gl::Buffer splats_, begins_, counts_;
   gl::Buffer segments_;                      // as tile_segments.glsl has it
-  GLuint later_segment_ = 0, most_cut_ = 0;  // the same
+  GLuint later_segment_ = 0, most_cut_ = 0;  // as tile_segments.glsl has them
   std::size_t room_ = 0;
   UsageTracker used_;
-  std::size_t most_pairs_;      // that may be listed
-  int out_of_memory_ = 0;       // counts to come until more than half of what failed is tried again
+  std::size_t most_pairs_;      // more are refused
+  int out_of_memory_ = 0;       // calls of count() until more than half of what failed is tried
   int width_ = 0, height_ = 0;  // of the picture that pairs were counted for [px]
   bool listed_ = false, refused_ = false;
 };

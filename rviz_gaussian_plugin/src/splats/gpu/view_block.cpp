@@ -14,7 +14,7 @@ std::array<float, 2> floats(double x, double y) {
   return {static_cast<float>(x), static_cast<float>(y)};
 }
 
-// What splats are blended as, as splat_common.glsl numbers it.
+// Returns the kind that splats are blended as; splat_common.glsl has the same numbers.
 std::uint32_t kindOf(const RenderSettings& settings) {
   constexpr std::uint32_t kGaussian = 0, kFlat = 1, kShaded = 2, kByDepth = 3;
   if (settings.mode == DrawMode::kFlatBall) return kFlat;
@@ -27,7 +27,7 @@ std::uint32_t kindOf(const RenderSettings& settings) {
 
 ViewBlock::ViewBlock(const Frame& frame) {
   const SplatCamera& camera = frame.camera();
-  const SortView view = sortView(camera, {}, 1.0);  // where groups are is their own
+  const SortView view = sortView(camera, {}, 1.0);  // splat_groups.glsl has the groups' poses
   clip = {view.near_clip, view.far_clip};
   focal = {view.fx, view.fy};
   offset = {view.offset_x, view.offset_y};

@@ -21,7 +21,7 @@ struct ViewBlock {
   float now;
 };
 
-// What those of a map share, as splat_map.glsl has it (std140).
+// What the shaders of a map share, as splat_map.glsl has it (std140).
 struct alignas(gl::Slice::kAlignment) MapBlock {
   explicit MapBlock(const FrameLayer& layer);
 

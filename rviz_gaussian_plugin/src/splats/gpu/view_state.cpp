@@ -32,7 +32,7 @@ bool ViewState::list(const Frame& frame) {
   if (!tiles_.count(splats_, width, height)) return false;
   frame.stopwatch.lap("list");
   ask();
-  // Where there were too many, waiting costs less than to list them in vain again.
+  // After a refusal, waiting for the count costs less than listing in vain again.
   if (tiles_.refused() && !tiles_.checkRoom(tallies_.wait(Tallies::kPairs, Tally::kWanted), 1)) {
     if (tiles_.refused() || !tiles_.count(splats_, width, height)) return false;
     ask();
@@ -66,7 +66,7 @@ bool ViewState::hasRoom(const Frame& frame) {
   if (unknown_) ask();
   if (!asked_) return true;
   asked_ = false;
-  // What is still to come will be as visible as what is there; but not all comes that is announced.
+  // Assumes that splats to come are as visible as the present ones. But not all announced ones come.
   std::size_t expected = 0, capacity = 0, most = 0;
   for (const FrameLayer& layer : frame.layers) {
     const auto announced = std::min<std::size_t>(layer.map.expected, kMaxSlots);

@@ -13,28 +13,28 @@
 
 namespace rosplat {
 
-// What is kept of a view from picture to picture: its targets, and what it sees, projected, sorted
-// and listed by tiles, so that nothing of it is done again until it changes.
+// What is kept of a view from picture to picture: its targets, and the splats that it sees,
+// projected, sorted and listed by tiles, so that none of this is done again until the view changes.
 //
 // A frame is submitted stage by stage with as much room as earlier frames have needed:
-// prepare(), then blend() or list(), then hasRoom(), and all of it again where that says so.
+// prepare(), then blend() or list(), then hasRoom(), and all of it again if that returns false.
 class ViewState {
  public:
-  // The sort may be one that others use too.
+  // sort: may be shared with other objects.
   ViewState(Shaders& shaders, RadixSort& sort);
 
-  // Has the shaders that come next draw what was drawn last.
+  // Makes later shaders draw the view of the last frame.
   void use() const { glBindBufferBase(GL_UNIFORM_BUFFER, 0, block_.id()); }
-  // Submits what projects and sorts what is visible, unless that is there; begins a frame.
+  // Begins a frame. Submits the projection and the sort of the visible splats, unless kept.
   void prepare(const Frame& frame);
-  // Submits what lists it by tiles, unless that is there; false where there is no memory for it.
+  // Submits the lists by tiles, unless kept. Returns false if there is no memory for them.
   bool list(const Frame& frame);
-  // Submits what blends the splats into `color`, whose scope this is, in_tiles where there is
-  // memory for their lists, hidden by its depth; and into `behind`, if divided, those that the
-  // depth of `color` hides and its own doesn't.
+  // Submits the blending of the splats that the depth of `color` lets pass into `color`. scope:
+  // that of `color`. in_tiles: by tiles, if there is memory for their lists. divided: `behind` gets
+  // the splats that the depth of `color` hides and its own doesn't.
   void blend(const Frame& frame, const gl::DrawScope& scope, bool in_tiles, bool divided);
-  // Whether there was room for all that was submitted; else makes it. Waits for no more than what
-  // the graphics card counts first.
+  // Returns whether there was room for all that was submitted; else makes room. Waits only for the
+  // counts, which the graphics card finds first.
   bool hasRoom(const Frame& frame);
 
   const OrderedSplats& splats() const { return splats_; }
@@ -44,7 +44,7 @@ class ViewState {
   bool topFirst() const { return top_first_; }            // of the last frame
   std::size_t bytes() const;
 
-  gl::Target color, behind;      // of the splats before and behind what divides them
+  gl::Target color, behind;      // of the splats before and behind the translucent objects
   gl::SampledDepth translucent;  // of the nearest translucent objects
   bool open = false;             // the depth of `color` hides nothing
 
@@ -56,9 +56,9 @@ class ViewState {
   TileRasterizer tiles_;
   QuadRasterizer quads_;
   gl::Buffer block_;
-  bool unknown_ = false;  // what was submitted isn't counted yet
-  bool asked_ = false;    // for what was counted
-  bool listed_ = false;   // by tiles, in this frame
+  bool unknown_ = false;  // the counts of the submitted splats are still to be asked for
+  bool asked_ = false;    // counts were asked for, and hasRoom() is to read them
+  bool listed_ = false;   // splats were listed by tiles in this frame
   const char* rasterizer_ = "";
   bool top_first_ = false;
 };
