@@ -1,5 +1,5 @@
-// Exclusive prefix sum over the first 256 of a work group; `all` becomes the sum. Sums end at kMostSum: none is
-// ever taken for a small one, and min(a + b, kMostSum) gives the same in whatever order.
+// Exclusive prefix sum over the first 256 invocations of a work group; `all` becomes the sum of all. Sums end
+// at kMostSum: a large one never looks like a small one, and min(a + b, kMostSum) is the same in any order.
 
 const uint kMostSum = 0x0fffffffu;
 shared uint partial[256];

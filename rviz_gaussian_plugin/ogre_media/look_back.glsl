@@ -1,20 +1,20 @@
-// Work groups that ask those before them, within a dispatch, for their sums (decoupled look-back: Merrill
-// and Garland 2016).
+// Lets the work groups of a dispatch ask earlier work groups for their sums (decoupled look-back: Merrill and
+// Garland 2016).
 
 layout(std430) coherent volatile buffer Sums { uint begun; uint sums[]; };  // begun: 0 between dispatches
 
-uniform uint run;  // 1 to 7, of those since `sums` was cleared
-// Drivers where work groups can't wait for each other announce sums in a dispatch before.
+uniform uint run;  // counts the runs since `sums` was cleared, 1 to 7
+// Where work groups can't wait for each other, a dispatch before the actual one only announces the sums.
 uniform bool announcing;
 
-// Above a sum, at most kMostSum: in which run it was announced; whether those of all groups before are in it.
+// Bits above a sum (at most kMostSum): the run that announced it; whether it includes all earlier groups.
 const uint kRun = 7u << 28, kAllBefore = 1u << 31;
-// Beyond these, sums are wrong, but nothing hangs. Mesa ends an invocation's loops after 65,535 turns in all.
+// After these, sums are wrong, but nothing hangs. Mesa ends an invocation's loops after 65,535 turns in all.
 const uint kMostWaits = 1u << 24;
 
 shared uint turn;
 
-// Numbers work groups as they begin: those before one are at work, so that it may wait for them.
+// Numbers work groups as they begin: all earlier ones have begun, so that a group may wait for them.
 uint takeGroup() {
   if (gl_LocalInvocationIndex == 0u) {
     turn = atomicAdd(begun, 1u);

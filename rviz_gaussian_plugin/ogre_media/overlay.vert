@@ -1,6 +1,6 @@
-// A corner that is where it shall be.
+// A corner of a cell, which comes in clip coordinates.
 
-varying vec2 place;  // in the picture
+varying vec2 place;  // in the picture, 0 to 1 over it
 
 void main() {
   gl_Position = gl_Vertex;

@@ -1,6 +1,6 @@
-// The window depths of such a picture.
+// The window depths of a picture that the processor has made.
 
 uniform sampler2D depths;
-varying vec2 place;  // in it
+varying vec2 place;  // in the picture, 0 to 1 over it
 
 void main() { gl_FragDepth = texture2D(depths, place).r; }

@@ -5,14 +5,14 @@ layout(std430) buffer Values { uint values[]; };
 layout(std430) readonly buffer Length { Tally values_tally; };
 layout(std430) writeonly buffer Total { Tally total; };
 
-uniform uint room;  // for as many as the total says
-uniform uint each;  // of what the tally counts, a value
+uniform uint room;  // the most that the total's count may be
+uniform uint each;  // how many of the tally's count share a value
 
 const uint kEach = kBlock / 256u;  // values an invocation
 
 shared uint nearest;
 
-// What the blocks before have in all; this one has announced `sum`.
+// The sum of all blocks before this one, which has announced `sum`.
 uint sumBefore(uint block, uint sum) {
   uint local = gl_LocalInvocationIndex, before = 0u, all;
   for (uint end = block; end > 0u; end -= min(end, 256u)) {

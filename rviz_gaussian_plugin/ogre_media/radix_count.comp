@@ -1,4 +1,4 @@
-// How often each digit occurs, in all passes. Clears what the passes and the next sort sum up in.
+// Counts how often each digit occurs, in all passes. Clears the passes' sums and the next sort's totals.
 
 #pragma optionNV(unroll all)  // or NVIDIA's compiler keeps arrays in memory instead of registers
 
@@ -24,7 +24,7 @@ void main() {
   if (local < 256u) sums[256u * block + local] = 0u;
   for (uint k = local; k < 256u * passes; k += kLanes) histogram[k] = 0u;
   barrier();
-  uint first = block * kBlock + local, key[kEach];  // read before anything waits for them
+  uint first = block * kBlock + local, key[kEach];  // all are loaded before the first is used
   for (uint k = 0u; k < kEach; ++k) key[k] = keys[min(first + kLanes * k, count - 1u)];
   for (uint k = 0u; k < kEach; ++k) {
     if (first + kLanes * k >= count) break;

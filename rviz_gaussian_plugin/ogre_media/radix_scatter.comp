@@ -1,8 +1,7 @@
-// One pass of a stable radix sort: keys and values go to where their digit's turn is. Lanes that run
-// together, a warp, find those with the same digit by ballots, one for each bit (Ashkiani et al. 2016);
-// their width is the driver's, 8 to 64. A block is put in order in shared memory first, so that what
-// is next to each other is written together. Blocks learn from those before where their keys begin (Adinets
-// and Merrill 2022).
+// One pass of a stable radix sort: moves keys and values to their digits' places. Lanes that run together, a
+// warp, find the lanes with the same digit by ballots, one for each bit (Ashkiani et al. 2016). A warp is as
+// wide as the driver has it, 8 to 64. A block is put in order in shared memory first, so that neighbours are
+// written together. Blocks learn from earlier blocks where their keys begin (Adinets and Merrill 2022).
 
 #pragma optionNV(unroll all)  // or NVIDIA's compiler keeps arrays in memory instead of registers
 
@@ -16,15 +15,16 @@ layout(std430) readonly buffer Length { Tally keys_tally; };
 
 uniform uint pass;
 uniform bool first_pass;  // the values are 0, 1, 2...
-uniform bool last_pass;   // nobody needs the keys any more
+uniform bool last_pass;   // the sorted keys aren't needed
 
 const uint kLanes = uint(LANES), kEach = kBlock / kLanes;  // the first 256 have a digit each
 const uint kMostWarps = 32u;
 
 shared uint memory[kBlock];    // the warps' turns, then the block in its order
-shared uint block_start[256];  // a digit's first place among all keys, less that in the block
+shared uint block_start[256];  // a digit's first place among all keys, less its first place in the block
 
-// How many of a warp's keys have had a digit, later its first place in the block; two warps a word.
+// How many of a warp's keys so far have a digit; later, where in the block the first of these goes. Two
+// warps share a word.
 uint turnsAt(uint warp, uint digit) { return 256u * (warp / 2u) + digit; }
 uint turnsShift(uint warp) { return 16u * (warp & 1u); }
 uint turns(uint warp, uint digit) {
@@ -52,7 +52,7 @@ Votes lanesBefore(uint lane) { return (1u << lane) - 1u; }
 
 // takeTurn() counts how many of a warp's keys so far, and of the lanes before, have this digit too.
 #ifdef SUBGROUPS
-// What a driver calls a subgroup's size is the most that it may be: it may run smaller ones.
+// The subgroup size that a driver states is the largest: the driver may run smaller subgroups.
 uint warpCount() { return gl_NumSubgroups; }
 uint warpSize() { return gl_SubgroupSize; }
 uint warpOf(uint local) { return gl_SubgroupID; }
@@ -118,7 +118,7 @@ uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
 }
 #endif
 
-// How many keys of a digit are in the blocks before this one; several are asked at once.
+// How many keys of a digit are in the blocks before this one; asks several blocks at once.
 uint keysBefore(uint block, uint digit) {
   uint sum = 0u;
   for (uint end = block, waited = 0u; end > 0u && waited < kMostWaits; ++waited) {
@@ -141,7 +141,7 @@ void main() {
   for (uint k = local; k < 256u * pairs; k += kLanes) memory[k] = 0u;
   barrier();
 
-  // Everything is read before anything waits for it.
+  // All keys are loaded before the first is used.
   uint first = block * kBlock + warp * kEach * stride + lane;
   uint key[kEach], place[kEach];
   for (uint k = 0u; k < kEach; ++k) key[k] = keys[min(first + stride * k, count - 1u)];

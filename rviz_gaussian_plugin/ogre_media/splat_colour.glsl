@@ -1,7 +1,7 @@
-// What colour splats are blended in.
+// The colour that a splat is blended in.
 layout(std430) readonly buffer DepthRange {
-  uint nearest, farthest;                    // keys of the depths of all
-  uint nearest_coloured, farthest_coloured;  // and of what is kByDepth
+  uint nearest, farthest;                    // keys of the depths of all splats
+  uint nearest_coloured, farthest_coloured;  // keys of the depths of splats of kByDepth
 };
 
 vec3 colourOf(Ellipse e) {

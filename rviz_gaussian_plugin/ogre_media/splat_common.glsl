@@ -1,8 +1,8 @@
-// What the passes share. Before it stand #version, PARTS and what else Shaders knows of the driver,
-// and the engine's constants (rosplat_core/slots/constants.hpp).
+// What all passes share. The class Shaders puts #version, its defines for the driver (as PARTS), and the
+// engine's constants (rosplat_core/slots/constants.hpp) before this.
 
 const float kTwoPi = 6.2831853;
-// Of a Gaussian that falls below the cutoff at kBallEdge, or a little beyond.
+// Opacity of a Gaussian that falls below kCutoffAlpha at kBallEdge of its peak, or a little beyond.
 const float kBallOpacity = 0.0179;
 const uint kNone = 0xffffffffu;
 
@@ -14,7 +14,7 @@ uint invocation() { return workGroup() * 256u + gl_LocalInvocationIndex; }
 
 const uint kBlock = 4096u;     // values that a work group sums up or sorts
 
-// A number that the CPU does not wait for, with the work that it makes; tally.hpp has the same.
+// A count that the CPU does not wait for, with the sizes of dispatches and draws; tally.hpp has the same.
 struct Tally {
   uint count;      // no more than there is room for
   uint wanted;     // what the count would be with room for all
@@ -34,7 +34,7 @@ Tally tallied(uint wanted, uint room) {
 
 // What a splat is blended as.
 const uint kGaussian = 0u;
-const uint kFlat = 1u, kShaded = 2u;  // solid balls, of which one is darker towards its rim
+const uint kFlat = 1u, kShaded = 2u;  // solid balls; kShaded is darker towards its rim
 const uint kByDepth = 3u;             // kGaussian, and coloured only once the depths of all are known
 
 // A splat in the picture.
@@ -44,13 +44,13 @@ struct Ellipse {
   vec2 major;     // half axis of one sigma [px]
   float minor;    // length of the other one, a quarter turn on [px]
   vec3 colour;    // not negative
-  float opacity;  // 0: not to be drawn; above 1 that of a node, up to 16; of a ball kBallOpacity
+  float opacity;  // 0: not drawn; a node's is up to kMostNodeOpacity, a ball's is kBallOpacity
   uint kind;
 };
 
 struct PackedEllipse { uvec4 a, b; };
 
-// The sign of the minor axis says whether the opacity counts in sixteenths, those of red and green
+// A negative minor axis says that the opacity is divided by kMostNodeOpacity. The signs of red and green
 // are the kind's bits.
 PackedEllipse packEllipse(Ellipse e) {
   if (e.opacity > 1.0) {
@@ -89,13 +89,13 @@ vec4 falloffAxes(Ellipse e) {
   return vec4(kHalfLog2 * e.major / dot(e.major, e.major), kHalfLog2 * minorDirection(e) / e.minor);
 }
 
-// At an offset from the centre. [px]
+// The falloff at an offset from the centre [px].
 float falloffAt(vec4 axes, vec2 offset) {
   vec2 sigmas = vec2(dot(offset, axes.xy), dot(offset, axes.zw));
   return exp2(-dot(sigmas, sigmas));
 }
 
-// What pixels have to know of the kind: an opacity, or of a ball a number below 0.
+// What pixels need to know of the kind: the opacity or, for a ball, one of these numbers below 0.
 const float kFlatPeak = -1.0, kShadedPeak = -2.0;
 
 float peakOf(Ellipse e) {
@@ -107,12 +107,12 @@ float alphaAt(float peak, float falloff) {
   return peak < 0.0 ? float(falloff >= kBallEdge) : min(kMaxAlpha, peak * falloff);
 }
 
-// What is left of that where a share of a splat is drawn: see cut.hpp. Balls are solid all the same.
+// The alpha of a share of a splat, given that of the whole (see cut.hpp). Balls stay solid.
 float sharedAlpha(float alpha, float share) {
   return share >= 1.0 || alpha > kMaxAlpha ? alpha : 1.0 - exp2(share * log2(1.0 - alpha));
 }
 
-// What depths are sorted by: grows with them, over negative ones too.
+// The key that a depth is sorted by: grows with the depth, also where that is negative.
 uint depthKey(float depth) {
   uint bits = floatBitsToUint(depth + 0.0);  // the sum makes one depth of -0 and 0
   return bits ^ (uint(int(bits) >> 31) | 0x80000000u);

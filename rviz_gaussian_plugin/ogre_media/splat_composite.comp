@@ -1,5 +1,5 @@
-// The blended splats over what is in a texture, where that is the target: cards for computing draw
-// a triangle over all of it many times as slowly.
+// Lays the blended splats over what is in a texture. For canvases that are textures: cards for computing take
+// many times as long to draw a triangle over the whole canvas.
 
 layout(local_size_x = 256) in;
 layout(binding = 0) uniform sampler2D splats;

@@ -1,5 +1,5 @@
 // Marks the slots of some pages that the picture may show: the sorters' test (rosplat_sorter/depth.py
-// derives it), operation by operation, so that all of them find the same.
+// derives it), operation by operation, so that this shader and the sorters find the same slots.
 
 layout(local_size_x = 256) in;
 

@@ -1,7 +1,7 @@
 // What share of a slot is drawn where nodes stand for splats: as in cut.hpp, lattice.hpp, mixture.hpp.
-layout(std430) readonly buffer Levels { uint levels[]; };  // where slots enter, a byte each
+layout(std430) readonly buffer Levels { uint levels[]; };  // at which slots enter, a byte each
 
-// The cells of a level; those beyond the last, or of none, are wider than all. [m]
+// The width of a level's cells; kBoundless beyond the last level, or without one. [m]
 float cellSize(uint level) {
   return level < uint(kLevels) ? uintBitsToFloat((uint(127 + kFinestOctave) + level) << 23) : kBoundless;
 }

@@ -1,6 +1,6 @@
-// Splats in the opaque scene's depth buffer.
+// Depths of splats as the opaque scene's depth buffer has them.
 
-// What lies beyond the buffer's far plane is as far as that: nothing can stand behind it.
+// Depths beyond the buffer's far plane are clamped to it: nothing can stand behind it.
 float ndcDepth(float depth) {
   return min((view.ndc_depth.x * depth + view.ndc_depth.y) / (view.orthographic ? 1.0 : depth), 1.0);
 }

@@ -1,4 +1,4 @@
-// Which splats any tile may show before its translucent objects, and which behind: spares quads.
+// Finds the splats that any tile may show before its translucent objects, or behind them: spares quads.
 
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Drawn { uint drawn[]; };
@@ -7,8 +7,8 @@ layout(std430) writeonly buffer DrawnBehind { uint behind[]; };  // or kNone
 layout(std430) readonly buffer Length { Tally drawn_tally; };
 layout(binding = 0) uniform sampler2D tile_depths;  // as in tile_depth.comp
 
-const int kMostTiles = 32;    // that are looked at
-const float kRounded = 2e-7;  // a depth by the rasterizer
+const int kMostTiles = 32;    // a splat on more tiles counts as seen before and behind
+const float kRounded = 2e-7;  // how far the rasterizer rounds a depth
 
 void main() {
   uint i = invocation();

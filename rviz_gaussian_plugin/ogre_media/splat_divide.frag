@@ -1,4 +1,4 @@
-// The nearest translucent object.
+// The depth of the nearest translucent object in a pixel's samples.
 
 layout(binding = 0) uniform sampler2DMS translucent;
 uniform int samples;  // of a pixel

@@ -1,7 +1,7 @@
-// The projected splats, in as many parts as the driver's largest buffer asks for.
+// The projected splats, in several parts if the driver's largest buffer can't hold all.
 layout(std430) buffer Ellipses { uvec4 data[]; } ellipses[PARTS];
 
-// The buffer in an array must be a constant, or the same for all invocations.
+// The index of a buffer in an array must be a constant, or the same for all invocations.
 #define IN_ITS_PART(DO)          \
   uint k = 2u * (i % PART_SIZE); \
   switch (i / PART_SIZE) {       \

@@ -1,3 +1,3 @@
-// For programs that must find the same tiles as one another: of another program's results GLSL
-// promises nothing otherwise.
+// For programs that must find the same tiles as each other: without `precise`, GLSL doesn't promise that two
+// programs compute the same.
 #define EXACTLY precise

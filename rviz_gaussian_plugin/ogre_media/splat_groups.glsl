@@ -2,7 +2,7 @@
 struct Group {
   vec4 to_camera[3];  // rows: x right, y down, z forward [m]
   vec4 eye;           // the camera; orthographic: its forward direction
-  vec4 to_box[3];     // rows: along the map's axes, from the centre of what is kept of it [m]
+  vec4 to_box[3];     // rows: along the map's axes, from the centre of the clip box [m]
 };
 layout(std430) readonly buffer Groups { Group groups[]; };
 

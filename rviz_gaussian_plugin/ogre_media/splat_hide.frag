@@ -1,6 +1,6 @@
-// The mean depth of what is in the target, where it is more opaque than not.
+// The mean depth of the target's splats, where they are more opaque than not.
 
-// 1 - depth, which stays exact where all is close to 1, times opacity; opacity
+// Red: (1 - depth) * opacity, since 1 - depth stays exact where depths are close to 1. Green: opacity.
 layout(binding = 1) uniform sampler2D nearness;
 uniform ivec2 corner;  // of the viewport in the target [px]
 

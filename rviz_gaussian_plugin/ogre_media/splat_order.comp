@@ -1,4 +1,4 @@
-// Slots in a sorter's order, farthest first -> indices of what is visible, nearest first.
+// Slots in a sorter's order, farthest first -> indices of the visible splats, nearest first.
 
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Order { uint order[]; };

@@ -3,13 +3,13 @@ struct Page {
   uint number;  // among all that are kept, in the order of slots
   uint page;    // in the arena
   uint group;   // of all its splats, by index in `groups`
-  uint level;   // of its nodes, or kNone: these are slots
+  uint level;   // of its nodes; kNone for a page of slots
 };
 layout(std430) readonly buffer Pages { Page pages[]; };
 
-uniform uint first_entry;  // of the arena in the table
+uniform uint first_entry;  // of the arena, in `pages`
 
 Page groupPage() { return pages[first_entry + workGroup() / 4u]; }
 
-// Of this invocation, among the page's.
+// The index in the page of this invocation's slot.
 uint slotInPage() { return 256u * (workGroup() % 4u) + gl_LocalInvocationIndex; }

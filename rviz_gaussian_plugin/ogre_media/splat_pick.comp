@@ -1,6 +1,5 @@
-// Which splat a pixel shows: the one that contributes most to its colour, alpha times the
-// transmittance of what lies before it. A work group walks a tile's splats front to back, a batch at
-// a time.
+// Finds the splat that a pixel shows: the one that contributes most to its colour, alpha times the
+// transmittance of the splats before it. A work group walks a tile's splats front to back, a batch at a time.
 
 layout(local_size_x = 16, local_size_y = 16) in;
 layout(std430) readonly buffer Splats { uint splat_of[]; };  // nearest first
@@ -10,7 +9,7 @@ layout(std430) readonly buffer Begins { uint begins[]; };
 layout(binding = 0) uniform sampler2D scene_depth;
 
 uniform bool listed;     // the splats are listed by tiles; else they are all that is drawn
-uniform uint words;      // of the visible slots' bits
+uniform uint words;      // how many `visible` has
 
 const uint kBatch = 256u;
 
@@ -25,7 +24,7 @@ float pixelAlpha(uint k, vec2 pixel) {
 
 void take(uint k, uint index) {
   indices[k] = index;
-  places[k] = vec4(0.0, 0.0, -1.0, 0.0);  // nowhere
+  places[k] = vec4(0.0, 0.0, -1.0, 0.0);  // a depth that is skipped
   if (index == kNone) return;
   Ellipse e = ellipse(index);
   if (e.opacity == 0.0) return;

@@ -1,4 +1,4 @@
-// Where splats are picked, for rviz's selection: a number in 24 bits of colour.
+// For rviz's selection, a number in 24 bits of colour wherever a splat is picked.
 
 layout(std430) readonly buffer Picked { uint picked[]; };  // as in splat_pick.comp
 uniform ivec2 corner;  // of the viewport in the target [px]

@@ -4,15 +4,15 @@
 layout(local_size_x = 256) in;
 
 // Spherical harmonics of bands 1 to 3: a word for each coefficient, 3, 5 and 7 a slot. In mode kChannel,
-// which needs none, the first holds the channel's values, a word a slot: there are no more bindings everywhere.
+// which needs none, band1 holds the channel's values, a word a slot: some drivers have no further binding.
 layout(std430) readonly buffer Band1 { uint band1[]; };
 layout(std430) readonly buffer Band2 { uint band2[]; };
 layout(std430) readonly buffer Band3 { uint band3[]; };
 // What the visible splats are sorted by: grows with their depth.
 layout(std430) writeonly buffer Keys { uint keys[]; };
-// boxOf() the splats; and where nodes stand for some, from first_share on what share of each is drawn.
+// boxOf() each splat; if nodes stand for some, from first_share on the share of each that is drawn.
 layout(std430) writeonly buffer Boxes { uint boxes[]; };
-// Keys drawn, and those of kByDepth.
+// As splat_colour.glsl has it.
 layout(std430) buffer DepthRange { uint nearest, farthest, nearest_coloured, farthest_coloured; };
 
 uniform uint room;  // for visible splats
@@ -30,7 +30,7 @@ mat3 rotationMatrix(vec4 q) {
               x.z + w.y, yz - w.x, 1.0 - x.x - yy);
 }
 
-// Never darker than black, but brighter than white may be; and no NaN or infinity in half floats.
+// Clamps what is darker than black, but not what is brighter than white; no half float is NaN or infinite.
 vec3 radiance(vec3 c) { return mix(vec3(0.0), min(c, vec3(65504.0)), greaterThan(c, vec3(0.0))); }
 
 bool bandWanted(int band) { return band <= map.sh_degree && (map.only_band < 0 || band == map.only_band); }
@@ -76,7 +76,7 @@ vec3 trainedColour(uint slot, vec3 direction) {
   return radiance(c + 0.5);
 }
 
-// Hues a golden angle apart, of which three in turn are light, medium and dark.
+// Hues a golden angle apart; each three in turn are light, medium and dark.
 vec3 categoryColour(int category) {
   uint number = uint(category);
   float hue = float(number * 2654435769u >> 8) / 16777216.0;
@@ -175,7 +175,7 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   return e;
 }
 
-// The key of a slot's depth, if it is drawn. number: among those of all pages that are kept.
+// Projects a slot. Returns the key of its depth, kNone if it isn't drawn. number: as in page_table.hpp.
 uint projected(Page page, uint slot, uint number) {
   vec3 mean = slotPosition(slot);
   vec3 p = transformed(groups[page.group].to_camera, mean);

@@ -2,18 +2,18 @@
 
 layout(std430) readonly buffer Drawn { uint drawn[]; };  // nearest first
 layout(std430) readonly buffer Length { Tally drawn_tally; };
-layout(std430) readonly buffer Shares { float shares[]; };  // of what is drawn, if not all
+layout(std430) readonly buffer Shares { float shares[]; };  // drawn share of each splat, if view.cut
 
 uniform bool raw_depth;  // blend depths [m] instead of colours
 
-// What a pixel needs to find its falloff itself: corners lie on a grid, as fine as the driver has it,
-// and what is interpolated between them is as coarse.
+// What a pixel needs to find its falloff itself: the driver rounds corners to a grid, and values that are
+// interpolated between corners are as coarse.
 flat out vec4 colour;  // rgb, peakOf()
 flat out vec2 centre;  // in the target [px]
-flat out vec4 axes;    // falloffAxes(), there
+flat out vec4 axes;    // falloffAxes() in the target
 flat out float share;
 
-const float kGrid = 1.0 / 16.0;  // at most [px]
+const float kGrid = 1.0 / 16.0;  // the coarsest grid of a driver [px]
 
 void main() {
   uint index = drawn[drawn_tally.count - 1u - uint(gl_InstanceID)];

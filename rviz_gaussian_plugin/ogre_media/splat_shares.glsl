@@ -1,3 +1,3 @@
-// For programs that draw shares of splats, where nodes stand for what is left of them.
+// For programs that draw only a share of each splat: nodes stand for the rest.
 #define SHARES
 layout(std430) readonly buffer Shares { float shares[]; };

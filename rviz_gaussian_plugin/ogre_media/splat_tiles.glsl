@@ -18,15 +18,15 @@ ivec2 pixelInTile(uint local) {
 }
 
 #ifdef COMPUTE
-ivec2 groupTile() { return tileAt(workGroup()); }  // a work group each
+ivec2 groupTile() { return tileAt(workGroup()); }  // where each tile has a work group
 #endif
 
 // A splat's 1/255 ellipse, as rows of the picture cut it.
 struct Outline {
-  vec2 centre, reach;  // of the rectangle around it [px]
+  vec2 centre, reach;  // centre and half size of the rectangle around it [px]
   float half_width;    // of the row through its centre [px]
-  float lean;          // of a row's middle, a pixel down [px]
-  float rightmost;     // how far down its rightmost point is, and up its leftmost [px]
+  float lean;          // how far a row's middle moves right for each pixel down [px]
+  float rightmost;     // how far below the centre its rightmost point is, and above it its leftmost [px]
 };
 
 Outline outlineOf(Ellipse e) {
@@ -40,7 +40,7 @@ Outline outlineOf(Ellipse e) {
   return o;
 }
 
-// From where to where pixels may be covered, whose centres are so far down. [px]
+// The range of columns that the ellipse may cover in rows from `top` to `bottom` (centres of pixels). [px]
 vec2 across(Outline o, float top, float bottom) {
   EXACTLY vec2 rows = clamp(vec2(top, bottom) - o.centre.y, -o.reach.y, o.reach.y);
   EXACTLY vec2 down = clamp(vec2(-o.rightmost, o.rightmost), rows.x, rows.y);
@@ -49,12 +49,12 @@ vec2 across(Outline o, float top, float bottom) {
   return ends;
 }
 
-// Which of so many cells of a size hold centres of pixels in a range: first, and one past the last.
+// Which of `cells` cells of a size hold centres of pixels in a range: the first, and one past the last.
 ivec2 cellsIn(vec2 range, float size, int cells) {
   EXACTLY float slack = 0.05 + 1e-5 * (range.y - range.x);  // for rounding
   EXACTLY vec2 pixels = vec2(ceil(range.x - 0.5 - slack), floor(range.y - 0.5 + slack));
   if (!(pixels.x <= pixels.y)) return ivec2(0);
-  // Clamped as floats: integers end sooner.
+  // Clamped as floats, whose range is larger than that of integers.
   return ivec2(clamp(floor(pixels / size) + vec2(0.0, 1.0), 0.0, float(cells)));
 }
 
@@ -68,8 +68,8 @@ ivec2 tileColumns(Outline o, int row) {
   return cellsIn(across(o, top, top + float(kTile - 1)), float(kTile), view.tiles.x);
 }
 
-// The rectangle of tiles around a splat in a word, 0 where there are none: its first column, its
-// first row, its width, its height. Not all pictures and splats fit: those have kLargeBox.
+// The rectangle of tiles around a splat in a word: its first column, first row, width and height. 0 if no
+// tile is in it; kLargeBox if a number has too many bits.
 const uint kLargeBox = kNone;
 
 uint boxOf(Outline o) {

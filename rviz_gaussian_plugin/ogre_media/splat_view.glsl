@@ -4,7 +4,7 @@ layout(std140) uniform View {
   vec2 focal;                     // [px], orthographic [px/m]
   vec2 offset, half_size;         // as in the sorters' test
   vec2 principal_point;                       // [px]
-  vec2 whole_principal_point, whole_picture;  // of which the picture is a part, or itself [px]
+  vec2 whole_principal_point, whole_picture;  // of the picture that this is a part of, or of this one [px]
   vec2 ndc_depth;                 // ndc.z = (x depth + y) / w
   ivec2 picture;                  // [px]
   ivec2 tiles;                    // in the picture, across and down

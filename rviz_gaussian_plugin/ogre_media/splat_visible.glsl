@@ -1,6 +1,5 @@
-// Which slots may be seen, of the pages that are kept and as page_table.hpp numbers them: a bit for
-// each, 32 in a word, and how many are set before a word. What is kept of the visible slots lies in
-// their order, without gaps.
+// Which slots of the kept pages may be seen, numbered as in page_table.hpp: a bit each, 32 a word, and how
+// many bits are set before each word. A visible slot's index is the number of bits set before its own.
 layout(std430) buffer Visible { uint visible[]; };
 layout(std430) buffer Before { uint before[]; };
 
@@ -10,7 +9,7 @@ uint visibleIndex(uint number) {
   return before[number >> 5] + uint(bitCount(visible[number >> 5] & ((1u << (number & 31u)) - 1u)));
 }
 
-// The number of an index; words: of `visible`.
+// The number of the slot of an index. words: how many `visible` has.
 uint visibleNumber(uint index, uint words) {
   uint low = 0u, high = words;  // the last word with no more than `index` bits before it
   while (high - low > 1u) {

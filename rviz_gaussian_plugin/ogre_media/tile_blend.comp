@@ -1,5 +1,5 @@
-// Blends a tile's splats front to back, a pixel an invocation, until nothing behind can be seen. Of
-// a list that is cut into segments, it blends one.
+// Blends a tile's splats front to back, a pixel an invocation, until nothing behind can be seen. If the
+// tile's list is cut into segments, a work group blends one of these.
 
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Splats { uint splat_of[]; };
@@ -11,32 +11,32 @@ layout(binding = 1) uniform sampler2D behind_depth;
 layout(binding = 1) writeonly uniform image2D blended_behind;
 layout(binding = 2) writeonly uniform image2D nearness_behind;  // as in splat_hide.frag
 #else
-uniform bool later;  // later segments, of tiles that are cut
+uniform bool later;  // work groups blend later segments, not tiles or first segments
 #endif
 
 const uint kBatch = 128u, kWords = kBatch / 32u;
 const uint kParts = 8u;
-// Splats whose alphas are found together, without branches: one's memory is waited for with the
-// other's. What is too many has no alpha.
+// Splats whose alphas are computed together, without branches, so that their loads wait at the same time.
+// Surplus splats have an alpha of 0.
 const uint kAtOnce = 4u;
-// In place of a peak's logarithm: of what can't be seen, and of balls.
+// In place of the logarithm of a peak: for splats that can't be seen, and for balls.
 const float kUnseen = -1e3, kFlat2 = 1e3, kShaded2 = 2e3;
 
 // A splat, as the pixels of the tile see it: its falloff is exp2(-u^2 - v^2), where
 // u = x * px + y * py + z and v = w * py + rest.x.
 shared vec4 forms[kBatch];
-// See above; log2 of the peak, or that of a ball; the colour as half floats. What most pixels read of a
-// splat are two loads of 16 bytes: each more takes a fifth longer.
+// x: see `forms`; y: log2 of the peak, or what stands for it; z, w: the colour as half floats. Most pixels
+// read a splat in two loads of 16 bytes: each further load takes a fifth longer.
 shared uvec4 rests[kBatch];
 shared float depths[kBatch];  // in the window
 #ifdef SHARES
 shared float shares_of[kBatch];
 #endif
 shared uint reaching[kParts][kWords];  // a bit for each splat of the batch
-shared uint reached[kParts][kBatch];   // these splats' numbers, without gaps
+shared uint reached[kParts][kBatch];   // the numbers of these splats in the batch, without gaps
 shared uint finished, depths_matter;
 
-// Triangular, so that v is that of a row. [1/px]
+// Keeps a splat's form, triangular, so that v depends on the row alone. [1/px]
 void keepForm(uint k, Ellipse e, ivec2 tile) {
   vec4 axes = falloffAxes(e);
   float x = length(axes.xz);
@@ -67,7 +67,7 @@ void mark(uint k, Ellipse e, ivec2 tile) {
   }
 }
 
-// Lists which splats of the batch reach a part, by one of its 32 lanes; returns how many do.
+// Lists, as one of a part's 32 lanes, which splats of the batch reach the part. Returns how many do.
 uint listReaching(uint part, uint lane) {
   uint count = 0u;
   for (uint word = 0u; word < kWords; ++word) {
@@ -87,12 +87,11 @@ struct Blended {
   vec3 colour_behind;
   float transmittance_behind, nearness;
 #endif
-  float least_transmittance;  // of those that still change what is seen
+  float least_transmittance;  // below this, splats behind can't be seen
   bool done;
 };
 
-// Blends those of a batch that reach a part, as listed. hides: whether the scene may hide some in this
-// tile.
+// Blends the listed splats of a batch that reach a part. hides: whether the scene may hide some in this tile.
 void blendBatch(uint part, uint count, vec2 pixel, bool hides, float hidden_from, float behind_until,
                 inout Blended b) {
   for (uint first = 0u; first < count && !b.done; first += kAtOnce) {

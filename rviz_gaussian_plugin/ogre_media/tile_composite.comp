@@ -1,4 +1,4 @@
-// The segments of tiles that were cut, one over the other, nearest first.
+// Lays the segments of cut tiles over each other, nearest first.
 
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Begins { uint begins[]; };

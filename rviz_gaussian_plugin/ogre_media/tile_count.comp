@@ -1,4 +1,4 @@
-// How many tiles drawn splats touch: each 32 of them in all, and those of the 32 before each.
+// Counts the tiles that drawn splats touch: each 32 splats in all, and the splats before each among its 32.
 
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Drawn { uint drawn[]; };

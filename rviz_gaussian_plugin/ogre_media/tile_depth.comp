@@ -1,8 +1,8 @@
-// What of a tile splats can be in: behind the first depth, where something translucent is before what
-// is opaque; before the second.
+// For each tile, the nearest depth of a translucent object before the opaque scene, and the farthest depth of
+// `divided`: splats behind objects lie beyond the first depth, splats before objects lie before the second.
 
 layout(local_size_x = 16, local_size_y = 16) in;
-layout(binding = 0) uniform sampler2D divided;  // the nearest of what is translucent or opaque
+layout(binding = 0) uniform sampler2D divided;  // depth of the nearest object, translucent or opaque
 layout(binding = 1) uniform sampler2D scene_depth;
 layout(binding = 0) writeonly uniform image2D tile_depths;
 

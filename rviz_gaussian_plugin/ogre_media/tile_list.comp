@@ -12,7 +12,7 @@ layout(std430) readonly buffer Boxes { uint boxes[]; };
 
 // Splats on more tiles than this are listed by 32 lanes, which find a row each, then list row by row.
 const uint kLarge = 32u, kParts = 256u / 32u;
-// The nearest splats are the largest: up to so many work groups, each takes 32 here and there.
+// The nearest splats are the largest: up to so many work groups take 32 splats of each eighth of the order.
 const uint kFewGroups = 2048u;
 
 shared uint large_count, most_rows;
@@ -39,7 +39,7 @@ void listAlone(uint i) {
   }
 }
 
-// Those that are large, one for each 32 lanes.
+// Lists large splats, one for each 32 lanes.
 void listTogether(uint first, uint part, uint lane) {
   bool there = first + part < large_count;
   uint i = large[there ? first + part : first], splat = drawn[i], box = boxes[splat], next = firstOf(i);

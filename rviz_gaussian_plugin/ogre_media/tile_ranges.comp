@@ -1,5 +1,5 @@
-// Where each tile's splats begin in the list, sorted by tile. They end where the next tile's begin.
-// Cuts long ones into segments.
+// Finds where each tile's splats begin in the list, which is sorted by tile. They end where the next tile's
+// begin. Cuts long lists of a tile into segments.
 
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Tiles { uint tile_of[]; };

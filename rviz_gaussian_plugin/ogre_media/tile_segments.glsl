@@ -1,10 +1,10 @@
-// Long lists of tiles are cut into segments, which work groups blend side by side: a first one, whose
-// transmittance the later ones know, and later ones, which tile_composite.comp lays over each other.
+// A tile's long list is cut into segments, each blended by a work group: a first one, then later ones, which
+// know the transmittance of the first. tile_composite.comp lays the results over each other.
 layout(std430) buffer Segments {
-  uint later_groups[3], cut_groups[3];  // to dispatch: one a later segment, one a tile that is cut
+  uint later_groups[3], cut_groups[3];  // to dispatch: a work group a later segment, one a cut tile
   uint words[];                         // as below
 } segments;
-// Colour and transmittance, 256 a segment; a later one's transmittance is its own alone.
+// Colour and transmittance of a segment's 256 pixels. A later segment's transmittance excludes the others'.
 layout(std430) buffer FirstPartials { vec4 first_partials[]; };
 layout(std430) buffer LaterPartials { vec4 later_partials[]; };
 
@@ -13,8 +13,8 @@ uniform uint most_cut;                      // tiles that may be cut
 
 uint tileCount() { return uint(view.tiles.x * view.tiles.y); }
 
-// Places in `words`: a tile's number among those that are cut; by this number, the tile, and the
-// number of its first later segment; by the number of a later segment, that of its tile.
+// Indices in `words` of: a tile's number among the cut tiles; by this number, the tile and the number of its
+// first later segment; by the number of a later segment, the number of its tile among the cut tiles.
 uint cutOf(uint tile) { return tile; }
 uint tileOf(uint cut) { return tileCount() + 2u * cut; }
 uint laterOf(uint cut) { return tileCount() + 2u * cut + 1u; }

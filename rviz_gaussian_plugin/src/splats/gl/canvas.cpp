@@ -7,9 +7,8 @@ namespace rosplat {
 
 namespace {
 
-// Gives a pixel with nothing in its middle the nearest depth of the pixels around it: an object
-// there may be in some of the window's samples of this pixel. Splats that are divided at a depth
-// where no object is look the same.
+// Gives a pixel with nothing in its middle the nearest depth around it: an object there may be in
+// some of the window's samples of the pixel. Dividing splats where nothing is changes nothing.
 void widen(std::vector<float>& depths, int width, int height) {
   const auto columns = static_cast<std::size_t>(width), rows = static_cast<std::size_t>(height);
   const auto least = [](float a, float b, float c) { return std::min(std::min(a, b), c); };

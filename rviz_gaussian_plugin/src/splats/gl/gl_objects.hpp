@@ -216,8 +216,7 @@ class SampledDepth {
   std::size_t bytes_ = 0;
 };
 
-// Within the scope, all that Ogre draws writes its depth alone, into a texture that is cleared
-// first.
+// Within the scope, all that Ogre draws leaves its depth alone, in a texture that is cleared first.
 class DepthScope {
  public:
   explicit DepthScope(const SampledDepth& depth);

@@ -9,10 +9,10 @@ namespace rosplat::gl {
 // Whether objects of the current context can have labels, by which they are recognised later.
 bool hasLabels();
 
-// Owns a buffer, a texture or a query. Code that destroys a map, as a slot of Qt, may have another
-// context current, in which the same name is a different object: so the destructor only notes the
-// object, and deleteAbandoned() deletes it. An object that has no label, or whose context is never
-// current in such a call, goes with its context.
+// Owns a buffer, a texture or a query. Code that destroys a map, such as a slot of Qt, may have
+// another context current, in which the same name is a different object: so the destructor only
+// notes the object, and deleteAbandoned() deletes it. An object that has no label, or whose context
+// is never current in such a call, goes with its context.
 class Object {
  public:
   Object() = default;

@@ -9,7 +9,7 @@ namespace rosplat {
 
 namespace {
 
-// Limits of what a frame reads back, and reads at once, and of what it uploads [bytes].
+// Limits of a frame: pages to read back, pages to read at once, and bytes to upload.
 constexpr std::size_t kPagesPerFrame = 64, kPagesAtOnce = 256, kBytesPerFrame = 32u << 20;
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 

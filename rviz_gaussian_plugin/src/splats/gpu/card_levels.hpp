@@ -24,8 +24,8 @@ class CardLevels {
 
   // Passes on an edit that the store has applied already. An edit that clears drops all nodes.
   void apply(const SlotStore& store, const std::shared_ptr<const GaussianEdit>& edit, double now);
-  // Does some of the work, in the store too or, with `all`, all of it: then waits for the builder.
-  // Throws gl::Error when the driver has no memory left.
+  // Goes on building, uploading and showing nodes, which sets the store's levels: does some of it
+  // or, with `all`, waits for all of it. Throws gl::Error when the driver has no memory left.
   void advance(SlotStore& store, double now, bool all);
 
   const NodeStore& nodes() const { return nodes_; }

@@ -29,8 +29,7 @@ class Projection {
   void run(const Frame& frame, const gl::Buffer& keys);
 
   const Tally& visible() const { return visible_count_; }
-  // Returns how many of all `visible` splats each layer shows. Waits for the counts if there are
-  // several layers.
+  // Returns how many of all `visible` splats each layer shows. With several, waits for the counts.
   std::vector<std::size_t> visibleOf(std::size_t visible) const;
   // Bind the buffers of splat_ellipses.glsl and splat_visible.glsl.
   void bindEllipses(const gl::Program& program) const;

@@ -10,9 +10,8 @@ namespace rosplat {
 namespace {
 
 constexpr std::size_t kWord = sizeof(std::uint32_t);
-// A shader writes edits of kFewScattered pieces or more, if these are shorter than kLongRun slots
-// on average. On an H200, a copy takes 2.6 us a buffer, whatever its size; the shader 50 us, and
-// 0.03 us a slot.
+// A shader writes edits of kFewScattered pieces or more, of fewer than kLongRun slots on average.
+// On an H200, a copy takes 2.6 us a buffer, whatever its size; the shader 50 us and 0.03 us a slot.
 constexpr std::size_t kFewScattered = 16, kLongRun = 128;
 
 // Writes a slot's words with the time of their change. Returns where the next slot's words go.

@@ -66,7 +66,7 @@ bool ViewState::hasRoom(const Frame& frame) {
   if (unknown_) ask();
   if (!asked_) return true;
   asked_ = false;
-  // Assumes that splats to come are as visible as the present ones. But not all announced ones come.
+  // Assumes that splats to come are as visible as the present ones; not all announced ones come.
   std::size_t expected = 0, capacity = 0, most = 0;
   for (const FrameLayer& layer : frame.layers) {
     const auto announced = std::min<std::size_t>(layer.map.expected, kMaxSlots);
